@@ -1,0 +1,297 @@
+"""Filtered, differentiated, decimated: what a model is compared with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.errors import BadInput
+from bayesfric.recordings import units
+from bayesfric.recordings.filters import (
+    ParallelFilter,
+    check_cutoff,
+    derivative,
+    lowpass,
+    parallel_filter,
+    parallel_taps,
+)
+from bayesfric.recordings.options import Processing
+from bayesfric.recordings.recording import Recording
+
+_DEAD_SHARE = 0.01
+_TRIM_SAMPLES = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What a model is compared with, and what it needs to predict it.
+
+    Parameters
+    ----------
+    name
+        Of the recording.
+    q, qd, qdd
+        Joint position, velocity and acceleration, rad or m and s, shape (N,) each.
+    torque
+        Motor torque as measured, N m or N, shape (N,).
+    filter
+        Takes N samples of any signal to M outputs.
+    time
+        Seconds since the file's first stamp at the windows' centres, shape (M,).
+    measured
+        ``filter.apply(torque)``, shape (M,).
+    speed
+        qd at the windows' centres, shape (M,).
+    period
+        Time from one output to the next of the same segment, s.
+    segment_of
+        Segment of every output, shape (M,). Inside a segment outputs may be missing (dead zone,
+        excluded spans); neighbours are those whose ``filter.starts`` differ by ``decimate``.
+    added_mass, radius
+        Known mass added for this recording, kg, and its distance from the axis, m.
+    steps
+        One sentence for every choice made, reading included.
+    warnings
+        One sentence for everything a user should look at.
+    settings
+        Every number actually used, in SI units.
+    """
+
+    name: str
+    q: NDArray[np.float64]
+    qd: NDArray[np.float64]
+    qdd: NDArray[np.float64]
+    torque: NDArray[np.float64]
+    filter: ParallelFilter
+    time: NDArray[np.float64]
+    measured: NDArray[np.float64]
+    speed: NDArray[np.float64]
+    period: float
+    segment_of: NDArray[np.int64]
+    added_mass: float
+    radius: float
+    steps: tuple[str, ...]
+    warnings: tuple[str, ...]
+    settings: dict[str, float | int | str]
+
+
+@dataclass(frozen=True)
+class _Numbers:
+    """The processing numbers once every default is settled."""
+
+    fs: float
+    cutoff: float
+    factor: int
+    band: float | None
+    trim: float
+    trim_samples: int
+
+
+def observe(recording: Recording, processing: Processing) -> Observation:
+    """Filter, differentiate and decimate a recording.
+
+    Parameters
+    ----------
+    recording
+        What was measured.
+    processing
+        How to process it; None is settled from the sampling rate.
+
+    Returns
+    -------
+    Observation
+        What a model is compared with.
+
+    Raises
+    ------
+    BadInput
+        For a cut-off the sampling rate cannot carry, or settings that leave no output.
+    """
+    numbers = _settle(recording, processing)
+    segments, period = recording.segments, recording.period
+    warnings = list(recording.warnings)
+    q = lowpass(recording.position, segments, numbers.fs, numbers.cutoff, processing.order)
+    if recording.velocity is None:
+        qd = derivative(q, segments, period)
+    else:
+        qd = lowpass(recording.velocity, segments, numbers.fs, numbers.cutoff, processing.order)
+    qdd = derivative(qd, segments, period)
+
+    kept = tuple(
+        (a + numbers.trim_samples, max(b - numbers.trim_samples, a + numbers.trim_samples))
+        for a, b in segments
+    )
+    inside = np.zeros(len(q), dtype=np.bool_)
+    for a, b in kept:
+        inside[a:b] = True
+    dead_zone = _dead_zone(processing, qd[inside])
+    moving = np.abs(qd) >= dead_zone
+    chosen, counts = _windows(recording, numbers, kept, moving)
+    decimated = numbers.fs / numbers.factor
+    if numbers.band is not None and numbers.band > decimated / 2:
+        warnings.append(
+            f"band: {numbers.band:.6g} Hz is above half the decimated rate ({decimated / 2:.6g} Hz)"
+            ", so higher frequencies fold back"
+        )
+    borders = np.array([a for a, _ in segments], dtype=np.int64)
+    centres = chosen.centres
+    settings: dict[str, float | int | str] = {
+        "sampling_rate": numbers.fs,
+        "lowpass": numbers.cutoff,
+        "order": processing.order,
+        "decimate": numbers.factor,
+        "band": _band(numbers),
+        "dead_zone": dead_zone,
+        "trim": numbers.trim,
+        "trim_samples": numbers.trim_samples,
+        "resample": processing.resample,
+        "taps": len(chosen.taps),
+        "n_samples": len(q),
+        "n_segments": len(segments),
+        "n_outputs": chosen.n_outputs,
+        **counts,
+    }
+    return Observation(
+        name=recording.name,
+        q=q,
+        qd=qd,
+        qdd=qdd,
+        torque=recording.torque,
+        filter=chosen,
+        time=recording.time[centres],
+        measured=chosen.apply(recording.torque),
+        speed=qd[centres],
+        period=numbers.factor * period,
+        segment_of=np.searchsorted(borders, chosen.starts, side="right").astype(np.int64) - 1,
+        added_mass=recording.added_mass,
+        radius=recording.radius,
+        steps=(*recording.steps, *_told(numbers, processing, recording, settings)),
+        warnings=tuple(warnings),
+        settings=settings,
+    )
+
+
+def _settle(recording: Recording, processing: Processing) -> _Numbers:
+    fs = 1 / recording.period
+    cutoff = fs / 10 if processing.lowpass is None else processing.lowpass
+    if cutoff:
+        check_cutoff(cutoff, fs, f"recording '{recording.name}', lowpass")
+    factor = processing.decimate
+    if factor is None:
+        factor = max(1, round(fs / cutoff)) if cutoff else 1
+    if processing.band is not None:
+        check_cutoff(processing.band, fs, f"recording '{recording.name}', band")
+    if processing.trim is None:
+        samples = max(_TRIM_SAMPLES, int(np.ceil(fs / cutoff - 1e-9)) if cutoff else 0)
+    else:
+        samples = int(np.ceil(processing.trim * fs - 1e-9))
+    return _Numbers(fs, cutoff, factor, processing.band, samples * recording.period, samples)
+
+
+def _dead_zone(processing: Processing, qd: NDArray[np.float64]) -> float:
+    if isinstance(processing.dead_zone, str):
+        return units.quantity(processing.dead_zone, "angular_speed", "speed")
+    if processing.dead_zone is not None:
+        return float(processing.dead_zone)
+    return _DEAD_SHARE * float(np.percentile(np.abs(qd), 99)) if len(qd) else 0.0
+
+
+def _windows(
+    recording: Recording,
+    numbers: _Numbers,
+    kept: tuple[tuple[int, int], ...],
+    moving: NDArray[np.bool_],
+) -> tuple[ParallelFilter, dict[str, int]]:
+    """Lay the windows, and count what every setting took away."""
+    everything = np.ones(len(moving), dtype=np.bool_)
+
+    def lay(segments: tuple[tuple[int, int], ...], usable: NDArray[np.bool_]) -> ParallelFilter:
+        return parallel_filter(segments, numbers.factor, numbers.band, numbers.fs, usable)
+
+    whole = lay(recording.segments, everything).n_outputs
+    trimmed = lay(kept, everything).n_outputs
+    parts = _without(kept, recording.excluded)
+    included = lay(parts, everything).n_outputs
+    final = lay(parts, moving)
+    length = len(parallel_taps(numbers.factor, numbers.band, numbers.fs))
+    where = f"recording '{recording.name}'"
+    if whole == 0:
+        longest = max(b - a for a, b in recording.segments)
+        raise BadInput(
+            f"{where}, decimate",
+            f"decimate = {numbers.factor} needs windows of {length} samples, and the longest "
+            f"segment has {longest}",
+            "decimate less, raise band, or record longer",
+        )
+    if trimmed == 0:
+        raise BadInput(
+            f"{where}, trim",
+            f"trim = {numbers.trim:.3g} s leaves no segment of {length} samples",
+            "trim less, decimate less, or record longer",
+        )
+    if included == 0:
+        raise BadInput(f"{where}, exclude", "the excluded spans leave no output", "exclude less")
+    if final.n_outputs == 0:
+        raise BadInput(
+            f"{where}, dead_zone",
+            "the joint is never faster than the dead zone for a whole window",
+            "lower dead_zone (0 for none), or decimate less",
+        )
+    return final, {
+        "dropped_trim": whole - trimmed,
+        "dropped_excluded": trimmed - included,
+        "dropped_dead_zone": included - final.n_outputs,
+    }
+
+
+def _without(
+    segments: tuple[tuple[int, int], ...], excluded: NDArray[np.bool_]
+) -> tuple[tuple[int, int], ...]:
+    """Split segments at excluded samples, so that no window touches one."""
+    parts: list[tuple[int, int]] = []
+    for a, b in segments:
+        flags = np.concatenate([[True], excluded[a:b], [True]]).astype(np.int8)
+        change = np.diff(flags)
+        begins = a + np.flatnonzero(change == -1)
+        ends = a + np.flatnonzero(change == 1)
+        parts.extend(zip(begins.tolist(), ends.tolist(), strict=True))
+    return tuple(parts)
+
+
+def _band(numbers: _Numbers) -> float:
+    if numbers.band is not None:
+        return numbers.band
+    return numbers.fs / (2 * numbers.factor) if numbers.factor > 1 else 0.0
+
+
+def _told(
+    numbers: _Numbers,
+    processing: Processing,
+    recording: Recording,
+    settings: dict[str, float | int | str],
+) -> list[str]:
+    steps = []
+    if numbers.cutoff:
+        steps.append(
+            f"low-pass: zero-phase Butterworth of order {processing.order} at "
+            f"{numbers.cutoff:.4g} Hz ({numbers.fs:.4g} Hz sampling)"
+        )
+    else:
+        steps.append("low-pass: none")
+    used = "differentiated position" if recording.velocity is None else "measured velocity"
+    steps.append(f"velocity: {used}; acceleration: its central difference")
+    steps.append(f"trim: {numbers.trim_samples} samples off both ends of every segment")
+    if settings["taps"] == 1:
+        steps.append("parallel filter: none, every sample is an output")
+    else:
+        steps.append(
+            f"parallel filter: {settings['taps']} taps, cut-off {_band(numbers):.4g} Hz, "
+            f"one output in {numbers.factor} samples"
+        )
+    steps.append(
+        f"dead zone: below {settings['dead_zone']:.3g} (joint speed), "
+        f"{settings['dropped_dead_zone']} outputs left out; {settings['n_outputs']} remain"
+    )
+    return steps

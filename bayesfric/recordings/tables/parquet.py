@@ -1,0 +1,73 @@
+"""Reading Parquet files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.errors import BadInput
+from bayesfric.recordings.tables.npz import LARGEST
+from bayesfric.recordings.tables.table import Table, check_names
+
+
+def read_parquet(path: Path) -> Table:
+    """Read a Parquet file.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    Table
+        One column a field; columns are read when asked for.
+
+    Raises
+    ------
+    BadInput
+        For a damaged file, one larger than 4 GiB unpacked, or doubled names.
+    """
+    # pyarrow takes long to import, which only reading Parquet should cost
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        with pq.ParquetFile(path) as file:
+            names = [str(name) for name in file.schema_arrow.names]
+            groups = [file.metadata.row_group(i) for i in range(file.metadata.num_row_groups)]
+            size = sum(int(group.total_byte_size) for group in groups)
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise _damaged(path, error) from error
+    check_names(path, names, "schema")
+    if size > LARGEST:
+        raise BadInput(
+            str(path),
+            f"would unpack to {size / 2**30:.1f} GiB, more than {LARGEST / 2**30:.0f} GiB",
+            "save only the recording's columns",
+        )
+
+    def load(index: int) -> NDArray[Any]:
+        try:
+            with pq.ParquetFile(path) as file:
+                column = file.read(columns=[names[index]]).column(0)
+        except (pa.ArrowException, OSError, ValueError) as error:
+            raise _damaged(path, error) from error
+        if column.null_count:
+            return np.array(column.to_pylist(), dtype=object)
+        if pa.types.is_decimal(column.type):
+            return np.array([float(value) for value in column.to_pylist()])
+        return np.asarray(column.to_numpy())
+
+    return Table(path=path, names=tuple(names), load=load)
+
+
+def _damaged(path: Path, error: Exception) -> BadInput:
+    return BadInput(
+        str(path),
+        f"is not a readable Parquet file ({type(error).__name__}: {error})",
+        "export it again; the file may be cut off",
+    )

@@ -1,0 +1,75 @@
+"""Small made-up recordings, and the way tests read them."""
+
+import numpy as np
+import pytest
+
+from bayesfric.errors import BadInput
+from bayesfric.recordings import Channel, Position, Processing, Source, Torque, read_recordings
+
+
+def swing(n=200, period=0.01):
+    """Return time, position and torque of a smooth swing with exact decimal time stamps."""
+    t = np.round(np.arange(n) * period, 9)
+    return t, np.sin(2 * np.pi * 0.7 * t), 0.3 * np.cos(2 * np.pi * 0.7 * t) + 0.01 * t
+
+
+def lines(n=200, header="t,q,tau"):
+    t, q, tau = swing(n)
+    rows = [
+        f"{a!r},{b!r},{c!r}" for a, b, c in zip(t.tolist(), q.tolist(), tau.tolist(), strict=True)
+    ]
+    return [header, *rows] if header else rows
+
+
+def write(folder, text, name="run.csv", encoding="utf-8"):
+    path = folder / name
+    path.write_bytes(text.encode(encoding))
+    return path
+
+
+def source(file="run.csv", **changes):
+    given = {
+        "file": file,
+        "time": Channel(column="t", unit="s"),
+        "position": Position(column="q", unit="rad"),
+        "torque": Torque(column="tau", unit="N m"),
+    }
+    given.update(changes)
+    return Source(**given)
+
+
+def numbered(file="run.csv", **changes):
+    return source(
+        file,
+        time=Channel(column=1, unit="s"),
+        position=Position(column=2, unit="rad"),
+        torque=Torque(column=3, unit="N m"),
+        **changes,
+    )
+
+
+def read(folder, used=None, *, ratio=1.0, motion="rotary", processing=None, **more):
+    return read_recordings(
+        used or source(),
+        folder,
+        ratio=ratio,
+        motion=motion,
+        processing=processing or Processing(),
+        **more,
+    )
+
+
+def refused(folder, used=None, **more):
+    with pytest.raises(BadInput) as caught:
+        read(folder, used, **more)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert caught.value.where
+    assert caught.value.what
+    assert caught.value.mend
+    return message
+
+
+def has(message, *parts):
+    for part in parts:
+        assert part in message, message

@@ -1,0 +1,194 @@
+"""Every text file that cannot be used is refused in one line that names the place."""
+
+import numpy as np
+import pytest
+
+from bayesfric.errors import BadInput
+from bayesfric.recordings import Position
+from bayesfric.recordings.tables import read_table, sha256
+
+from .samples import has, lines, numbered, read, refused, source, swing, write
+
+
+def with_cell(folder, row, column, cell, **kwargs):
+    text = lines()
+    cells = text[row].split(",")
+    cells[column] = cell
+    text[row] = ",".join(cells)
+    return write(folder, "\n".join(text), **kwargs)
+
+
+@pytest.mark.parametrize(
+    ("cell", "shown"),
+    [
+        ("oops", "'oops'"),
+        ("", "empty"),
+        ("nan", "nan"),
+        ("NaN", "NaN"),
+        ("inf", "inf"),
+        ("-Infinity", "inf"),
+        ("NA", "'NA'"),
+        ("0x1F", "'0x1F'"),
+        ("1_0", "'1_0'"),
+        ("1e999", "inf"),
+    ],
+)
+@pytest.mark.parametrize("row", [1, 17, 200])
+def test_bad_cell_names_file_column_row_and_line(tmp_path, cell, shown, row):
+    with_cell(tmp_path, row, 1, cell)
+    has(refused(tmp_path), "run.csv", "'q'", f"row {row} ", f"(line {row + 1})", shown)
+
+
+def test_bad_cell_in_a_column_that_is_not_used_does_not_matter(tmp_path):
+    text = lines(header="t,q,tau,note")
+    text[1:] = [line + ",ok" for line in text[1:]]
+    write(tmp_path, "\n".join(text))
+    assert len(read(tmp_path)[0].time) == 200
+
+
+def test_line_numbers_stay_right_over_blank_lines(tmp_path):
+    text = lines()
+    text[50] = text[50].replace(",", ",x", 1)
+    text.insert(20, "")
+    text.insert(10, "  ")
+    write(tmp_path, "\n".join(text))
+    has(refused(tmp_path), "row 50 (line 53)")
+
+
+@pytest.mark.parametrize("row", [1, 2, 30, 200])
+@pytest.mark.parametrize("cells", ["1.0,2.0", "1.0,x", "1.0", "1.0,2.0,3.0,4.0"])
+@pytest.mark.parametrize("used", [source(), numbered()])
+def test_ragged_row(tmp_path, row, cells, used):
+    text = lines()
+    text[row] = cells
+    write(tmp_path, "\n".join(text))
+    has(refused(tmp_path, used), "run.csv", f"line {row + 1}")
+
+
+def test_cut_off_in_the_last_row(tmp_path):
+    text = "\n".join(lines())
+    write(tmp_path, text[: text.rindex(",")])
+    has(refused(tmp_path), "row 200 (line 201)", "2 cells")
+
+
+def test_missing_column_names_the_nearest_and_the_others(tmp_path):
+    write(tmp_path, "\n".join(lines(header="time,Position,tau")))
+    message = refused(tmp_path, source(position=Position(column="position", unit="rad")))
+    has(message, "'position'", "did you mean 'Position'", "'time'", "'tau'", "line 1")
+
+
+def test_at_most_twenty_names_are_listed(tmp_path):
+    wide = np.column_stack([swing()[0]] * 30)
+    np.savetxt(
+        tmp_path / "run.csv", wide, delimiter=",", header=",".join(f"c{i}" for i in range(30))
+    )
+    message = refused(tmp_path, source())
+    has(message, "'c19'", "and 10 more")
+    assert "'c20'" not in message
+
+
+def test_column_number_out_of_range(tmp_path):
+    write(tmp_path, "\n".join(lines()))
+    has(refused(tmp_path, numbered(velocity={"column": 9, "unit": "rad/s"})), "column 9", "1 to 3")
+
+
+def test_column_name_without_header(tmp_path):
+    write(tmp_path, "\n".join(lines(header=None)))
+    has(refused(tmp_path), "'q'", "no names", "1 to 3")
+
+
+def test_doubled_names(tmp_path):
+    write(tmp_path, "\n".join(lines(header="t,q,q")))
+    has(refused(tmp_path), "run.csv", "line 1", "2 and 3", "'q'")
+
+
+@pytest.mark.parametrize("text", ["", "\n\n", "\ufeff", "  "])
+def test_empty_file(tmp_path, text):
+    write(tmp_path, text)
+    has(refused(tmp_path), "run.csv", "empty")
+
+
+@pytest.mark.parametrize("header", [None, True])
+def test_only_a_header(tmp_path, header):
+    write(tmp_path, "t,q,tau\n")
+    has(refused(tmp_path, source(header=header)), "run.csv", "no row of numbers")
+
+
+def test_prose_is_no_table(tmp_path):
+    write(tmp_path, "This is a letter,\nnot a recording.\nYours, nobody\n\nP.S. none")
+    has(refused(tmp_path), "run.csv", "no cell is a number")
+
+
+def test_skipping_everything(tmp_path):
+    write(tmp_path, "\n".join(lines()))
+    has(refused(tmp_path, source(skip_rows=500)), "run.csv", "500")
+
+
+def test_missing_file(tmp_path):
+    has(refused(tmp_path), "run.csv", "does not exist")
+
+
+def test_directory(tmp_path):
+    (tmp_path / "run.csv").mkdir()
+    has(refused(tmp_path), "run.csv", "directory")
+
+
+def test_no_permission(tmp_path, monkeypatch):
+    path = write(tmp_path, "\n".join(lines()))
+
+    def denied(*_args, **_kwargs):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(type(path), "open", denied)
+    has(refused(tmp_path), "run.csv", "permission")
+    with pytest.raises(BadInput, match="permission"):
+        sha256(path)
+
+
+def test_no_match_of_a_pattern(tmp_path):
+    has(refused(tmp_path, source("runs/*.csv")), "runs/*.csv", "no file")
+
+
+def test_unknown_suffix(tmp_path):
+    write(tmp_path, "\n".join(lines()), "run.xyz")
+    has(refused(tmp_path, source("run.xyz")), "run.xyz", "'.xyz'", "format")
+
+
+def test_latin_1_names_the_byte(tmp_path):
+    write(tmp_path, "\n".join(lines(header="t,q°,tau")), encoding="latin-1")
+    has(refused(tmp_path), "run.csv", "byte 3", "UTF-8")
+
+
+def test_utf_16_without_mark(tmp_path):
+    write(tmp_path, "\n".join(lines()), encoding="utf-16-le")
+    has(refused(tmp_path), "run.csv", "NUL", "UTF-8")
+
+
+def test_cut_utf_16(tmp_path):
+    path = write(tmp_path, "\n".join(lines()), encoding="utf-16")
+    path.write_bytes(path.read_bytes()[:-1])
+    has(refused(tmp_path), "run.csv", "UTF-16")
+
+
+def test_decimal_comma_is_told(tmp_path):
+    text = [line.replace(",", ";").replace(".", ",") for line in lines()]
+    write(tmp_path, "\n".join(text))
+    has(refused(tmp_path), "run.csv", "line ", "decimal")
+
+
+def test_open_quote(tmp_path):
+    text = lines()
+    text[9] = '"' + text[9]
+    write(tmp_path, "\n".join(text))
+    has(refused(tmp_path), "run.csv")
+
+
+# -- the hand-edited files of a real data set
+
+
+@pytest.mark.parametrize("name", ["1", "2", "n1"])
+def test_hand_edited_recorder_file(data, name):
+    path = data / "screw-worm" / "driveNo3" / "steady_state" / "0.096kg" / f"{name}.csv"
+    with pytest.raises(BadInput, match=r"line 15.*was") as caught:
+        read_table(path, source()).column(3)
+    assert f"{name}.csv" in caught.value.where

@@ -1,0 +1,122 @@
+"""Filters against closed forms."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bayesfric.errors import BadInput
+from bayesfric.recordings.filters import derivative, lowpass, parallel_filter
+
+FS = 1000.0
+
+
+@pytest.mark.parametrize("order", [2, 4, 6])
+@pytest.mark.parametrize("cutoff", [20.0, 100.0, 300.0])
+def test_butterworth_halves_a_sine_at_the_cutoff_without_shifting_it(order, cutoff):
+    t = np.arange(4000) / FS
+    passed = lowpass(np.sin(2 * np.pi * cutoff * t), [(0, 4000)], FS, cutoff, order)
+    middle = slice(1000, 3000)
+    basis = np.array([np.sin(2 * np.pi * cutoff * t), np.cos(2 * np.pi * cutoff * t)])[:, middle]
+    in_phase, shifted = np.linalg.lstsq(basis.T, passed[middle], rcond=None)[0]
+    # -3 dB a pass, two passes
+    assert in_phase == pytest.approx(0.5, abs=1e-6)
+    assert shifted == pytest.approx(0.0, abs=1e-6)
+
+
+def test_butterworth_passes_below_and_stops_above():
+    t = np.arange(4000) / FS
+    for frequency, gain in ((5.0, 1.0), (400.0, 0.0)):
+        wave = np.sin(2 * np.pi * frequency * t)
+        passed = lowpass(wave, [(0, 4000)], FS, 50.0, 4)
+        np.testing.assert_allclose(passed[1000:3000], gain * wave[1000:3000], atol=1e-3)
+
+
+def test_lowpass_off_and_constant():
+    x = np.random.default_rng(0).normal(size=300)
+    np.testing.assert_array_equal(lowpass(x, [(0, 300)], FS, 0, 4), x)
+    np.testing.assert_allclose(lowpass(np.full(300, 2.5), [(0, 300)], FS, 20, 4), 2.5)
+
+
+def test_segments_do_not_leak():
+    x = np.concatenate([np.zeros(200), np.ones(200)])
+    pieces = [(0, 200), (200, 400)]
+    np.testing.assert_allclose(lowpass(x, pieces, FS, 50, 4), x, atol=1e-12)
+    np.testing.assert_allclose(derivative(x, pieces, 1 / FS), 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("cutoff", [500.0, 600.0])
+def test_cutoff_at_nyquist_is_refused(cutoff):
+    with pytest.raises(BadInput, match="half the sampling rate"):
+        lowpass(np.zeros(100), [(0, 100)], FS, cutoff, 4)
+    with pytest.raises(BadInput, match="half the sampling rate"):
+        parallel_filter([(0, 100)], 1, cutoff, FS, np.ones(100, dtype=bool))
+
+
+@given(*[st.floats(-5, 5)] * 3, st.floats(1e-3, 1.0))
+def test_central_difference_of_a_quadratic_is_exact(a, b, c, dt):
+    t = dt * np.arange(20)
+    slope = derivative(a * t**2 + b * t + c, [(0, 20)], dt)
+    np.testing.assert_allclose(slope, 2 * a * t + b, atol=1e-9 / dt)
+
+
+def test_central_difference_by_definition():
+    x = np.random.default_rng(1).normal(size=50)
+    slope = derivative(x, [(0, 50)], 0.02)
+    np.testing.assert_allclose(slope[1:-1], (x[2:] - x[:-2]) / 0.04, rtol=1e-12)
+
+
+@settings(deadline=None)
+@given(
+    st.integers(1, 12),
+    st.one_of(st.none(), st.floats(5, 400)),
+    st.lists(st.integers(0, 400), min_size=2, max_size=6, unique=True),
+    st.integers(0, 2**32 - 1),
+)
+def test_parallel_filter(factor, band, edges, seed):
+    edges = sorted(edges)
+    pieces = list(zip(edges[::2], edges[1::2], strict=False))
+    rng = np.random.default_rng(seed)
+    usable = rng.random(400) > 0.01
+    used = parallel_filter(pieces, factor, band, FS, usable)
+    length = len(used.taps)
+    assert used.taps.sum() == pytest.approx(1)
+    assert length % 2 == 1
+    np.testing.assert_allclose(used.taps, used.taps[::-1], atol=1e-15)
+    # every window in one segment
+    for start in used.starts:
+        assert any(a <= start and start + length <= b for a, b in pieces)
+        share = np.abs(used.taps) @ ~usable[start : start + length] / np.abs(used.taps).sum()
+        assert share <= 0.02
+    # linear, keeps constants, equals a convolution
+    x, y = rng.normal(size=(2, 400))
+    np.testing.assert_allclose(used.apply(np.ones(400)), 1)
+    np.testing.assert_allclose(
+        used.apply(2 * x - 3 * y), 2 * used.apply(x) - 3 * used.apply(y), atol=1e-12
+    )
+    if length <= 400:
+        whole = np.convolve(x, used.taps, mode="valid")
+        np.testing.assert_allclose(used.apply(x), whole[used.starts], atol=1e-12)
+        both = used.apply(np.stack([x, y]).reshape(2, 1, 400))
+        assert both.shape == (2, 1, used.n_outputs)
+        np.testing.assert_allclose(both[1, 0], used.apply(y), atol=1e-12)
+
+
+def test_no_unusable_sample_loses_no_window():
+    used = parallel_filter([(0, 1000)], 10, None, FS, np.ones(1000, dtype=bool))
+    assert len(used.taps) == 81
+    assert used.starts.tolist() == list(range(0, 920, 10))
+    alone = parallel_filter([(3, 9)], 1, None, FS, np.ones(10, dtype=bool))
+    assert alone.taps.tolist() == [1.0]
+    assert alone.starts.tolist() == [3, 4, 5, 6, 7, 8]
+    narrow = parallel_filter([(0, 4000)], 10, 5.0, FS, np.ones(4000, dtype=bool))
+    assert len(narrow.taps) == 801
+
+
+def test_parallel_filter_halves_at_its_cutoff():
+    t = np.arange(5000) / FS
+    used = parallel_filter([(0, 5000)], 10, None, FS, np.ones(5000, dtype=bool))
+    centres = t[used.centres]
+    wave = np.sin(2 * np.pi * 50 * t + 0.4)
+    expected = 0.5 * np.sin(2 * np.pi * 50 * centres + 0.4)
+    np.testing.assert_allclose(used.apply(wave), expected, atol=0.01)

@@ -1,0 +1,259 @@
+"""The same numbers come out of every format and dialect."""
+
+import hashlib
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.io import savemat
+
+from bayesfric.recordings import Channel, Current, Position, Torque, Voltage, units
+from bayesfric.recordings.tables import read_table, sha256
+
+from .samples import lines, numbered, read, source, swing, write
+
+HEADER = "t,q,tau"
+
+
+def same(recording):
+    t, q, tau = swing()
+    np.testing.assert_allclose(recording.time, t, rtol=1e-14)
+    np.testing.assert_allclose(recording.position, q, rtol=1e-14)
+    np.testing.assert_allclose(recording.torque, tau, rtol=1e-14)
+
+
+def comma_free(line):
+    return line.replace(",", ";").replace(".", ",")
+
+
+DIALECTS = {
+    "plain": lines(),
+    "tab": [line.replace(",", "\t") for line in lines()],
+    "semicolon": [line.replace(",", ";") for line in lines()],
+    "bar": [line.replace(",", "|") for line in lines()],
+    "spaces": ["  " + line.replace(",", "   ") for line in lines()],
+    "comma and space": [line.replace(",", ", ") for line in lines()],
+    "quoted": ['"' + line.replace(",", '","') + '"' for line in lines()],
+    "preamble": ["Recorder 3.2", "Date:;2020-07-06", "", *lines()],
+    "units row": [HEADER, "s,rad,N m", *lines()[1:]],
+    "hash": ["# " + HEADER, *lines()[1:]],
+    "numpy": ["# made by hand", "# " + HEADER.replace(",", " "), *lines()[1:]],
+    "blank lines": [*lines()[:30], "", *lines()[30:], "", ""],
+}
+
+
+@pytest.mark.parametrize("name", DIALECTS)
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_dialects(tmp_path, name, end):
+    write(tmp_path, end.join(DIALECTS[name]) + end)
+    same(read(tmp_path, numbered() if name == "numpy" else source())[0])
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_encodings(tmp_path, encoding):
+    text = "\n".join(lines(header="t,winkel°,tau"))
+    write(tmp_path, text, encoding=encoding)
+    same(read(tmp_path, source(position=Position(column="winkel°", unit="rad")))[0])
+
+
+@pytest.mark.parametrize("delimiter", [None, ";"])
+def test_decimal_comma(tmp_path, delimiter):
+    write(tmp_path, "\n".join(comma_free(line) for line in lines()))
+    same(read(tmp_path, source(decimal=",", delimiter=delimiter))[0])
+
+
+def test_decimal_comma_with_tabs(tmp_path):
+    write(tmp_path, "\n".join(comma_free(line).replace(";", "\t") for line in lines()))
+    same(read(tmp_path, source(decimal=","))[0])
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".tsv", ".txt", ".dat", ".CSV"])
+@pytest.mark.parametrize("header", [None, False])
+def test_headerless(tmp_path, suffix, header):
+    write(tmp_path, "\n".join(lines(header=None)), "run" + suffix)
+    same(read(tmp_path, numbered("run" + suffix, header=header))[0])
+
+
+def test_format_wins_over_suffix(tmp_path):
+    write(tmp_path, "\n".join(lines()), "run.log")
+    same(read(tmp_path, source("run.log", format="csv"))[0])
+
+
+def test_skip_rows(tmp_path):
+    write(tmp_path, "\n".join(["1,2,3", "4,5,6", *lines()]))
+    same(read(tmp_path, source(skip_rows=2))[0])
+
+
+def content():
+    return dict(zip(HEADER.split(","), swing(), strict=True))
+
+
+def test_parquet(tmp_path):
+    frame = pd.DataFrame(content() | {"note": ["x"] * 200})
+    frame.to_parquet(tmp_path / "run.parquet")
+    same(read(tmp_path, source("run.parquet"))[0])
+    same(read(tmp_path, numbered("run.parquet"))[0])
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+@pytest.mark.parametrize("shape", [(-1,), (-1, 1), (1, -1)])
+def test_matlab(tmp_path, compressed, shape):
+    values = {key: value.reshape(shape) for key, value in content().items()}
+    savemat(tmp_path / "run.mat", values, do_compression=compressed)
+    same(read(tmp_path, source("run.mat"))[0])
+
+
+def test_matlab_struct(tmp_path):
+    savemat(tmp_path / "run.mat", {"log": {"joint": content(), "who": "me"}})
+    same(read(tmp_path, source("run.mat", table="log.joint"))[0])
+
+
+@pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
+def test_npz(tmp_path, save):
+    save(tmp_path / "run.npz", **content())
+    same(read(tmp_path, source("run.npz"))[0])
+
+
+def test_json_columns(tmp_path):
+    values = {key: value.tolist() for key, value in content().items()}
+    (tmp_path / "a.json").write_text(json.dumps(values))
+    (tmp_path / "b.json").write_text(json.dumps({"log": {"joint": values}}))
+    same(read(tmp_path, source("a.json"))[0])
+    same(read(tmp_path, source("b.json", table="log.joint"))[0])
+
+
+def test_json_rows(tmp_path):
+    rows = pd.DataFrame(content()).to_dict("records")
+    (tmp_path / "a.json").write_text(json.dumps(rows))
+    (tmp_path / "b.json").write_text(json.dumps({"mass": 0.5, "entries": rows}))
+    for name in ("a.json", "b.json"):
+        same(read(tmp_path, source(name))[0])
+    same(read(tmp_path, source("b.json", table="entries"))[0])
+
+
+def test_json_booleans_are_numbers(tmp_path):
+    (tmp_path / "run.json").write_text('{"on": [true, false, true], "t": [0, 1, 2]}')
+    table = read_table(tmp_path / "run.json", source("run.json"))
+    assert table.column("on").tolist() == [1.0, 0.0, 1.0]
+
+
+def test_sha256(tmp_path):
+    path = write(tmp_path, "\n".join(lines()))
+    assert sha256(path) == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert read(tmp_path)[0].sha256 == sha256(path)
+
+
+def test_patterns_and_names(tmp_path):
+    for name in ("a/run.csv", "b/run.csv", "b/other.csv"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        write(tmp_path, "\n".join(lines()), name)
+    found = read(tmp_path, source(["**/run.csv", "b/*.csv"]))
+    assert [r.name for r in found] == ["a/run", "b/run", "other"]
+    assert read(tmp_path, source("b/other.csv", name="mine"))[0].name == "mine"
+
+
+def test_files_that_differ_in_suffix_only(tmp_path):
+    for name in ("run.csv", "run.txt"):
+        write(tmp_path, "\n".join(lines()), name)
+    names = [r.name for r in read(tmp_path, source("run.*"))]
+    assert len(set(names)) == 2
+    assert all("run." in name for name in names)
+
+
+def test_brackets_in_a_file_name_are_no_pattern(tmp_path):
+    write(tmp_path, "\n".join(lines()), "run[1].csv")
+    same(read(tmp_path, source("run[1].csv"))[0])
+
+
+# -- real files
+
+
+def test_recorder_preamble_of_a_real_file(data):
+    path = data / "screw-worm" / "driveNo3" / "steady_state" / "0.096kg" / "10.csv"
+    table = read_table(path, source())
+    assert table.names[1:] == ("Velocity actual value averaged", "Torque actual value averaged")
+    assert table.column(1)[:2].tolist() == [0.0, 51.2]
+    assert table.column(2)[:2].tolist() == [-15.0, -10.0]
+    assert table.column("Torque actual value averaged")[:2].tolist() == [-10.6, -10.9]
+    assert len(table.column(3)) == 500
+    seconds = units.convert(table.column(1), "ms", "time", "time")
+    assert seconds[1] == pytest.approx(0.0512)
+    # the recorder writes per cent of 9.84 mN m
+    torque = units.convert(table.column(3), "9.84e-5 N m", "torque", "torque")
+    assert torque[0] == pytest.approx(-0.106 * 9.84e-3)
+    assert table.row(0) == "row 1 (line 15)"
+
+
+def test_servo_log_with_twos_complement(data):
+    path = data / "xl330-pendulum" / "2026-01-15_10h30m10.json"
+    used = source(
+        path.name,
+        time=Channel(column="timestamp", unit="s"),
+        position=Position(column="position", unit="rad"),
+        torque=None,
+        voltage=Voltage(
+            column="load",
+            unit="V/885",
+            twos_complement=16,
+            times="input_volts",
+            torque_constant="0.354 N m/A",
+            resistance="3.4 ohm",
+        ),
+    )
+    recording = read(path.parent, used)[0]
+    entries = json.loads(path.read_text())["entries"]
+    load = np.array([e["load"] for e in entries])
+    assert load.max() > 60000
+    volts = np.where(load > 32767, load - 65536, load) / 885
+    volts = volts * np.array([e["input_volts"] for e in entries])
+    stamps = np.array([e["timestamp"] for e in entries])
+    on_grid = np.interp(recording.time, stamps - stamps[0], volts)
+    speed = np.gradient(recording.position, recording.period)
+    expected = 0.354 / 3.4 * (on_grid - 0.354 * speed)
+    # the two speeds differ in their filters only
+    assert np.sqrt(np.mean((recording.torque - expected) ** 2)) < 0.05 * np.std(expected)
+    assert "PCHIP" in " ".join(recording.steps)
+    assert any("885" in warning for warning in recording.warnings)
+
+
+def test_robot_log_by_column_numbers(data):
+    raw = np.loadtxt(data / "ur10e-joint2" / "joint_2.csv", delimiter=",")
+    used = source(
+        "joint_2.csv",
+        time=Channel(column=1, unit="s"),
+        position=Position(column=3, unit="rad", side="joint"),
+        velocity={"column": 9, "unit": "rad/s", "side": "joint"},
+        torque=None,
+        current=Current(column=15, unit="A", torque_constant="10.6956 N m/A"),
+        start=8,
+        stop="60 s",
+    )
+    recording = read(data / "ur10e-joint2", used, ratio=101.0)[0]
+    stamps = raw[:, 0] - raw[0, 0]
+    assert 8 <= recording.time[0] < 8.05
+    assert 59.9 < recording.time[-1] <= 60
+    expected = 10.6956 * np.interp(recording.time, stamps, raw[:, 14])
+    np.testing.assert_allclose(recording.torque, expected, atol=1e-9)
+    expected = np.interp(recording.time, stamps, raw[:, 8])
+    assert recording.velocity is not None
+    np.testing.assert_allclose(recording.velocity, expected, atol=1e-9)
+
+
+def test_unused_torque_option_is_not_asked_for(tmp_path):
+    write(tmp_path, "\n".join(lines()))
+    channel = Torque(column="tau", unit="V", constant="1 N m/V")
+    same(read(tmp_path, source(torque=channel))[0])
+
+
+@pytest.mark.slow
+def test_a_million_rows_in_about_a_second(tmp_path):
+    import time
+
+    values = np.random.default_rng(0).random((1_000_000, 3))
+    pd.DataFrame(values, columns=["t", "q", "tau"]).to_csv(tmp_path / "run.csv", index=False)
+    begin = time.perf_counter()
+    table = read_table(tmp_path / "run.csv", source())
+    columns = [table.column(name) for name in ("t", "q", "tau")]
+    assert time.perf_counter() - begin < 5
+    np.testing.assert_allclose(np.transpose(columns), values, rtol=1e-14)

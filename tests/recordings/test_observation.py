@@ -1,0 +1,159 @@
+"""From a recording to what a model is compared with."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayesfric.errors import BadInput
+from bayesfric.recordings import (
+    Channel,
+    Position,
+    Processing,
+    Recording,
+    Source,
+    Torque,
+    observe,
+    read_recordings,
+)
+
+W = 2 * np.pi * 0.5
+
+
+def recording(n=4000, period=0.002, **changes):
+    t = period * np.arange(n)
+    given = {
+        "name": "swing",
+        "path": Path("swing.csv"),
+        "sha256": "0" * 64,
+        "time": t,
+        "position": np.sin(W * t),
+        "velocity": None,
+        "torque": 2 * -(W**2) * np.sin(W * t) + 3 * W * np.cos(W * t) + 0.5,
+        "segments": ((0, n),),
+        "period": period,
+        "excluded": np.zeros(n, dtype=bool),
+        "added_mass": 0.0,
+        "radius": 0.0,
+        "steps": (),
+        "warnings": (),
+    }
+    return Recording(**(given | changes))
+
+
+def test_parameters_of_a_made_up_joint_come_back():
+    seen = observe(recording(), Processing(dead_zone=0))
+    design = np.array([seen.qdd, seen.qd, np.ones_like(seen.q)])
+    found = np.linalg.lstsq(seen.filter.apply(design).T, seen.measured, rcond=None)[0]
+    np.testing.assert_allclose(found, [2, 3, 0.5], rtol=1e-4)
+
+
+def test_defaults_follow_the_sampling_rate():
+    seen = observe(recording(), Processing())
+    used = seen.settings
+    assert used["sampling_rate"] == pytest.approx(500)
+    assert used["lowpass"] == pytest.approx(50)
+    assert used["decimate"] == 10
+    assert used["band"] == pytest.approx(25)
+    assert used["trim_samples"] == 10
+    assert used["dead_zone"] == pytest.approx(0.01 * W, rel=1e-3)
+    assert used["n_outputs"] == len(seen.measured) == len(seen.time) == len(seen.speed)
+    assert seen.period == pytest.approx(0.02)
+    np.testing.assert_allclose(seen.speed, W * np.cos(W * seen.time), atol=1e-3)
+    json.dumps(used, allow_nan=False)
+
+
+def test_low_cutoff_lengthens_the_trim():
+    seen = observe(recording(), Processing(lowpass=5))
+    assert seen.settings["trim_samples"] == 100
+    assert seen.filter.starts[0] >= 100
+    assert seen.filter.starts[-1] + len(seen.filter.taps) <= 3900
+
+
+def test_everything_off_keeps_every_sample():
+    seen = observe(recording(), Processing(lowpass="off", trim=0, dead_zone=0))
+    np.testing.assert_array_equal(seen.measured, seen.torque)
+    np.testing.assert_array_equal(seen.q, recording().position)
+
+
+def test_excluded_samples_are_touched_by_no_window():
+    excluded = np.zeros(4000, dtype=bool)
+    excluded[1000:1100] = True
+    excluded[2000] = True
+    seen = observe(recording(excluded=excluded), Processing(dead_zone=0))
+    for start in seen.filter.starts:
+        assert not excluded[start : start + len(seen.filter.taps)].any()
+    assert seen.settings["dropped_excluded"] > 0
+    assert set(seen.segment_of) == {0}
+
+
+def test_dead_zone_leaves_slow_windows_out():
+    seen = observe(recording(), Processing(dead_zone="1 rad/s"))
+    assert seen.settings["dead_zone"] == 1.0
+    assert np.abs(seen.speed).min() >= 1.0
+    assert seen.settings["dropped_dead_zone"] > 0
+
+
+def test_segments_are_told_apart():
+    pieces = ((0, 1500), (1500, 4000))
+    seen = observe(recording(segments=pieces), Processing(dead_zone=0))
+    length = len(seen.filter.taps)
+    for start, segment in zip(seen.filter.starts, seen.segment_of, strict=True):
+        a, b = pieces[segment]
+        assert a + 10 <= start
+        assert start + length <= b - 10
+    assert set(seen.segment_of) == {0, 1}
+
+
+def test_measured_velocity_is_used():
+    t = 0.002 * np.arange(4000)
+    seen = observe(recording(velocity=np.full(4000, 2.0) + 0.1 * t), Processing())
+    np.testing.assert_allclose(seen.qd, 2 + 0.1 * t, atol=1e-6)
+    np.testing.assert_allclose(seen.qdd[20:-20], 0.1, atol=1e-4)
+
+
+def test_a_band_that_folds_back_warns():
+    seen = observe(recording(), Processing(decimate=10, band=40))
+    assert any("fold back" in warning for warning in seen.warnings)
+
+
+@pytest.mark.parametrize(
+    ("changes", "options", "key"),
+    [
+        ({}, {"decimate": 1000}, "decimate"),
+        ({}, {"trim": 3.99}, "trim"),
+        ({"excluded": np.ones(4000, dtype=bool)}, {}, "exclude"),
+        ({}, {"dead_zone": 100.0}, "dead_zone"),
+        ({}, {"lowpass": 250}, "lowpass"),
+        ({}, {"band": 250}, "band"),
+    ],
+)
+def test_no_outputs_left_names_the_setting(changes, options, key):
+    with pytest.raises(BadInput, match=key) as caught:
+        observe(recording(**changes), Processing(**options))
+    assert "swing" in caught.value.where
+
+
+def test_published_estimates_of_a_real_axis(data):
+    """Janot, Gautier, Brunot 2019 (nonlinearbenchmark.org): 95.1, 203.5, 20.39, -3.16."""
+    source = Source(
+        file="DATA_EMPS.mat",
+        time=Channel(column="t", unit="s"),
+        position=Position(column="qm", unit="m"),
+        torque=Torque(column="vir", unit="V", constant="35.15065188 N/V"),
+    )
+    processing = Processing(lowpass="100 Hz", decimate=10, dead_zone=0)
+    found = read_recordings(
+        source,
+        data / "emps",
+        ratio=1,
+        motion="linear",
+        motor_motion="linear",
+        processing=processing,
+    )
+    seen = observe(found[0], processing)
+    design = np.array([seen.qdd, seen.qd, np.sign(seen.qd), np.ones_like(seen.q)])
+    estimate = np.linalg.lstsq(seen.filter.apply(design).T, seen.measured, rcond=None)[0]
+    difference = np.abs(estimate - [95.12, 203.4, 20.40, -3.17])
+    assert np.all(difference < [0.1, 0.3, 0.05, 0.02]), estimate
