@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
+
 
 class BadInput(Exception):
     """Input that cannot be used, told in one line.
@@ -26,6 +29,23 @@ class BadInput(Exception):
         self.what = _one_line(what)
         self.mend = _one_line(mend)
         super().__init__(f"{self.where}: {self.what}; {self.mend}")
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """Word a mend for a misspelt name: the nearest known one, or all of them.
+
+    Parameters
+    ----------
+    word
+        What was written.
+    known
+        What could have been.
+    """
+    choices = list(known)
+    close = difflib.get_close_matches(word, choices, n=1, cutoff=0.6)
+    if close:
+        return f"did you mean {close[0]!r}?"
+    return f"use one of {', '.join(choices)}" if choices else "leave it out"
 
 
 def _one_line(text: str) -> str:

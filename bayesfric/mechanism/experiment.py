@@ -1,0 +1,152 @@
+"""A simulated recording: a known joint, moved and measured the way a bench would."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from bayesfric.errors import BadInput, nearest
+from bayesfric.mechanism import excitation
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.forward import Motion, simulate
+from bayesfric.mechanism.presets import PRESETS
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class Simulation(BaseModel):
+    """The ``[simulation]`` table of a configuration."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    duration: Positive = Field(10.0, le=1e5, description="s")
+    rate: Positive = Field(1000.0, le=1e6, description="samples a second")
+    excitation: Literal["square", "sine", "multisine", "chirp", "square-multisine"] = Field(
+        "square", description="form of the commanded motor torque"
+    )
+    amplitude: Positive = Field(0.8, description="of the commanded torque, N m or N")
+    frequency: Positive = Field(1.0, description="of the square wave or sine, Hz")
+    frequencies: tuple[Positive, ...] = Field(
+        (0.3, 0.7, 1.3, 2.9, 5.3), description="of the multisine, or first and last of the chirp, Hz"
+    )
+    lag: NotNegative = Field(0.005, description="time constant of the current loop, s")
+    encoder_counts: int = Field(
+        8192, ge=0, description="counts a turn of the encoder; 0 for a perfect one"
+    )
+    encoder_side: Literal["motor", "joint"] = Field("motor", description="shaft of the encoder")
+    torque_noise: NotNegative = Field(0.02, description="standard deviation, N m or N")
+    added_mass: NotNegative = Field(0.0, description="kg")
+    radius: NotNegative = Field(0.0, description="m")
+    seed: int = Field(1, ge=0, lt=2**63, description="of the noise and of multisine phases")
+    parameters: dict[str, float] = Field(
+        default_factory=dict, description="true values; the preset's where left out"
+    )
+
+    def true_values(self, chain: Chain) -> dict[str, float]:
+        """Values of every parameter of the chain.
+
+        Raises
+        ------
+        BadInput
+            If a name is unknown, a value impossible or one is missing.
+        """
+        preset = PRESETS.get(chain.preset)
+        values = dict(preset.values) if preset else {}
+        for name, value in self.parameters.items():
+            if name not in chain.names:
+                raise BadInput(
+                    f"simulation.parameters.{name}",
+                    "the mechanism has no such parameter",
+                    nearest(name, chain.names),
+                )
+            values[name] = value
+        for p in chain.parameters:
+            if p.name not in values:
+                raise BadInput(
+                    f"simulation.parameters.{p.name}",
+                    "the preset has no value for it" if preset else "has no value",
+                    f"add {p.name} = ... (in {p.unit or 'no unit'})",
+                )
+            if not (np.isfinite(values[p.name]) and p.lower <= values[p.name] <= p.upper):
+                raise BadInput(
+                    f"simulation.parameters.{p.name}",
+                    f"{values[p.name]:g} is no possible value",
+                    f"it lies between {p.lower:g} and {p.upper:g}",
+                )
+        return {name: values[name] for name in chain.names}
+
+
+def record(
+    chain: Chain, options: Simulation
+) -> tuple[dict[str, NDArray[np.float64]], Motion, dict[str, float]]:
+    """Simulate a joint on a bench.
+
+    The commanded torque passes the current loop, moves the joint, and is measured
+    with noise; the position is read by an encoder.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    options
+        Excitation, encoder, noise, true values.
+
+    Returns
+    -------
+    columns : dict
+        ``time`` s, ``position`` rad or m on the encoder's side, ``torque`` as measured.
+    motion : Motion
+        What really happened.
+    values : dict
+        True parameter values.
+
+    Raises
+    ------
+    BadInput
+        If a value is impossible or the simulation runs away.
+    """
+    values = options.true_values(chain)
+    period = 1.0 / options.rate
+    time = np.arange(round(options.duration * options.rate)) * period
+    if time.size < 10:
+        raise BadInput("simulation.duration", "makes fewer than 10 samples", "raise it")
+    seeds = np.random.SeedSequence(options.seed).spawn(2)
+    command = _command(options, time, int(seeds[0].generate_state(1)[0]))
+    torque = excitation.current_loop(command, period, options.lag)
+    try:
+        motion = simulate(
+            chain,
+            chain.vector(values),
+            torque,
+            period,
+            added_mass=options.added_mass,
+            radius=options.radius,
+        )
+    except ValueError as error:
+        raise BadInput(
+            "simulation", str(error), "change the amplitude, duration or parameters"
+        ) from None
+    ratio = chain.ratio if options.encoder_side == "motor" else 1.0
+    position = motion.q * ratio
+    if options.encoder_counts:
+        position = excitation.quantise(position, options.encoder_counts)
+    noise = options.torque_noise * np.random.default_rng(seeds[1]).standard_normal(time.size)
+    return {"time": time, "position": position, "torque": torque + noise}, motion, values
+
+
+def _command(options: Simulation, time: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
+    a, f = options.amplitude, options.frequency
+    if options.excitation == "square":
+        return excitation.square(time, a, f)
+    if options.excitation == "sine":
+        return excitation.sine(time, a, f)
+    if options.excitation == "chirp":
+        return excitation.chirp(time, a, options.frequencies[0], options.frequencies[-1])
+    many = excitation.multisine(
+        time, a / len(options.frequencies) ** 0.5, options.frequencies, seed=seed
+    )
+    return many if options.excitation == "multisine" else excitation.square(time, a, f) + many

@@ -1,0 +1,213 @@
+"""The element equation, compiled: everything that evaluates the model calls these.
+
+Inverse and forward model share them, so they cannot disagree. Rows of
+``elements`` and entries of ``load`` are laid out by :meth:`Chain.tables`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+# Slots, in the order of bayesfric.mechanism.chain.ELEMENT_SLOTS and LOAD_SLOTS.
+RATIO, INERTIA, COULOMB_POSITIVE, COULOMB_NEGATIVE, VISCOUS, QUADRATIC = 0, 1, 2, 3, 4, 5
+STRIBECK_RATIO, STRIBECK_VELOCITY, LOAD_DRIVE, LOAD_BACK = 6, 7, 8, 9
+LOAD_INERTIA, FIRST_MOMENT, GRAVITY_ANGLE, GRAVITY, OFFSET, GAIN = 0, 1, 2, 3, 4, 5
+
+
+@njit(cache=True, inline="always")
+def speed_factor(element: NDArray[np.float64], speed: float) -> float:
+    """Stribeck rise ``1 + c exp(-(v/v0)²)`` of eq. (2) at the element's input speed."""
+    if element[STRIBECK_RATIO] == 0.0:
+        return 1.0
+    x = speed / element[STRIBECK_VELOCITY]
+    return float(1.0 + element[STRIBECK_RATIO] * math.exp(-x * x))
+
+
+@njit(cache=True, inline="always")
+def element_torque(
+    torque: float,
+    sign: float,
+    speed: float,
+    acceleration: float,
+    inertia: float,
+    coulomb_positive: float,
+    coulomb_negative: float,
+    viscous: float,
+    quadratic: float,
+    load_drive: float,
+    load_back: float,
+    rise: float,
+) -> float:
+    """Section 2.2 with eq. (2), all in scalars so that a loop around it vectorises.
+
+    ``torque`` is the output's, brought to the input side; ``rise`` the Stribeck
+    factor at this speed.
+    """
+    power = torque * sign
+    # mu_1 while the motor side drives, mu_2 while the load does (eq. 6)
+    load = load_drive * power if power > 0.0 else -load_back * power
+    constant = coulomb_positive if sign > 0.0 else coulomb_negative
+    return (
+        torque
+        + inertia * acceleration
+        + (constant + load) * rise * sign
+        + speed * (viscous + quadratic * abs(speed))
+    )
+
+
+@njit(cache=True, inline="always")
+def element_input(
+    element: NDArray[np.float64], torque_out: float, sign: float, speed: float, acceleration: float
+) -> float:
+    """Torque at an element's input for one sample.
+
+    ``sign`` is the direction of motion, handed in apart from ``speed`` because at
+    rest it is the direction in which the joint is about to break away.
+    """
+    return element_torque(
+        torque_out / element[RATIO],
+        sign,
+        speed,
+        acceleration,
+        element[INERTIA],
+        element[COULOMB_POSITIVE],
+        element[COULOMB_NEGATIVE],
+        element[VISCOUS],
+        element[QUADRATIC],
+        element[LOAD_DRIVE],
+        element[LOAD_BACK],
+        speed_factor(element, speed),
+    )
+
+
+@njit(cache=True, inline="always")
+def gravity_torque(
+    load: NDArray[np.float64], added_moment: float, sin_q: float, cos_q: float
+) -> float:
+    """Gravity on the load, ``g ml sin(q + q_g)``, with the known added mass."""
+    angle = load[GRAVITY_ANGLE]
+    sine = sin_q if angle == 0.0 else sin_q * math.cos(angle) + cos_q * math.sin(angle)
+    return load[GRAVITY] * (load[FIRST_MOMENT] + added_moment) * sine
+
+
+@njit(cache=True, inline="always")
+def motor_torque(
+    elements: NDArray[np.float64],
+    load_torque: float,
+    sign: float,
+    speed: float,
+    acceleration: float,
+) -> float:
+    """Carry the load's torque through every element to the motor.
+
+    ``speed`` and ``acceleration`` are the joint's.
+    """
+    torque = load_torque
+    to_input = 1.0
+    for k in range(elements.shape[0] - 1, -1, -1):
+        to_input *= elements[k, RATIO]
+        torque = element_input(
+            elements[k], torque, sign, to_input * speed, to_input * acceleration
+        )
+    return torque
+
+
+@njit(cache=True, parallel=True)
+def inverse_many(
+    elements: NDArray[np.float64],
+    load: NDArray[np.float64],
+    added_inertia: float,
+    added_moment: float,
+    sin_q: NDArray[np.float64],
+    cos_q: NDArray[np.float64],
+    speed: NDArray[np.float64],
+    acceleration: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Measured motor torque of ``n`` parameter vectors at ``N`` samples, eq. (13) in general.
+
+    Returns ``(n, N)``.
+    """
+    n, n_samples = elements.shape[0], speed.shape[0]
+    out = np.empty((n, n_samples))
+    for i in prange(n):
+        inverse_one(
+            elements[i],
+            load[i],
+            added_inertia,
+            added_moment,
+            sin_q,
+            cos_q,
+            speed,
+            acceleration,
+            out[i],
+        )
+    return out
+
+
+@njit(cache=True)
+def inverse_one(
+    elements: NDArray[np.float64],
+    load: NDArray[np.float64],
+    added_inertia: float,
+    added_moment: float,
+    sin_q: NDArray[np.float64],
+    cos_q: NDArray[np.float64],
+    speed: NDArray[np.float64],
+    acceleration: NDArray[np.float64],
+    out: NDArray[np.float64],
+) -> None:
+    """Write the measured motor torque of one parameter vector into ``out`` ``(N,)``."""
+    inertia = load[LOAD_INERTIA] + added_inertia
+    for j in range(speed.shape[0]):
+        out[j] = inertia * acceleration[j] + gravity_torque(
+            load, added_moment, sin_q[j], cos_q[j]
+        )
+    to_input = 1.0
+    for k in range(elements.shape[0] - 1, -1, -1):
+        to_input *= elements[k, RATIO]
+        _through_element(elements[k], to_input, speed, acceleration, out)
+    for j in range(speed.shape[0]):
+        out[j] = (out[j] + load[OFFSET]) / load[GAIN]
+
+
+@njit(cache=True)
+def _through_element(
+    element: NDArray[np.float64],
+    to_input: float,
+    speed: NDArray[np.float64],
+    acceleration: NDArray[np.float64],
+    out: NDArray[np.float64],
+) -> None:
+    """Carry all samples through one element: ``out`` goes from its output to its input."""
+    # in locals, or the compiler must assume that writing `out` changes them
+    to_torque = 1.0 / element[RATIO]
+    inertia = element[INERTIA] * to_input
+    positive, negative = element[COULOMB_POSITIVE], element[COULOMB_NEGATIVE]
+    viscous, quadratic = element[VISCOUS] * to_input, element[QUADRATIC] * to_input**2
+    drive, back = element[LOAD_DRIVE], element[LOAD_BACK]
+    ratio, width = element[STRIBECK_RATIO], element[STRIBECK_VELOCITY] / to_input
+    for j in range(speed.shape[0]):
+        v = speed[j]
+        sign = (v > 0.0) * 1.0 - (v < 0.0) * 1.0
+        rise = 1.0
+        if ratio != 0.0:
+            x = v / width
+            rise += ratio * math.exp(-x * x)
+        out[j] = element_torque(
+            out[j] * to_torque,
+            sign,
+            v,
+            acceleration[j],
+            inertia,
+            positive,
+            negative,
+            viscous,
+            quadratic,
+            drive,
+            back,
+            rise,
+        )

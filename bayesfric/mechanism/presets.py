@@ -1,0 +1,125 @@
+"""Chains that have a name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.element import Element, Load
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A named chain with values to simulate it with.
+
+    Attributes
+    ----------
+    name
+        As written in a configuration.
+    meaning
+        One line for people.
+    chain
+        Makes the chain.
+    values
+        Parameter values for simulation, with their source in ``source``.
+    source
+        Where the values come from.
+    """
+
+    name: str
+    meaning: str
+    chain: Callable[[], Chain]
+    values: dict[str, float]
+    source: str
+
+
+def rabbit_knee() -> Chain:
+    """Build the knee of the biped robot Rabbit, eqs. (3) to (9)."""
+    return Chain(
+        elements=(
+            Element("motor", inertia=True, coulomb="by-direction", viscous=True, subscript="m"),
+            Element("gearbox", ratio=50.0, load_loss="two"),
+            Element("joint", coulomb="by-direction", viscous=True, subscript="c"),
+        ),
+        load=Load(inertia=True, first_moment=True),
+        preset="rabbit-knee",
+    )
+
+
+def motor_axis() -> Chain:
+    """Build a plain axis: inertia, Coulomb and viscous friction, torque offset."""
+    return Chain(
+        elements=(
+            Element("motor", inertia=True, coulomb="symmetric", viscous=True, subscript="m"),
+        ),
+        load=Load(),
+        offset=True,
+        preset="motor-axis",
+    )
+
+
+def servo_pendulum() -> Chain:
+    """Build a servo that swings a pendulum, everything referred to its output shaft."""
+    return Chain(
+        elements=(
+            Element("motor", inertia=True, coulomb="symmetric", viscous=True, subscript="m"),
+            Element("gearbox", load_loss="one"),
+        ),
+        load=Load(first_moment=True, gravity_angle=True),
+        preset="servo-pendulum",
+    )
+
+
+def _mu(alpha_drive: float, alpha_back: float) -> dict[str, float]:
+    # alpha_1 = 1/(1 + mu_1), alpha_2 = 1/(1 - mu_2), eq. (6)
+    return {
+        "gearbox.load_drive": 1.0 / alpha_drive - 1.0,
+        "gearbox.load_back": 1.0 - 1.0 / alpha_back,
+    }
+
+
+PRESETS: dict[str, Preset] = {
+    preset.name: preset
+    for preset in (
+        Preset(
+            "rabbit-knee",
+            "motor, gearbox that passes torque differently when driving and back-driven, leg",
+            rabbit_knee,
+            {
+                "motor.inertia": 3.56e-4,
+                "motor.viscous": 4.0e-3,
+                "motor.coulomb_positive": 0.087,
+                "motor.coulomb_negative": 0.091,
+                **_mu(0.7432, 1.408),
+                "joint.viscous": 3.12,
+                "joint.coulomb_positive": 5.03,
+                "joint.coulomb_negative": 5.15,
+                "load.inertia": 0.206,
+                "load.first_moment": 0.42,
+            },
+            "Table 3 of the 2005 IFAC paper",
+        ),
+        Preset(
+            "motor-axis",
+            "one axis with inertia, Coulomb and viscous friction and a torque offset",
+            motor_axis,
+            {"motor.inertia": 0.01, "motor.viscous": 0.05, "motor.coulomb": 0.2, "offset": 0.02},
+            "values of a small rotary stage, made up for simulation",
+        ),
+        Preset(
+            "servo-pendulum",
+            "a geared servo that swings a pendulum, all referred to its output shaft",
+            servo_pendulum,
+            {
+                "motor.inertia": 2.0e-3,
+                "motor.viscous": 0.02,
+                "motor.coulomb": 0.02,
+                "gearbox.load": 0.2,
+                "load.first_moment": 0.049,
+                "load.gravity_angle": 0.02,
+            },
+            "values near those of a small hobby servo, made up for simulation",
+        ),
+    )
+}
