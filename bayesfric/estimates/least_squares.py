@@ -1,0 +1,185 @@
+"""Linear least squares on the motor side, section 4.1, eqs. (10) and (11)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.errors import BadInput
+from bayesfric.estimates.estimate import Estimate, EstimatedValue
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.inverse import added_load
+from bayesfric.recordings.observation import Observation
+
+_UNITS = {
+    # name: rotary unit, linear unit, symbol, meaning
+    "inertia": ("kg m²", "kg", "J_t", "inertia seen by the motor"),
+    "viscous": ("N m s", "N s/m", "f_t", "viscous loss seen by the motor"),
+    "quadratic": ("N m s²", "N s²/m²", "f_{3,t}", "quadratic loss seen by the motor"),
+    "coulomb": ("N m", "N", "C_t", "constant loss seen by the motor"),
+    "offset": ("N m", "N", r"\Delta C_t", "constant torque, half the difference of the losses"),
+    "gravity": ("N m", "N", r"ml\,g/(\alpha_m N)", "gravity torque seen by the motor, sine part"),
+    "gravity_cosine": ("N m", "N", r"ml\,g\sin q_g/(\alpha_m N)", "gravity torque, cosine part"),
+    "added_load": ("", "", r"1/\alpha_m", "share of the known added load's torque"),
+}
+
+
+def least_squares(chain: Chain, observations: Sequence[Observation]) -> Estimate:
+    """Estimate the motor-side totals of eq. (11).
+
+    The gearbox is taken with one mean transfer coefficient ``alpha_m`` (eq. 10),
+    so the torque is linear in the totals. Regressors and torque have passed the
+    same parallel filter.
+
+    Parameters
+    ----------
+    chain
+        Says which totals there are.
+    observations
+        One or more prepared recordings.
+
+    Returns
+    -------
+    Estimate
+        ``total.inertia`` (Jt), ``total.viscous`` (ft), ``total.coulomb`` (Ct),
+        ``total.offset`` (dCt), ``total.gravity`` (ml g/(alpha_m N)) and, where the
+        chain or the recordings have them, the other terms.
+
+    Raises
+    ------
+    BadInput
+        If the motion cannot tell two totals apart at all.
+    """
+    names, regressors = _regressors(chain, observations)
+    torque = np.concatenate([o.measured for o in observations])
+    scale = np.linalg.norm(regressors, axis=0)
+    if np.any(scale == 0.0) or np.linalg.cond(regressors / scale) > 1e10:
+        raise BadInput(
+            ", ".join(o.name for o in observations),
+            f"this motion cannot tell {', '.join(names)} apart",
+            "use a recording that accelerates in both directions, or leave a term out",
+        )
+    solution, *_ = np.linalg.lstsq(regressors / scale, torque, rcond=None)
+    solution = solution / scale
+    residual = torque - regressors @ solution
+    freedom = max(torque.size - len(names), 1)
+    covariance = np.linalg.inv((regressors / scale).T @ (regressors / scale))
+    sd = np.sqrt(residual @ residual / freedom * np.diag(covariance)) / scale
+    motion = 0 if chain.motor_motion == "rotary" else 1
+    return Estimate(
+        method="least-squares",
+        values=tuple(
+            EstimatedValue(
+                f"total.{name}",
+                _UNITS[name][motion],
+                _UNITS[name][2],
+                _UNITS[name][3],
+                float(value),
+                float(deviation),
+            )
+            for name, value, deviation in zip(names, solution, sd, strict=True)
+        ),
+        residual_rms=float(np.sqrt(np.mean(residual**2))),
+        n_outputs=torque.size,
+        assumption="uncorrelated residuals of equal variance",
+    )
+
+
+def starting_values(chain: Chain, totals: Estimate, mu: float, share: float) -> dict[str, float]:
+    """Split motor-side totals into parameters, as a place to start a search from.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    totals
+        From :func:`least_squares`.
+    mu
+        Load loss to assume wherever there is one.
+    share
+        Share of each total that the motor gets; the other elements and the load
+        divide the rest.
+    """
+    total = {value.name.removeprefix("total."): value.value for value in totals.values}
+    gain = total.get("added_load", 1.0)
+    owners: dict[str, list[str]] = {}
+    for p in chain.parameters:
+        kind = p.quantity.removesuffix("_positive").removesuffix("_negative")
+        owners.setdefault(kind, []).append(p.name)
+    to_motor = {"": 1.0, "drive": 1.0, "load": chain.ratio}
+    before = 1.0
+    for element in chain.elements:
+        to_motor[element.name] = before
+        before *= element.ratio
+    powers = {"inertia": 2, "viscous": 2, "quadratic": 3, "coulomb": 1, "first_moment": 1}
+
+    values: dict[str, float] = {}
+    for p in chain.parameters:
+        owner = p.name.rpartition(".")[0]
+        kind = p.quantity.removesuffix("_positive").removesuffix("_negative")
+        if kind in ("inertia", "viscous", "quadratic", "coulomb"):
+            peers = {name.rpartition(".")[0] for name in owners[kind]}
+            part = _part(owner, peers, chain.elements[0].name, share)
+            seen = max(total.get(kind, 0.0), 1e-3 * abs(totals.residual_rms) + 1e-12)
+            values[p.name] = part * seen * to_motor[owner] ** powers[kind]
+        elif kind == "first_moment":
+            seen = float(np.hypot(total.get("gravity", 0.0), total.get("gravity_cosine", 0.0)))
+            values[p.name] = max(seen, 1e-6) * chain.ratio / chain.load.gravity
+        elif kind == "gravity_angle":
+            values[p.name] = float(
+                np.arctan2(total.get("gravity_cosine", 0.0), total.get("gravity", 1e-12))
+            )
+        elif kind in ("load", "load_drive", "load_back"):
+            values[p.name] = mu
+        elif kind == "offset":
+            values[p.name] = total.get("offset", 0.0)
+        elif kind == "gain":
+            values[p.name] = 1.0 / gain if gain > 0 else 1.0
+        else:
+            values[p.name] = {"stribeck_ratio": 0.3}.get(kind, p.default)
+    return values
+
+
+def _part(owner: str, peers: set[str], motor: str, share: float) -> float:
+    others = peers - {motor}
+    if not others:
+        return 1.0
+    if motor not in peers:
+        return 1.0 / len(others)
+    return share if owner == motor else (1.0 - share) / len(others)
+
+
+def _regressors(
+    chain: Chain, observations: Sequence[Observation]
+) -> tuple[list[str], NDArray[np.float64]]:
+    quantities = {p.quantity for p in chain.parameters}
+    n = chain.ratio
+    loads = {added_load(chain, o.added_mass, o.radius) for o in observations}
+    known = loads != {(0.0, 0.0)} and ("first_moment" not in quantities or len(loads) > 1)
+    blocks: list[NDArray[np.float64]] = []
+    names: list[str] = []
+    for o in observations:
+        sign = np.sign(o.qd)
+        columns: dict[str, NDArray[np.float64]] = {}
+        if "inertia" in quantities:
+            columns["inertia"] = n * o.qdd
+        if "viscous" in quantities:
+            columns["viscous"] = n * o.qd
+        if "quadratic" in quantities:
+            columns["quadratic"] = n**2 * o.qd * np.abs(o.qd)
+        if quantities & {"coulomb", "coulomb_positive"}:
+            columns["coulomb"] = sign
+        if quantities & {"offset", "coulomb_positive"}:
+            columns["offset"] = np.ones_like(sign)
+        if "first_moment" in quantities or "gravity_angle" in quantities:
+            columns["gravity"] = np.sin(o.q)
+        if "gravity_angle" in quantities:
+            columns["gravity_cosine"] = np.cos(o.q)
+        if known:
+            inertia, moment = added_load(chain, o.added_mass, o.radius)
+            columns["added_load"] = (inertia * o.qdd + chain.load.gravity * moment * np.sin(o.q)) / n
+        names = list(columns)
+        blocks.append(o.filter.apply(np.stack(list(columns.values()))).T)
+    return names, np.concatenate(blocks)

@@ -1,0 +1,182 @@
+"""What the likelihood alone determines near one parameter vector."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.inference.target import Target
+
+Array = NDArray[np.float64]
+Verdict = Literal["data", "weak", "prior"]
+
+# Relative size below which a singular value is rounding.
+_NULL = 1e-7
+
+
+@dataclass(frozen=True)
+class NullDirection:
+    """Parameters that can change together without changing any predicted torque.
+
+    Attributes
+    ----------
+    exponents
+        Parameter (or alpha) and its relative change, the largest being one;
+        parameters that may be negative change in units of their prior sd.
+    meaning
+        The same in words.
+    """
+
+    exponents: dict[str, float]
+    meaning: str
+
+
+@dataclass(frozen=True, eq=False)
+class LocalInformation:
+    """Fisher information of the torque near one parameter vector.
+
+    Attributes
+    ----------
+    names
+        Free parameters of the chain.
+    data_sd
+        ``(d,)`` standard deviation that the data alone would leave, in the
+        parameter's unit; infinite where a null direction touches it.
+    singular_values
+        ``(d,)`` of the Jacobian in log parameters, over the noise scale.
+    null_directions
+        What no torque can tell.
+    """
+
+    names: tuple[str, ...]
+    data_sd: Array
+    singular_values: Array
+    null_directions: tuple[NullDirection, ...]
+
+
+def local_information(target: Target, parameters: Array) -> LocalInformation:
+    """Look at the likelihood near one vector of sampled parameters.
+
+    Parameters
+    ----------
+    target
+        Likelihood, priors and noise.
+    parameters
+        ``(d,)``, noise scales last.
+    """
+    free = target.free
+    point = parameters[: len(free)]
+    sigma = target.noise.scales(parameters[None, len(free) :])[0]
+    units, labels = _units(target, point)
+    jacobian = _jacobian(target, parameters, units, sigma)
+    _, values, rows = np.linalg.svd(jacobian, full_matrices=False)
+    null = values <= _NULL * values[0]
+    directions = tuple(_describe(labels, row) for row in _sparse(rows[null]))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        spread = np.where(null, 0.0, 1.0 / values)
+        variance = (rows.T**2) @ spread**2
+    touched = (rows[null] ** 2).sum(axis=0) > 1e-8
+    data_sd = np.where(touched, np.inf, np.sqrt(variance)) * np.abs(units)
+    return LocalInformation(tuple(free), data_sd, values, directions)
+
+
+def verdict(posterior_sd: float, prior_sd: float, data_sd: float) -> Verdict:
+    """Say whether data or prior determined a parameter.
+
+    ``data``: the posterior is about as wide as the data alone would leave it and
+    at most half as wide as the prior. ``prior``: the data alone would leave it
+    more than twice as wide as the posterior is, or they left the prior as it was.
+    ``weak``: in between.
+
+    Parameters
+    ----------
+    posterior_sd, prior_sd
+        Of the parameter; an infinite or undefined prior sd counts as very wide.
+    data_sd
+        From :func:`local_information`.
+    """
+    contraction = posterior_sd / prior_sd if np.isfinite(prior_sd) and prior_sd > 0 else 0.0
+    share = posterior_sd / data_sd if data_sd > 0 else np.inf
+    if share < 0.5 or contraction > 0.9:
+        return "prior"
+    return "data" if share > 0.85 and contraction < 0.5 else "weak"
+
+
+def _units(target: Target, point: Array) -> tuple[Array, list[str]]:
+    """Step that counts as one, in each parameter's unit, and what it then is.
+
+    Logarithms for parameters that cannot be negative; for load losses the
+    logarithm of alpha, in which the paper's scaling is one straight line.
+    """
+    units = np.empty(point.size)
+    labels = []
+    chain = target.likelihood.chain
+    support = {p.name: p for p in chain.parameters}
+    for j, name in enumerate(target.free):
+        element, _, quantity = name.rpartition(".")
+        if quantity == "load_drive":
+            units[j] = -(1.0 + point[j])  # alpha_1 = 1/(1 + mu_1)
+            labels.append(f"{element}.alpha_drive")
+        elif quantity == "load_back":
+            units[j] = 1.0 - point[j]  # alpha_2 = 1/(1 - mu_2)
+            labels.append(f"{element}.alpha_back")
+        elif support[name].lower == 0.0:
+            units[j] = point[j]
+            labels.append(name)
+        else:
+            units[j] = target.priors[j].sd()
+            labels.append(name)
+    return units, labels
+
+
+def _jacobian(target: Target, parameters: Array, units: Array, sigma: Array) -> Array:
+    """Derivative of predicted torque over the noise scale, ``(n_outputs, d)``.
+
+    The torque is linear in nearly every parameter, so central differences are
+    exact up to rounding except where a step changes the direction of power.
+    """
+    k = units.size
+    steps = 1e-6 * np.where(units == 0.0, 1e-12, units)
+    plus, minus = np.tile(parameters, (k, 1)), np.tile(parameters, (k, 1))
+    index = np.arange(k)
+    plus[index, index] += steps
+    minus[index, index] -= steps
+    both = target.chain_values(np.concatenate([plus, minus]))
+    blocks = [
+        (torque[:k] - torque[k:]) / (2e-6 * scale)
+        for torque, scale in zip(target.likelihood.predict(both), sigma, strict=True)
+    ]
+    return np.concatenate(blocks, axis=1).T
+
+
+def _sparse(rows: Array) -> Array:
+    """Turn a basis of the null space so that it has many zeros (reduced row echelon)."""
+    basis = rows.copy()
+    for i in range(basis.shape[0]):
+        pivot = int(np.argmax(np.abs(basis[i])))
+        basis[i] /= basis[i, pivot]
+        for j in range(basis.shape[0]):
+            if j != i:
+                basis[j] -= basis[j, pivot] * basis[i]
+    return basis
+
+
+def _describe(labels: Sequence[str], row: Array) -> NullDirection:
+    row = row / row[int(np.argmax(np.abs(row)))]
+    exponents = {
+        label: float(round(x, 9)) for label, x in zip(labels, row, strict=True) if abs(x) > 1e-5
+    }
+    same = all(abs(x - 1.0) < 1e-5 for x in exponents.values())
+    names = ", ".join(exponents)
+    if same and len(exponents) > 1:
+        meaning = f"{names} can all be multiplied by one factor: no torque changes"
+    elif len(exponents) == 1:
+        meaning = f"{names} does not show in the torque at all"
+    else:
+        terms = ", ".join(f"{name} by k^{x:.3g}" for name, x in exponents.items())
+        meaning = f"scaling {terms} together changes no torque, for k near 1"
+    return NullDirection(exponents, meaning)

@@ -1,0 +1,68 @@
+"""ArviZ in both its shapes: InferenceData up to 0.23, DataTree from 1.0.
+
+Every difference between the two lives here, and nowhere else.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+with warnings.catch_warnings():
+    # 0.23 announces its own refactoring once a day, on import
+    warnings.simplefilter("ignore", FutureWarning)
+    import arviz
+
+_OLD = int(arviz.__version__.partition(".")[0]) < 1
+
+Groups = Mapping[str, Mapping[str, NDArray[Any]]]
+
+
+def write_archive(
+    path: Path,
+    groups: Groups,
+    *,
+    dims: Mapping[str, list[str]],
+    coords: Mapping[str, Any],
+    attrs: Mapping[str, str],
+) -> None:
+    """Write groups of named arrays as NetCDF that any ArviZ reads.
+
+    Parameters
+    ----------
+    path
+        Where to; the folder exists.
+    groups
+        Group name to variable name to array. Variables of sampled groups begin
+        with the dimensions ``chain`` and ``draw``.
+    dims
+        Names of the dimensions behind those two.
+    coords
+        Labels of the dimensions.
+    attrs
+        Root attributes.
+    """
+    options = {"dims": dict(dims), "coords": dict(coords)}
+    named = {group: dict(variables) for group, variables in groups.items()}
+    data = arviz.from_dict(**named, **options) if _OLD else arviz.from_dict(named, **options)
+    for group in groups:
+        # a time stamp would make two runs of one seed differ
+        data[group].attrs.pop("created_at", None)
+    data.attrs.clear()
+    data.attrs.update(attrs)
+    data.to_netcdf(str(path), engine="h5netcdf")
+
+
+def read_archive(path: Path) -> Any:
+    """Read what :func:`write_archive` wrote; groups are addressed as ``data["posterior"]``."""
+    return arviz.from_netcdf(str(path), engine="h5netcdf")
+
+
+def as_chains(draws: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lay ensembles and walkers side by side: ``(e, w, s, ...)`` to ``(e * w, s, ...)``."""
+    return draws.reshape(-1, *draws.shape[2:])

@@ -1,0 +1,197 @@
+"""Coordinates in which the posterior is sampled.
+
+A walker lives in unconstrained coordinates ``u``; a target turns ``u`` into
+parameters and adds the logarithm of the Jacobian determinant, so that priors are
+stated, and results reported, in physical parameters.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit, log_expit, logit
+
+from bayesfric.inference.priors import Prior
+from bayesfric.mechanism.chain import Chain
+
+Array = NDArray[np.float64]
+
+
+class Coordinates(Protocol):
+    """A one-to-one map between ``u`` and the free parameters."""
+
+    description: str
+
+    def to_parameters(self, u: Array) -> tuple[Array, Array]:
+        """Map ``(n, d)`` to parameters ``(n, d)`` and ``log|d parameters / d u|`` ``(n,)``.
+
+        Rows without a counterpart come back with ``-inf``.
+        """
+        ...
+
+    def from_parameters(self, parameters: Array) -> Array:
+        """Map parameters ``(n, d)`` to ``u`` ``(n, d)``."""
+        ...
+
+
+class BoundedCoordinates:
+    """Each parameter by itself: logarithm above a bound, logit between two.
+
+    Parameters
+    ----------
+    lower, upper
+        Supports, ``(d,)``.
+    """
+
+    description = "logarithm or logit of each parameter between its bounds"
+
+    def __init__(self, lower: Sequence[float], upper: Sequence[float]) -> None:
+        self.lower = np.asarray(lower, dtype=np.float64)
+        self.upper = np.asarray(upper, dtype=np.float64)
+        low, high = np.isfinite(self.lower), np.isfinite(self.upper)
+        self._between = low & high
+        self._above = low & ~high
+        self._below = ~low & high
+        self._span = np.where(self._between, self.upper - self.lower, 1.0)
+        self._low = np.where(low, self.lower, 0.0)
+        self._high = np.where(high, self.upper, 0.0)
+
+    def to_parameters(self, u: Array) -> tuple[Array, Array]:
+        """See :class:`Coordinates`."""
+        # exp and expit saturate far out; the density there is zero anyway
+        growth = np.exp(np.clip(u, -700.0, 700.0))
+        x = np.where(self._above, self._low + growth, u)
+        x = np.where(self._below, self._high - growth, x)
+        x = np.where(self._between, self._low + self._span * expit(u), x)
+        slope = np.where(self._above | self._below, u, 0.0)
+        slope = np.where(
+            self._between, np.log(self._span) + log_expit(u) + log_expit(-u), slope
+        )
+        return x, slope.sum(axis=1)
+
+    def from_parameters(self, parameters: Array) -> Array:
+        """See :class:`Coordinates`."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u = np.where(self._above, np.log(parameters - self._low), parameters)
+            u = np.where(self._below, np.log(self._high - parameters), u)
+            share = (parameters - self._low) / self._span
+            return np.where(self._between, logit(share), u)
+
+
+# The chain whose inverse model is eq. (13), in this order of parameters.
+GEARBOX_FORM = (
+    "motor.inertia",
+    "motor.viscous",
+    "motor.coulomb_positive",
+    "motor.coulomb_negative",
+    "gearbox.load_drive",
+    "gearbox.load_back",
+    "joint.viscous",
+    "joint.coulomb_positive",
+    "joint.coulomb_negative",
+    "load.inertia",
+    "load.first_moment",
+)
+
+
+class TorqueFormCoordinates:
+    """Theta1, Theta2 of eq. (13) and the place of the scale between its bounds.
+
+    The torque depends on Theta1 and Theta2 alone, in which the likelihood is
+    close to normal. The eleventh number, the scale ``lambda_2``, does not touch
+    the torque. A passive gearbox, ``mu_1 >= 0`` and ``0 <= mu_2 <= 1``, confines it to
+
+    ``1/(rho + 1) <= lambda_2 <= 1/(rho - 1)``, ``rho = lambda_1/lambda_2 = theta5/theta10``,
+
+    and its logarithm's place between those bounds is sampled as a logit. Motor
+    parameters, ``Theta1 - rho Theta2``, do not depend on the scale at all.
+
+    Here Theta2's rows are leg parameters times ``lambda_2``, in joint units (the
+    paper's rows divided by constants), and Theta1's in motor units.
+
+    Parameters
+    ----------
+    ratio
+        ``N``, motor speed over joint speed.
+    gravity
+        m/s².
+    """
+
+    description = (
+        "Theta1 and Theta2 of eq. (13), and the alpha/leg scale between the bounds "
+        "that a passive gearbox sets"
+    )
+
+    def __init__(self, ratio: float, gravity: float) -> None:
+        n = ratio
+        # what each leg parameter is worth at the motor: inertia, viscous, C1, C2, gravity
+        self._to_motor = np.array([1.0 / n**2, 1.0 / n**2, 1.0 / n, 1.0 / n, gravity / n])
+        self._log_constant = -float(np.log(self._to_motor[:4]).sum())
+        self._order_leg = [9, 6, 7, 8, 10]  # in GEARBOX_FORM: J, f, C1, C2, ml
+        self._order_motor = [0, 1, 2, 3]
+
+    def to_parameters(self, u: Array) -> tuple[Array, Array]:
+        """See :class:`Coordinates`. ``u``: theta_1..5, theta_6..10, logit of the scale."""
+        theta1, theta2, place = u[:, :5], u[:, 5:10], u[:, 10]
+        with np.errstate(all="ignore"):
+            rho = theta1[:, 4] / theta2[:, 4]
+            low, high = -np.log(rho + 1.0), -np.log(rho - 1.0)
+            log_lambda2 = low + (high - low) * expit(place)
+            lambda2 = np.exp(log_lambda2)
+            lambda1 = rho * lambda2
+            parameters = np.empty_like(u)
+            parameters[:, self._order_leg] = theta2 / (lambda2[:, None] * self._to_motor)
+            parameters[:, self._order_motor] = theta1[:, :4] - rho[:, None] * theta2[:, :4]
+            parameters[:, 4] = lambda1 + lambda2 - 1.0
+            parameters[:, 5] = 1.0 - (lambda1 - lambda2)
+            # |d(motor, mu, leg)/d(Theta1, Theta2, log lambda2)|, see the tests for the check
+            jacobian = (
+                self._log_constant
+                - 5.0 * log_lambda2
+                - math.log(self._to_motor[4])
+                + np.log(2.0) + 2.0 * log_lambda2 - np.log(theta2[:, 4])
+                + np.log(high - low) + log_expit(place) + log_expit(-place)
+            )
+            possible = (theta2[:, 4] > 0.0) & (rho > 1.0) & np.isfinite(jacobian)
+        return parameters, np.where(possible, jacobian, -np.inf)
+
+    def from_parameters(self, parameters: Array) -> Array:
+        """See :class:`Coordinates`."""
+        drive, back = 1.0 + parameters[:, 4], 1.0 - parameters[:, 5]
+        lambda1, lambda2 = (drive + back) / 2.0, (drive - back) / 2.0
+        leg = parameters[:, self._order_leg] * self._to_motor
+        u = np.empty_like(parameters)
+        u[:, 5:10] = lambda2[:, None] * leg
+        u[:, :5] = lambda1[:, None] * leg
+        u[:, :4] += parameters[:, self._order_motor]
+        rho = lambda1 / lambda2
+        low, high = -np.log(rho + 1.0), -np.log(rho - 1.0)
+        u[:, 10] = logit((np.log(lambda2) - low) / (high - low))
+        return u
+
+
+def choose_coordinates(chain: Chain, free: Sequence[str], priors: Sequence[Prior]) -> Coordinates:
+    """Take the coordinates that suit the chain and its priors best.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    free
+        Names of the parameters that are sampled.
+    priors
+        Their priors, in the same order.
+    """
+    reversible = all(
+        prior.upper <= 1.0
+        for name, prior in zip(free, priors, strict=True)
+        if name == "gearbox.load_back"
+    )
+    plain_gearbox = [element.name for element in chain.elements] == ["motor", "gearbox", "joint"]
+    if plain_gearbox and tuple(free) == tuple(chain.names) == GEARBOX_FORM and reversible:
+        return TorqueFormCoordinates(chain.ratio, chain.load.gravity)
+    return BoundedCoordinates([p.lower for p in priors], [p.upper for p in priors])

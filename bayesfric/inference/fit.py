@@ -1,0 +1,187 @@
+"""The whole way from prepared recordings to a posterior."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.errors import BadInput, nearest
+from bayesfric.estimates.estimate import Estimate
+from bayesfric.estimates.least_squares import least_squares, starting_values
+from bayesfric.inference.defaults import default_noise_prior, default_prior, measured_scales
+from bayesfric.inference.laplace import laplace
+from bayesfric.inference.likelihood import TorqueLikelihood
+from bayesfric.inference.noise import NoiseScale, white_noise
+from bayesfric.inference.posterior import Posterior
+from bayesfric.inference.priors import Prior, PriorText, read_prior
+from bayesfric.inference.sampling import Progress, Sampling, sample
+from bayesfric.inference.target import Target
+from bayesfric.mechanism.chain import Chain
+from bayesfric.recordings.observation import Observation
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A finished fit.
+
+    Attributes
+    ----------
+    target
+        Log-posterior; its ``likelihood`` holds chain and observations.
+    posterior
+        Draws and diagnostics.
+    totals
+        Least-squares estimate of eq. (11), where the search started.
+    """
+
+    target: Target
+    posterior: Posterior
+    totals: Estimate
+
+    @property
+    def chain(self) -> Chain:
+        """The mechanism."""
+        return self.target.likelihood.chain
+
+    @property
+    def observations(self) -> tuple[Observation, ...]:
+        """The prepared recordings."""
+        return self.target.likelihood.observations
+
+    def chain_draws(self, n: int | None = None) -> NDArray[np.float64]:
+        """Draws of all chain parameters, fixed ones included.
+
+        Parameters
+        ----------
+        n
+            At most so many, evenly spread; all if left out.
+
+        Returns
+        -------
+        ndarray
+            ``(n, n_parameters)`` in the order of ``chain.names``.
+        """
+        flat = self.posterior.flat()
+        if n is not None and n < flat.shape[0]:
+            flat = flat[np.linspace(0, flat.shape[0] - 1, n).astype(int)]
+        return self.target.chain_values(flat)
+
+
+def read_priors(
+    chain: Chain, texts: Mapping[str, PriorText], observations: Sequence[Observation]
+) -> dict[str, Prior]:
+    """Priors of every parameter of the chain: the given ones and defaults for the rest.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    texts
+        What a configuration says, by parameter name; ``noise.sigma`` is allowed too.
+    observations
+        Set the scale of the defaults.
+
+    Raises
+    ------
+    BadInput
+        If a name is unknown or a prior cannot be.
+    """
+    known = [*chain.names, "noise.sigma"]
+    for name in texts:
+        if name not in known:
+            raise BadInput(
+                f"priors.{name}", "the mechanism has no such parameter", nearest(name, known)
+            )
+    scales = measured_scales(observations)
+    priors = {
+        p.name: read_prior(p.name, texts[p.name], lower=p.lower, upper=p.upper)
+        if p.name in texts
+        else default_prior(chain, p, scales)
+        for p in chain.parameters
+    }
+    priors["noise.sigma"] = (
+        read_prior("noise.sigma", texts["noise.sigma"], lower=0.0, upper=float("inf"))
+        if "noise.sigma" in texts
+        else default_noise_prior(scales)
+    )
+    if priors["noise.sigma"].fixed:
+        raise BadInput("priors.noise.sigma", "cannot be fixed", "give a narrow range instead")
+    if all(priors[name].fixed for name in chain.names):
+        raise BadInput("priors", "fix every parameter", "leave at least one free")
+    return priors
+
+
+def make_target(
+    chain: Chain,
+    observations: Sequence[Observation],
+    priors: Mapping[str, Prior],
+    noise_scale: NoiseScale,
+) -> Target:
+    """Put likelihood, priors and noise together.
+
+    ``priors`` is what :func:`read_priors` gives.
+    """
+    noise = white_noise([o.name for o in observations], priors["noise.sigma"], noise_scale)
+    return Target(TorqueLikelihood(chain, observations), priors, noise)
+
+
+def fit(
+    target: Target,
+    sampling: Sampling,
+    *,
+    progress: Callable[[Progress], None] = lambda _: None,
+) -> Fit:
+    """Estimate, climb to the mode, sample.
+
+    Parameters
+    ----------
+    target
+        From :func:`make_target`.
+    sampling
+        Seed, sizes and stopping rule.
+    progress
+        Called as sampling goes on.
+
+    Raises
+    ------
+    BadInput
+        If the motion cannot tell the totals of eq. (11) apart, or the priors
+        leave no place the search could start from.
+    """
+    likelihood = target.likelihood
+    totals = least_squares(likelihood.chain, likelihood.observations)
+    progress(Progress("searching the mode", 0, float("nan"), float("nan")))
+    try:
+        start = laplace(target, _candidates(target, totals, sampling.seed))
+    except ValueError:
+        raise BadInput(
+            "priors", "leave no possible starting point near the data", "widen the narrowest ones"
+        ) from None
+    return Fit(target, sample(target, start, sampling, progress=progress), totals)
+
+
+def _candidates(target: Target, totals: Estimate, seed: int) -> NDArray[np.float64]:
+    """Places to start from: totals split in several ways, and draws from the priors."""
+    chain = target.likelihood.chain
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2**31,)))
+    split = [
+        starting_values(chain, totals, mu, share)
+        for mu in (0.02, 0.1, 0.2, 0.4)
+        for share in (0.2, 0.5, 0.8)
+    ]
+    rows = np.array([[values[name] for name in target.free] for values in split])
+    drawn = np.stack([prior.draw(100, rng) for prior in target.priors], axis=1)
+    # a start at a bound would have no finite coordinates
+    for j, prior in enumerate(target.priors[: len(target.free)]):
+        inner = np.quantile(prior.draw(400, rng), [0.001, 0.999])
+        outside = (rows[:, j] <= prior.lower) | (rows[:, j] >= prior.upper)
+        rows[outside, j] = np.clip(rows[outside, j], *inner)
+    sigma = np.full((rows.shape[0], len(target.noise.names)), totals.residual_rms)
+    k = len(target.free)
+    drawn[:, k:] = np.sqrt(
+        np.mean(np.concatenate([o.measured for o in target.likelihood.observations]) ** 2)
+    )
+    return target.from_parameters(np.concatenate([np.concatenate([rows, sigma], axis=1), drawn]))

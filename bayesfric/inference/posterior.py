@@ -1,0 +1,93 @@
+"""What sampling leaves: draws, and whether they can be trusted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.inference.priors import Prior
+
+Status = Literal["reliable", "tentative", "unusable"]
+
+
+@dataclass(frozen=True)
+class Diagnostics:
+    """Whether the sampling can be trusted.
+
+    Attributes
+    ----------
+    status
+        ``reliable``: every criterion met. ``tentative``: stopped early, but the
+        ensembles agree roughly. ``unusable``: they do not.
+    problems
+        One plain sentence each, with the mend; empty when reliable.
+    rhat, tau, ess
+        Nested R-hat, autocorrelation time in steps and effective sample size of
+        each sampled parameter, ``(d,)``.
+    acceptance
+        Accepted share of proposals, of each ensemble.
+    ensembles, walkers, warmup, steps
+        Shape of the sample before thinning; ``steps`` counts after warm-up.
+    thin
+        Every ``thin``-th step is kept in the draws.
+    not_finite
+        Likelihood evaluations that came out as no number.
+    seconds
+        Wall-clock time of sampling.
+    """
+
+    status: Status
+    problems: tuple[str, ...]
+    rhat: NDArray[np.float64]
+    tau: NDArray[np.float64]
+    ess: NDArray[np.float64]
+    acceptance: NDArray[np.float64]
+    ensembles: int
+    walkers: int
+    warmup: int
+    steps: int
+    thin: int
+    not_finite: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Draws of the sampled parameters.
+
+    Attributes
+    ----------
+    names
+        Sampled parameters, noise scales last.
+    priors
+        Theirs.
+    draws
+        ``(ensembles, walkers, steps, d)`` in physical units, thinned.
+    log_density
+        ``(ensembles, walkers, steps)`` log posterior in sampling coordinates.
+    coordinates
+        In words, which coordinates were sampled.
+    diagnostics
+        Of the whole sample, before thinning.
+    seed
+        Of this sample.
+    """
+
+    names: tuple[str, ...]
+    priors: tuple[Prior, ...]
+    draws: NDArray[np.float64]
+    log_density: NDArray[np.float64]
+    coordinates: str
+    diagnostics: Diagnostics
+    seed: int
+
+    def flat(self) -> NDArray[np.float64]:
+        """All draws, ``(n, d)``; for quantiles, never for convergence checks."""
+        return self.draws.reshape(-1, self.draws.shape[-1])
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        """Draws of one parameter, ``(ensembles, walkers, steps)``."""
+        return self.draws[..., self.names.index(name)]

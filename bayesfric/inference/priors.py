@@ -1,0 +1,190 @@
+"""Priors: a number fixes, a range is uniform, a distribution is SciPy's by name."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from bayesfric.errors import BadInput
+
+# What a configuration may say: 3.3e-4, [0, 1] or {distribution = "norm", loc = 1, scale = 2}.
+PriorText = float | Sequence[float] | Mapping[str, Any]
+
+# Below this share of its mass inside the parameter's support a prior is taken for a mistake.
+_LEAST_MASS = 1e-6
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is believed of one parameter before the recording is looked at.
+
+    Attributes
+    ----------
+    text
+        As printed: ``fixed at 0.33``, ``uniform(0, 1)``, ``halfnorm(loc=0, scale=0.5)``.
+    distribution
+        SciPy's frozen distribution, ``None`` where the parameter is fixed.
+    value
+        The fixed value, ``nan`` where the parameter is free.
+    lower, upper
+        Support: the distribution's, cut to the parameter's.
+    mass
+        The distribution's mass inside the support; the density is divided by it.
+    default
+        Whether the package chose it.
+    """
+
+    text: str
+    distribution: Any
+    value: float
+    lower: float
+    upper: float
+    mass: float = 1.0
+    default: bool = False
+
+    @property
+    def fixed(self) -> bool:
+        """Whether the parameter is held at one value."""
+        return self.distribution is None
+
+    def log_density(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Log of the density, ``-inf`` outside the support.
+
+        Parameters
+        ----------
+        x
+            ``(n,)`` values in the parameter's unit.
+        """
+        inside = (x >= self.lower) & (x <= self.upper)
+        out = np.full(x.shape, -np.inf)
+        out[inside] = self.distribution.logpdf(x[inside]) - math.log(self.mass)
+        return out
+
+    def draw(self, n: int, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Draw ``n`` values by inversion, inside the support."""
+        if self.fixed:
+            return np.full(n, self.value)
+        low, high = self.distribution.cdf(self.lower), self.distribution.cdf(self.upper)
+        values = self.distribution.ppf(low + (high - low) * rng.random(n))
+        return np.asarray(np.clip(values, self.lower, self.upper), dtype=np.float64)
+
+    def sd(self) -> float:
+        """Standard deviation, of the cut distribution; 0 where fixed."""
+        if self.fixed:
+            return 0.0
+        if self.mass > 1.0 - 1e-12:
+            return float(self.distribution.std())
+        # The cut distribution's moments by quadrature in probability.
+        low, high = self.distribution.cdf(self.lower), self.distribution.cdf(self.upper)
+        nodes, weights = np.polynomial.legendre.leggauss(200)
+        x = self.distribution.ppf(low + (high - low) * (nodes + 1.0) / 2.0)
+        mean = float(np.sum(weights * x) / 2.0)
+        return float(np.sqrt(np.sum(weights * (x - mean) ** 2) / 2.0))
+
+
+def fixed(value: float) -> Prior:
+    """Hold a parameter at ``value``."""
+    return Prior(f"fixed at {value:.6g}", None, float(value), float(value), float(value))
+
+
+def read_prior(
+    name: str, text: PriorText, *, lower: float, upper: float, default: bool = False
+) -> Prior:
+    """Turn what a configuration says of one parameter into a prior.
+
+    Parameters
+    ----------
+    name
+        Parameter name, for messages.
+    text
+        A number, a pair ``[low, high]``, or a mapping with ``distribution`` (a
+        name in :mod:`scipy.stats`) and its arguments.
+    lower, upper
+        The parameter's support.
+    default
+        Mark the prior as the package's own choice.
+
+    Raises
+    ------
+    BadInput
+        If the prior cannot be, names no SciPy distribution, or lies outside
+        the support.
+    """
+    where = f"priors.{name}"
+    span = f"{name} lies between {lower:g} and {upper:g}"
+    if isinstance(text, bool):
+        raise BadInput(where, "true/false is no prior", "give a number, [low, high] or a table")
+    if isinstance(text, int | float):
+        if not (math.isfinite(text) and lower <= text <= upper):
+            raise BadInput(where, f"{text} is no possible value", span)
+        return fixed(float(text))
+    if isinstance(text, Mapping):
+        return _named(where, text, lower, upper, span, default)
+    return _range(where, text, lower, upper, span, default)
+
+
+def _range(
+    where: str, text: Sequence[float], lower: float, upper: float, span: str, default: bool
+) -> Prior:
+    numbers = [x for x in text if isinstance(x, int | float) and not isinstance(x, bool)]
+    if isinstance(text, str) or len(text) != 2 or len(numbers) != 2:
+        raise BadInput(where, f"{text!r} is no prior", "give a number, [low, high] or a table")
+    low, high = float(numbers[0]), float(numbers[1])
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise BadInput(where, f"[{low:g}, {high:g}] is no range", "put the smaller number first")
+    if low < lower or high > upper:
+        raise BadInput(where, f"[{low:g}, {high:g}] reaches outside what is possible", span)
+    return Prior(
+        f"uniform({low:.6g}, {high:.6g})",
+        stats.uniform(low, high - low),
+        math.nan,
+        low,
+        high,
+        default=default,
+    )
+
+
+def _named(
+    where: str, text: Mapping[str, Any], lower: float, upper: float, span: str, default: bool
+) -> Prior:
+    arguments = dict(text)
+    kind = arguments.pop("distribution", None)
+    family = getattr(stats, kind, None) if isinstance(kind, str) else None
+    if not isinstance(family, stats.rv_continuous):
+        raise BadInput(
+            where,
+            f"{kind!r} is no continuous distribution of scipy.stats",
+            'use for example {distribution = "norm", loc = 0.4, scale = 0.05}',
+        )
+    try:
+        frozen = family(**arguments)
+        low, high = frozen.support()
+        mass = float(frozen.cdf(upper) - frozen.cdf(lower))
+        spread = float(frozen.ppf(0.75) - frozen.ppf(0.25))
+    except (TypeError, ValueError) as error:
+        raise BadInput(where, str(error), f"see scipy.stats.{kind} for its arguments") from None
+    if not (math.isfinite(mass) and math.isfinite(spread) and spread > 0.0):
+        raise BadInput(
+            where, f"{kind} has no density with {arguments}", f"see scipy.stats.{kind}"
+        )
+    if mass < _LEAST_MASS:
+        raise BadInput(where, f"{kind} puts no mass where {name_of(where)} can be", span)
+    shown = ", ".join(f"{key}={_number(value)}" for key, value in arguments.items())
+    low, high = max(float(low), lower), min(float(high), upper)
+    cut = "" if mass > 1.0 - 1e-9 else f" cut to [{low:g}, {high:g}]"
+    return Prior(f"{kind}({shown}){cut}", frozen, math.nan, low, high, mass, default)
+
+
+def name_of(where: str) -> str:
+    """Parameter name in a configuration key ``priors.<name>``."""
+    return where.removeprefix("priors.")
+
+
+def _number(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, int | float) else str(value)

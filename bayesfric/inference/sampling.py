@@ -1,0 +1,259 @@
+"""Sampling with emcee: independent ensembles, run until they agree."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import emcee
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from bayesfric.inference.convergence import (
+    autocorrelation_time,
+    effective_sample_size,
+    nested_rhat,
+)
+from bayesfric.inference.laplace import Laplace
+from bayesfric.inference.moves import DifferentialEvolutionMove, IndependenceMove
+from bayesfric.inference.posterior import Diagnostics, Posterior, Status
+from bayesfric.inference.target import Target
+
+Array = NDArray[np.float64]
+
+# Ensembles further apart than this are not sampling one distribution.
+_UNUSABLE_RHAT = 1.1
+# Draws kept in the result, over all walkers; more only makes the file larger.
+_KEPT_DRAWS = 20_000
+
+
+class Sampling(BaseModel):
+    """How the posterior is sampled; ``[sampling]`` in a configuration."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    seed: int = Field(1, ge=0, lt=2**63, description="everything random comes from this number")
+    ensembles: int = Field(4, ge=2, le=64, description="independent groups of walkers")
+    walkers: int | None = Field(
+        None, ge=8, description="walkers in each ensemble; default 4 for each parameter, at least 48"
+    )
+    min_ess: float = Field(4000.0, gt=0, description="independent draws wanted of every parameter")
+    max_rhat: float = Field(1.01, gt=1, description="largest nested R-hat accepted")
+    max_steps: int = Field(20_000, ge=100, description="steps after which sampling gives up")
+    block: int = Field(100, ge=10, description="steps between two looks at convergence")
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far sampling has come, for a progress bar.
+
+    ``ess`` and ``rhat`` are of the worst parameter, ``nan`` during warm-up.
+    """
+
+    phase: str
+    steps: int
+    ess: float
+    rhat: float
+
+
+def sample(
+    target: Target,
+    start: Laplace,
+    settings: Sampling,
+    *,
+    progress: Callable[[Progress], None] = lambda _: None,
+) -> Posterior:
+    """Sample until every criterion of ``settings`` is met or ``max_steps`` is reached.
+
+    Warm-up with differential evolution from over-dispersed starts ends when the
+    ensembles agree roughly. A multivariate t fitted to its second half is then
+    frozen and used as the proposal of an independence move beside differential
+    evolution, and only steps after that count.
+
+    Parameters
+    ----------
+    target
+        Log-posterior and its coordinates.
+    start
+        Normal at the mode, in the same coordinates.
+    settings
+        Seed, sizes and stopping rule.
+    progress
+        Called after every block.
+    """
+    began = time.perf_counter()
+    d = target.dimension
+    walkers = settings.walkers or max(48, 4 * d)
+    walkers += walkers % 2
+    if walkers < 2 * d:
+        walkers = 2 * d
+    seeds = np.random.SeedSequence(settings.seed).spawn(settings.ensembles + 1)
+    randoms = [np.random.RandomState(np.random.MT19937(s)) for s in seeds[:-1]]
+    rng = np.random.default_rng(seeds[-1])
+    starts = start.draw_starts(settings.ensembles * walkers, target, rng)
+    positions = starts.reshape(settings.ensembles, walkers, d)
+
+    warm = _Ensembles(target, [(DifferentialEvolutionMove(), 1.0)], positions, randoms)
+    while True:
+        warm.run(settings.block)
+        progress(Progress("warm-up", warm.steps, float("nan"), float("nan")))
+        half = warm.chain()[:, :, warm.steps // 2 :]
+        rhat = float(nested_rhat(half).max())
+        enough = warm.steps >= 2 * settings.block and rhat < 1.05
+        if enough or warm.steps >= settings.max_steps // 2:
+            break
+
+    learned = half.reshape(-1, d)
+    proposal = IndependenceMove(learned.mean(axis=0), _covariance(learned))
+    moves = [(proposal, 0.7), (DifferentialEvolutionMove(), 0.3)]
+    main = _Ensembles(target, moves, warm.positions(), randoms)
+    while True:
+        main.run(settings.block)
+        chain = main.chain()
+        rhats, tau = nested_rhat(chain), autocorrelation_time(chain)
+        ess = effective_sample_size(chain)
+        progress(Progress("sampling", main.steps, float(ess.min()), float(rhats.max())))
+        done = (
+            ess.min() >= settings.min_ess
+            and rhats.max() <= settings.max_rhat
+            and main.steps >= 50.0 * tau.max()
+        )
+        if done or warm.steps + main.steps >= settings.max_steps:
+            break
+
+    thin = max(1, -(-main.steps * walkers * settings.ensembles // _KEPT_DRAWS))
+    kept = chain[:, :, thin - 1 :: thin]
+    parameters, _ = target.to_parameters(kept.reshape(-1, d))
+    draws = parameters.reshape(*kept.shape)
+    problems = list(_problems(target, settings, rhats, tau, ess, main))
+    status: Status = "reliable"
+    if problems:
+        usable = rhats.max() < _UNUSABLE_RHAT and np.isfinite(ess).all() and ess.min() > 100.0
+        status = "tentative" if usable else "unusable"
+    return Posterior(
+        names=target.names,
+        priors=target.priors,
+        draws=draws,
+        log_density=main.log_density()[:, :, thin - 1 :: thin],
+        coordinates=target.coordinates.description,
+        diagnostics=Diagnostics(
+            status=status,
+            problems=tuple(problems),
+            rhat=rhats,
+            tau=tau,
+            ess=ess,
+            acceptance=main.acceptance(),
+            ensembles=settings.ensembles,
+            walkers=walkers,
+            warmup=warm.steps,
+            steps=main.steps,
+            thin=thin,
+            not_finite=target.not_finite,
+            seconds=time.perf_counter() - began,
+        ),
+        seed=settings.seed,
+    )
+
+
+class _Ensembles:
+    """Several emcee samplers side by side, each with its own random stream."""
+
+    def __init__(
+        self,
+        target: Target,
+        moves: list[tuple[emcee.moves.Move, float]],
+        positions: Array,
+        randoms: list[np.random.RandomState],
+    ) -> None:
+        self.steps = 0
+        self._samplers = []
+        self._states = []
+        for x, random in zip(positions, randoms, strict=True):
+            sampler = emcee.EnsembleSampler(
+                x.shape[0], x.shape[1], target, moves=moves, vectorize=True
+            )
+            # emcee silently ignores any other way of seeding it
+            sampler.random_state = random.get_state()
+            self._samplers.append(sampler)
+            self._states.append(emcee.State(x))
+        self._randoms = randoms
+
+    def run(self, steps: int) -> None:
+        with _quiet_emcee():
+            for k, sampler in enumerate(self._samplers):
+                self._states[k] = sampler.run_mcmc(
+                    self._states[k], steps, skip_initial_state_check=True
+                )
+                # so that what comes next goes on where this stream ends
+                self._randoms[k].set_state(sampler.random_state)
+        self.steps += steps
+
+    def chain(self) -> Array:
+        """All steps, ``(ensembles, walkers, steps, d)``."""
+        return np.stack([s.get_chain().swapaxes(0, 1) for s in self._samplers])
+
+    def log_density(self) -> Array:
+        """``(ensembles, walkers, steps)``."""
+        return np.stack([s.get_log_prob().T for s in self._samplers])
+
+    def positions(self) -> Array:
+        """Where the walkers are, ``(ensembles, walkers, d)``."""
+        return np.stack([state.coords for state in self._states])
+
+    def acceptance(self) -> Array:
+        """Accepted share of each walker's proposals, ``(ensembles, walkers)``."""
+        return np.stack([s.acceptance_fraction for s in self._samplers])
+
+
+def _covariance(draws: Array) -> Array:
+    covariance = np.atleast_2d(np.cov(draws.T))
+    scale = np.sqrt(np.diag(covariance))
+    # keeps the Cholesky factor alive when two coordinates are all but one
+    return covariance + np.diag(1e-10 * scale**2 + 1e-300)
+
+
+def _problems(
+    target: Target,
+    settings: Sampling,
+    rhat: Array,
+    tau: Array,
+    ess: Array,
+    main: _Ensembles,
+) -> Iterator[str]:
+    names = np.array(target.names)
+    apart = names[rhat > settings.max_rhat]
+    if apart.size:
+        yield (
+            f"the ensembles disagree on {', '.join(apart)} (nested R-hat up to {rhat.max():.3f}): "
+            "raise sampling.max_steps, or give these parameters narrower priors"
+        )
+    few = names[ess < settings.min_ess]
+    if few.size:
+        yield (
+            f"only {ess.min():.0f} independent draws of {names[int(ess.argmin())]} where "
+            f"{settings.min_ess:.0f} were wanted: raise sampling.max_steps"
+        )
+    if not few.size and main.steps < 50.0 * tau.max():
+        yield (
+            f"the run is only {main.steps / tau.max():.0f} autocorrelation times long, 50 are "
+            "needed to trust them: raise sampling.max_steps"
+        )
+    stuck = int((main.acceptance() < 0.01).sum())
+    if stuck:
+        yield f"{stuck} walkers hardly ever moved: look at the trace; narrower priors may help"
+
+
+@contextmanager
+def _quiet_emcee() -> Iterator[None]:
+    """Keep emcee's remarks on autocorrelation off the user's screen; ours replace them."""
+    logger = logging.getLogger()
+    previous = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(previous)

@@ -1,0 +1,117 @@
+"""The log-posterior as the sampler sees it: coordinates in, one number a walker out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.inference.coordinates import BoundedCoordinates, choose_coordinates
+from bayesfric.inference.likelihood import TorqueLikelihood
+from bayesfric.inference.noise import WhiteNoise
+from bayesfric.inference.priors import Prior
+
+Array = NDArray[np.float64]
+
+
+class Target:
+    """Posterior of the free parameters and the noise scales.
+
+    Parameters
+    ----------
+    likelihood
+        Of the measured torque.
+    priors
+        One for every parameter of the chain, fixed ones included.
+    noise
+        The noise model with its own priors.
+
+    Attributes
+    ----------
+    names
+        Sampled parameters, the chain's free ones first.
+    priors
+        Theirs.
+    not_finite
+        How often the likelihood came out as no number; such points count as
+        impossible.
+    """
+
+    def __init__(
+        self, likelihood: TorqueLikelihood, priors: Mapping[str, Prior], noise: WhiteNoise
+    ) -> None:
+        chain = likelihood.chain
+        self.likelihood = likelihood
+        self.noise = noise
+        self.free = tuple(name for name in chain.names if not priors[name].fixed)
+        self.names = self.free + noise.names
+        self.priors = tuple(priors[name] for name in self.free) + noise.priors
+        self.not_finite = 0
+        self._columns = [chain.names.index(name) for name in self.free]
+        self._template = np.array(
+            [priors[name].value if priors[name].fixed else 0.0 for name in chain.names]
+        )
+        self.coordinates = choose_coordinates(
+            chain, self.free, [priors[name] for name in self.free]
+        )
+        self._noise_coordinates = BoundedCoordinates(
+            [p.lower for p in noise.priors], [p.upper for p in noise.priors]
+        )
+
+    @cached_property
+    def dimension(self) -> int:
+        """Number of sampled parameters."""
+        return len(self.names)
+
+    def chain_values(self, parameters: Array) -> Array:
+        """Fill the fixed parameters in: ``(n, d)`` to ``(n, chain parameters)``."""
+        values = np.tile(self._template, (parameters.shape[0], 1))
+        values[:, self._columns] = parameters[:, : len(self.free)]
+        return values
+
+    def to_parameters(self, u: Array) -> tuple[Array, Array]:
+        """Map coordinates ``(n, d)`` to parameters and the log Jacobian ``(n,)``."""
+        k = len(self.free)
+        model, log_model = self.coordinates.to_parameters(u[:, :k])
+        noise, log_noise = self._noise_coordinates.to_parameters(u[:, k:])
+        return np.concatenate([model, noise], axis=1), log_model + log_noise
+
+    def from_parameters(self, parameters: Array) -> Array:
+        """Map parameters ``(n, d)`` to coordinates."""
+        k = len(self.free)
+        return np.concatenate(
+            [
+                self.coordinates.from_parameters(parameters[:, :k]),
+                self._noise_coordinates.from_parameters(parameters[:, k:]),
+            ],
+            axis=1,
+        )
+
+    def log_prior(self, parameters: Array) -> Array:
+        """Log prior density of physical parameters ``(n, d)``."""
+        total = np.zeros(parameters.shape[0])
+        for j, prior in enumerate(self.priors):
+            total += prior.log_density(parameters[:, j])
+        return total
+
+    def log_likelihood(self, parameters: Array) -> Array:
+        """Log-likelihood of physical parameters ``(n, d)``."""
+        scales = self.noise.scales(parameters[:, len(self.free) :])
+        return self.likelihood.log_density(self.chain_values(parameters), scales)
+
+    def __call__(self, u: Array) -> Array:
+        """Log posterior density in coordinates, ``(n, d)`` to ``(n,)``."""
+        parameters, jacobian = self.to_parameters(u)
+        out = np.where(np.isfinite(jacobian), jacobian, -np.inf)
+        out[~np.isfinite(parameters).all(axis=1)] = -np.inf
+        possible = np.isfinite(out)
+        out[possible] += self.log_prior(parameters[possible])
+        possible = np.isfinite(out)
+        if possible.any():
+            density = self.log_likelihood(parameters[possible])
+            bad = ~np.isfinite(density)
+            self.not_finite += int(bad.sum())
+            out[possible] += np.where(bad, -np.inf, density)
+        return out
