@@ -1,0 +1,5 @@
+"""``python -m bayesfric``."""
+
+from bayesfric.cli import main
+
+main()

@@ -1,0 +1,184 @@
+"""The command line: it parses, calls a command and prints."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+import bayesfric
+from bayesfric.errors import BadInput
+
+if TYPE_CHECKING:
+    from bayesfric.inference.sampling import Progress
+
+# Commands import what they need when they run, so that --help answers at once.
+app = typer.Typer(
+    help="What a measured motor torque says about a joint: inertia, friction and gearbox "
+    "losses, as posteriors.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+    rich_markup_mode=None,
+)
+
+ConfigFile = Annotated[Path, typer.Argument(metavar="CONFIG", help="configuration (TOML)")]
+AsJson = Annotated[bool, typer.Option("--json", help="print the machine-readable form")]
+Seed = Annotated[int | None, typer.Option(min=0, help="replaces the configuration's seed")]
+Force = Annotated[bool, typer.Option("--force", help="keep an old run under another name")]
+RunOption = Annotated[Path | None, typer.Option("-o", "--output", help="run directory to make")]
+
+BAD_INPUT, NOT_CONVERGED, INTERRUPTED = 2, 3, 130
+
+
+@app.callback(invoke_without_command=True)
+def _version(
+    version: Annotated[bool, typer.Option("--version", help="print the version")] = False,
+) -> None:
+    if version:
+        print(bayesfric.__version__)
+        raise typer.Exit
+
+
+@app.command()
+def init(
+    preset: Annotated[str, typer.Argument(help="rabbit-knee, motor-axis or servo-pendulum")],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="file to write; printed if left out")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write a commented configuration."""
+    from bayesfric.commands.init import configuration
+    from bayesfric.report.files import write_beside
+
+    text = configuration(preset)
+    if output is not None:
+        if output.exists():
+            raise BadInput(str(output), "exists already", "name another file with -o")
+        write_beside({output: text})
+    written = str(output) if output else None
+    _print({"written": written, "text": text}, as_json, [f"Written to {output}"] if output else [text])
+
+
+@app.command()
+def simulate(
+    config: ConfigFile,
+    output: Annotated[Path, typer.Option("-o", "--output", help="CSV file to write")],
+    seed: Seed = None,
+    as_json: AsJson = False,
+) -> None:
+    """Simulate a recording from known parameters; the truth is saved beside it."""
+    from bayesfric.commands.simulate import simulate as run
+    from bayesfric.config import read_config
+
+    truth = run(read_config(config), output, seed=seed)
+    lines = [f"Simulated recording written to {output}, truth beside it as .truth.json"]
+    _print(truth, as_json, lines)
+
+
+@app.command()
+def check(config: ConfigFile, as_json: AsJson = False) -> None:
+    """Read everything; print what is measured, its quality and its problems."""
+    from bayesfric.commands.check import check as run
+    from bayesfric.commands.check import check_text
+    from bayesfric.commands.problem import read_problem
+    from bayesfric.config import read_config
+
+    found = run(read_problem(read_config(config)))
+    _print(found, as_json, check_text(found))
+
+
+@app.command()
+def fit(
+    config: ConfigFile,
+    output: RunOption = None,
+    seed: Seed = None,
+    force: Force = False,
+    as_json: AsJson = False,
+) -> None:
+    """Sample the posterior and write the run directory."""
+    from bayesfric.config import read_config
+
+    _fit(lambda: read_config(config), output or Path(f"{config.stem}-run"), seed, force, as_json)
+
+
+@app.command()
+def demo(
+    output: RunOption = None,
+    seed: Seed = None,
+    force: Force = False,
+    as_json: AsJson = False,
+) -> None:
+    """Fit the packaged knee: a recording SIMULATED from Table 3 of the paper."""
+    from bayesfric.commands.demo import demo_config
+
+    print("The demo recording is simulated, from Table 3 of the paper.", file=sys.stderr)
+    _fit(demo_config, output or Path("demo-run"), seed, force, as_json)
+
+
+def _fit(
+    config: Callable[[], Any], folder: Path, seed: int | None, force: bool, as_json: bool
+) -> None:
+    from bayesfric.commands.fit import fit as run
+    from bayesfric.commands.fit import fit_text
+
+    with _progress_bar() as progress:
+        summary = run(config(), folder, seed=seed, force=force, progress=progress)
+    _print(summary, as_json, fit_text(summary, folder))
+    if summary["sampler"]["status"] != "reliable":
+        raise typer.Exit(NOT_CONVERGED)
+
+
+@contextmanager
+def _progress_bar() -> Iterator[Callable[[Progress], None]]:
+    """Show how far sampling has come, on stderr where that is a terminal."""
+    if not sys.stderr.isatty():
+        yield lambda _: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress as Bar
+    from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("reading")
+
+        def show(progress: Progress) -> None:
+            text = progress.phase
+            if progress.steps:
+                text += f", {progress.steps} steps"
+            if progress.ess == progress.ess:  # not nan
+                text += f", {progress.ess:.0f} independent draws, R-hat {progress.rhat:.3f}"
+            bar.update(task, description=text)
+
+        yield show
+
+
+def _print(found: Any, as_json: bool, lines: Any) -> None:
+    if as_json:
+        print(json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False))
+    else:
+        for line in lines:
+            print(line)
+
+
+def main() -> None:
+    """Run the command line; bad input ends with one line and exit code 2."""
+    try:
+        app()
+    except BadInput as error:
+        print(f"bayesfric: {error}", file=sys.stderr)
+        sys.exit(BAD_INPUT)
+    except KeyboardInterrupt:
+        print("bayesfric: interrupted, nothing was written", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+
+
+if __name__ == "__main__":
+    main()

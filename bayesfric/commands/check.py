@@ -1,0 +1,77 @@
+"""``bayesfric check``: what is measured, its quality and its problems."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from bayesfric.commands.problem import Problem
+from bayesfric.estimates.least_squares import least_squares
+
+
+def check(problem: Problem) -> dict[str, Any]:
+    """Collect everything there is to say before a fit.
+
+    Raises
+    ------
+    BadInput
+        If the motion cannot tell the totals of eq. (11) apart.
+    """
+    totals = least_squares(problem.chain, problem.observations)
+    return {
+        "config": str(problem.config.path),
+        "mechanism": {
+            "preset": problem.chain.preset,
+            "ratio": problem.chain.ratio,
+            "elements": [element.name for element in problem.chain.elements],
+        },
+        "recordings": [
+            {
+                "name": recording.name,
+                "file": str(recording.path),
+                "sha256": recording.sha256,
+                "duration": float(recording.time[-1] - recording.time[0]),
+                "added_mass": recording.added_mass,
+                "radius": recording.radius,
+                "settings": observation.settings,
+                "steps": list(observation.steps),
+                "warnings": list(observation.warnings),
+            }
+            for recording, observation in zip(
+                problem.recordings, problem.observations, strict=True
+            )
+        ],
+        "priors": {
+            name: {"prior": prior.text, "default": prior.default}
+            for name, prior in problem.priors.items()
+        },
+        "least_squares": {
+            "residual_rms": totals.residual_rms,
+            "parameters": {
+                v.name: {"value": v.value, "sd": v.sd, "unit": v.unit, "meaning": v.meaning}
+                for v in totals.values
+            },
+        },
+    }
+
+
+def check_text(found: dict[str, Any]) -> Iterator[str]:
+    """Word the result of :func:`check` for a person, line by line."""
+    for recording in found["recordings"]:
+        yield f"{recording['name']}  ({recording['file']}, {recording['duration']:.3g} s)"
+        if recording["added_mass"]:
+            yield f"  added mass: {recording['added_mass']:g} kg at {recording['radius']:g} m"
+        for step in recording["steps"]:
+            yield f"  {step}"
+        for warning in recording["warnings"]:
+            yield f"  WARNING: {warning}"
+        yield ""
+    yield "Priors"
+    for name, prior in found["priors"].items():
+        yield f"  {name:<28} {prior['prior']}{'  (default)' if prior['default'] else ''}"
+    yield ""
+    totals = found["least_squares"]
+    yield "Least squares, eq. (11), seen by the motor (sd for uncorrelated residuals)"
+    for name, v in totals["parameters"].items():
+        yield f"  {name:<28} {v['value']:>12.5g} ± {v['sd']:<9.2g} {v['unit']:<8} {v['meaning']}"
+    yield f"  {'residual rms':<28} {totals['residual_rms']:>12.4g}"

@@ -1,0 +1,106 @@
+"""``bayesfric fit``: sample the posterior and write the run directory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from bayesfric.commands.problem import read_problem
+from bayesfric.config import Config
+from bayesfric.inference.fit import fit as fit_target
+from bayesfric.inference.sampling import Progress
+from bayesfric.report.run_directory import check_free, write_run
+from bayesfric.report.summary import summarise
+
+NOT_CONVERGED = 3
+
+
+def fit(
+    config: Config,
+    folder: Path,
+    *,
+    seed: int | None = None,
+    force: bool = False,
+    progress: Callable[[Progress], None] = lambda _: None,
+) -> dict[str, Any]:
+    """Fit a configuration and write the run directory.
+
+    Parameters
+    ----------
+    config
+        From :func:`bayesfric.config.read_config`.
+    folder
+        Run directory to make.
+    seed
+        Replaces the configuration's.
+    force
+        Keep what stands there under another name and start afresh.
+    progress
+        Called as sampling goes on.
+
+    Returns
+    -------
+    dict
+        What ``summary.json`` holds.
+
+    Raises
+    ------
+    BadInput
+        For anything that cannot be used; nothing is written then.
+    """
+    check_free(folder, force=force)
+    problem = read_problem(config)
+    sampling = config.tables.sampling
+    if seed is not None:
+        sampling = sampling.model_copy(update={"seed": seed})
+    result = fit_target(problem.target(), sampling, progress=progress)
+    progress(Progress("writing results", 0, float("nan"), float("nan")))
+    summary = summarise(result)
+    write_run(folder, result, summary, config.text, problem.recordings)
+    return summary
+
+
+def fit_text(summary: dict[str, Any], folder: Path) -> Iterator[str]:
+    """Word a summary for a person, line by line."""
+    sampler = summary["sampler"]
+    yield (
+        f"{sampler['status']}: {sampler['min_ess']:.0f} independent draws of the least certain "
+        f"parameter, nested R-hat {sampler['max_rhat']:.4f}, {sampler['seconds']:.1f} s"
+        if sampler["min_ess"] is not None and sampler["max_rhat"] is not None
+        else f"{sampler['status']}: a parameter never moved"
+    )
+    for problem in sampler["problems"]:
+        yield f"  {problem}"
+    yield ""
+    yield "What the torque determines whatever the scale (90 % intervals)"
+    for name, row in summary["derived"].items():
+        if row["gauge_free"]:
+            yield _row(name, row, "")
+    yield ""
+    yield "Parameters (90 % intervals)"
+    words = {
+        "data": "",
+        "weak": "weakly determined: prior and data both matter",
+        "prior": "NOT determined by the data: this is the prior and the bounds",
+    }
+    for name, row in summary["parameters"].items():
+        yield _row(name, row, words[row["verdict"]])
+    for direction in summary["identifiability"]["null_directions"]:
+        yield ""
+        yield f"No recording of this kind can tell: {direction['meaning']}."
+    for warning in summary["warnings"]:
+        yield f"WARNING: {warning}"
+    yield ""
+    yield f"Residual rms {summary['fit']['residual_rms']:.4g} {summary['fit']['unit']}"
+    yield f"Written to {folder}"
+
+
+def _row(name: str, row: dict[str, Any], remark: str) -> str:
+    low, high = row["interval"]
+    return (
+        f"  {name:<30} {row['median']:>11.5g}  [{low:.5g}, {high:.5g}] {row['unit']}"
+        + (f"   {remark}" if remark else "")
+    )
+
+

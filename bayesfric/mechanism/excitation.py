@@ -1,0 +1,118 @@
+"""Torque signals to move a simulated joint with, and what its electronics make of them.
+
+Every signal is a function of an array of times and returns an array, so signals add
+with ``+``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.signal import lfilter
+
+Array = NDArray[np.float64]
+
+
+def constant(time: ArrayLike, level: float) -> Array:
+    """Torque ``level`` at all times (s)."""
+    return np.full(np.shape(time), float(level))
+
+
+def square(time: ArrayLike, amplitude: float, frequency: float) -> Array:
+    """Torque ``amplitude`` for half a period of ``frequency`` (Hz), then its negative.
+
+    A switch that falls on a sample, up to rounding, has happened at that sample.
+    """
+    halves = np.floor(2.0 * frequency * np.asarray(time, dtype=np.float64) + 1e-9)
+    return np.where(halves % 2 == 0, amplitude, -amplitude).astype(np.float64)
+
+
+def sine(time: ArrayLike, amplitude: float, frequency: float, phase: float = 0.0) -> Array:
+    """Sine of ``frequency`` (Hz), ``phase`` (rad) at time zero."""
+    turns = frequency * np.asarray(time, dtype=np.float64)
+    return np.asarray(amplitude * np.sin(2.0 * np.pi * turns + phase), dtype=np.float64)
+
+
+def multisine(
+    time: ArrayLike,
+    amplitude: ArrayLike,
+    frequencies: ArrayLike,
+    *,
+    seed: int | None = None,
+) -> Array:
+    """Sum of sines.
+
+    Parameters
+    ----------
+    time
+        s.
+    amplitude
+        Of each sine, or one for all.
+    frequencies
+        Hz.
+    seed
+        Of random phases; without it Schroeder's, which keep the peak low for equally
+        spaced frequencies.
+    """
+    hertz = np.atleast_1d(np.asarray(frequencies, dtype=np.float64))
+    each = np.broadcast_to(np.asarray(amplitude, dtype=np.float64), hertz.shape)
+    if seed is None:
+        order = np.arange(hertz.size)
+        phases = -np.pi * order * (order + 1) / hertz.size
+    else:
+        phases = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, hertz.size)
+    total = np.zeros(np.shape(time))
+    for a, f, phase in zip(each, hertz, phases, strict=True):
+        total += sine(time, float(a), float(f), float(phase))
+    return total
+
+
+def chirp(time: ArrayLike, amplitude: float, first: float, last: float) -> Array:
+    """Sine whose frequency rises evenly from ``first`` to ``last`` (Hz) over the times given."""
+    t = np.asarray(time, dtype=np.float64)
+    since = t - t[0]
+    turns = first * since + 0.5 * (last - first) * since**2 / (since[-1] or 1.0)
+    return np.asarray(amplitude * np.sin(2.0 * np.pi * turns), dtype=np.float64)
+
+
+def current_loop(torque: ArrayLike, period: float, lag: float, *, start: float = 0.0) -> Array:
+    """Torque behind a current loop, a first-order lag, at the samples of its command.
+
+    Parameters
+    ----------
+    torque
+        ``(N,)`` command, held over each ``period`` (s).
+    period
+        s.
+    lag
+        Time constant in s; zero for a perfect loop.
+    start
+        Torque at the first sample.
+
+    Raises
+    ------
+    ValueError
+        If ``lag`` is negative or ``period`` is not positive.
+    """
+    command = np.asarray(torque, dtype=np.float64)
+    if not (lag >= 0.0 and period > 0.0):
+        raise ValueError("lag must not be negative and period must be positive")
+    if lag == 0.0:
+        return command.copy()
+    kept = np.exp(-period / lag)
+    actual, _ = lfilter([0.0, -np.expm1(-period / lag)], [1.0, -kept], command, zi=[start])
+    return np.asarray(actual, dtype=np.float64)
+
+
+def quantise(q: ArrayLike, counts_per_turn: int) -> Array:
+    """Angle (rad) as an encoder of ``counts_per_turn`` shows it, rounded to its counts.
+
+    Raises
+    ------
+    ValueError
+        If ``counts_per_turn`` is less than 1.
+    """
+    if counts_per_turn < 1:
+        raise ValueError("counts_per_turn must be at least 1")
+    count = 2.0 * np.pi / counts_per_turn
+    return np.asarray(np.round(np.asarray(q, dtype=np.float64) / count) * count, dtype=np.float64)

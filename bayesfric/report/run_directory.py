@@ -1,0 +1,189 @@
+"""A run directory: made beside, moved into place when it is whole."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+import bayesfric
+from bayesfric.errors import BadInput
+from bayesfric.inference.archive import as_chains, write_archive
+from bayesfric.inference.fit import Fit
+from bayesfric.recordings.recording import Recording
+from bayesfric.report.corner import corner_figure
+from bayesfric.report.prediction import prediction_figure
+from bayesfric.report.style import save
+from bayesfric.report.summary import summary_table
+from bayesfric.report.trace import trace_figure
+
+# Draws kept of the groups that hold a number for every draw and every output.
+_POINTWISE_DRAWS = 400
+
+FIGURES: dict[str, Callable[[Fit], Figure]] = {
+    "corner": corner_figure,
+    "prediction": prediction_figure,
+    "trace": trace_figure,
+}
+
+
+def check_free(folder: Path, *, force: bool) -> None:
+    """Refuse a run directory that would overwrite another, or cannot be made.
+
+    Raises
+    ------
+    BadInput
+        Before any sampling is spent on it.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise BadInput(str(folder), "is a file", "name a folder with -o")
+    if folder.exists() and any(folder.iterdir()) and not force:
+        raise BadInput(
+            str(folder), "holds a run already", "name another folder with -o, or add --force"
+        )
+    parent = folder.absolute().parent
+    if not parent.is_dir():
+        raise BadInput(str(parent), "there is no such folder", "make it first, or change -o")
+    if not os.access(parent, os.W_OK | os.X_OK):
+        raise BadInput(str(parent), "cannot be written to", "name another folder with -o")
+
+
+@contextmanager
+def made_beside(folder: Path) -> Iterator[Path]:
+    """Give an empty folder to fill; it takes its name when the block ends well.
+
+    What stood there before is kept under another name; what a failed block left
+    is removed.
+    """
+    target = folder.absolute()
+    beside = target.with_name(f".{target.name}.{os.getpid()}.partial")
+    beside.mkdir()
+    try:
+        yield beside
+        if target.exists():
+            if any(target.iterdir()):
+                target.rename(_old_name(target))
+            else:
+                target.rmdir()
+        beside.rename(target)
+    except BaseException:
+        shutil.rmtree(beside, ignore_errors=True)
+        raise
+
+
+def write_run(
+    folder: Path,
+    fit: Fit,
+    summary: dict[str, Any],
+    config_text: str,
+    recordings: list[Recording],
+) -> None:
+    """Write a run directory.
+
+    Parameters
+    ----------
+    folder
+        Where to; :func:`check_free` has passed.
+    fit
+        The finished fit.
+    summary
+        From :func:`bayesfric.report.summary.summarise`.
+    config_text
+        The configuration as read.
+    recordings
+        For their SHA-256.
+    """
+    with made_beside(folder) as beside:
+        (beside / "config.toml").write_text(config_text, encoding="utf-8")
+        (beside / "summary.json").write_text(
+            json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False) + "\n",
+            encoding="utf-8",
+        )
+        (beside / "summary.csv").write_text(summary_table(summary), encoding="utf-8")
+        write_posterior(beside / "posterior.nc", fit, config_text, recordings)
+        figures = beside / "figures"
+        figures.mkdir()
+        for stem, draw in FIGURES.items():
+            save(draw(fit), figures, stem)
+
+
+def write_posterior(path: Path, fit: Fit, config_text: str, recordings: list[Recording]) -> None:
+    """Write ``posterior.nc`` with all ArviZ groups.
+
+    ``posterior`` holds every kept draw, a walker being a chain; ``ensemble`` of
+    ``sample_stats`` says which walkers belong together. ``log_likelihood`` and
+    ``posterior_predictive`` hold a number for each output and a part of the draws.
+    """
+    posterior = fit.posterior
+    chains = {name: as_chains(posterior[name]) for name in posterior.names}
+    n_chains, n_draws = next(iter(chains.values())).shape
+    walkers = posterior.draws.shape[1]
+    ensemble = np.repeat(np.arange(n_chains) // walkers, n_draws).reshape(n_chains, n_draws)
+    rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(1,)))
+    log_likelihood, predictive = _pointwise(fit, rng)
+    dims = {o.name: [f"time_{o.name}"] for o in fit.observations}
+    write_archive(
+        path,
+        {
+            "posterior": chains,
+            "log_likelihood": log_likelihood,
+            "sample_stats": {"lp": as_chains(posterior.log_density), "ensemble": ensemble},
+            "posterior_predictive": predictive,
+            "observed_data": {o.name: o.measured for o in fit.observations},
+            "prior": {
+                name: prior.draw(2000, rng)[None]
+                for name, prior in zip(posterior.names, posterior.priors, strict=True)
+            },
+        },
+        dims=dims,
+        coords={f"time_{o.name}": o.time for o in fit.observations},
+        attrs={
+            "bayesfric": bayesfric.__version__,
+            "versions": json.dumps(
+                {"python": platform.python_version()}
+                | {name: version(name) for name in ("numpy", "scipy", "emcee", "arviz", "numba")}
+            ),
+            "seed": str(posterior.seed),
+            "config": config_text,
+            "recordings": json.dumps({r.name: r.sha256 for r in recordings}),
+        },
+    )
+
+
+def _pointwise(
+    fit: Fit, rng: np.random.Generator
+) -> tuple[dict[str, NDArray[np.float64]], dict[str, NDArray[np.float64]]]:
+    """Log-likelihood and a predictive draw of every output, ``(ensembles, draws, outputs)``."""
+    e, w, s, d = fit.posterior.draws.shape
+    each = fit.posterior.draws.reshape(e, w * s, d)
+    picked = each[:, np.linspace(0, w * s - 1, min(w * s, _POINTWISE_DRAWS // e)).astype(int)]
+    n = picked.shape[1]
+    flat = picked.reshape(-1, d)
+    scales = fit.target.noise.scales(flat[:, len(fit.target.free) :])
+    torques = fit.target.likelihood.predict(fit.target.chain_values(flat))
+    log_likelihood, predictive = {}, {}
+    for i, (o, torque) in enumerate(zip(fit.observations, torques, strict=True)):
+        sigma = scales[:, i, None]
+        z = (o.measured - torque) / sigma
+        density = -0.5 * z**2 - np.log(sigma) - 0.5 * np.log(2.0 * np.pi)
+        log_likelihood[o.name] = density.reshape(e, n, -1)
+        noisy = torque + sigma * rng.standard_normal(torque.shape)
+        predictive[o.name] = noisy.reshape(e, n, -1)
+    return log_likelihood, predictive
+
+
+def _old_name(target: Path) -> Path:
+    k = 1
+    while (old := target.with_name(f"{target.name}.old{k}")).exists():
+        k += 1
+    return old

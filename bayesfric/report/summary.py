@@ -1,0 +1,197 @@
+"""``summary.json`` and ``summary.csv``: every number of a fit, once."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import bayesfric
+from bayesfric.identifiability.local import LocalInformation, local_information, verdict
+from bayesfric.inference.fit import Fit
+from bayesfric.mechanism.derived import derive
+from bayesfric.mechanism.inverse import load_torque
+
+Array = NDArray[np.float64]
+
+LEVEL = 0.9
+# The load torque at which efficiencies are stated: nearly the largest of the recordings.
+_LOAD_QUANTILE = 0.95
+
+
+def summarise(fit: Fit) -> dict[str, Any]:
+    """Put all numbers of a fit into the form of ``summary.json``.
+
+    Parameters
+    ----------
+    fit
+        A finished fit.
+
+    Returns
+    -------
+    dict
+        Only strings, numbers, lists and dicts; numbers that do not exist are ``None``.
+    """
+    posterior = fit.posterior
+    d = posterior.diagnostics
+    flat = posterior.flat()
+    median = np.median(flat, axis=0)
+    local = local_information(fit.target, median)
+    residual = residuals(fit)
+    return {
+        "bayesfric": bayesfric.__version__,
+        "parameters": _parameters(fit, flat, local),
+        "fixed": {
+            p.name: {"unit": p.unit, "value": float(value)}
+            for p, value in zip(fit.chain.parameters, fit.chain_draws(1)[0], strict=True)
+            if p.name not in fit.target.free
+        },
+        "derived": _derived(fit),
+        "estimates": {
+            fit.totals.method: {
+                "parameters": {
+                    v.name: {"unit": v.unit, "value": v.value, "sd": v.sd}
+                    for v in fit.totals.values
+                },
+                "residual_rms": fit.totals.residual_rms,
+                "assumption": fit.totals.assumption,
+            }
+        },
+        "identifiability": {
+            "null_directions": [
+                {"parameters": n.exponents, "meaning": n.meaning} for n in local.null_directions
+            ],
+            "singular_values": [float(x) for x in local.singular_values],
+        },
+        "noise": {"model": "white", "parameters": list(fit.target.noise.names)},
+        "fit": {
+            "residual_rms": _rms(np.concatenate(residual)),
+            "unit": torque_unit(fit),
+            "recordings": {
+                o.name: {"residual_rms": _rms(r), "outputs": int(o.measured.size), **o.settings}
+                for o, r in zip(fit.observations, residual, strict=True)
+            },
+        },
+        "warnings": [f"{o.name}: {text}" for o in fit.observations for text in o.warnings],
+        "sampler": {
+            "status": d.status,
+            "problems": list(d.problems),
+            "draws": d.ensembles * d.walkers * d.steps,
+            "walkers": d.walkers,
+            "ensembles": d.ensembles,
+            "warmup": d.warmup,
+            "steps": d.steps,
+            "thin": d.thin,
+            "tau": _number(d.tau.max()),
+            "min_ess": _number(d.ess.min()),
+            "max_rhat": _number(d.rhat.max()),
+            "acceptance": _number(d.acceptance.mean()),
+            "not_finite": d.not_finite,
+            "coordinates": posterior.coordinates,
+            "seconds": round(d.seconds, 3),
+            "seed": posterior.seed,
+        },
+    }
+
+
+def summary_table(summary: Mapping[str, Any]) -> str:
+    """Lay the parameters and derived quantities of a summary out as CSV text."""
+    columns = ["name", "unit", "mean", "sd", "median", "low", "high", "level", "rhat", "ess"]
+    columns += ["prior", "prior_sd", "contraction", "verdict"]
+    out = io.StringIO()
+    writer = csv.DictWriter(out, columns, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    for group in ("parameters", "derived"):
+        for name, row in summary[group].items():
+            low, high = row["interval"]
+            writer.writerow({"name": name, **row, "low": low, "high": high})
+    return out.getvalue()
+
+
+def residuals(fit: Fit) -> list[Array]:
+    """Measured minus posterior mean torque of each recording."""
+    predicted = fit.target.likelihood.predict(fit.chain_draws(200))
+    return [
+        o.measured - torque.mean(axis=0)
+        for o, torque in zip(fit.observations, predicted, strict=True)
+    ]
+
+
+def torque_unit(fit: Fit) -> str:
+    """Unit of the measured torque."""
+    return "N m" if fit.chain.motor_motion == "rotary" else "N"
+
+
+def _parameters(fit: Fit, flat: Array, local: LocalInformation) -> dict[str, Any]:
+    d = fit.posterior.diagnostics
+    units = {p.name: (p.unit, p.meaning) for p in fit.chain.parameters}
+    rows = {}
+    for j, (name, prior) in enumerate(
+        zip(fit.posterior.names, fit.posterior.priors, strict=True)
+    ):
+        unit, meaning = units.get(name, (torque_unit(fit), "noise of the filtered torque"))
+        sd, prior_sd = float(flat[:, j].std()), prior.sd()
+        # the noise scale's own information: a variance estimated from n residuals
+        data_sd = local.data_sd[j] if j < len(local.names) else sd
+        rows[name] = {
+            "unit": unit,
+            "meaning": meaning,
+            **_spread(flat[:, j]),
+            "rhat": _number(d.rhat[j]),
+            "ess": _number(d.ess[j]),
+            "prior": prior.text,
+            "prior_default": prior.default,
+            "prior_sd": _number(prior_sd),
+            "contraction": _number(1.0 - (sd / prior_sd) ** 2),
+            "data_sd": _number(data_sd),
+            "verdict": verdict(sd, prior_sd, data_sd),
+        }
+    return rows
+
+
+def _derived(fit: Fit) -> dict[str, Any]:
+    draws = fit.chain_draws()
+    middle = np.median(draws, axis=0)
+    loads = [
+        np.abs(load_torque(fit.chain, middle, o.q, o.qdd, added_mass=o.added_mass, radius=o.radius))
+        for o in fit.observations
+    ]
+    at_load = float(np.quantile(np.concatenate(loads), _LOAD_QUANTILE))
+    found = derive(fit.chain, draws, at_load)
+    # what no scaling changes comes first: it is what the torque tells
+    rows = {}
+    for q in sorted(found, key=lambda q: not q.gauge_free):
+        defined = q.values[np.isfinite(q.values)]
+        if defined.size == 0:
+            continue
+        rows[q.name] = {
+            "unit": q.unit,
+            "meaning": q.meaning,
+            **_spread(defined),
+            "undefined_share": 1.0 - defined.size / q.values.size,
+            "gauge_free": q.gauge_free,
+        }
+    return rows
+
+
+def _spread(x: Array) -> dict[str, Any]:
+    low, middle, high = np.quantile(x, [0.5 - LEVEL / 2, 0.5, 0.5 + LEVEL / 2])
+    return {
+        "mean": float(x.mean()),
+        "sd": float(x.std()),
+        "median": float(middle),
+        "interval": [float(low), float(high)],
+        "level": LEVEL,
+    }
+
+
+def _rms(x: Array) -> float:
+    return float(np.sqrt(np.mean(x**2)))
+
+
+def _number(x: float) -> float | None:
+    return float(x) if np.isfinite(x) else None
