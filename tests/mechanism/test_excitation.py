@@ -1,0 +1,81 @@
+import numpy as np
+import pytest
+
+from bayesfric.mechanism import excitation
+
+TIME = np.arange(4001) * 1e-3
+
+
+def test_square_has_its_half_periods_to_the_sample():
+    torque = excitation.square(np.arange(2000) * 1e-3, 0.8, 1.0)
+    np.testing.assert_array_equal(torque, np.repeat([0.8, -0.8, 0.8, -0.8], 500))
+
+
+@pytest.mark.parametrize("frequency", [0.1, 0.7, 2.5, 12.5])
+def test_square_switches_where_rounding_could_move_a_sample(frequency):
+    samples = np.arange(round(2 / frequency * 1000))
+    exact = (2 * samples * round(frequency * 10) // 10_000) % 2
+    np.testing.assert_array_equal(
+        excitation.square(samples * 1e-3, 1.0, frequency), np.where(exact == 0, 1.0, -1.0)
+    )
+
+
+def test_signals_add():
+    total = excitation.constant(TIME, 0.1) + excitation.sine(TIME, 0.5, 2.0, 0.3)
+    np.testing.assert_allclose(
+        total, 0.1 + 0.5 * np.sin(4 * np.pi * TIME + 0.3), rtol=0, atol=1e-14
+    )
+
+
+@pytest.mark.parametrize("seed", [None, 7])
+def test_multisine_has_the_lines_asked_for(seed):
+    hertz = np.array([1.0, 2.0, 3.0, 5.0])
+    amplitude = np.array([0.1, 0.2, 0.3, 0.4])
+    torque = excitation.multisine(TIME[:-1], amplitude, hertz, seed=seed)
+    lines = 2 * np.abs(np.fft.rfft(torque)) / torque.size
+    expected = np.zeros_like(lines)
+    expected[(hertz * 4).astype(int)] = amplitude
+    np.testing.assert_allclose(lines, expected, atol=1e-13)
+
+
+def test_schroeder_phases_keep_the_peak_low():
+    hertz = np.arange(1, 21) * 0.25
+    schroeder = np.abs(excitation.multisine(TIME, 1.0, hertz)).max()
+    assert schroeder < 2.0 * np.sqrt(20 / 2)
+    assert np.abs(excitation.multisine(TIME, 1.0, hertz, seed=1)).max() > schroeder
+
+
+def test_random_phases_repeat_with_the_seed():
+    args = (TIME, 1.0, [1.0, 2.0])
+    first = excitation.multisine(*args, seed=3)
+    np.testing.assert_array_equal(first, excitation.multisine(*args, seed=3))
+    assert np.any(first != excitation.multisine(*args, seed=4))
+
+
+def test_chirp_turns_as_often_as_its_mean_frequency_says():
+    torque = excitation.chirp(TIME, 1.0, 1.0, 9.0)
+    assert np.sum((torque[:-2] < 0) & (torque[1:-1] >= 0)) == 4 * 5 - 1
+    assert excitation.chirp([0.0], 1.0, 1.0, 2.0) == 0.0
+
+
+def test_current_loop_is_exact_for_a_held_command():
+    period, lag = 1e-3, 5e-3
+    command = np.where(TIME < 2.0, 0.8, -0.8)
+    actual = excitation.current_loop(command, period, lag)
+    rise = 0.8 * -np.expm1(-TIME / lag)
+    fall = -0.8 + 1.6 * np.exp(-(TIME - 2.0) / lag)
+    np.testing.assert_allclose(actual, np.where(TIME <= 2.0, rise, fall), rtol=0, atol=1e-12)
+    assert excitation.current_loop(command, period, lag, start=0.3)[0] == 0.3
+    np.testing.assert_array_equal(excitation.current_loop(command, period, 0.0), command)
+    with pytest.raises(ValueError, match="lag"):
+        excitation.current_loop(command, period, -1.0)
+
+
+def test_quantise_rounds_to_counts():
+    q = np.linspace(-3.0, 3.0, 1001)
+    count = 2 * np.pi / 4096
+    shown = excitation.quantise(q, 4096)
+    assert np.abs(shown - q).max() <= count / 2 * (1 + 1e-12)
+    np.testing.assert_allclose(shown / count, np.round(shown / count), atol=1e-10)
+    with pytest.raises(ValueError, match="counts"):
+        excitation.quantise(q, 0)

@@ -1,0 +1,683 @@
+"""Facts about simulated motions: closed forms, energy, order of convergence, rivals' bugs."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+from scipy.special import ellipk
+
+from bayesfric.mechanism import forward, kernels
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.element import STANDARD_GRAVITY, Element, Load
+from bayesfric.mechanism.excitation import current_loop, multisine, square
+from bayesfric.mechanism.forward import simulate, simulate_many
+from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.presets import PRESETS
+
+KNEE = PRESETS["rabbit-knee"]
+
+
+def everything() -> Chain:
+    """Build a chain with every term there is, two of them load-dependent."""
+    return Chain(
+        elements=(
+            Element("motor", inertia=True, coulomb="by-direction", viscous=True, quadratic=True),
+            Element("belt", ratio=2.5, coulomb="symmetric", load_loss="one"),
+            Element(
+                "gearbox",
+                ratio=30.0,
+                inertia=True,
+                coulomb="symmetric",
+                viscous=True,
+                stribeck=True,
+                load_loss="two",
+            ),
+            Element("joint", coulomb="by-direction", viscous=True, quadratic=True, stribeck=True),
+        ),
+        load=Load(inertia=True, first_moment=True, gravity_angle=True),
+        offset=True,
+        gain=True,
+    )
+
+
+EVERYTHING = {
+    "motor.inertia": 2e-4,
+    "motor.viscous": 1e-3,
+    "motor.coulomb_positive": 0.03,
+    "motor.coulomb_negative": 0.04,
+    "motor.quadratic": 1e-6,
+    "belt.coulomb": 0.01,
+    "belt.load": 0.05,
+    "gearbox.inertia": 3e-4,
+    "gearbox.viscous": 2e-3,
+    "gearbox.coulomb": 0.05,
+    "gearbox.stribeck_ratio": 0.4,
+    "gearbox.stribeck_velocity": 3.0,
+    "gearbox.load_drive": 0.25,
+    "gearbox.load_back": 0.35,
+    "joint.viscous": 1.0,
+    "joint.coulomb_positive": 1.5,
+    "joint.coulomb_negative": 1.2,
+    "joint.quadratic": 0.3,
+    "joint.stribeck_ratio": 0.5,
+    "joint.stribeck_velocity": 0.2,
+    "load.inertia": 0.5,
+    "load.first_moment": 1.0,
+    "load.gravity_angle": 0.3,
+    "offset": 0.02,
+    "drive.gain": 1.1,
+}
+
+
+def axis(**terms) -> Chain:
+    return Chain(elements=(Element("motor", inertia=True, **terms),), load=Load())
+
+
+def signal(period, duration=1.2, amplitude=0.8, seed=0):
+    time = np.arange(round(duration / period) + 1) * period
+    torque = square(time, amplitude, 2.0) + multisine(
+        time, 0.2 * amplitude, [3.0, 7.0, 11.0], seed=seed
+    )
+    return current_loop(torque, period, 5e-3)
+
+
+def drawn(chain, values, exponents):
+    """Scale every value by a factor; gravity angle and offset keep within their signs."""
+    vector = chain.vector(values)
+    return vector * np.exp(np.resize(exponents, vector.size))
+
+
+def returns_the_torque(chain, vector, torque, period=2e-3, **options):
+    motion = simulate(chain, vector, torque, period, substeps=2, **options)
+    known = {k: v for k, v in options.items() if k in ("added_mass", "radius")}
+    back = inverse_torque(chain, vector, motion.q, motion.qd, motion.qdd, **known)
+    moving = np.abs(motion.qd) > 0
+    scale = max(1.0, np.abs(torque).max())
+    assert np.abs(back - torque)[moving].max(initial=0.0) <= 1e-12 * scale
+    np.testing.assert_array_equal(motion.qd[motion.sticking], 0.0)
+    np.testing.assert_array_equal(motion.qdd[motion.sticking], 0.0)
+    assert motion.unresolved == 0
+    return motion
+
+
+# --- forward and inverse are one model ------------------------------------------------
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(
+    name=st.sampled_from(sorted(PRESETS)),
+    exponents=st.lists(st.floats(-0.7, 0.7), min_size=5, max_size=11),
+    seed=st.integers(0, 1000),
+    hold=st.sampled_from(["linear", "zero"]),
+)
+def test_inverse_model_returns_the_torque_presets(name, exponents, seed, hold):
+    preset = PRESETS[name]
+    chain = preset.chain()
+    amplitude = {"rabbit-knee": 0.8, "motor-axis": 0.8, "servo-pendulum": 0.4}[name]
+    motion = returns_the_torque(
+        chain,
+        drawn(chain, preset.values, exponents),
+        signal(2e-3, amplitude=amplitude, seed=seed),
+        hold=hold,
+    )
+    assert motion.events > 0
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(
+    exponents=st.lists(st.floats(-0.6, 0.6), min_size=25, max_size=25),
+    seed=st.integers(0, 1000),
+    mass=st.floats(0.0, 3.0),
+    q0=st.floats(-2.0, 2.0),
+    qd0=st.floats(-2.0, 2.0),
+    hold=st.sampled_from(["linear", "zero"]),
+)
+def test_inverse_model_returns_the_torque_everything(exponents, seed, mass, q0, qd0, hold):
+    chain = everything()
+    returns_the_torque(
+        chain,
+        drawn(chain, EVERYTHING, exponents),
+        signal(2e-3, amplitude=0.5, seed=seed),
+        added_mass=mass,
+        radius=0.35,
+        q0=q0,
+        qd0=qd0,
+        hold=hold,
+    )
+
+
+@pytest.mark.parametrize("name", sorted(PRESETS))
+def test_presets_reverse(name):
+    preset = PRESETS[name]
+    chain = preset.chain()
+    amplitude = 0.8 if name != "servo-pendulum" else 0.4
+    motion = returns_the_torque(
+        chain, chain.vector(preset.values), signal(1e-3, amplitude=amplitude), period=1e-3
+    )
+    assert motion.reversals >= 3
+    assert motion.events > motion.reversals
+
+
+def random_joint(rng, mu=1.5):
+    n = rng.integers(1, 5)
+    elements = np.zeros((n, 10))
+    on = rng.random((n, 10)) < 0.7
+    elements[:, kernels.RATIO] = np.where(rng.random(n) < 0.3, 1.0, rng.uniform(0.2, 30.0, n))
+    for slot, size in (
+        (kernels.INERTIA, 0.01),
+        (kernels.COULOMB_POSITIVE, 1.0),
+        (kernels.COULOMB_NEGATIVE, 1.0),
+        (kernels.VISCOUS, 0.2),
+        (kernels.QUADRATIC, 0.02),
+        (kernels.STRIBECK_RATIO, 1.0),
+        (kernels.LOAD_DRIVE, mu),
+        (kernels.LOAD_BACK, mu),
+    ):
+        elements[:, slot] = rng.uniform(0, size, n) * on[:, slot]
+    elements[:, kernels.STRIBECK_VELOCITY] = rng.uniform(0.1, 5.0, n)
+    elements[0, kernels.INERTIA] += 1e-3
+    load = np.array([rng.choice([0.0, 0.3]), rng.uniform(0, 1), rng.uniform(-3, 3), 9.8, 0.0, 1.0])
+    return forward._joint(elements, load, 0.0, 0.0)
+
+
+def test_closed_form_acceleration_agrees_with_root_finding():
+    rng = np.random.default_rng(1)
+    tried = irreversible = 0
+    while tried < 3000:
+        joint = random_joint(rng)
+        elements, load = joint[0], joint[1]
+        low, _ = forward._slope_bounds(elements[np.newaxis], np.array([joint[2]]))
+        if low[0] <= 1e-6:
+            continue
+        tried += 1
+        irreversible += bool(np.any(elements[:, kernels.LOAD_BACK] > 1))
+        q, qd, torque = rng.uniform(-3, 3), rng.uniform(-2, 2), rng.normal() * 3
+        sign = float(np.sign(qd))
+        gravity = kernels.gravity_torque(load, 0.0, np.sin(q), np.cos(q))
+
+        def excess(a, elements=elements, gravity=gravity, joint=joint, s=sign, v=qd, t=torque):
+            return kernels.motor_torque(elements, joint[2] * a + gravity, s, v, a) - t
+
+        found, pattern = forward._exact(joint, q, qd, torque, sign)
+        reach = abs(excess(0.0)) / low[0] * 1.01 + 1e-9
+        brute = brentq(excess, -reach, reach, xtol=1e-14, rtol=1e-15)
+        scale = abs(brute) + (abs(gravity) + abs(torque) + 10.0) / low[0]
+        assert abs(found - brute) <= 1e-12 * scale
+        # the frozen pattern is that motion's, and gives the same acceleration
+        lines = np.zeros((len(elements), 2))
+        assert forward._frozen(joint, q, qd, torque, sign, pattern, lines) == found
+        for k, element in enumerate(elements):
+            out = kernels.motor_torque(
+                elements[k + 1 :], joint[2] * found + gravity, sign, qd, found
+            )
+            if (element[kernels.LOAD_DRIVE] or element[kernels.LOAD_BACK]) and abs(out) > 1e-9:
+                assert bool(pattern >> k & 1) == (out * sign > 0)
+    assert irreversible > 100
+
+
+def test_slope_bounds_are_those_of_all_patterns():
+    rng = np.random.default_rng(2)
+    for _ in range(300):
+        joint = random_joint(rng)
+        elements = joint[0].copy()
+        elements[:, kernels.STRIBECK_RATIO] = 0.0
+        joint = (elements, *joint[1:])
+        lines = np.zeros((len(elements), 2))
+        slopes = []
+        for bits in itertools.product((0, 1), repeat=len(elements)):
+            pattern = sum(bit << k for k, bit in enumerate(bits))
+            a, b = (forward._frozen(joint, 0.1, 1.0, t, 1.0, pattern, lines) for t in (0.0, 1.0))
+            slopes.append(1 / (b - a))
+        low, high = forward._slope_bounds(elements[np.newaxis], np.array([joint[2]]))
+        np.testing.assert_allclose([low[0], high[0]], [min(slopes), max(slopes)], rtol=1e-8)
+
+
+# --- closed forms ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("hold", ["linear", "zero"])
+def test_free_mass_moves_exactly(hold):
+    # BAM's integrator gives 1.5 a t²: its speed is updated before the position uses it
+    motion = simulate(axis(), [0.5], np.full(1001, 0.25), 1e-3, hold=hold, substeps=3)
+    np.testing.assert_allclose(motion.q, 0.25 * motion.time**2, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(motion.qd, 0.5 * motion.time, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(motion.qdd, 0.5)
+
+
+def test_holds_are_what_they_say():
+    torque = np.array([0.0, 1.0, -2.0, 0.5])
+    zero = simulate(axis(), [1.0], torque, 1.0, hold="zero", substeps=1)
+    np.testing.assert_allclose(zero.qd, [0.0, 0.0, 1.0, -1.0], atol=1e-15)
+    np.testing.assert_allclose(zero.q, [0.0, 0.0, 0.5, 0.5], atol=1e-15)
+    linear = simulate(axis(), [1.0], torque, 1.0, substeps=1)
+    np.testing.assert_allclose(linear.qd, [0.0, 0.5, 0.0, -0.75], atol=1e-15)
+    np.testing.assert_allclose(linear.q[1], 1 / 6, rtol=1e-15)
+    np.testing.assert_array_equal(linear.qdd, torque)
+    np.testing.assert_array_equal(linear.torque, torque)
+
+
+def test_reversals_inside_one_step_are_found():
+    # speed 0.7 - 3.1 t + 3 t² is positive at both ends of the step but not between
+    chain = axis(coulomb="symmetric")
+    motion = simulate(chain, [1.0, 0.1], [-3.0, 3.0], 1.0, qd0=0.7, substeps=1)
+    assert (motion.events, motion.reversals) == (2, 2)
+    np.testing.assert_allclose(motion.qd[1], 0.66, rtol=1e-13)
+
+
+def test_axis_under_constant_torque_is_exponential():
+    preset = PRESETS["motor-axis"]
+    chain = preset.chain()
+    motion = simulate(chain, chain.vector(preset.values), np.full(2001, 0.9), 1e-3)
+    rate = 0.05 / 0.01
+    final = (0.9 - 0.02 - 0.2) / 0.05
+    np.testing.assert_allclose(motion.qd, final * -np.expm1(-rate * motion.time), atol=1e-9)
+    q = final * (motion.time + np.expm1(-rate * motion.time) / rate)
+    np.testing.assert_allclose(motion.q, q, rtol=0, atol=1e-9)
+    assert np.abs(motion.q - q).max() < 10 * motion.step_error + 1e-13
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_coulomb_friction_stops_a_mass_where_and_when_it_should(direction):
+    inertia, coulomb, v0 = 0.37, 0.81, 1.3
+    chain = axis(coulomb="symmetric")
+    values = chain.vector({"motor.inertia": inertia, "motor.coulomb": coulomb})
+    motion = simulate(chain, values, np.zeros(1001), 1e-3, q0=0.2, qd0=direction * v0, substeps=1)
+    stop = v0 * inertia / coulomb
+    moving = motion.time < stop
+    t = motion.time[moving]
+    np.testing.assert_array_equal(motion.sticking, ~moving)
+    np.testing.assert_allclose(
+        motion.qd[moving], direction * (v0 - coulomb / inertia * t), rtol=0, atol=1e-13
+    )
+    rest = 0.2 + direction * v0**2 * inertia / (2 * coulomb)
+    np.testing.assert_allclose(motion.q[~moving], rest, rtol=0, atol=1e-13)
+    assert np.all(motion.q[~moving] == motion.q[-1])
+    assert not np.any(motion.qd[~moving])
+    assert not np.any(motion.qdd[~moving])
+    assert (motion.events, motion.reversals) == (1, 0)
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_breakaway_comes_at_the_instant_the_torque_reaches_the_limit(direction):
+    inertia, coulomb, viscous, slope = 0.02, 0.3137, 0.11, 1.7
+    chain = axis(coulomb="symmetric", viscous=True)
+    values = chain.vector(
+        {"motor.inertia": inertia, "motor.coulomb": coulomb, "motor.viscous": viscous}
+    )
+    time = np.arange(101) * 1e-2
+    motion = simulate(chain, values, direction * slope * time, 1e-2, q0=0.123, tolerance=1e-11)
+    since = time - coulomb / slope
+    np.testing.assert_array_equal(motion.sticking, since <= 0)
+    assert np.all(motion.q[since <= 0] == 0.123)
+    x = np.clip(since, 0, None)
+    rate = viscous / inertia
+    q = slope / viscous * (x**2 / 2 - x / rate - np.expm1(-rate * x) / rate**2)
+    np.testing.assert_allclose(motion.q, 0.123 + direction * q, rtol=0, atol=3e-11)
+    assert motion.events == 1
+
+
+@pytest.mark.parametrize("amplitude", [0.3, 1.5, 3.0])
+def test_pendulum_swings_with_the_period_of_the_elliptic_integral(amplitude):
+    chain = Chain(
+        elements=(Element("motor", inertia=True),), load=Load(first_moment=True, inertia=True)
+    )
+    values = chain.vector({"motor.inertia": 0.01, "load.inertia": 0.04, "load.first_moment": 0.1})
+    swing = 4 * np.sqrt(0.05 / (0.1 * STANDARD_GRAVITY)) * ellipk(np.sin(amplitude / 2) ** 2)
+    motion = simulate(chain, values, np.zeros(1601), swing / 400, q0=amplitude, tolerance=1e-11)
+    # after quarters the pendulum passes the bottom, where an error of time shows most
+    np.testing.assert_allclose(motion.q[100::200], 0.0, atol=1e-8)
+    np.testing.assert_allclose(motion.q[0::400], amplitude, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(motion.q[200::400], -amplitude, rtol=0, atol=1e-8)
+    # the last turning point is the last sample, on which side of it rounding says
+    assert motion.reversals in (7, 8)
+
+
+# --- stiction -------------------------------------------------------------------------
+
+
+def held(chain, vector, q0, seconds=20.0):
+    motion = simulate(chain, vector, np.zeros(round(seconds * 100) + 1), 1e-2, q0=q0, substeps=2)
+    assert np.all(motion.sticking)
+    assert np.all(motion.q == q0)
+    assert not np.any(motion.qd)
+    assert not np.any(motion.qdd)
+    assert motion.events == 0
+    return motion
+
+
+@pytest.mark.parametrize("q0", [-1.5707, 0.4, 1.2])
+@pytest.mark.parametrize("back", [0.98, 1.0, 1.3])
+def test_irreversible_gearbox_holds_a_raised_load_for_ever(q0, back):
+    chain = KNEE.chain()
+    vector = chain.vector({**KNEE.values, "gearbox.load_back": back})
+    held(chain, vector, q0)
+
+
+def test_reversible_gearbox_lets_the_same_load_down():
+    chain = KNEE.chain()
+    heavy = {**KNEE.values, "load.first_moment": 4.2}
+    motion = simulate(chain, chain.vector(heavy), np.zeros(2001), 1e-2, q0=1.2)
+    assert not motion.sticking[0]
+    # it creeps towards where gravity no longer overcomes friction
+    assert 0.1 < motion.q[-1] < 1.1
+    assert abs(motion.qd[-1]) < 1e-6
+    held(chain, chain.vector({**heavy, "gearbox.load_back": 1.0}), 1.2)
+
+
+def test_load_that_moves_on_an_irreversible_gearbox_stops_and_stays():
+    chain = KNEE.chain()
+    vector = chain.vector({**KNEE.values, "gearbox.load_back": 1.3})
+    motion = simulate(chain, vector, np.zeros(501), 1e-2, q0=1.0, qd0=-2.0)
+    assert not motion.sticking[0]
+    first = int(np.argmax(motion.sticking))
+    assert np.all(motion.q[first:] == motion.q[-1])
+    assert np.all(motion.sticking[first:])
+    returns_the_torque(chain, vector, signal(2e-3), q0=1.0, qd0=-2.0)
+
+
+def test_sticking_joint_keeps_still_between_the_limits():
+    chain = KNEE.chain()
+    vector = chain.vector(KNEE.values)
+    wave = 0.2 * np.sin(np.arange(3001) * 1e-2)
+    motion = simulate(chain, vector, wave, 1e-3, substeps=4)
+    assert np.all(motion.q == 0.0)
+    assert np.all(motion.sticking)
+    assert motion.events == 0
+
+
+def test_stribeck_raises_the_breakaway_torque():
+    chain = axis(coulomb="symmetric", stribeck=True)
+    values = chain.vector(
+        {
+            "motor.inertia": 0.01,
+            "motor.coulomb": 0.2,
+            "motor.stribeck_ratio": 0.5,
+            "motor.stribeck_velocity": 0.1,
+        }
+    )
+    time = np.arange(1001) * 1e-3
+    motion = simulate(chain, values, 0.4 * time, 1e-3)
+    np.testing.assert_array_equal(motion.sticking, 0.4 * time <= 0.2 * 1.5 + 1e-15)
+
+
+# --- energy, order, and another integrator --------------------------------------------
+
+
+def losses(elements, load_torque, qd, qdd):
+    """Return the power each element turns into heat, by section 2.2 written out once more."""
+    torque, to_input, power = load_torque, 1.0, []
+    for e in elements[::-1]:
+        to_input = to_input * e[kernels.RATIO]
+        v = to_input * qd
+        s = np.sign(v)
+        torque = torque / e[kernels.RATIO]
+        mu = np.where(torque * s > 0, e[kernels.LOAD_DRIVE], e[kernels.LOAD_BACK])
+        constant = np.where(s > 0, e[kernels.COULOMB_POSITIVE], e[kernels.COULOMB_NEGATIVE])
+        rise = 1 + e[kernels.STRIBECK_RATIO] * np.exp(-((v / e[kernels.STRIBECK_VELOCITY]) ** 2))
+        loss = (constant + mu * np.abs(torque)) * rise * s
+        loss = loss + e[kernels.VISCOUS] * v + e[kernels.QUADRATIC] * v * np.abs(v)
+        power.append(loss * v)
+        torque = torque + e[kernels.INERTIA] * to_input * qdd + loss
+    return np.array(power)
+
+
+@pytest.mark.parametrize("name", ["everything", *sorted(PRESETS)])
+def test_energy_is_balanced(name):
+    preset = PRESETS.get(name)
+    chain = preset.chain() if preset else everything()
+    vector = chain.vector(preset.values if preset else EVERYTHING)
+    period, mass, radius = 1e-4, 1.2, 0.3
+    amplitude = {"everything": 0.6, "servo-pendulum": 4.0}.get(name, 1.0)
+    motion = simulate(
+        chain,
+        vector,
+        signal(period, 2.0, amplitude),
+        period,
+        substeps=2,
+        q0=0.5,
+        added_mass=mass,
+        radius=radius,
+    )
+    assert motion.reversals >= 3
+    elements, load = (table[0] for table in chain.tables(vector[np.newaxis]))
+    inertia = load[kernels.LOAD_INERTIA] + mass * radius**2
+    weight = load[kernels.GRAVITY] * (load[kernels.FIRST_MOMENT] + mass * radius)
+    angle = motion.q + load[kernels.GRAVITY_ANGLE]
+    dissipated = losses(
+        elements, inertia * motion.qdd + weight * np.sin(angle), motion.qd, motion.qdd
+    )
+    assert np.all(dissipated >= 0)
+
+    total = inertia
+    to_input = 1.0
+    for e in elements[::-1]:
+        to_input *= e[kernels.RATIO]
+        total += e[kernels.INERTIA] * to_input**2
+    energy = 0.5 * total * motion.qd**2 - weight * np.cos(angle)
+    true_torque = load[kernels.GAIN] * motion.torque - load[kernels.OFFSET]
+    power = true_torque * to_input * motion.qd - dissipated.sum(axis=0)
+    work = np.trapezoid(power, dx=period)
+    # the trapezoid rule's error falls with the square of the step
+    error = abs(work - np.trapezoid(power[::2], dx=2 * period))
+    throughput = np.trapezoid(np.abs(true_torque * to_input * motion.qd), dx=period)
+    assert abs(energy[-1] - energy[0] - work) <= error + 1e-9 * throughput
+    assert error < 1e-5 * throughput
+
+
+def interrupted(period, seconds):
+    """1 Hz square wave through a 5 ms lag, with two pauses in which the joint sticks."""
+    time = np.arange(round(seconds / period) + 1) * period
+    command = square(time, 0.8, 1.0)
+    command[((time > 1.2) & (time < 1.9)) | ((time > 3.1) & (time < 3.6))] = 0.0
+    return current_loop(command, period, 5e-3)
+
+
+def convergence(chain, vector, torque, period, steps, **options):
+    """Return runs, the last as reference, and by how much each halving shrinks the error."""
+    runs = {
+        n: simulate(chain, vector, torque, period, substeps=n, **options)
+        for n in (*steps, 8 * steps[-1])
+    }
+    reference = runs[8 * steps[-1]]
+    errors = np.array([np.abs(runs[n].q - reference.q).max() for n in steps])
+    return runs, reference, errors[:-1] / errors[1:]
+
+
+def test_error_falls_with_the_fourth_power_of_the_step():
+    chain = KNEE.chain()
+    runs, last, ratios = convergence(
+        chain, chain.vector(KNEE.values), interrupted(5e-3, 5.0), 5e-3, (1, 2, 4, 8)
+    )
+    assert last.reversals >= 7
+    # kinks: more events than stops and breakaways can explain
+    starts = np.sum(np.diff(last.sticking.astype(int)) == -1)
+    assert last.events > last.reversals + 2 * starts
+    assert np.sum(last.sticking[100:]) > 50
+    assert 12 < ratios.mean() < 20, ratios
+    for n in (2, 4, 8):
+        true = np.abs(runs[n].q - last.q).max()
+        assert 0.5 < runs[n].step_error / true < 2
+
+
+def test_error_falls_with_the_fourth_power_of_the_step_everything():
+    chain = everything()
+    torque = interrupted(2e-3, 3.0) * 0.8
+    _, last, ratios = convergence(
+        chain,
+        chain.vector(EVERYTHING),
+        torque,
+        2e-3,
+        (4, 8, 16),
+        added_mass=1.0,
+        radius=0.4,
+        q0=0.3,
+    )
+    assert last.reversals >= 3
+    assert np.sum(last.sticking) > 100
+    assert 12 < ratios.mean() < 20, ratios
+
+
+def test_default_substeps_meet_the_tolerance():
+    chain = KNEE.chain()
+    vector = chain.vector(KNEE.values)
+    torque = interrupted(5e-3, 5.0)
+    fine = simulate(chain, vector, torque, 5e-3, substeps=64)
+    coarse = simulate(chain, vector, torque, 5e-3, tolerance=1e-6)
+    assert coarse.substeps < 64
+    assert np.abs(coarse.q - fine.q).max() < 1e-7
+    assert coarse.step_error < 1e-7
+    assert fine.step_error < 1e-12
+    capped = simulate(chain, vector, torque, 5e-3, tolerance=0.0)
+    assert capped.substeps == 64
+
+
+def scipy_motion(chain, vector, torque, period):
+    """Integrate by DOP853, with the acceleration from root finding on the inverse model."""
+    elements, load = (table[0] for table in chain.tables(vector[np.newaxis]))
+    total = load[kernels.LOAD_INERTIA] + sum(
+        e[kernels.INERTIA] * np.prod([x[kernels.RATIO] for x in elements[k:]]) ** 2
+        for k, e in enumerate(elements)
+    )
+
+    def input_torque(q, qd, qdd, sign):
+        gravity = kernels.gravity_torque(load, 0.0, np.sin(q), np.cos(q))
+        return kernels.motor_torque(
+            elements, load[kernels.LOAD_INERTIA] * qdd + gravity, sign, qd, qdd
+        )
+
+    def acceleration(q, qd, tau, sign):
+        reach = 1e4 / total
+        return brentq(lambda a: input_torque(q, qd, a, sign) - tau, -reach, reach, xtol=1e-13)
+
+    tau = load[kernels.GAIN] * torque - load[kernels.OFFSET]
+    state, sign, out = np.zeros(2), 0.0, [np.zeros(2)]
+    for i in range(torque.size - 1):
+        t, rate = 0.0, (tau[i + 1] - tau[i]) / period
+
+        def applied(x, i=i, rate=rate):
+            return tau[i] + rate * x
+
+        while t < period:
+            if state[1] == 0.0:
+                low, high = (input_torque(state[0], 0.0, 0.0, s) for s in (-1.0, 1.0))
+                now, then = applied(t), applied(period)
+                if low <= now <= high:
+                    if low <= then <= high:
+                        break
+                    sign = 1.0 if then > high else -1.0
+                    t = ((high if sign > 0 else low) - tau[i]) / rate
+                else:
+                    sign = 1.0 if now > high else -1.0
+
+            def field(x, y, sign=sign, applied=applied):
+                return [y[1], acceleration(y[0], y[1], applied(x), sign)]
+
+            def stop(x, y, sign=sign):
+                return y[1] * sign + (1e-30 if x == 0.0 else 0.0)
+
+            stop.terminal, stop.direction = True, -1
+            solved = solve_ivp(
+                field, (t, period), state, "DOP853", events=stop, rtol=1e-11, atol=1e-13
+            )
+            t, state = solved.t[-1], solved.y[:, -1].copy()
+            if solved.status == 1:
+                state[1] = 0.0
+        out.append(state.copy())
+    return np.array(out).T
+
+
+def test_agrees_with_scipy_integrator():
+    chain = KNEE.chain()
+    vector = chain.vector(KNEE.values)
+    period = 2e-2
+    torque = current_loop(square(np.arange(31) * period, 0.8, 2.5), period, 5e-3)
+    motion = simulate(chain, vector, torque, period, tolerance=1e-11)
+    assert motion.reversals >= 2
+    q, qd = scipy_motion(chain, vector, torque, period)
+    np.testing.assert_allclose(motion.q, q, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(motion.qd, qd, rtol=0, atol=1e-8)
+
+
+# --- many vectors, and refusals -------------------------------------------------------
+
+
+def test_many_is_one_by_one():
+    chain = everything()
+    rng = np.random.default_rng(5)
+    vectors = chain.vector(EVERYTHING) * np.exp(0.2 * rng.normal(size=(6, len(chain.names))))
+    torque = signal(2e-3)
+    q0, qd0 = rng.normal(size=(2, 6))
+    options = {"added_mass": 0.5, "radius": 0.2, "substeps": 3}
+    many = simulate_many(chain, vectors, torque, 2e-3, q0=q0, qd0=qd0, **options)
+    assert many.shape == (6, torque.size)
+    for row, vector, q, qd in zip(many, vectors, q0, qd0, strict=True):
+        one = simulate(chain, vector, torque, 2e-3, q0=q, qd0=qd, **options)
+        np.testing.assert_array_equal(row, one.q)
+
+
+def test_many_marks_what_cannot_move():
+    chain = KNEE.chain()
+    good = chain.vector(KNEE.values)
+    irreversible = chain.vector({**KNEE.values, "gearbox.load_back": 8.0})
+    negative = chain.vector({**KNEE.values, "motor.viscous": -1.0})
+    q = simulate_many(chain, [good, irreversible, negative], signal(1e-2), 1e-2)
+    np.testing.assert_array_equal(np.isnan(q).all(axis=1), [False, True, True])
+    assert np.all(np.isfinite(q[0]))
+    away = simulate_many(axis(), [[1e-3]], np.full(1001, 10.0), 1.0)
+    assert np.isfinite(away[0, 0])
+    assert np.all(np.isnan(away[0, 20:]))
+
+
+def test_refusals():
+    chain = KNEE.chain()
+    vector = chain.vector(KNEE.values)
+    torque = np.zeros(10)
+
+    def vary(**values):
+        names = {key.replace("__", "."): value for key, value in values.items()}
+        return chain.vector({**KNEE.values, **names})
+
+    for bad, match in (
+        (vary(motor__inertia=np.nan), "motor.inertia"),
+        (vary(joint__viscous=-1.0), "joint.viscous"),
+        (vary(gearbox__load_back=8.0), "irreversible gearbox"),
+        (vary(motor__inertia=0.0, load__inertia=0.0), "no inertia"),
+        (vector[:-1], "shape"),
+    ):
+        with pytest.raises(ValueError, match=match):
+            simulate(chain, bad, torque, 1e-3)
+    for kwargs, match in (
+        ({"torque": [0.0, np.inf]}, "torque must be finite"),
+        ({"torque": np.zeros((2, 2))}, "one-dimensional"),
+        ({"period": 0.0}, "period"),
+        ({"hold": "cubic"}, "hold"),
+        ({"substeps": 0}, "substeps"),
+        ({"q0": np.nan}, "q0"),
+    ):
+        with pytest.raises(ValueError, match=match):
+            simulate(chain, vector, **{"torque": torque, "period": 1e-3, **kwargs})
+    with pytest.raises(ValueError, match="runs away"):
+        simulate(axis(), [1e-3], np.full(1001, 10.0), 1.0)
+    with pytest.raises(ValueError, match="finite"):
+        simulate_many(chain, [vector * np.nan], torque, 1e-3)
+    with pytest.raises(ValueError, match="shape"):
+        simulate_many(chain, vector, torque, 1e-3)
+    with pytest.raises(ValueError, match="substeps"):
+        simulate_many(chain, [vector], torque, 1e-3, substeps=0)
+    with pytest.raises(ValueError, match="greater than zero"):
+        simulate(Chain(axis().elements, Load(), gain=True), [1.0, 0.0], torque, 1e-3)
+
+
+def test_single_sample_and_sliding_load():
+    motion = simulate(axis(), [1.0], [0.5], 1e-3)
+    assert motion.q.shape == (1,)
+    assert motion.qdd[0] == 0.5
+    slide = Chain(
+        elements=(Element("screw", inertia=True, motion="linear"),), load=Load(motion="linear")
+    )
+    moved = simulate(slide, [1.0], np.ones(11), 0.1, added_mass=1.0, radius=5.0)
+    np.testing.assert_allclose(moved.q[-1], 0.25, rtol=1e-13)
