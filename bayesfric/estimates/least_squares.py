@@ -129,7 +129,7 @@ def starting_values(chain: Chain, totals: Estimate, mu: float, share: float) -> 
             values[p.name] = max(seen, 1e-6) * chain.ratio / chain.load.gravity
         elif kind == "gravity_angle":
             values[p.name] = float(
-                np.arctan2(total.get("gravity_cosine", 0.0), total.get("gravity", 1e-12))
+                np.arctan2(total["gravity_cosine"], total["gravity"]) if "gravity" in total else 0.0
             )
         elif kind in ("load", "load_drive", "load_back"):
             values[p.name] = mu
@@ -173,7 +173,7 @@ def _regressors(
             columns["coulomb"] = sign
         if quantities & {"offset", "coulomb_positive"}:
             columns["offset"] = np.ones_like(sign)
-        if "first_moment" in quantities or "gravity_angle" in quantities:
+        if "first_moment" in quantities:
             columns["gravity"] = np.sin(o.q)
         if "gravity_angle" in quantities:
             columns["gravity_cosine"] = np.cos(o.q)

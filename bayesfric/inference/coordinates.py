@@ -20,11 +20,17 @@ from bayesfric.mechanism.chain import Chain
 
 Array = NDArray[np.float64]
 
+# Between two bounds, a posterior wider than this share of them feels both.
+_WIDE = 0.1
+
 
 class Coordinates(Protocol):
     """A one-to-one map between ``u`` and the free parameters."""
 
-    description: str
+    @property
+    def description(self) -> str:
+        """In words, for the record."""
+        ...
 
     def to_parameters(self, u: Array) -> tuple[Array, Array]:
         """Map ``(n, d)`` to parameters ``(n, d)`` and ``log|d parameters / d u|`` ``(n,)``.
@@ -39,35 +45,58 @@ class Coordinates(Protocol):
 
 
 class BoundedCoordinates:
-    """Each parameter by itself: logarithm above a bound, logit between two.
+    """Each parameter by itself: bounded ones bent, free ones as they are.
+
+    A parameter above a bound is ``lower + w softplus(u)``: a straight line where
+    the posterior lies several widths ``w`` above the bound, a logarithm next to it.
+    A posterior that keeps away from the bound stays normal, one that leans on it
+    needs no wall. (A plain logarithm would give the first a long left tail, in
+    which walkers get lost.) A parameter between two bounds that are not far apart
+    is a logit.
 
     Parameters
     ----------
     lower, upper
         Supports, ``(d,)``.
+    widths
+        About the posterior sd of each parameter, ``(d,)``; plain logarithms if
+        they are not known yet.
     """
 
-    description = "logarithm or logit of each parameter between its bounds"
-
-    def __init__(self, lower: Sequence[float], upper: Sequence[float]) -> None:
+    def __init__(
+        self, lower: Sequence[float], upper: Sequence[float], widths: Array | None = None
+    ) -> None:
+        self.description = (
+            "logarithm or logit of each parameter between its bounds"
+            if widths is None
+            else "each parameter by itself, bent where it comes near a bound"
+        )
         self.lower = np.asarray(lower, dtype=np.float64)
         self.upper = np.asarray(upper, dtype=np.float64)
         low, high = np.isfinite(self.lower), np.isfinite(self.upper)
-        self._between = low & high
-        self._above = low & ~high
+        span = np.where(low & high, self.upper - self.lower, np.inf)
+        self._widths = np.ones(self.lower.size) if widths is None else widths
+        wide = self._widths > _WIDE * span if widths is not None else low & high
+        self._between = low & high & wide
+        self._above = low & ~self._between
         self._below = ~low & high
-        self._span = np.where(self._between, self.upper - self.lower, 1.0)
+        self._bend = widths is not None
+        self._span = np.where(self._between, span, 1.0)
         self._low = np.where(low, self.lower, 0.0)
         self._high = np.where(high, self.upper, 0.0)
 
     def to_parameters(self, u: Array) -> tuple[Array, Array]:
         """See :class:`Coordinates`."""
-        # exp and expit saturate far out; the density there is zero anyway
-        growth = np.exp(np.clip(u, -700.0, 700.0))
-        x = np.where(self._above, self._low + growth, u)
-        x = np.where(self._below, self._high - growth, x)
+        if self._bend:
+            distance, log_slope = np.logaddexp(0.0, u), log_expit(u)
+        else:
+            # exp saturates far out; the density there is zero anyway
+            distance, log_slope = np.exp(np.clip(u, -700.0, 700.0)), u
+        distance = self._widths * distance
+        x = np.where(self._above, self._low + distance, u)
+        x = np.where(self._below, self._high - distance, x)
         x = np.where(self._between, self._low + self._span * expit(u), x)
-        slope = np.where(self._above | self._below, u, 0.0)
+        slope = np.where(self._above | self._below, np.log(self._widths) + log_slope, 0.0)
         slope = np.where(
             self._between, np.log(self._span) + log_expit(u) + log_expit(-u), slope
         )
@@ -76,10 +105,17 @@ class BoundedCoordinates:
     def from_parameters(self, parameters: Array) -> Array:
         """See :class:`Coordinates`."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            u = np.where(self._above, np.log(parameters - self._low), parameters)
-            u = np.where(self._below, np.log(self._high - parameters), u)
+            u = np.where(self._above, self._unbent(parameters - self._low), parameters)
+            u = np.where(self._below, self._unbent(self._high - parameters), u)
             share = (parameters - self._low) / self._span
             return np.where(self._between, logit(share), u)
+
+    def _unbent(self, distance: Array) -> Array:
+        scaled = distance / self._widths
+        if not self._bend:
+            return np.asarray(np.log(scaled))
+        # log(expm1(y)) without overflow
+        return np.asarray(scaled + np.log(-np.expm1(-scaled)))
 
 
 # The chain whose inverse model is eq. (13), in this order of parameters.
@@ -174,7 +210,9 @@ class TorqueFormCoordinates:
         return u
 
 
-def choose_coordinates(chain: Chain, free: Sequence[str], priors: Sequence[Prior]) -> Coordinates:
+def choose_coordinates(
+    chain: Chain, free: Sequence[str], priors: Sequence[Prior], widths: Array | None = None
+) -> Coordinates:
     """Take the coordinates that suit the chain and its priors best.
 
     Parameters
@@ -185,13 +223,17 @@ def choose_coordinates(chain: Chain, free: Sequence[str], priors: Sequence[Prior
         Names of the parameters that are sampled.
     priors
         Their priors, in the same order.
+    widths
+        About the posterior sds, ``(d,)``, where they are known already.
     """
     reversible = all(
         prior.upper <= 1.0
         for name, prior in zip(free, priors, strict=True)
         if name == "gearbox.load_back"
     )
-    plain_gearbox = [element.name for element in chain.elements] == ["motor", "gearbox", "joint"]
+    plain_gearbox = [e.name for e in chain.elements] == ["motor", "gearbox", "joint"] and all(
+        e.ratio == 1.0 for e in chain.elements if e.name != "gearbox"
+    )
     if plain_gearbox and tuple(free) == tuple(chain.names) == GEARBOX_FORM and reversible:
         return TorqueFormCoordinates(chain.ratio, chain.load.gravity)
-    return BoundedCoordinates([p.lower for p in priors], [p.upper for p in priors])
+    return BoundedCoordinates([p.lower for p in priors], [p.upper for p in priors], widths)

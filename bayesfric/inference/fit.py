@@ -12,7 +12,7 @@ from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.estimate import Estimate
 from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.inference.defaults import default_noise_prior, default_prior, measured_scales
-from bayesfric.inference.laplace import laplace
+from bayesfric.inference.laplace import Laplace, laplace
 from bayesfric.inference.likelihood import TorqueLikelihood
 from bayesfric.inference.noise import NoiseScale, white_noise
 from bayesfric.inference.posterior import Posterior
@@ -155,12 +155,29 @@ def fit(
     totals = least_squares(likelihood.chain, likelihood.observations)
     progress(Progress("searching the mode", 0, float("nan"), float("nan")))
     try:
-        start = laplace(target, _candidates(target, totals, sampling.seed))
+        first = laplace(target, _candidates(target, totals, sampling.seed))
     except ValueError:
         raise BadInput(
             "priors", "leave no possible starting point near the data", "widen the narrowest ones"
         ) from None
-    return Fit(target, sample(target, start, sampling, progress=progress), totals)
+    # Once the posterior's widths are known, better coordinates than logarithms are too.
+    mode, widths = _mode_and_widths(target, first)
+    shaped = target.with_widths(widths)
+    start = laplace(shaped, shaped.from_parameters(mode[None]))
+    return Fit(shaped, sample(shaped, start, sampling, progress=progress), totals)
+
+
+def _mode_and_widths(
+    target: Target, start: Laplace
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Carry a normal in coordinates over to parameters: its mode and sds, ``(d,)`` each."""
+    sds = np.sqrt(np.diag(start.covariance))
+    mode, _ = target.to_parameters(start.mode[None])
+    shifted, _ = target.to_parameters(start.mode + np.concatenate([np.diag(sds), -np.diag(sds)]))
+    d = mode.size
+    index = np.arange(d)
+    widths = np.abs(shifted[index, index] - shifted[d + index, index]) / 2.0
+    return mode[0], np.maximum(widths, 1e-12 * np.abs(mode[0]) + 1e-300)
 
 
 def _candidates(target: Target, totals: Estimate, seed: int) -> NDArray[np.float64]:

@@ -83,13 +83,8 @@ def laplace(log_density: LogDensity, candidates: Array, *, max_steps: int = 60) 
     heights = log_density(candidates)
     if not np.isfinite(heights).any():
         raise ValueError("every starting point has zero probability")
-    order = np.argsort(-heights)[:3]
-    climbs = [
-        _climb(log_density, candidates[i], heights[i], max_steps)
-        for i in order
-        if np.isfinite(heights[i])
-    ]
-    x, height, steps = max(climbs, key=lambda climb: climb[1])
+    best = int(np.argmax(heights))
+    x, height, steps = _climb(log_density, candidates[best], heights[best], max_steps)
     _, hessian = _derivatives(log_density, x, height, steps)
     # Flat or rising directions get the width that the difference steps found there.
     scaled = -hessian * np.outer(steps, steps)
@@ -132,7 +127,7 @@ def _climb(
 def _difference_steps(log_density: LogDensity, x: Array, height: float, steps: Array) -> Array:
     """Widths over which the density changes by about half a unit, ``(d,)``."""
     steps = steps.copy()
-    for _ in range(40):
+    for _ in range(20):
         trials = np.concatenate([x + np.diag(steps), x - np.diag(steps)])
         fall = np.abs(log_density(trials) - height).reshape(2, -1).max(axis=0)
         narrow, wide = fall < 0.2 * _ONE_SD, ~(fall < 8.0 * _ONE_SD)

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from emcee.moves import RedBlueMove
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 from scipy.special import gammaln
 
 
@@ -78,6 +77,8 @@ class IndependenceMove(RedBlueMove):  # type: ignore[misc]
         self.mean = mean
         self.degrees = degrees
         self.root: NDArray[np.float64] = np.linalg.cholesky(covariance)
+        # a product with a small inverse is far cheaper than a solve at every step
+        self._whiten = np.linalg.inv(self.root)
 
     def draw(self, n: int, random: np.random.RandomState) -> NDArray[np.float64]:
         """Draw ``(n, d)`` from the proposal."""
@@ -88,7 +89,7 @@ class IndependenceMove(RedBlueMove):  # type: ignore[misc]
     def log_density(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """Log of the proposal's density at ``(n, d)`` points."""
         d, nu = self.mean.size, self.degrees
-        z = solve_triangular(self.root, (x - self.mean).T, lower=True)
+        z = self._whiten @ (x - self.mean).T
         constant = (
             gammaln((nu + d) / 2.0)
             - gammaln(nu / 2.0)

@@ -39,7 +39,7 @@ class Sampling(BaseModel):
     seed: int = Field(1, ge=0, lt=2**63, description="everything random comes from this number")
     ensembles: int = Field(4, ge=2, le=64, description="independent groups of walkers")
     walkers: int | None = Field(
-        None, ge=8, description="walkers in each ensemble; default 4 for each parameter, at least 48"
+        None, ge=8, description="walkers in each ensemble; default 3 for each parameter, at least 32"
     )
     min_ess: float = Field(4000.0, gt=0, description="independent draws wanted of every parameter")
     max_rhat: float = Field(1.01, gt=1, description="largest nested R-hat accepted")
@@ -69,10 +69,10 @@ def sample(
 ) -> Posterior:
     """Sample until every criterion of ``settings`` is met or ``max_steps`` is reached.
 
-    Warm-up with differential evolution from over-dispersed starts ends when the
-    ensembles agree roughly. A multivariate t fitted to its second half is then
-    frozen and used as the proposal of an independence move beside differential
-    evolution, and only steps after that count.
+    Warm-up with differential evolution from over-dispersed starts goes on until the
+    ensembles agree roughly. A multivariate t fitted to it is then used as the
+    proposal of an independence move beside differential evolution, fitted once
+    more, and frozen. Only steps after that count.
 
     Parameters
     ----------
@@ -87,10 +87,9 @@ def sample(
     """
     began = time.perf_counter()
     d = target.dimension
-    walkers = settings.walkers or max(48, 4 * d)
+    # emcee refuses fewer than two walkers a dimension
+    walkers = max(settings.walkers or max(32, 3 * d), 2 * d)
     walkers += walkers % 2
-    if walkers < 2 * d:
-        walkers = 2 * d
     seeds = np.random.SeedSequence(settings.seed).spawn(settings.ensembles + 1)
     randoms = [np.random.RandomState(np.random.MT19937(s)) for s in seeds[:-1]]
     rng = np.random.default_rng(seeds[-1])
@@ -102,15 +101,13 @@ def sample(
         warm.run(settings.block)
         progress(Progress("warm-up", warm.steps, float("nan"), float("nan")))
         half = warm.chain()[:, :, warm.steps // 2 :]
-        rhat = float(nested_rhat(half).max())
-        enough = warm.steps >= 2 * settings.block and rhat < 1.05
-        if enough or warm.steps >= settings.max_steps // 2:
+        if nested_rhat(half).max() < 1.05 or warm.steps >= settings.max_steps // 4:
             break
-
-    learned = half.reshape(-1, d)
-    proposal = IndependenceMove(learned.mean(axis=0), _covariance(learned))
-    moves = [(proposal, 0.7), (DifferentialEvolutionMove(), 0.3)]
-    main = _Ensembles(target, moves, warm.positions(), randoms)
+    # A first proposal from few draws, used for one block, makes a better second one.
+    trial = _Ensembles(target, _moves(half), warm.positions(), randoms)
+    trial.run(settings.block)
+    progress(Progress("warm-up", warm.steps + trial.steps, float("nan"), float("nan")))
+    main = _Ensembles(target, _moves(trial.chain()), trial.positions(), randoms)
     while True:
         main.run(settings.block)
         chain = main.chain()
@@ -122,7 +119,7 @@ def sample(
             and rhats.max() <= settings.max_rhat
             and main.steps >= 50.0 * tau.max()
         )
-        if done or warm.steps + main.steps >= settings.max_steps:
+        if done or warm.steps + trial.steps + main.steps >= settings.max_steps:
             break
 
     thin = max(1, -(-main.steps * walkers * settings.ensembles // _KEPT_DRAWS))
@@ -149,7 +146,7 @@ def sample(
             acceptance=main.acceptance(),
             ensembles=settings.ensembles,
             walkers=walkers,
-            warmup=warm.steps,
+            warmup=warm.steps + trial.steps,
             steps=main.steps,
             thin=thin,
             not_finite=target.not_finite,
@@ -207,6 +204,13 @@ class _Ensembles:
     def acceptance(self) -> Array:
         """Accepted share of each walker's proposals, ``(ensembles, walkers)``."""
         return np.stack([s.acceptance_fraction for s in self._samplers])
+
+
+def _moves(learned: Array) -> list[tuple[emcee.moves.Move, float]]:
+    """Mix an independence move fitted to draws, and frozen, with differential evolution."""
+    draws = learned.reshape(-1, learned.shape[-1])
+    proposal = IndependenceMove(draws.mean(axis=0), _covariance(draws))
+    return [(proposal, 0.7), (DifferentialEvolutionMove(), 0.3)]
 
 
 def _covariance(draws: Array) -> Array:

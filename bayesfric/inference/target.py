@@ -27,6 +27,9 @@ class Target:
         One for every parameter of the chain, fixed ones included.
     noise
         The noise model with its own priors.
+    widths
+        About the posterior sds of the sampled parameters, ``(d,)``; they shape
+        the coordinates, not the posterior. See :meth:`with_widths`.
 
     Attributes
     ----------
@@ -40,7 +43,11 @@ class Target:
     """
 
     def __init__(
-        self, likelihood: TorqueLikelihood, priors: Mapping[str, Prior], noise: WhiteNoise
+        self,
+        likelihood: TorqueLikelihood,
+        priors: Mapping[str, Prior],
+        noise: WhiteNoise,
+        widths: Array | None = None,
     ) -> None:
         chain = likelihood.chain
         self.likelihood = likelihood
@@ -53,8 +60,12 @@ class Target:
         self._template = np.array(
             [priors[name].value if priors[name].fixed else 0.0 for name in chain.names]
         )
+        self._all_priors = priors
         self.coordinates = choose_coordinates(
-            chain, self.free, [priors[name] for name in self.free]
+            chain,
+            self.free,
+            [priors[name] for name in self.free],
+            None if widths is None else widths[: len(self.free)],
         )
         self._noise_coordinates = BoundedCoordinates(
             [p.lower for p in noise.priors], [p.upper for p in noise.priors]
@@ -64,6 +75,10 @@ class Target:
     def dimension(self) -> int:
         """Number of sampled parameters."""
         return len(self.names)
+
+    def with_widths(self, widths: Array) -> Target:
+        """Make the same target in coordinates that suit posteriors of these sds, ``(d,)``."""
+        return Target(self.likelihood, self._all_priors, self.noise, widths)
 
     def chain_values(self, parameters: Array) -> Array:
         """Fill the fixed parameters in: ``(n, d)`` to ``(n, chain parameters)``."""

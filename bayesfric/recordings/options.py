@@ -179,6 +179,11 @@ class Source(_Options):
         description="Spans [start, stop] in seconds from the first stamp that are not compared "
         "with the model.",
     )
+    valid: str | int | None = Field(
+        default=None,
+        description="Column that is 0 or false where the torque is not what the motor gave, such as "
+        "a 'torque enabled' flag; samples there are not compared with the model.",
+    )
     added_mass: Kilograms = Field(
         default=0.0, description="Known mass added for the recording, kg."
     )

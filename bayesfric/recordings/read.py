@@ -122,6 +122,12 @@ def _read(source: Source, path: Path, name: str, drive: Drive, processing: Proce
     torque, step = _torque(source, grid.linear(signal), joint, speed, grid, drive, processing)
     steps.append(step)
     excluded = _excluded(source, grid.time, warnings)
+    if source.valid is not None:
+        flag = table.column(source.valid)
+        if len(flag) != len(position):
+            raise lengths(table, source.valid, len(flag), source.position.column, len(position))
+        # between a valid and an invalid stamp the grid is not valid either
+        excluded |= grid.linear((flag != 0).astype(np.float64)) < 1.0
     if excluded.any():
         steps.append(f"exclude: {int(excluded.sum())} of {len(excluded)} samples not compared")
     return Recording(
