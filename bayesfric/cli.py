@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -29,7 +30,9 @@ app = typer.Typer(
 
 ConfigFile = Annotated[Path, typer.Argument(metavar="CONFIG", help="configuration (TOML)")]
 AsJson = Annotated[bool, typer.Option("--json", help="print the machine-readable form")]
-Seed = Annotated[int | None, typer.Option(min=0, help="replaces the configuration's seed")]
+Seed = Annotated[
+    int | None, typer.Option(min=0, max=2**63 - 1, help="replaces the configuration's seed")
+]
 Force = Annotated[bool, typer.Option("--force", help="keep an old run under another name")]
 RunOption = Annotated[Path | None, typer.Option("-o", "--output", help="run directory to make")]
 
@@ -59,11 +62,11 @@ def init(
 
     text = configuration(preset)
     if output is not None:
-        if output.exists():
-            raise BadInput(str(output), "exists already", "name another file with -o")
         write_beside({output: text})
     written = str(output) if output else None
-    _print({"written": written, "text": text}, as_json, [f"Written to {output}"] if output else [text])
+    _print(
+        {"written": written, "text": text}, as_json, [f"Written to {output}"] if output else [text]
+    )
 
 
 @app.command()
@@ -117,9 +120,12 @@ def demo(
 ) -> None:
     """Fit the packaged knee: a recording SIMULATED from Table 3 of the paper."""
     from bayesfric.commands.demo import demo_config
+    from bayesfric.report.run_directory import check_free
 
+    output = output or Path("demo-run")
+    check_free(output, force=force)
     print("The demo recording is simulated, from Table 3 of the paper.", file=sys.stderr)
-    _fit(demo_config, output or Path("demo-run"), seed, force, as_json)
+    _fit(demo_config, output, seed, force, as_json)
 
 
 def _fit(
@@ -170,8 +176,11 @@ def _print(found: Any, as_json: bool, lines: Any) -> None:
 
 def main() -> None:
     """Run the command line; bad input ends with one line and exit code 2."""
+    if not sys.warnoptions:
+        # libraries' remarks to programmers; python -W brings them back
+        warnings.simplefilter("ignore")
     try:
-        app()
+        app(prog_name="bayesfric")
     except BadInput as error:
         print(f"bayesfric: {error}", file=sys.stderr)
         sys.exit(BAD_INPUT)

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import json
+import re
 import tomllib
+from collections import Counter
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from bayesfric.errors import BadInput, nearest
+from bayesfric.complaints import complaint
+from bayesfric.errors import BadInput
 from bayesfric.inference.noise import NoiseScale
 from bayesfric.inference.priors import PriorText
 from bayesfric.inference.sampling import Sampling
@@ -72,7 +77,26 @@ class Config(BaseModel):
     @property
     def priors(self) -> dict[str, PriorText]:
         """Priors by parameter name, nested tables flattened."""
-        return dict(_flatten(self.tables.priors))
+        return dict(self.prior_list())
+
+    def prior_list(self) -> list[tuple[str, PriorText]]:
+        """Names and priors as written; a name may come twice, dotted and in a table."""
+        return list(_flatten(self.tables.priors))
+
+    @contextmanager
+    def named(self, place: str = "") -> Iterator[None]:
+        """Put the configuration's name, and a place in it, before keys complained about.
+
+        Parameters
+        ----------
+        place
+            Such as ``recordings.2``.
+        """
+        try:
+            yield
+        except BadInput as error:
+            where = ": ".join(part for part in (str(self.path), place, error.where) if part)
+            raise BadInput(where, error.what, error.mend) from None
 
 
 def read_config(path: Path) -> Config:
@@ -89,17 +113,20 @@ def read_config(path: Path) -> Config:
         With the key and the mend, for anything that cannot be used.
     """
     try:
-        raw = path.read_bytes()
+        with path.open("rb") as file:
+            raw = file.read(_LARGEST + 1)
     except FileNotFoundError:
         raise BadInput(str(path), "there is no such file", "check the name") from None
     except IsADirectoryError:
         raise BadInput(str(path), "is a folder", "name the .toml file in it") from None
     except OSError as error:
-        raise BadInput(str(path), f"cannot be read ({error.strerror})", "check its rights") from None
+        raise BadInput(
+            str(path), f"cannot be read ({error.strerror})", "check its name and its rights"
+        ) from None
     if len(raw) > _LARGEST:
         raise BadInput(str(path), "is too large for a configuration", "name the .toml file")
     try:
-        text = raw.decode("utf-8")
+        text = raw.decode("utf-8-sig")  # Windows editors put a mark in front
     except UnicodeDecodeError as error:
         raise BadInput(
             str(path), f"is not UTF-8 (byte {error.start})", "save it as UTF-8"
@@ -111,50 +138,40 @@ def parse_config(text: str, path: Path) -> Config:
     """Check a configuration's text; see :func:`read_config`."""
     try:
         document = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise BadInput(str(path), f"is no TOML: {error}", "mend that line") from None
+        # Checked as JSON, because pydantic then takes lists for tuples and still does not
+        # take true for 1 or "yes" for true.
+        as_json = json.dumps(document, default=str)
+    except (ValueError, RecursionError) as error:
+        raise _no_toml(path, text, str(error)) from None
+    if r"\u0000" in as_json:
+        raise BadInput(str(path), "holds a NUL character", "leave it out")
     try:
-        tables = Tables.model_validate(document)
+        tables = Tables.model_validate_json(as_json, strict=True)
     except ValidationError as error:
-        raise _complaint(path, error) from None
-    return Config(path=path, text=text, tables=tables)
+        raise complaint(path, error, document, Tables) from None
+    config = Config(path=path, text=text, tables=tables)
+    doubled = [
+        name for name, n in Counter(name for name, _ in config.prior_list()).items() if n > 1
+    ]
+    if doubled:
+        raise BadInput(f"{path}: priors.{doubled[0]}", "is given twice", "leave one out")
+    return config
 
 
-def _complaint(path: Path, error: ValidationError) -> BadInput:
-    # A misspelt key often causes further complaints: name it first.
-    first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
-    place = [str(part) if not isinstance(part, int) else str(part + 1) for part in first["loc"]]
-    where = f"{path}: {'.'.join(place) or 'configuration'}"
-    if first["type"] == "extra_forbidden":
-        return BadInput(where, "unknown key", nearest(place[-1], _known_keys(first["loc"])))
-    if first["type"] == "missing":
-        return BadInput(where, "is missing", f"add {place[-1]!r}")
-    message = first["msg"].removeprefix("Value error, ")
-    shown = repr(first["input"])
-    got = f"{shown[:60]}: " if not isinstance(first["input"], dict | list) else ""
-    return BadInput(where, f"{got}{message}", "mend that key")
-
-
-def _known_keys(place: tuple[int | str, ...]) -> list[str]:
-    """Keys that could have stood where an unknown one was found."""
-    model: Any = Tables
-    for part in place[:-1]:
-        if isinstance(part, int) or not hasattr(model, "model_fields"):
-            continue
-        if part not in model.model_fields:
-            continue  # a name of the user's own, such as an element's
-        model = _model_in(model.model_fields[part].annotation)
-    return list(getattr(model, "model_fields", {}))
-
-
-def _model_in(annotation: Any) -> Any:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    for part in getattr(annotation, "__args__", ()):
-        found = _model_in(part)
-        if found is not None:
-            return found
-    return None
+def _no_toml(path: Path, text: str, message: str) -> BadInput:
+    found = re.fullmatch(r"(.*) \(at line (\d+), column \d+\)", message, re.DOTALL)
+    if not found:
+        reason = message.partition(";")[0]
+        return BadInput(str(path), f"is no TOML ({reason})", "correct the file")
+    line = text.split("\n")[int(found[2]) - 1].strip()
+    where = f"{path}, line {found[2]}"
+    if found[1].startswith("Cannot "):
+        return BadInput(where, f"{line[:60]!r} is there twice ({found[1]})", "leave one out")
+    return BadInput(
+        where,
+        f"{line[:60]!r} is no TOML ({found[1]})",
+        'write key = value, with text in "quotes"',
+    )
 
 
 def _flatten(tables: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, PriorText]]:

@@ -17,7 +17,8 @@ def check(problem: Problem) -> dict[str, Any]:
     BadInput
         If the motion cannot tell the totals of eq. (11) apart.
     """
-    totals = least_squares(problem.chain, problem.observations)
+    with problem.config.named():
+        totals = least_squares(problem.chain, problem.observations)
     return {
         "config": str(problem.config.path),
         "mechanism": {
@@ -37,9 +38,7 @@ def check(problem: Problem) -> dict[str, Any]:
                 "steps": list(observation.steps),
                 "warnings": list(observation.warnings),
             }
-            for recording, observation in zip(
-                problem.recordings, problem.observations, strict=True
-            )
+            for recording, observation in zip(problem.recordings, problem.observations, strict=True)
         ],
         "priors": {
             name: {"prior": prior.text, "default": prior.default}

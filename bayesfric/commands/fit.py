@@ -54,7 +54,8 @@ def fit(
     sampling = config.tables.sampling
     if seed is not None:
         sampling = sampling.model_copy(update={"seed": seed})
-    result = fit_target(problem.target(), sampling, progress=progress)
+    with config.named():
+        result = fit_target(problem.target(), sampling, progress=progress)
     progress(Progress("writing results", 0, float("nan"), float("nan")))
     summary = summarise(result)
     write_run(folder, result, summary, config.text, problem.recordings)
@@ -98,9 +99,6 @@ def fit_text(summary: dict[str, Any], folder: Path) -> Iterator[str]:
 
 def _row(name: str, row: dict[str, Any], remark: str) -> str:
     low, high = row["interval"]
-    return (
-        f"  {name:<30} {row['median']:>11.5g}  [{low:.5g}, {high:.5g}] {row['unit']}"
-        + (f"   {remark}" if remark else "")
+    return f"  {name:<30} {row['median']:>11.5g}  [{low:.5g}, {high:.5g}] {row['unit']}" + (
+        f"   {remark}" if remark else ""
     )
-
-

@@ -12,6 +12,7 @@ from bayesfric.inference.priors import Prior
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.chain import Chain
 from bayesfric.recordings.observation import Observation, observe
+from bayesfric.recordings.options import Source
 from bayesfric.recordings.read import read_recordings
 from bayesfric.recordings.recording import Recording
 
@@ -54,7 +55,8 @@ def read_problem(config: Config) -> Problem:
         For anything that cannot be used.
     """
     tables = config.tables
-    chain = tables.mechanism.chain()
+    with config.named():
+        chain = tables.mechanism.chain()
     if not tables.recordings:
         raise BadInput(str(config.path), "names no recording", "add a [[recordings]] table")
     if not chain.parameters:
@@ -62,26 +64,69 @@ def read_problem(config: Config) -> Problem:
             f"{config.path}: mechanism", "has no parameter", "give an element inertia or friction"
         )
     recordings: list[Recording] = []
-    for source in tables.recordings:
-        if source.added_mass and not source.radius and chain.load.motion == "rotary":
+    for number, source in enumerate(tables.recordings, start=1):
+        recordings += _read(config, chain, source, number)
+    for name, count in Counter(r.name for r in recordings).items():
+        if count > 1:
             raise BadInput(
-                f"{config.path}: recordings.added_mass",
-                "has no radius",
-                'add radius, such as "0.35 m"',
+                f"{config.path}: recordings",
+                f"{count} are called {name!r}",
+                "give each a name of its own with name = ...",
             )
-        recordings += read_recordings(
+    with config.named():
+        observations = [observe(recording, tables.processing) for recording in recordings]
+        outputs = sum(len(o.time) for o in observations)
+        if outputs < len(chain.parameters):
+            raise BadInput(
+                ", ".join(f"recording {o.name!r}" for o in observations),
+                f"too short: {outputs} outputs after filtering, {len(chain.parameters)} parameters",
+                "record longer, or decimate less",
+            )
+        _check_names(config, chain)
+        priors = read_priors(chain, config.priors, observations)
+    return Problem(config, chain, recordings, observations, priors)
+
+
+def _read(config: Config, chain: Chain, source: Source, number: int) -> list[Recording]:
+    place = f"recordings.{number}"
+    if source.added_mass and not source.radius and chain.load.motion == "rotary":
+        raise BadInput(
+            f"{config.path}: {place}.added_mass", "has no radius", 'add radius, such as "0.35 m"'
+        )
+    try:
+        return read_recordings(
             source,
             config.folder,
             ratio=chain.ratio,
             motion=chain.load.motion,
             motor_motion=chain.motor_motion,
-            processing=tables.processing,
+            processing=config.tables.processing,
         )
-    for name, count in Counter(r.name for r in recordings).items():
-        if count > 1:
+    except BadInput as error:
+        # what is not about a file is about a key
+        key = error.where.partition(" = ")[0].partition(",")[0]
+        if key in ("file", "name"):
+            with config.named(place):
+                raise
+        if key == "processing":
+            with config.named():
+                raise
+        raise
+    except OSError as error:
+        raise BadInput(
+            f"{config.path}: {place}.file",
+            f"cannot be read ({error.strerror})",
+            "check the file's name",
+        ) from None
+
+
+def _check_names(config: Config, chain: Chain) -> None:
+    """Refuse a table that stands for a prior but names no distribution."""
+    for name in config.priors:
+        parameter = name.rpartition(".")[0]
+        if parameter in (*chain.names, "noise.sigma"):
             raise BadInput(
-                f"{config.path}: recordings", f"{count} are called {name!r}", "give them a name"
+                f"priors.{parameter}",
+                "its table names no distribution",
+                'write for example {distribution = "norm", loc = 0.4, scale = 0.05}',
             )
-    observations = [observe(recording, tables.processing) for recording in recordings]
-    priors = read_priors(chain, config.priors, observations)
-    return Problem(config, chain, recordings, observations, priors)

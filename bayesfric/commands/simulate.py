@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,12 @@ import numpy as np
 import bayesfric
 from bayesfric.config import Config
 from bayesfric.errors import BadInput
+from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.report.files import write_beside
+
+# A few minutes to simulate and some hundred megabytes of text; more is a mistyped duration.
+_MOST_SAMPLES = 10_000_000
 
 
 def simulate(config: Config, target: Path, *, seed: int | None = None) -> dict[str, Any]:
@@ -43,8 +48,22 @@ def simulate(config: Config, target: Path, *, seed: int | None = None) -> dict[s
     options = config.tables.simulation or Simulation()
     if seed is not None:
         options = options.model_copy(update={"seed": seed})
-    chain = config.tables.mechanism.chain()
-    columns, motion, values = record(chain, options)
+    truth_file = target.with_suffix(".truth.json")
+    with suppress(OSError):  # write_beside tells of a name that cannot be
+        if target.is_file() and not truth_file.exists():
+            raise BadInput(
+                str(target),
+                "exists already, and without its truth beside it may be a measurement",
+                "name another file with -o",
+            )
+    with config.named():
+        chain = config.tables.mechanism.chain()
+        _check(options, chain)
+        columns, motion, values = record(chain, options)
+        if not all(np.isfinite(column).all() for column in columns.values()):
+            raise BadInput(
+                "simulation", "the recording overflows", "lower amplitude or torque_noise"
+            )
     table = io.StringIO()
     np.savetxt(
         table,
@@ -66,10 +85,26 @@ def simulate(config: Config, target: Path, *, seed: int | None = None) -> dict[s
         "discretisation_error": motion.step_error,
         "reversals": motion.reversals,
     }
-    write_beside(
+    write_beside(  # an older simulation is replaced
         {
             target: table.getvalue(),
-            target.with_suffix(".truth.json"): json.dumps(truth, indent=1) + "\n",
-        }
+            truth_file: json.dumps(truth, indent=1) + "\n",
+        },
+        replace=True,
     )
     return truth
+
+
+def _check(options: Simulation, chain: Chain) -> None:
+    """Refuse what the options' own ranges let through."""
+    samples = options.duration * options.rate
+    if samples > _MOST_SAMPLES:
+        raise BadInput(
+            "simulation.duration",
+            f"makes {samples:.2g} samples at rate = {options.rate:g}",
+            f"stay below {_MOST_SAMPLES:.0e}",
+        )
+    if not options.frequencies:
+        raise BadInput("simulation.frequencies", "is empty", "name at least one, in Hz")
+    if options.added_mass and not options.radius and chain.load.motion == "rotary":
+        raise BadInput("simulation.added_mass", "has no radius", "add radius = ... (in m)")

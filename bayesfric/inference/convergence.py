@@ -50,7 +50,7 @@ def autocorrelation_time(draws: NDArray[np.float64]) -> NDArray[np.float64]:
     Returns
     -------
     ndarray
-        ``(d,)``, the largest over ensembles; infinite where a parameter is stuck.
+        ``(d,)``, the largest over ensembles; infinite where a walker never moved.
     """
     ensembles, walkers, _, d = draws.shape
     times = np.full((ensembles, d), np.inf)
@@ -59,7 +59,9 @@ def autocorrelation_time(draws: NDArray[np.float64]) -> NDArray[np.float64]:
             x = draws[k, :, :, j]
             variance = x.var()
             mean = x.mean(axis=0)
-            if variance == 0.0 or not np.isfinite(variance) or mean.var() == 0.0:
+            # the variance of equal numbers may come out as 1e-38, their range is zero
+            moving = np.ptp(x, axis=1) > 0.0
+            if not moving.all() or not np.isfinite(variance) or np.ptp(mean) == 0.0:
                 continue
             own = float(integrated_time(x.T, tol=0, quiet=True, has_walkers=True)[0])
             # var(grand mean) = tau_mean var(mean) / n; in steps of a lone walker that
@@ -71,8 +73,11 @@ def autocorrelation_time(draws: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def autocorrelation(series: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Autocorrelation of ``(walkers, steps)`` averaged over walkers, ``(steps,)``."""
-    return np.mean([function_1d(walker) for walker in series], axis=0)
+    """Autocorrelation of ``(walkers, steps)`` averaged over walkers that move, ``(steps,)``."""
+    moving = series[np.ptp(series, axis=1) > 0.0]
+    if moving.shape[0] == 0:
+        return np.ones(series.shape[1])
+    return np.mean([function_1d(walker) for walker in moving], axis=0)
 
 
 def effective_sample_size(draws: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -104,7 +104,8 @@ class BoundedCoordinates:
 
     def from_parameters(self, parameters: Array) -> Array:
         """See :class:`Coordinates`."""
-        with np.errstate(divide="ignore", invalid="ignore"):
+        # every branch is computed for every parameter, and each fails on the others' numbers
+        with np.errstate(all="ignore"):
             u = np.where(self._above, self._unbent(parameters - self._low), parameters)
             u = np.where(self._below, self._unbent(self._high - parameters), u)
             share = (parameters - self._low) / self._span
@@ -192,7 +193,8 @@ class TorqueFormCoordinates:
                 + np.log(2.0) + 2.0 * log_lambda2 - np.log(theta2[:, 4])
                 + np.log(high - low) + log_expit(place) + log_expit(-place)
             )
-            possible = (theta2[:, 4] > 0.0) & (rho > 1.0) & np.isfinite(jacobian)
+            possible = (theta2[:, 4] > 0.0) & (rho > 1.0)
+            possible &= np.isfinite(jacobian) & np.isfinite(parameters).all(axis=1)
         return parameters, np.where(possible, jacobian, -np.inf)
 
     def from_parameters(self, parameters: Array) -> Array:

@@ -13,6 +13,8 @@ LogDensity = Callable[[Array], Array]
 
 # A density that falls by this much is one standard deviation away.
 _ONE_SD = 0.5
+# Candidates that are followed to their peak.
+_CLIMBS = 5
 
 
 @dataclass(frozen=True)
@@ -83,8 +85,11 @@ def laplace(log_density: LogDensity, candidates: Array, *, max_steps: int = 60) 
     heights = log_density(candidates)
     if not np.isfinite(heights).any():
         raise ValueError("every starting point has zero probability")
-    best = int(np.argmax(heights))
-    x, height, steps = _climb(log_density, candidates[best], heights[best], max_steps)
+    # Direction-dependent losses make several peaks, and the highest candidate need
+    # not stand at the foot of the highest one.
+    order = [i for i in np.argsort(-heights)[:_CLIMBS] if np.isfinite(heights[i])]
+    climbs = [_climb(log_density, candidates[i], heights[i], max_steps) for i in order]
+    x, height, steps = max(climbs, key=lambda climb: climb[1])
     _, hessian = _derivatives(log_density, x, height, steps)
     # Flat or rising directions get the width that the difference steps found there.
     scaled = -hessian * np.outer(steps, steps)

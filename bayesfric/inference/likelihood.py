@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numba import njit, prange
@@ -17,6 +18,10 @@ from bayesfric.mechanism import kernels
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.inverse import added_load, inverse_torque
 from bayesfric.recordings.observation import Observation
+
+
+# Samples in one call below which starting threads costs more than it saves.
+_WORTH_THREADS = 50_000
 
 
 class TorqueLikelihood:
@@ -62,7 +67,7 @@ class TorqueLikelihood:
             ``(n, n_recordings)``, torque unit squared.
         """
         elements, load = self.chain.tables(values)
-        return np.stack([_sum_of_squares(elements, load, *a) for a in self._arrays], axis=1)
+        return np.stack([_sum_of_squares(elements, load, a) for a in self._arrays], axis=1)
 
     def log_density(
         self, values: NDArray[np.float64], sigma: NDArray[np.float64]
@@ -104,9 +109,9 @@ class TorqueLikelihood:
         ]
 
 
-# reassociating the filter's sums lets them run in vector registers
-@njit(cache=True, parallel=True, fastmath={"reassoc", "contract"})
-def _sum_of_squares(
+# Reassociating the filter's sums lets them run in vector registers.
+@njit(cache=True, fastmath={"reassoc", "contract"})
+def _squares(
     elements: NDArray[np.float64],
     load: NDArray[np.float64],
     added_inertia: float,
@@ -118,28 +123,41 @@ def _sum_of_squares(
     taps: NDArray[np.float64],
     starts: NDArray[np.int64],
     measured: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    n = elements.shape[0]
-    out = np.empty(n)
-    for i in prange(n):
-        torque = np.empty(speed.shape[0])
-        kernels.inverse_one(
-            elements[i],
-            load[i],
-            added_inertia,
-            added_moment,
-            sin_q,
-            cos_q,
-            speed,
-            acceleration,
-            torque,
-        )
-        total = 0.0
-        for m in range(starts.shape[0]):
-            filtered = 0.0
-            for k in range(taps.shape[0]):
-                filtered += taps[k] * torque[starts[m] + k]
-            residual = measured[m] - filtered
-            total += residual * residual
-        out[i] = total
+) -> float:
+    torque = np.empty(speed.shape[0])
+    kernels.inverse_one(
+        elements, load, added_inertia, added_moment, sin_q, cos_q, speed, acceleration, torque
+    )
+    total = 0.0
+    for m in range(starts.shape[0]):
+        filtered = 0.0
+        for k in range(taps.shape[0]):
+            filtered += taps[k] * torque[starts[m] + k]
+        residual = measured[m] - filtered
+        total += residual * residual
+    return total
+
+
+@njit(cache=True)
+def _in_line(elements: NDArray[np.float64], load: NDArray[np.float64], *arrays: Any) -> Any:
+    out = np.empty(elements.shape[0])
+    for i in range(elements.shape[0]):
+        out[i] = _squares(elements[i], load[i], *arrays)
     return out
+
+
+@njit(cache=True, parallel=True)
+def _in_threads(elements: NDArray[np.float64], load: NDArray[np.float64], *arrays: Any) -> Any:
+    out = np.empty(elements.shape[0])
+    for i in prange(elements.shape[0]):
+        out[i] = _squares(elements[i], load[i], *arrays)
+    return out
+
+
+def _sum_of_squares(
+    elements: NDArray[np.float64], load: NDArray[np.float64], arrays: tuple[Any, ...]
+) -> NDArray[np.float64]:
+    samples = arrays[2].shape[0] * elements.shape[0]
+    run = _in_threads if samples > _WORTH_THREADS else _in_line
+    squares: NDArray[np.float64] = run(elements, load, *arrays)
+    return squares

@@ -28,7 +28,7 @@ class Diagnostics:
         Nested R-hat, autocorrelation time in steps and effective sample size of
         each sampled parameter, ``(d,)``.
     acceptance
-        Accepted share of proposals, of each ensemble.
+        Accepted share of proposals of each walker, ``(ensembles, walkers)``.
     ensembles, walkers, warmup, steps
         Shape of the sample before thinning; ``steps`` counts after warm-up.
     thin

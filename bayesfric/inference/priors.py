@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from bayesfric.errors import BadInput
+from bayesfric.errors import BadInput, nearest
 
 # What a configuration may say: 3.3e-4, [0, 1] or {distribution = "norm", loc = 1, scale = 2}.
 PriorText = float | Sequence[float] | Mapping[str, Any]
@@ -64,9 +64,15 @@ class Prior:
         x
             ``(n,)`` values in the parameter's unit.
         """
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(all="ignore"):
             density = self._log_density(x) - math.log(self.mass)
-        return np.where((x >= self.lower) & (x <= self.upper), density, -np.inf)
+        # at the very edge some closed forms are 0 - inf - inf: no number, no density
+        inside = (x >= self.lower) & (x <= self.upper) & ~np.isnan(density)
+        return np.where(inside, density, -np.inf)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # the cached closed form is a local function, which cannot be pickled
+        return {key: value for key, value in vars(self).items() if key != "_log_density"}
 
     @cached_property
     def _log_density(self) -> _LogDensity:
@@ -77,9 +83,7 @@ class Prior:
         """
         make = _CLOSED_FORMS.get(self.distribution.dist.name)
         if make is None:
-            return cast(
-                _LogDensity, self.distribution.logpdf
-            )
+            return cast(_LogDensity, self.distribution.logpdf)
         shapes, loc, scale = self.distribution.dist._parse_args(
             *self.distribution.args, **self.distribution.kwds
         )
@@ -94,7 +98,7 @@ class Prior:
         return np.asarray(np.clip(values, self.lower, self.upper), dtype=np.float64)
 
     def sd(self) -> float:
-        """Standard deviation, of the cut distribution; 0 where fixed."""
+        """Return the standard deviation of the cut distribution; 0 where fixed."""
         if self.fixed:
             return 0.0
         if self.mass > 1.0 - 1e-12:
@@ -171,13 +175,14 @@ def read_prior(
         the support.
     """
     where = f"priors.{name}"
-    span = f"{name} lies between {lower:g} and {upper:g}"
+    span = f"{name} {_span(lower, upper)}"
     if isinstance(text, bool):
         raise BadInput(where, "true/false is no prior", "give a number, [low, high] or a table")
     if isinstance(text, int | float):
-        if not (math.isfinite(text) and lower <= text <= upper):
-            raise BadInput(where, f"{text} is no possible value", span)
-        return fixed(float(text))
+        value = _finite(text)
+        if value is None or not lower <= value <= upper:
+            raise BadInput(where, f"{_number(text)} is no possible value", span)
+        return fixed(value)
     if isinstance(text, Mapping):
         return _named(where, text, lower, upper, span, default)
     return _range(where, text, lower, upper, span, default)
@@ -186,11 +191,14 @@ def read_prior(
 def _range(
     where: str, text: Sequence[float], lower: float, upper: float, span: str, default: bool
 ) -> Prior:
-    numbers = [x for x in text if isinstance(x, int | float) and not isinstance(x, bool)]
-    if isinstance(text, str) or len(text) != 2 or len(numbers) != 2:
+    given: object = text
+    if isinstance(given, str) or not isinstance(given, Sequence) or len(given) != 2:
         raise BadInput(where, f"{text!r} is no prior", "give a number, [low, high] or a table")
-    low, high = float(numbers[0]), float(numbers[1])
-    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+    low, high = _finite(text[0]), _finite(text[1])
+    if low is None or high is None:
+        shown = f"[{_number(text[0])}, {_number(text[1])}]"
+        raise BadInput(where, f"{shown} is no range", "give two finite numbers")
+    if not low < high:
         raise BadInput(where, f"[{low:g}, {high:g}] is no range", "put the smaller number first")
     if low < lower or high > upper:
         raise BadInput(where, f"[{low:g}, {high:g}] reaches outside what is possible", span)
@@ -216,29 +224,50 @@ def _named(
             f"{kind!r} is no continuous distribution of scipy.stats",
             'use for example {distribution = "norm", loc = 0.4, scale = 0.05}',
         )
+    shapes = [name.strip() for name in (family.shapes or "").split(",") if name.strip()]
+    for key, value in arguments.items():
+        if key not in (known := [*shapes, "loc", "scale"]):
+            raise BadInput(where, f"{kind} takes no {key!r}", nearest(key, known))
+        if _finite(value) is None:
+            raise BadInput(f"{where}.{key}", f"got {_number(value)}", "give a finite number")
+    if missing := [name for name in shapes if name not in arguments]:
+        raise BadInput(where, f"{kind} needs {missing[0]!r}", f"add {missing[0]} = ...")
+    shown = ", ".join(f"{key}={_number(value)}" for key, value in arguments.items())
     try:
-        frozen = family(**arguments)
-        low, high = frozen.support()
-        mass = float(frozen.cdf(upper) - frozen.cdf(lower))
-        spread = float(frozen.ppf(0.75) - frozen.ppf(0.25))
-    except (TypeError, ValueError) as error:
+        with np.errstate(all="ignore"):
+            frozen = family(**{key: float(value) for key, value in arguments.items()})
+            low, high = frozen.support()
+            mass = float(frozen.cdf(upper) - frozen.cdf(lower))
+            spread = float(frozen.ppf(0.75) - frozen.ppf(0.25))
+    except (TypeError, ValueError, ArithmeticError) as error:
         raise BadInput(where, str(error), f"see scipy.stats.{kind} for its arguments") from None
     if not (math.isfinite(mass) and math.isfinite(spread) and spread > 0.0):
-        raise BadInput(
-            where, f"{kind} has no density with {arguments}", f"see scipy.stats.{kind}"
-        )
+        raise BadInput(where, f"there is no {kind}({shown})", f"see scipy.stats.{kind}")
     if mass < _LEAST_MASS:
-        raise BadInput(where, f"{kind} puts no mass where {name_of(where)} can be", span)
-    shown = ", ".join(f"{key}={_number(value)}" for key, value in arguments.items())
+        raise BadInput(where, f"{kind}({shown}) lies outside what is possible", span)
     low, high = max(float(low), lower), min(float(high), upper)
     cut = "" if mass > 1.0 - 1e-9 else f" cut to [{low:g}, {high:g}]"
     return Prior(f"{kind}({shown}){cut}", frozen, math.nan, low, high, mass, default)
 
 
-def name_of(where: str) -> str:
-    """Parameter name in a configuration key ``priors.<name>``."""
-    return where.removeprefix("priors.")
+def _finite(value: Any) -> float | None:
+    """Take a finite number, and nothing else."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    try:
+        return float(value) if math.isfinite(value) else None
+    except OverflowError:  # a whole number of more than 308 digits
+        return None
 
 
 def _number(value: Any) -> str:
-    return f"{value:.6g}" if isinstance(value, int | float) else str(value)
+    if isinstance(value, bool):
+        return str(value).lower()
+    shown = f"{value:.6g}" if isinstance(value, float) else repr(value)
+    return shown if len(shown) <= 40 else f"{shown[:40]}..."
+
+
+def _span(lower: float, upper: float) -> str:
+    if math.isfinite(upper):
+        return f"lies between {lower:.6g} and {upper:.6g}"
+    return f"is {lower:g} or more" if math.isfinite(lower) else "is any finite number"

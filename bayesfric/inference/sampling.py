@@ -12,6 +12,7 @@ import emcee
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
+from scipy import stats
 
 from bayesfric.inference.convergence import (
     autocorrelation_time,
@@ -70,7 +71,7 @@ def sample(
     """Sample until every criterion of ``settings`` is met or ``max_steps`` is reached.
 
     Warm-up with differential evolution from over-dispersed starts goes on until the
-    ensembles agree roughly. A multivariate t fitted to it is then used as the
+    ensembles agree roughly and have stopped climbing. A multivariate t fitted to it is then used as the
     proposal of an independence move beside differential evolution, fitted once
     more, and frozen. Only steps after that count.
 
@@ -99,13 +100,16 @@ def sample(
     warm = _Ensembles(target, [(DifferentialEvolutionMove(), 1.0)], positions, randoms)
     while True:
         warm.run(settings.block)
+        warm.bring_back_lost(rng)
         progress(Progress("warm-up", warm.steps, float("nan"), float("nan")))
         half = warm.chain()[:, :, warm.steps // 2 :]
-        if nested_rhat(half).max() < 1.05 or warm.steps >= settings.max_steps // 4:
+        settled = nested_rhat(half).max() < 1.05 and warm.settled()
+        if settled or warm.steps >= settings.max_steps // 4:
             break
     # A first proposal from few draws, used for one block, makes a better second one.
     trial = _Ensembles(target, _moves(half), warm.positions(), randoms)
     trial.run(settings.block)
+    trial.bring_back_lost(rng)
     progress(Progress("warm-up", warm.steps + trial.steps, float("nan"), float("nan")))
     main = _Ensembles(target, _moves(trial.chain()), trial.positions(), randoms)
     while True:
@@ -188,6 +192,34 @@ class _Ensembles:
                 # so that what comes next goes on where this stream ends
                 self._randoms[k].set_state(sampler.random_state)
         self.steps += steps
+
+    def bring_back_lost(self, rng: np.random.Generator) -> None:
+        """Move walkers that hang on to a hopelessly improbable mode next to the others.
+
+        Only during warm-up. A mode whose log density is this far below the best
+        holds no mass worth counting, but a walker can stay in it for ever.
+        """
+        heights = np.stack([state.log_prob for state in self._states])
+        d = self._states[0].coords.shape[1]
+        lost = heights < heights.max() - stats.chi2.isf(1e-12, d) / 2.0
+        sound = self.positions()[~lost]
+        for k, state in enumerate(self._states):
+            own = state.coords[~lost[k]]
+            pool = own if own.shape[0] >= 3 else sound
+            n = int(lost[k].sum())
+            if n == 0 or pool.shape[0] < 3:
+                continue
+            # beside one sound walker, in the direction of a difference of two others
+            first, second, third = (rng.integers(pool.shape[0], size=n) for _ in range(3))
+            coords = state.coords.copy()
+            coords[lost[k]] = pool[first] + 0.1 * (pool[second] - pool[third])
+            self._states[k] = emcee.State(coords, random_state=state.random_state)
+
+    def settled(self) -> bool:
+        """Whether the log density has stopped climbing over the second half of the steps."""
+        heights = self.log_density()
+        third, fourth = np.array_split(heights[:, :, self.steps // 2 :], 2, axis=2)
+        return bool(abs(fourth.mean() - third.mean()) < 0.25 * fourth.std())
 
     def chain(self) -> Array:
         """All steps, ``(ensembles, walkers, steps, d)``."""

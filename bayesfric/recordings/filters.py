@@ -156,8 +156,12 @@ class ParallelFilter:
             return np.asarray(x[..., self.starts] * self.taps[0])
         if self.n_outputs == 0:
             return np.empty((*x.shape[:-1], 0))
-        windows = np.lib.stride_tricks.sliding_window_view(x, len(self.taps), axis=-1)
-        return np.asarray(windows[..., self.starts, :] @ self.taps)
+        out = np.empty((*x.shape[:-1], self.n_outputs))
+        # one signal at a time: the windows of one are already len(taps)/factor times its size
+        for index in np.ndindex(x.shape[:-1]):
+            windows = np.lib.stride_tricks.sliding_window_view(x[index], len(self.taps))
+            out[index] = windows[self.starts] @ self.taps
+        return out
 
 
 def parallel_taps(factor: int, band: float | None, fs: float) -> NDArray[np.float64]:

@@ -45,17 +45,29 @@ def check_free(folder: Path, *, force: bool) -> None:
     BadInput
         Before any sampling is spent on it.
     """
-    if folder.exists() and not folder.is_dir():
-        raise BadInput(str(folder), "is a file", "name a folder with -o")
-    if folder.exists() and any(folder.iterdir()) and not force:
-        raise BadInput(
-            str(folder), "holds a run already", "name another folder with -o, or add --force"
-        )
-    parent = folder.absolute().parent
-    if not parent.is_dir():
-        raise BadInput(str(parent), "there is no such folder", "make it first, or change -o")
-    if not os.access(parent, os.W_OK | os.X_OK):
-        raise BadInput(str(parent), "cannot be written to", "name another folder with -o")
+    try:
+        if folder.is_symlink() and not folder.exists():
+            raise BadInput(str(folder), "is a link to nowhere", "name a folder with -o")
+        if folder.exists() and not folder.is_dir():
+            raise BadInput(str(folder), "is a file", "name a folder with -o")
+        if folder.exists() and any(folder.iterdir()) and not force:
+            raise BadInput(
+                str(folder),
+                "is not empty",
+                "name another folder with -o, or add --force to keep it under another name",
+            )
+        if not _target(folder).name:
+            raise BadInput(str(folder), "is the whole disk", "name a folder in it with -o")
+        beside = _beside(folder)
+        if not beside.parent.is_dir():
+            raise BadInput(
+                str(beside.parent), "there is no such folder", "make it first, or change -o"
+            )
+        # Only trying tells: rights, read-only disks and /proc all refuse in their own way.
+        beside.mkdir()
+        beside.rmdir()
+    except OSError as error:
+        raise _cannot(folder, error) from None
 
 
 @contextmanager
@@ -65,10 +77,10 @@ def made_beside(folder: Path) -> Iterator[Path]:
     What stood there before is kept under another name; what a failed block left
     is removed.
     """
-    target = folder.absolute()
-    beside = target.with_name(f".{target.name}.{os.getpid()}.partial")
-    beside.mkdir()
+    target = _target(folder)
+    beside = _beside(folder)
     try:
+        beside.mkdir()
         yield beside
         if target.exists():
             if any(target.iterdir()):
@@ -76,9 +88,25 @@ def made_beside(folder: Path) -> Iterator[Path]:
             else:
                 target.rmdir()
         beside.rename(target)
-    except BaseException:
+    except BaseException as error:
         shutil.rmtree(beside, ignore_errors=True)
+        if isinstance(error, OSError):
+            raise _cannot(folder, error) from error
         raise
+
+
+def _target(folder: Path) -> Path:
+    return Path(os.path.abspath(folder))  # noqa: PTH100  (".." must get a name, links stay)
+
+
+def _beside(folder: Path) -> Path:
+    target = _target(folder)
+    return target.with_name(f".{target.name}.{os.getpid()}.partial")
+
+
+def _cannot(folder: Path, error: OSError) -> BadInput:
+    reason = error.strerror or str(error)
+    return BadInput(str(folder), f"cannot be written ({reason})", "name another folder with -o")
 
 
 def write_run(

@@ -122,7 +122,7 @@ def residuals(fit: Fit) -> list[Array]:
 
 
 def torque_unit(fit: Fit) -> str:
-    """Unit of the measured torque."""
+    """Name the unit of the measured torque."""
     return "N m" if fit.chain.motor_motion == "rotary" else "N"
 
 

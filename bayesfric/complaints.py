@@ -1,0 +1,147 @@
+"""What is wrong with a configuration, in words for the person who wrote it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from bayesfric.errors import BadInput, nearest
+
+_LONGEST = 60
+
+# What to give instead, by the beginning of pydantic's error type.
+_KINDS = {
+    "int_": "a whole number",
+    "float_": "a number",
+    "bool_": "true or false",
+    "string_type": "text in quotes",
+    "string_too_short": "text that is not empty",
+    "list_": "a list in [brackets]",
+    "tuple_": "a list in [brackets]",
+    "dict_": "a table of keys",
+    "model_": "a table of keys",
+    "finite_number": "a finite number",
+}
+_BOUNDS = {
+    "greater_than": ("more than", "gt"),
+    "greater_than_equal": ("at least", "ge"),
+    "less_than": ("less than", "lt"),
+    "less_than_equal": ("at most", "le"),
+}
+# How validators of this package word themselves: "expected a mass like '2 kg', got '2 m'".
+_EXPECTED = re.compile(r"(?:expected|give) (?P<mend>.+), (?:(?P<got>got .+)|but (?P<but>.+))")
+
+
+def complaint(path: Path, error: ValidationError, document: Any, model: Any) -> BadInput:
+    """Word the first thing wrong with a configuration.
+
+    Parameters
+    ----------
+    path
+        The configuration.
+    error
+        What its check found.
+    document
+        What the file holds.
+    model
+        What it was checked against, for the keys it could have held.
+    """
+    found = [(_place(e["loc"], document), e) for e in error.errors(include_url=False)]
+    if found[0][1]["type"] == "json_invalid":
+        return BadInput(str(path), "is nested too deep for a configuration", "correct the file")
+    # A misspelt key often causes further complaints: name it first.
+    place, first = min(found, key=lambda pair: pair[1]["type"] != "extra_forbidden")
+    # Of the ways a value could have been meant, the one that got furthest tells most.
+    deeper = [pair for pair in found if pair[0][: len(place)] == place]
+    if first["type"] not in ("extra_forbidden", "missing"):
+        place, first = max(deeper, key=lambda pair: len(pair[0]))
+    words = [str(part + 1) if isinstance(part, int) else part for part in place]
+    if first["type"] == "missing" and isinstance(key := first["loc"][-1], str):
+        where = f"{path}: {'.'.join([*words, key])}"
+        return BadInput(where, "is missing", f"add {key!r} ('bayesfric init' shows how)")
+    where = f"{path}: {'.'.join(words) or 'configuration'}"
+    if first["type"] == "extra_forbidden":
+        return BadInput(where, "unknown key", nearest(words[-1], _known_keys(place, model)))
+    return BadInput(where, *_worded([e for p, e in deeper if p == place]))
+
+
+def _place(location: Sequence[int | str], document: Any) -> list[int | str]:
+    """Keys of the document; pydantic puts the types it tried between and behind them."""
+    place: list[int | str] = []
+    for part in location:
+        try:
+            document = document[part]
+        except (KeyError, IndexError, TypeError):
+            continue
+        place.append(part)
+    return place
+
+
+def _worded(errors: Sequence[Any]) -> tuple[str, str]:
+    """Say what is wrong with one value, and what to give instead."""
+    first = errors[0]
+    value = first["input"]
+    kind = first["type"]
+    if kind == "value_error":
+        return _own(str(first["ctx"]["error"]))
+    if kind == "literal_error":
+        expected = first["ctx"]["expected"]
+        choices = re.findall(r"'([^']*)'", expected)
+        if isinstance(value, str) and choices and all(map(str.isalpha, choices[0])):
+            return f"got {_shown(value)}", nearest(value, choices)
+        return f"got {_shown(value)}", f"give {expected}"
+    if kind in ("tuple_type", "list_type") and isinstance(value, Mapping):
+        return "got a single table", "write its name in [[two brackets]]"
+    if kind in ("missing", "too_long") and isinstance(value, list):
+        wanted = first["ctx"]["max_length"] if kind == "too_long" else len(value) + 1
+        return f"got {_shown(value)}", f"give {wanted} values"
+    if kind in _BOUNDS:
+        word, key = _BOUNDS[kind]
+        return f"got {_shown(value)}", f"give {word} {first['ctx'][key]:.10g}"
+    known = [next((w for k, w in _KINDS.items() if e["type"].startswith(k)), "") for e in errors]
+    if not all(known):
+        return f"got {_shown(value)}: {first['msg']}", "correct it"
+    mend = " or ".join(dict.fromkeys(known))
+    if isinstance(value, str) and "text" not in mend:
+        mend += ", without quotes" + (" or unit" if "number" in mend else "")
+    return f"got {_shown(value)}", f"give {mend}"
+
+
+def _own(message: str) -> tuple[str, str]:
+    """Split what a validator of this package says."""
+    if found := _EXPECTED.fullmatch(message):
+        return found["got"] or found["but"], f"give {found['mend']}"
+    if message.startswith("give "):
+        return "does not fit together", message
+    return message, "correct it"
+
+
+def _shown(value: Any) -> str:
+    """Write a value as a configuration would."""
+    text = str(value).lower() if isinstance(value, bool) else repr(value)
+    if isinstance(value, Mapping):
+        text = "a table"
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"
+
+
+def _known_keys(place: Sequence[int | str], model: Any) -> list[str]:
+    """Keys that could have stood where an unknown one was found."""
+    for part in place[:-1]:
+        if part not in getattr(model, "model_fields", {}):
+            continue  # a number, or a name of the user's own, such as an element's
+        model = _model_in(model.model_fields[part].annotation)
+    return list(getattr(model, "model_fields", {}))
+
+
+def _model_in(annotation: Any) -> Any:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for part in getattr(annotation, "__args__", ()):
+        found = _model_in(part)
+        if found is not None:
+            return found
+    return None

@@ -1,0 +1,277 @@
+"""Measured torque against what the posterior predicts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from bayesfric.inference.fit import Fit
+from bayesfric.recordings.observation import Observation
+from bayesfric.report.style import (
+    BAND,
+    MEASURED,
+    PAGE,
+    PALETTE,
+    SMALL,
+    Array,
+    AxesGrid,
+    few_ticks,
+    paper_style,
+)
+from bayesfric.report.summary import LEVEL, torque_unit
+
+_MOST = 3
+# The same draws as the residuals of the summary.
+_DRAWS = 200
+# Numbers held at once while predicting: windows of the filter, 160 MB.
+_BUDGET = 20_000_000
+# Above so many outputs an inch, dots would hide the lines.
+_MOST_DOTS = 150.0
+# Lines of more points are drawn as pixels; as paths they would make a slow and huge PDF.
+_MOST_POINTS = 5000
+
+_HEIGHT = 3.4
+_LEFT, _RIGHT, _BOTTOM, _TOP = 0.62, 0.14, 0.36, 0.36
+
+
+@dataclass(frozen=True)
+class Predictive:
+    """Posterior predictive of one recording.
+
+    Attributes
+    ----------
+    mean
+        ``(n_outputs,)``
+    sd
+        ``(n_outputs,)``, noise included.
+    sigma
+        Noise scale, root mean square over the draws.
+    """
+
+    mean: Array
+    sd: Array
+    sigma: float
+
+    def band(self, level: float) -> tuple[Array, Array]:
+        """Lower and upper end of the central interval of probability ``level``.
+
+        The predictive is taken for normal: it is the normal noise, spread a
+        little by what is unknown of the parameters. Quantiles of a few hundred
+        draws would be far rougher than that.
+        """
+        reach = float(ndtri(0.5 + level / 2.0)) * self.sd
+        return self.mean - reach, self.mean + reach
+
+
+def predictive(fit: Fit) -> list[Predictive]:
+    """Mean and standard deviation of the predicted torque of every recording.
+
+    Parameters
+    ----------
+    fit
+        A finished fit.
+    """
+    flat = fit.posterior.flat()
+    n = min(_DRAWS, flat.shape[0])
+    flat = flat[np.linspace(0, flat.shape[0] - 1, n).astype(int)]
+    values = fit.target.chain_values(flat)
+    scales = fit.target.noise.scales(flat[:, len(fit.target.free) :])
+    windows = sum(o.measured.size * o.filter.taps.size for o in fit.observations)
+    at_once = max(1, _BUDGET // max(windows, 1))
+
+    likelihood = fit.target.likelihood
+    # about one draw's prediction: squares of small differences lose no digits
+    origin = [f[0] for f in likelihood.predict(values[:1])]
+    first = [np.zeros_like(f) for f in origin]
+    second = [np.zeros_like(f) for f in origin]
+    for begin in range(0, n, at_once):
+        for r, f in enumerate(likelihood.predict(values[begin : begin + at_once])):
+            first[r] += (f - origin[r]).sum(axis=0)
+            second[r] += ((f - origin[r]) ** 2).sum(axis=0)
+    found = []
+    for r in range(len(origin)):
+        variance = np.maximum(second[r] / n - (first[r] / n) ** 2, 0.0)
+        noise = float(np.mean(scales[:, r] ** 2))
+        found.append(
+            Predictive(origin[r] + first[r] / n, np.sqrt(variance + noise), math.sqrt(noise))
+        )
+    return found
+
+
+def prediction_figure(fit: Fit) -> Figure:
+    """Draw measured and predicted torque, and what is left, over time.
+
+    A column for each of at most three recordings: above, the measured torque
+    after the parallel filter, the posterior predictive mean and its 90 % band,
+    noise included; below, the residual and two noise scales on either side.
+    Where outputs are missing (dead zone, excluded spans) the lines break.
+
+    Parameters
+    ----------
+    fit
+        A finished fit.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        A page wide.
+    """
+    shown = fit.observations[:_MOST]
+    unit = torque_unit(fit)
+    what = "motor torque" if unit == "N m" else "motor force"
+    with paper_style():
+        figure = Figure(figsize=(PAGE, _HEIGHT))
+        axes = figure.subplots(
+            2,
+            len(shown),
+            squeeze=False,
+            sharex="col",
+            sharey="row",
+            gridspec_kw={
+                "left": _LEFT / PAGE,
+                "right": 1.0 - _RIGHT / PAGE,
+                "bottom": _BOTTOM / _HEIGHT,
+                "top": 1.0 - _TOP / _HEIGHT,
+                "wspace": 0.06,
+                "hspace": 0.08,
+                "height_ratios": (1.8, 1.0),
+            },
+        )
+        for r, (o, p) in enumerate(zip(shown, predictive(fit), strict=False)):
+            _torque(axes[0, r], o, p)
+            _residual(axes[1, r], o, p)
+            axes[1, r].set_xlabel("time (s)")
+            axes[1, r].set_xlim(float(o.time.min()), max(float(o.time.max()), o.time.min() + 1e-9))
+            few_ticks(axes[1, r].xaxis, 8 if len(shown) == 1 else 4)
+            axes[0, r].set_title(_shortened(o.name), fontsize=SMALL, pad=2.5)
+        few_ticks(axes[0, 0].yaxis, 5)
+        few_ticks(axes[1, 0].yaxis, 4)
+        axes[0, 0].set_ylabel(f"{what} ({unit})")
+        axes[1, 0].set_ylabel(f"residual ({unit})")
+        figure.align_ylabels(axes[:, 0])
+        _legend(figure, axes, len(fit.observations))
+    return figure
+
+
+def _torque(ax: Axes, o: Observation, p: Predictive) -> None:
+    low, high = p.band(LEVEL)
+    time, measured, mean, low, high = _broken(o, o.measured, p.mean, low, high)
+    pixels = o.time.size > _MOST_POINTS
+    ax.fill_between(
+        time,
+        low,
+        high,
+        color=BAND,
+        linewidth=0.0,
+        label=f"{100 * LEVEL:.0f} % predictive band",
+        rasterized=pixels,
+        gid="band",
+    )
+    # wide below and thin above, so that both are seen where they agree
+    ax.plot(
+        time,
+        mean,
+        color=PALETTE[2],
+        linewidth=1.0 if pixels else 1.5,
+        label="predictive mean",
+        rasterized=pixels,
+        gid="mean",
+    )
+    ax.plot(
+        time,
+        measured,
+        color=MEASURED,
+        linewidth=0.5,
+        marker=".",
+        markersize=1.5,
+        markevery=_dots(ax, measured),
+        label="measured, filtered",
+        rasterized=pixels,
+        gid="measured",
+    )
+
+
+def _residual(ax: Axes, o: Observation, p: Predictive) -> None:
+    low, high = p.band(LEVEL)
+    time, residual, low, high = _broken(o, o.measured - p.mean, low - p.mean, high - p.mean)
+    # once more, for on the scale of the torque a good fit's band is a hairline
+    ax.fill_between(time, low, high, color=BAND, linewidth=0.0, rasterized=time.size > _MOST_POINTS)
+    ax.plot(
+        time,
+        residual,
+        color=MEASURED,
+        linewidth=0.4,
+        marker=".",
+        markersize=1.5,
+        markevery=_dots(ax, residual),
+        rasterized=o.time.size > _MOST_POINTS,
+        gid="residual",
+    )
+    for side in (-2.0, 2.0):
+        ax.axhline(
+            side * p.sigma,
+            color=PALETTE[1],
+            linewidth=0.8,
+            linestyle=(0, (4.0, 1.5)),
+            label=r"$\pm 2\sigma$" if side > 0 else None,
+        )
+
+
+def _broken(o: Observation, *values: Array) -> list[Array]:
+    """Time and values with a break wherever outputs are missing."""
+    gaps = (np.diff(o.time) > 1.5 * o.period) | (np.diff(o.segment_of) != 0)
+    at: NDArray[np.intp] = np.flatnonzero(gaps) + 1
+    # a time inside the gap keeps the order; the values there are none
+    between = 0.5 * (o.time[at - 1] + o.time[at])
+    return [
+        np.insert(o.time, at, between),
+        *(np.insert(np.asarray(v, dtype=np.float64), at, np.nan) for v in values),
+    ]
+
+
+def _dots(ax: Axes, broken: Array) -> list[int]:
+    """Which points to mark: all where there is room, else those no line reaches."""
+    present = np.isfinite(broken)
+    inches = ax.get_position().width * PAGE
+    if present.sum() > _MOST_DOTS * inches:
+        padded = np.concatenate([[False], present, [False]])
+        present &= ~padded[:-2] & ~padded[2:]
+    return [int(i) for i in np.flatnonzero(present)]
+
+
+def _shortened(name: str, most: int = 36) -> str:
+    shown = name if len(name) <= most else f"{name[: most - 1]}…"
+    return shown.replace("$", r"\$")
+
+
+def _legend(figure: Figure, axes: AxesGrid, n: int) -> None:
+    handles, labels = [], []
+    for ax in axes[:, 0]:
+        some, words = ax.get_legend_handles_labels()
+        handles += some
+        labels += words
+    figure.legend(
+        handles,
+        labels,
+        loc="upper left",
+        ncols=len(labels),
+        bbox_to_anchor=(_LEFT / PAGE, 1.0),
+        borderaxespad=0.2,
+        borderpad=0.2,
+        columnspacing=1.4,
+    )
+    if n > _MOST:
+        figure.text(
+            1.0 - _RIGHT / PAGE,
+            1.0 - 0.04 / _HEIGHT,
+            f"first {_MOST} of {n} recordings",
+            ha="right",
+            va="top",
+            fontsize=SMALL,
+        )

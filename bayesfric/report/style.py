@@ -1,0 +1,258 @@
+"""One look for all figures: widths, fonts and colours of a two-column paper."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal
+
+import matplotlib
+import numpy as np
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.mathtext import MathTextParser
+from matplotlib.ticker import MaxNLocator, ScalarFormatter
+from numpy.typing import NDArray
+
+from bayesfric.inference.fit import Fit
+from bayesfric.inference.priors import Prior
+from bayesfric.report.summary import torque_unit
+
+Array = NDArray[np.float64]
+LineStyle = Literal["solid"] | tuple[float, Sequence[float]]
+# rows and columns of axes, as Figure.subplots gives them
+AxesGrid = np.ndarray[tuple[int, int], np.dtype[np.object_]]
+
+# Inches; one and two columns of the IEEE and IFAC layouts.
+COLUMN = 3.5
+PAGE = 7.16
+
+SMALL = 7.0  # points, of ticks, legends and remarks
+
+# Told apart by every common colour vision, and by lightness (CIE L* 14, 35, 53, 73)
+# once a page is copied in grey.
+PALETTE = ("#12233f", "#0a5694", "#cb631a", "#62b8e2")
+LINE_STYLES: tuple[LineStyle, ...] = (
+    "solid",
+    (0, (4.0, 1.5)),
+    (0, (5.0, 1.5, 1.0, 1.5)),
+    (0, (1.0, 1.0)),
+)
+MEASURED = "#3a3a3a"
+BAND = "#a9d3ec"
+PRIOR = PALETTE[2]
+POSTERIOR = PALETTE[1]
+
+# Matplotlib 3.11 types the keys, earlier ones do not.
+_STYLE: dict[Any, Any] = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 8.0,
+    "mathtext.fontset": "dejavusans",
+    "axes.labelsize": 8.0,
+    "axes.titlesize": 8.0,
+    "axes.linewidth": 0.5,
+    "axes.labelpad": 2.0,
+    "axes.unicode_minus": True,
+    "xtick.labelsize": SMALL,
+    "ytick.labelsize": SMALL,
+    "xtick.direction": "in",
+    "ytick.direction": "in",
+    "xtick.major.width": 0.5,
+    "ytick.major.width": 0.5,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "xtick.major.pad": 2.5,
+    "ytick.major.pad": 2.5,
+    "legend.fontsize": SMALL,
+    "legend.frameon": False,
+    "lines.linewidth": 0.9,
+    "patch.linewidth": 0.6,
+    "figure.dpi": 150.0,
+    "savefig.dpi": 300.0,
+    # publishers refuse Type 3 fonts, and outlines cannot be searched
+    "pdf.fonttype": 42,
+    "ps.fonttype": 42,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "bayesfric",
+    # very long paths overflow the rasteriser in one piece
+    "agg.path.chunksize": 10_000,
+}
+
+
+@contextmanager
+def paper_style() -> Iterator[None]:
+    """Draw in the package's style inside the ``with`` block.
+
+    The reader's own ``matplotlibrc`` is left aside, so that a figure looks the
+    same, and has the same bytes, wherever it is made.
+    """
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(_STYLE)
+        yield
+
+
+def save(figure: Figure, folder: Path, stem: str) -> tuple[Path, Path]:
+    """Write a figure as ``<stem>.pdf`` and ``<stem>.png`` (300 dpi).
+
+    The same figure gives the same bytes: no date is written.
+
+    Parameters
+    ----------
+    figure
+        Drawn by this package; its size is kept, nothing is cropped.
+    folder
+        Must exist.
+    stem
+        File name without suffix.
+
+    Returns
+    -------
+    tuple of pathlib.Path
+        The PDF and the PNG.
+    """
+    pdf, png = folder / f"{stem}.pdf", folder / f"{stem}.png"
+    with paper_style():
+        figure.savefig(pdf, format="pdf", metadata={"CreationDate": None})
+        figure.savefig(png, format="png", dpi=300.0)
+    return pdf, png
+
+
+def line_style(k: int) -> tuple[str, LineStyle]:
+    """Colour and dashes of the ``k``-th of several lines; sixteen differ."""
+    colours = len(PALETTE)
+    return PALETTE[k % colours], LINE_STYLES[(k + k // colours) % len(LINE_STYLES)]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A sampled parameter as figures show it.
+
+    Attributes
+    ----------
+    name
+        As in ``posterior.names``.
+    symbol
+        With dollar signs, ready for Matplotlib.
+    unit
+        SI, empty where there is none.
+    draws
+        ``(ensembles, walkers, steps)`` in ``unit``.
+    prior
+        Of the parameter.
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    draws: Array
+    prior: Prior
+
+    @property
+    def exponent(self) -> int:
+        """Power of ten that is taken out of the numbers on an axis."""
+        low, high = (float(v) for v in np.quantile(self.draws, [0.05, 0.95]))
+        largest = max(abs(low), abs(high))
+        if largest == 0.0 or not math.isfinite(largest) or 0.1 <= largest < 1000.0:
+            return 0
+        # 0.03 is as easily read as 3, but 0.0302 is not
+        if 0.01 <= largest < 0.1 and high - low >= 0.002:
+            return 0
+        return math.floor(math.log10(largest))
+
+    @property
+    def factor(self) -> float:
+        """What one on an axis stands for, in ``unit``."""
+        return float(10.0**self.exponent)
+
+    @property
+    def scaled_unit(self) -> str:
+        """Unit on an axis, with the power of ten; a dash where there is neither."""
+        power = f"10$^{{{self.exponent}}}$" if self.exponent else ""
+        return " ".join(part for part in (power, self.unit) if part) or "–"
+
+    def label(self, between: str = " ") -> str:
+        """Symbol and unit for an axis, with ``between`` between them."""
+        return f"{self.symbol}{between}({self.scaled_unit})"
+
+
+def quantities(fit: Fit) -> list[Quantity]:
+    """List the sampled parameters of a fit, noise scales last."""
+    posterior, noise = fit.posterior, fit.target.noise
+    said = {p.name: (p.symbol, p.unit) for p in fit.chain.parameters}
+    said |= {
+        name: (symbol, torque_unit(fit))
+        for name, symbol in zip(noise.names, noise.symbols, strict=True)
+    }
+    return [
+        Quantity(name, mathtext(said[name][0], name), said[name][1], posterior[name], prior)
+        for name, prior in zip(posterior.names, posterior.priors, strict=True)
+    ]
+
+
+@cache
+def mathtext(symbol: str, name: str) -> str:
+    r"""Turn a LaTeX symbol into text that Matplotlib can set.
+
+    Words in subscripts (names of elements) are set upright. A symbol that
+    cannot be set, for example through odd characters in an element's name, is
+    replaced by the parameter's name.
+
+    Parameters
+    ----------
+    symbol
+        Without dollar signs.
+    name
+        Of the parameter.
+    """
+    # an empty subscript is the paper's bare symbol
+    symbol = symbol.replace("_{}", "")
+    symbol = re.sub(r"_\{([^{}]*)\}", lambda m: "_{" + _upright(m[1]) + "}", symbol)
+    try:
+        MathTextParser("path").parse(f"${symbol}$")
+    except (ValueError, RuntimeError):
+        return name.replace("$", r"\$")
+    return f"${symbol}$"
+
+
+def _upright(subscript: str) -> str:
+    subscript = re.sub(r"(?<!\\)_", r"\\_", subscript)
+    words = r"[^\W\d_]{2,}(?:(?:\\_|[\s-])*\w+)*"
+    # mathtext drops plain spaces
+    return re.sub(words, lambda m: rf"\mathrm{{{m[0].replace(' ', chr(92) + ' ')}}}", subscript)
+
+
+class _InnerLocator(MaxNLocator):
+    """Ticks that keep clear of the ends, where two panels' numbers would meet."""
+
+    def tick_values(self, vmin: float, vmax: float) -> Sequence[float]:
+        """Choose ticks between ``vmin`` and ``vmax``."""
+        margin = 0.1 * (vmax - vmin)
+        low, high = vmin + margin, vmax - margin
+        ticks = np.asarray(super().tick_values(low, high))
+        return list(ticks[(ticks >= low) & (ticks <= high)])
+
+
+def few_ticks(axis: Axis, most: int, *, inner: bool = False) -> None:
+    """Put at most ``most`` plain numbers on an axis, never an offset in the corner.
+
+    ``inner`` ones keep clear of the ends, for panels that touch.
+    """
+    locator = _InnerLocator if inner else MaxNLocator
+    axis.set_major_locator(locator(most, steps=[1, 2, 5, 10], min_n_ticks=2))
+    formatter = ScalarFormatter(useOffset=False)
+    formatter.set_scientific(False)
+    axis.set_major_formatter(formatter)
+
+
+def not_shown(left_out: list[Quantity]) -> str:
+    """Name what a figure leaves out; empty if that is nothing."""
+    if not left_out:
+        return ""
+    return "not shown: " + ", ".join(q.symbol for q in left_out)

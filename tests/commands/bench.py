@@ -1,0 +1,134 @@
+"""A folder with a configuration and a tiny recording, and the command run in it."""
+
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayesfric import cli
+
+CONFIG = """\
+[mechanism]
+preset = "motor-axis"
+
+[[recordings]]
+file = "run.csv"
+time = { column = "t", unit = "s" }
+position = { column = "q", unit = "rad" }
+torque = { column = "tau", unit = "N m" }
+
+[processing]
+order = 4
+
+[noise]
+scale = "shared"
+
+[sampling]
+seed = 1
+
+[priors]
+"motor.coulomb" = [0.0, 1.0]
+"""
+RECORDING = CONFIG[CONFIG.index("[[recordings]]") : CONFIG.index("[processing]")]
+PRIOR = '"motor.coulomb" = [0.0, 1.0]'
+
+
+def swing(n=400):
+    """Return time, position and torque; time stamps are exact decimals."""
+    t = np.round(np.arange(n) * 0.01, 9)
+    q = np.sin(2 * np.pi * 0.7 * t) + 0.3 * np.sin(2 * np.pi * 1.9 * t)
+    return t, q, 0.3 * np.cos(2 * np.pi * 0.7 * t) + 0.01 * t
+
+
+def lines(n=400):
+    rows = np.stack(swing(n), axis=1).tolist()
+    return ["t,q,tau", *(",".join(map(repr, row)) for row in rows)]
+
+
+def cases(*rows):
+    """Parametrise by rows whose first entry is the name."""
+    return [pytest.param(*row[1:], id=row[0]) for row in rows]
+
+
+@dataclass
+class Outcome:
+    code: int
+    out: str
+    err: str
+
+
+class Bench:
+    def __init__(self, folder, monkeypatch, capture):
+        self.folder, self._monkeypatch, self._capture = folder, monkeypatch, capture
+        self.config()
+        self.recording(lines())
+
+    def config(self, text=CONFIG, encoding="utf-8"):
+        (self.folder / "c.toml").write_bytes(text.encode(encoding))
+
+    def edit(self, old, new):
+        assert old in CONFIG
+        self.config(CONFIG.replace(old, new, 1))
+
+    def recording(self, rows):
+        (self.folder / "run.csv").write_text("\n".join(rows) + "\n")
+
+    def held(self):
+        """Everything in the folder, hidden files too."""
+        return {
+            path.relative_to(self.folder): path.read_bytes() if path.is_file() else None
+            for path in self.folder.rglob("*")
+        }
+
+    def run(self, *arguments):
+        """Run the command in this process."""
+        self._capture.readouterr()
+        with self._monkeypatch.context() as patch:
+            patch.setattr(sys, "argv", ["bayesfric", *map(str, arguments)])
+            # no warning may reach the user: here they are errors, as in every test
+            patch.setattr(sys, "warnoptions", ["error"])
+            try:
+                cli.main()
+                code = 0
+            except SystemExit as stop:
+                code = stop.code
+        return Outcome(code, *self._capture.readouterr())
+
+    def run_apart(self, *arguments):
+        """Run the command the way a user does, in a process of its own."""
+        done = subprocess.run(
+            [sys.executable, "-m", "bayesfric", *map(str, arguments)],
+            cwd=self.folder,
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+        return Outcome(done.returncode, done.stdout, done.stderr)
+
+    def refused(self, *arguments, run=None):
+        """Run on bad input; what it says in its one line."""
+        before = self.held()
+        outcome = (run or self.run)(*(arguments or ("check", "c.toml")))
+        assert outcome.code == 2, outcome
+        assert outcome.out == ""
+        assert re.fullmatch(r"bayesfric: [^\n]+: [^\n]+; [^\n]+\n", outcome.err), outcome.err
+        for foreign in ("Traceback", "Input should", "pydantic", "_parse_args", "ufunc", "<class"):
+            assert foreign not in outcome.err
+        assert self.held() == before
+        return outcome.err
+
+
+def has(message, *parts):
+    for part in parts:
+        assert part in message, message
+
+
+def below_a_file(folder: Path):
+    """A place nobody can write to, whatever their rights."""
+    (folder / "plain").write_text("a file, not a folder")
+    return "plain"

@@ -1,0 +1,375 @@
+"""Bad recordings and configurations, given to the real command: one line, exit code 2, no trace."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.io import savemat
+
+from .bench import CONFIG, PRIOR, RECORDING, cases, has, lines, swing
+
+
+def cell(row, column, text):
+    def change(rows):
+        cells = rows[row].split(",")
+        cells[column] = text
+        rows[row] = ",".join(cells)
+
+    return change
+
+
+def constant(column):
+    def change(rows):
+        for row in range(1, len(rows)):
+            cell(row, column, "0.5")(rows)
+
+    return change
+
+
+# -- recordings
+
+
+@pytest.mark.parametrize(
+    ("change", "parts"),
+    cases(
+        (
+            "missing",
+            lambda r: r.__setitem__(0, "t,angle,tau"),
+            ["'q'", "does not exist", "'angle'"],
+        ),
+        ("doubled", lambda r: r.__setitem__(0, "t,q,q"), ["line 1", "2 and 3", "'q'"]),
+        ("nan", cell(17, 1, "nan"), ["'q'", "row 17 (line 18)", "'nan'"]),
+        ("text", cell(17, 2, "oops"), ["'tau'", "row 17 (line 18)", "'oops'"]),
+        ("empty-cell", cell(17, 1, ""), ["'q'", "row 17 (line 18)", "is empty"]),
+        ("inf", cell(17, 1, "inf"), ["'q'", "row 17 (line 18)", "finite"]),
+        (
+            "unsorted",
+            lambda r: r.insert(30, r.pop(50)),
+            ["'t'", "row 31 (line 32)", "back in time"],
+        ),
+        ("repeated", lambda r: r.insert(30, r[30]), ["'t'", "row 31 (line 32)", "repeats"]),
+        ("position-rests", constant(1), ["'q'", "position is 0.5 in every sample"]),
+        ("torque-rests", constant(2), ["'tau'", "torque is 0.5 in every sample"]),
+        ("20-rows", lambda r: r.__delitem__(slice(21, None)), ["20 samples", "min_samples"]),
+        ("ragged", lambda r: r.__setitem__(17, "1,2"), ["row 17 (line 18)", "2 cells"]),
+        ("empty-file", lambda r: r.clear(), ["is empty", "recorder"]),
+        ("header-only", lambda r: r.__delitem__(slice(1, None)), ["no row of numbers"]),
+    ),
+)
+def test_recording(bench, change, parts):
+    rows = lines()
+    change(rows)
+    bench.recording(rows)
+    has(bench.refused(), "run.csv", *parts)
+
+
+@pytest.mark.parametrize(
+    ("n", "parts"), [(90, ["'run'", "trim"]), (120, ["'run'", "too short", "4 parameters"])]
+)
+def test_recording_too_short_for_its_processing(bench, n, parts):
+    bench.recording(lines(n))
+    has(bench.refused(), "c.toml", *parts)
+
+
+def test_gap_is_no_error_but_a_border_between_segments(bench):
+    rows = lines()
+    del rows[150:250]
+    bench.recording(rows)
+    done = bench.run("check", "c.toml", "--json")
+    assert (done.code, done.err) == (0, "")
+    (found,) = json.loads(done.out)["recordings"]
+    assert found["settings"]["n_segments"] == 2
+    assert any("2 segments" in step for step in found["steps"])
+
+
+def test_gaps_everywhere_leave_nothing(bench):
+    bench.recording([row for i, row in enumerate(lines()) if i % 40 < 20])
+    has(bench.refused(), "run.csv", "gaps", "min_samples")
+
+
+def test_recording_in_another_encoding(bench):
+    path = bench.folder / "run.csv"
+    path.write_bytes(path.read_bytes().replace(b"t,q", b"t,q\xb0", 1))
+    has(bench.refused(), "run.csv, byte 3", "UTF-8")
+
+
+def _save(path):
+    columns = dict(zip(("t", "q", "tau"), swing(), strict=True))
+    match path.suffix:
+        case ".mat":
+            savemat(path, columns)
+        case ".npz":
+            np.savez(path, **columns)
+        case ".parquet":
+            pd.DataFrame(columns).to_parquet(path)
+        case ".json":
+            path.write_text(json.dumps({key: list(value) for key, value in columns.items()}))
+
+
+@pytest.mark.parametrize("suffix", [".mat", ".npz", ".parquet", ".json"])
+def test_binary_recording_cut_off(bench, suffix):
+    bench.edit("run.csv", f"run{suffix}")
+    path = bench.folder / f"run{suffix}"
+    _save(path)
+    assert bench.run("check", "c.toml").code == 0
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    has(bench.refused(), f"run{suffix}", "export it again" if suffix != ".npz" else "save it again")
+    path.write_bytes(b"")
+    has(bench.refused(), f"run{suffix}", "is empty")
+
+
+@pytest.mark.parametrize("name", ["1", "2", "n1"])
+def test_recorder_file_edited_by_hand(bench, real_data, name):
+    path = real_data / "screw-worm" / "driveNo3" / "steady_state" / "0.096kg" / f"{name}.csv"
+    if not path.is_file():
+        pytest.skip(f"{path} is not here")
+    bench.edit(
+        RECORDING,
+        RECORDING.replace("run.csv", str(path))
+        .replace('"t", unit = "s"', '1, unit = "ms"')
+        .replace('"q"', "2")
+        .replace('"tau"', "3"),
+    )
+    has(bench.refused(), f"{name}.csv", "line 15", "was")
+
+
+# -- which file
+
+
+@pytest.mark.parametrize(
+    ("file", "parts"),
+    cases(
+        ("missing", '"ran.csv"', ["ran.csv", "does not exist", "check the file's name"]),
+        ("pattern", '"runs/*.csv"', ["c.toml: recordings.1", "'runs/*.csv'", "no file"]),
+        ("folder", '"."', ["is a directory", "give a file"]),
+        ("suffix", '"c.toml"', ["'.toml'", "set format to csv"]),
+        ("none", "[]", ["c.toml: recordings.1.file", "names no file"]),
+        ("number", "3", ["c.toml: recordings.1.file: got 3; give text in quotes or a list"]),
+        ("list-of-number", '["run.csv", 3]', ["recordings.1.file.2: got 3; give text in quotes"]),
+        ("long", f'"{"a" * 300}.csv"', ["c.toml: recordings.1.file", "too long"]),
+        ("nul", r'"a\u0000.csv"', ["c.toml", "NUL"]),
+    ),
+)
+def test_file(bench, file, parts):
+    bench.edit('"run.csv"', file)
+    has(bench.refused(), *parts)
+
+
+# -- configuration: edits of the good one
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "parts"),
+    cases(
+        # units
+        ("mass-for-angle", '"rad"', '"kg"', ["run.csv", "'q'", "an angle like", "'kg'"]),
+        ("no-such-unit", '"rad"', '"radd"', ["run.csv", "'q'", "'radd' is not a known unit"]),
+        ("force", '"N m"', '"N"', ["run.csv", "'tau'", "a torque like", "'N'"]),
+        ("time", "[processing]", '[processing]\ntrim = "5 m"', [".trim: got '5 m'; give a time"]),
+        ("lowpass", "[processing]", '[processing]\nlowpass = "20"', [".lowpass: got '20'; give a"]),
+        ("resample", "order = 4", 'resample = "often"', [".resample: 'often' is not a known unit"]),
+        ("speed", "order = 4", 'dead_zone = "5 m/s"', ["c.toml: processing, dead_zone", "'5 m/s'"]),
+        # unknown keys
+        ("recording", "[[recordings]]", "[[recording]]", ["recording: unknown", "'recordings'?"]),
+        ("low_pass", "order = 4", "low_pass = 20", [".low_pass: unknown key", "'lowpass'?"]),
+        ("walker", "seed = 1", "walker = 20", ["sampling.walker: unknown key", "'walkers'?"]),
+        ("presett", "preset =", "presett =", ["mechanism.presett: unknown key", "'preset'?"]),
+        ("scales", "scale =", "scales =", ["noise.scales: unknown key", "'scale'?"]),
+        ("colum", 'column = "q"', 'colum = "q"', ["recordings.1.position.colum: ", "'column'?"]),
+        ("delimeter", "file =", 'delimeter = ";"\nfile =', [".delimeter: unknown", "'delimiter'?"]),
+        ("preset", "motor-axis", "motor-axes", ["c.toml: mechanism.preset", "'motor-axis'?"]),
+        ("no-preset", "motor-axis", "arm", ["mechanism.preset", "use one of rabbit-knee, motor"]),
+        ("element", "preset", "elements.moter.inertia = true\npreset", [".moter", "'motor'?"]),
+        ("term", "preset", "elements.motor.inerta = true\npreset", ["r.inerta", "'inertia'?"]),
+        ("load", "preset", "load.first_momnt = true\npreset", ["momnt", "'first_moment'?"]),
+        # wrong types and ranges, worded plainly
+        (
+            "ten",
+            "order = 4",
+            'decimate = "ten"',
+            ["decimate: got 'ten'; give a whole number, with"],
+        ),
+        ("half", "order = 4", "decimate = 2.5", ["decimate: got 2.5; give a whole number\n"]),
+        ("true", "order = 4", "decimate = true", ["decimate: got true; give a whole number\n"]),
+        ("zero", "order = 4", "decimate = 0", ["decimate: got 0; give at least 1"]),
+        ("windows", "order = 4", "decimate = 900", ["c.toml: recording 'run', decimate", "400"]),
+        ("nyquist", "order = 4", "lowpass = 500", ["c.toml: recording 'run', lowpass", "50 Hz"]),
+        ("list", "order = 4", "dead_zone = [1]", [".dead_zone: got [1]; give a number or text"]),
+        ("percent", "order = 4", 'jitter = "1 %"', [".jitter: got '1 %'; give a number, without"]),
+        ("seed", "seed = 1", "seed = -1", ["sampling.seed: got -1; give at least 0"]),
+        ("walkers", "seed = 1", "walkers = 3", ["sampling.walkers: got 3; give at least 8"]),
+        ("ensembles", "seed = 1", "ensembles = 1", ["ensembles: got 1; give at least 2"]),
+        ("nan", "seed = 1", "max_rhat = nan", ["max_rhat: got nan; give more than 1"]),
+        ("date", "seed = 1", "block = 2020-01-01", ["block: got '2020-01-01'; give a whole"]),
+        ("noise", '"shared"', '"share"', ["noise.scale: got 'share'; did you mean 'shared'?"]),
+        ("sign", '"rad"', '"rad", sign = 2', [".sign: got 2; give 1 or -1"]),
+        ("bool", "preset", 'offset = "no"\npreset', ["offset: got 'no'; give true or false, with"]),
+        (
+            "gear",
+            "preset",
+            "elements.motor.ratio = -50\npreset",
+            ["ratio: got -50; give more than"],
+        ),
+        ("column-0", 'column = "q"', "column = 0", [".column: columns are numbered from 1, got 0"]),
+        ("column-9", 'column = "q"', "column = 9", ["run.csv, column 9", "from 1 to 3"]),
+        ("span", "file =", "exclude = [[1]]\nfile =", [".exclude.1: got [1]; give 2 values"]),
+        ("back", "file =", "exclude = [[2, 1]]\nfile =", [".exclude: a span must end after"]),
+        ("stop", "file =", "start = 3\nstop = 1\nfile =", ["c.toml: recordings.1: 'stop' (1 s)"]),
+        ("start", "file =", "start = 9\nfile =", ["run.csv: ends 3.99 s", "start = 9 s"]),
+        # what does not go together
+        ("side", "motor-axis", "rabbit-knee", ["'q'", "gear ratio is 50", 'side = "motor"']),
+        (
+            "radius",
+            "file =",
+            'added_mass = "2 kg"\nfile =',
+            ["recordings.1.added_mass: has no rad"],
+        ),
+        ("doubled", RECORDING, RECORDING * 2, ["c.toml: recordings: 2 are called 'run'; give ea"]),
+        ("second", RECORDING, RECORDING + RECORDING.replace("f", "ff", 1), ["recordings.2.ffile"]),
+        ("no-recording", RECORDING, "", ["c.toml: names no recording; add a [[recordings]]"]),
+        ("single", "[[recordings]]", "[recordings]", ["recordings: got a single table", "[[two"]),
+        ("no-unit", ', unit = "rad"', "", ["recordings.1.position.unit: is missing; add 'unit'"]),
+        ("no-torque", "torque =", "# torque =", ["recordings.1: got none; give exactly one of"]),
+        ("no-time", "time =", "# time =", ["c.toml: recordings.1:", "give exactly one of 'time'"]),
+        ("no-mechanism", '[mechanism]\npreset = "motor-axis"', "", ["mechanism: is missing; add"]),
+        ("nothing", 'preset = "motor-axis"', "", ["c.toml: mechanism: describes no joint; set"]),
+        ("slides", "preset", 'motion = "linear"\npreset', ["'q'", "a length like", "'rad'"]),
+        # no TOML
+        ("quote", '"motor-axis"', '"motor-axis', ["c.toml, line 2", "is no TOML", '"quotes"']),
+        ("bare", '"motor-axis"', "motor-axis", ["line 2: 'preset = motor-axis' is no TOML"]),
+        ("twice", "order = 4", "order = 4\norder = 5", ["line 12: 'order = 5' is there twice"]),
+        ("digits", "seed = 1", "seed = 1" + "1" * 5000, ["c.toml: is no TOML"]),
+        ("brackets", PRIOR, "a = " + "[" * 9000, ["c.toml: is no TOML"]),
+        ("deep", PRIOR, "a = " + "[" * 250 + "]" * 250, ["c.toml: is nested too deep"]),
+    ),
+)
+def test_configuration(bench, old, new, parts):
+    bench.edit(old, new)
+    has(bench.refused(), *parts)
+
+
+def test_number_where_a_table_belongs(bench):
+    bench.config("processing = 3\n" + CONFIG.replace("[processing]\norder = 4", ""))
+    has(bench.refused(), "c.toml: processing: got 3; give a table of keys")
+
+
+@pytest.mark.parametrize("unit", ["Nm", "N m", "N*m", "N·m"])
+def test_ways_to_write_newton_metre(bench, unit):
+    bench.edit('"N m"', f'"{unit}"')
+    assert bench.run("check", "c.toml").code == 0
+
+
+def test_mark_in_front_of_a_configuration_does_no_harm(bench):
+    bench.config(encoding="utf-8-sig")
+    assert bench.run("check", "c.toml").code == 0
+
+
+@pytest.mark.parametrize("encoding", ["latin-1", "utf-16"])
+def test_configuration_in_another_encoding(bench, encoding):
+    bench.config("# Gelenk für den Prüfstand\n" + CONFIG, encoding=encoding)
+    has(bench.refused(), "c.toml: is not UTF-8", "save it as UTF-8")
+
+
+@pytest.mark.parametrize(
+    ("name", "parts"),
+    cases(
+        ("missing", "d.toml", ["d.toml: there is no such file; check the name"]),
+        ("folder", ".", ["is a folder; name the .toml file in it"]),
+        ("below-a-file", "run.csv/c.toml", ["run.csv/c.toml: cannot be read (Not a directory)"]),
+        ("endless", "/dev/zero", ["too large for a configuration"]),
+        ("empty", "/dev/null", ["mechanism: is missing"]),
+    ),
+)
+@pytest.mark.parametrize("command", ["check", "fit"])
+def test_configuration_that_cannot_be_read(bench, command, name, parts):
+    has(bench.refused(command, name), *parts)
+
+
+def test_huge_configuration(bench):
+    bench.config(CONFIG + "#" * 1_000_000)
+    has(bench.refused(), "c.toml: is too large for a configuration")
+
+
+# -- priors
+
+
+@pytest.mark.parametrize(
+    ("prior", "parts"),
+    cases(
+        (
+            "negative",
+            '"motor.inertia" = -1e-3',
+            ["inertia: -0.001 is no possible value", "0 or more"],
+        ),
+        ("reversed", '"motor.inertia" = [2, 1]', ["[2, 1] is no range; put the smaller"]),
+        ("outside", '"motor.inertia" = [-1, 1]', ["[-1, 1] reaches outside", "0 or more"]),
+        ("true", '"motor.inertia" = true', ["true/false is no prior; give a number"]),
+        ("nan", '"motor.inertia" = nan', ["nan is no possible value"]),
+        ("inf", '"motor.inertia" = inf', ["inf is no possible value"]),
+        ("to-inf", '"motor.inertia" = [0, inf]', ["[0, inf] is no range; give two finite numbers"]),
+        ("huge", f'"motor.inertia" = 1{"0" * 400}', ["is no possible value"]),
+        ("text", '"motor.inertia" = "1e-3"', ["'1e-3' is no prior; give a number"]),
+        ("date", '"motor.inertia" = 2020-01-01', ["'2020-01-01' is no prior"]),
+        ("three", '"motor.inertia" = [1, 2, 3]', ["[1, 2, 3] is no prior"]),
+        (
+            "all-fixed",
+            "motor = {inertia = 1, viscous = 1, coulomb = 1}\noffset = 0",
+            ["leave at le"],
+        ),
+        ("unknown", '"motor.inerta" = 1', ["no such parameter; did you mean 'motor.inertia'?"]),
+        (
+            "unknown-dotted",
+            "motor.inerta = 1",
+            ["no such parameter; did you mean 'motor.inertia'?"],
+        ),
+        ("twice", '"motor.inertia" = 1\nmotor.inertia = 2', ["motor.inertia: is given twice"]),
+        ("noise-fixed", '"noise.sigma" = 0.1', ["noise.sigma: cannot be fixed"]),
+        ("no-family", '"motor.inertia" = {dist = "norm"}', ["inertia: its table names no distr"]),
+    ),
+)
+def test_prior(bench, prior, parts):
+    bench.edit(PRIOR, prior)
+    has(bench.refused("fit", "c.toml", "--json"), "c.toml: priors", *parts)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    cases(
+        ("family", '"normal", loc = 1', ["'normal' is no continuous distribution of scipy.stats"]),
+        ("number", "3", ["3 is no continuous distribution of scipy.stats"]),
+        ("argument", '"norm", mean = 1', ["norm takes no 'mean'; use one of loc, scale"]),
+        ("misspelt", '"norm", scal = 1', ["norm takes no 'scal'; did you mean 'scale'?"]),
+        ("shape", '"gamma", scale = 1', ["gamma needs 'a'; add a = ..."]),
+        ("text", '"norm", loc = "1"', [".loc: got '1'; give a finite number"]),
+        ("list", '"norm", loc = [1, 2]', [".loc: got [1, 2]; give a finite number"]),
+        ("true", '"norm", scale = true', [".scale: got true; give a finite number"]),
+        ("inf", '"norm", scale = inf', [".scale: got inf; give a finite number"]),
+        ("negative", '"norm", scale = -1', ["there is no norm(scale=-1); see scipy.stats.norm"]),
+        ("overflow", '"norm", loc = 1e300, scale = 1e-300', ["there is no norm("]),
+        (
+            "no-mass",
+            '"norm", loc = -100, scale = 1',
+            ["lies outside what is possible", "0 or more"],
+        ),
+    ),
+)
+def test_distribution(bench, arguments, parts):
+    bench.edit(PRIOR, f'"motor.inertia" = {{ distribution = {arguments} }}')
+    has(bench.refused("check", "c.toml", "--json"), "c.toml: priors.motor.inertia", *parts)
+
+
+# -- the same in a process of its own
+
+
+def test_bad_recording_in_a_process_of_its_own(bench):
+    rows = lines()
+    cell(17, 1, "nan")(rows)
+    bench.recording(rows)
+    has(bench.refused("check", "c.toml", "--json", run=bench.run_apart), "row 17 (line 18)")
+
+
+def test_bad_prior_in_a_process_of_its_own(bench):
+    bench.edit(PRIOR, '"motor.inertia" = { distribution = "norm", loc = 1e300, scale = 1e-300 }')
+    has(bench.refused("fit", "c.toml", run=bench.run_apart), "priors.motor.inertia")

@@ -1,0 +1,147 @@
+"""Places that cannot be written to, impossible simulations, and slips on the command line."""
+
+import pytest
+
+from .bench import CONFIG, below_a_file, cases, has
+
+
+@pytest.fixture
+def places(bench):
+    """A folder with something of everything that is in the way."""
+    below_a_file(bench.folder)
+    for name in ("full", "full.csv", "full.truth.json", "new.truth.json"):
+        (bench.folder / name).mkdir()
+    (bench.folder / "full" / "summary.json").write_text("{}")
+    (bench.folder / "measured.csv").write_text("t,q,tau\n1,2,3\n")
+    (bench.folder / "broken").symlink_to(bench.folder / "no" / "where")
+    return bench
+
+
+LONG = "a" * 300
+
+
+@pytest.mark.parametrize(
+    ("output", "parts"),
+    cases(
+        ("a-file", "plain", ["plain: is a file; name a folder with -o"]),
+        ("below-a-file", "plain/run", ["plain: there is no such folder; make it first"]),
+        ("no-parent", "no/run", ["no: there is no such folder; make it first"]),
+        ("full", "full", ["full: is not empty; name another folder", "--force"]),
+        ("here", ".", [".: is not empty"]),
+        ("proc", "/proc/run", ["/proc/run: cannot be written"]),
+        ("long", LONG, ["too long"]),
+        ("broken-link", "broken", ["broken: is a link to nowhere"]),
+    ),
+)
+@pytest.mark.parametrize("command", [("fit", "c.toml"), ("demo",)])
+def test_run_directory(places, command, output, parts):
+    has(places.refused(*command, "-o", output), *parts)
+
+
+def test_force_does_not_replace_a_file(places):
+    has(places.refused("fit", "c.toml", "-o", "plain", "--force"), "plain: is a file")
+    has(places.refused("fit", "c.toml", "-o", "/", "--force"), "the whole disk")
+
+
+def test_bad_output_is_told_before_anything_is_read(places):
+    (places.folder / "run.csv").unlink()
+    has(places.refused("fit", "c.toml", "-o", "full", "--json"), "full: is not empty")
+
+
+@pytest.mark.parametrize(
+    ("output", "parts"),
+    cases(
+        ("exists", "c.toml", ["c.toml: exists already; name another file"]),
+        ("a-folder", "full", ["full: is a folder; name a file"]),
+        ("no-parent", "no/c.toml", ["no/c.toml: cannot be written (No such file"]),
+        ("below-a-file", "plain/c.toml", ["plain/c.toml: cannot be written (Not a directory)"]),
+        ("proc", "/proc/c.toml", ["/proc/c.toml: cannot be written"]),
+        ("long", LONG, ["too long"]),
+        ("empty", "", ["is a folder"]),
+    ),
+)
+def test_init_output(places, output, parts):
+    has(places.refused("init", "motor-axis", "-o", output, "--json"), *parts)
+
+
+def test_init_preset(bench):
+    has(bench.refused("init", "motor-axi"), "no such preset; did you mean 'motor-axis'?")
+
+
+@pytest.mark.parametrize(
+    ("output", "parts"),
+    cases(
+        ("no-suffix", "x", ["x: is not named .csv"]),
+        ("suffix", "x.txt", ["x.txt: is not named .csv"]),
+        ("no-parent", "no/x.csv", ["no/x.csv: cannot be written (No such file"]),
+        ("below-a-file", "plain/x.csv", ["plain/x.csv: cannot be written (Not a directory)"]),
+        ("proc", "/proc/x.csv", ["/proc/x.csv: cannot be written"]),
+        ("long", f"{LONG}.csv", ["too long"]),
+        ("a-folder", "full.csv", ["is a folder; name a file"]),
+        ("truth-a-folder", "new.csv", ["new.truth.json: is a folder"]),
+        ("a-measurement", "measured.csv", ["measured.csv: exists already", "may be a measurement"]),
+    ),
+)
+def test_simulate_output(places, output, parts):
+    has(places.refused("simulate", "c.toml", "-o", output), *parts)
+
+
+def test_simulate_replaces_its_own(bench):
+    bench.config(CONFIG + "\n[simulation]\nduration = 0.2\n")
+    for seed in ("1", "2"):
+        assert bench.run("simulate", "c.toml", "-o", "x.csv", "--seed", seed).code == 0
+    assert '"seed": 2' in (bench.folder / "x.truth.json").read_text()
+
+
+@pytest.mark.parametrize(
+    ("options", "parts"),
+    cases(
+        ("excitation", 'excitation = "squares"', ["got 'squares'; did you mean 'square'?"]),
+        (
+            "unknown",
+            "amplitud = 1",
+            ["simulation.amplitud: unknown key; did you mean 'amplitude'?"],
+        ),
+        ("negative", "amplitude = -1", ["simulation.amplitude: got -1; give more than 0"]),
+        ("true", "amplitude = true", ["simulation.amplitude: got true; give a number"]),
+        ("unit", 'duration = "10 s"', ["duration: got '10 s'; give a number, without quotes or u"]),
+        ("short", "duration = 0.001", ["simulation.duration: makes fewer than 10 samples"]),
+        ("endless", "duration = 1e5\nrate = 1e6", ["simulation.duration: makes 1e+11 samples"]),
+        ("no-chirp", 'excitation = "chirp"\nfrequencies = []', ["frequencies: is empty"]),
+        ("runaway", "amplitude = 1e300", ["c.toml: simulation: the joint runs away"]),
+        ("mass", "added_mass = 1", ["simulation.added_mass: has no radius"]),
+        ("name", 'parameters = {"moter.inertia" = 1}', ["no such parameter", "'motor.inertia'?"]),
+        ("value", 'parameters = {"motor.inertia" = -1}', ["-1 is no possible value"]),
+        ("no-number", 'parameters = {"motor.inertia" = "a"}', ["got 'a'; give a number"]),
+        ("weightless", 'parameters = {"motor.inertia" = 0}', ["c.toml: simulation", "no inertia"]),
+    ),
+)
+def test_simulation(bench, options, parts):
+    bench.config(f"{CONFIG}\n[simulation]\n{options}\n")
+    has(bench.refused("simulate", "c.toml", "-o", "x.csv", "--json"), *parts)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    cases(
+        ("option", ("check", "c.toml", "--jsn"), ["--jsn"]),
+        ("argument", ("check",), ["CONFIG"]),
+        ("command", ("chek", "c.toml"), ["chek"]),
+        ("too-many", ("check", "c.toml", "d.toml"), ["d.toml"]),
+        ("no-output", ("simulate", "c.toml"), ["--output"]),
+        ("seed", ("fit", "c.toml", "--seed", "-1"), ["--seed"]),
+        ("seed-text", ("simulate", "c.toml", "-o", "x.csv", "--seed", "x"), ["--seed"]),
+        ("seed-large", ("demo", "--seed", "9" * 30), ["--seed"]),
+    ),
+)
+def test_slip_on_the_command_line(bench, arguments, parts):
+    before = bench.held()
+    done = bench.run(*arguments)
+    assert (done.code, done.out) == (2, "")
+    has(done.err, "Usage: bayesfric", *parts)
+    assert "Traceback" not in done.err
+    assert bench.held() == before
+
+
+def test_bad_output_in_a_process_of_its_own(places):
+    has(places.refused("fit", "c.toml", "-o", "full", run=places.run_apart), "full: is not empty")

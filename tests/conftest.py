@@ -1,0 +1,73 @@
+"""What several folders of tests share: the real recordings, and made-up ones."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.recordings.filters import parallel_filter
+from bayesfric.recordings.observation import Observation
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+DATA = REPOSITORY.parent / "shared" / "data"
+
+
+@pytest.fixture
+def real_data():
+    if not DATA.is_dir():
+        pytest.skip(f"the real recordings are not at {DATA}")
+    return DATA
+
+
+@pytest.fixture(scope="session")
+def make_observation():
+    """Exact motion and torque of known parameters, noise added: no encoder, no filter error."""
+
+    def make(
+        chain,
+        values,
+        *,
+        sigma=0.01,
+        n=1500,
+        factor=1,
+        seed=0,
+        added_mass=0.0,
+        radius=0.0,
+        name="made-up",
+        amplitude=1.0,
+    ):
+        period = 0.002
+        time = np.arange(n) * period
+        rng = np.random.default_rng(seed)
+        q, qd, qdd = np.zeros(n), np.zeros(n), np.zeros(n)
+        for frequency, a in ((0.4, 0.8), (1.1, 0.4), (2.7, 0.15), (5.3, 0.05)):
+            w, phase = 2 * np.pi * frequency, rng.uniform(0, 2 * np.pi)
+            q += amplitude * a * np.sin(w * time + phase)
+            qd += amplitude * a * w * np.cos(w * time + phase)
+            qdd -= amplitude * a * w**2 * np.sin(w * time + phase)
+        torque = inverse_torque(
+            chain, chain.vector(values), q, qd, qdd, added_mass=added_mass, radius=radius
+        )
+        torque = torque + sigma * rng.standard_normal(n)
+        taken = parallel_filter(((0, n),), factor, None, 1 / period, np.ones(n, dtype=bool))
+        return Observation(
+            name=name,
+            q=q,
+            qd=qd,
+            qdd=qdd,
+            torque=torque,
+            filter=taken,
+            time=taken.apply(time),
+            measured=taken.apply(torque),
+            speed=taken.apply(qd),
+            period=factor * period,
+            segment_of=np.zeros(taken.n_outputs, dtype=np.int64),
+            added_mass=added_mass,
+            radius=radius,
+            steps=(),
+            warnings=(),
+            settings={},
+        )
+
+    return make

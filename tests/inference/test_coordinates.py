@@ -1,0 +1,134 @@
+"""Coordinates: round trips, Jacobians against finite differences, bounds."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bayesfric.inference.coordinates import (
+    GEARBOX_FORM,
+    BoundedCoordinates,
+    TorqueFormCoordinates,
+    choose_coordinates,
+)
+from bayesfric.inference.priors import read_prior
+from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.presets import PRESETS
+
+INF = math.inf
+
+
+def knee_rows(n, seed=0):
+    """Random knees with a passive, reversible gearbox."""
+    rng = np.random.default_rng(seed)
+    table = np.array([PRESETS["rabbit-knee"].values[name] for name in GEARBOX_FORM])
+    rows = table * rng.uniform(0.3, 3.0, (n, table.size))
+    rows[:, 4] = rng.uniform(0.01, 0.9, n)
+    rows[:, 5] = rng.uniform(0.01, 0.95, n)
+    return rows
+
+
+def numeric_log_determinant(coordinates, u):
+    d = u.size
+    jacobian = np.empty((d, d))
+    for i in range(d):
+        h = 1e-6 * max(abs(u[i]), 1e-3)
+        up, down = u.copy(), u.copy()
+        up[i] += h
+        down[i] -= h
+        high, low = (coordinates.to_parameters(x[None])[0][0] for x in (up, down))
+        jacobian[:, i] = (high - low) / (2 * h)
+    return np.linalg.slogdet(jacobian)[1]
+
+
+def test_the_torque_form_round_trips():
+    coordinates = TorqueFormCoordinates(50.0, 9.80665)
+    rows = knee_rows(500)
+    back, jacobian = coordinates.to_parameters(coordinates.from_parameters(rows))
+    np.testing.assert_allclose(back, rows, rtol=1e-9)
+    assert np.isfinite(jacobian).all()
+
+
+def test_the_torque_forms_jacobian():
+    coordinates = TorqueFormCoordinates(50.0, 9.80665)
+    for u in coordinates.from_parameters(knee_rows(20, seed=1)):
+        closed = coordinates.to_parameters(u[None])[1][0]
+        assert closed == pytest.approx(numeric_log_determinant(coordinates, u), abs=1e-5)
+
+
+def test_the_scale_coordinate_leaves_the_torque_alone_and_fills_the_passive_interval():
+    """Notes: dissipativity confines the factor k to [1/alpha_2, 1/alpha_1]."""
+    chain = PRESETS["rabbit-knee"].chain()
+    coordinates = TorqueFormCoordinates(chain.ratio, chain.load.gravity)
+    table = chain.vector(PRESETS["rabbit-knee"].values)
+    u = np.tile(coordinates.from_parameters(table[None]), (41, 1))
+    u[:, 10] = np.linspace(-30.0, 30.0, 41)
+    rows, _ = coordinates.to_parameters(u)
+    rng = np.random.default_rng(2)
+    q, qd, qdd = rng.normal(size=(3, 200))
+    torque = inverse_torque(chain, rows, q, qd, qdd)
+    assert np.abs(torque - torque[0]).max() < 1e-12
+    assert (rows[:, 4] >= -1e-12).all()
+    assert (rows[:, 5] >= -1e-12).all()
+    factor = rows[:, 10] / table[10]
+    assert factor.max() == pytest.approx(1.0 / 0.7432, rel=1e-9)
+    assert factor.min() == pytest.approx(1.0 / 1.408, rel=1e-9)
+
+
+def test_rows_without_a_passive_gearbox_are_impossible():
+    coordinates = TorqueFormCoordinates(50.0, 9.80665)
+    u = np.tile(coordinates.from_parameters(knee_rows(1)), (3, 1))
+    u[0, 9] = -u[0, 9]  # Theta2 and -Theta2 give the same torque; only one is physical
+    u[1, 4] = 0.5 * u[1, 9]  # rho < 1
+    u[2, 0] = np.nan
+    assert np.isneginf(coordinates.to_parameters(u)[1]).all()
+
+
+widths = st.lists(st.floats(0.01, 20.0), min_size=4, max_size=4)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.one_of(st.none(), widths), st.lists(st.floats(-6.0, 6.0), min_size=4, max_size=4))
+def test_bounded_coordinates_invert_and_their_jacobian_is_right(given_widths, u):
+    coordinates = BoundedCoordinates(
+        [0.0, -1.0, -INF, -INF],
+        [INF, 2.0, INF, 5.0],
+        None if given_widths is None else np.array(given_widths),
+    )
+    u = np.array(u)
+    x, jacobian = coordinates.to_parameters(u[None])
+    np.testing.assert_allclose(coordinates.from_parameters(x)[0], u, rtol=1e-6, atol=1e-6)
+    assert jacobian[0] == pytest.approx(numeric_log_determinant(coordinates, u), abs=1e-5)
+    assert x[0, 0] > 0.0
+    assert x[0, 1] > -1.0
+    assert x[0, 3] < 5.0
+
+
+def test_far_above_its_bound_a_bent_coordinate_is_straight():
+    coordinates = BoundedCoordinates([0.0], [INF], np.array([0.1]))
+    x = np.array([[3.0], [3.1], [3.2]])
+    steps = np.diff(coordinates.from_parameters(x)[:, 0])
+    np.testing.assert_allclose(steps, 1.0, rtol=1e-9)
+
+
+def test_the_torque_form_is_chosen_only_where_it_holds():
+    chain = PRESETS["rabbit-knee"].chain()
+
+    def choose(changes=None, names=chain.names):
+        priors = []
+        for p in chain.parameters:
+            upper = 1.0 if p.name == "gearbox.load_back" else p.upper
+            text = {"distribution": "halfnorm", "scale": 1.0}
+            if changes and p.name in changes:
+                text, upper = changes[p.name], p.upper
+            priors.append(read_prior(p.name, text, lower=p.lower, upper=upper))
+        kept = [(n, p) for n, p in zip(chain.names, priors, strict=True) if n in names]
+        return choose_coordinates(chain, [n for n, _ in kept], [p for _, p in kept])
+
+    assert isinstance(choose(), TorqueFormCoordinates)
+    # mu_2 above one, an irreversible gearbox: rho could fall below one
+    assert isinstance(choose({"gearbox.load_back": [0.0, 2.0]}), BoundedCoordinates)
+    # a parameter less
+    assert isinstance(choose(names=chain.names[:-1]), BoundedCoordinates)

@@ -1,0 +1,123 @@
+"""The likelihood against its definition, and the target against its parts."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from bayesfric.errors import BadInput
+from bayesfric.inference.fit import make_target, read_priors
+from bayesfric.inference.likelihood import TorqueLikelihood
+from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.presets import PRESETS
+
+KNEE = PRESETS["rabbit-knee"]
+
+
+@pytest.fixture(scope="module")
+def knee(make_observation):
+    chain = KNEE.chain()
+    observations = [
+        make_observation(chain, KNEE.values, n=600, factor=5, name="bare"),
+        make_observation(
+            chain, KNEE.values, n=500, seed=1, added_mass=2.0, radius=0.35, name="loaded"
+        ),
+    ]
+    return chain, observations
+
+
+def rows(chain, n=8, seed=0):
+    rng = np.random.default_rng(seed)
+    return chain.vector(KNEE.values) * rng.uniform(0.5, 1.5, (n, len(chain.names)))
+
+
+def test_squares_are_the_filtered_residuals(knee):
+    chain, observations = knee
+    likelihood = TorqueLikelihood(chain, observations)
+    values = rows(chain)
+    squares = likelihood.sum_of_squares(values)
+    for i, o in enumerate(observations):
+        torque = inverse_torque(
+            chain, values, o.q, o.qd, o.qdd, added_mass=o.added_mass, radius=o.radius
+        )
+        expected = ((o.measured - o.filter.apply(torque)) ** 2).sum(axis=1)
+        np.testing.assert_allclose(squares[:, i], expected, rtol=1e-11)
+        np.testing.assert_allclose(likelihood.predict(values)[i], o.filter.apply(torque))
+
+
+def test_density_is_the_normals(knee):
+    chain, observations = knee
+    likelihood = TorqueLikelihood(chain, observations)
+    values = rows(chain)
+    sigma = np.random.default_rng(1).uniform(0.005, 0.05, (values.shape[0], 2))
+    expected = sum(
+        stats.norm.logpdf(o.measured, torque, sigma[:, i, None]).sum(axis=1)
+        for i, (o, torque) in enumerate(
+            zip(observations, likelihood.predict(values), strict=True)
+        )
+    )
+    np.testing.assert_allclose(likelihood.log_density(values, sigma), expected, rtol=1e-10)
+    shared = likelihood.log_density(values, sigma[:, :1])
+    both = likelihood.log_density(values, np.repeat(sigma[:, :1], 2, axis=1))
+    np.testing.assert_allclose(shared, both)
+
+
+@pytest.mark.parametrize("scale", ["shared", "per-recording"])
+def test_the_target_is_prior_likelihood_and_jacobian(knee, scale):
+    chain, observations = knee
+    priors = read_priors(chain, {"load.first_moment": 0.42}, observations)
+    target = make_target(chain, observations, priors, scale)
+    assert "load.first_moment" not in target.names
+    n_sigma = {"shared": 1, "per-recording": 2}[scale]
+    assert target.dimension == len(chain.names) - 1 + n_sigma
+    kept = [j for j, name in enumerate(chain.names) if name != "load.first_moment"]
+    parameters = np.concatenate([rows(chain)[:, kept], np.full((8, n_sigma), 0.02)], axis=1)
+    u = target.from_parameters(parameters)
+    back, jacobian = target.to_parameters(u)
+    np.testing.assert_allclose(back, parameters, rtol=1e-9)
+    expected = jacobian + target.log_prior(parameters) + target.log_likelihood(parameters)
+    np.testing.assert_allclose(target(u), expected, rtol=1e-12)
+    full = target.chain_values(parameters)
+    assert (full[:, chain.names.index("load.first_moment")] == 0.42).all()
+
+
+def test_what_is_no_number_counts_as_impossible_and_is_counted(knee):
+    chain, observations = knee
+    priors = read_priors(chain, {}, observations)
+    target = make_target(chain, observations, priors, "shared")
+    u = np.tile(target.from_parameters(np.append(rows(chain, 1), 0.02)[None]), (3, 1))
+    u[1, 0] = np.nan
+    u[2] = 1e300
+    values = target(u)
+    assert np.isfinite(values[0])
+    assert np.isneginf(values[1:]).all()
+    target.likelihood.log_density = lambda values, sigma: np.full(values.shape[0], np.nan)
+    assert np.isneginf(target(u[:1])).all()
+    assert target.not_finite == 1
+
+
+def test_coordinates_do_not_change_the_posterior(knee):
+    """Density over Jacobian is the same in every coordinates."""
+    chain, observations = knee
+    priors = read_priors(chain, {"motor.inertia": [1e-5, 1e-2]}, observations)
+    plain = make_target(chain, observations[:1], priors, "shared")
+    parameters = np.append(rows(chain, 1), 0.02)[None]
+    shaped = plain.with_widths(0.1 * parameters[0])
+    for target in (plain, shaped):
+        u = target.from_parameters(parameters)
+        density = target(u) - target.to_parameters(u)[1]
+        expected = target.log_prior(parameters) + target.log_likelihood(parameters)
+        np.testing.assert_allclose(density, expected, rtol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("texts", "word"),
+    [
+        ({"motor.inertai": 1.0}, "motor.inertia"),
+        ({"noise.sigma": 0.1}, "range"),
+        ({name: value for name, value in KNEE.values.items()}, "free"),
+    ],
+)
+def test_priors_that_cannot_be_are_refused(knee, texts, word):
+    chain, observations = knee
+    with pytest.raises(BadInput, match=word):
+        read_priors(chain, texts, observations)

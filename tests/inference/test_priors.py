@@ -1,0 +1,141 @@
+"""Priors against SciPy and against what cannot be."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import integrate, stats
+
+from bayesfric.errors import BadInput
+from bayesfric.inference.defaults import Scales, default_noise_prior, default_prior
+from bayesfric.inference.priors import read_prior
+from bayesfric.mechanism.presets import PRESETS
+
+INF = math.inf
+
+
+def positive(text):
+    return read_prior("motor.inertia", text, lower=0.0, upper=INF)
+
+
+def test_a_number_fixes():
+    prior = positive(0.25)
+    assert prior.fixed
+    assert prior.value == 0.25
+    assert prior.sd() == 0.0
+
+
+def test_a_range_is_uniform():
+    prior = positive([1.0, 3.0])
+    x = np.array([0.5, 1.0, 2.0, 3.0, 3.5])
+    np.testing.assert_allclose(prior.log_density(x), [-INF, *3 * [-math.log(2.0)], -INF])
+    assert prior.sd() == pytest.approx(2.0 / math.sqrt(12.0))
+
+
+FAMILIES = [
+    ({"distribution": "norm", "loc": 2.0, "scale": 0.5}, stats.norm(2.0, 0.5)),
+    ({"distribution": "halfnorm", "scale": 0.5}, stats.halfnorm(scale=0.5)),
+    ({"distribution": "halfnorm", "loc": 1.0, "scale": 0.5}, stats.halfnorm(1.0, 0.5)),
+    ({"distribution": "lognorm", "s": 0.5, "scale": 2.0}, stats.lognorm(0.5, scale=2.0)),
+    ({"distribution": "lognorm", "s": 0.5, "loc": 0.3}, stats.lognorm(0.5, loc=0.3)),
+    ({"distribution": "loguniform", "a": 0.1, "b": 10.0}, stats.loguniform(0.1, 10.0)),
+    (
+        {"distribution": "loguniform", "a": 0.1, "b": 10.0, "loc": 0.2, "scale": 3.0},
+        stats.loguniform(0.1, 10.0, 0.2, 3.0),
+    ),
+    ({"distribution": "uniform", "loc": 1.0, "scale": 2.0}, stats.uniform(1.0, 2.0)),
+    ({"distribution": "gamma", "a": 3.0, "scale": 0.2}, stats.gamma(3.0, scale=0.2)),
+    ({"distribution": "truncnorm", "a": 0.0, "b": 2.0}, stats.truncnorm(0.0, 2.0)),
+]
+
+
+@pytest.mark.parametrize(("text", "reference"), FAMILIES, ids=lambda f: str(f)[:40])
+def test_densities_are_scipys_up_to_the_cut(text, reference):
+    prior = positive(text)
+    x = np.concatenate([np.linspace(-0.997, 12.003, 131), [1e-9, 1e3]])
+    inside = x >= 0.0
+    expected = reference.logpdf(x[inside]) - np.log(1.0 - reference.cdf(0.0))
+    np.testing.assert_allclose(prior.log_density(x)[inside], expected, rtol=1e-12, atol=1e-12)
+    assert np.isneginf(prior.log_density(x)[~inside]).all()
+
+
+@given(st.floats(-1.0, 2.0), st.floats(0.4, 3.0))
+def test_a_cut_prior_integrates_to_one_and_its_sd_is_its_own(loc, scale):
+    prior = positive({"distribution": "norm", "loc": loc, "scale": scale})
+
+    def moment(power):
+        return integrate.quad(
+            lambda x: x**power * math.exp(prior.log_density(np.array([x]))[0]),
+            0.0,
+            loc + 12 * scale,
+            epsabs=1e-11,
+        )[0]
+
+    assert moment(0) == pytest.approx(1.0, abs=1e-7)
+    assert prior.sd() == pytest.approx(math.sqrt(moment(2) - moment(1) ** 2), rel=1e-3)
+
+
+def test_draws_follow_the_cut_density():
+    prior = positive({"distribution": "norm", "loc": 0.2, "scale": 1.0})
+    draws = prior.draw(4000, np.random.default_rng(1))
+    reference = stats.truncnorm(-0.2, np.inf, 0.2, 1.0)
+    # fixed seed; the threshold is a one-in-ten-thousand event
+    assert stats.kstest(draws, reference.cdf).pvalue > 1e-4
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        (-1.0, "possible value"),
+        (math.nan, "possible value"),
+        (True, "true/false"),
+        ([3.0, 1.0], "smaller number first"),
+        ([-1.0, 1.0], "outside"),
+        ([1.0], "no prior"),
+        ("norm", "no prior"),
+        ([1.0, INF], "no range"),
+        ({"distribution": "nrom"}, "scipy.stats"),
+        ({"distribution": "poisson", "mu": 1.0}, "scipy.stats"),
+        ({"distribution": "norm", "mean": 1.0}, "takes no 'mean'"),
+        ({"distribution": "norm", "scale": -1.0}, "norm"),
+        ({"distribution": "norm", "loc": -100.0, "scale": 1.0}, "outside what is possible"),
+        ({"loc": 1.0}, "scipy.stats"),
+    ],
+)
+def test_impossible_priors_name_the_key_and_the_mend(text, word):
+    with pytest.raises(BadInput, match=word) as caught:
+        positive(text)
+    assert caught.value.where == "priors.motor.inertia"
+    assert caught.value.mend
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_default_priors_hold_the_presets_own_values(preset):
+    chain = PRESETS[preset].chain()
+    scales = Scales(torque=1.0, speed=2.0, acceleration=30.0)
+    for p in chain.parameters:
+        prior = default_prior(chain, p, scales)
+        assert prior.default
+        assert p.lower <= prior.lower < prior.upper <= p.upper
+        density = prior.log_density(np.array([PRESETS[preset].values[p.name]]))
+        assert np.isfinite(density).all(), p.name
+
+
+def test_default_scales_follow_the_shaft():
+    """A joint loss may be N times the motor's, a joint viscosity N² times."""
+    chain = PRESETS["rabbit-knee"].chain()
+    scales = Scales(torque=1.0, speed=2.0, acceleration=40.0)
+    sd = {
+        p.name: float(p_prior.distribution.kwds["scale"])
+        for p in chain.parameters
+        if "scale" in (p_prior := default_prior(chain, p, scales)).distribution.kwds
+    }
+    assert sd["motor.coulomb_positive"] == 1.0
+    assert sd["joint.coulomb_positive"] == 50.0
+    assert sd["motor.viscous"] == 0.01
+    assert sd["joint.viscous"] == pytest.approx(25.0, abs=5.1)  # 25 to one digit
+    assert sd["load.inertia"] == pytest.approx(1.25, abs=0.3)
+    noise = default_noise_prior(scales)
+    assert (noise.lower, noise.upper) == (1e-6, 1.0)

@@ -1,0 +1,151 @@
+"""The whole sampler against posteriors known in closed form."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from bayesfric.inference.fit import fit, make_target, read_priors
+from bayesfric.inference.laplace import laplace
+from bayesfric.inference.sampling import Sampling
+from bayesfric.mechanism.presets import PRESETS
+
+AXIS = PRESETS["motor-axis"]
+QUICK = Sampling(seed=3, min_ess=4000)
+
+
+@pytest.fixture(scope="module")
+def axis_target(make_observation):
+    """A linear model with flat priors far from every bound: Student t is exact."""
+    chain = AXIS.chain()
+    observation = make_observation(chain, AXIS.values, sigma=0.02, n=800)
+    flat = {
+        "motor.inertia": [0.0, 1.0],
+        "motor.viscous": [0.0, 5.0],
+        "motor.coulomb": [0.0, 20.0],
+        "offset": [-20.0, 20.0],
+        "noise.sigma": {"distribution": "loguniform", "a": 1e-6, "b": 10.0},
+    }
+    priors = read_priors(chain, flat, [observation])
+    return make_target(chain, [observation], priors, "shared")
+
+
+@pytest.fixture(scope="module")
+def axis_fit(axis_target):
+    return fit(axis_target, QUICK)
+
+
+def exact(observation):
+    """With a prior 1/sigma, the marginals of a linear model are Student t."""
+    o = observation
+    x = np.stack([o.qdd, o.qd, np.sign(o.qd), np.ones_like(o.q)], axis=1)
+    solution, *_ = np.linalg.lstsq(x, o.measured, rcond=None)
+    residual = o.measured - x @ solution
+    freedom = o.measured.size - 4
+    variance = residual @ residual / freedom
+    sd = np.sqrt(variance * np.diag(np.linalg.inv(x.T @ x)))
+    return solution, sd, freedom, residual @ residual
+
+
+def test_a_linear_model_has_its_exact_posterior(axis_fit):
+    posterior = axis_fit.posterior
+    assert posterior.diagnostics.status == "reliable", posterior.diagnostics.problems
+    solution, sd, freedom, squares = exact(axis_fit.observations[0])
+    for j, name in enumerate(("motor.inertia", "motor.viscous", "motor.coulomb", "offset")):
+        draws = posterior[name].ravel()
+        n = posterior.diagnostics.ess[posterior.names.index(name)]
+        reference = stats.t(freedom, solution[j], sd[j])
+        assert abs(draws.mean() - solution[j]) < 5.0 * sd[j] / np.sqrt(n), name
+        assert draws.std() / reference.std() == pytest.approx(1.0, abs=5.0 / np.sqrt(2 * n)), name
+        for p in (0.05, 0.5, 0.95):
+            share = (draws < reference.ppf(p)).mean()
+            assert abs(share - p) < 5.0 * np.sqrt(p * (1 - p) / n), (name, p)
+    # sigma² is scaled inverse chi-squared
+    draws = posterior["noise.sigma"].ravel()
+    n = posterior.diagnostics.ess[-1]
+    for p in (0.05, 0.5, 0.95):
+        edge = np.sqrt(squares / stats.chi2.isf(p, freedom))
+        assert abs((draws < edge).mean() - p) < 5.0 * np.sqrt(p * (1 - p) / n), p
+
+
+def test_one_seed_one_result_another_seed_another(axis_target, axis_fit):
+    again = fit(axis_target, QUICK)
+    np.testing.assert_array_equal(again.posterior.draws, axis_fit.posterior.draws)
+    other = fit(axis_target, QUICK.model_copy(update={"seed": 4}))
+    assert not np.array_equal(other.posterior.draws[..., 0, :], axis_fit.posterior.draws[..., 0, :])
+    for j in range(len(other.posterior.names)):
+        a, b = (f.posterior.flat()[:, j] for f in (axis_fit, other))
+        n = min(f.posterior.diagnostics.ess[j] for f in (axis_fit, other))
+        assert abs(a.mean() - b.mean()) < 5.0 * a.std() * np.sqrt(2.0 / n)
+
+
+def test_ensembles_use_different_random_streams(axis_fit):
+    first = axis_fit.posterior.draws[:, :, 0, 0]
+    assert np.unique(first).size > 0.9 * first.size
+
+
+def test_a_prior_far_narrower_than_the_data_is_the_posterior(make_observation):
+    chain = AXIS.chain()
+    observation = make_observation(chain, AXIS.values, sigma=0.05, n=300)
+    narrow = {"motor.viscous": {"distribution": "norm", "loc": 0.05, "scale": 1e-7}}
+    priors = read_priors(chain, narrow, [observation])
+    result = fit(make_target(chain, [observation], priors, "shared"), QUICK)
+    draws = result.posterior["motor.viscous"].ravel()
+    n = result.posterior.diagnostics.ess.min()
+    assert draws.std() == pytest.approx(1e-7, rel=5.0 / np.sqrt(2 * n))
+    assert draws.mean() == pytest.approx(0.05, abs=5e-7 / np.sqrt(n))
+
+
+def test_a_loss_that_is_not_there_leans_on_its_bound(make_observation):
+    """Exact: a normal likelihood cut at zero, sigma all but known."""
+    chain = AXIS.chain()
+    values = AXIS.values | {"motor.coulomb": 0.0}
+    observation = make_observation(chain, values, sigma=0.05, n=3000, seed=5)
+    flat = {
+        "motor.inertia": [0.0, 1.0],
+        "motor.viscous": [0.0, 5.0],
+        "motor.coulomb": [0.0, 20.0],
+        "offset": [-20.0, 20.0],
+    }
+    priors = read_priors(chain, flat, [observation])
+    result = fit(make_target(chain, [observation], priors, "shared"), QUICK)
+    solution, sd, _, _ = exact(observation)
+    cut = stats.truncnorm(-solution[2] / sd[2], np.inf, solution[2], sd[2])
+    draws = result.posterior["motor.coulomb"].ravel()
+    n = result.posterior.diagnostics.ess[result.posterior.names.index("motor.coulomb")]
+    for p in (0.05, 0.5, 0.95):
+        assert abs((draws < cut.ppf(p)).mean() - p) < 5.0 * np.sqrt(p * (1 - p) / n) + 2e-3, p
+
+
+def test_too_few_steps_are_told(axis_target):
+    short = Sampling(seed=3, min_ess=1e6, max_steps=300)
+    result = fit(axis_target, short)
+    assert result.posterior.diagnostics.status == "tentative"
+    assert any("max_steps" in problem for problem in result.posterior.diagnostics.problems)
+
+
+def test_laplace_of_a_normal_is_the_normal():
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(5, 5)) * np.geomspace(0.01, 100.0, 5)[:, None]
+    sigma, mean = root @ root.T, rng.normal(size=5)
+    precision = np.linalg.inv(sigma)
+
+    def log_density(x):
+        return -0.5 * np.einsum("ni,ij,nj->n", x - mean, precision, x - mean)
+
+    found = laplace(log_density, mean + rng.normal(size=(4, 5)) @ root.T)
+    assert np.abs(np.linalg.solve(root, found.mode - mean)).max() < 0.05
+    white = np.linalg.solve(root, np.linalg.solve(root, found.covariance).T)
+    np.testing.assert_allclose(white, np.eye(5), atol=0.05)
+
+
+def test_starts_at_zero_probability_are_redrawn():
+    """A density on the positive half only: emcee would keep a bad start for ever."""
+
+    def log_density(x):
+        return np.where((x > 0).all(axis=1), -x.sum(axis=1), -np.inf)
+
+    found = laplace(log_density, np.array([[0.5, 0.5]]))
+    starts = found.draw_starts(200, log_density, np.random.default_rng(1))
+    assert np.isfinite(log_density(starts)).all()
+    with pytest.raises(ValueError, match="zero probability"):
+        laplace(log_density, np.array([[-1.0, -1.0]]))

@@ -1,0 +1,294 @@
+"""The inverse model against the paper's own forms and limits."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.derived import derive, efficiencies
+from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.inverse import inverse_torque, load_torque
+from bayesfric.mechanism.presets import PRESETS
+
+positive = st.floats(1e-3, 10.0)
+
+
+def motion(n=400, seed=0):
+    rng = np.random.default_rng(seed)
+    return rng.normal(0.0, 1.0, n), rng.normal(0.0, 3.0, n), rng.normal(0.0, 30.0, n)
+
+
+def table_3():
+    chain = PRESETS["rabbit-knee"].chain()
+    return chain, chain.vector(PRESETS["rabbit-knee"].values)
+
+
+def thetas(chain, v):
+    """Theta1 and Theta2 exactly as listed under eq. (13), with g in theta5 and theta10."""
+    n, g = chain.ratio, chain.load.gravity
+    alpha_1 = 1.0 / (1.0 + v["gearbox.load_drive"])
+    alpha_2 = 1.0 / (1.0 - v["gearbox.load_back"])
+    lambda_1 = (1 / alpha_1 + 1 / alpha_2) / 2
+    lambda_2 = (1 / alpha_1 - 1 / alpha_2) / 2
+    plus = (v["joint.coulomb_positive"] + v["joint.coulomb_negative"]) / (2 * n)
+    minus = (v["joint.coulomb_positive"] - v["joint.coulomb_negative"]) / (2 * n)
+    leg = np.array(
+        [
+            v["load.inertia"] / n**2,
+            v["joint.viscous"] / n**2,
+            plus,
+            minus,
+            g * v["load.first_moment"] / n,
+        ]
+    )
+    motor = np.array(
+        [
+            v["motor.inertia"],
+            v["motor.viscous"],
+            (v["motor.coulomb_positive"] + v["motor.coulomb_negative"]) / 2,
+            (v["motor.coulomb_positive"] - v["motor.coulomb_negative"]) / 2,
+            0.0,
+        ]
+    )
+    return motor + lambda_1 * leg, lambda_2 * leg
+
+
+def regressors(chain, q, qd, qdd):
+    n = chain.ratio
+    return np.stack([n * qdd, n * qd, np.sign(qd), np.ones_like(q), np.sin(q)], axis=1)
+
+
+def test_the_knee_is_eq_13():
+    chain, x = table_3()
+    q, qd, qdd = motion()
+    theta_1, theta_2 = thetas(chain, dict(zip(chain.names, x, strict=True)))
+    psi = regressors(chain, q, qd, qdd)
+    expected = psi @ theta_1 + np.sign(qd) * np.abs(psi @ theta_2)
+    assert np.abs(inverse_torque(chain, x, q, qd, qdd) - expected).max() < 1e-12
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(positive, min_size=11, max_size=11), st.floats(0.0, 0.99))
+def test_the_knee_is_eq_13_for_any_parameters(values, back):
+    chain, _ = table_3()
+    x = np.array(values)
+    x[chain.names.index("gearbox.load_back")] = back
+    q, qd, qdd = motion(50)
+    theta_1, theta_2 = thetas(chain, dict(zip(chain.names, x, strict=True)))
+    psi = regressors(chain, q, qd, qdd)
+    expected = psi @ theta_1 + np.sign(qd) * np.abs(psi @ theta_2)
+    torque = inverse_torque(chain, x, q, qd, qdd)
+    assert np.abs(torque - expected).max() <= 1e-12 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("k", [0.75, 0.9, 1.2, 1.3])
+def test_leg_and_alpha_scale_together_without_changing_the_torque(k):
+    """Erratum 1 of the notes: the same factor on leg parameters and on alpha."""
+    chain, x = table_3()
+    v = dict(zip(chain.names, x, strict=True))
+    for name in v:
+        if name.startswith(("joint.", "load.")):
+            v[name] *= k
+    v["gearbox.load_drive"] = (1.0 + v["gearbox.load_drive"]) / k - 1.0
+    v["gearbox.load_back"] = 1.0 - (1.0 - v["gearbox.load_back"]) / k
+    q, qd, qdd = motion()
+    same = inverse_torque(chain, chain.vector(v), q, qd, qdd)
+    assert np.abs(same - inverse_torque(chain, x, q, qd, qdd)).max() < 1e-12
+
+
+def test_the_printed_comparisons_of_section_4_4():
+    chain, x = table_3()
+    v = dict(zip(chain.names, x, strict=True))
+    n = chain.ratio
+    assert v["motor.inertia"] + v["load.inertia"] / n**2 == pytest.approx(4.38e-4, abs=5e-7)
+    assert v["motor.viscous"] + v["joint.viscous"] / n**2 == pytest.approx(5.25e-3, abs=5e-6)
+    constant = v["motor.coulomb_positive"] + v["joint.coulomb_positive"] / n
+    assert constant == pytest.approx(0.188, abs=5e-4)
+    # Fr/Ts of about 0.10 gives the printed 0.692 and 0.607 (notes, item 5)
+    drive, back = efficiencies(
+        np.array(v["gearbox.load_drive"]), np.array(v["gearbox.load_back"]), np.array(0.1), 1.0
+    )
+    assert drive == pytest.approx(0.692, abs=2e-3)
+    assert back == pytest.approx(0.607, abs=5e-3)
+
+
+def test_efficiencies_of_eq_4_and_irreversibility():
+    drive, back = efficiencies(
+        np.array([0.0, 0.2, 0.2]), np.array([0.0, 0.2, 0.9]), np.array([0.0, 1.0, 2.0]), 10.0
+    )
+    np.testing.assert_allclose(drive, [1.0, 1 / 1.3, 1 / 1.4])
+    np.testing.assert_allclose(back[:2], [1.0, 0.7])
+    assert np.isnan(back[2])  # 1 - 0.9 - 0.2 < 0: irreversible
+
+
+def prismatic(nu, d, a, b, pull):
+    """Section 2.3 from statics: block of length d, force Te at offset a, Ts at offset b.
+
+    The two contacts carry N = (a Te + b Ts)/d each; friction is 2 nu N. Solves
+    Te for a given Ts at constant speed; ``pull`` is the direction of motion.
+    """
+    if a == 0.0:
+        return pull + 2 * nu * b * abs(pull) / d * np.sign(pull)
+    # Te = Ts + 2 nu a Te / d
+    return pull / (1.0 - 2 * nu * a / d)
+
+
+def test_the_prismatic_joint_of_section_2_3():
+    nu, d, b = 0.15, 0.2, 0.06
+    mu = 2 * nu * b / d
+    chain = Chain(
+        elements=(Element("slide", motion="linear", load_loss="one"),),
+        load=Load(inertia=True, motion="linear"),
+    )
+    mass = 2.0
+    for speed, acceleration in ((1.0, 3.0), (-1.0, -3.0)):  # the input drives
+        force = float(inverse_torque(chain, [mu, mass], [0.0], [speed], [acceleration])[0])
+        assert force == pytest.approx(prismatic(nu, d, 0.0, b, mass * acceleration))
+        assert mass * acceleration / force == pytest.approx(1.0 / (1.0 + mu))  # eta_m, case 1
+    # the output drives: eta_r = 1 - mu
+    braked = float(inverse_torque(chain, [mu, mass], [0.0], [1.0], [-3.0])[0])
+    assert braked / (mass * -3.0) == pytest.approx(1.0 - mu)
+    # case 1 is the one whose driving efficiency exceeds the back-driving one
+    assert 1.0 / (1.0 + mu) > 1.0 - mu
+
+
+def full_chain():
+    """Every term there is, at different shafts."""
+    terms = {"inertia": True, "viscous": True, "quadratic": True, "stribeck": True}
+    return Chain(
+        elements=(
+            Element("motor", coulomb="by-direction", **terms),
+            Element("belt", ratio=2.5, coulomb="symmetric", load_loss="one", **terms),
+            Element("gear", ratio=20.0, load_loss="two", **terms),
+            Element("bearing", coulomb="symmetric", viscous=True),
+        ),
+        load=Load(inertia=True, first_moment=True, gravity_angle=True),
+        offset=True,
+        gain=True,
+    )
+
+
+def by_hand(chain, v, q, qd, qdd, mass, radius):
+    """Section 2.2 with eq. (2), element by element, one sample, in plain Python."""
+    g = chain.load.gravity
+    torque = (v["load.inertia"] + mass * radius**2) * qdd
+    torque += g * (v["load.first_moment"] + mass * radius) * np.sin(q + v["load.gravity_angle"])
+    speed, acceleration = qd, qdd
+    for e in reversed(chain.elements):
+        torque, speed, acceleration = torque / e.ratio, speed * e.ratio, acceleration * e.ratio
+        s = np.sign(speed)
+        side = "positive" if s > 0 else "negative"
+        constant = v.get(f"{e.name}.coulomb", v.get(f"{e.name}.coulomb_{side}", 0.0))
+        way = "drive" if torque * speed > 0 else "back"
+        mu = v.get(f"{e.name}.load", v.get(f"{e.name}.load_{way}", 0.0))
+        rise = 1.0
+        if e.stribeck:
+            rise += v[f"{e.name}.stribeck_ratio"] * np.exp(
+                -((speed / v[f"{e.name}.stribeck_velocity"]) ** 2)
+            )
+        friction = (constant + mu * abs(torque)) * rise * s
+        friction += v.get(f"{e.name}.viscous", 0.0) * speed
+        friction += v.get(f"{e.name}.quadratic", 0.0) * speed * abs(speed)
+        torque = torque + v.get(f"{e.name}.inertia", 0.0) * acceleration + friction
+    return (torque + v["offset"]) / v["drive.gain"]
+
+
+def test_every_term_at_every_shaft_against_plain_python():
+    chain = full_chain()
+    rng = np.random.default_rng(3)
+    v = {p.name: float(rng.uniform(0.05, 0.9)) for p in chain.parameters}
+    q, qd, qdd = motion(60, seed=4)
+    torque = inverse_torque(chain, chain.vector(v), q, qd, qdd, added_mass=1.5, radius=0.3)
+    expected = [
+        by_hand(chain, v, *sample, 1.5, 0.3) for sample in zip(q, qd, qdd, strict=True)
+    ]
+    np.testing.assert_allclose(torque, expected, rtol=1e-12, atol=0)
+
+
+def test_no_direction_no_dry_friction_at_rest():
+    chain, x = table_3()
+    v = dict(zip(chain.names, x, strict=True))
+    torque = float(inverse_torque(chain, x, [0.3], [0.0], [0.0])[0])
+    assert torque == pytest.approx(9.80665 * v["load.first_moment"] * np.sin(0.3) / 50.0)
+
+
+def test_many_vectors_at_once_are_each_vector_alone():
+    chain, x = table_3()
+    rng = np.random.default_rng(5)
+    many = x * rng.uniform(0.8, 1.2, (7, x.size))
+    q, qd, qdd = motion(100)
+    together = inverse_torque(chain, many, q, qd, qdd)
+    alone = np.stack([inverse_torque(chain, one, q, qd, qdd) for one in many])
+    np.testing.assert_array_equal(together, alone)
+
+
+def test_a_known_added_mass_is_that_much_more_load():
+    chain, x = table_3()
+    v = dict(zip(chain.names, x, strict=True))
+    q, qd, qdd = motion(100)
+    heavier = v | {
+        "load.inertia": v["load.inertia"] + 2.0 * 0.35**2,
+        "load.first_moment": v["load.first_moment"] + 2.0 * 0.35,
+    }
+    np.testing.assert_allclose(
+        inverse_torque(chain, x, q, qd, qdd, added_mass=2.0, radius=0.35),
+        inverse_torque(chain, chain.vector(heavier), q, qd, qdd),
+        rtol=1e-12,
+    )
+    expected = heavier["load.inertia"] * qdd
+    expected += 9.80665 * heavier["load.first_moment"] * np.sin(q)
+    np.testing.assert_allclose(load_torque(chain, x, q, qdd, added_mass=2.0, radius=0.35), expected)
+
+
+def test_totals_are_theta1_plus_and_minus_theta2():
+    chain, x = table_3()
+    v = dict(zip(chain.names, x, strict=True))
+    theta_1, theta_2 = thetas(chain, v)
+    found = {d.name: float(d.values[0]) for d in derive(chain, x[None], 20.0)}
+    for side, total in (("drive", theta_1 + theta_2), ("back", theta_1 - theta_2)):
+        assert found[f"total_{side}.inertia"] == pytest.approx(total[0])
+        assert found[f"total_{side}.viscous"] == pytest.approx(total[1])
+        assert found[f"total_{side}.coulomb_positive"] == pytest.approx(total[2] + total[3])
+        assert found[f"total_{side}.coulomb_negative"] == pytest.approx(total[2] - total[3])
+        assert found[f"total_{side}.gravity"] == pytest.approx(total[4])
+    assert found["gearbox.lambda_ratio"] == pytest.approx(theta_1[4] / theta_2[4])
+    assert found["gearbox.alpha_drive"] == pytest.approx(0.7432)
+    assert found["gearbox.alpha_back"] == pytest.approx(1.408)
+    assert found["gearbox.lambda_1"] == pytest.approx(1.028, abs=5e-4)  # the notes' number
+
+
+def test_gauge_free_quantities_do_not_change_along_the_scaling():
+    chain, x = table_3()
+    v = dict(zip(chain.names, x, strict=True))
+    scaled = dict(v)
+    for name in v:
+        if name.startswith(("joint.", "load.")):
+            scaled[name] *= 1.15
+    scaled["gearbox.load_drive"] = (1.0 + v["gearbox.load_drive"]) / 1.15 - 1.0
+    scaled["gearbox.load_back"] = 1.0 - (1.0 - v["gearbox.load_back"]) / 1.15
+    both = derive(chain, np.stack([x, chain.vector(scaled)]), 20.0)
+    for d in both:
+        change = abs(d.values[1] / d.values[0] - 1.0)
+        assert (change < 1e-12) == d.gauge_free, d.name
+
+
+@pytest.mark.parametrize(
+    ("elements", "word"),
+    [
+        ((), "at least one"),
+        ((Element("a"), Element("a")), "differ"),
+        ((Element("load"),), "'load'"),
+        ((Element("a", ratio=0.0),), "a.ratio"),
+        ((Element("a", ratio=float("nan")),), "a.ratio"),
+    ],
+)
+def test_impossible_chains_are_refused(elements, word):
+    with pytest.raises(ValueError, match=word):
+        Chain(elements=elements, load=Load())
+
+
+def test_vector_names_what_is_missing_or_unknown():
+    chain = PRESETS["motor-axis"].chain()
+    with pytest.raises(KeyError, match="motor.speed"):
+        chain.vector({"motor.speed": 1.0})

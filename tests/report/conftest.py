@@ -1,0 +1,138 @@
+"""Made-up fits: the truth with a little spread around it, no sampling."""
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayesfric.estimates.least_squares import least_squares
+from bayesfric.inference.fit import Fit, make_target, read_priors
+from bayesfric.inference.posterior import Diagnostics, Posterior
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.presets import PRESETS
+from bayesfric.recordings.observation import observe
+from bayesfric.recordings.options import Processing
+from bayesfric.recordings.recording import Recording
+
+NOISE = 0.02
+SLIDE = Chain(
+    elements=(Element("slide", inertia=True, coulomb="symmetric", motion="linear", subscript="s"),),
+    load=Load(motion="linear"),
+)
+
+
+def recording(chain, values, name, samples, seed):
+    """Return a swing of white torque noise in two segments with 1 s between them."""
+    rng = np.random.default_rng(seed)
+    time = 1e-3 * np.arange(samples)
+    q, qd, qdd = np.zeros((3, samples))
+    for frequency, amplitude in ((0.7, 0.6), (1.9, 0.3), (4.3, 0.06)):
+        w, phase = 2 * np.pi * frequency, rng.uniform(0, 2 * np.pi)
+        q += amplitude * np.sin(w * time + phase)
+        qd += amplitude * w * np.cos(w * time + phase)
+        qdd -= amplitude * w**2 * np.sin(w * time + phase)
+    torque = inverse_torque(chain, values, q, qd, qdd) + NOISE * rng.standard_normal(samples)
+    half = samples // 2
+    time[half:] += 1.0
+    return Recording(
+        name=name,
+        path=Path(name),
+        sha256="",
+        time=time,
+        position=q,
+        velocity=qd,
+        torque=torque,
+        segments=((0, half), (half, samples)),
+        period=1e-3,
+        excluded=np.zeros(samples, dtype=bool),
+        added_mass=0.0,
+        radius=0.0,
+        steps=(),
+        warnings=(),
+    )
+
+
+def build(
+    chain=None,
+    *,
+    recordings=1,
+    samples=1500,
+    noise_scale="shared",
+    thin=3,
+    constant=(),
+    ensembles=3,
+    spread=1e-3,
+    processing=None,
+):
+    """Make a fit of a rabbit knee, or of another chain (values: 0.3 each)."""
+    preset = PRESETS["rabbit-knee"]
+    truth = preset.values if chain is None else dict.fromkeys(chain.names, 0.3)
+    chain = chain or preset.chain()
+    x = chain.vector(truth)
+    # every sample an output: the noise stays white and the model exact
+    processing = processing or Processing(lowpass=0, decimate=1, dead_zone=0.2)
+    observations = [
+        observe(recording(chain, x, f"run {r}", samples, r), processing) for r in range(recordings)
+    ]
+    target = make_target(chain, observations, read_priors(chain, {}, observations), noise_scale)
+    centre = np.append(x, np.full(len(target.noise.names), NOISE))
+    rng = np.random.default_rng(5)
+    draws = centre * (1 + spread * rng.standard_normal((ensembles, 16, 40, centre.size)))
+    for name in constant:
+        j = target.names.index(name)
+        draws[..., j] = centre[j]
+    d = centre.size
+    diagnostics = Diagnostics(
+        status="reliable",
+        problems=(),
+        rhat=np.ones(d),
+        tau=np.where(np.ptp(draws.reshape(-1, d), axis=0) > 0, 2.5, np.inf),
+        ess=np.full(d, 4000.0),
+        acceptance=np.full((ensembles, 16), 0.5),
+        ensembles=ensembles,
+        walkers=16,
+        warmup=100,
+        steps=40 * thin,
+        thin=thin,
+        not_finite=0,
+        seconds=1.0,
+    )
+    posterior = Posterior(
+        names=target.names,
+        priors=target.priors,
+        draws=draws,
+        log_density=np.zeros(draws.shape[:3]),
+        coordinates="made up",
+        diagnostics=diagnostics,
+        seed=5,
+    )
+    return Fit(target, posterior, least_squares(chain, observations))
+
+
+def draw_fast(figure):
+    """Draw all there is, in few pixels: it must not fail or warn."""
+    figure.savefig(io.BytesIO(), format="png", dpi=30)
+
+
+@pytest.fixture(scope="session")
+def make_fit():
+    return build
+
+
+@pytest.fixture(scope="session")
+def knee():
+    return build()
+
+
+@pytest.fixture(scope="session")
+def slide():
+    return build(SLIDE)
+
+
+@pytest.fixture(scope="session")
+def many():
+    """Four recordings, each with its own noise: 15 sampled parameters."""
+    return build(recordings=4, samples=600, noise_scale="per-recording")

@@ -1,0 +1,104 @@
+"""Corner plot: priors where they belong, awkward parameters survived."""
+
+import numpy as np
+import pytest
+
+from bayesfric.errors import BadInput
+from bayesfric.report.corner import corner_figure
+from bayesfric.report.style import quantities
+
+from .conftest import draw_fast
+
+
+def panels(figure):
+    """Axes by (row, column)."""
+    found = {}
+    for ax in figure.axes:
+        place = ax.get_subplotspec()
+        found[place.rowspan.start, place.colspan.start] = ax
+    return found
+
+
+def by_gid(ax, gid):
+    (artist,) = [a for a in ax.get_children() if a.get_gid() == gid]
+    return artist
+
+
+def test_prior_is_drawn_in_the_posteriors_density_unit(knee):
+    figure = corner_figure(knee)
+    shown = quantities(knee)[:8]
+    for i, q in enumerate(shown):
+        ax = panels(figure)[i, i]
+        x, y = by_gid(ax, "prior").get_data()
+        some = slice(5, None, 40)
+        expected = np.exp(q.prior.log_density(x[some] * q.factor)) * q.factor
+        np.testing.assert_allclose(y[some], expected, rtol=1e-12)
+        assert (expected > 0).any()
+        heights, edges, _ = by_gid(ax, "posterior").get_data()
+        # all but the two thousandths outside the margins, at most
+        assert 0.997 < np.sum(heights * np.diff(edges)) <= 1.0 + 1e-12
+
+
+def test_eight_by_default_and_the_rest_named(knee, many):
+    for fit, missing in ((knee, r"not shown: $C_{c2}$, $J_{c}$, $ml$, $\sigma$"), (many, "")):
+        figure = corner_figure(fit)
+        assert max(panels(figure))[0] == 7
+        assert any(text.get_text().startswith(missing or "not shown") for text in figure.texts)
+
+
+def test_choice_of_the_caller(knee):
+    figure = corner_figure(knee, ["noise.sigma", "motor.inertia"])
+    found = panels(figure)
+    assert set(found) == {(0, 0), (1, 0), (1, 1)}
+    assert found[1, 0].get_xlabel().startswith(r"$\sigma$")
+    assert found[1, 0].get_ylabel() == "$J_{m}$\n(10$^{-4}$ kg m²)"
+    draw_fast(corner_figure(knee, ["load.inertia"]))
+    with pytest.raises(BadInput, match=r"motor\.inertia"):
+        corner_figure(knee, ["motor.inerta"])
+    with pytest.raises(BadInput, match="no parameter chosen"):
+        corner_figure(knee, [])
+
+
+def test_scales_of_axes(knee):
+    unit = {q.name: q.scaled_unit for q in quantities(knee)}
+    assert unit["motor.inertia"] == "10$^{-4}$ kg m²"
+    assert unit["gearbox.load_drive"] == "–"
+    assert unit["joint.viscous"] == "N m s"
+    assert unit["noise.sigma"] == "10$^{-2}$ N m"
+
+
+@pytest.mark.parametrize("constant", [("motor.viscous",), ("motor.inertia", "joint.viscous")])
+def test_constant_draws(make_fit, constant):
+    fit = make_fit(constant=constant)
+    chosen = fit.posterior.names[:3] + fit.posterior.names[6:7]
+    figure = corner_figure(fit, chosen)
+    draw_fast(figure)
+    j = chosen.index(constant[0])
+    (line,) = [
+        a for a in panels(figure)[j, j].lines if a.get_gid() is None and len(a.get_xdata()) == 2
+    ]
+    q = quantities(fit)[j]
+    assert line.get_xdata()[0] == pytest.approx(q.draws[0, 0, 0] / q.factor)
+
+
+def test_all_draws_constant_but_the_noise(make_fit):
+    fit = make_fit(spread=0.0)
+    draw_fast(corner_figure(fit))
+
+
+def test_contours_hold_the_stated_mass(make_fit):
+    from matplotlib.path import Path
+
+    fit = make_fit(spread=1e-2)
+    figure = corner_figure(fit, ["motor.inertia", "motor.viscous"])
+    first, second = (q.draws.ravel() / q.factor for q in quantities(fit)[:2])
+    points = np.stack([first, second], axis=1)
+    lines = [a for a in panels(figure)[1, 0].collections if not getattr(a, "filled", True)]
+    shares = []
+    for path in lines[-1].get_paths():
+        inside = np.zeros(len(points), dtype=int)
+        for polygon in path.to_polygons(closed_only=False):
+            inside += Path(polygon).contains_points(points)
+        shares.append(np.mean(inside % 2))
+    # 1920 draws in 40 by 40 bins, smoothed by 1.2 bins: the densest cells are favoured
+    np.testing.assert_allclose(sorted(shares), [0.5, 0.9], atol=0.05)

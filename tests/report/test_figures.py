@@ -1,0 +1,166 @@
+"""What holds for every figure: size, fonts, bytes, labels, nothing cut off."""
+
+import re
+from itertools import pairwise
+
+import matplotlib
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.text import Text
+
+from bayesfric.report.corner import corner_figure
+from bayesfric.report.prediction import prediction_figure
+from bayesfric.report.style import PAGE, PALETTE, line_style, mathtext, paper_style, save
+from bayesfric.report.trace import trace_figure
+
+DRAW = {"corner": corner_figure, "prediction": prediction_figure, "trace": trace_figure}
+figures = pytest.mark.parametrize("draw", DRAW.values(), ids=DRAW.keys())
+
+
+@pytest.fixture(scope="module")
+def drawn_once(request):
+    """Draw a figure of a fit, once for all tests that only look at it."""
+    kept = {}
+
+    def of(draw, which):
+        if (draw, which) not in kept:
+            kept[draw, which] = draw(request.getfixturevalue(which))
+        return kept[draw, which]
+
+    return of
+
+
+def shown_texts(figure):
+    """Every text that is drawn, with its box in pixels."""
+    with paper_style():
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        renderer = canvas.get_renderer()
+        found = []
+        for text in figure.findobj(Text):
+            if text.get_visible() and text.get_text():
+                found.append((text, text.get_window_extent(renderer)))
+    return found
+
+
+def drawn_ticks(figure):
+    """Identify the tick labels inside the limits: the others exist but are not drawn."""
+    drawn = set()
+    for ax in figure.axes:
+        for axis in (ax.xaxis, ax.yaxis):
+            low, high = sorted(axis.get_view_interval())
+            for tick in axis.get_major_ticks():
+                if low <= tick.get_loc() <= high:
+                    drawn.add(id(tick.label1))
+    return drawn
+
+
+@figures
+@pytest.mark.parametrize("which", ["many", "slide"])
+def test_a_page_wide_and_nothing_cut_off(draw, which, drawn_once):
+    figure = drawn_once(draw, which)
+    assert figure.get_figwidth() == PAGE
+    assert figure.get_figheight() <= 9.0
+    texts = shown_texts(figure)
+    ticks = {id(t.label1) for ax in figure.axes for a in (ax.xaxis, ax.yaxis) for t in a.majorTicks}
+    drawn = drawn_ticks(figure)
+    boxes = [(t, b) for t, b in texts if id(t) not in ticks or id(t) in drawn]
+    width, height = figure.bbox.size
+    for text, box in boxes:
+        inside = box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height
+        assert inside, text.get_text()
+    # rotated numbers have boxes larger than their ink; everything else must keep apart
+    upright = [(t, b) for t, b in boxes if t.get_rotation() in (0.0, 90.0)]
+    for i, (text, box) in enumerate(upright):
+        for other, other_box in upright[:i]:
+            across = min(box.x1, other_box.x1) - max(box.x0, other_box.x0)
+            up = min(box.y1, other_box.y1) - max(box.y0, other_box.y0)
+            assert across <= 1.0 or up <= 1.0, (text.get_text(), other.get_text())
+
+
+@figures
+def test_fonts_are_embedded_truetype(draw, drawn_once, tmp_path):
+    pdf, png = save(drawn_once(draw, "many"), tmp_path, "figure")
+    content = pdf.read_bytes()
+    kinds = set(re.findall(rb"/Subtype /(Type0|Type1|Type3|TrueType|CIDFontType\d)", content))
+    assert b"Type0" in kinds or b"TrueType" in kinds
+    assert not kinds & {b"Type3", b"Type1"}
+    assert b"/FontFile2" in content
+    names = set(re.findall(rb"/BaseFont /(?:[A-Z]{6}\+)?([\w-]+)", content))
+    assert names <= {b"DejaVuSans", b"DejaVuSans-Oblique", b"DejaVuSansDisplay"}
+    box = re.search(rb"/MediaBox \[\s*0 0 ([\d.]+) ", content)
+    assert float(box[1]) == pytest.approx(72 * PAGE, abs=1e-3)
+    assert png.read_bytes().startswith(b"\x89PNG")
+
+
+@figures
+def test_same_fit_same_bytes_whatever_the_readers_style(draw, slide, tmp_path):
+    save(draw(slide), tmp_path, "one")
+    with matplotlib.rc_context({"font.size": 20, "font.family": "serif", "axes.grid": True}):
+        before = dict(matplotlib.rcParams)
+        save(draw(slide), tmp_path, "two")
+        assert dict(matplotlib.rcParams) == before
+    for suffix in ("pdf", "png"):
+        one, two = ((tmp_path / f"{name}.{suffix}").read_bytes() for name in ("one", "two"))
+        assert one == two
+    assert b"CreationDate" not in (tmp_path / "one.pdf").read_bytes()
+
+
+def has_unit(label):
+    return re.search(r"\(.+\)$", label) is not None
+
+
+@pytest.mark.parametrize("which", ["many", "slide"])
+@figures
+def test_every_axis_says_its_unit(draw, which, drawn_once):
+    for ax in drawn_once(draw, which).axes:
+        place = ax.get_subplotspec()
+        if place.is_last_row() and ax.get_xlabel() != "step after warm-up":
+            assert has_unit(ax.get_xlabel()), ax.get_xlabel()
+        # the density on the corner's diagonal has no scale
+        if place.is_first_col() and not (draw is corner_figure and place.is_first_row()):
+            assert has_unit(ax.get_ylabel()) or (draw is corner_figure and ax.get_ylabel() == "")
+
+
+def test_no_pyplot_figure_is_left_open(drawn_once):
+    from matplotlib import pyplot
+
+    for draw in DRAW.values():
+        drawn_once(draw, "many")
+    assert pyplot.get_fignums() == []
+
+
+def lightness(colour):
+    """CIE L* of a hexadecimal colour."""
+    parts = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
+    luminance = sum(w * c for w, c in zip((0.2126, 0.7152, 0.0722), linear, strict=True))
+    return 116 * luminance ** (1 / 3) - 16
+
+
+def test_colours_differ_in_grey():
+    levels = sorted(lightness(colour) for colour in PALETTE)
+    assert min(b - a for a, b in pairwise(levels)) > 15
+    assert levels[-1] < 80  # still seen on white
+
+
+def test_sixteen_lines_differ():
+    assert len({line_style(k) for k in range(16)}) == 16
+
+
+@pytest.mark.parametrize(
+    ("symbol", "shown"),
+    [
+        ("J_{m}", "$J_{m}$"),
+        (r"\mu_{}", r"$\mu$"),
+        (r"\dot q_{0,m}", r"$\dot q_{0,m}$"),
+        ("C_{gearbox1}", r"$C_{\mathrm{gearbox1}}$"),
+        ("f_{3,left_arm}", r"$f_{3,\mathrm{left\_arm}}$"),
+        (r"J_{\mathrm{x}}", r"$J_{\mathrm{x}}$"),
+        # no LaTeX: the parameter's name instead
+        ("J_{50%}", "50%.inertia"),
+        ("J_{a}b}", "50%.inertia"),
+    ],
+)
+def test_symbols(symbol, shown):
+    assert mathtext(symbol, "50%.inertia") == shown
