@@ -12,12 +12,12 @@ from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.estimate import Estimate
 from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.inference.defaults import default_noise_prior, default_prior, measured_scales
-from bayesfric.inference.laplace import Laplace, laplace
 from bayesfric.inference.likelihood import TorqueLikelihood
 from bayesfric.inference.noise import NoiseScale, white_noise
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.priors import Prior, PriorText, read_prior
 from bayesfric.inference.sampling import Progress, Sampling, sample
+from bayesfric.inference.start import Start, climb, gauss_newton
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.chain import Chain
 from bayesfric.recordings.observation import Observation
@@ -154,51 +154,60 @@ def fit(
     likelihood = target.likelihood
     totals = least_squares(likelihood.chain, likelihood.observations)
     progress(Progress("searching the mode", 0, float("nan"), float("nan")))
+    rng = np.random.default_rng(np.random.SeedSequence(sampling.seed, spawn_key=(2**31,)))
+    prior_draws = np.stack([prior.draw(500, rng) for prior in target.priors], axis=1)
     try:
-        first = laplace(target, _candidates(target, totals, sampling.seed))
+        mode = climb(target, _candidates(target, totals, prior_draws))
     except ValueError:
         raise BadInput(
             "priors", "leave no possible starting point near the data", "widen the narrowest ones"
         ) from None
     # Once the posterior's widths are known, better coordinates than logarithms are too.
-    mode, widths = _mode_and_widths(target, first)
+    first = gauss_newton(target, mode, target.from_parameters(prior_draws))
+    place, widths = _place_and_widths(target, first)
     shaped = target.with_widths(widths)
-    start = laplace(shaped, shaped.from_parameters(mode[None]))
+    start = gauss_newton(
+        shaped, shaped.from_parameters(place[None])[0], shaped.from_parameters(prior_draws)
+    )
     return Fit(shaped, sample(shaped, start, sampling, progress=progress), totals)
 
 
-def _mode_and_widths(
-    target: Target, start: Laplace
+def _place_and_widths(
+    target: Target, start: Start
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Carry a normal in coordinates over to parameters: its mode and sds, ``(d,)`` each."""
-    sds = np.sqrt(np.diag(start.covariance))
-    mode, _ = target.to_parameters(start.mode[None])
+    """Carry a normal in coordinates over to parameters: its centre and sds, ``(d,)`` each."""
+    sds = np.minimum(np.sqrt(np.diag(start.covariance)), 1.0 + np.abs(start.mode))
+    centre, _ = target.to_parameters(start.mode[None])
     shifted, _ = target.to_parameters(start.mode + np.concatenate([np.diag(sds), -np.diag(sds)]))
-    d = mode.size
+    d = start.mode.size
     index = np.arange(d)
     widths = np.abs(shifted[index, index] - shifted[d + index, index]) / 2.0
-    return mode[0], np.maximum(widths, 1e-12 * np.abs(mode[0]) + 1e-300)
+    widths = np.where(np.isfinite(widths), widths, np.abs(centre[0]))
+    return centre[0], np.maximum(widths, 1e-12 * np.abs(centre[0]) + 1e-300)
 
 
-def _candidates(target: Target, totals: Estimate, seed: int) -> NDArray[np.float64]:
+def _candidates(
+    target: Target, totals: Estimate, prior_draws: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Places to start from: totals split in several ways, and draws from the priors."""
     chain = target.likelihood.chain
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2**31,)))
     split = [
         starting_values(chain, totals, mu, share)
         for mu in (0.02, 0.1, 0.2, 0.4)
         for share in (0.2, 0.5, 0.8)
     ]
-    rows = np.array([[values[name] for name in target.free] for values in split])
-    drawn = np.stack([prior.draw(100, rng) for prior in target.priors], axis=1)
-    # a start at a bound would have no finite coordinates
-    for j, prior in enumerate(target.priors[: len(target.free)]):
-        inner = np.quantile(prior.draw(400, rng), [0.001, 0.999])
-        outside = (rows[:, j] <= prior.lower) | (rows[:, j] >= prior.upper)
-        rows[outside, j] = np.clip(rows[outside, j], *inner)
-    sigma = np.full((rows.shape[0], len(target.noise.names)), totals.residual_rms)
     k = len(target.free)
-    drawn[:, k:] = np.sqrt(
-        np.mean(np.concatenate([o.measured for o in target.likelihood.observations]) ** 2)
-    )
-    return target.from_parameters(np.concatenate([np.concatenate([rows, sigma], axis=1), drawn]))
+    rows = np.array([[values[name] for name in target.free] for values in split])
+    # a start at a bound would have no finite coordinates
+    inner = np.quantile(prior_draws, [0.002, 0.998], axis=0)
+    for j, prior in enumerate(target.priors[:k]):
+        outside = (rows[:, j] <= prior.lower) | (rows[:, j] >= prior.upper)
+        rows[outside, j] = np.clip(rows[outside, j], *inner[:, j])
+    sigma = np.full((rows.shape[0], target.dimension - k), totals.residual_rms)
+    # whatever drawn parameters leave unexplained is about as large as the torque itself
+    measured = np.concatenate([o.measured for o in target.likelihood.observations])
+    drawn = prior_draws[:100].copy()
+    drawn[:, k:] = np.sqrt(np.mean(measured**2))
+    candidates = np.concatenate([np.concatenate([rows, sigma], axis=1), drawn])
+    candidates[:, k:] = np.clip(candidates[:, k:], *inner[:, k:])
+    return target.from_parameters(candidates)

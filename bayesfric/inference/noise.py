@@ -50,6 +50,13 @@ class WhiteNoise:
         """
         return np.broadcast_to(parameters, (parameters.shape[0], self.n_recordings))
 
+    def counts(self, outputs: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Count the outputs that each scale is estimated from.
+
+        ``outputs`` ``(n_recordings,)`` counts those of each recording.
+        """
+        return outputs if len(self.names) > 1 else outputs.sum(keepdims=True)
+
 
 def white_noise(recordings: Sequence[str], prior: Prior, scale: NoiseScale) -> WhiteNoise:
     """Set up white noise for the named recordings.

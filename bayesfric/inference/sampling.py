@@ -19,9 +19,9 @@ from bayesfric.inference.convergence import (
     effective_sample_size,
     nested_rhat,
 )
-from bayesfric.inference.laplace import Laplace
 from bayesfric.inference.moves import DifferentialEvolutionMove, IndependenceMove
 from bayesfric.inference.posterior import Diagnostics, Posterior, Status
+from bayesfric.inference.start import Start
 from bayesfric.inference.target import Target
 
 Array = NDArray[np.float64]
@@ -63,7 +63,7 @@ class Progress:
 
 def sample(
     target: Target,
-    start: Laplace,
+    start: Start,
     settings: Sampling,
     *,
     progress: Callable[[Progress], None] = lambda _: None,
@@ -94,7 +94,7 @@ def sample(
     seeds = np.random.SeedSequence(settings.seed).spawn(settings.ensembles + 1)
     randoms = [np.random.RandomState(np.random.MT19937(s)) for s in seeds[:-1]]
     rng = np.random.default_rng(seeds[-1])
-    starts = start.draw_starts(settings.ensembles * walkers, target, rng)
+    starts = start.draw(settings.ensembles * walkers, target, rng)
     positions = starts.reshape(settings.ensembles, walkers, d)
 
     warm = _Ensembles(target, [(DifferentialEvolutionMove(), 1.0)], positions, randoms)
@@ -216,10 +216,16 @@ class _Ensembles:
             self._states[k] = emcee.State(coords, random_state=state.random_state)
 
     def settled(self) -> bool:
-        """Whether the log density has stopped climbing over the second half of the steps."""
-        heights = self.log_density()
-        third, fourth = np.array_split(heights[:, :, self.steps // 2 :], 2, axis=2)
-        return bool(abs(fourth.mean() - third.mean()) < 0.25 * fourth.std())
+        """Whether over the second half of the steps nothing climbs, shrinks or spreads."""
+        third, fourth = np.array_split(self.log_density()[:, :, self.steps // 2 :], 2, axis=2)
+        climbing = abs(fourth.mean() - third.mean()) > 0.25 * fourth.std()
+        d = self._states[0].coords.shape[1]
+        before, after = (
+            x.reshape(-1, d).std(axis=0)
+            for x in np.array_split(self.chain()[:, :, self.steps // 2 :], 2, axis=2)
+        )
+        spreading = np.abs(np.log(after / before)).max() > 0.2
+        return not (climbing or spreading)
 
     def chain(self) -> Array:
         """All steps, ``(ensembles, walkers, steps, d)``."""

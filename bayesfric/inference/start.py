@@ -1,4 +1,4 @@
-"""Where to start: the posterior's mode and a normal around it."""
+"""Where to start: the posterior's mode and how wide to spread walkers around it."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from bayesfric.inference.target import Target
 
 Array = NDArray[np.float64]
 LogDensity = Callable[[Array], Array]
@@ -18,8 +20,8 @@ _CLIMBS = 5
 
 
 @dataclass(frozen=True)
-class Laplace:
-    """Normal approximation at the mode, in sampling coordinates.
+class Start:
+    """A normal to draw starts from, in sampling coordinates.
 
     Attributes
     ----------
@@ -27,15 +29,12 @@ class Laplace:
         ``(d,)``
     covariance
         ``(d, d)``
-    log_density
-        At the mode.
     """
 
     mode: Array
     covariance: Array
-    log_density: float
 
-    def draw_starts(
+    def draw(
         self, n: int, log_density: LogDensity, rng: np.random.Generator, *, spread: float = 1.5
     ) -> Array:
         """Draw over-dispersed starts of non-zero probability, ``(n, d)``.
@@ -53,8 +52,7 @@ class Laplace:
         missing = np.arange(n)
         for _ in range(60):
             z = rng.standard_normal((missing.size, self.mode.size))
-            stretch = np.sqrt(8.0 / rng.chisquare(8.0, size=missing.size))
-            starts[missing] = self.mode + spread * stretch[:, None] * (z @ root.T)
+            starts[missing] = self.mode + spread * (z @ root.T)
             missing = missing[~np.isfinite(log_density(starts[missing]))]
             if missing.size == 0:
                 return starts
@@ -62,8 +60,54 @@ class Laplace:
         raise RuntimeError("no start of non-zero probability beside the posterior's mode")
 
 
-def laplace(log_density: LogDensity, candidates: Array, *, max_steps: int = 60) -> Laplace:
-    """Climb to the mode from the best of several candidates.
+def gauss_newton(target: Target, mode: Array, prior_draws: Array) -> Start:
+    """Spread a normal around the mode by what data and priors know, bounds left out.
+
+    Curvature at the mode itself would be misled where the mode leans on a bound:
+    the density falls off a cliff there and the walkers would start in one spot.
+    The information is ``J'J/sigma²`` of the predicted torque, ``2n`` for the
+    logarithm of a noise scale, and the inverse variance of the prior.
+
+    Parameters
+    ----------
+    target
+        Log-posterior and coordinates.
+    mode
+        ``(d,)`` in the coordinates.
+    prior_draws
+        ``(n, d)`` draws of the priors in the coordinates.
+    """
+    k, d = len(target.free), mode.size
+    low, high = np.nanquantile(prior_draws, [0.16, 0.84], axis=0)
+    prior_sd = (high - low) / 2.0
+    prior_sd = np.where(np.isfinite(prior_sd) & (prior_sd > 0.0), prior_sd, np.inf)
+    reach = np.abs(mode) + 1e-3 * np.where(np.isfinite(prior_sd), prior_sd, 1.0)
+    steps = 1e-6 * np.minimum(reach, 1e3)
+    moved, _ = target.to_parameters(mode + np.concatenate([np.diag(steps), -np.diag(steps)]))
+    centre, _ = target.to_parameters(mode[None])
+    sigma = target.noise.scales(centre[:, k:])[0]
+    jacobian = np.concatenate(
+        [
+            (torque[:d] - torque[d:]) / (2.0 * steps[:, None] * scale)
+            for torque, scale in zip(
+                target.likelihood.predict(target.chain_values(moved)), sigma, strict=True
+            )
+        ],
+        axis=1,
+    )
+    information = jacobian @ jacobian.T + np.diag(1.0 / prior_sd**2)
+    counts = target.noise.counts(target.likelihood.sizes)
+    for j, n in zip(range(k, d), counts, strict=True):
+        slope = (moved[j, j] - moved[d + j, j]) / (2.0 * steps[j] * centre[0, j])
+        information[j, j] += 2.0 * n * slope**2
+    scale = 1.0 / np.sqrt(np.diag(information))
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    inverse = (vectors / np.clip(values, 1e-12, None)) @ vectors.T
+    return Start(mode, inverse * np.outer(scale, scale))
+
+
+def climb(log_density: LogDensity, candidates: Array, *, max_steps: int = 60) -> Array:
+    """Climb to the mode from the best of several candidates, ``(d,)``.
 
     Newton steps with a Hessian by finite differences, damped as Levenberg and
     Marquardt do. Steps of the differences adapt to where the density has fallen
@@ -89,18 +133,12 @@ def laplace(log_density: LogDensity, candidates: Array, *, max_steps: int = 60) 
     # not stand at the foot of the highest one.
     order = [i for i in np.argsort(-heights)[:_CLIMBS] if np.isfinite(heights[i])]
     climbs = [_climb(log_density, candidates[i], heights[i], max_steps) for i in order]
-    x, height, steps = max(climbs, key=lambda climb: climb[1])
-    _, hessian = _derivatives(log_density, x, height, steps)
-    # Flat or rising directions get the width that the difference steps found there.
-    scaled = -hessian * np.outer(steps, steps)
-    values, vectors = np.linalg.eigh((scaled + scaled.T) / 2.0)
-    inverse = (vectors / np.clip(values, 0.05, None)) @ vectors.T
-    return Laplace(x, inverse * np.outer(steps, steps), height)
+    return max(climbs, key=lambda found: found[1])[0]
 
 
 def _climb(
     log_density: LogDensity, x: Array, height: float, max_steps: int
-) -> tuple[Array, float, Array]:
+) -> tuple[Array, float]:
     damping = 1.0
     steps = _difference_steps(log_density, x, height, np.full(x.size, 0.1) * (np.abs(x) + 1e-3))
     for _ in range(max_steps):
@@ -126,7 +164,7 @@ def _climb(
         damping = float(np.clip(dampings[best], 1e-6, 1e6))
         if gain < 1e-3:
             break
-    return x, height, steps
+    return x, height
 
 
 def _difference_steps(log_density: LogDensity, x: Array, height: float, steps: Array) -> Array:
