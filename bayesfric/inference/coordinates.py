@@ -8,7 +8,7 @@ stated, and results reported, in physical parameters.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -156,14 +156,18 @@ class TorqueFormCoordinates:
         ``N``, motor speed over joint speed.
     gravity
         m/s².
+    first_moment
+        ``ml`` in kg m where it is known: it fixes the scale, ``lambda_2 = theta10 N/(g ml)``,
+        and there is no eleventh coordinate.
     """
 
-    description = (
-        "Theta1 and Theta2 of eq. (13), and the alpha/leg scale between the bounds "
-        "that a passive gearbox sets"
-    )
-
-    def __init__(self, ratio: float, gravity: float) -> None:
+    def __init__(self, ratio: float, gravity: float, first_moment: float | None = None) -> None:
+        self.first_moment = first_moment
+        self.description = "Theta1 and Theta2 of eq. (13)" + (
+            ", and the alpha/leg scale between the bounds that a passive gearbox sets"
+            if first_moment is None
+            else ", the scale known from load.first_moment"
+        )
         n = ratio
         # what each leg parameter is worth at the motor: inertia, viscous, C1, C2, gravity
         self._to_motor = np.array([1.0 / n**2, 1.0 / n**2, 1.0 / n, 1.0 / n, gravity / n])
@@ -173,14 +177,13 @@ class TorqueFormCoordinates:
 
     def to_parameters(self, u: Array) -> tuple[Array, Array]:
         """See :class:`Coordinates`. ``u``: theta_1..5, theta_6..10, logit of the scale."""
-        theta1, theta2, place = u[:, :5], u[:, 5:10], u[:, 10]
+        theta1, theta2 = u[:, :5], u[:, 5:10]
         with np.errstate(all="ignore"):
             rho = theta1[:, 4] / theta2[:, 4]
-            low, high = -np.log(rho + 1.0), -np.log(rho - 1.0)
-            log_lambda2 = low + (high - low) * expit(place)
+            log_lambda2, log_slope = self._scale(u, rho)
             lambda2 = np.exp(log_lambda2)
             lambda1 = rho * lambda2
-            parameters = np.empty_like(u)
+            parameters = np.empty((u.shape[0], 11))
             parameters[:, self._order_leg] = theta2 / (lambda2[:, None] * self._to_motor)
             parameters[:, self._order_motor] = theta1[:, :4] - rho[:, None] * theta2[:, :4]
             parameters[:, 4] = lambda1 + lambda2 - 1.0
@@ -188,17 +191,21 @@ class TorqueFormCoordinates:
             # |d(motor, mu, leg)/d(Theta1, Theta2, log lambda2)|, see the tests for the check
             jacobian = (
                 self._log_constant
-                - 5.0 * log_lambda2
                 - math.log(self._to_motor[4])
-                + np.log(2.0) + 2.0 * log_lambda2 - np.log(theta2[:, 4])
-                + np.log(high - low) + log_expit(place) + log_expit(-place)
+                + math.log(2.0)
+                - 3.0 * log_lambda2
+                - np.log(theta2[:, 4])
+                + log_slope
             )
             possible = (theta2[:, 4] > 0.0) & (rho > 1.0)
             possible &= np.isfinite(jacobian) & np.isfinite(parameters).all(axis=1)
-        return parameters, np.where(possible, jacobian, -np.inf)
+        return parameters[:, : u.shape[1]], np.where(possible, jacobian, -np.inf)
 
     def from_parameters(self, parameters: Array) -> Array:
         """See :class:`Coordinates`."""
+        if self.first_moment is not None:
+            known = np.full((parameters.shape[0], 1), self.first_moment)
+            parameters = np.concatenate([parameters, known], axis=1)
         drive, back = 1.0 + parameters[:, 4], 1.0 - parameters[:, 5]
         lambda1, lambda2 = (drive + back) / 2.0, (drive - back) / 2.0
         leg = parameters[:, self._order_leg] * self._to_motor
@@ -206,14 +213,28 @@ class TorqueFormCoordinates:
         u[:, 5:10] = lambda2[:, None] * leg
         u[:, :5] = lambda1[:, None] * leg
         u[:, :4] += parameters[:, self._order_motor]
+        if self.first_moment is not None:
+            return u[:, :10]
         rho = lambda1 / lambda2
         low, high = -np.log(rho + 1.0), -np.log(rho - 1.0)
         u[:, 10] = logit((np.log(lambda2) - low) / (high - low))
         return u
 
+    def _scale(self, u: Array, rho: Array) -> tuple[Array, Array]:
+        """Compute ``log lambda_2`` and what its coordinate adds to the log Jacobian."""
+        if self.first_moment is not None:
+            # one coordinate and one parameter less: divide by d ml / d log lambda_2 = ml
+            log_moment = math.log(self.first_moment)
+            log_lambda2 = np.log(u[:, 9] / self._to_motor[4]) - log_moment
+            return log_lambda2, np.full(u.shape[0], -log_moment)
+        low, high = -np.log(rho + 1.0), -np.log(rho - 1.0)
+        place = u[:, 10]
+        log_slope = np.log(high - low) + log_expit(place) + log_expit(-place)
+        return low + (high - low) * expit(place), log_slope
+
 
 def choose_coordinates(
-    chain: Chain, free: Sequence[str], priors: Sequence[Prior], widths: Array | None = None
+    chain: Chain, priors: Mapping[str, Prior], widths: Array | None = None
 ) -> Coordinates:
     """Take the coordinates that suit the chain and its priors best.
 
@@ -221,21 +242,21 @@ def choose_coordinates(
     ----------
     chain
         The mechanism.
-    free
-        Names of the parameters that are sampled.
     priors
-        Their priors, in the same order.
+        Of every parameter of the chain, fixed ones included.
     widths
-        About the posterior sds, ``(d,)``, where they are known already.
+        About the posterior sds of the free ones, ``(d,)``, where they are known already.
     """
-    reversible = all(
-        prior.upper <= 1.0
-        for name, prior in zip(free, priors, strict=True)
-        if name == "gearbox.load_back"
-    )
+    free = [name for name in chain.names if not priors[name].fixed]
+    reversible = all(priors[n].upper <= 1.0 for n in free if n == "gearbox.load_back")
+    first_moment = priors["load.first_moment"].value if "load.first_moment" in priors else 0.0
     plain_gearbox = [e.name for e in chain.elements] == ["motor", "gearbox", "joint"] and all(
         e.ratio == 1.0 for e in chain.elements if e.name != "gearbox"
     )
-    if plain_gearbox and tuple(free) == tuple(chain.names) == GEARBOX_FORM and reversible:
-        return TorqueFormCoordinates(chain.ratio, chain.load.gravity)
-    return BoundedCoordinates([p.lower for p in priors], [p.upper for p in priors], widths)
+    if plain_gearbox and tuple(chain.names) == GEARBOX_FORM and reversible:
+        if tuple(free) == GEARBOX_FORM:
+            return TorqueFormCoordinates(chain.ratio, chain.load.gravity)
+        if tuple(free) == GEARBOX_FORM[:-1] and first_moment > 0.0:
+            return TorqueFormCoordinates(chain.ratio, chain.load.gravity, first_moment)
+    bounds = [(priors[name].lower, priors[name].upper) for name in free]
+    return BoundedCoordinates([low for low, _ in bounds], [high for _, high in bounds], widths)

@@ -62,10 +62,7 @@ class Target:
         )
         self._all_priors = priors
         self.coordinates = choose_coordinates(
-            chain,
-            self.free,
-            [priors[name] for name in self.free],
-            None if widths is None else widths[: len(self.free)],
+            chain, priors, None if widths is None else widths[: len(self.free)]
         )
         self._noise_coordinates = BoundedCoordinates(
             [p.lower for p in noise.priors], [p.upper for p in noise.priors]

@@ -116,19 +116,34 @@ def test_far_above_its_bound_a_bent_coordinate_is_straight():
 def test_the_torque_form_is_chosen_only_where_it_holds():
     chain = PRESETS["rabbit-knee"].chain()
 
-    def choose(changes=None, names=chain.names):
-        priors = []
+    def choose(changes=()):
+        changes, priors = dict(changes), {}
         for p in chain.parameters:
             upper = 1.0 if p.name == "gearbox.load_back" else p.upper
             text = {"distribution": "halfnorm", "scale": 1.0}
-            if changes and p.name in changes:
+            if p.name in changes:
                 text, upper = changes[p.name], p.upper
-            priors.append(read_prior(p.name, text, lower=p.lower, upper=upper))
-        kept = [(n, p) for n, p in zip(chain.names, priors, strict=True) if n in names]
-        return choose_coordinates(chain, [n for n, _ in kept], [p for _, p in kept])
+            priors[p.name] = read_prior(p.name, text, lower=p.lower, upper=upper)
+        return choose_coordinates(chain, priors)
 
     assert isinstance(choose(), TorqueFormCoordinates)
     # mu_2 above one, an irreversible gearbox: rho could fall below one
     assert isinstance(choose({"gearbox.load_back": [0.0, 2.0]}), BoundedCoordinates)
     # a parameter less
-    assert isinstance(choose(names=chain.names[:-1]), BoundedCoordinates)
+    assert isinstance(choose({"motor.inertia": 3e-4}), BoundedCoordinates)
+    # but a known first moment only fixes the scale
+    known = choose({"load.first_moment": 0.42})
+    assert isinstance(known, TorqueFormCoordinates)
+    assert known.first_moment == 0.42
+
+
+def test_the_torque_form_with_a_known_first_moment():
+    coordinates = TorqueFormCoordinates(50.0, 9.80665, 0.42)
+    rows = knee_rows(100, seed=3)[:, :10]
+    u = coordinates.from_parameters(rows)
+    assert u.shape == (100, 10)
+    back, jacobian = coordinates.to_parameters(u)
+    np.testing.assert_allclose(back, rows, rtol=1e-9)
+    for i in range(10):
+        numeric = numeric_log_determinant(coordinates, u[i])
+        assert jacobian[i] == pytest.approx(numeric, abs=1e-5)

@@ -5,8 +5,8 @@ import pytest
 from scipy import stats
 
 from bayesfric.inference.fit import fit, make_target, read_priors
-from bayesfric.inference.laplace import laplace
 from bayesfric.inference.sampling import Sampling
+from bayesfric.inference.start import Start, climb, gauss_newton
 from bayesfric.mechanism.presets import PRESETS
 
 AXIS = PRESETS["motor-axis"]
@@ -123,7 +123,7 @@ def test_too_few_steps_are_told(axis_target):
     assert any("max_steps" in problem for problem in result.posterior.diagnostics.problems)
 
 
-def test_laplace_of_a_normal_is_the_normal():
+def test_climbing_finds_the_peak_of_a_normal():
     rng = np.random.default_rng(0)
     root = rng.normal(size=(5, 5)) * np.geomspace(0.01, 100.0, 5)[:, None]
     sigma, mean = root @ root.T, rng.normal(size=5)
@@ -132,10 +132,24 @@ def test_laplace_of_a_normal_is_the_normal():
     def log_density(x):
         return -0.5 * np.einsum("ni,ij,nj->n", x - mean, precision, x - mean)
 
-    found = laplace(log_density, mean + rng.normal(size=(4, 5)) @ root.T)
-    assert np.abs(np.linalg.solve(root, found.mode - mean)).max() < 0.05
-    white = np.linalg.solve(root, np.linalg.solve(root, found.covariance).T)
-    np.testing.assert_allclose(white, np.eye(5), atol=0.05)
+    mode = climb(log_density, mean + rng.normal(size=(4, 5)) @ root.T)
+    assert np.abs(np.linalg.solve(root, mode - mean)).max() < 0.05
+
+
+def test_the_starting_normal_of_a_linear_model_is_its_posterior(axis_target):
+    solution, sd, _, _ = exact(axis_target.likelihood.observations[0])
+    parameters = np.append(solution, 0.02)
+    shaped = axis_target.with_widths(np.append(sd, 0.001))
+    prior_draws = shaped.from_parameters(
+        np.stack([p.draw(400, np.random.default_rng(1)) for p in shaped.priors], axis=1)
+    )
+    start = gauss_newton(shaped, shaped.from_parameters(parameters[None])[0], prior_draws)
+    up, _ = shaped.to_parameters(start.mode + np.diag(np.sqrt(np.diag(start.covariance))))
+    # the noise scale enters as given here, 0.02, not as estimated
+    claimed = np.diag(up)[:4] - solution
+    scale = 0.02 / np.sqrt(exact(axis_target.likelihood.observations[0])[3] / 796)
+    np.testing.assert_allclose(claimed / scale, sd, rtol=0.02)
+    assert np.diag(up)[4] - 0.02 == pytest.approx(0.02 / np.sqrt(2 * 800), rel=0.1)
 
 
 def test_starts_at_zero_probability_are_redrawn():
@@ -144,8 +158,11 @@ def test_starts_at_zero_probability_are_redrawn():
     def log_density(x):
         return np.where((x > 0).all(axis=1), -x.sum(axis=1), -np.inf)
 
-    found = laplace(log_density, np.array([[0.5, 0.5]]))
-    starts = found.draw_starts(200, log_density, np.random.default_rng(1))
+    mode = climb(log_density, np.array([[0.5, 0.5]]))
+    starts = Start(mode, np.eye(2)).draw(200, log_density, np.random.default_rng(1))
     assert np.isfinite(log_density(starts)).all()
+    assert starts.std() > 0.3
     with pytest.raises(ValueError, match="zero probability"):
-        laplace(log_density, np.array([[-1.0, -1.0]]))
+        climb(log_density, np.array([[-1.0, -1.0]]))
+    with pytest.raises(RuntimeError, match="no start"):
+        Start(np.array([-1e3, -1e3]), np.eye(2)).draw(5, log_density, np.random.default_rng(2))
