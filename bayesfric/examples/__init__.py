@@ -1,0 +1,1 @@
+"""Simulated recordings that come with the package, their configurations and their truth."""
