@@ -179,7 +179,9 @@ def _regressors(
             columns["gravity_cosine"] = np.cos(o.q)
         if known:
             inertia, moment = added_load(chain, o.added_mass, o.radius)
-            columns["added_load"] = (inertia * o.qdd + chain.load.gravity * moment * np.sin(o.q)) / n
+            columns["added_load"] = (
+                inertia * o.qdd + chain.load.gravity * moment * np.sin(o.q)
+            ) / n
         names = list(columns)
         blocks.append(o.filter.apply(np.stack(list(columns.values()))).T)
     return names, np.concatenate(blocks)

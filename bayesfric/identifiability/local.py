@@ -134,7 +134,7 @@ def _units(target: Target, point: Array) -> tuple[Array, list[str]]:
 
 
 def _jacobian(target: Target, parameters: Array, units: Array, sigma: Array) -> Array:
-    """Derivative of predicted torque over the noise scale, ``(n_outputs, d)``.
+    """Differentiate the predicted torque over the noise scale, ``(n_outputs, d)``.
 
     The torque is linear in nearly every parameter, so central differences are
     exact up to rounding except where a step changes the direction of power.

@@ -49,7 +49,9 @@ def write_archive(
     """
     options = {"dims": dict(dims), "coords": dict(coords)}
     named = {group: dict(variables) for group, variables in groups.items()}
-    data = arviz.from_dict(**named, **options) if _OLD else arviz.from_dict(named, **options)
+    # Any: the two versions' signatures have nothing in common
+    from_dict: Any = arviz.from_dict
+    data = from_dict(**named, **options) if _OLD else from_dict(named, **options)
     for group in groups:
         # a time stamp would make two runs of one seed differ
         data[group].attrs.pop("created_at", None)
@@ -60,7 +62,8 @@ def write_archive(
 
 def read_archive(path: Path) -> Any:
     """Read what :func:`write_archive` wrote; groups are addressed as ``data["posterior"]``."""
-    return arviz.from_netcdf(str(path), engine="h5netcdf")
+    read: Any = arviz.from_netcdf
+    return read(str(path), engine="h5netcdf")
 
 
 def as_chains(draws: NDArray[np.float64]) -> NDArray[np.float64]:

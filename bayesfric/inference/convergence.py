@@ -77,13 +77,13 @@ def autocorrelation(series: NDArray[np.float64]) -> NDArray[np.float64]:
     moving = series[np.ptp(series, axis=1) > 0.0]
     if moving.shape[0] == 0:
         return np.ones(series.shape[1])
-    return np.mean([function_1d(walker) for walker in moving], axis=0)
+    return np.asarray(np.mean([function_1d(walker) for walker in moving], axis=0))
 
 
 def effective_sample_size(draws: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Number of independent draws the sample is worth, ``(d,)``.
+    """Count the independent draws that the sample is worth, ``(d,)``.
 
     ``ensembles * walkers * steps / tau`` with :func:`autocorrelation_time`.
     """
     ensembles, walkers, steps, _ = draws.shape
-    return ensembles * walkers * steps / autocorrelation_time(draws)
+    return np.asarray(ensembles * walkers * steps / autocorrelation_time(draws))

@@ -97,9 +97,7 @@ class BoundedCoordinates:
         x = np.where(self._below, self._high - distance, x)
         x = np.where(self._between, self._low + self._span * expit(u), x)
         slope = np.where(self._above | self._below, np.log(self._widths) + log_slope, 0.0)
-        slope = np.where(
-            self._between, np.log(self._span) + log_expit(u) + log_expit(-u), slope
-        )
+        slope = np.where(self._between, np.log(self._span) + log_expit(u) + log_expit(-u), slope)
         return x, slope.sum(axis=1)
 
     def from_parameters(self, parameters: Array) -> Array:

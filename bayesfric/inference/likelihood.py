@@ -19,7 +19,6 @@ from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.inverse import added_load, inverse_torque
 from bayesfric.recordings.observation import Observation
 
-
 # Samples in one call below which starting threads costs more than it saves.
 _WORTH_THREADS = 50_000
 
@@ -92,7 +91,7 @@ class TorqueLikelihood:
         return total
 
     def predict(self, values: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Filtered model torque of each recording, ``(n, n_outputs)`` each."""
+        """Predict the filtered torque of each recording, ``(n, n_outputs)`` each."""
         return [
             o.filter.apply(
                 inverse_torque(

@@ -76,7 +76,7 @@ class IndependenceMove(RedBlueMove):  # type: ignore[misc]
         super().__init__(**options)
         self.mean = mean
         self.degrees = degrees
-        self.root: NDArray[np.float64] = np.linalg.cholesky(covariance)
+        self.root = np.linalg.cholesky(np.asarray(covariance, dtype=np.float64))
         # a product with a small inverse is far cheaper than a solve at every step
         self._whiten = np.linalg.inv(self.root)
 
@@ -96,9 +96,7 @@ class IndependenceMove(RedBlueMove):  # type: ignore[misc]
             - d / 2.0 * math.log(nu * math.pi)
             - float(np.log(np.diag(self.root)).sum())
         )
-        density: NDArray[np.float64] = constant - (nu + d) / 2.0 * np.log1p(
-            (z**2).sum(axis=0) / nu
-        )
+        density: NDArray[np.float64] = constant - (nu + d) / 2.0 * np.log1p((z**2).sum(axis=0) / nu)
         return density
 
     def get_proposal(

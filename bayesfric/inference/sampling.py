@@ -40,7 +40,9 @@ class Sampling(BaseModel):
     seed: int = Field(1, ge=0, lt=2**63, description="everything random comes from this number")
     ensembles: int = Field(4, ge=2, le=64, description="independent groups of walkers")
     walkers: int | None = Field(
-        None, ge=8, description="walkers in each ensemble; default 3 for each parameter, at least 32"
+        None,
+        ge=8,
+        description="walkers in each ensemble; default 3 for each parameter, at least 32",
     )
     min_ess: float = Field(4000.0, gt=0, description="independent draws wanted of every parameter")
     max_rhat: float = Field(1.01, gt=1, description="largest nested R-hat accepted")
@@ -71,9 +73,10 @@ def sample(
     """Sample until every criterion of ``settings`` is met or ``max_steps`` is reached.
 
     Warm-up with differential evolution from over-dispersed starts goes on until the
-    ensembles agree roughly and have stopped climbing. A multivariate t fitted to it is then used as the
-    proposal of an independence move beside differential evolution, fitted once
-    more, and frozen. Only steps after that count.
+    ensembles agree roughly and nothing climbs or spreads any more. A multivariate t
+    fitted to it is then used as the proposal of an independence move beside
+    differential evolution, fitted once more, and frozen. Only steps after that
+    count.
 
     Parameters
     ----------
@@ -240,7 +243,7 @@ class _Ensembles:
         return np.stack([state.coords for state in self._states])
 
     def acceptance(self) -> Array:
-        """Accepted share of each walker's proposals, ``(ensembles, walkers)``."""
+        """Give the accepted share of each walker's proposals, ``(ensembles, walkers)``."""
         return np.stack([s.acceptance_fraction for s in self._samplers])
 
 

@@ -136,9 +136,7 @@ def climb(log_density: LogDensity, candidates: Array, *, max_steps: int = 60) ->
     return max(climbs, key=lambda found: found[1])[0]
 
 
-def _climb(
-    log_density: LogDensity, x: Array, height: float, max_steps: int
-) -> tuple[Array, float]:
+def _climb(log_density: LogDensity, x: Array, height: float, max_steps: int) -> tuple[Array, float]:
     damping = 1.0
     steps = _difference_steps(log_density, x, height, np.full(x.size, 0.1) * (np.abs(x) + 1e-3))
     for _ in range(max_steps):

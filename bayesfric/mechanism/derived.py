@@ -123,8 +123,7 @@ def _totals(chain: Chain, at: dict[str, Array], n: int) -> Iterator[Derived]:
                 name,
                 described.unit,
                 described.symbol + mark,
-                f"{described.meaning}, all seen by the motor"
-                + (f", {label}" if lossy else ""),
+                f"{described.meaning}, all seen by the motor" + (f", {label}" if lossy else ""),
                 np.asarray(total),
                 gauge_free=True,
             )
@@ -139,7 +138,8 @@ def _coefficients(chain: Chain, at: dict[str, Array], load_torque: float) -> Ite
         name = element.name
         mu_drive = at.get(f"{name}.load_drive", at.get(f"{name}.load"))
         mu_back = at.get(f"{name}.load_back", at.get(f"{name}.load"))
-        assert mu_drive is not None and mu_back is not None
+        assert mu_drive is not None
+        assert mu_back is not None
         two = element.load_loss == "two"
         # eq. (6); an irreversible gearbox, mu_2 >= 1, passes nothing back
         back = np.where(mu_back < 1.0, 1.0 - mu_back, np.nan)

@@ -31,7 +31,8 @@ class Simulation(BaseModel):
     amplitude: Positive = Field(0.8, description="of the commanded torque, N m or N")
     frequency: Positive = Field(1.0, description="of the square wave or sine, Hz")
     frequencies: tuple[Positive, ...] = Field(
-        (0.3, 0.7, 1.3, 2.9, 5.3), description="of the multisine, or first and last of the chirp, Hz"
+        (0.3, 0.7, 1.3, 2.9, 5.3),
+        description="of the multisine, or first and last of the chirp, Hz",
     )
     lag: NotNegative = Field(0.005, description="time constant of the current loop, s")
     encoder_counts: int = Field(
@@ -111,7 +112,7 @@ def record(
     """
     values = options.true_values(chain)
     period = 1.0 / options.rate
-    time = np.arange(round(options.duration * options.rate)) * period
+    time = np.arange(round(options.duration * options.rate), dtype=np.float64) * period
     if time.size < 10:
         raise BadInput("simulation.duration", "makes fewer than 10 samples", "raise it")
     seeds = np.random.SeedSequence(options.seed).spawn(2)

@@ -75,7 +75,9 @@ def load_torque(
     position = np.asarray(q, dtype=np.float64)
     weight = load[0, kernels.GRAVITY] * (load[0, kernels.FIRST_MOMENT] + moment)
     swing = weight * np.sin(position + load[0, kernels.GRAVITY_ANGLE])
-    torque: NDArray[np.float64] = (load[0, kernels.LOAD_INERTIA] + inertia) * np.asarray(qdd) + swing
+    torque: NDArray[np.float64] = (load[0, kernels.LOAD_INERTIA] + inertia) * np.asarray(
+        qdd
+    ) + swing
     return torque
 
 

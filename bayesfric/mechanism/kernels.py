@@ -91,7 +91,7 @@ def gravity_torque(
     """Gravity on the load, ``g ml sin(q + q_g)``, with the known added mass."""
     angle = load[GRAVITY_ANGLE]
     sine = sin_q if angle == 0.0 else sin_q * math.cos(angle) + cos_q * math.sin(angle)
-    return load[GRAVITY] * (load[FIRST_MOMENT] + added_moment) * sine
+    return float(load[GRAVITY] * (load[FIRST_MOMENT] + added_moment) * sine)
 
 
 @njit(cache=True, inline="always")
@@ -110,9 +110,7 @@ def motor_torque(
     to_input = 1.0
     for k in range(elements.shape[0] - 1, -1, -1):
         to_input *= elements[k, RATIO]
-        torque = element_input(
-            elements[k], torque, sign, to_input * speed, to_input * acceleration
-        )
+        torque = element_input(elements[k], torque, sign, to_input * speed, to_input * acceleration)
     return torque
 
 
@@ -163,9 +161,7 @@ def inverse_one(
     """Write the measured motor torque of one parameter vector into ``out`` ``(N,)``."""
     inertia = load[LOAD_INERTIA] + added_inertia
     for j in range(speed.shape[0]):
-        out[j] = inertia * acceleration[j] + gravity_torque(
-            load, added_moment, sin_q[j], cos_q[j]
-        )
+        out[j] = inertia * acceleration[j] + gravity_torque(load, added_moment, sin_q[j], cos_q[j])
     to_input = 1.0
     for k in range(elements.shape[0] - 1, -1, -1):
         to_input *= elements[k, RATIO]

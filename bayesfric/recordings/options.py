@@ -181,8 +181,8 @@ class Source(_Options):
     )
     valid: str | int | None = Field(
         default=None,
-        description="Column that is 0 or false where the torque is not what the motor gave, such as "
-        "a 'torque enabled' flag; samples there are not compared with the model.",
+        description="Column that is 0 or false where the torque is not what the motor gave, such "
+        "as a 'torque enabled' flag; samples there are not compared with the model.",
     )
     added_mass: Kilograms = Field(
         default=0.0, description="Known mass added for the recording, kg."

@@ -130,9 +130,7 @@ def _parameters(fit: Fit, flat: Array, local: LocalInformation) -> dict[str, Any
     d = fit.posterior.diagnostics
     units = {p.name: (p.unit, p.meaning) for p in fit.chain.parameters}
     rows = {}
-    for j, (name, prior) in enumerate(
-        zip(fit.posterior.names, fit.posterior.priors, strict=True)
-    ):
+    for j, (name, prior) in enumerate(zip(fit.posterior.names, fit.posterior.priors, strict=True)):
         unit, meaning = units.get(name, (torque_unit(fit), "noise of the filtered torque"))
         sd, prior_sd = float(flat[:, j].std()), prior.sd()
         # the noise scale's own information: a variance estimated from n residuals

@@ -75,7 +75,10 @@ def test_a_motion_that_tells_nothing_is_refused(make_observation):
 def test_split_totals_add_up_to_the_totals(preset, make_observation):
     """A start must reproduce what it was split from, load losses aside."""
     chain = PRESETS[preset].chain()
-    v = {k: (0.0 if ".load" in k and "gearbox" in k else x) for k, x in PRESETS[preset].values.items()}
+    v = {
+        k: (0.0 if ".load" in k and "gearbox" in k else x)
+        for k, x in PRESETS[preset].values.items()
+    }
     o = make_observation(chain, v, sigma=0.0)
     start = starting_values(chain, least_squares(chain, [o]), 0.0, 0.5)
     again = make_observation(chain, start, sigma=0.0)

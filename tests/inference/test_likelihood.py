@@ -51,9 +51,7 @@ def test_density_is_the_normals(knee):
     sigma = np.random.default_rng(1).uniform(0.005, 0.05, (values.shape[0], 2))
     expected = sum(
         stats.norm.logpdf(o.measured, torque, sigma[:, i, None]).sum(axis=1)
-        for i, (o, torque) in enumerate(
-            zip(observations, likelihood.predict(values), strict=True)
-        )
+        for i, (o, torque) in enumerate(zip(observations, likelihood.predict(values), strict=True))
     )
     np.testing.assert_allclose(likelihood.log_density(values, sigma), expected, rtol=1e-10)
     shared = likelihood.log_density(values, sigma[:, :1])
@@ -90,7 +88,7 @@ def test_what_is_no_number_counts_as_impossible_and_is_counted(knee):
     values = target(u)
     assert np.isfinite(values[0])
     assert np.isneginf(values[1:]).all()
-    target.likelihood.log_density = lambda values, sigma: np.full(values.shape[0], np.nan)
+    target.likelihood.log_density = lambda values, _: np.full(values.shape[0], np.nan)
     assert np.isneginf(target(u[:1])).all()
     assert target.not_finite == 1
 
@@ -114,7 +112,7 @@ def test_coordinates_do_not_change_the_posterior(knee):
     [
         ({"motor.inertai": 1.0}, "motor.inertia"),
         ({"noise.sigma": 0.1}, "range"),
-        ({name: value for name, value in KNEE.values.items()}, "free"),
+        (dict(KNEE.values.items()), "free"),
     ],
 )
 def test_priors_that_cannot_be_are_refused(knee, texts, word):

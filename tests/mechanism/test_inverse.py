@@ -200,9 +200,7 @@ def test_every_term_at_every_shaft_against_plain_python():
     v = {p.name: float(rng.uniform(0.05, 0.9)) for p in chain.parameters}
     q, qd, qdd = motion(60, seed=4)
     torque = inverse_torque(chain, chain.vector(v), q, qd, qdd, added_mass=1.5, radius=0.3)
-    expected = [
-        by_hand(chain, v, *sample, 1.5, 0.3) for sample in zip(q, qd, qdd, strict=True)
-    ]
+    expected = [by_hand(chain, v, *sample, 1.5, 0.3) for sample in zip(q, qd, qdd, strict=True)]
     np.testing.assert_allclose(torque, expected, rtol=1e-12, atol=0)
 
 
@@ -290,5 +288,5 @@ def test_impossible_chains_are_refused(elements, word):
 
 def test_vector_names_what_is_missing_or_unknown():
     chain = PRESETS["motor-axis"].chain()
-    with pytest.raises(KeyError, match="motor.speed"):
+    with pytest.raises(KeyError, match=r"motor\.speed"):
         chain.vector({"motor.speed": 1.0})

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayesfric.config import parse_config
 from bayesfric.commands.problem import read_problem
 from bayesfric.commands.simulate import simulate
+from bayesfric.config import parse_config
 from bayesfric.inference.fit import fit, make_target
 from bayesfric.inference.priors import fixed
 from bayesfric.inference.start import climb
