@@ -74,19 +74,21 @@ def fit_text(summary: dict[str, Any], folder: Path) -> Iterator[str]:
     for problem in sampler["problems"]:
         yield f"  {problem}"
     yield ""
-    yield "What the torque determines whatever the scale (90 % intervals)"
-    for name, row in summary["derived"].items():
-        if row["gauge_free"]:
-            yield _row(name, row, "")
-    yield ""
-    yield "Parameters (90 % intervals)"
     words = {
         "data": "",
         "weak": "weakly determined: prior and data both matter",
         "prior": "NOT determined by the data: this is the prior and the bounds",
     }
+    combined = {name: row for name, row in summary["derived"].items() if row["gauge_free"]}
+    if combined:
+        yield "What the motor feels, whatever the scale (90 % intervals)"
+        for name, row in combined.items():
+            yield _row(name, row, words[row["verdict"]])
+        yield ""
+    yield "Parameters (90 % intervals)"
     for name, row in summary["parameters"].items():
-        yield _row(name, row, words[row["verdict"]])
+        bound = f"leans on its {row['at_bound']} bound" if row["at_bound"] else ""
+        yield _row(name, row, "; ".join(filter(None, [words[row["verdict"]], bound])))
     for direction in summary["identifiability"]["null_directions"]:
         yield ""
         yield f"No recording of this kind can tell: {direction['meaning']}."

@@ -55,6 +55,12 @@ def least_squares(chain: Chain, observations: Sequence[Observation]) -> Estimate
     names, regressors = _regressors(chain, observations)
     torque = np.concatenate([o.measured for o in observations])
     scale = np.linalg.norm(regressors, axis=0)
+    if torque.size <= len(names):
+        raise BadInput(
+            ", ".join(o.name for o in observations),
+            f"{torque.size} outputs cannot determine {len(names)} totals",
+            "use a longer recording, or decimate less",
+        )
     if np.any(scale == 0.0) or np.linalg.cond(regressors / scale) > 1e10:
         raise BadInput(
             ", ".join(o.name for o in observations),

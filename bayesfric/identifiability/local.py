@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -50,12 +50,37 @@ class LocalInformation:
         ``(d,)`` of the Jacobian in log parameters, over the noise scale.
     null_directions
         What no torque can tell.
+    units
+        ``(d,)`` what counts as a change of one, in the parameter's unit.
+    directions
+        ``(d, d)`` right singular vectors, one a row, in those units.
     """
 
     names: tuple[str, ...]
     data_sd: Array
     singular_values: Array
     null_directions: tuple[NullDirection, ...]
+    units: Array
+    directions: Array
+
+    def data_sd_of(self, gradient: Array) -> float:
+        """Give the sd that the data alone would leave of a function of the parameters.
+
+        Parameters
+        ----------
+        gradient
+            ``(d,)`` derivative of the function by the free parameters.
+
+        Returns
+        -------
+        float
+            Infinite where the function changes along a null direction.
+        """
+        along = self.directions @ (gradient * self.units)
+        null = self.singular_values <= _NULL * self.singular_values[0]
+        if np.linalg.norm(along[null]) > 1e-5 * np.linalg.norm(along):
+            return float("inf")
+        return float(np.linalg.norm(along[~null] / self.singular_values[~null]))
 
 
 def local_information(target: Target, parameters: Array) -> LocalInformation:
@@ -76,12 +101,11 @@ def local_information(target: Target, parameters: Array) -> LocalInformation:
     _, values, rows = np.linalg.svd(jacobian, full_matrices=False)
     null = values <= _NULL * values[0]
     directions = tuple(_describe(labels, row) for row in _sparse(rows[null]))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        spread = np.where(null, 0.0, 1.0 / values)
-        variance = (rows.T**2) @ spread**2
-    touched = (rows[null] ** 2).sum(axis=0) > 1e-8
-    data_sd = np.where(touched, np.inf, np.sqrt(variance)) * np.abs(units)
-    return LocalInformation(tuple(free), data_sd, values, directions)
+    found = LocalInformation(
+        tuple(free), np.full(units.size, np.nan), values, directions, units, rows
+    )
+    data_sd = np.array([found.data_sd_of(one) for one in np.eye(units.size)])
+    return replace(found, data_sd=data_sd)
 
 
 def verdict(posterior_sd: float, prior_sd: float, data_sd: float) -> Verdict:

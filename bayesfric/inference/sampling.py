@@ -42,12 +42,17 @@ class Sampling(BaseModel):
     walkers: int | None = Field(
         None,
         ge=8,
+        le=10_000,
         description="walkers in each ensemble; default 3 for each parameter, at least 32",
     )
-    min_ess: float = Field(4000.0, gt=0, description="independent draws wanted of every parameter")
-    max_rhat: float = Field(1.01, gt=1, description="largest nested R-hat accepted")
-    max_steps: int = Field(20_000, ge=100, description="steps after which sampling gives up")
-    block: int = Field(100, ge=10, description="steps between two looks at convergence")
+    min_ess: float = Field(
+        4000.0, gt=0, le=1e8, description="independent draws wanted of every parameter"
+    )
+    max_rhat: float = Field(1.01, gt=1, le=2, description="largest nested R-hat accepted")
+    max_steps: int = Field(
+        20_000, ge=100, le=10_000_000, description="steps after which sampling gives up"
+    )
+    block: int = Field(100, ge=10, le=100_000, description="steps between two looks at convergence")
 
 
 @dataclass(frozen=True)

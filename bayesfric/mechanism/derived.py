@@ -88,8 +88,7 @@ def derive(chain: Chain, values: Array, load_torque: float) -> tuple[Derived, ..
 def _totals(chain: Chain, at: dict[str, Array], n: int) -> Iterator[Derived]:
     """Sum up what the motor feels, Theta1 +- Theta2 of eq. (13) and their mean."""
     lossy = [element for element in chain.elements if element.load_loss != "none"]
-    if len(chain.elements) == 1 and not chain.load.parameters():
-        return  # nothing to add up: the parameters are the totals
+    plain = _single(chain)
     # torque at the joint times these is torque at the motor
     for side, label in (("drive", "driving"), ("back", "back-driven")):
         reach = np.ones(n)
@@ -116,6 +115,8 @@ def _totals(chain: Chain, at: dict[str, Array], n: int) -> Iterator[Derived]:
         if "load.first_moment" in at:
             totals["gravity"] = at["load.first_moment"] * chain.load.gravity * reach
         for key, total in totals.items():
+            if key in plain:
+                continue
             described = _described(chain, key)
             name = f"total_{side}.{key}" if lossy else f"total.{key}"
             mark = rf"^{{\mathrm{{{side}}}}}" if lossy else ""
@@ -129,6 +130,21 @@ def _totals(chain: Chain, at: dict[str, Array], n: int) -> Iterator[Derived]:
             )
         if not lossy:
             return
+
+
+def _single(chain: Chain) -> set[str]:
+    """Totals that only one parameter at the motor's own shaft makes up: they say nothing new."""
+    owners: dict[str, set[str]] = {}
+    for p in chain.parameters:
+        owner = p.name.rpartition(".")[0]
+        kinds = {
+            "coulomb": ("coulomb_positive", "coulomb_negative"),
+            "first_moment": ("gravity",),
+        }.get(p.quantity, (p.quantity,))
+        for kind in kinds:
+            owners.setdefault(kind, set()).add(owner)
+    motor = {chain.elements[0].name}
+    return {kind for kind, names in owners.items() if names == motor}
 
 
 def _coefficients(chain: Chain, at: dict[str, Array], load_torque: float) -> Iterator[Derived]:

@@ -50,7 +50,12 @@ def check_free(folder: Path, *, force: bool) -> None:
             raise BadInput(str(folder), "is a link to nowhere", "name a folder with -o")
         if folder.exists() and not folder.is_dir():
             raise BadInput(str(folder), "is a file", "name a folder with -o")
-        if folder.exists() and any(folder.iterdir()) and not force:
+        filled = folder.exists() and any(folder.iterdir())
+        if filled and force and not (folder / "summary.json").is_file():
+            raise BadInput(
+                str(folder), "is not empty and holds no run", "name another folder with -o"
+            )
+        if filled and not force:
             raise BadInput(
                 str(folder),
                 "is not empty",

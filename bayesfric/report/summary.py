@@ -50,7 +50,7 @@ def summarise(fit: Fit) -> dict[str, Any]:
             for p, value in zip(fit.chain.parameters, fit.chain_draws(1)[0], strict=True)
             if p.name not in fit.target.free
         },
-        "derived": _derived(fit),
+        "derived": _derived(fit, median, local),
         "estimates": {
             fit.totals.method: {
                 "parameters": {
@@ -101,7 +101,7 @@ def summarise(fit: Fit) -> dict[str, Any]:
 def summary_table(summary: Mapping[str, Any]) -> str:
     """Lay the parameters and derived quantities of a summary out as CSV text."""
     columns = ["name", "unit", "mean", "sd", "median", "low", "high", "level", "rhat", "ess"]
-    columns += ["prior", "prior_sd", "contraction", "verdict"]
+    columns += ["prior", "prior_sd", "contraction", "verdict", "at_bound"]
     out = io.StringIO()
     writer = csv.DictWriter(out, columns, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
@@ -147,19 +147,22 @@ def _parameters(fit: Fit, flat: Array, local: LocalInformation) -> dict[str, Any
             "contraction": _number(1.0 - (sd / prior_sd) ** 2),
             "data_sd": _number(data_sd),
             "verdict": verdict(sd, prior_sd, data_sd),
+            "at_bound": _at_bound(flat[:, j], prior.lower, prior.upper),
         }
     return rows
 
 
-def _derived(fit: Fit) -> dict[str, Any]:
+def _derived(fit: Fit, median: Array, local: LocalInformation) -> dict[str, Any]:
     draws = fit.chain_draws()
-    middle = np.median(draws, axis=0)
+    middle = fit.target.chain_values(median[None])[0]
     loads = [
         np.abs(load_torque(fit.chain, middle, o.q, o.qdd, added_mass=o.added_mass, radius=o.radius))
         for o in fit.observations
     ]
     at_load = float(np.quantile(np.concatenate(loads), _LOAD_QUANTILE))
     found = derive(fit.chain, draws, at_load)
+    prior = _prior_sds(fit, at_load)
+    gradients = _gradients(fit, median, at_load)
     # what no scaling changes comes first: it is what the torque tells
     rows = {}
     for q in sorted(found, key=lambda q: not q.gauge_free):
@@ -170,10 +173,37 @@ def _derived(fit: Fit) -> dict[str, Any]:
             "unit": q.unit,
             "meaning": q.meaning,
             **_spread(defined),
+            "verdict": verdict(
+                float(defined.std()), prior[q.name], local.data_sd_of(gradients[q.name])
+            ),
             "undefined_share": 1.0 - defined.size / q.values.size,
             "gauge_free": q.gauge_free,
         }
     return rows
+
+
+def _prior_sds(fit: Fit, at_load: float) -> dict[str, float]:
+    """Compute the sds of the derived quantities that the priors alone imply."""
+    rng = np.random.default_rng(np.random.SeedSequence(fit.posterior.seed, spawn_key=(2,)))
+    drawn = np.stack([prior.draw(2000, rng) for prior in fit.posterior.priors], axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = derive(fit.chain, fit.target.chain_values(drawn), at_load)
+    return {
+        q.name: float(np.std(defined)) if (defined := q.values[np.isfinite(q.values)]).size else 0.0
+        for q in found
+    }
+
+
+def _gradients(fit: Fit, median: Array, at_load: float) -> dict[str, Array]:
+    """Differentiate the derived quantities by the free parameters, centrally."""
+    k = len(fit.target.free)
+    steps = 1e-5 * np.maximum(np.abs(median[:k]), 1e-9)
+    moved = np.tile(median, (2 * k, 1))
+    index = np.arange(k)
+    moved[index, index] += steps
+    moved[k + index, index] -= steps
+    found = derive(fit.chain, fit.target.chain_values(moved), at_load)
+    return {q.name: (q.values[:k] - q.values[k:]) / (2.0 * steps) for q in found}
 
 
 def _spread(x: Array) -> dict[str, Any]:
@@ -185,6 +215,15 @@ def _spread(x: Array) -> dict[str, Any]:
         "interval": [float(low), float(high)],
         "level": LEVEL,
     }
+
+
+def _at_bound(x: Array, lower: float, upper: float) -> str | None:
+    """Say on which bound a posterior leans: 5 % of it within a fifth of an sd of the bound."""
+    low, high = np.quantile(x, [0.05, 0.95])
+    near = 0.2 * x.std()
+    if low - lower < near:
+        return "lower"
+    return "upper" if upper - high < near else None
 
 
 def _rms(x: Array) -> float:

@@ -1,0 +1,46 @@
+"""Run a study: fit its configurations and keep its figures in ``figures/``.
+
+``python studies/run.py emps`` fits every configuration in ``studies/emps``; run directories go to
+``studies-runs/`` (not committed), corner and prediction figures to ``figures/emps/``. The study
+``demo`` is the packaged configurations.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from importlib.resources import files
+from pathlib import Path
+
+from bayesfric.commands.fit import fit, fit_text
+from bayesfric.config import read_config
+
+ROOT = Path(__file__).resolve().parents[1]
+KEPT = ("corner", "prediction")
+
+
+def run(study: str) -> None:
+    """Fit all configurations of a study and copy their figures."""
+    folder = (
+        Path(str(files("bayesfric") / "examples")) if study == "demo" else ROOT / "studies" / study
+    )
+    runs = ROOT / "studies-runs"
+    runs.mkdir(exist_ok=True)
+    for path in sorted(folder.glob("*.toml")):
+        target = runs / path.stem
+        if target.exists():
+            shutil.rmtree(target)
+        summary = fit(read_config(path), target)
+        print(f"=== {study}/{path.name}")
+        print("\n".join(fit_text(summary, target.relative_to(ROOT))))
+        figures = ROOT / "figures" / study
+        figures.mkdir(parents=True, exist_ok=True)
+        for name in KEPT:
+            stem = name if study == "demo" and path.stem == "knee" else f"{path.stem}-{name}"
+            for suffix in (".pdf", ".png"):
+                shutil.copyfile(target / "figures" / f"{name}{suffix}", figures / f"{stem}{suffix}")
+
+
+if __name__ == "__main__":
+    for name in sys.argv[1:] or ("demo", "emps", "ur10e", "xl330"):
+        run(name)
