@@ -51,7 +51,10 @@ def write_archive(
     named = {group: dict(variables) for group, variables in groups.items()}
     # Any: the two versions' signatures have nothing in common
     from_dict: Any = arviz.from_dict
-    data = from_dict(**named, **options) if _OLD else from_dict(named, **options)
+    with warnings.catch_warnings():
+        # walkers are stored as chains, and there may well be more of them than kept draws
+        warnings.filterwarnings("ignore", "More chains", UserWarning)
+        data = from_dict(**named, **options) if _OLD else from_dict(named, **options)
     for group in groups:
         # a time stamp would make two runs of one seed differ
         data[group].attrs.pop("created_at", None)
