@@ -1,0 +1,262 @@
+"""``bayesfric fit`` and ``demo``: as a user runs them, and the same again."""
+
+import json
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from bayesfric.commands.demo import demo_config
+from bayesfric.commands.fit import fit, fit_text
+from bayesfric.commands.problem import read_problem
+from bayesfric.commands.simulate import simulate
+from bayesfric.config import parse_config, read_config
+from bayesfric.inference.archive import read_archive
+from bayesfric.report import run_directory
+
+CONFIG = """\
+[mechanism]
+preset = "motor-axis"
+
+[[recordings]]
+file = "small.csv"
+time = { column = "time", unit = "s" }
+position = { column = "position", unit = "rad" }
+torque = { column = "torque", unit = "N m" }
+
+[sampling]
+min_ess = 500
+seed = 3
+
+[simulation]
+duration = 3.0
+rate = 200
+excitation = "multisine"
+encoder_counts = 1048576
+"""
+TRUTH = {"motor.inertia": 0.01, "motor.viscous": 0.05, "motor.coulomb": 0.2, "offset": 0.02}
+# Table 3 of the 2005 paper: gearbox 50, alpha_1, alpha_2
+ALPHA = {"drive": 0.7432, "back": 1.408}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("small")
+    (folder / "small.toml").write_text(CONFIG, encoding="utf-8")
+    simulate(read_config(folder / "small.toml"), folder / "small.csv")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def done(folder):
+    """The command, the way a user runs it: in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-m", "bayesfric", "fit", "small.toml", "-o", "run", "--json"],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+@pytest.fixture
+def again(folder, tmp_path, monkeypatch):
+    """Fit once more in this process, without drawing; give summary and draws."""
+    monkeypatch.setattr(run_directory, "FIGURES", {})
+
+    def run(**options):
+        summary = fit(read_config(folder / "small.toml"), tmp_path / "again", **options)
+        return summary, draws(tmp_path / "again")
+
+    return run
+
+
+def draws(run):
+    data = read_archive(run / "posterior.nc")
+    return {
+        f"{group} {name}": data[group][name].values
+        for group in ("posterior", "log_likelihood", "posterior_predictive", "prior")
+        for name in data[group].data_vars
+    }
+
+
+def without_seconds(summary):
+    return {**summary, "sampler": {**summary["sampler"], "seconds": None}}
+
+
+def test_a_process_of_its_own_ends_well(done, folder):
+    assert done.returncode == 0
+    assert done.stderr == ""
+    written = json.loads((folder / "run" / "summary.json").read_text(encoding="utf-8"))
+    assert json.loads(done.stdout) == written
+    assert written["sampler"]["status"] == "reliable"
+    for name, value in TRUTH.items():
+        row = written["parameters"][name]
+        assert abs(row["mean"] - value) < 4.5 * row["sd"], name
+
+
+def test_one_seed_gives_one_posterior(done, folder, again):
+    assert done.returncode == 0
+    summary, found = again()
+    assert without_seconds(summary) == without_seconds(json.loads(done.stdout))
+    first = draws(folder / "run")
+    assert set(found) == set(first)
+    for name, values in first.items():
+        np.testing.assert_array_equal(found[name], values, err_msg=name)
+
+
+def test_another_seed_gives_other_draws_of_the_same(done, folder, again, tmp_path):
+    summary, found = again(seed=8)
+    assert summary["sampler"]["seed"] == 8
+    assert read_archive(tmp_path / "again" / "posterior.nc").attrs["seed"] == "8"
+    first = draws(folder / "run")
+    for name, row in json.loads(done.stdout)["parameters"].items():
+        key = f"posterior {name}"
+        assert not np.array_equal(found[key].ravel()[:9], first[key].ravel()[:9])
+        assert abs(row["mean"] - summary["parameters"][name]["mean"]) < 0.2 * row["sd"], name
+
+
+def test_seed_of_the_command_line_comes_first(bench, folder, monkeypatch):
+    monkeypatch.setattr(run_directory, "FIGURES", {})
+    config = folder / "small.toml"
+    ended = bench.run("fit", config, "--seed", "41", "--json")
+    assert ended.code == 0, ended
+    # without -o the run is called after its configuration, in the working folder
+    written = json.loads((bench.folder / "small-run" / "summary.json").read_text(encoding="utf-8"))
+    assert written == json.loads(ended.out)
+    assert written["sampler"]["seed"] == 41
+
+
+def test_too_few_steps_end_with_3_and_are_marked(bench, folder, monkeypatch):
+    monkeypatch.setattr(run_directory, "FIGURES", {})
+    few = CONFIG.replace("min_ess = 500", "min_ess = 1e6\nmax_steps = 100\nblock = 50")
+    (bench.folder / "few.toml").write_text(few, encoding="utf-8")
+    (bench.folder / "small.csv").write_bytes((folder / "small.csv").read_bytes())
+    ended = bench.run("fit", "few.toml", "-o", "run")
+    assert ended.code == 3
+    assert "Traceback" not in ended.err
+    written = json.loads((bench.folder / "run" / "summary.json").read_text(encoding="utf-8"))
+    status = written["sampler"]["status"]
+    assert status in ("tentative", "unusable")
+    assert written["sampler"]["problems"]
+    assert ended.out.startswith(f"{status}: ")
+    for problem in written["sampler"]["problems"]:
+        assert problem in ended.out
+    assert {path.name for path in (bench.folder / "run").iterdir()} >= {
+        "posterior.nc",
+        "summary.json",
+        "summary.csv",
+        "config.toml",
+    }
+
+
+def test_force_keeps_the_old_run(bench, folder, monkeypatch):
+    monkeypatch.setattr(run_directory, "FIGURES", {})
+    assert bench.run("fit", folder / "small.toml", "-o", "run").code == 0
+    first = (bench.folder / "run" / "summary.json").read_bytes()
+    ended = bench.run("fit", folder / "small.toml", "-o", "run", "--force", "--seed", "9")
+    assert ended.code == 0, ended
+    assert (bench.folder / "run.old1" / "summary.json").read_bytes() == first
+    second = json.loads((bench.folder / "run" / "summary.json").read_text(encoding="utf-8"))
+    assert second["sampler"]["seed"] == 9
+
+
+def test_text_for_people_names_every_parameter_with_its_unit(done, folder):
+    summary = json.loads(done.stdout)
+    text = "\n".join(fit_text(summary, folder / "run"))
+    assert text.startswith("reliable: ")
+    assert str(folder / "run") in text
+    for name, row in summary["parameters"].items():
+        low, high = row["interval"]
+        line = next(line for line in text.split("\n") if line.split()[:1] == [name])
+        assert row["unit"] in line
+        told = [float(x) for x in re.findall(r"-?\d[\d.]*(?:e[+-]?\d+)?", line)]
+        # five digits, of which the last is rounded
+        for value in (row["median"], low, high):
+            assert any(value == pytest.approx(x, rel=1e-4) for x in told), (name, value)
+
+
+def recording_called(name, folder, bench):
+    text = CONFIG.replace('file = "small.csv"', f'file = "small.csv"\nname = "{name}"')
+    (bench.folder / "c.toml").write_text(text, encoding="utf-8")
+    (bench.folder / "small.csv").write_bytes((folder / "small.csv").read_bytes())
+    return bench.run("fit", "c.toml", "-o", "run", "--json")
+
+
+@pytest.mark.parametrize("name", ["run-2.left", "Knie rechts, 2 kg", "motor.inertia", "posterior"])
+def test_recordings_may_have_odd_names(bench, folder, monkeypatch, name):
+    monkeypatch.setattr(run_directory, "FIGURES", {})
+    ended = recording_called(name, folder, bench)
+    assert ended.code == 0, ended
+    data = read_archive(bench.folder / "run" / "posterior.nc")
+    assert list(data["observed_data"].data_vars) == [name]
+
+
+@pytest.mark.xfail(reason="posterior.nc cannot hold these names; told by a traceback", strict=True)
+@pytest.mark.parametrize("name", ["chain", "draw", "a/b"])
+def test_a_name_that_cannot_be_stored_is_refused_or_stored(bench, folder, monkeypatch, name):
+    """Either is fine; a traceback after all the sampling is not."""
+    monkeypatch.setattr(run_directory, "FIGURES", {})
+    assert recording_called(name, folder, bench).code in (0, 2)
+
+
+# -- the demo
+
+
+def test_the_demo_reads_what_the_package_holds():
+    config = demo_config()
+    problem = read_problem(config)
+    assert problem.chain.preset == "rabbit-knee"
+    (recording,) = problem.recordings
+    assert recording.path.name == "knee.csv"
+    assert recording.time.size == 10_000
+    assert config.tables.sampling.seed == 2005
+    assert "SIMULATED" in config.text
+
+
+def totals_of_table_3():
+    """What the motor of the paper's knee feels: eqs. (11) and (13) at Table 3."""
+    expected = {}
+    for side, alpha in ALPHA.items():
+        total = f"total_{side}"
+        expected[f"{total}.inertia"] = 3.56e-4 + 0.206 / (alpha * 50**2)
+        expected[f"{total}.viscous"] = 4.0e-3 + 3.12 / (alpha * 50**2)
+        expected[f"{total}.coulomb_positive"] = 0.087 + 5.03 / (alpha * 50)
+        expected[f"{total}.coulomb_negative"] = 0.091 + 5.15 / (alpha * 50)
+        expected[f"{total}.gravity"] = 0.42 * 9.80665 / (alpha * 50)
+    one, two = (1 / alpha for alpha in ALPHA.values())
+    expected["gearbox.lambda_ratio"] = (one + two) / (one - two)
+    return expected
+
+
+@pytest.mark.slow
+def test_the_demo_finds_the_truth(bench):
+    ended = bench.run("demo", "-o", "run", "--json")
+    assert ended.code == 0, ended
+    assert "simulated" in ended.err
+    summary = json.loads(ended.out)
+    assert summary["sampler"]["status"] == "reliable"
+    assert summary["identifiability"]["null_directions"]
+    for name, value in totals_of_table_3().items():
+        row = summary["derived"][name]
+        assert row["gauge_free"]
+        assert abs(row["mean"] - value) < 4 * row["sd"], (name, value, row["mean"], row["sd"])
+
+
+@pytest.mark.slow
+def test_the_packaged_pair_finds_every_parameter(tmp_path):
+    """The same knee with a known mass: truth beside the recording, leg and alpha included."""
+    folder = demo_config().folder
+    truth = json.loads((folder / "knee.truth.json").read_text(encoding="utf-8"))["parameters"]
+    config = parse_config(
+        (folder / "knee-loaded.toml").read_text(encoding="utf-8"), folder / "knee-loaded.toml"
+    )
+    summary = fit(config, tmp_path / "run")
+    assert summary["sampler"]["status"] == "reliable"
+    assert summary["identifiability"]["null_directions"] == []
+    for name, true in truth.items():
+        row = summary["parameters"][name]
+        assert abs(row["mean"] - true["value"]) < 4 * row["sd"], name

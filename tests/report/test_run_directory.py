@@ -1,0 +1,308 @@
+"""A run directory: what it holds, that the numbers in it are right, and that it is whole or absent."""
+
+import hashlib
+import json
+import platform
+from importlib.metadata import version
+
+import h5py
+import numpy as np
+import pytest
+
+from bayesfric.commands.fit import fit
+from bayesfric.commands.problem import read_problem
+from bayesfric.commands.simulate import simulate
+from bayesfric.config import parse_config, read_config
+from bayesfric.errors import BadInput
+from bayesfric.inference.archive import read_archive
+from bayesfric.report import run_directory
+from bayesfric.report.run_directory import check_free, write_run
+from bayesfric.report.summary import summarise, summary_table
+
+# Two recordings, one with dots and a dash in its name, each with a noise scale of its own.
+NAMES = ("plain", "run-2.left")
+COLUMNS = """
+time = { column = "time", unit = "s" }
+position = { column = "position", unit = "rad" }
+torque = { column = "torque", unit = "N m" }
+"""
+CONFIG = '# ein Kommentar mit ä\n[mechanism]\npreset = "motor-axis"\n'
+CONFIG += "".join(f'\n[[recordings]]\nfile = "{name}.csv"\n{COLUMNS}' for name in NAMES)
+CONFIG += "\n[sampling]\nmin_ess = 500\nseed = 12\n"
+SIMULATION = """
+[simulation]
+duration = 3.0
+rate = 200
+excitation = "multisine"
+torque_noise = 0.05
+"""
+GROUPS = {
+    "posterior",
+    "log_likelihood",
+    "sample_stats",
+    "posterior_predictive",
+    "observed_data",
+    "prior",
+}
+SAMPLED = {
+    "motor.inertia",
+    "motor.viscous",
+    "motor.coulomb",
+    "offset",
+    *(f"noise.sigma.{name}" for name in NAMES),
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with configuration and recordings, and in it the finished run."""
+    folder = tmp_path_factory.mktemp("bench")
+    for seed, name in enumerate(NAMES):
+        made = parse_config(CONFIG + SIMULATION, folder / "made.toml")
+        simulate(made, folder / f"{name}.csv", seed=seed)
+    (folder / "axis.toml").write_text(CONFIG, encoding="utf-8")
+    fit(read_config(folder / "axis.toml"), folder / "run")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def run(folder):
+    return folder / "run"
+
+
+@pytest.fixture(scope="module")
+def archive(run):
+    return read_archive(run / "posterior.nc")
+
+
+@pytest.fixture(scope="module")
+def problem(folder):
+    return read_problem(read_config(folder / "axis.toml"))
+
+
+def test_the_files_of_the_design(run):
+    found = {path.name for path in run.iterdir()} - {"report.html"}
+    assert found == {"posterior.nc", "summary.json", "summary.csv", "config.toml", "figures"}
+    drawn = {path.name for path in (run / "figures").iterdir()}
+    stems = ("corner", "prediction", "trace")
+    assert drawn == {f"{stem}.{kind}" for stem in stems for kind in ("pdf", "png")}
+    assert all(path.stat().st_size for path in run.rglob("*"))
+
+
+def test_nothing_else_is_left_beside_it(folder):
+    names = {f"{name}{end}" for name in NAMES for end in (".csv", ".truth.json")}
+    assert {path.name for path in folder.iterdir()} == names | {"axis.toml", "run"}
+
+
+def test_the_configuration_is_kept_as_written(folder, run):
+    assert (run / "config.toml").read_bytes() == (folder / "axis.toml").read_bytes()
+
+
+def test_both_summaries_hold_the_same(run):
+    summary = json.loads((run / "summary.json").read_text(encoding="utf-8"))
+    assert (run / "summary.csv").read_text(encoding="utf-8") == summary_table(summary)
+    assert set(summary["parameters"]) == SAMPLED
+    assert set(summary["fit"]["recordings"]) == set(NAMES)
+
+
+def test_the_groups_of_the_design(run, archive):
+    with h5py.File(run / "posterior.nc") as file:
+        assert set(file) == GROUPS
+    assert set(archive["posterior"].data_vars) == SAMPLED
+    assert set(archive["prior"].data_vars) == SAMPLED
+    assert {"lp", "ensemble"} <= set(archive["sample_stats"].data_vars)
+    for group in ("log_likelihood", "posterior_predictive", "observed_data"):
+        assert set(archive[group].data_vars) == set(NAMES), group
+
+
+def test_dimensions_have_names(archive, problem):
+    for name in SAMPLED:
+        assert archive["posterior"][name].dims == ("chain", "draw")
+    for o in problem.observations:
+        time = f"time_{o.name}"
+        assert archive["observed_data"][o.name].dims == (time,)
+        for group in ("log_likelihood", "posterior_predictive"):
+            assert archive[group][o.name].dims == ("chain", "draw", time)
+        np.testing.assert_array_equal(archive["observed_data"][time].values, o.time)
+
+
+def test_observed_data_is_the_filtered_torque(archive, problem):
+    for o in problem.observations:
+        found = archive["observed_data"][o.name].values
+        np.testing.assert_array_equal(found, o.measured)
+
+
+def test_the_posterior_is_what_the_summary_tells(run, archive):
+    summary = json.loads((run / "summary.json").read_text(encoding="utf-8"))
+    for name, row in summary["parameters"].items():
+        draws = archive["posterior"][name].values
+        np.testing.assert_allclose(row["interval"], np.quantile(draws, [0.05, 0.95]), rtol=1e-9)
+
+
+def ensembles(archive, names):
+    """All kept draws of each ensemble, ``(ensembles, draws, d)``."""
+    number = archive["sample_stats"]["ensemble"].values
+    stacked = np.stack([archive["posterior"][name].values for name in names], axis=-1)
+    return np.stack([stacked[number == e] for e in range(number.max() + 1)])
+
+
+def test_pointwise_log_likelihood_adds_up(archive, problem):
+    """Each stored row is one kept draw of its ensemble; its sum is the likelihood there."""
+    target = problem.target()
+    kept = ensembles(archive, target.names)
+    sums = sum(archive["log_likelihood"][name].values.sum(axis=-1) for name in NAMES)
+    assert sums.shape[0] == kept.shape[0]
+    for row, draws in zip(sums, kept, strict=True):
+        expected = target.log_likelihood(draws)
+        away = np.abs(row[:, None] - expected[None]).min(axis=1)
+        # neighbouring draws differ by some 1e-3
+        assert away.max() < 1e-7
+        # and not one draw over and over
+        assert np.unique(row).size > row.size / 2
+
+
+def test_pointwise_log_likelihood_is_gaussian_in_the_residual(archive, problem):
+    """Where the density peaks over draws it is -log(sigma sqrt(2 pi)): no residual is left."""
+    for o in problem.observations:
+        sigma = archive["posterior"][f"noise.sigma.{o.name}"].values
+        found = archive["log_likelihood"][o.name].values
+        assert found.max() <= -np.log(sigma.min() * np.sqrt(2 * np.pi)) + 1e-12
+        assert found.max() == pytest.approx(-np.log(sigma.min() * np.sqrt(2 * np.pi)), abs=0.3)
+
+
+def test_predictions_spread_like_the_noise(archive, problem):
+    for o in problem.observations:
+        sigma = archive["posterior"][f"noise.sigma.{o.name}"].values
+        predicted = archive["posterior_predictive"][o.name].values
+        flat = predicted.reshape(-1, predicted.shape[-1])
+        spread = np.sqrt(flat.var(axis=0).mean())
+        # the noise and a little of the parameters' own uncertainty
+        assert np.sqrt(np.mean(sigma**2)) * 0.95 < spread < np.sqrt(np.mean(sigma**2)) * 1.3
+        z = (o.measured - flat.mean(axis=0)) / spread
+        assert 0.6 < z.std() < 1.4
+        # draws of different outputs do not know of each other
+        assert not np.array_equal(predicted[0, 0], predicted[0, 1])
+
+
+def test_prior_draws_are_of_the_priors(archive, problem):
+    for name in ("motor.inertia", "motor.viscous", "motor.coulomb", "offset"):
+        drawn = archive["prior"][name].values.ravel()
+        prior = problem.priors[name]
+        assert drawn.min() >= prior.lower
+        assert drawn.std() == pytest.approx(prior.sd(), rel=0.15), name
+
+
+def test_walkers_of_an_ensemble_are_named(run, archive):
+    sampler = json.loads((run / "summary.json").read_text(encoding="utf-8"))["sampler"]
+    number = archive["sample_stats"]["ensemble"].values
+    assert number.shape[0] == sampler["ensembles"] * sampler["walkers"]
+    assert (np.ptp(number, axis=1) == 0).all()
+    assert np.bincount(number[:, 0]).tolist() == [sampler["walkers"]] * sampler["ensembles"]
+    assert np.isfinite(archive["sample_stats"]["lp"].values).all()
+
+
+def test_root_attributes_tell_where_it_came_from(folder, archive):
+    attrs = archive.attrs
+    versions = json.loads(attrs["versions"])
+    assert attrs["bayesfric"] == version("bayesfric")
+    assert versions["python"] == platform.python_version()
+    assert {name: versions[name] for name in ("numpy", "scipy", "emcee", "arviz", "numba")} == {
+        name: version(name) for name in ("numpy", "scipy", "emcee", "arviz", "numba")
+    }
+    assert attrs["seed"] == "12"
+    assert attrs["config"] == CONFIG
+    assert json.loads(attrs["recordings"]) == {
+        name: hashlib.sha256((folder / f"{name}.csv").read_bytes()).hexdigest() for name in NAMES
+    }
+
+
+# -- whole or absent; made-up fits, for these are of the folder alone
+
+
+@pytest.fixture(scope="module")
+def made(make_fit):
+    made = make_fit(samples=400, ensembles=2)
+    return made, summarise(made)
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    monkeypatch.setattr(run_directory, "FIGURES", {})
+
+
+def write(folder, made, config="# one\n"):
+    write_run(folder, *made, config, [])
+
+
+def held(folder):
+    return {
+        path.relative_to(folder): path.is_file() and path.read_bytes() for path in folder.rglob("*")
+    }
+
+
+@pytest.fixture
+def broken(monkeypatch):
+    """The second of three figures fails."""
+
+    def fail(_):
+        raise RuntimeError("no ink")
+
+    monkeypatch.setitem(run_directory.FIGURES, "prediction", fail)
+
+
+@pytest.mark.usefixtures("broken")
+def test_a_figure_that_fails_leaves_nothing(tmp_path, made):
+    with pytest.raises(RuntimeError, match="no ink"):
+        write(tmp_path / "run", made)
+    assert held(tmp_path) == {}
+
+
+@pytest.mark.usefixtures("broken")
+def test_a_figure_that_fails_leaves_the_old_run(tmp_path, made):
+    old = tmp_path / "run"
+    old.mkdir()
+    (old / "summary.json").write_text("{}")
+    before = held(tmp_path)
+    with pytest.raises(RuntimeError, match="no ink"):
+        write(old, made)
+    assert held(tmp_path) == before
+
+
+def test_a_full_disk_is_told_and_leaves_nothing(tmp_path, made, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(run_directory, "write_archive", full)
+    monkeypatch.setattr(run_directory, "write_posterior", full)
+    with pytest.raises(BadInput, match="No space left on device"):
+        write(tmp_path / "run", made)
+    assert held(tmp_path) == {}
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_force_keeps_what_was_there(tmp_path, made):
+    folder = tmp_path / "run"
+    for text in ("# one\n", "# two\n", "# three\n"):
+        check_free(folder, force=True)
+        write(folder, made, text)
+    kept = {path.name: (path / "config.toml").read_text() for path in tmp_path.iterdir()}
+    assert kept == {"run": "# three\n", "run.old1": "# one\n", "run.old2": "# two\n"}
+    assert set(held(tmp_path / "run.old1")) == set(held(folder))
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_an_empty_folder_is_used_without_force(tmp_path, made):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    check_free(folder, force=False)
+    write(folder, made)
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+    assert (folder / "posterior.nc").is_file()
+
+
+def test_force_does_not_move_what_is_no_run(tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "thesis.tex").write_text("dear reader")
+    with pytest.raises(BadInput, match="holds no run"):
+        check_free(tmp_path / "run", force=True)
+    assert set(map(str, held(tmp_path))) == {"run", "run/thesis.tex"}

@@ -1,0 +1,384 @@
+"""summary.json and summary.csv against the fixed schema, the draws, and what theory says."""
+
+import csv
+import io
+import json
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bayesfric.inference.fit import fit, make_target, read_priors
+from bayesfric.inference.sampling import Sampling
+from bayesfric.mechanism.options import MechanismOptions
+from bayesfric.mechanism.presets import PRESETS
+from bayesfric.report.summary import residuals, summarise, summary_table
+
+KNEE, AXIS = PRESETS["rabbit-knee"], PRESETS["motor-axis"]
+ROTARY_UNITS = {
+    "motor.inertia": "kg m²",
+    "motor.viscous": "N m s",
+    "motor.coulomb_positive": "N m",
+    "motor.coulomb_negative": "N m",
+    "gearbox.load_drive": "",
+    "gearbox.load_back": "",
+    "joint.viscous": "N m s",
+    "joint.coulomb_positive": "N m",
+    "joint.coulomb_negative": "N m",
+    "load.inertia": "kg m²",
+    "load.first_moment": "kg m",
+    "noise.sigma": "N m",
+}
+LINEAR_UNITS = {
+    "motor.inertia": "kg",
+    "motor.viscous": "N s/m",
+    "motor.coulomb": "N",
+    "offset": "N",
+    "noise.sigma": "N",
+}
+# One recording of the knee cannot tell the common scale of the leg and of alpha: seven names.
+LEG = {
+    "load.inertia",
+    "load.first_moment",
+    "joint.viscous",
+    "joint.coulomb_positive",
+    "joint.coulomb_negative",
+}
+SCALED = LEG | {"gearbox.alpha_drive", "gearbox.alpha_back"}
+# Published values of the linear EMPS axis, rounded, and a noise like its residual.
+EMPS = {"motor.inertia": 95.1, "motor.viscous": 203.5, "motor.coulomb": 20.4, "offset": -3.17}
+
+
+def fitted(chain, observations, texts=None):
+    target = make_target(
+        chain, observations, read_priors(chain, texts or {}, observations), "shared"
+    )
+    result = fit(target, Sampling(seed=1, min_ess=500))
+    return result, summarise(result)
+
+
+@pytest.fixture(scope="module")
+def knee_alone(make_observation):
+    chain = KNEE.chain()
+    return fitted(chain, [make_observation(chain, KNEE.values, amplitude=2.0)])
+
+
+@pytest.fixture(scope="module")
+def knee_loaded(make_observation):
+    chain = KNEE.chain()
+    mass = {"added_mass": 2.0, "radius": 0.35, "name": "loaded", "seed": 1}
+    return fitted(
+        chain,
+        [
+            make_observation(chain, KNEE.values, amplitude=2.0),
+            make_observation(chain, KNEE.values, amplitude=2.0, **mass),
+        ],
+    )
+
+
+@pytest.fixture(scope="module")
+def emps(make_observation):
+    chain = MechanismOptions(preset="motor-axis", motion="linear").chain()
+    observation = make_observation(chain, EMPS, sigma=5.0, amplitude=0.1)
+    return fitted(chain, [observation], {"motor.viscous": [0.0, 1000.0]})
+
+
+@pytest.fixture(scope="module")
+def lossless(make_observation):
+    """No viscous loss; of the noise's seeds one that does not push it far up by chance."""
+    chain = AXIS.chain()
+    values = {**AXIS.values, "motor.viscous": 0.0}
+    observation = make_observation(chain, values, seed=0)
+    return fitted(chain, [observation], {"offset": 0.02})
+
+
+CASES = ["knee_alone", "knee_loaded", "emps", "lossless"]
+
+
+@pytest.fixture(params=CASES)
+def case(request):
+    return request.getfixturevalue(request.param)
+
+
+def number(x):
+    return isinstance(x, float) and math.isfinite(x)
+
+
+def spread_is_whole(row):
+    assert isinstance(row["unit"], str)
+    assert all(number(row[key]) for key in ("mean", "sd", "median"))
+    low, high = row["interval"]
+    assert number(low)
+    assert number(high)
+    assert low <= row["median"] <= high
+    assert row["level"] == 0.9
+    assert row["verdict"] in ("data", "prior", "weak")
+
+
+def test_schema_of_the_design(case):
+    _, summary = case
+    assert {
+        "bayesfric",
+        "parameters",
+        "derived",
+        "estimates",
+        "identifiability",
+        "noise",
+        "fit",
+        "sampler",
+    } <= set(summary)
+    assert re.fullmatch(r"\d+\.\d+\.\d+\S*", summary["bayesfric"])
+    for row in summary["parameters"].values():
+        spread_is_whole(row)
+        assert all(number(row[key]) for key in ("rhat", "ess", "prior_sd", "contraction"))
+        assert row["at_bound"] in (None, "lower", "upper")
+    for row in summary["derived"].values():
+        spread_is_whole(row)
+        assert isinstance(row["gauge_free"], bool)
+    rows = summary["estimates"]["least-squares"]["parameters"]
+    assert rows
+    assert all(number(row["value"]) and number(row["sd"]) for row in rows.values())
+    for direction in summary["identifiability"]["null_directions"]:
+        assert all(number(x) for x in direction["parameters"].values())
+        assert isinstance(direction["meaning"], str)
+    assert isinstance(summary["noise"], dict)
+    assert number(summary["fit"]["residual_rms"])
+    assert summary["fit"]["unit"] in ("N m", "N")
+    sampler = summary["sampler"]
+    assert sampler["status"] in ("reliable", "tentative", "unusable")
+    for key in ("draws", "walkers", "ensembles", "seed"):
+        assert type(sampler[key]) is int, key
+    for key in ("tau", "min_ess", "seconds"):
+        assert number(sampler[key]), key
+
+
+def test_status_is_what_the_criteria_say(case):
+    _, summary = case
+    sampler = summary["sampler"]
+    assert sampler["status"] == "reliable"
+    assert sampler["problems"] == []
+    rows = summary["parameters"].values()
+    assert sampler["min_ess"] == min(row["ess"] for row in rows) >= 500
+    assert max(row["rhat"] for row in rows) <= 1.01
+    assert sampler["seed"] == 1
+    assert sampler["draws"] == sampler["ensembles"] * sampler["walkers"] * sampler["steps"]
+
+
+def test_json_is_strict(case):
+    _, summary = case
+    text = json.dumps(summary, allow_nan=False)
+    assert json.loads(text) == summary
+
+
+@pytest.mark.parametrize(
+    ("name", "units"), [("knee_alone", ROTARY_UNITS), ("emps", LINEAR_UNITS)], ids=["knee", "emps"]
+)
+def test_every_parameter_has_its_si_unit(name, units, request):
+    _, summary = request.getfixturevalue(name)
+    assert {n: row["unit"] for n, row in summary["parameters"].items()} == units
+    assert summary["fit"]["unit"] == units["noise.sigma"]
+
+
+def test_intervals_are_quantiles_of_the_draws(case):
+    result, summary = case
+    assert list(summary["parameters"]) == list(result.posterior.names)
+    for name, row in summary["parameters"].items():
+        draws = result.posterior[name].ravel()
+        np.testing.assert_allclose(row["interval"], np.quantile(draws, [0.05, 0.95]), rtol=1e-12)
+        expected = [draws.mean(), draws.std(), np.median(draws)]
+        np.testing.assert_allclose([row[k] for k in ("mean", "sd", "median")], expected, rtol=1e-9)
+
+
+def test_contraction_is_the_share_of_variance_that_went(case):
+    _, summary = case
+    for name, row in summary["parameters"].items():
+        expected = 1 - row["sd"] ** 2 / row["prior_sd"] ** 2
+        assert row["contraction"] == pytest.approx(expected, abs=1e-12), name
+
+
+def test_prior_sds_are_those_of_the_distributions(case):
+    """Half-normal: scale times sqrt(1 - 2/pi); uniform: width over sqrt(12)."""
+    _, summary = case
+    seen = 0
+    for name, row in summary["parameters"].items():
+        scale = re.fullmatch(r"halfnorm\(scale=([^,)]+)\)", row["prior"])
+        if scale and name != "gearbox.load_back":  # that one ends at 1, a passive gearbox
+            expected = float(scale[1]) * math.sqrt(1 - 2 / math.pi)
+            assert row["prior_sd"] == pytest.approx(expected, rel=1e-6), name
+            assert row["prior_default"] is True
+            seen += 1
+    assert seen
+
+
+def test_a_given_prior_is_told(emps):
+    row = emps[1]["parameters"]["motor.viscous"]
+    assert row["prior_default"] is False
+    assert row["prior_sd"] == pytest.approx(1000 / math.sqrt(12), rel=1e-6)
+
+
+def test_residual_rms_is_of_measured_minus_predicted(case):
+    """It is the noise that was put in, to the 2 % that 1500 samples of it allow."""
+    result, summary = case
+    left = np.concatenate(residuals(result))
+    assert summary["fit"]["residual_rms"] == pytest.approx(np.sqrt(np.mean(left**2)), rel=1e-9)
+    sigma = 5.0 if summary["fit"]["unit"] == "N" else 0.01
+    assert summary["fit"]["residual_rms"] == pytest.approx(sigma, rel=0.06)
+
+
+def test_csv_holds_the_same_numbers(case):
+    _, summary = case
+    rows = list(csv.DictReader(io.StringIO(summary_table(summary))))
+    together = {**summary["parameters"], **summary["derived"]}
+    assert [row["name"] for row in rows] == list(together)
+    for row in rows:
+        expected = together[row["name"]]
+        assert [float(row["low"]), float(row["high"])] == expected["interval"]
+        assert (row["unit"], row["verdict"]) == (expected["unit"], expected["verdict"])
+        for key in ("mean", "sd", "median", "level", "rhat", "ess", "prior_sd", "contraction"):
+            value = expected.get(key)
+            assert row[key] == ("" if value is None else repr(value)), (row["name"], key)
+        assert row["at_bound"] == (expected.get("at_bound") or "")
+
+
+def test_one_recording_of_the_knee_cannot_tell_the_scale(knee_alone):
+    _, summary = knee_alone
+    for name in LEG | {"gearbox.load_drive", "gearbox.load_back"}:
+        assert summary["parameters"][name]["verdict"] != "data", name
+    for name in ("gearbox.alpha_drive", "gearbox.alpha_back"):
+        assert summary["derived"][name]["verdict"] != "data", name
+    (direction,) = summary["identifiability"]["null_directions"]
+    assert set(direction["parameters"]) == SCALED
+    np.testing.assert_allclose(list(direction["parameters"].values()), 1.0, atol=1e-6)
+    assert all(name in direction["meaning"] for name in SCALED)
+
+
+def test_what_the_motor_feels_is_known_all_the_same(knee_alone):
+    _, summary = knee_alone
+    free = {name for name, row in summary["derived"].items() if row["gauge_free"]}
+    totals = {"inertia", "viscous", "coulomb_positive", "coulomb_negative", "gravity"}
+    assert {f"total_{side}.{key}" for side in ("drive", "back") for key in totals} <= free
+    for name in free:
+        assert summary["derived"][name]["verdict"] == "data", name
+
+
+def test_a_known_mass_tells_the_scale(knee_loaded):
+    _, summary = knee_loaded
+    assert summary["identifiability"]["null_directions"] == []
+    for name, row in summary["parameters"].items():
+        assert row["verdict"] != "prior", name
+        if name in KNEE.values:
+            assert abs(row["mean"] - KNEE.values[name]) < 4.5 * row["sd"], name
+
+
+def test_an_axis_is_determined_by_its_data(emps):
+    _, summary = emps
+    assert summary["identifiability"]["null_directions"] == []
+    for name, row in summary["parameters"].items():
+        assert row["verdict"] == "data", name
+        assert row["contraction"] > 0.9, name
+        assert row["at_bound"] is None, name
+    for name, value in EMPS.items():
+        row = summary["parameters"][name]
+        assert abs(row["mean"] - value) < 4.5 * row["sd"], name
+    # its parameters are its totals already
+    assert summary["derived"] == {}
+
+
+def test_least_squares_of_an_axis_is_numpys(emps):
+    result, summary = emps
+    (o,) = result.observations
+    x = np.stack([o.qdd, o.qd, np.sign(o.qd), np.ones_like(o.qd)], axis=1)
+    expected = np.linalg.lstsq(x, o.torque, rcond=None)[0]
+    found = summary["estimates"]["least-squares"]["parameters"]
+    values = sorted(row["value"] for row in found.values())
+    np.testing.assert_allclose(values, np.sort(expected), rtol=1e-6)
+
+
+def test_a_loss_that_is_zero_leans_on_its_bound(lossless):
+    _, summary = lossless
+    assert summary["parameters"]["motor.viscous"]["at_bound"] == "lower"
+    for name in ("motor.inertia", "motor.coulomb", "noise.sigma"):
+        assert summary["parameters"][name]["at_bound"] is None, name
+
+
+def test_a_fixed_parameter_is_told_apart(lossless):
+    _, summary = lossless
+    assert summary["fixed"] == {"offset": {"unit": "N m", "value": 0.02}}
+    assert "offset" not in summary["parameters"]
+
+
+def test_gauge_free_rows_lead(knee_alone):
+    _, summary = knee_alone
+    free = [row["gauge_free"] for row in summary["derived"].values()]
+    assert free == sorted(free, reverse=True)
+    assert True in free
+    assert False in free
+    assert all(summary["derived"][f"gearbox.alpha_{side}"] for side in ("drive", "back"))
+
+
+def test_derived_quantities_follow_from_each_draw(knee_alone):
+    """Eqs. (6), (11) and (13), written out anew."""
+    result, summary = knee_alone
+    p = {name: result.posterior[name].ravel() for name in result.posterior.names}
+    n, g = 50.0, 9.80665
+    passed = {"drive": 1 + p["gearbox.load_drive"], "back": 1 - p["gearbox.load_back"]}
+    expected = {
+        "gearbox.alpha_drive": 1 / passed["drive"],
+        "gearbox.alpha_back": 1 / passed["back"],
+        "gearbox.lambda_1": (passed["drive"] + passed["back"]) / 2,
+        "gearbox.lambda_2": (passed["drive"] - passed["back"]) / 2,
+    }
+    for side, factor in passed.items():
+        total = f"total_{side}"
+        expected[f"{total}.inertia"] = p["motor.inertia"] + factor * p["load.inertia"] / n**2
+        expected[f"{total}.viscous"] = p["motor.viscous"] + factor * p["joint.viscous"] / n**2
+        for way in ("coulomb_positive", "coulomb_negative"):
+            expected[f"{total}.{way}"] = p[f"motor.{way}"] + factor * p[f"joint.{way}"] / n
+        expected[f"{total}.gravity"] = factor * p["load.first_moment"] * g / n
+    for name, values in expected.items():
+        row = summary["derived"][name]
+        found = [row["mean"], row["sd"], row["median"], *row["interval"]]
+        quantiles = np.quantile(values, [0.5, 0.05, 0.95])
+        wanted = [values.mean(), values.std(), *quantiles]
+        np.testing.assert_allclose(found, wanted, rtol=1e-7, err_msg=name)
+
+
+def with_draws(made, **columns):
+    """Replace draws of a made-up fit; a pair fills one half of each walker's steps each."""
+    draws = made.posterior.draws.copy()
+    half = draws.shape[2] // 2
+    for name, (first, second) in columns.items():
+        j = made.posterior.names.index(name.replace("__", "."))
+        draws[:, :, :half, j] = first
+        draws[:, :, half:, j] = second
+    return replace(made, posterior=replace(made.posterior, draws=draws))
+
+
+def test_a_gearbox_that_half_the_draws_call_irreversible(make_fit):
+    """Eq. (4): 1 - mu_2 - Fr/Ts is negative where mu_2 is nearly one, and no number there."""
+    half = with_draws(
+        make_fit(samples=600, ensembles=2),
+        gearbox__load_back=(0.9999, 0.01),
+        joint__coulomb_positive=(5.0, 1e-9),
+        joint__coulomb_negative=(5.0, 1e-9),
+    )
+    summary = summarise(half)
+    row = summary["derived"]["gearbox.efficiency_back"]
+    assert row["undefined_share"] == 0.5
+    # what is left are the draws that do pass something back, all of them 0.99
+    np.testing.assert_allclose([*row["interval"], row["median"]], 0.99, atol=1e-6)
+    assert summary["derived"]["gearbox.efficiency_drive"]["undefined_share"] == 0.0
+    json.dumps(summary, allow_nan=False)
+
+
+def test_an_irreversible_gearbox_has_no_back_driving_efficiency(make_fit):
+    irreversible = with_draws(
+        make_fit(samples=600, ensembles=2), gearbox__load_back=(0.9999, 0.9998)
+    )
+    summary = summarise(irreversible)
+    row = summary["derived"].get("gearbox.efficiency_back")
+    assert row is None or row["undefined_share"] == 1.0
+    json.dumps(summary, allow_nan=False)
+    summary_table(summary)
