@@ -1,1 +1,1 @@
-"""."""
+"""What a fit says: point estimates."""

@@ -1,1 +1,1 @@
-"""."""
+"""What can be known from these recordings."""

@@ -1,1 +1,1 @@
-"""."""
+"""What we believe: priors, likelihood, coordinates, sampling, posterior."""

@@ -1,1 +1,1 @@
-"""."""
+"""What the joint is: elements, chain, inverse and forward model."""

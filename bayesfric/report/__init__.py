@@ -1,1 +1,1 @@
-"""."""
+"""What we tell: numbers, figures, the run directory."""

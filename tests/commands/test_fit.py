@@ -37,8 +37,13 @@ excitation = "multisine"
 encoder_counts = 1048576
 """
 TRUTH = {"motor.inertia": 0.01, "motor.viscous": 0.05, "motor.coulomb": 0.2, "offset": 0.02}
+KINDS = ("pdf", "png")
 # Table 3 of the 2005 paper: gearbox 50, alpha_1, alpha_2
 ALPHA = {"drive": 0.7432, "back": 1.408}
+
+
+# Too few steps to converge: for tests of the folder, not of the numbers.
+FEW = CONFIG.replace("min_ess = 500", "min_ess = 1e6\nmax_steps = 100\nblock = 20")
 
 
 @pytest.fixture(scope="module")
@@ -93,6 +98,10 @@ def test_a_process_of_its_own_ends_well(done, folder):
     written = json.loads((folder / "run" / "summary.json").read_text(encoding="utf-8"))
     assert json.loads(done.stdout) == written
     assert written["sampler"]["status"] == "reliable"
+    drawn = {path.name for path in (folder / "run" / "figures").iterdir()}
+    assert {
+        f"{stem}.{kind}" for stem in ("corner", "prediction", "trace") for kind in KINDS
+    } <= drawn
     for name, value in TRUTH.items():
         row = written["parameters"][name]
         assert abs(row["mean"] - value) < 4.5 * row["sd"], name
@@ -130,11 +139,14 @@ def test_seed_of_the_command_line_comes_first(bench, folder, monkeypatch):
     assert written["sampler"]["seed"] == 41
 
 
+def few(bench, folder, text=FEW):
+    (bench.folder / "few.toml").write_text(text, encoding="utf-8")
+    (bench.folder / "small.csv").write_bytes((folder / "small.csv").read_bytes())
+
+
 def test_too_few_steps_end_with_3_and_are_marked(bench, folder, monkeypatch):
     monkeypatch.setattr(run_directory, "FIGURES", {})
-    few = CONFIG.replace("min_ess = 500", "min_ess = 1e6\nmax_steps = 100\nblock = 50")
-    (bench.folder / "few.toml").write_text(few, encoding="utf-8")
-    (bench.folder / "small.csv").write_bytes((folder / "small.csv").read_bytes())
+    few(bench, folder)
     ended = bench.run("fit", "few.toml", "-o", "run")
     assert ended.code == 3
     assert "Traceback" not in ended.err
@@ -155,10 +167,10 @@ def test_too_few_steps_end_with_3_and_are_marked(bench, folder, monkeypatch):
 
 def test_force_keeps_the_old_run(bench, folder, monkeypatch):
     monkeypatch.setattr(run_directory, "FIGURES", {})
-    assert bench.run("fit", folder / "small.toml", "-o", "run").code == 0
+    few(bench, folder)
+    assert bench.run("fit", "few.toml", "-o", "run").code == 3
     first = (bench.folder / "run" / "summary.json").read_bytes()
-    ended = bench.run("fit", folder / "small.toml", "-o", "run", "--force", "--seed", "9")
-    assert ended.code == 0, ended
+    assert bench.run("fit", "few.toml", "-o", "run", "--force", "--seed", "9").code == 3
     assert (bench.folder / "run.old1" / "summary.json").read_bytes() == first
     second = json.loads((bench.folder / "run" / "summary.json").read_text(encoding="utf-8"))
     assert second["sampler"]["seed"] == 9
@@ -180,27 +192,29 @@ def test_text_for_people_names_every_parameter_with_its_unit(done, folder):
 
 
 def recording_called(name, folder, bench):
-    text = CONFIG.replace('file = "small.csv"', f'file = "small.csv"\nname = "{name}"')
-    (bench.folder / "c.toml").write_text(text, encoding="utf-8")
-    (bench.folder / "small.csv").write_bytes((folder / "small.csv").read_bytes())
-    return bench.run("fit", "c.toml", "-o", "run", "--json")
+    text = FEW.replace('file = "small.csv"', f'file = "small.csv"\nname = "{name}"')
+    few(bench, folder, text)
+    return bench.run("fit", "few.toml", "-o", "run", "--json")
 
 
-@pytest.mark.parametrize("name", ["run-2.left", "Knie rechts, 2 kg", "motor.inertia", "posterior"])
+@pytest.mark.parametrize("name", ["Knie rechts, 2 kg", "posterior"])
 def test_recordings_may_have_odd_names(bench, folder, monkeypatch, name):
     monkeypatch.setattr(run_directory, "FIGURES", {})
     ended = recording_called(name, folder, bench)
-    assert ended.code == 0, ended
+    assert ended.code == 3, ended
     data = read_archive(bench.folder / "run" / "posterior.nc")
     assert list(data["observed_data"].data_vars) == [name]
 
 
-@pytest.mark.xfail(reason="posterior.nc cannot hold these names; told by a traceback", strict=True)
-@pytest.mark.parametrize("name", ["chain", "draw", "a/b"])
+@pytest.mark.xfail(
+    reason="posterior.nc cannot hold a recording of this name; a traceback after sampling",
+    strict=True,
+)
+@pytest.mark.parametrize("name", ["chain", "draw", "a/b", "offset"])
 def test_a_name_that_cannot_be_stored_is_refused_or_stored(bench, folder, monkeypatch, name):
     """Either is fine; a traceback after all the sampling is not."""
     monkeypatch.setattr(run_directory, "FIGURES", {})
-    assert recording_called(name, folder, bench).code in (0, 2)
+    assert recording_called(name, folder, bench).code in (2, 3)
 
 
 # -- the demo

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.special import ellipk
 
-from bayesfric.mechanism import forward, kernels
+from bayesfric.mechanism import dynamics, forward, kernels
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import STANDARD_GRAVITY, Element, Load
 from bayesfric.mechanism.excitation import current_loop, multisine, square
@@ -181,7 +181,7 @@ def random_joint(rng, mu=1.5):
     elements[:, kernels.STRIBECK_VELOCITY] = rng.uniform(0.1, 5.0, n)
     elements[0, kernels.INERTIA] += 1e-3
     load = np.array([rng.choice([0.0, 0.3]), rng.uniform(0, 1), rng.uniform(-3, 3), 9.8, 0.0, 1.0])
-    return forward._joint(elements, load, 0.0, 0.0)
+    return dynamics.joint_tables(elements, load, 0.0, 0.0)
 
 
 def test_closed_form_acceleration_agrees_with_root_finding():
@@ -202,14 +202,14 @@ def test_closed_form_acceleration_agrees_with_root_finding():
         def excess(a, elements=elements, gravity=gravity, joint=joint, s=sign, v=qd, t=torque):
             return kernels.motor_torque(elements, joint[2] * a + gravity, s, v, a) - t
 
-        found, pattern = forward._exact(joint, q, qd, torque, sign)
+        found, pattern = dynamics.exact_acceleration(joint, q, qd, torque, sign)
         reach = abs(excess(0.0)) / low[0] * 1.01 + 1e-9
         brute = brentq(excess, -reach, reach, xtol=1e-14, rtol=1e-15)
         scale = abs(brute) + (abs(gravity) + abs(torque) + 10.0) / low[0]
         assert abs(found - brute) <= 1e-12 * scale
         # the frozen pattern is that motion's, and gives the same acceleration
         lines = np.zeros((len(elements), 2))
-        assert forward._frozen(joint, q, qd, torque, sign, pattern, lines) == found
+        assert dynamics.frozen_acceleration(joint, q, qd, torque, sign, pattern, lines) == found
         for k, element in enumerate(elements):
             out = kernels.motor_torque(
                 elements[k + 1 :], joint[2] * found + gravity, sign, qd, found
@@ -230,7 +230,10 @@ def test_slope_bounds_are_those_of_all_patterns():
         slopes = []
         for bits in itertools.product((0, 1), repeat=len(elements)):
             pattern = sum(bit << k for k, bit in enumerate(bits))
-            a, b = (forward._frozen(joint, 0.1, 1.0, t, 1.0, pattern, lines) for t in (0.0, 1.0))
+            a, b = (
+                dynamics.frozen_acceleration(joint, 0.1, 1.0, t, 1.0, pattern, lines)
+                for t in (0.0, 1.0)
+            )
             slopes.append(1 / (b - a))
         low, high = forward._slope_bounds(elements[np.newaxis], np.array([joint[2]]))
         np.testing.assert_allclose([low[0], high[0]], [min(slopes), max(slopes)], rtol=1e-8)

@@ -1,4 +1,4 @@
-"""A run directory: what it holds, that the numbers in it are right, and that it is whole or absent."""
+"""A run directory: what it holds, that its numbers are right, that it is whole or absent."""
 
 import hashlib
 import json
@@ -8,6 +8,7 @@ from importlib.metadata import version
 import h5py
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from bayesfric.commands.fit import fit
 from bayesfric.commands.problem import read_problem
@@ -53,6 +54,10 @@ SAMPLED = {
 }
 
 
+def blank(_):
+    return Figure(figsize=(0.1, 0.1))
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A folder with configuration and recordings, and in it the finished run."""
@@ -61,7 +66,11 @@ def folder(tmp_path_factory):
         made = parse_config(CONFIG + SIMULATION, folder / "made.toml")
         simulate(made, folder / f"{name}.csv", seed=seed)
     (folder / "axis.toml").write_text(CONFIG, encoding="utf-8")
-    fit(read_config(folder / "axis.toml"), folder / "run")
+    with pytest.MonkeyPatch.context() as patch:
+        # the real figures are drawn in tests/commands/test_fit.py
+        for stem in run_directory.FIGURES:
+            patch.setitem(run_directory.FIGURES, stem, blank)
+        fit(read_config(folder / "axis.toml"), folder / "run")
     return folder
 
 
@@ -242,12 +251,12 @@ def held(folder):
 
 @pytest.fixture
 def broken(monkeypatch):
-    """The second of three figures fails."""
+    """The second figure fails."""
 
     def fail(_):
         raise RuntimeError("no ink")
 
-    monkeypatch.setitem(run_directory.FIGURES, "prediction", fail)
+    monkeypatch.setattr(run_directory, "FIGURES", {"corner": blank, "prediction": fail})
 
 
 @pytest.mark.usefixtures("broken")
@@ -269,11 +278,10 @@ def test_a_figure_that_fails_leaves_the_old_run(tmp_path, made):
 
 
 def test_a_full_disk_is_told_and_leaves_nothing(tmp_path, made, monkeypatch):
-    def full(*_):
+    def full(*_, **__):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(run_directory, "write_archive", full)
-    monkeypatch.setattr(run_directory, "write_posterior", full)
     with pytest.raises(BadInput, match="No space left on device"):
         write(tmp_path / "run", made)
     assert held(tmp_path) == {}

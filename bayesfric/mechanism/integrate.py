@@ -1,0 +1,359 @@
+"""Runge-Kutta steps between located events: reversals, breakaway, changes of power flow."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from bayesfric.mechanism.dynamics import (
+    Joint,
+    Lines,
+    breakaway_torques,
+    exact_acceleration,
+    frozen_acceleration,
+    joint_tables,
+)
+from bayesfric.mechanism.kernels import (
+    GAIN,
+    LOAD_BACK,
+    LOAD_DRIVE,
+    OFFSET,
+)
+
+RUNAWAY = 1e6  # rad or m
+_MAX_EVENTS = 64  # in one step
+
+
+@njit(cache=True, error_model="numpy")
+def _step(
+    joint: Joint,
+    q: float,
+    qd: float,
+    qdd: float,
+    torque: float,
+    rate: float,
+    sign: float,
+    pattern: int,
+    lines: Lines,
+    h: float,
+) -> tuple[float, float]:
+    """Take one Runge-Kutta step; ``qdd`` is the acceleration at its start."""
+    half = 0.5 * h
+    middle = torque + rate * half
+    v2 = qd + half * qdd
+    a2 = frozen_acceleration(joint, q + half * qd, v2, middle, sign, pattern, lines)
+    v3 = qd + half * a2
+    a3 = frozen_acceleration(joint, q + half * v2, v3, middle, sign, pattern, lines)
+    v4 = qd + h * a3
+    a4 = frozen_acceleration(joint, q + h * v3, v4, torque + rate * h, sign, pattern, lines)
+    return (
+        q + h * (qd + 2.0 * (v2 + v3) + v4) / 6.0,
+        qd + h * (qdd + 2.0 * (a2 + a3) + a4) / 6.0,
+    )
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _transmitted(lines: Lines, k: int, qdd: float, sign: float, pattern: int) -> float:
+    """Return the transmitted torque of element k, positive where it agrees with the pattern."""
+    value = (lines[k, 0] * qdd + lines[k, 1]) * sign
+    return float(value if (pattern >> k) & 1 == 1 else -value)
+
+
+@njit(cache=True, error_model="numpy")
+def _agreement(
+    joint: Joint,
+    q: float,
+    qd: float,
+    qdd: float,
+    torque: float,
+    rate: float,
+    sign: float,
+    pattern: int,
+    lines: Lines,
+    h: float,
+    which: int,
+) -> float:
+    """Value that is positive until event ``which`` (element, or -1: reversal), ``h`` later."""
+    if h > 0.0:
+        q, qd = _step(joint, q, qd, qdd, torque, rate, sign, pattern, lines, h)
+    if which < 0:
+        return sign * qd
+    qdd = frozen_acceleration(joint, q, qd, torque + rate * h, sign, pattern, lines)
+    return _transmitted(lines, which, qdd, sign, pattern)
+
+
+@njit(cache=True, error_model="numpy")
+def _locate(
+    joint: Joint,
+    q: float,
+    qd: float,
+    qdd: float,
+    torque: float,
+    rate: float,
+    sign: float,
+    pattern: int,
+    lines: Lines,
+    h: float,
+    which: int,
+) -> float:
+    """Time to an event known to come within ``h``, to rounding (Illinois method).
+
+    Zero if the value is not positive anywhere before, that is, if the event is now.
+    """
+    a, b = 0.0, h
+    fa = _agreement(joint, q, qd, qdd, torque, rate, sign, pattern, lines, a, which)
+    fb = _agreement(joint, q, qd, qdd, torque, rate, sign, pattern, lines, b, which)
+    if fa <= 0.0:
+        for _ in range(60):
+            c = 0.5 * b
+            fc = _agreement(joint, q, qd, qdd, torque, rate, sign, pattern, lines, c, which)
+            if fc > 0.0:
+                a, fa = c, fc
+                break
+            b, fb = c, fc
+        if fa <= 0.0:
+            return 0.0
+    ga, gb = fa, fb
+    for i in range(200):
+        if fb == 0.0 or b - a <= 2.3e-16 * b:
+            break
+        c = b - gb * (b - a) / (gb - ga)
+        if not a < c < b or i > 40:
+            c = 0.5 * (a + b)
+            if not a < c < b:
+                break
+        fc = _agreement(joint, q, qd, qdd, torque, rate, sign, pattern, lines, c, which)
+        if fc > 0.0:
+            if c - a < b - c:
+                gb *= 0.5
+            a, fa, ga = c, fc, fc
+        else:
+            if b - c < c - a:
+                ga *= 0.5
+            b, fb, gb = c, fc, fc
+    return b if -fb <= fa else a
+
+
+@njit(cache=True, error_model="numpy")
+def _dip(v0: float, a0: float, v1: float, a1: float, h: float) -> float:
+    """When, within a step from speed v0 to v1 that stays positive at both ends, it is least.
+
+    Zero if that needs no look: the speed falls to no less than its tangents allow.
+    """
+    if not (a0 < 0.0 < a1) or v0 + a0 * h > 0.0 or v1 - a1 * h > 0.0:
+        return 0.0
+    # derivative of the cubic through both ends, a x² + b x + c on 0 < x < 1
+    a = 6.0 * (v0 - v1) + 3.0 * h * (a0 + a1)
+    b = -6.0 * (v0 - v1) - 2.0 * h * (2.0 * a0 + a1)
+    c = h * a0
+    root = math.sqrt(max(b * b - 4.0 * a * c, 0.0))
+    # c < 0 < a + b + c: one root inside, going up
+    x = (-b + root) / (2.0 * a) if b < 0.0 and a != 0.0 else -2.0 * c / (b + root)
+    return h * x if 0.0 < x < 1.0 else 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def integrate(
+    joint: Joint,
+    measured: NDArray[np.float64],
+    period: float,
+    linear: bool,
+    q: float,
+    qd: float,
+    substeps: int,
+    q_out: NDArray[np.float64],
+    qd_out: NDArray[np.float64],
+    qdd_out: NDArray[np.float64],
+    sticking: NDArray[np.bool_],
+    counts: NDArray[np.int64],
+) -> int:
+    """Integrate and write the samples; returns how many there are before a runaway.
+
+    ``counts`` are events, reversals and unresolved steps.
+    """
+    elements, load = joint[0], joint[1]
+    n_elements = elements.shape[0]
+    lines = np.empty((n_elements, 2))
+    kinked = np.empty(n_elements, dtype=np.int64)
+    n_kinked = 0
+    for k in range(n_elements):
+        if elements[k, LOAD_DRIVE] != 0.0 or elements[k, LOAD_BACK] != 0.0:
+            kinked[n_kinked] = k
+            n_kinked += 1
+
+    samples = measured.shape[0]
+    before = 1.0 if qd > 0.0 else (-1.0 if qd < 0.0 else 0.0)  # last direction of motion
+    sign = before  # zero while sticking
+    pattern = 0
+    qdd = low = high = 0.0
+    for i in range(samples):
+        start = load[GAIN] * measured[i] - load[OFFSET]
+        if not (abs(q) <= RUNAWAY and math.isfinite(qd)):
+            return i
+        # At a sample everything is decided afresh: the torque may have jumped.
+        if qd == 0.0:
+            low, high = breakaway_torques(joint, q)
+            was, sign = sign, 1.0 if start > high else (-1.0 if start < low else 0.0)
+            if sign != 0.0:
+                if was == 0.0 and i > 0:
+                    counts[0] += 1
+                if before * sign < 0.0:
+                    counts[1] += 1
+                before = sign
+        qdd = 0.0
+        if sign != 0.0:
+            qdd, pattern = exact_acceleration(joint, q, qd, start, sign)
+        q_out[i], qd_out[i], qdd_out[i], sticking[i] = q, qd, qdd, sign == 0.0
+        if i == samples - 1:
+            break
+        rate = 0.0
+        if linear:
+            rate = (load[GAIN] * measured[i + 1] - load[OFFSET] - start) / period
+        now = 0.0
+        for step in range(1, substeps + 1):
+            end = period * step / substeps
+            events = 0
+            while now < end:
+                torque = start + rate * now
+                h = end - now
+                if sign == 0.0:
+                    then = start + rate * end
+                    if low <= torque <= high and low <= then <= high:
+                        now = end
+                        continue
+                    sign = 1.0 if torque > high or (torque >= low and then > high) else -1.0
+                    if low <= torque <= high:
+                        limit = high if sign > 0.0 else low
+                        now = min(now + (limit - torque) / rate, end)
+                        torque = start + rate * now
+                    counts[0] += 1
+                    if before * sign < 0.0:
+                        counts[1] += 1
+                    before = sign
+                    qdd, pattern = exact_acceleration(joint, q, qd, torque, sign)
+                    continue
+
+                q1, qd1 = _step(joint, q, qd, qdd, torque, rate, sign, pattern, lines, h)
+                qdd1 = frozen_acceleration(joint, q1, qd1, torque + rate * h, sign, pattern, lines)
+                dip = 0.0
+                which = -2
+                if sign * qd1 <= 0.0:
+                    which = -1
+                else:
+                    if qd != 0.0:  # from rest it moves off, whatever the rounding of qdd
+                        dip = _dip(sign * qd, sign * qdd, sign * qd1, sign * qdd1, h)
+                    for j in range(n_kinked):
+                        if _transmitted(lines, kinked[j], qdd1, sign, pattern) < 0.0:
+                            which = kinked[j]
+                if which == -2 and dip == 0.0:
+                    q, qd, qdd, now = q1, qd1, qdd1, end
+                    continue
+
+                # Something happens within the step: find what comes first.
+                ahead = h
+                first = -2
+                if (
+                    dip > 0.0
+                    and _agreement(joint, q, qd, qdd, torque, rate, sign, pattern, lines, dip, -1)
+                    <= 0.0
+                ):
+                    ahead = dip
+                    which = -1
+                if which == -1:
+                    ahead = _locate(
+                        joint, q, qd, qdd, torque, rate, sign, pattern, lines, ahead, -1
+                    )
+                    first = -1
+                for j in range(n_kinked):
+                    if (
+                        _agreement(
+                            joint,
+                            q,
+                            qd,
+                            qdd,
+                            torque,
+                            rate,
+                            sign,
+                            pattern,
+                            lines,
+                            ahead,
+                            kinked[j],
+                        )
+                        < 0.0
+                    ):
+                        ahead = _locate(
+                            joint, q, qd, qdd, torque, rate, sign, pattern, lines, ahead, kinked[j]
+                        )
+                        first = kinked[j]
+                if first == -2:
+                    q, qd, qdd, now = q1, qd1, qdd1, end
+                    continue
+                events += 1
+                counts[0] += 1
+                if events > _MAX_EVENTS:
+                    counts[2] += 1
+                    q, qd, now, first = q1, qd1, end, -1 if sign * qd1 <= 0.0 else -3
+                elif ahead > 0.0:
+                    q, qd = _step(joint, q, qd, qdd, torque, rate, sign, pattern, lines, ahead)
+                    now = end if ahead == h else now + ahead
+                elif first == -1:
+                    # It was about to leave, by no more than rounding: it has not left.
+                    now, qd, sign, qdd = end, 0.0, 0.0, 0.0
+                    low, high = breakaway_torques(joint, q)
+                    continue
+                torque = start + rate * now
+                if first >= 0:
+                    pattern ^= 1 << first
+                    qdd = frozen_acceleration(joint, q, qd, torque, sign, pattern, lines)
+                elif first == -3:
+                    qdd, pattern = exact_acceleration(joint, q, qd, torque, sign)
+                else:
+                    qd = qdd = 0.0
+                    low, high = breakaway_torques(joint, q)
+                    sign = 1.0 if torque > high else (-1.0 if torque < low else 0.0)
+                    if sign != 0.0:
+                        if before * sign < 0.0:
+                            counts[1] += 1
+                        before = sign
+                        qdd, pattern = exact_acceleration(joint, q, qd, torque, sign)
+    return int(samples)
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def integrate_many(
+    elements: NDArray[np.float64],
+    load: NDArray[np.float64],
+    added_inertia: float,
+    added_moment: float,
+    torque: NDArray[np.float64],
+    period: float,
+    linear: bool,
+    q0: NDArray[np.float64],
+    qd0: NDArray[np.float64],
+    substeps: int,
+    valid: NDArray[np.bool_],
+) -> NDArray[np.float64]:
+    """Integrate many parameter vectors side by side; positions go to the rows of the output."""
+    n, samples = elements.shape[0], torque.shape[0]
+    out = np.full((n, samples), np.nan)
+    for i in prange(n):
+        if valid[i]:
+            done = integrate(
+                joint_tables(elements[i], load[i], added_inertia, added_moment),
+                torque,
+                period,
+                linear,
+                q0[i],
+                qd0[i],
+                substeps,
+                out[i],
+                np.empty(samples),
+                np.empty(samples),
+                np.empty(samples, dtype=np.bool_),
+                np.zeros(3, dtype=np.int64),
+            )
+            out[i, done:] = np.nan
+    return out
