@@ -1,6 +1,11 @@
 """What several folders of tests share: the real recordings, and made-up ones."""
 
+import os
 from pathlib import Path
+
+# Tests run side by side already; threads of one would only wait for those of another.
+if "PYTEST_XDIST_WORKER" in os.environ:
+    os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 
 import numpy as np
 import pytest

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+
 from bayesfric.commands.problem import Problem
 from bayesfric.estimates.least_squares import least_squares
 
@@ -47,7 +49,12 @@ def check(problem: Problem) -> dict[str, Any]:
         "least_squares": {
             "residual_rms": totals.residual_rms,
             "parameters": {
-                v.name: {"value": v.value, "sd": v.sd, "unit": v.unit, "meaning": v.meaning}
+                v.name: {
+                    "value": v.value,
+                    "sd": v.sd if np.isfinite(v.sd) else None,
+                    "unit": v.unit,
+                    "meaning": v.meaning,
+                }
                 for v in totals.values
             },
         },
@@ -72,5 +79,8 @@ def check_text(found: dict[str, Any]) -> Iterator[str]:
     totals = found["least_squares"]
     yield "Least squares, eq. (11), seen by the motor (sd for uncorrelated residuals)"
     for name, v in totals["parameters"].items():
+        if v["sd"] is None:
+            yield f"  {name:<28} {'-':>12} not determined by this motion; {v['meaning']}"
+            continue
         yield f"  {name:<28} {v['value']:>12.5g} ± {v['sd']:<9.2g} {v['unit']:<8} {v['meaning']}"
     yield f"  {'residual rms':<28} {totals['residual_rms']:>12.4g}"

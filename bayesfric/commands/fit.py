@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from bayesfric.commands.problem import read_problem
 from bayesfric.config import Config
 from bayesfric.inference.fit import fit as fit_target
@@ -74,21 +76,15 @@ def fit_text(summary: dict[str, Any], folder: Path) -> Iterator[str]:
     for problem in sampler["problems"]:
         yield f"  {problem}"
     yield ""
-    words = {
-        "data": "",
-        "weak": "weakly determined: prior and data both matter",
-        "prior": "NOT determined by the data: this is the prior and the bounds",
-    }
     combined = {name: row for name, row in summary["derived"].items() if row["gauge_free"]}
     if combined:
         yield "What the motor feels, whatever the scale (90 % intervals)"
         for name, row in combined.items():
-            yield _row(name, row, words[row["verdict"]])
+            yield _row(name, row)
         yield ""
     yield "Parameters (90 % intervals)"
     for name, row in summary["parameters"].items():
-        bound = f"leans on its {row['at_bound']} bound" if row["at_bound"] else ""
-        yield _row(name, row, "; ".join(filter(None, [words[row["verdict"]], bound])))
+        yield _row(name, row)
     for direction in summary["identifiability"]["null_directions"]:
         yield ""
         yield f"No recording of this kind can tell: {direction['meaning']}."
@@ -99,8 +95,26 @@ def fit_text(summary: dict[str, Any], folder: Path) -> Iterator[str]:
     yield f"Written to {folder}"
 
 
-def _row(name: str, row: dict[str, Any], remark: str) -> str:
+def _remark(row: dict[str, Any]) -> str:
+    """Say beside an interval what made it."""
+    bound = row.get("at_bound")
+    if bound and row["verdict"] != "data" and (row["data_sd"] or np.inf) < 0.5 * row["prior_sd"]:
+        limit = row["interval"][1 if bound == "lower" else 0]
+        kind = "upper" if bound == "lower" else "lower"
+        return f"the data push it against its {bound} bound: read it as {kind} limit {limit:.3g}"
+    words = {
+        "data": "",
+        "weak": "weakly determined: prior and data both matter",
+        "prior": "NOT determined by the data: this is the prior and the bounds",
+    }[row["verdict"]]
+    if row.get("undefined_share"):
+        words += f"; undefined (irreversible) in {100 * row['undefined_share']:.0f} % of the draws"
+    return words.removeprefix("; ") + (f"; leans on its {bound} bound" if bound and words else "")
+
+
+def _row(name: str, row: dict[str, Any]) -> str:
     low, high = row["interval"]
+    remark = _remark(row)
     return f"  {name:<30} {row['median']:>11.5g}  [{low:.5g}, {high:.5g}] {row['unit']}" + (
         f"   {remark}" if remark else ""
     )

@@ -73,6 +73,13 @@ def read_problem(config: Config) -> Problem:
                 f"{count} are called {name!r}",
                 "give each a name of its own with name = ...",
             )
+        # posterior.nc names arrays after recordings, beside those named after parameters
+        if "/" in name or name in {*chain.names, "chain", "draw", "lp", "ensemble"}:
+            raise BadInput(
+                f"{config.path}: recordings",
+                f"a recording cannot be called {name!r}",
+                "give it another name with name = ...",
+            )
     with config.named():
         observations = [observe(recording, tables.processing) for recording in recordings]
         outputs = sum(len(o.time) for o in observations)

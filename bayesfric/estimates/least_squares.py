@@ -50,7 +50,13 @@ def least_squares(chain: Chain, observations: Sequence[Observation]) -> Estimate
     Raises
     ------
     BadInput
-        If the motion cannot tell two totals apart at all.
+        If there are fewer outputs than totals, or nothing of the model shows.
+
+    Notes
+    -----
+    A total that the motion cannot tell from others gets an infinite standard
+    deviation. A known added mass is part of the totals unless recordings with
+    different masses, or a load without parameters of its own, set it apart.
     """
     names, regressors = _regressors(chain, observations)
     torque = np.concatenate([o.measured for o in observations])
@@ -61,19 +67,27 @@ def least_squares(chain: Chain, observations: Sequence[Observation]) -> Estimate
             f"{torque.size} outputs cannot determine {len(names)} totals",
             "use a longer recording, or decimate less",
         )
-    if np.any(scale == 0.0) or np.linalg.cond(regressors / scale) > 1e10:
+    if not names or not (scale > 0.0).any():
         raise BadInput(
             ", ".join(o.name for o in observations),
-            f"this motion cannot tell {', '.join(names)} apart",
-            "use a recording that accelerates in both directions, or leave a term out",
+            "nothing in this model shows in this motion",
+            "use a recording that moves, or a mechanism with inertia or friction",
         )
-    solution, *_ = np.linalg.lstsq(regressors / scale, torque, rcond=None)
-    solution = solution / scale
+    scale[scale == 0.0] = 1.0
+    left, singular, right = np.linalg.svd(regressors / scale, full_matrices=False)
+    told = singular > 1e-9 * singular[0]
+    # the shortest solution where the motion leaves some totals open
+    solution = right[told].T @ ((left.T[told] @ torque) / singular[told]) / scale
     residual = torque - regressors @ solution
-    freedom = max(torque.size - len(names), 1)
-    covariance = np.linalg.inv((regressors / scale).T @ (regressors / scale))
-    sd = np.sqrt(residual @ residual / freedom * np.diag(covariance)) / scale
+    freedom = max(torque.size - int(told.sum()), 1)
+    spread = np.sqrt(((right[told].T / singular[told]) ** 2).sum(axis=1))
+    open_share = (right[~told] ** 2).sum(axis=0)
+    sd = np.sqrt(residual @ residual / freedom) * spread / scale
+    sd[open_share > 1e-8] = np.inf
     motion = 0 if chain.motor_motion == "rotary" else 1
+    assumption = "uncorrelated residuals of equal variance"
+    if "added_load" not in names and any(o.added_mass for o in observations):
+        assumption += "; the known added mass is part of the totals"
     return Estimate(
         method="least-squares",
         values=tuple(
@@ -89,7 +103,7 @@ def least_squares(chain: Chain, observations: Sequence[Observation]) -> Estimate
         ),
         residual_rms=float(np.sqrt(np.mean(residual**2))),
         n_outputs=torque.size,
-        assumption="uncorrelated residuals of equal variance",
+        assumption=assumption,
     )
 
 
@@ -189,5 +203,6 @@ def _regressors(
                 inertia * o.qdd + chain.load.gravity * moment * np.sin(o.q)
             ) / n
         names = list(columns)
-        blocks.append(o.filter.apply(np.stack(list(columns.values()))).T)
-    return names, np.concatenate(blocks)
+        if columns:
+            blocks.append(o.filter.apply(np.stack(list(columns.values()))).T)
+    return names, np.concatenate(blocks) if blocks else np.empty((0, 0))

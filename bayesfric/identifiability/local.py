@@ -25,8 +25,8 @@ class NullDirection:
     Attributes
     ----------
     exponents
-        Parameter (or alpha) and its relative change, the largest being one;
-        parameters that may be negative change in units of their prior sd.
+        Parameter (or alpha) and its relative change, the largest being one; a
+        parameter that is next to zero changes in units of its prior sd.
     meaning
         The same in words.
     """
@@ -114,7 +114,8 @@ def verdict(posterior_sd: float, prior_sd: float, data_sd: float) -> Verdict:
     ``data``: the posterior is about as wide as the data alone would leave it and
     at most half as wide as the prior. ``prior``: the data alone would leave it
     more than twice as wide as the posterior is, or they left the prior as it was.
-    ``weak``: in between.
+    ``weak``: in between, or the posterior is much wider than the local picture
+    says, as where it is curved or has several peaks.
 
     Parameters
     ----------
@@ -123,11 +124,13 @@ def verdict(posterior_sd: float, prior_sd: float, data_sd: float) -> Verdict:
     data_sd
         From :func:`local_information`.
     """
-    contraction = posterior_sd / prior_sd if np.isfinite(prior_sd) and prior_sd > 0 else 0.0
-    share = posterior_sd / data_sd if data_sd > 0 else np.inf
-    if share < 0.5 or contraction > 0.9:
+    if not data_sd > 0.0 or not posterior_sd > 0.0:  # also where it is no number
         return "prior"
-    return "data" if share > 0.85 and contraction < 0.5 else "weak"
+    left = posterior_sd / prior_sd if np.isfinite(prior_sd) and prior_sd > 0 else 0.0
+    share = posterior_sd / data_sd
+    if share < 0.5 or left > 0.9:
+        return "prior"
+    return "data" if 0.85 < share < 1.5 and left < 0.5 else "weak"
 
 
 def _units(target: Target, point: Array) -> tuple[Array, list[str]]:
@@ -152,7 +155,9 @@ def _units(target: Target, point: Array) -> tuple[Array, list[str]]:
             units[j] = point[j]
             labels.append(name)
         else:
-            units[j] = target.priors[j].sd()
+            # relative where the value is not next to zero, else in prior sds
+            sd = target.priors[j].sd()
+            units[j] = point[j] if abs(point[j]) > 0.01 * sd else sd
             labels.append(name)
     return units, labels
 

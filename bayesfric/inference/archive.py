@@ -54,6 +54,7 @@ def write_archive(
     with warnings.catch_warnings():
         # walkers are stored as chains, and there may well be more of them than kept draws
         warnings.filterwarnings("ignore", "More chains", UserWarning)
+        warnings.filterwarnings("ignore", "Found chain dimension to be longer", UserWarning)
         data = from_dict(**named, **options) if _OLD else from_dict(named, **options)
     for group in groups:
         # a time stamp would make two runs of one seed differ

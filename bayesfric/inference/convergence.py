@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from emcee.autocorr import function_1d, integrated_time
 from numpy.typing import NDArray
+from scipy import fft
 
 
 def nested_rhat(draws: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -12,7 +12,8 @@ def nested_rhat(draws: NDArray[np.float64]) -> NDArray[np.float64]:
 
     Plain R-hat over the walkers of one ensemble says nothing, since they are not
     independent chains. Here an ensemble is a superchain: the variance of the
-    ensembles' means is compared with the variance inside them.
+    ensembles' means is compared with the variance inside them. It means something
+    only if the ensembles started further apart than their walkers.
 
     Parameters
     ----------
@@ -38,9 +39,10 @@ def nested_rhat(draws: NDArray[np.float64]) -> NDArray[np.float64]:
 def autocorrelation_time(draws: NDArray[np.float64]) -> NDArray[np.float64]:
     """Integrated autocorrelation time in steps, the larger of two estimates.
 
-    One averages the walkers' own autocorrelations; the other takes the series of
-    ensemble means, whose variance also feels that walkers move together. On a
-    ridge either can be too small, so the larger is believed.
+    One averages the walkers' autocorrelations, taken around the mean of all, so that
+    walkers that stay apart from each other show as what they are. The other takes
+    the series of ensemble means, whose variance also feels that walkers move
+    together. On a ridge either can be too small, so the larger is believed.
 
     Parameters
     ----------
@@ -52,32 +54,46 @@ def autocorrelation_time(draws: NDArray[np.float64]) -> NDArray[np.float64]:
     ndarray
         ``(d,)``, the largest over ensembles; infinite where a walker never moved.
     """
-    ensembles, walkers, _, d = draws.shape
-    times = np.full((ensembles, d), np.inf)
-    for k in range(ensembles):
-        for j in range(d):
-            x = draws[k, :, :, j]
-            variance = x.var()
-            mean = x.mean(axis=0)
-            # the variance of equal numbers may come out as 1e-38, their range is zero
-            moving = np.ptp(x, axis=1) > 0.0
-            if not moving.all() or not np.isfinite(variance) or np.ptp(mean) == 0.0:
-                continue
-            own = float(integrated_time(x.T, tol=0, quiet=True, has_walkers=True)[0])
+    walkers = draws.shape[1]
+    centre = draws.mean(axis=(0, 1, 2))
+    times = np.full((draws.shape[0], draws.shape[3]), np.inf)
+    for k, x in enumerate(draws - centre):
+        moving = (np.ptp(x, axis=1) > 0.0).all(axis=0) & np.isfinite(x).all(axis=(0, 1))
+        variance = np.mean(x**2, axis=(0, 1))
+        for j in np.flatnonzero(moving):
+            own = _integrated(_autocovariance(x[:, :, j]) / variance[j])
+            mean = x[:, :, j].mean(axis=0)
+            mean = mean - mean.mean()
             # var(grand mean) = tau_mean var(mean) / n; in steps of a lone walker that
             # is tau_mean * walkers * var(mean) / var(x)
-            together = float(integrated_time(mean, tol=0, quiet=True, has_walkers=False)[0])
-            together *= walkers * mean.var() / variance
-            times[k, j] = max(own, together)
+            spread = float(np.mean(mean**2))
+            together = _integrated(_autocovariance(mean[None]) / spread)
+            times[k, j] = max(own, together * walkers * spread / variance[j])
     return np.asarray(times.max(axis=0))
 
 
 def autocorrelation(series: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Autocorrelation of ``(walkers, steps)`` averaged over walkers that move, ``(steps,)``."""
-    moving = series[np.ptp(series, axis=1) > 0.0]
-    if moving.shape[0] == 0:
+    """Autocorrelation of ``(walkers, steps)`` around their common mean, ``(steps,)``."""
+    x = series - series.mean()
+    variance = np.mean(x**2)
+    if not variance > 0.0 or np.ptp(series) == 0.0:
         return np.ones(series.shape[1])
-    return np.asarray(np.mean([function_1d(walker) for walker in moving], axis=0))
+    return np.asarray(_autocovariance(x) / variance)
+
+
+def _autocovariance(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean over rows of ``(rows, n)`` of the autocovariance around zero, ``(n,)``."""
+    n = x.shape[1]
+    spectrum = fft.rfft(x, fft.next_fast_len(2 * n, real=True), axis=1)
+    power = np.mean(np.abs(spectrum) ** 2, axis=0)
+    return np.asarray(fft.irfft(power, fft.next_fast_len(2 * n, real=True))[:n] / n)
+
+
+def _integrated(correlation: NDArray[np.float64]) -> float:
+    """Sum an autocorrelation over Sokal's window, the first lag above five times the sum."""
+    sums = 2.0 * np.cumsum(correlation) - 1.0
+    beyond = np.arange(sums.size) >= 5.0 * sums
+    return float(max(sums[int(np.argmax(beyond))] if beyond.any() else sums[-1], 1.0))
 
 
 def effective_sample_size(draws: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -44,12 +44,16 @@ class Scales:
 def measured_scales(observations: Sequence[Observation]) -> Scales:
     """Take the scales of the default priors from all recordings together."""
     torque = np.concatenate([o.measured for o in observations])
-    speed = np.concatenate([o.qd for o in observations])
-    acceleration = np.concatenate([o.qdd for o in observations])
+    # only where outputs are: an excluded glitch must not set a scale
+    speed = np.concatenate([o.qd[o.filter.centres] for o in observations])
+    acceleration = np.concatenate([o.qdd[o.filter.centres] for o in observations])
+    duration = sum(o.period * o.measured.size for o in observations)
+    rms_speed = float(np.sqrt(np.mean(speed**2)))
     return Scales(
         torque=float(np.quantile(np.abs(torque), 0.999)),
-        speed=float(np.sqrt(np.mean(speed**2))),
-        acceleration=float(np.sqrt(np.mean(acceleration**2))),
+        speed=rms_speed,
+        # a motion that hardly accelerates still changes its speed once in the recording
+        acceleration=max(float(np.sqrt(np.mean(acceleration**2))), rms_speed / duration),
     )
 
 

@@ -169,7 +169,11 @@ def fit(
     start = gauss_newton(
         shaped, shaped.from_parameters(place[None])[0], shaped.from_parameters(prior_draws)
     )
-    return Fit(shaped, sample(shaped, start, sampling, progress=progress), totals)
+    try:
+        posterior = sample(shaped, start, sampling, progress=progress)
+    except RuntimeError as error:
+        raise BadInput("priors", str(error), "widen the narrowest ones") from None
+    return Fit(shaped, posterior, totals)
 
 
 def _place_and_widths(

@@ -14,11 +14,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from scipy import stats
 
-from bayesfric.inference.convergence import (
-    autocorrelation_time,
-    effective_sample_size,
-    nested_rhat,
-)
+from bayesfric.inference.convergence import autocorrelation_time, nested_rhat
 from bayesfric.inference.moves import DifferentialEvolutionMove, IndependenceMove
 from bayesfric.inference.posterior import Diagnostics, Posterior, Status
 from bayesfric.inference.start import Start
@@ -102,12 +98,20 @@ def sample(
     seeds = np.random.SeedSequence(settings.seed).spawn(settings.ensembles + 1)
     randoms = [np.random.RandomState(np.random.MT19937(s)) for s in seeds[:-1]]
     rng = np.random.default_rng(seeds[-1])
-    starts = start.draw(settings.ensembles * walkers, target, rng)
-    positions = starts.reshape(settings.ensembles, walkers, d)
+    # Every ensemble around a point of its own, the points further apart than its walkers:
+    # only then does nested R-hat, which compares ensembles, say anything.
+    centres = start.draw(settings.ensembles, target, rng, spread=2.0)
+    positions = np.stack(
+        [
+            Start(centre, start.covariance).draw(walkers, target, rng, spread=0.5)
+            for centre in centres
+        ]
+    )
 
+    block = min(settings.block, max(settings.max_steps // 8, 10))
     warm = _Ensembles(target, [(DifferentialEvolutionMove(), 1.0)], positions, randoms)
     while True:
-        warm.run(settings.block)
+        warm.run(block)
         warm.bring_back_lost(rng)
         progress(Progress("warm-up", warm.steps, float("nan"), float("nan")))
         half = warm.chain()[:, :, warm.steps // 2 :]
@@ -116,15 +120,16 @@ def sample(
             break
     # A first proposal from few draws, used for one block, makes a better second one.
     trial = _Ensembles(target, _moves(half), warm.positions(), randoms)
-    trial.run(settings.block)
+    trial.run(block)
     trial.bring_back_lost(rng)
     progress(Progress("warm-up", warm.steps + trial.steps, float("nan"), float("nan")))
     main = _Ensembles(target, _moves(trial.chain()), trial.positions(), randoms)
     while True:
-        main.run(settings.block)
+        # looks at growing distances: a stopping rule asked too often stops by luck
+        main.run(max(block, main.steps // 3))
         chain = main.chain()
         rhats, tau = nested_rhat(chain), autocorrelation_time(chain)
-        ess = effective_sample_size(chain)
+        ess = settings.ensembles * walkers * main.steps / tau
         progress(Progress("sampling", main.steps, float(ess.min()), float(rhats.max())))
         done = (
             ess.min() >= settings.min_ess
@@ -134,11 +139,17 @@ def sample(
         if done or warm.steps + trial.steps + main.steps >= settings.max_steps:
             break
 
-    thin = max(1, -(-main.steps * walkers * settings.ensembles // _KEPT_DRAWS))
+    wanted = max(_KEPT_DRAWS, 2 * int(settings.min_ess))
+    thin = min(max(1, main.steps * walkers * settings.ensembles // wanted), main.steps)
     kept = chain[:, :, thin - 1 :: thin]
     parameters, _ = target.to_parameters(kept.reshape(-1, d))
     draws = parameters.reshape(*kept.shape)
     problems = list(_problems(target, settings, rhats, tau, ess, main))
+    if not settled:
+        problems.append(
+            "warm-up was still moving when it was cut off: raise sampling.max_steps, or give "
+            "narrower priors"
+        )
     status: Status = "reliable"
     if problems:
         usable = rhats.max() < _UNUSABLE_RHAT and np.isfinite(ess).all() and ess.min() > 100.0

@@ -135,6 +135,13 @@ def observe(recording: Recording, processing: Processing) -> Observation:
             f"band: {numbers.band:.6g} Hz is above half the decimated rate ({decimated / 2:.6g} Hz)"
             ", so higher frequencies fold back"
         )
+    if numbers.factor > 1 and numbers.band is not None and numbers.band < 0.4 * decimated:
+        fitting = max(1, int(numbers.fs / (2.0 * numbers.band)))
+        warnings.append(
+            f"band: {numbers.band:.6g} Hz is below half the decimated rate ({decimated / 2:.6g} "
+            f"Hz), so neighbouring outputs share noise and intervals come out too narrow; "
+            f"decimate = {fitting} would fit"
+        )
     borders = np.array([a for a, _ in segments], dtype=np.int64)
     centres = chosen.centres
     settings: dict[str, float | int | str] = {
@@ -147,6 +154,9 @@ def observe(recording: Recording, processing: Processing) -> Observation:
         "trim": numbers.trim,
         "trim_samples": numbers.trim_samples,
         "resample": processing.resample,
+        "gap": processing.gap,
+        "jitter": processing.jitter,
+        "min_samples": processing.min_samples,
         "taps": len(chosen.taps),
         "n_samples": len(q),
         "n_segments": len(segments),

@@ -50,6 +50,8 @@ def check_free(folder: Path, *, force: bool) -> None:
             raise BadInput(str(folder), "is a link to nowhere", "name a folder with -o")
         if folder.exists() and not folder.is_dir():
             raise BadInput(str(folder), "is a file", "name a folder with -o")
+        if not _target(folder).name:
+            raise BadInput(str(folder), "is the whole disk", "name a folder in it with -o")
         filled = folder.exists() and any(folder.iterdir())
         if filled and force and not (folder / "summary.json").is_file():
             raise BadInput(
@@ -61,8 +63,6 @@ def check_free(folder: Path, *, force: bool) -> None:
                 "is not empty",
                 "name another folder with -o, or add --force to keep it under another name",
             )
-        if not _target(folder).name:
-            raise BadInput(str(folder), "is the whole disk", "name a folder in it with -o")
         beside = _beside(folder)
         if not beside.parent.is_dir():
             raise BadInput(

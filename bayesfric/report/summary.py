@@ -15,10 +15,13 @@ from bayesfric.identifiability.local import LocalInformation, local_information,
 from bayesfric.inference.fit import Fit
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.inverse import load_torque
+from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
 
 LEVEL = 0.9
+# Residual correlation above which white-noise intervals are called too narrow.
+_CORRELATED = 0.2
 # The load torque at which efficiencies are stated: nearly the largest of the recordings.
 _LOAD_QUANTILE = 0.95
 
@@ -42,6 +45,11 @@ def summarise(fit: Fit) -> dict[str, Any]:
     median = np.median(flat, axis=0)
     local = local_information(fit.target, median)
     residual = residuals(fit)
+    lags = [lag_one(o, r) for o, r in zip(fit.observations, residual, strict=True)]
+    weights = [r.size if np.isfinite(lag) else 0 for lag, r in zip(lags, residual, strict=True)]
+    correlation = _number(
+        np.average(np.nan_to_num(lags), weights=weights) if any(weights) else np.nan
+    )
     return {
         "bayesfric": bayesfric.__version__,
         "parameters": _parameters(fit, flat, local),
@@ -54,7 +62,7 @@ def summarise(fit: Fit) -> dict[str, Any]:
         "estimates": {
             fit.totals.method: {
                 "parameters": {
-                    v.name: {"unit": v.unit, "value": v.value, "sd": v.sd}
+                    v.name: {"unit": v.unit, "value": v.value, "sd": _number(v.sd)}
                     for v in fit.totals.values
                 },
                 "residual_rms": fit.totals.residual_rms,
@@ -67,16 +75,28 @@ def summarise(fit: Fit) -> dict[str, Any]:
             ],
             "singular_values": [float(x) for x in local.singular_values],
         },
-        "noise": {"model": "white", "parameters": list(fit.target.noise.names)},
+        "noise": {
+            "model": "white",
+            "parameters": list(fit.target.noise.names),
+            "residual_lag1": correlation,
+        },
         "fit": {
             "residual_rms": _rms(np.concatenate(residual)),
             "unit": torque_unit(fit),
             "recordings": {
-                o.name: {"residual_rms": _rms(r), "outputs": int(o.measured.size), **o.settings}
+                o.name: {
+                    "residual_rms": _rms(r),
+                    "residual_lag1": _number(lag_one(o, r)),
+                    "outputs": int(o.measured.size),
+                    **o.settings,
+                }
                 for o, r in zip(fit.observations, residual, strict=True)
             },
         },
-        "warnings": [f"{o.name}: {text}" for o in fit.observations for text in o.warnings],
+        "warnings": [
+            *_correlated(correlation),
+            *(f"{o.name}: {text}" for o in fit.observations for text in o.warnings),
+        ],
         "sampler": {
             "status": d.status,
             "problems": list(d.problems),
@@ -102,6 +122,7 @@ def summary_table(summary: Mapping[str, Any]) -> str:
     """Lay the parameters and derived quantities of a summary out as CSV text."""
     columns = ["name", "unit", "mean", "sd", "median", "low", "high", "level", "rhat", "ess"]
     columns += ["prior", "prior_sd", "contraction", "verdict", "at_bound"]
+    columns += ["undefined_share"]
     out = io.StringIO()
     writer = csv.DictWriter(out, columns, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
@@ -118,6 +139,30 @@ def residuals(fit: Fit) -> list[Array]:
     return [
         o.measured - torque.mean(axis=0)
         for o, torque in zip(fit.observations, predicted, strict=True)
+    ]
+
+
+def lag_one(observation: Observation, residual: Array) -> float:
+    """Correlate each residual with the next output's, where the next was not left out.
+
+    ``nan`` with fewer than ten such pairs.
+    """
+    step = np.diff(observation.filter.starts)
+    follows = (step == step.min()) & (np.diff(observation.segment_of) == 0)
+    first, second = residual[:-1][follows], residual[1:][follows]
+    if first.size < 10:
+        return float("nan")
+    return float(np.mean(first * second) / np.mean(residual**2))
+
+
+def _correlated(lag: float | None) -> list[str]:
+    """Warn that white noise understates the sds, by the factor of a first-order autoregression."""
+    if lag is None or lag < _CORRELATED:
+        return []
+    factor = np.sqrt((1.0 + lag) / (1.0 - min(lag, 0.99)))
+    return [
+        f"the residuals are correlated (lag 1: {lag:.2f}) but are taken for independent: these "
+        f"intervals are about {factor:.1f} times too narrow"
     ]
 
 
@@ -156,7 +201,16 @@ def _derived(fit: Fit, median: Array, local: LocalInformation) -> dict[str, Any]
     draws = fit.chain_draws()
     middle = fit.target.chain_values(median[None])[0]
     loads = [
-        np.abs(load_torque(fit.chain, middle, o.q, o.qdd, added_mass=o.added_mass, radius=o.radius))
+        np.abs(
+            load_torque(
+                fit.chain,
+                middle,
+                o.q[o.filter.centres],
+                o.qdd[o.filter.centres],
+                added_mass=o.added_mass,
+                radius=o.radius,
+            )
+        )
         for o in fit.observations
     ]
     at_load = float(np.quantile(np.concatenate(loads), _LOAD_QUANTILE))
@@ -167,14 +221,17 @@ def _derived(fit: Fit, median: Array, local: LocalInformation) -> dict[str, Any]
     rows = {}
     for q in sorted(found, key=lambda q: not q.gauge_free):
         defined = q.values[np.isfinite(q.values)]
-        if defined.size == 0:
+        # what only fixed parameters make up is known, and what most draws do not
+        # have has no interval
+        known = defined.size == q.values.size and np.ptp(defined) <= 1e-12 * np.abs(defined).max()
+        if known or defined.size < 0.5 * q.values.size:
             continue
         rows[q.name] = {
             "unit": q.unit,
             "meaning": q.meaning,
             **_spread(defined),
             "verdict": verdict(
-                float(defined.std()), prior[q.name], local.data_sd_of(gradients[q.name])
+                _robust_sd(defined), prior[q.name], local.data_sd_of(gradients[q.name])
             ),
             "undefined_share": 1.0 - defined.size / q.values.size,
             "gauge_free": q.gauge_free,
@@ -189,9 +246,15 @@ def _prior_sds(fit: Fit, at_load: float) -> dict[str, float]:
     with np.errstate(divide="ignore", invalid="ignore"):
         found = derive(fit.chain, fit.target.chain_values(drawn), at_load)
     return {
-        q.name: float(np.std(defined)) if (defined := q.values[np.isfinite(q.values)]).size else 0.0
+        q.name: _robust_sd(defined) if (defined := q.values[np.isfinite(q.values)]).size else 0.0
         for q in found
     }
+
+
+def _robust_sd(x: Array) -> float:
+    """Estimate a sd from quartiles: alpha_2 = 1/(1 - mu_2) has no finite one under many priors."""
+    low, high = np.quantile(x, [0.25, 0.75])
+    return float((high - low) / 1.349)
 
 
 def _gradients(fit: Fit, median: Array, at_load: float) -> dict[str, Array]:

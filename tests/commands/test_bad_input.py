@@ -201,7 +201,7 @@ def test_file(bench, file, parts):
         ("seed", "seed = 1", "seed = -1", ["sampling.seed: got -1; give at least 0"]),
         ("walkers", "seed = 1", "walkers = 3", ["sampling.walkers: got 3; give at least 8"]),
         ("ensembles", "seed = 1", "ensembles = 1", ["ensembles: got 1; give at least 2"]),
-        ("nan", "seed = 1", "max_rhat = nan", ["max_rhat: got nan; give more than 1"]),
+        ("nan", "seed = 1", "max_rhat = nan", ["max_rhat: got nan; give at most 2"]),
         ("date", "seed = 1", "block = 2020-01-01", ["block: got '2020-01-01'; give a whole"]),
         ("noise", '"shared"', '"share"', ["noise.scale: got 'share'; did you mean 'shared'?"]),
         ("sign", '"rad"', '"rad", sign = 2', [".sign: got 2; give 1 or -1"]),

@@ -12,7 +12,7 @@ from bayesfric.commands.demo import demo_config
 from bayesfric.commands.fit import fit, fit_text
 from bayesfric.commands.problem import read_problem
 from bayesfric.commands.simulate import simulate
-from bayesfric.config import parse_config, read_config
+from bayesfric.config import read_config
 from bayesfric.inference.archive import read_archive
 from bayesfric.report import run_directory
 
@@ -43,7 +43,9 @@ ALPHA = {"drive": 0.7432, "back": 1.408}
 
 
 # Too few steps to converge: for tests of the folder, not of the numbers.
-FEW = CONFIG.replace("min_ess = 500", "min_ess = 1e6\nmax_steps = 100\nblock = 20")
+FEW = CONFIG.replace(
+    "min_ess = 500", "min_ess = 1e6\nmax_steps = 100\nblock = 50\nwalkers = 10\nensembles = 2"
+)
 
 
 @pytest.fixture(scope="module")
@@ -206,10 +208,6 @@ def test_recordings_may_have_odd_names(bench, folder, monkeypatch, name):
     assert list(data["observed_data"].data_vars) == [name]
 
 
-@pytest.mark.xfail(
-    reason="posterior.nc cannot hold a recording of this name; a traceback after sampling",
-    strict=True,
-)
 @pytest.mark.parametrize("name", ["chain", "draw", "a/b", "offset"])
 def test_a_name_that_cannot_be_stored_is_refused_or_stored(bench, folder, monkeypatch, name):
     """Either is fine; a traceback after all the sampling is not."""
@@ -258,19 +256,3 @@ def test_the_demo_finds_the_truth(bench):
         row = summary["derived"][name]
         assert row["gauge_free"]
         assert abs(row["mean"] - value) < 4 * row["sd"], (name, value, row["mean"], row["sd"])
-
-
-@pytest.mark.slow
-def test_the_packaged_pair_finds_every_parameter(tmp_path):
-    """The same knee with a known mass: truth beside the recording, leg and alpha included."""
-    folder = demo_config().folder
-    truth = json.loads((folder / "knee.truth.json").read_text(encoding="utf-8"))["parameters"]
-    config = parse_config(
-        (folder / "knee-loaded.toml").read_text(encoding="utf-8"), folder / "knee-loaded.toml"
-    )
-    summary = fit(config, tmp_path / "run")
-    assert summary["sampler"]["status"] == "reliable"
-    assert summary["identifiability"]["null_directions"] == []
-    for name, true in truth.items():
-        row = summary["parameters"][name]
-        assert abs(row["mean"] - true["value"]) < 4 * row["sd"], name

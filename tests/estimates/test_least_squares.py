@@ -67,8 +67,32 @@ def test_a_motion_that_tells_nothing_is_refused(make_observation):
     chain = AXIS.chain()
     o = make_observation(chain, AXIS.values)
     still = type(o)(**{**vars(o), "qd": np.full_like(o.qd, 2.0), "qdd": np.zeros_like(o.qdd)})
-    with pytest.raises(BadInput, match="cannot tell"):
-        least_squares(chain, [still])
+    # constant speed: viscous, constant loss and offset are one constant, inertia nothing
+    totals = least_squares(chain, [still])
+    assert all(np.isinf(v.sd) for v in totals.values)
+
+
+def test_what_one_direction_of_motion_cannot_tell_is_left_open(make_observation):
+    """Moving one way only, constant loss and offset are one number; the rest is known."""
+    chain = AXIS.chain()
+    o = make_observation(chain, AXIS.values, sigma=0.0)
+    speed = np.abs(o.qd) + 0.1
+    torque = 0.01 * o.qdd + 0.05 * speed + 0.2 + 0.02
+    one_way = type(o)(**{**vars(o), "qd": speed, "measured": o.filter.apply(torque)})
+    totals = least_squares(chain, [one_way])
+    assert totals["total.inertia"].value == pytest.approx(0.01, rel=1e-6)
+    assert totals["total.viscous"].value == pytest.approx(0.05, rel=1e-6)
+    assert np.isfinite(totals["total.inertia"].sd)
+    assert np.isinf(totals["total.coulomb"].sd)
+    assert np.isinf(totals["total.offset"].sd)
+
+
+def test_fewer_outputs_than_totals_are_refused(make_observation):
+    chain = AXIS.chain()
+    o = make_observation(chain, AXIS.values)
+    few = type(o)(**{**vars(o), "measured": o.measured[:3]})
+    with pytest.raises(BadInput, match="cannot determine"):
+        least_squares(chain, [few])
 
 
 @pytest.mark.parametrize("preset", PRESETS)

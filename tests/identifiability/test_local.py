@@ -88,6 +88,9 @@ def test_sds_of_a_linear_model_are_least_squares(make_observation):
         (0.1, 10.0, np.inf, "prior"),  # bounded by something else than data or prior width
         (0.7, 1.0, 1.0, "weak"),
         (0.95, 1.0, 0.96, "prior"),
+        (0.1, 0.5, 0.02, "weak"),  # far wider than the local picture says
+        (0.1, 0.5, np.nan, "prior"),
+        (0.0, 0.0, 0.0, "prior"),
     ],
 )
 def test_verdicts(posterior_sd, prior_sd, data_sd, word):

@@ -144,3 +144,10 @@ def test_walkers_of_one_ensemble_lie_side_by_side():
     for e in range(2):
         for w in range(3):
             np.testing.assert_array_equal(chains[3 * e + w], draws[e, w])
+
+
+def test_more_walkers_than_draws_is_nothing_to_warn_of(tmp_path):
+    write_archive(
+        tmp_path / "wide.nc", {"posterior": {"x": np.ones((9, 5))}}, dims={}, coords={}, attrs={}
+    )
+    assert read_archive(tmp_path / "wide.nc")["posterior"]["x"].shape == (9, 5)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+import bayesfric
 from bayesfric.commands.fit import fit
 from bayesfric.commands.problem import read_problem
 from bayesfric.commands.simulate import simulate
@@ -213,7 +214,7 @@ def test_walkers_of_an_ensemble_are_named(run, archive):
 def test_root_attributes_tell_where_it_came_from(folder, archive):
     attrs = archive.attrs
     versions = json.loads(attrs["versions"])
-    assert attrs["bayesfric"] == version("bayesfric")
+    assert attrs["bayesfric"] == bayesfric.__version__
     assert versions["python"] == platform.python_version()
     assert {name: versions[name] for name in ("numpy", "scipy", "emcee", "arviz", "numba")} == {
         name: version(name) for name in ("numpy", "scipy", "emcee", "arviz", "numba")
