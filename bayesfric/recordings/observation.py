@@ -222,7 +222,9 @@ def _windows(
 
     whole = lay(recording.segments, everything).n_outputs
     trimmed = lay(kept, everything).n_outputs
-    parts = _without(kept, recording.excluded)
+    # the low-pass carries what was excluded a little way past its borders, as past a segment's
+    reach = np.ones(2 * numbers.trim_samples + 1)
+    parts = _without(kept, np.convolve(recording.excluded, reach, mode="same") > 0.5)
     included = lay(parts, everything).n_outputs
     final = lay(parts, moving)
     length = len(parallel_taps(numbers.factor, numbers.band, numbers.fs))

@@ -177,7 +177,7 @@ class Source(_Options):
     exclude: tuple[tuple[Seconds, Seconds], ...] = Field(
         default=(),
         description="Spans [start, stop] in seconds from the first stamp that are not compared "
-        "with the model.",
+        "with the model; nor is what lies closer to them than the trim.",
     )
     valid: str | int | None = Field(
         default=None,

@@ -72,3 +72,24 @@ def test_nested_rhat_of_constants():
     rhat = nested_rhat(draws)
     assert rhat[0] == 1.0
     assert np.isinf(rhat[1])
+
+
+def two_modes(walkers, steps, seed=3):
+    """Walkers that never leave the mode they started in: no sampler's honest output."""
+    rng = np.random.default_rng(seed)
+    modes = rng.choice([-6.0, 6.0], size=(4, walkers, 1))
+    return (modes + rng.normal(size=(4, walkers, steps)))[..., None]
+
+
+def test_walkers_stuck_in_different_modes_are_worth_few_draws():
+    """Each walker alone looks independent; around the common mean none of them ever turns."""
+    draws = two_modes(36, 800)
+    assert autocorrelation_time(draws)[0] > 800 / 4
+    assert effective_sample_size(draws)[0] < 4 * 36 * 4
+
+
+@pytest.mark.parametrize("tau", [20, 100])
+def test_the_stopping_rule_cannot_pass_a_run_shorter_than_fifty_tau(tau):
+    rho = (tau - 1) / (tau + 1)
+    draws = ar1(rho, (2, 30, 10 * tau))[..., None]
+    assert 10 * tau < 50.0 * autocorrelation_time(draws)[0]
