@@ -206,7 +206,7 @@ def _coefficients(chain: Chain, at: dict[str, Array], load_torque: float) -> Ite
                 f"{name}.efficiency_drive",
                 "",
                 r"\eta_m",
-                f"driving efficiency, eq. (4), {at_load} of load",
+                f"driving efficiency, eq. (4), {at_load} of load, viscous loss not counted",
                 drive,
                 gauge_free=False,
             )
@@ -214,14 +214,17 @@ def _coefficients(chain: Chain, at: dict[str, Array], load_torque: float) -> Ite
                 f"{name}.efficiency_back",
                 "",
                 r"\eta_r",
-                f"back-driving efficiency, eq. (4), {at_load} of load",
+                f"back-driving efficiency, eq. (4), {at_load} of load, viscous loss not counted",
                 back_driven,
                 gauge_free=False,
             )
 
 
 def _constant_loss(chain: Chain, name: str, at: dict[str, Array]) -> Array:
-    """Constant loss behind and in the element, brought to the joint (``Fr`` of eq. 4)."""
+    """Sum the constant losses in and behind the element, brought to the joint: ``Fr`` of eq. (4).
+
+    Section 4.4 takes the bearing's loss for it, which stands behind the gearbox.
+    """
     total: Array = np.zeros(next(iter(at.values())).shape[0])
     behind = False
     for element in chain.elements:
