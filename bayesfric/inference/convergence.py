@@ -96,10 +96,17 @@ def _integrated(correlation: NDArray[np.float64]) -> float:
     return float(max(sums[int(np.argmax(beyond))] if beyond.any() else sums[-1], 1.0))
 
 
-def effective_sample_size(draws: NDArray[np.float64]) -> NDArray[np.float64]:
+def effective_sample_size(
+    draws: NDArray[np.float64], tau: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Count the independent draws that the sample is worth, ``(d,)``.
 
-    ``ensembles * walkers * steps / tau`` with :func:`autocorrelation_time`.
+    Parameters
+    ----------
+    draws
+        ``(ensembles, walkers, steps, d)``
+    tau
+        From :func:`autocorrelation_time`; infinite makes it zero.
     """
     ensembles, walkers, steps, _ = draws.shape
-    return np.asarray(ensembles * walkers * steps / autocorrelation_time(draws))
+    return np.asarray(ensembles * walkers * steps / tau)

@@ -14,7 +14,11 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from scipy import stats
 
-from bayesfric.inference.convergence import autocorrelation_time, nested_rhat
+from bayesfric.inference.convergence import (
+    autocorrelation_time,
+    effective_sample_size,
+    nested_rhat,
+)
 from bayesfric.inference.moves import DifferentialEvolutionMove, IndependenceMove
 from bayesfric.inference.posterior import Diagnostics, Posterior, Status
 from bayesfric.inference.start import Start
@@ -129,7 +133,7 @@ def sample(
         main.run(max(block, main.steps // 3))
         chain = main.chain()
         rhats, tau = nested_rhat(chain), autocorrelation_time(chain)
-        ess = settings.ensembles * walkers * main.steps / tau
+        ess = effective_sample_size(chain, tau)
         progress(Progress("sampling", main.steps, float(ess.min()), float(rhats.max())))
         done = (
             ess.min() >= settings.min_ess
