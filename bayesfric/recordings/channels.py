@@ -128,13 +128,15 @@ def _side(channel: Position | Velocity, table: Table, key: str, drive: Drive) ->
     return channel.side == "motor"
 
 
-def position_of(channel: Position, table: Table, drive: Drive) -> tuple[NDArray[np.float64], str]:
-    """Return the joint's position, and how it came about.
+def joint_signal(
+    channel: Position | Velocity, table: Table, drive: Drive
+) -> tuple[NDArray[np.float64], str]:
+    """Return the joint's position or velocity, and how it came about.
 
     Parameters
     ----------
     channel
-        The position channel, of motor or joint.
+        The position or velocity channel, of motor or joint.
     table
         The file's columns.
     drive
@@ -143,7 +145,7 @@ def position_of(channel: Position, table: Table, drive: Drive) -> tuple[NDArray[
     Returns
     -------
     values : numpy.ndarray
-        Position of the joint, rad or m, shape (n,).
+        Of the joint, rad or m, or rad/s or m/s, shape (n,).
     step : str
         One sentence.
 
@@ -152,42 +154,11 @@ def position_of(channel: Position, table: Table, drive: Drive) -> tuple[NDArray[
     BadInput
         If the side is needed but not given, or a column or unit cannot be used.
     """
-    if _side(channel, table, "position", drive):
-        values = scaled(channel, table, POSITION[drive.motor_motion], "position")
-        return values / drive.ratio, f"position: of the motor, divided by {drive.ratio:g}"
-    values = scaled(channel, table, POSITION[drive.motion], "position")
-    return values, "position: of the joint"
-
-
-def velocity_of(channel: Velocity, table: Table, drive: Drive) -> tuple[NDArray[np.float64], str]:
-    """Return the joint's velocity, and how it came about.
-
-    Parameters
-    ----------
-    channel
-        The velocity channel, of motor or joint.
-    table
-        The file's columns.
-    drive
-        Ratio and motions.
-
-    Returns
-    -------
-    values : numpy.ndarray
-        Velocity of the joint, rad/s or m/s, shape (n,).
-    step : str
-        One sentence.
-
-    Raises
-    ------
-    BadInput
-        If the side is needed but not given, or a column or unit cannot be used.
-    """
-    if _side(channel, table, "velocity", drive):
-        values = scaled(channel, table, VELOCITY[drive.motor_motion], "velocity")
-        return values / drive.ratio, f"velocity: of the motor, divided by {drive.ratio:g}"
-    values = scaled(channel, table, VELOCITY[drive.motion], "velocity")
-    return values, "velocity: of the joint"
+    key, kinds = ("position", POSITION) if isinstance(channel, Position) else ("velocity", VELOCITY)
+    if _side(channel, table, key, drive):
+        values = scaled(channel, table, kinds[drive.motor_motion], key)
+        return values / drive.ratio, f"{key}: of the motor, divided by {drive.ratio:g}"
+    return scaled(channel, table, kinds[drive.motion], key), f"{key}: of the joint"
 
 
 def drive_signal(

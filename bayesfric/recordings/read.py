@@ -19,12 +19,11 @@ from bayesfric.recordings.channels import (
     Drive,
     Motion,
     drive_signal,
+    joint_signal,
     lengths,
-    position_of,
     same_length,
     scaled,
     signed,
-    velocity_of,
 )
 from bayesfric.recordings.options import Processing, Source
 from bayesfric.recordings.recording import Recording
@@ -94,14 +93,14 @@ def read_recordings(
 def _read(source: Source, path: Path, name: str, drive: Drive, processing: Processing) -> Recording:
     table = read_table(path, source)
     steps = list(table.notes)
-    position, step = position_of(source.position, table, drive)
+    position, step = joint_signal(source.position, table, drive)
     steps.append(step)
     time = _time(source, table, len(position))
     chosen = _chosen(source, time, str(path))
     part = slice(*chosen)
     velocity = None
     if source.velocity is not None:
-        velocity, step = velocity_of(source.velocity, table, drive)
+        velocity, step = joint_signal(source.velocity, table, drive)
         same_length(source.velocity, velocity, source.position, position, table)
         steps.append(step)
     channel, signal, kind = drive_signal(source, table, drive)
