@@ -9,9 +9,14 @@ from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
 from bayesfric.estimates.estimate import Estimate, EstimatedValue
+from bayesfric.estimates.information import Information
+from bayesfric.estimates.torque import places
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.inverse import added_load
 from bayesfric.recordings.observation import Observation
+
+# Relative size below which a singular value of the regressors is rounding.
+_OPEN = 1e-9
 
 _UNITS = {
     # name: rotary unit, linear unit, symbol, meaning
@@ -58,53 +63,92 @@ def least_squares(chain: Chain, observations: Sequence[Observation]) -> Estimate
     deviation. A known added mass is part of the totals unless recordings with
     different masses, or a load without parameters of its own, set it apart.
     """
-    names, regressors = _regressors(chain, observations)
+    projection = TotalsProjection(chain, observations)
+    names, regressors = projection.names, projection.regressors
     torque = np.concatenate([o.measured for o in observations])
-    scale = np.linalg.norm(regressors, axis=0)
     if torque.size <= len(names):
         raise BadInput(
             ", ".join(o.name for o in observations),
             f"{torque.size} outputs cannot determine {len(names)} totals",
             "use a longer recording, or decimate less",
         )
-    if not names or not (scale > 0.0).any():
+    if not names or not regressors.any():
         raise BadInput(
             ", ".join(o.name for o in observations),
             "nothing in this model shows in this motion",
             "use a recording that moves, or a mechanism with inertia or friction",
         )
-    scale[scale == 0.0] = 1.0
-    left, singular, right = np.linalg.svd(regressors / scale, full_matrices=False)
-    told = singular > 1e-9 * singular[0]
-    # the shortest solution where the motion leaves some totals open
-    solution = right[told].T @ ((left.T[told] @ torque) / singular[told]) / scale
+    solution = projection.solve(torque)
     residual = torque - regressors @ solution
-    freedom = max(torque.size - int(told.sum()), 1)
-    spread = np.sqrt(((right[told].T / singular[told]) ** 2).sum(axis=1))
-    open_share = (right[~told] ** 2).sum(axis=0)
-    sd = np.sqrt(residual @ residual / freedom) * spread / scale
-    sd[open_share > 1e-8] = np.inf
-    motion = 0 if chain.motor_motion == "rotary" else 1
-    assumption = "uncorrelated residuals of equal variance"
+    information = Information(
+        regressors,
+        residual,
+        1.0 / projection.scale,
+        places=places(observations),
+        tolerance=_OPEN,
+    )
+    values = []
+    for i, name in enumerate(names):
+        unit, symbol, meaning = projection.describe(name)
+        sd, robust = information.sds(np.eye(len(names))[i])
+        value = float(solution[i])
+        values.append(EstimatedValue(f"total.{name}", unit, symbol, meaning, value, sd, robust))
+    assumption = "sd: uncorrelated residuals of equal variance; sd_robust: correlated ones (HAC)"
     if "added_load" not in names and any(o.added_mass for o in observations):
         assumption += "; the known added mass is part of the totals"
     return Estimate(
         method="least-squares",
-        values=tuple(
-            EstimatedValue(
-                f"total.{name}",
-                _UNITS[name][motion],
-                _UNITS[name][2],
-                _UNITS[name][3],
-                float(value),
-                float(deviation),
-            )
-            for name, value, deviation in zip(names, solution, sd, strict=True)
-        ),
+        values=tuple(values),
         residual_rms=float(np.sqrt(np.mean(residual**2))),
         n_outputs=torque.size,
         assumption=assumption,
+        residual_unit="N m" if chain.motor_motion == "rotary" else "N",
     )
+
+
+class TotalsProjection:
+    """The linear map from torques to the totals of eq. (11).
+
+    Parameters
+    ----------
+    chain
+        Says which totals there are.
+    observations
+        One or more prepared recordings.
+
+    Attributes
+    ----------
+    names
+        Of the totals, without ``total.``
+    regressors
+        ``(n_outputs, n_totals)``, filtered like the measured torque.
+    scale
+        ``(n_totals,)`` norm of each regressor.
+    open
+        ``(n_totals,)`` which totals the motion cannot tell from others.
+    """
+
+    def __init__(self, chain: Chain, observations: Sequence[Observation]) -> None:
+        self.names, self.regressors = _regressors(chain, observations)
+        self._motion = 0 if chain.motor_motion == "rotary" else 1
+        scale = np.linalg.norm(self.regressors, axis=0) if self.names else np.empty(0)
+        self.scale = np.where(scale == 0.0, 1.0, scale)
+        self.open = np.zeros(len(self.names), dtype=np.bool_)
+        if not self.names:
+            return
+        left, singular, right = np.linalg.svd(self.regressors / self.scale, full_matrices=False)
+        told = singular > _OPEN * singular[0]
+        # the shortest solution where the motion leaves some totals open
+        self._solution = (right[told].T / singular[told]) @ left.T[told] / self.scale[:, None]
+        self.open = np.asarray((right[~told] ** 2).sum(axis=0) > 1e-8)
+
+    def solve(self, torque: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Totals of filtered torques, ``(n_outputs,)`` or ``(n_outputs, k)``."""
+        return np.asarray(self._solution @ torque)
+
+    def describe(self, name: str) -> tuple[str, str, str]:
+        """Give unit, LaTeX symbol and meaning of a total."""
+        return _UNITS[name][self._motion], _UNITS[name][2], _UNITS[name][3]
 
 
 def starting_values(chain: Chain, totals: Estimate, mu: float, share: float) -> dict[str, float]:

@@ -9,13 +9,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesfric.estimates.information import Directions, directions
 from bayesfric.inference.target import Target
 
 Array = NDArray[np.float64]
 Verdict = Literal["data", "weak", "prior"]
-
-# Relative size below which a singular value is rounding.
-_NULL = 1e-7
 
 
 @dataclass(frozen=True)
@@ -46,22 +44,16 @@ class LocalInformation:
     data_sd
         ``(d,)`` standard deviation that the data alone would leave, in the
         parameter's unit; infinite where a null direction touches it.
-    singular_values
-        ``(d,)`` of the Jacobian in log parameters, over the noise scale.
     null_directions
         What no torque can tell.
-    units
-        ``(d,)`` what counts as a change of one, in the parameter's unit.
     directions
-        ``(d, d)`` right singular vectors, one a row, in those units.
+        Of the Jacobian over the noise scale, in log parameters.
     """
 
     names: tuple[str, ...]
     data_sd: Array
-    singular_values: Array
     null_directions: tuple[NullDirection, ...]
-    units: Array
-    directions: Array
+    directions: Directions
 
     def data_sd_of(self, gradient: Array) -> float:
         """Give the sd that the data alone would leave of a function of the parameters.
@@ -76,11 +68,8 @@ class LocalInformation:
         float
             Infinite where the function changes along a null direction.
         """
-        along = self.directions @ (gradient * self.units)
-        null = self.singular_values <= _NULL * self.singular_values[0]
-        if np.linalg.norm(along[null]) > 1e-5 * np.linalg.norm(along):
-            return float("inf")
-        return float(np.linalg.norm(along[~null] / self.singular_values[~null]))
+        weight = self.directions.solve(gradient)
+        return float("inf") if weight is None else float(np.sqrt(gradient @ weight))
 
 
 def local_information(target: Target, parameters: Array) -> LocalInformation:
@@ -97,15 +86,11 @@ def local_information(target: Target, parameters: Array) -> LocalInformation:
     point = parameters[: len(free)]
     sigma = target.noise.scales(parameters[None, len(free) :])[0]
     units, labels = _units(target, point)
-    jacobian = _jacobian(target, parameters, units, sigma)
-    _, values, rows = np.linalg.svd(jacobian, full_matrices=False)
-    null = values <= _NULL * values[0]
-    directions = tuple(_describe(labels, row) for row in _sparse(rows[null]))
-    found = LocalInformation(
-        tuple(free), np.full(units.size, np.nan), values, directions, units, rows
-    )
-    data_sd = np.array([found.data_sd_of(one) for one in np.eye(units.size)])
-    return replace(found, data_sd=data_sd)
+    found = directions(_jacobian(target, parameters, units, sigma), np.ones(units.size))
+    found = replace(found, units=units)
+    named = tuple(_describe(labels, row) for row in _sparse(found.rows[found.null]))
+    local = LocalInformation(tuple(free), np.full(units.size, np.nan), named, found)
+    return replace(local, data_sd=np.array([local.data_sd_of(one) for one in np.eye(units.size)]))
 
 
 def verdict(posterior_sd: float, prior_sd: float, data_sd: float) -> Verdict:

@@ -14,15 +14,14 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from bayesfric.estimates.torque import filtered_torque
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.chain import Chain
-from bayesfric.mechanism.inverse import added_load, inverse_torque
+from bayesfric.mechanism.inverse import added_load
 from bayesfric.recordings.observation import Observation
 
 # Samples in one call below which starting threads costs more than it saves.
 _WORTH_THREADS = 50_000
-# Numbers of unfiltered torque held at once in predictions.
-_ROWS_AT_ONCE = 5_000_000
 
 
 class TorqueLikelihood:
@@ -94,24 +93,7 @@ class TorqueLikelihood:
 
     def predict(self, values: NDArray[np.float64]) -> list[NDArray[np.float64]]:
         """Predict the filtered torque of each recording, ``(n, n_outputs)`` each."""
-        return [self._predict_one(o, values) for o in self.observations]
-
-    def _predict_one(self, o: Observation, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        out = np.empty((values.shape[0], o.filter.n_outputs))
-        # unfiltered torque of a long recording is kept for a few vectors at a time
-        rows = max(1, _ROWS_AT_ONCE // max(o.q.size, 1))
-        for first in range(0, values.shape[0], rows):
-            torque = inverse_torque(
-                self.chain,
-                values[first : first + rows],
-                o.q,
-                o.qd,
-                o.qdd,
-                added_mass=o.added_mass,
-                radius=o.radius,
-            )
-            out[first : first + rows] = o.filter.apply(torque)
-        return out
+        return [filtered_torque(self.chain, o, values) for o in self.observations]
 
 
 @njit(cache=True)

@@ -21,7 +21,7 @@ from bayesfric.mechanism.dynamics import (
     Joint,
     joint_tables,
 )
-from bayesfric.mechanism.integrate import RUNAWAY, integrate, integrate_many
+from bayesfric.mechanism.integrate import RUNAWAY, integrate, integrate_many, integrate_segments
 from bayesfric.mechanism.inverse import added_load
 from bayesfric.mechanism.kernels import (
     GAIN,
@@ -238,11 +238,6 @@ def simulate_many(
         raise ValueError("substeps must be at least 1")
     elements, load = chain.tables(vectors)
     inertia, moment = added_load(chain, added_mass, radius)
-    lower = np.array([p.lower for p in chain.parameters])
-    upper = np.array([p.upper for p in chain.parameters])
-    valid = np.all((vectors >= lower) & (vectors <= upper), axis=1)
-    valid &= (load[:, GAIN] > 0) & np.all(elements[:, :, STRIBECK_VELOCITY] > 0, axis=1)
-    valid &= _slope_bounds(elements, load[:, LOAD_INERTIA] + inertia)[0] > 0
     return integrate_many(
         elements,
         load,
@@ -254,8 +249,98 @@ def simulate_many(
         start,
         speed,
         substeps,
-        valid,
+        _possible(chain, vectors, elements, load, inertia),
     )
+
+
+def simulate_segments(
+    chain: Chain,
+    values: ArrayLike,
+    torque: ArrayLike,
+    period: float,
+    segments: ArrayLike,
+    q0: ArrayLike,
+    qd0: ArrayLike,
+    *,
+    added_mass: float = 0.0,
+    radius: float = 0.0,
+    hold: Hold = "linear",
+    substeps: int = 2,
+) -> NDArray[np.float64]:
+    """Positions of the joint, simulated anew from a given state in every segment, in parallel.
+
+    Parameters
+    ----------
+    chain, torque, period, added_mass, radius, hold, substeps
+        As for :func:`simulate_many`.
+    values
+        ``(n, n_parameters)``.
+    segments
+        ``(K, 2)`` half-open ranges of samples that do not overlap.
+    q0, qd0
+        ``(K,)``, or ``(n, K)`` for each vector its own: position and speed at the
+        first sample of every segment (rad or m, SI).
+
+    Returns
+    -------
+    ndarray
+        ``(n, N)``, rad or m; NaN outside the segments, and as for :func:`simulate_many`.
+
+    Raises
+    ------
+    ValueError
+        If an input is not finite or has the wrong shape.
+    """
+    vectors = np.asarray(values, dtype=np.float64)
+    if vectors.ndim != 2 or vectors.shape[1] != len(chain.names):
+        raise ValueError(f"values must have the shape (n, {len(chain.names)})")
+    samples = _torque(torque, period, hold)
+    ranges = np.asarray(segments, dtype=np.int64)
+    if ranges.ndim != 2 or ranges.shape[1] != 2 or np.any(ranges[:, 0] >= ranges[:, 1]):
+        raise ValueError("segments must be (K, 2) ranges that are not empty")
+    if ranges.min() < 0 or ranges.max() > samples.size:
+        raise ValueError("segments must lie within the samples of torque")
+    shape = (len(vectors), len(ranges))
+    start, speed = (
+        np.ascontiguousarray(np.broadcast_to(np.asarray(x, np.float64), shape)) for x in (q0, qd0)
+    )
+    if not all(np.all(np.isfinite(x)) for x in (vectors, start, speed)):
+        raise ValueError("values, q0 and qd0 must be finite")
+    if substeps < 1:
+        raise ValueError("substeps must be at least 1")
+    elements, load = chain.tables(vectors)
+    inertia, moment = added_load(chain, added_mass, radius)
+    return integrate_segments(
+        elements,
+        load,
+        float(inertia),
+        float(moment),
+        samples,
+        float(period),
+        hold == "linear",
+        np.ascontiguousarray(ranges[:, 0]),
+        np.ascontiguousarray(ranges[:, 1]),
+        start,
+        speed,
+        substeps,
+        _possible(chain, vectors, elements, load, inertia),
+    )
+
+
+def _possible(
+    chain: Chain,
+    vectors: NDArray[np.float64],
+    elements: NDArray[np.float64],
+    load: NDArray[np.float64],
+    added_inertia: float,
+) -> NDArray[np.bool_]:
+    """Which vectors lie in the support and have one motion for one torque."""
+    lower = np.array([p.lower for p in chain.parameters])
+    upper = np.array([p.upper for p in chain.parameters])
+    valid = np.all((vectors >= lower) & (vectors <= upper), axis=1)
+    valid &= (load[:, GAIN] > 0) & np.all(elements[:, :, STRIBECK_VELOCITY] > 0, axis=1)
+    valid &= _slope_bounds(elements, load[:, LOAD_INERTIA] + added_inertia)[0] > 0
+    return np.asarray(valid)
 
 
 class _Run:

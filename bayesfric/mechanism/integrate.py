@@ -357,3 +357,44 @@ def integrate_many(
             )
             out[i, done:] = np.nan
     return out
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def integrate_segments(
+    elements: NDArray[np.float64],
+    load: NDArray[np.float64],
+    added_inertia: float,
+    added_moment: float,
+    torque: NDArray[np.float64],
+    period: float,
+    linear: bool,
+    starts: NDArray[np.int64],
+    ends: NDArray[np.int64],
+    q0: NDArray[np.float64],
+    qd0: NDArray[np.float64],
+    substeps: int,
+    valid: NDArray[np.bool_],
+) -> NDArray[np.float64]:
+    """Integrate many parameter vectors, each anew at the start of every segment."""
+    n, samples, segments = elements.shape[0], torque.shape[0], starts.shape[0]
+    out = np.full((n, samples), np.nan)
+    for job in prange(n * segments):
+        i, k = job // segments, job % segments
+        if valid[i]:
+            a, b = starts[k], ends[k]
+            done = integrate(
+                joint_tables(elements[i], load[i], added_inertia, added_moment),
+                torque[a:b],
+                period,
+                linear,
+                q0[i, k],
+                qd0[i, k],
+                substeps,
+                out[i, a:b],
+                np.empty(b - a),
+                np.empty(b - a),
+                np.empty(b - a, dtype=np.bool_),
+                np.zeros(3, dtype=np.int64),
+            )
+            out[i, a + done : b] = np.nan
+    return out

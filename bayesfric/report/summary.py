@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bayesfric
+from bayesfric.estimates.torque import typical_load
 from bayesfric.identifiability.local import LocalInformation, local_information, verdict
 from bayesfric.inference.fit import Fit
 from bayesfric.mechanism.derived import derive
-from bayesfric.mechanism.inverse import load_torque
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
@@ -22,8 +22,6 @@ Array = NDArray[np.float64]
 LEVEL = 0.9
 # Residual correlation above which white-noise intervals are called too narrow.
 _CORRELATED = 0.2
-# The load torque at which efficiencies are stated: nearly the largest of the recordings.
-_LOAD_QUANTILE = 0.95
 
 
 def summarise(fit: Fit) -> dict[str, Any]:
@@ -73,7 +71,7 @@ def summarise(fit: Fit) -> dict[str, Any]:
             "null_directions": [
                 {"parameters": n.exponents, "meaning": n.meaning} for n in local.null_directions
             ],
-            "singular_values": [float(x) for x in local.singular_values],
+            "singular_values": [float(x) for x in local.directions.singular_values],
         },
         "noise": {
             "model": "white",
@@ -200,20 +198,7 @@ def _parameters(fit: Fit, flat: Array, local: LocalInformation) -> dict[str, Any
 def _derived(fit: Fit, median: Array, local: LocalInformation) -> dict[str, Any]:
     draws = fit.chain_draws()
     middle = fit.target.chain_values(median[None])[0]
-    loads = [
-        np.abs(
-            load_torque(
-                fit.chain,
-                middle,
-                o.q[o.filter.centres],
-                o.qdd[o.filter.centres],
-                added_mass=o.added_mass,
-                radius=o.radius,
-            )
-        )
-        for o in fit.observations
-    ]
-    at_load = float(np.quantile(np.concatenate(loads), _LOAD_QUANTILE))
+    at_load = typical_load(fit.chain, fit.observations, middle)
     found = derive(fit.chain, draws, at_load)
     prior = _prior_sds(fit, at_load)
     gradients = _gradients(fit, median, at_load)

@@ -1,0 +1,219 @@
+"""From one fitted parameter vector to everything an estimate states about it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.estimates.estimate import EstimatedValue
+from bayesfric.estimates.information import Information
+from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.least_squares import TotalsProjection
+from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical_load
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.derived import derive
+from bayesfric.mechanism.scaling import Scaling, scalings
+from bayesfric.recordings.observation import Observation
+
+Array = NDArray[np.float64]
+
+# Closer to a bound than this share of the value's own size (or of its sd) is on it.
+_ON_BOUND = 1e-6
+
+
+def open_scalings(
+    chain: Chain, knowledge: Knowledge, observations: Sequence[Observation]
+) -> tuple[Scaling, ...]:
+    """Scalings that neither a known mass nor a known or told parameter takes away."""
+    if any(o.added_mass for o in observations):
+        return ()
+    known = set(knowledge.fixed) | set(knowledge.told)
+    return tuple(s for s in scalings(chain) if not known & set(s.names))
+
+
+def centred(values: Array, open_: Sequence[Scaling]) -> Array:
+    """Move a vector along its open scalings to the middle of what a passive gearbox allows."""
+    for scaling in open_:
+        values = scaling.scaled(values, scaling.middle(values))
+    return values
+
+
+def units_of(chain: Chain, free: Sequence[str], values: Array) -> Array:
+    """Say what counts as a change of one: the value itself; for load losses that of alpha.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    free
+        Names of the free parameters.
+    values
+        ``(n_parameters,)`` in the order of ``chain.names``.
+
+    Returns
+    -------
+    ndarray
+        ``(len(free),)``, never zero.
+    """
+    units = np.empty(len(free))
+    for j, name in enumerate(free):
+        value = values[chain.names.index(name)]
+        quantity = name.rpartition(".")[2]
+        if quantity == "load_drive":
+            units[j] = 1.0 + value
+        elif quantity == "load_back":
+            units[j] = max(abs(1.0 - value), 1e-3)
+        else:
+            units[j] = abs(value) if value else 1e-9
+    return units
+
+
+def assemble(
+    chain: Chain,
+    observations: Sequence[Observation],
+    knowledge: Knowledge,
+    values: Array,
+    information: Information,
+    at_bound: NDArray[np.int_],
+) -> tuple[EstimatedValue, ...]:
+    """State totals, derived quantities and parameters of a fitted vector.
+
+    Parameters
+    ----------
+    chain, observations, knowledge
+        What was fitted.
+    values
+        ``(n_parameters,)`` in the order of ``chain.names``.
+    information
+        Of the free parameters that do not stand on a bound, in the chain's order.
+    at_bound
+        ``(d,)`` for the free parameters: -1 on the lower bound, 1 on the upper, else 0.
+
+    Returns
+    -------
+    tuple of EstimatedValue
+        Totals of eq. (11) as least squares would see this vector's torque, derived
+        quantities, then the free parameters.
+    """
+    free = knowledge.free(chain)
+    columns = np.array([chain.names.index(name) for name in free], dtype=np.int64)
+    inner = columns[at_bound == 0]
+    scale = np.zeros(values.size)
+    scale[columns] = units_of(chain, free, values)
+
+    def sds(gradient: Array) -> tuple[float, float]:
+        return information.sds(gradient[inner])
+
+    open_ = open_scalings(chain, knowledge, observations)
+
+    def span(function: Callable[[Array], Array]) -> tuple[float, float] | None:
+        if len(open_) != 1:
+            return None
+        low, high = open_[0].bounds(values)
+        # the lower end of k is where alpha_2 would be one; at zero it is no end at all
+        along = open_[0].scaled(values, np.geomspace(max(low, 1e-6 * high), high, 101))
+        found = function(along)
+        found = found[np.isfinite(found)]
+        return (float(found.min()), float(found.max())) if found.size else None
+
+    stated = list(_totals(chain, observations, values, scale, sds))
+    taken = {value.name for value in stated}
+    load = typical_load(chain, observations, values)
+    stated += [v for v in _derived(chain, values, load, scale, sds, span) if v.name not in taken]
+    for p, column, bound in (
+        (chain.parameters[c], c, at_bound[j]) for j, c in enumerate(columns.tolist())
+    ):
+        gradient = np.zeros(values.size)
+        gradient[column] = 1.0
+        sd, robust = (np.nan, np.nan) if bound else sds(gradient)
+        scaled = any(p.name in s.names for s in open_)
+        stated.append(
+            EstimatedValue(
+                p.name,
+                p.unit,
+                p.symbol,
+                p.meaning,
+                float(values[column]),
+                sd,
+                robust,
+                kind="parameter",
+                gauge_free=not any(p.name in s.names for s in scalings(chain)),
+                at_bound="lower" if bound < 0 else "upper" if bound > 0 else None,
+                span=span(lambda along, c=column: along[:, c]) if scaled else None,  # type: ignore[misc]
+            )
+        )
+    return tuple(stated)
+
+
+def bounds_met(values: Array, lower: Array, upper: Array) -> NDArray[np.int_]:
+    """Which free parameters stand on a bound: -1 lower, 1 upper, else 0, ``(d,)``."""
+    width = _ON_BOUND * np.maximum(np.abs(values), 1e-9)
+    out = np.zeros(values.size, dtype=np.int_)
+    out[values - lower <= width] = -1
+    out[upper - values <= width] = 1
+    return out
+
+
+def _totals(
+    chain: Chain,
+    observations: Sequence[Observation],
+    values: Array,
+    scale: Array,
+    sds: Callable[[Array], tuple[float, float]],
+) -> Iterator[EstimatedValue]:
+    """Totals that least squares would find in the torque this vector makes."""
+    projection = TotalsProjection(chain, observations)
+    if not projection.names:
+        return
+    torque = np.concatenate([filtered_torque(chain, o, values[None])[0] for o in observations])
+    found = projection.solve(torque)
+    jacobian = torque_jacobian(chain, observations, values, 1e-6 * scale)
+    gradients = projection.solve(jacobian)
+    for i, name in enumerate(projection.names):
+        unit, symbol, meaning = projection.describe(name)
+        sd, robust = (np.inf, np.inf) if projection.open[i] else sds(gradients[i])
+        yield EstimatedValue(
+            f"total.{name}", unit, symbol, meaning, float(found[i]), sd, robust, kind="total"
+        )
+
+
+def _derived(
+    chain: Chain,
+    values: Array,
+    load: float,
+    scale: Array,
+    sds: Callable[[Array], tuple[float, float]],
+    span: Callable[[Callable[[Array], Array]], tuple[float, float] | None],
+) -> Iterator[EstimatedValue]:
+    steps = 1e-5 * scale
+    moving = np.flatnonzero(steps)
+    k = moving.size
+    moved = np.tile(values, (2 * k + 1, 1))
+    moved[np.arange(k), moving] += steps[moving]
+    moved[k + np.arange(k), moving] -= steps[moving]
+    for quantity in derive(chain, moved, load):
+        middle = float(quantity.values[-1])
+        gradient = np.zeros(values.size)
+        gradient[moving] = (quantity.values[:k] - quantity.values[k : 2 * k]) / (2 * steps[moving])
+        if not np.isfinite(middle) or not np.isfinite(gradient).all() or not gradient.any():
+            continue  # undefined here, or made of known numbers only
+        sd, robust = sds(gradient)
+        name = quantity.name
+
+        def along(vectors: Array, name: str = name) -> Array:
+            return next(q.values for q in derive(chain, vectors, load) if q.name == name)
+
+        yield EstimatedValue(
+            quantity.name,
+            quantity.unit,
+            quantity.symbol,
+            quantity.meaning,
+            middle,
+            sd,
+            robust,
+            kind="derived",
+            gauge_free=quantity.gauge_free,
+            span=None if np.isfinite(sd) else span(along),
+        )

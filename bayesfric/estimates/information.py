@@ -1,0 +1,201 @@
+"""How well residuals determine parameters: standard deviations, null directions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Relative size below which a singular value is rounding, for Jacobians exact to rounding.
+NULL = 1e-7
+# With fewer groups than this for each parameter, sums over groups say little.
+_LEAST_GROUPS = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Directions:
+    """Singular value decomposition of a Jacobian, largest singular value first.
+
+    Attributes
+    ----------
+    units
+        ``(d,)`` what counts as a change of one, in each parameter's unit.
+    singular_values
+        ``(d,)`` of the Jacobian in those units.
+    rows
+        ``(d, d)`` right singular vectors, one a row, in those units.
+    tolerance
+        Singular values below this share of the largest are rounding.
+    """
+
+    units: Array
+    singular_values: Array
+    rows: Array
+    tolerance: float = NULL
+
+    @property
+    def null(self) -> NDArray[np.bool_]:
+        """Which directions change no output."""
+        largest = self.singular_values[0] if self.singular_values.size else 0.0
+        return self.singular_values <= self.tolerance * largest
+
+    def solve(self, gradient: Array) -> Array | None:
+        """Multiply the inverse of ``J'J`` by the gradient of a function of the parameters.
+
+        Parameters
+        ----------
+        gradient
+            ``(d,)``, per parameter unit.
+
+        Returns
+        -------
+        ndarray or None
+            ``(d,)``, in parameter units; ``None`` where the function changes along a
+            null direction.
+        """
+        along = self.rows @ (gradient * self.units)
+        null = self.null
+        if np.linalg.norm(along[null]) > 1e-5 * np.linalg.norm(along):
+            return None
+        inverse = along[~null] / self.singular_values[~null] ** 2
+        return np.asarray((self.rows[~null].T @ inverse) * self.units)
+
+
+def directions(jacobian: Array, units: Array, tolerance: float = NULL) -> Directions:
+    """Decompose a Jacobian ``(n, d)``; the rest as in :class:`Directions`."""
+    scaled = jacobian * units
+    d = units.size
+    if scaled.shape[0] < d:
+        scaled = np.concatenate([scaled, np.zeros((d - scaled.shape[0], d))])
+    # The triangle has the same singular values and right vectors at a fraction of the memory.
+    _, values, rows = np.linalg.svd(np.linalg.qr(scaled, mode="r"))
+    return Directions(units, values, rows, tolerance)
+
+
+class Information:
+    """Standard deviations of whatever is computed from estimated parameters.
+
+    Parameters
+    ----------
+    jacobian
+        ``(n, d)`` of the modelled outputs by the free parameters.
+    residual
+        ``(n,)`` measured minus modelled.
+    units
+        ``(d,)`` what counts as a change of one; for example the values themselves.
+    places
+        ``(n,)`` where each residual stands on an even grid of time; neighbours differ by
+        one. Residuals far apart (other segments, other recordings) are put far apart.
+    groups
+        ``(n,)`` number of the group each residual belongs to, where residuals may be
+        correlated within groups in any way but not between them.
+    known
+        ``(k, d)`` rows ``1/sd`` of independent knowledge about parameters, for example
+        of a data-sheet value with its tolerance.
+    tolerance
+        Share of the largest singular value below which others are rounding.
+    inflation
+        Factor on standard deviations of uncorrelated residuals, for robust losses.
+    """
+
+    def __init__(
+        self,
+        jacobian: Array,
+        residual: Array,
+        units: Array,
+        *,
+        places: NDArray[np.int64] | None = None,
+        groups: NDArray[np.int64] | None = None,
+        known: Array | None = None,
+        tolerance: float = NULL,
+        inflation: float = 1.0,
+    ) -> None:
+        n, d = jacobian.shape
+        self._jacobian, self._residual = jacobian, residual
+        self._places = np.arange(n) if places is None else places
+        self._groups = groups
+        self._known = np.zeros((0, d)) if known is None else known
+        rank = int(np.count_nonzero(~directions(jacobian, units, tolerance).null)) if d else 0
+        self.freedom = max(n - rank, 1)
+        self.sigma = float(np.sqrt(residual @ residual / self.freedom)) * inflation
+        # Knowledge enters as residuals of the same standard deviation as the others.
+        self.directions = directions(
+            np.concatenate([jacobian, self.sigma * self._known]) if self._known.size else jacobian,
+            units,
+            tolerance,
+        )
+
+    def sds(self, gradient: Array) -> tuple[float, float]:
+        """Give the standard deviations of a function of the parameters.
+
+        Parameters
+        ----------
+        gradient
+            ``(d,)`` derivative of the function by the free parameters.
+
+        Returns
+        -------
+        tuple of float
+            For uncorrelated residuals, and accounting for correlation; both infinite
+            where the function changes along a null direction.
+        """
+        if not np.any(gradient):
+            return 0.0, 0.0
+        weight = self.directions.solve(gradient)
+        if weight is None:
+            return float("inf"), float("inf")
+        effect = self._jacobian @ weight
+        told = self.sigma**4 * float(np.sum((self._known @ weight) ** 2))
+        plain = np.sqrt(self.sigma**2 * float(effect @ effect) + told)
+        return float(plain), float(np.sqrt(self._correlated(effect * self._residual) + told))
+
+    def _correlated(self, score: Array) -> float:
+        """Variance of the sum of the scores, neighbours taken for correlated."""
+        n = score.size
+        small = n / self.freedom
+        if self._groups is not None:
+            sums = np.bincount(self._groups, weights=score)
+            sums = sums[np.bincount(self._groups) > 0]
+            if sums.size >= _LEAST_GROUPS * self.directions.units.size:
+                return float(small * sums.size / (sums.size - 1.0) * (sums @ sums))
+        return float(small * long_run_variance(score, self._places))
+
+
+def long_run_variance(score: Array, places: NDArray[np.int64]) -> float:
+    """Variance of the sum of a correlated series with gaps.
+
+    Quadratic spectral kernel with the bandwidth of a first-order autoregression
+    (Andrews, Econometrica 59, 1991, eqs. 6.2 to 6.4); gaps count as zeros (Parzen 1963).
+
+    Parameters
+    ----------
+    score
+        ``(n,)`` of mean zero.
+    places
+        ``(n,)`` position of each on an even grid, rising.
+    """
+    grid = np.zeros(int(places[-1] - places[0]) + 1)
+    grid[places - places[0]] = score
+    size = 1 << int(2 * grid.size - 1).bit_length()
+    spectrum = np.abs(np.fft.rfft(grid, size)) ** 2
+    covariance = np.fft.irfft(spectrum, size)[: grid.size]
+    if not covariance[0] > 0.0:
+        return 0.0
+    present = np.zeros(grid.size)
+    present[places - places[0]] = 1.0
+    pairs = float(present[:-1] @ present[1:])
+    # correlation of neighbours, per pair that is there
+    rho = covariance[1] / covariance[0] * score.size / max(pairs, 1.0) if grid.size > 1 else 0.0
+    rho = float(np.clip(rho, -0.97, 0.97))
+    alpha = 4.0 * rho**2 / (1.0 - rho) ** 4
+    bandwidth = max(1.3221 * (alpha * score.size) ** 0.2, 1e-9)
+    lags = np.arange(1, grid.size)
+    x = 6.0 * np.pi * lags / (5.0 * bandwidth)
+    near = x < 0.1
+    safe = np.where(near, 1.0, x)
+    kernel = np.where(near, 1.0 - x**2 / 10.0, 3.0 / safe**2 * (np.sin(safe) / safe - np.cos(safe)))
+    total = covariance[0] + 2.0 * float(kernel @ covariance[1:])
+    return max(float(total), 0.0)

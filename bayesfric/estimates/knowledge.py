@@ -1,0 +1,55 @@
+"""What is known of the parameters before anything is fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.mechanism.chain import Chain
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """Known values, bounds and data-sheet values of a chain's parameters.
+
+    Attributes
+    ----------
+    fixed
+        Parameters whose value is taken as known.
+    bounds
+        Lower and upper limit of others; the support where left out.
+    told
+        Mean and standard deviation of others, as a data sheet or a prior tells them.
+        They enter a fit as one more residual each.
+    """
+
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    told: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def free(self, chain: Chain) -> tuple[str, ...]:
+        """Names of the parameters to estimate, in the chain's order."""
+        return tuple(name for name in chain.names if name not in self.fixed)
+
+    def limits(self, chain: Chain) -> tuple[Array, Array]:
+        """Lower and upper limits of the free parameters, ``(d,)`` each."""
+        support = {p.name: (p.lower, p.upper) for p in chain.parameters}
+        pairs = [self.bounds.get(name, support[name]) for name in self.free(chain)]
+        return np.array([low for low, _ in pairs]), np.array([high for _, high in pairs])
+
+    def rows(self, chain: Chain) -> tuple[Array, Array]:
+        """Told values as residuals ``(mean - value)/sd``: rows ``1/sd`` ``(k, d)``, ``mean/sd``."""
+        free = self.free(chain)
+        told = [name for name in free if name in self.told]
+        rows = np.zeros((len(told), len(free)))
+        targets = np.zeros(len(told))
+        for i, name in enumerate(told):
+            mean, sd = self.told[name]
+            rows[i, free.index(name)] = 1.0 / sd
+            targets[i] = mean / sd
+        return rows, targets

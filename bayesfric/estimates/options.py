@@ -1,0 +1,31 @@
+"""The ``[estimation]`` table of a configuration."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class Estimation(BaseModel):
+    """How point estimates are made."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    loss: Literal["squares", "huber"] = Field(
+        "squares", description="huber: residuals beyond 1.345 sd count less, for outliers"
+    )
+    weights: Literal["recording", "none"] = Field(
+        "recording", description="recording: each recording counts by its own residual variance"
+    )
+    starts: int = Field(8, ge=1, le=1000, description="random starts beside the derived ones")
+    seed: int = Field(1, ge=0, lt=2**63, description="of the random starts")
+    segment: float | None = Field(
+        None,
+        gt=0,
+        le=1e5,
+        description="s after which the output-error simulation starts anew; chosen if left out",
+    )
+    substeps: int | None = Field(
+        None, ge=1, le=64, description="integration steps a sample; chosen if left out"
+    )

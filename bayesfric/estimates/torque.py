@@ -1,0 +1,130 @@
+"""Modelled torque behind the same parallel filter as the measured one, and its derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.inverse import inverse_torque, load_torque
+from bayesfric.recordings.observation import Observation
+
+Array = NDArray[np.float64]
+
+# Numbers of unfiltered torque held at once.
+_ROWS_AT_ONCE = 5_000_000
+# The load torque at which efficiencies are stated: nearly the largest of the recordings.
+_LOAD_QUANTILE = 0.95
+
+
+def filtered_torque(chain: Chain, observation: Observation, values: Array) -> Array:
+    """Motor torque of parameter vectors along a measured motion, filtered.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    observation
+        A prepared recording.
+    values
+        ``(n, n_parameters)`` in the order of ``chain.names``.
+
+    Returns
+    -------
+    ndarray
+        ``(n, n_outputs)``, N m or N.
+    """
+    out = np.empty((values.shape[0], observation.filter.n_outputs))
+    # unfiltered torque of a long recording is kept for a few vectors at a time
+    rows = max(1, _ROWS_AT_ONCE // max(observation.q.size, 1))
+    for first in range(0, values.shape[0], rows):
+        torque = inverse_torque(
+            chain,
+            values[first : first + rows],
+            observation.q,
+            observation.qd,
+            observation.qdd,
+            added_mass=observation.added_mass,
+            radius=observation.radius,
+        )
+        out[first : first + rows] = observation.filter.apply(torque)
+    return out
+
+
+def torque_jacobian(
+    chain: Chain, observations: Sequence[Observation], values: Array, steps: Array
+) -> Array:
+    """Differentiate the filtered torque by the chain's parameters.
+
+    The torque is linear in nearly every parameter, so central differences are exact up
+    to rounding except where a step changes the direction of power.
+
+    Parameters
+    ----------
+    chain, observations
+        The mechanism and one or more prepared recordings.
+    values
+        ``(n_parameters,)`` in the order of ``chain.names``.
+    steps
+        ``(n_parameters,)`` widths of the differences; zero for parameters to leave out.
+
+    Returns
+    -------
+    ndarray
+        ``(n_outputs, n_parameters)`` over all recordings; zero where the step is.
+    """
+    moving = np.flatnonzero(steps)
+    k = moving.size
+    moved = np.tile(values, (2 * k, 1))
+    index = np.arange(k)
+    moved[index, moving] += steps[moving]
+    moved[k + index, moving] -= steps[moving]
+    blocks = []
+    for o in observations:
+        torque = filtered_torque(chain, o, moved)
+        block = np.zeros((o.filter.n_outputs, values.size))
+        block[:, moving] = ((torque[:k] - torque[k:]) / (2.0 * steps[moving, None])).T
+        blocks.append(block)
+    return np.concatenate(blocks)
+
+
+def typical_load(chain: Chain, observations: Sequence[Observation], values: Array) -> float:
+    """Joint torque at which efficiencies are stated: the 95th percentile of the recordings.
+
+    ``values`` ``(n_parameters,)`` in the order of ``chain.names``; the result is in N m or N.
+    """
+    loads = [
+        np.abs(
+            load_torque(
+                chain,
+                values,
+                o.q[o.filter.centres],
+                o.qdd[o.filter.centres],
+                added_mass=o.added_mass,
+                radius=o.radius,
+            )
+        )
+        for o in observations
+    ]
+    return float(np.quantile(np.concatenate(loads), _LOAD_QUANTILE))
+
+
+def places(observations: Sequence[Observation]) -> NDArray[np.int64]:
+    """Position of every output on an even grid of time, segments and recordings far apart.
+
+    Returns
+    -------
+    ndarray
+        ``(n_outputs,)`` over all recordings, rising.
+    """
+    found, begin = [], 0
+    for o in observations:
+        step = max(int(np.diff(o.filter.starts).min(initial=len(o.filter.taps))), 1)
+        raw = o.filter.starts // step
+        # a gap after each segment as long as a tenth of the recording keeps them apart
+        apart = int(raw[-1] - raw[0]) // 10 + 1
+        found.append(raw - raw[0] + o.segment_of * apart + begin)
+        begin = int(found[-1][-1]) + apart
+    return np.concatenate(found)
