@@ -224,7 +224,7 @@ def _windows(
     trimmed = lay(kept, everything).n_outputs
     # the low-pass carries what was excluded a little way past its borders, as past a segment's
     reach = np.ones(2 * numbers.trim_samples + 1)
-    parts = _without(kept, np.convolve(recording.excluded, reach, mode="same") > 0.5)
+    parts = without_excluded(kept, np.convolve(recording.excluded, reach, mode="same") > 0.5)
     included = lay(parts, everything).n_outputs
     final = lay(parts, moving)
     length = len(parallel_taps(numbers.factor, numbers.band, numbers.fs))
@@ -258,7 +258,7 @@ def _windows(
     }
 
 
-def _without(
+def without_excluded(
     segments: tuple[tuple[int, int], ...], excluded: NDArray[np.bool_]
 ) -> tuple[tuple[int, int], ...]:
     """Split segments at excluded samples, so that no window touches one."""

@@ -1,0 +1,107 @@
+"""Torque in, position out: what a simulation is compared with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.errors import BadInput
+from bayesfric.recordings.observation import Observation, without_excluded
+from bayesfric.recordings.recording import Recording
+
+# Two initial states come off every segment; what is shorter would say next to nothing.
+_LEAST_SAMPLES = 20
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """One recording for the output error, cut into segments that each start anew.
+
+    Attributes
+    ----------
+    name
+        Of the recording.
+    position
+        ``(N,)`` of the joint as measured, not filtered, rad or m.
+    torque
+        ``(N,)`` motor torque as measured, not filtered, N m or N.
+    period
+        s.
+    segments
+        ``(K, 2)`` half-open ranges of samples.
+    q0, qd0
+        ``(K,)`` position and speed at the first sample of each segment, from the
+        filtered position; a place to start from, no more.
+    added_mass, radius
+        Known mass in kg and its distance from the axis in m.
+    """
+
+    name: str
+    position: NDArray[np.float64]
+    torque: NDArray[np.float64]
+    period: float
+    segments: NDArray[np.int64]
+    q0: NDArray[np.float64]
+    qd0: NDArray[np.float64]
+    added_mass: float
+    radius: float
+
+    @property
+    def samples(self) -> NDArray[np.int64]:
+        """Samples inside the segments, in order."""
+        return np.concatenate([np.arange(a, b) for a, b in self.segments])
+
+    @property
+    def segment_of(self) -> NDArray[np.int64]:
+        """Segment of every sample in :attr:`samples`."""
+        return np.repeat(np.arange(len(self.segments)), np.diff(self.segments, axis=1)[:, 0])
+
+
+def trajectory(recording: Recording, observation: Observation, length: float) -> Trajectory:
+    """Cut a recording into segments for the output error.
+
+    Parameters
+    ----------
+    recording
+        As measured.
+    observation
+        The same, prepared; its filtered position gives the states to start from.
+    length
+        Longest segment in s. Stretches between gaps and excluded samples are divided
+        evenly; infinite for no division.
+
+    Raises
+    ------
+    BadInput
+        If no segment has enough samples.
+    """
+    pieces: list[tuple[int, int]] = []
+    for a, b in without_excluded(recording.segments, recording.excluded):
+        parts = max(1, round((b - a) * recording.period / length)) if np.isfinite(length) else 1
+        borders = np.linspace(a, b, parts + 1).round().astype(int)
+        pieces += [
+            (first, last)
+            for first, last in zip(borders[:-1].tolist(), borders[1:].tolist(), strict=True)
+            if last - first >= _LEAST_SAMPLES
+        ]
+    if not pieces:
+        raise BadInput(
+            f"recording '{recording.name}'",
+            f"has no stretch of {_LEAST_SAMPLES} samples to simulate",
+            "use longer segments, exclude less, or record longer",
+        )
+    segments = np.array(pieces, dtype=np.int64)
+    starts = segments[:, 0]
+    return Trajectory(
+        name=recording.name,
+        position=recording.position,
+        torque=recording.torque,
+        period=recording.period,
+        segments=segments,
+        q0=observation.q[starts],
+        qd0=observation.qd[starts],
+        added_mass=recording.added_mass,
+        radius=recording.radius,
+    )
