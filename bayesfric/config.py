@@ -15,6 +15,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from bayesfric.complaints import complaint
 from bayesfric.errors import BadInput
+from bayesfric.estimates.options import Estimation, Reference
+from bayesfric.inference.likelihood import LikelihoodMethod
 from bayesfric.inference.noise import NoiseScale
 from bayesfric.inference.priors import PriorText
 from bayesfric.inference.sampling import Sampling
@@ -36,6 +38,24 @@ class NoiseOptions(BaseModel):
     )
 
 
+class LikelihoodOptions(BaseModel):
+    """The ``[likelihood]`` table: which measured quantity the posterior explains."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    method: LikelihoodMethod = Field(
+        "input-error",
+        description="input-error: the torque, by the inverse model along the differentiated "
+        "motion; output-error: the position, by simulation, nothing differentiated",
+    )
+    segment: float = Field(
+        1.0,
+        gt=0,
+        le=1e5,
+        description="s after which the output-error simulation starts anew",
+    )
+
+
 class Tables(BaseModel):
     """Everything a configuration may hold."""
 
@@ -45,6 +65,15 @@ class Tables(BaseModel):
     recordings: tuple[Source, ...] = Field((), description="what was measured")
     processing: Processing = Field(default_factory=Processing, description="how it is filtered")
     priors: dict[str, Any] = Field(default_factory=dict, description="what is known beforehand")
+    references: dict[str, Any] = Field(
+        default_factory=dict, description="values to compare with; they enter no fit"
+    )
+    estimation: Estimation = Field(
+        default_factory=Estimation, description="how point estimates are made"
+    )
+    likelihood: LikelihoodOptions = Field(
+        default_factory=LikelihoodOptions, description="which quantity the posterior explains"
+    )
     noise: NoiseOptions = Field(default_factory=NoiseOptions, description="what residuals are")
     sampling: Sampling = Field(default_factory=Sampling, description="how the posterior is sampled")
     simulation: Simulation | None = Field(None, description="for bayesfric simulate")
@@ -81,7 +110,30 @@ class Config(BaseModel):
 
     def prior_list(self) -> list[tuple[str, PriorText]]:
         """Names and priors as written; a name may come twice, dotted and in a table."""
-        return list(_flatten(self.tables.priors))
+        return list(_flatten(self.tables.priors, "distribution"))
+
+    @property
+    def references(self) -> dict[str, Reference]:
+        """References by name of what they are of, nested tables flattened.
+
+        Raises
+        ------
+        BadInput
+            If one is no number and no table with a value.
+        """
+        found = {}
+        for name, entry in _flatten(self.tables.references, "value"):
+            given = entry if isinstance(entry, Mapping) else {"value": entry}
+            where = f"{self.path}: references.{name}"
+            try:
+                found[name] = Reference.model_validate(given, strict=True)
+            except ValidationError as error:
+                first = error.errors()[0]
+                key = ".".join([where, *(str(part) for part in first["loc"])])
+                raise BadInput(
+                    key, str(first["msg"]), 'write {value = 0.41, source = "CAD"}, in SI units'
+                ) from None
+        return found
 
     @contextmanager
     def named(self, place: str = "") -> Iterator[None]:
@@ -174,11 +226,13 @@ def _no_toml(path: Path, text: str, message: str) -> BadInput:
     )
 
 
-def _flatten(tables: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, PriorText]]:
+def _flatten(
+    tables: Mapping[str, Any], leaf: str, prefix: str = ""
+) -> Iterator[tuple[str, PriorText]]:
     for key, value in tables.items():
         name = f"{prefix}{key}"
         # {distribution = ...} is a prior, any other table holds an element's parameters
-        if isinstance(value, Mapping) and "distribution" not in value:
-            yield from _flatten(value, f"{name}.")
+        if isinstance(value, Mapping) and leaf not in value:
+            yield from _flatten(value, leaf, f"{name}.")
         else:
             yield name, value

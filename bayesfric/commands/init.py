@@ -9,7 +9,9 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
+from bayesfric.config import LikelihoodOptions
 from bayesfric.errors import BadInput, nearest
+from bayesfric.estimates.options import Estimation
 from bayesfric.inference.sampling import Sampling
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.experiment import Simulation
@@ -42,6 +44,16 @@ def configuration(preset: str) -> str:
             *_options(Processing),
             "",
             *_priors(chain),
+            "",
+            "# Values to compare results with, from a data sheet or CAD; they enter no fit.",
+            "# [references]",
+            *_references(chain),
+            "",
+            "[estimation]",
+            *_options(Estimation),
+            "",
+            "[likelihood]",
+            *_options(LikelihoodOptions),
             "",
             "[noise]",
             '# scale = "per-recording"  # or "shared"',
@@ -103,6 +115,11 @@ def _priors(chain: Chain) -> Iterator[str]:
     yield '# "motor.inertia" = { distribution = "norm", loc = 3.3e-4, scale = 2e-5 }'
     for p in chain.parameters:
         yield f"# {p.name:<26} {p.unit or '-':<8} {p.meaning}"
+
+
+def _references(chain: Chain) -> Iterator[str]:
+    name = "load.first_moment" if "load.first_moment" in chain.names else chain.names[0]
+    yield f'# "{name}" = {{ value = 0.41, source = "CAD" }}'
 
 
 def _options(model: type[BaseModel]) -> Iterator[str]:

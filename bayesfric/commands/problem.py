@@ -3,18 +3,32 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
 
 from bayesfric.config import Config
-from bayesfric.errors import BadInput
-from bayesfric.inference.fit import make_target, read_priors
+from bayesfric.errors import BadInput, nearest
+from bayesfric.estimates.least_squares import TotalsProjection
+from bayesfric.inference.fit import make_target, read_priors, target_of
+from bayesfric.inference.position_likelihood import PositionLikelihood
 from bayesfric.inference.priors import Prior
 from bayesfric.inference.target import Target
+from bayesfric.inference.torque_likelihood import TorqueLikelihood
 from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.derived import derive
 from bayesfric.recordings.observation import Observation, observe
 from bayesfric.recordings.options import Source
 from bayesfric.recordings.read import read_recordings
 from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.trajectory import trajectory
+
+NOISE_QUANTITIES = {
+    likelihood.method: likelihood.noise_quantities
+    for likelihood in (TorqueLikelihood, PositionLikelihood)
+}
 
 
 @dataclass(frozen=True)
@@ -30,7 +44,7 @@ class Problem:
     recordings, observations
         As read and as prepared, in the same order.
     priors
-        Of every parameter and of ``noise.sigma``.
+        Of every parameter and noise scale.
     """
 
     config: Config
@@ -39,11 +53,56 @@ class Problem:
     observations: list[Observation]
     priors: dict[str, Prior]
 
-    def target(self) -> Target:
-        """Log-posterior of the problem."""
-        return make_target(
-            self.chain, self.observations, self.priors, self.config.tables.noise.scale
-        )
+    def target(self, point: Mapping[str, float] | None = None) -> Target:
+        """Log-posterior of the problem.
+
+        Parameters
+        ----------
+        point
+            Values near the mode, where the output-error likelihood takes its
+            derivatives; not needed for the input error.
+        """
+        tables = self.config.tables
+        if tables.likelihood.method == "input-error":
+            return make_target(self.chain, self.observations, self.priors, tables.noise.scale)
+        if point is None:
+            raise ValueError("the output-error likelihood needs a point estimate")
+        with self.config.named():
+            likelihood = PositionLikelihood(
+                self.chain,
+                [
+                    trajectory(r, o, tables.likelihood.segment)
+                    for r, o in zip(self.recordings, self.observations, strict=True)
+                ],
+                self.observations,
+                self.chain.vector(point),
+            )
+        return target_of(likelihood, self.priors, tables.noise.scale)
+
+    def references(self) -> dict[str, dict[str, Any]]:
+        """Values to compare with, by name of what they are of.
+
+        Raises
+        ------
+        BadInput
+            If one is of something that no result of this mechanism is.
+        """
+        units = {p.name: p.unit for p in self.chain.parameters}
+        middle = np.ones((1, len(self.chain.names)))
+        units |= {q.name: q.unit for q in derive(self.chain, middle, 1.0)}
+        projection = TotalsProjection(self.chain, self.observations)
+        for name, label in zip(projection.names, projection.labels, strict=True):
+            units[label] = projection.describe(name)[0]
+        found = {}
+        for name, reference in self.config.references.items():
+            if name not in units:
+                raise BadInput(
+                    f"{self.config.path}: references.{name}",
+                    "no result of this mechanism has that name",
+                    nearest(name, units),
+                )
+            found[name] = {**reference.model_dump(), "unit": units[name]}
+        return found
 
 
 def read_problem(config: Config) -> Problem:
@@ -90,8 +149,11 @@ def read_problem(config: Config) -> Problem:
                 "record longer, or decimate less",
             )
         _check_names(config, chain)
-        priors = read_priors(chain, config.priors, observations)
-    return Problem(config, chain, recordings, observations, priors)
+        noise = NOISE_QUANTITIES[tables.likelihood.method]
+        priors = read_priors(chain, config.priors, observations, noise)
+    problem = Problem(config, chain, recordings, observations, priors)
+    problem.references()  # refuses what they cannot be of
+    return problem
 
 
 def _read(config: Config, chain: Chain, source: Source, number: int) -> list[Recording]:
@@ -131,7 +193,7 @@ def _check_names(config: Config, chain: Chain) -> None:
     """Refuse a table that stands for a prior but names no distribution."""
     for name in config.priors:
         parameter = name.rpartition(".")[0]
-        if parameter in (*chain.names, "noise.sigma"):
+        if parameter in chain.names or parameter.startswith("noise."):
             raise BadInput(
                 f"priors.{parameter}",
                 "its table names no distribution",

@@ -171,11 +171,13 @@ def _totals(
     found = projection.solve(torque)
     jacobian = torque_jacobian(chain, observations, values, 1e-6 * scale)
     gradients = projection.solve(jacobian)
-    for i, name in enumerate(projection.names):
+    for i, (name, label) in enumerate(zip(projection.names, projection.labels, strict=True)):
+        if label in chain.names:
+            continue  # it is a parameter, stated as such
         unit, symbol, meaning = projection.describe(name)
         sd, robust = (np.inf, np.inf) if projection.open[i] else sds(gradients[i])
         yield EstimatedValue(
-            f"total.{name}", unit, symbol, meaning, float(found[i]), sd, robust, kind="total"
+            label, unit, symbol, meaning, float(found[i]), sd, robust, kind="total"
         )
 
 

@@ -92,7 +92,8 @@ def least_squares(chain: Chain, observations: Sequence[Observation]) -> Estimate
         unit, symbol, meaning = projection.describe(name)
         sd, robust = information.sds(np.eye(len(names))[i])
         value = float(solution[i])
-        values.append(EstimatedValue(f"total.{name}", unit, symbol, meaning, value, sd, robust))
+        label = projection.labels[i]
+        values.append(EstimatedValue(label, unit, symbol, meaning, value, sd, robust))
     assumption = "sd: uncorrelated residuals of equal variance; sd_robust: correlated ones (HAC)"
     if "added_load" not in names and any(o.added_mass for o in observations):
         assumption += "; the known added mass is part of the totals"
@@ -119,7 +120,10 @@ class TotalsProjection:
     Attributes
     ----------
     names
-        Of the totals, without ``total.``
+        Of the totals, such as ``inertia``.
+    labels
+        The same as results show them: ``total.inertia``, or ``motor.inertia`` where that
+        parameter is all there is to the total.
     regressors
         ``(n_outputs, n_totals)``, filtered like the measured torque.
     scale
@@ -130,6 +134,7 @@ class TotalsProjection:
 
     def __init__(self, chain: Chain, observations: Sequence[Observation]) -> None:
         self.names, self.regressors = _regressors(chain, observations)
+        self.labels = [total_label(chain, name) for name in self.names]
         self._motion = 0 if chain.motor_motion == "rotary" else 1
         scale = np.linalg.norm(self.regressors, axis=0) if self.names else np.empty(0)
         self.scale = np.where(scale == 0.0, 1.0, scale)
@@ -151,6 +156,17 @@ class TotalsProjection:
         return _UNITS[name][self._motion], _UNITS[name][2], _UNITS[name][3]
 
 
+def total_label(chain: Chain, name: str) -> str:
+    """Name a total: that of the parameter that makes it up alone, else ``total.<name>``."""
+    owners = [p.name for p in chain.parameters if p.quantity.startswith(name)]
+    motor = chain.elements[0].name
+    alone = owners in ([f"{motor}.{name}"], [name]) and not chain.gain
+    asymmetric = any(p.quantity == "coulomb_positive" for p in chain.parameters)
+    if not alone or (name == "offset" and asymmetric):
+        return f"total.{name}"
+    return owners[0]
+
+
 def starting_values(chain: Chain, totals: Estimate, mu: float, share: float) -> dict[str, float]:
     """Split motor-side totals into parameters, as a place to start a search from.
 
@@ -166,7 +182,7 @@ def starting_values(chain: Chain, totals: Estimate, mu: float, share: float) -> 
         Share of each total that the motor gets; the other elements and the load
         divide the rest.
     """
-    total = {value.name.removeprefix("total."): value.value for value in totals.values}
+    total = {name: totals[label].value for name, label in _labels(chain).items() if label in totals}
     gain = total.get("added_load", 1.0)
     owners: dict[str, list[str]] = {}
     for p in chain.parameters:
@@ -204,6 +220,10 @@ def starting_values(chain: Chain, totals: Estimate, mu: float, share: float) -> 
         else:
             values[p.name] = {"stribeck_ratio": 0.3}.get(kind, p.default)
     return values
+
+
+def _labels(chain: Chain) -> dict[str, str]:
+    return {name: total_label(chain, name) for name in _UNITS}
 
 
 def _part(owner: str, peers: set[str], motor: str, share: float) -> float:

@@ -1,4 +1,4 @@
-"""The ``[estimation]`` table of a configuration."""
+"""The ``[estimation]`` and ``[references]`` tables of a configuration."""
 
 from __future__ import annotations
 
@@ -29,3 +29,13 @@ class Estimation(BaseModel):
     substeps: int | None = Field(
         None, ge=1, le=64, description="integration steps a sample; chosen if left out"
     )
+
+
+class Reference(BaseModel):
+    """A value from elsewhere to compare results with; it enters no fit."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    value: float = Field(allow_inf_nan=False, description="in SI units, as results are shown")
+    sd: float | None = Field(None, gt=0, allow_inf_nan=False, description="if it is known")
+    source: str = Field("reference", description="where it is from, such as CAD")

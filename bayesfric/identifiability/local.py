@@ -84,9 +84,9 @@ def local_information(target: Target, parameters: Array) -> LocalInformation:
     """
     free = target.free
     point = parameters[: len(free)]
-    sigma = target.noise.scales(parameters[None, len(free) :])[0]
+    scales = target.noise.scales(parameters[None, len(free) :])[0]
     units, labels = _units(target, point)
-    found = directions(_jacobian(target, parameters, units, sigma), np.ones(units.size))
+    found = directions(_jacobian(target, parameters, units, scales), np.ones(units.size))
     found = replace(found, units=units)
     named = tuple(_describe(labels, row) for row in _sparse(found.rows[found.null]))
     local = LocalInformation(tuple(free), np.full(units.size, np.nan), named, found)
@@ -147,8 +147,8 @@ def _units(target: Target, point: Array) -> tuple[Array, list[str]]:
     return units, labels
 
 
-def _jacobian(target: Target, parameters: Array, units: Array, sigma: Array) -> Array:
-    """Differentiate the predicted torque over the noise scale, ``(n_outputs, d)``.
+def _jacobian(target: Target, parameters: Array, units: Array, scales: Array) -> Array:
+    """Differentiate the modelled outputs over their noise, ``(n_outputs, d)``.
 
     The torque is linear in nearly every parameter, so central differences are
     exact up to rounding except where a step changes the direction of power.
@@ -161,8 +161,7 @@ def _jacobian(target: Target, parameters: Array, units: Array, sigma: Array) -> 
     minus[index, index] -= steps
     both = target.chain_values(np.concatenate([plus, minus]))
     blocks = [
-        (torque[:k] - torque[k:]) / (2e-6 * scale)
-        for torque, scale in zip(target.likelihood.predict(both), sigma, strict=True)
+        (output[:k] - output[k:]) / 2e-6 for output in target.likelihood.standardised(both, scales)
     ]
     return np.concatenate(blocks, axis=1).T
 

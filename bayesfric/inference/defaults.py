@@ -34,11 +34,14 @@ class Scales:
         Largest measured motor torque (99.9th percentile), N m or N.
     speed, acceleration
         Root mean square at the joint.
+    position
+        Range of the joint's position, rad or m.
     """
 
     torque: float
     speed: float
     acceleration: float
+    position: float = 1.0
 
 
 def measured_scales(observations: Sequence[Observation]) -> Scales:
@@ -54,6 +57,7 @@ def measured_scales(observations: Sequence[Observation]) -> Scales:
         speed=rms_speed,
         # a motion that hardly accelerates still changes its speed once in the recording
         acceleration=max(float(np.sqrt(np.mean(acceleration**2))), rms_speed / duration),
+        position=max(float(np.ptp(o.q[o.filter.centres])) for o in observations),
     )
 
 
@@ -74,11 +78,14 @@ def default_prior(chain: Chain, p: Parameter, scales: Scales) -> Prior:
     return read_prior(p.name, text, lower=p.lower, upper=upper, default=True)
 
 
-def default_noise_prior(scales: Scales) -> Prior:
-    """Spread the noise scale evenly in its logarithm, up to the largest torque."""
-    top = _one_digit(scales.torque)
+def default_noise_prior(name: str, scales: Scales) -> Prior:
+    """Spread a noise scale evenly in its logarithm, up to the largest torque or motion.
+
+    ``name`` is ``noise.sigma``, ``noise.torque`` or ``noise.position``.
+    """
+    top = _one_digit(scales.position if name == "noise.position" else scales.torque)
     text = {"distribution": "loguniform", "a": 1e-6 * top, "b": top}
-    return read_prior("noise.sigma", text, lower=0.0, upper=math.inf, default=True)
+    return read_prior(name, text, lower=0.0, upper=math.inf, default=True)
 
 
 def _text(chain: Chain, p: Parameter, scales: Scales) -> PriorText:

@@ -12,13 +12,14 @@ from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.estimate import Estimate
 from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.inference.defaults import default_noise_prior, default_prior, measured_scales
-from bayesfric.inference.likelihood import TorqueLikelihood
-from bayesfric.inference.noise import NoiseScale, white_noise
+from bayesfric.inference.likelihood import Likelihood
+from bayesfric.inference.noise import NoiseScale, noise_model
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.priors import Prior, PriorText, read_prior
 from bayesfric.inference.sampling import Progress, Sampling, sample
 from bayesfric.inference.start import Start, climb, gauss_newton
 from bayesfric.inference.target import Target
+from bayesfric.inference.torque_likelihood import TorqueLikelihood
 from bayesfric.mechanism.chain import Chain
 from bayesfric.recordings.observation import Observation
 
@@ -33,13 +34,13 @@ class Fit:
         Log-posterior; its ``likelihood`` holds chain and observations.
     posterior
         Draws and diagnostics.
-    totals
-        Least-squares estimate of eq. (11), where the search started.
+    estimates
+        Point estimates of the same recordings, least squares first.
     """
 
     target: Target
     posterior: Posterior
-    totals: Estimate
+    estimates: tuple[Estimate, ...]
 
     @property
     def chain(self) -> Chain:
@@ -71,7 +72,10 @@ class Fit:
 
 
 def read_priors(
-    chain: Chain, texts: Mapping[str, PriorText], observations: Sequence[Observation]
+    chain: Chain,
+    texts: Mapping[str, PriorText],
+    observations: Sequence[Observation],
+    noise: Sequence[str] = ("sigma",),
 ) -> dict[str, Prior]:
     """Priors of every parameter of the chain: the given ones and defaults for the rest.
 
@@ -80,16 +84,19 @@ def read_priors(
     chain
         The mechanism.
     texts
-        What a configuration says, by parameter name; ``noise.sigma`` is allowed too.
+        What a configuration says, by parameter name; noise scales are allowed too.
     observations
         Set the scale of the defaults.
+    noise
+        Noise scales that the likelihood has; ``sigma`` makes ``noise.sigma``.
 
     Raises
     ------
     BadInput
         If a name is unknown or a prior cannot be.
     """
-    known = [*chain.names, "noise.sigma"]
+    noises = [f"noise.{quantity}" for quantity in noise]
+    known = [*chain.names, *noises]
     for name in texts:
         if name not in known:
             raise BadInput(
@@ -102,13 +109,14 @@ def read_priors(
         else default_prior(chain, p, scales)
         for p in chain.parameters
     }
-    priors["noise.sigma"] = (
-        read_prior("noise.sigma", texts["noise.sigma"], lower=0.0, upper=float("inf"))
-        if "noise.sigma" in texts
-        else default_noise_prior(scales)
-    )
-    if priors["noise.sigma"].fixed:
-        raise BadInput("priors.noise.sigma", "cannot be fixed", "give a narrow range instead")
+    for name in noises:
+        priors[name] = (
+            read_prior(name, texts[name], lower=0.0, upper=float("inf"))
+            if name in texts
+            else default_noise_prior(name, scales)
+        )
+        if priors[name].fixed:
+            raise BadInput(f"priors.{name}", "cannot be fixed", "give a narrow range instead")
     if all(priors[name].fixed for name in chain.names):
         raise BadInput("priors", "fix every parameter", "leave at least one free")
     return priors
@@ -120,18 +128,30 @@ def make_target(
     priors: Mapping[str, Prior],
     noise_scale: NoiseScale,
 ) -> Target:
-    """Put likelihood, priors and noise together.
+    """Put the likelihood of the torque, priors and noise together.
 
     ``priors`` is what :func:`read_priors` gives.
     """
-    noise = white_noise([o.name for o in observations], priors["noise.sigma"], noise_scale)
-    return Target(TorqueLikelihood(chain, observations), priors, noise)
+    return target_of(TorqueLikelihood(chain, observations), priors, noise_scale)
+
+
+def target_of(
+    likelihood: Likelihood, priors: Mapping[str, Prior], noise_scale: NoiseScale
+) -> Target:
+    """Put any likelihood, priors and noise together.
+
+    ``priors`` is what :func:`read_priors` gives for the likelihood's noise scales.
+    """
+    recordings = [o.name for o in likelihood.observations]
+    noise = noise_model(recordings, likelihood.noise_quantities, priors, noise_scale)
+    return Target(likelihood, priors, noise)
 
 
 def fit(
     target: Target,
     sampling: Sampling,
     *,
+    estimates: Sequence[Estimate] = (),
     progress: Callable[[Progress], None] = lambda _: None,
 ) -> Fit:
     """Estimate, climb to the mode, sample.
@@ -142,6 +162,8 @@ def fit(
         From :func:`make_target`.
     sampling
         Seed, sizes and stopping rule.
+    estimates
+        Point estimates already made; the search starts from theirs too.
     progress
         Called as sampling goes on.
 
@@ -152,12 +174,13 @@ def fit(
         leave no place the search could start from.
     """
     likelihood = target.likelihood
-    totals = least_squares(likelihood.chain, likelihood.observations)
+    if not estimates:
+        estimates = (least_squares(likelihood.chain, likelihood.observations),)
     progress(Progress("searching the mode", 0, float("nan"), float("nan")))
     rng = np.random.default_rng(np.random.SeedSequence(sampling.seed, spawn_key=(2**31,)))
     prior_draws = np.stack([prior.draw(500, rng) for prior in target.priors], axis=1)
     try:
-        mode = climb(target, _candidates(target, totals, prior_draws))
+        mode = climb(target, _candidates(target, estimates, prior_draws))
     except ValueError:
         raise BadInput(
             "priors", "leave no possible starting point near the data", "widen the narrowest ones"
@@ -173,7 +196,7 @@ def fit(
         posterior = sample(shaped, start, sampling, progress=progress)
     except RuntimeError as error:
         raise BadInput("priors", str(error), "widen the narrowest ones") from None
-    return Fit(shaped, posterior, totals)
+    return Fit(shaped, posterior, tuple(estimates))
 
 
 def _place_and_widths(
@@ -191,27 +214,50 @@ def _place_and_widths(
 
 
 def _candidates(
-    target: Target, totals: Estimate, prior_draws: NDArray[np.float64]
+    target: Target, estimates: Sequence[Estimate], prior_draws: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Places to start from: totals split in several ways, and draws from the priors."""
-    chain = target.likelihood.chain
-    split = [
-        starting_values(chain, totals, mu, share)
-        for mu in (0.02, 0.1, 0.2, 0.4)
-        for share in (0.2, 0.5, 0.8)
-    ]
+    """Places to start from: estimates, totals split in several ways, and draws from the priors."""
+    chain, likelihood = target.likelihood.chain, target.likelihood
+    points = [dict(e.point) for e in estimates if e.point]
+    # a simulation costs more than an inverse model, and starts from a simulation's estimate
+    if likelihood.method == "input-error" or not points:
+        points += [
+            starting_values(chain, e, mu, share)
+            for e in estimates
+            if not e.point
+            for mu in (0.02, 0.1, 0.2, 0.4)
+            for share in (0.2, 0.5, 0.8)
+        ]
     k = len(target.free)
-    rows = np.array([[values[name] for name in target.free] for values in split])
+    rows = np.array([[values[name] for name in target.free] for values in points])
     # a start at a bound would have no finite coordinates
     inner = np.quantile(prior_draws, [0.002, 0.998], axis=0)
     for j, prior in enumerate(target.priors[:k]):
         outside = (rows[:, j] <= prior.lower) | (rows[:, j] >= prior.upper)
         rows[outside, j] = np.clip(rows[outside, j], *inner[:, j])
-    sigma = np.full((rows.shape[0], target.dimension - k), totals.residual_rms)
-    # whatever drawn parameters leave unexplained is about as large as the torque itself
-    measured = np.concatenate([o.measured for o in target.likelihood.observations])
-    drawn = prior_draws[:100].copy()
-    drawn[:, k:] = np.sqrt(np.mean(measured**2))
-    candidates = np.concatenate([np.concatenate([rows, sigma], axis=1), drawn])
+    if likelihood.method == "input-error":
+        rms = max(e.residual_rms for e in estimates if e.method == "least-squares")
+        sigma = np.full((rows.shape[0], target.dimension - k), rms)
+        # whatever drawn parameters leave unexplained is about as large as the torque itself
+        measured = np.concatenate([o.measured for o in likelihood.outputs])
+        drawn = prior_draws[:100].copy()
+        drawn[:, k:] = np.sqrt(np.mean(measured**2))
+        candidates = np.concatenate([np.concatenate([rows, sigma], axis=1), drawn])
+    else:
+        scales = _noise_grid(target, inner[:, k:])
+        candidates = np.concatenate(
+            [np.repeat(rows, len(scales), axis=0), np.tile(scales, (len(rows), 1))], axis=1
+        )
     candidates[:, k:] = np.clip(candidates[:, k:], *inner[:, k:])
     return target.from_parameters(candidates)
+
+
+def _noise_grid(target: Target, inner: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Noise scales over their priors' ranges, the same for all recordings, ``(n, scales)``."""
+    kinds = target.noise.quantities
+    axes = {
+        kind: np.geomspace(inner[0, kinds.index(kind)], inner[1, kinds.index(kind)], 9)
+        for kind in dict.fromkeys(kinds)
+    }
+    grid = np.stack(np.meshgrid(*axes.values(), indexing="ij"), axis=-1).reshape(-1, len(axes))
+    return grid[:, [list(axes).index(kind) for kind in kinds]]

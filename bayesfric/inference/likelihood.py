@@ -1,158 +1,109 @@
-"""Gaussian likelihood of the measured motor torque around the inverse model.
-
-Model output and measured torque pass the same parallel filter, so what the
-filter removes is removed from both and does not bias the comparison.
-"""
+"""What a likelihood is, whichever quantity it compares: torque or position."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Literal, Protocol
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
-from bayesfric.estimates.torque import filtered_torque
-from bayesfric.mechanism import kernels
 from bayesfric.mechanism.chain import Chain
-from bayesfric.mechanism.inverse import added_load
 from bayesfric.recordings.observation import Observation
 
-# Samples in one call below which starting threads costs more than it saves.
-_WORTH_THREADS = 50_000
+Array = NDArray[np.float64]
+LikelihoodMethod = Literal["input-error", "output-error"]
 
 
-class TorqueLikelihood:
-    """How probable the measured torques are, given the joint's parameters.
+@dataclass(frozen=True, eq=False)
+class Outputs:
+    """The measured numbers of one recording that a likelihood is about.
 
-    Parameters
+    Attributes
     ----------
-    chain
-        The mechanism.
-    observations
-        One or more prepared recordings. They share the chain's parameters.
+    name
+        Of the recording.
+    quantity, unit
+        ``motor torque`` in N m, ``motor force`` in N, or ``joint position`` in rad or m.
+    time
+        ``(M,)``, s.
+    measured
+        ``(M,)``
+    period
+        From one output to the next of the same segment, s.
+    segment_of
+        ``(M,)`` number of the segment each belongs to.
+    follows
+        ``(M - 1,)`` whether output m + 1 comes one period after output m.
     """
 
-    def __init__(self, chain: Chain, observations: Sequence[Observation]) -> None:
-        self.chain = chain
-        self.observations = tuple(observations)
-        self.sizes = np.array([o.measured.size for o in self.observations])
-        self._arrays = [
-            (
-                *added_load(chain, o.added_mass, o.radius),
-                np.sin(o.q),
-                np.cos(o.q),
-                np.ascontiguousarray(o.qd),
-                np.ascontiguousarray(o.qdd),
-                o.filter.taps,
-                o.filter.starts,
-                np.ascontiguousarray(o.measured),
-            )
-            for o in self.observations
-        ]
+    name: str
+    quantity: str
+    unit: str
+    time: Array
+    measured: Array
+    period: float
+    segment_of: NDArray[np.int64]
+    follows: NDArray[np.bool_]
 
-    def sum_of_squares(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Sum of squared residuals of each recording.
 
-        Parameters
-        ----------
-        values
-            ``(n, n_parameters)`` in the order of ``chain.names``.
+class Likelihood(Protocol):
+    """How probable the measurements are, given the joint's parameters.
 
-        Returns
-        -------
-        ndarray
-            ``(n, n_recordings)``, torque unit squared.
+    Noise scales are handed over as ``(n, R, Q)``: vectors, recordings, and the
+    quantities named by ``noise_quantities``.
+    """
+
+    chain: Chain
+    observations: tuple[Observation, ...]
+    outputs: tuple[Outputs, ...]
+    method: LikelihoodMethod
+    noise_quantities: tuple[str, ...]
+
+    def log_density(self, values: Array, scales: Array) -> Array:
+        """Log-likelihood of parameter vectors ``(n, n_parameters)``, ``(n,)``."""
+        ...
+
+    def pointwise(self, values: Array, scales: Array) -> list[Array]:
+        """Terms that sum to the log-likelihood, ``(n, terms)`` a recording."""
+        ...
+
+    def predict(self, values: Array) -> list[Array]:
+        """Modelled outputs, ``(n, M)`` a recording."""
+        ...
+
+    def standardised(self, values: Array, scales: Array) -> list[Array]:
+        """Modelled outputs as linear combinations with unit noise, ``(n, terms)`` a recording.
+
+        ``scales`` ``(R, Q)``. Their derivatives make up the Fisher information.
         """
-        elements, load = self.chain.tables(values)
-        return np.stack([_sum_of_squares(elements, load, a) for a in self._arrays], axis=1)
+        ...
 
-    def log_density(
-        self, values: NDArray[np.float64], sigma: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Log-likelihood with white Gaussian noise.
+    def noise_information(self, scales: Array) -> Array:
+        """Fisher information of the logarithms of the noise scales ``(R, Q)``, ``(R, Q, Q)``."""
+        ...
 
-        Parameters
-        ----------
-        values
-            ``(n, n_parameters)``.
-        sigma
-            ``(n, n_recordings)`` noise scales, or ``(n, 1)`` for one shared by all.
+    def noise_sd(self, scales: Array) -> list[Array]:
+        """Spread of each output about its prediction, ``(M,)``; ``scales`` ``(R, Q)``."""
+        ...
 
-        Returns
-        -------
-        ndarray
-            ``(n,)``
-        """
-        squares = self.sum_of_squares(values)
-        terms = squares / sigma**2 + self.sizes * (2.0 * np.log(sigma) + math.log(2.0 * math.pi))
-        total: NDArray[np.float64] = -0.5 * terms.sum(axis=1)
-        return total
-
-    def predict(self, values: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Predict the filtered torque of each recording, ``(n, n_outputs)`` each."""
-        return [filtered_torque(self.chain, o, values) for o in self.observations]
+    def draw_noise(self, scales: Array, rng: np.random.Generator) -> list[Array]:
+        """Noise of each output, ``(n, M)`` a recording."""
+        ...
 
 
-@njit(cache=True)
-def _squares(
-    elements: NDArray[np.float64],
-    load: NDArray[np.float64],
-    added_inertia: float,
-    added_moment: float,
-    sin_q: NDArray[np.float64],
-    cos_q: NDArray[np.float64],
-    speed: NDArray[np.float64],
-    acceleration: NDArray[np.float64],
-    taps: NDArray[np.float64],
-    starts: NDArray[np.int64],
-    measured: NDArray[np.float64],
-) -> float:
-    torque = np.empty(speed.shape[0])
-    kernels.inverse_one(
-        elements, load, added_inertia, added_moment, sin_q, cos_q, speed, acceleration, torque
-    )
-    total = 0.0
-    whole = taps.shape[0] // 4 * 4
-    for m in range(starts.shape[0]):
-        window = torque[starts[m] : starts[m] + taps.shape[0]]
-        # Four sums side by side are as fast as letting the compiler reorder one, and
-        # unlike that they come out the same wherever this is compiled.
-        a, b, c, d = 0.0, 0.0, 0.0, 0.0
-        for k in range(0, whole, 4):
-            a += taps[k] * window[k]
-            b += taps[k + 1] * window[k + 1]
-            c += taps[k + 2] * window[k + 2]
-            d += taps[k + 3] * window[k + 3]
-        for k in range(whole, taps.shape[0]):
-            a += taps[k] * window[k]
-        residual = measured[m] - ((a + b) + (c + d))
-        total += residual * residual
-    return total
+def lag_one(outputs: Outputs, residual: Array) -> float:
+    """Correlate each residual ``(M,)`` with the next output's, where the next was not left out.
+
+    ``nan`` with fewer than ten such pairs.
+    """
+    first, second = residual[:-1][outputs.follows], residual[1:][outputs.follows]
+    if first.size < 10:
+        return float("nan")
+    return float(np.mean(first * second) / np.mean(residual**2))
 
 
-@njit(cache=True)
-def _in_line(elements: NDArray[np.float64], load: NDArray[np.float64], *arrays: Any) -> Any:
-    out = np.empty(elements.shape[0])
-    for i in range(elements.shape[0]):
-        out[i] = _squares(elements[i], load[i], *arrays)
-    return out
-
-
-@njit(cache=True, parallel=True)
-def _in_threads(elements: NDArray[np.float64], load: NDArray[np.float64], *arrays: Any) -> Any:
-    out = np.empty(elements.shape[0])
-    for i in prange(elements.shape[0]):
-        out[i] = _squares(elements[i], load[i], *arrays)
-    return out
-
-
-def _sum_of_squares(
-    elements: NDArray[np.float64], load: NDArray[np.float64], arrays: tuple[Any, ...]
-) -> NDArray[np.float64]:
-    samples = arrays[2].shape[0] * elements.shape[0]
-    run = _in_threads if samples > _WORTH_THREADS else _in_line
-    squares: NDArray[np.float64] = run(elements, load, *arrays)
-    return squares
+def normal_terms(z: Sequence[Array], sd: Sequence[Array]) -> list[Array]:
+    """Log densities of normal residuals, given over their sds ``sd`` as ``z``."""
+    return [-0.5 * a**2 - np.log(s) - 0.5 * np.log(2.0 * np.pi) for a, s in zip(z, sd, strict=True)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,19 +11,26 @@ from numpy.typing import NDArray
 
 from bayesfric.inference.priors import Prior
 
+Array = NDArray[np.float64]
 NoiseScale = Literal["shared", "per-recording"]
+
+# LaTeX symbols of the scales a likelihood may have.
+_SYMBOLS = {"sigma": r"\sigma", "torque": r"\sigma_\Gamma", "position": r"\sigma_q"}
 
 
 @dataclass(frozen=True)
-class WhiteNoise:
-    """Independent Gaussian residuals with one scale, or one for each recording.
+class Noise:
+    """Gaussian noise with scales shared by all recordings, or some for each.
 
     Attributes
     ----------
     names
-        Parameter names: ``noise.sigma``, or ``noise.sigma.<recording>``.
+        Parameter names: ``noise.sigma``, or ``noise.sigma.<recording>``; the quantities
+        of the first recording first.
     symbols
         LaTeX symbols without dollar signs.
+    quantities
+        Quantity of each name, as the likelihood calls them.
     priors
         One each.
     n_recordings
@@ -32,11 +39,17 @@ class WhiteNoise:
 
     names: tuple[str, ...]
     symbols: tuple[str, ...]
+    quantities: tuple[str, ...]
     priors: tuple[Prior, ...]
     n_recordings: int
 
-    def scales(self, parameters: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Noise scale of every recording.
+    @property
+    def _each(self) -> int:
+        """Scales of one recording."""
+        return len(set(self.quantities))
+
+    def scales(self, parameters: Array) -> Array:
+        """Noise scales of every recording.
 
         Parameters
         ----------
@@ -46,35 +59,67 @@ class WhiteNoise:
         Returns
         -------
         ndarray
-            ``(n, n_recordings)``
+            ``(n, n_recordings, quantities)``
         """
-        return np.broadcast_to(parameters, (parameters.shape[0], self.n_recordings))
+        n = parameters.shape[0]
+        split = parameters.reshape(n, -1, self._each)
+        return np.broadcast_to(split, (n, self.n_recordings, self._each))
 
-    def counts(self, outputs: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Count the outputs that each scale is estimated from.
+    def fold(self, information: Array) -> Array:
+        """Information of every recording's scales to that of the parameters.
 
-        ``outputs`` ``(n_recordings,)`` counts those of each recording.
+        Parameters
+        ----------
+        information
+            ``(n_recordings, quantities, quantities)`` of the logarithms.
+
+        Returns
+        -------
+        ndarray
+            ``(len(names), len(names))``
         """
-        return outputs if len(self.names) > 1 else outputs.sum(keepdims=True)
+        if len(self.names) == self._each:
+            return np.asarray(information.sum(axis=0))
+        out = np.zeros((len(self.names), len(self.names)))
+        for r in range(self.n_recordings):
+            own = slice(r * self._each, (r + 1) * self._each)
+            out[own, own] = information[r]
+        return out
 
 
-def white_noise(recordings: Sequence[str], prior: Prior, scale: NoiseScale) -> WhiteNoise:
-    """Set up white noise for the named recordings.
+def noise_model(
+    recordings: Sequence[str],
+    quantities: Sequence[str],
+    priors: Mapping[str, Prior],
+    scale: NoiseScale,
+) -> Noise:
+    """Set up the noise of the named recordings.
 
     Parameters
     ----------
     recordings
         Their names.
-    prior
-        Of every scale.
+    quantities
+        Scales that the likelihood has, such as ``sigma``.
+    priors
+        Of every scale, by ``noise.<quantity>``.
     scale
-        ``shared`` by all recordings or one ``per-recording``.
+        ``shared`` by all recordings or some ``per-recording``.
     """
-    if scale == "shared" or len(recordings) == 1:
-        return WhiteNoise(("noise.sigma",), (r"\sigma",), (prior,), len(recordings))
-    return WhiteNoise(
-        tuple(f"noise.sigma.{name}" for name in recordings),
-        tuple(rf"\sigma_{{{i + 1}}}" for i in range(len(recordings))),
-        (prior,) * len(recordings),
-        len(recordings),
-    )
+    own = scale == "per-recording" and len(recordings) > 1
+    names, symbols, kinds, given = [], [], [], []
+    for i, recording in enumerate(recordings if own else recordings[:1]):
+        for quantity in quantities:
+            symbol = _SYMBOLS[quantity]
+            if own:
+                # a second subscript would not typeset: it joins the first
+                symbol = (
+                    f"{symbol.partition('_')[0]}_{{{symbol.partition('_')[2]},{i + 1}}}"
+                    if "_" in symbol
+                    else f"{symbol}_{{{i + 1}}}"
+                )
+            names.append(f"noise.{quantity}.{recording}" if own else f"noise.{quantity}")
+            symbols.append(symbol)
+            kinds.append(quantity)
+            given.append(priors[f"noise.{quantity}"])
+    return Noise(tuple(names), tuple(symbols), tuple(kinds), tuple(given), len(recordings))

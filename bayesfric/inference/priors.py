@@ -103,12 +103,23 @@ class Prior:
             return 0.0
         if self.mass > 1.0 - 1e-12:
             return float(self.distribution.std())
-        # The cut distribution's moments by quadrature in probability.
+        x, weights = self._nodes()
+        return float(np.sqrt(weights @ (x - weights @ x) ** 2))
+
+    def mean(self) -> float:
+        """Return the mean of the cut distribution, or the fixed value."""
+        if self.fixed:
+            return self.value
+        if self.mass > 1.0 - 1e-12:
+            return float(self.distribution.mean())
+        x, weights = self._nodes()
+        return float(weights @ x)
+
+    def _nodes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Nodes and weights of a quadrature in probability, inside the support."""
         low, high = self.distribution.cdf(self.lower), self.distribution.cdf(self.upper)
         nodes, weights = np.polynomial.legendre.leggauss(200)
-        x = self.distribution.ppf(low + (high - low) * (nodes + 1.0) / 2.0)
-        mean = float(np.sum(weights * x) / 2.0)
-        return float(np.sqrt(np.sum(weights * (x - mean) ** 2) / 2.0))
+        return self.distribution.ppf(low + (high - low) * (nodes + 1.0) / 2.0), weights / 2.0
 
 
 def _normal(loc: float, scale: float) -> _LogDensity:

@@ -65,8 +65,8 @@ def gauss_newton(target: Target, mode: Array, prior_draws: Array) -> Start:
 
     Curvature at the mode itself would be misled where the mode leans on a bound:
     the density falls off a cliff there and the walkers would start in one spot.
-    The information is ``J'J/sigma²`` of the predicted torque, ``2n`` for the
-    logarithm of a noise scale, and the inverse variance of the prior.
+    The information is ``J'J`` of the modelled outputs over their noise, that of the
+    logarithms of the noise scales, and the inverse variance of the prior.
 
     Parameters
     ----------
@@ -85,21 +85,19 @@ def gauss_newton(target: Target, mode: Array, prior_draws: Array) -> Start:
     steps = 1e-6 * np.minimum(reach, 1e3)
     moved, _ = target.to_parameters(mode + np.concatenate([np.diag(steps), -np.diag(steps)]))
     centre, _ = target.to_parameters(mode[None])
-    sigma = target.noise.scales(centre[:, k:])[0]
+    scales = target.noise.scales(centre[:, k:])[0]
     jacobian = np.concatenate(
         [
-            (torque[:d] - torque[d:]) / (2.0 * steps[:, None] * scale)
-            for torque, scale in zip(
-                target.likelihood.predict(target.chain_values(moved)), sigma, strict=True
-            )
+            (output[:d] - output[d:]) / (2.0 * steps[:, None])
+            for output in target.likelihood.standardised(target.chain_values(moved), scales)
         ],
         axis=1,
     )
     information = jacobian @ jacobian.T + np.diag(1.0 / prior_sd**2)
-    counts = target.noise.counts(target.likelihood.sizes)
-    for j, n in zip(range(k, d), counts, strict=True):
-        slope = (moved[j, j] - moved[d + j, j]) / (2.0 * steps[j] * centre[0, j])
-        information[j, j] += 2.0 * n * slope**2
+    index = np.arange(k, d)
+    slope = (moved[index, index] - moved[d + index, index]) / (2.0 * steps[k:] * centre[0, k:])
+    noise = target.noise.fold(target.likelihood.noise_information(scales))
+    information[k:, k:] += noise * np.outer(slope, slope)
     scale = 1.0 / np.sqrt(np.diag(information))
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
     inverse = (vectors / np.clip(values, 1e-12, None)) @ vectors.T

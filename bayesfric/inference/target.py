@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.inference.coordinates import BoundedCoordinates, choose_coordinates
-from bayesfric.inference.likelihood import TorqueLikelihood
-from bayesfric.inference.noise import WhiteNoise
+from bayesfric.inference.likelihood import Likelihood
+from bayesfric.inference.noise import Noise
 from bayesfric.inference.priors import Prior
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ class Target:
     Parameters
     ----------
     likelihood
-        Of the measured torque.
+        Of the measured torque or position.
     priors
         One for every parameter of the chain, fixed ones included.
     noise
@@ -44,9 +44,9 @@ class Target:
 
     def __init__(
         self,
-        likelihood: TorqueLikelihood,
+        likelihood: Likelihood,
         priors: Mapping[str, Prior],
-        noise: WhiteNoise,
+        noise: Noise,
         widths: Array | None = None,
     ) -> None:
         chain = likelihood.chain

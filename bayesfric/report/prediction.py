@@ -1,8 +1,7 @@
-"""Measured torque against what the posterior predicts."""
+"""Measured torque, or position, against what the posterior predicts."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from bayesfric.inference.fit import Fit
-from bayesfric.recordings.observation import Observation
+from bayesfric.inference.likelihood import Outputs
 from bayesfric.report.style import (
     BAND,
     MEASURED,
@@ -24,7 +23,7 @@ from bayesfric.report.style import (
     few_ticks,
     paper_style,
 )
-from bayesfric.report.summary import LEVEL, torque_unit
+from bayesfric.report.summary import LEVEL
 
 _MOST = 3
 # The same draws as the residuals of the summary.
@@ -51,12 +50,12 @@ class Predictive:
     sd
         ``(n_outputs,)``, noise included.
     sigma
-        Noise scale, root mean square over the draws.
+        ``(n_outputs,)`` noise alone, root mean square over the draws.
     """
 
     mean: Array
     sd: Array
-    sigma: float
+    sigma: Array
 
     def band(self, level: float) -> tuple[Array, Array]:
         """Lower and upper end of the central interval of probability ``level``.
@@ -70,7 +69,7 @@ class Predictive:
 
 
 def predictive(fit: Fit) -> list[Predictive]:
-    """Mean and standard deviation of the predicted torque of every recording.
+    """Mean and standard deviation of the predicted outputs of every recording.
 
     Parameters
     ----------
@@ -94,22 +93,22 @@ def predictive(fit: Fit) -> list[Predictive]:
         for r, f in enumerate(likelihood.predict(values[begin : begin + at_once])):
             first[r] += (f - origin[r]).sum(axis=0)
             second[r] += ((f - origin[r]) ** 2).sum(axis=0)
+    # the noise changes little over the draws
+    sds = [likelihood.noise_sd(scales[i]) for i in range(0, n, max(n // 20, 1))]
     found = []
     for r in range(len(origin)):
         variance = np.maximum(second[r] / n - (first[r] / n) ** 2, 0.0)
-        noise = float(np.mean(scales[:, r] ** 2))
-        found.append(
-            Predictive(origin[r] + first[r] / n, np.sqrt(variance + noise), math.sqrt(noise))
-        )
+        noise = np.mean([one[r] ** 2 for one in sds], axis=0)
+        found.append(Predictive(origin[r] + first[r] / n, np.sqrt(variance + noise), noise**0.5))
     return found
 
 
 def prediction_figure(fit: Fit) -> Figure:
-    """Draw measured and predicted torque, and what is left, over time.
+    """Draw measured and predicted torque or position, and what is left, over time.
 
-    A column for each of at most three recordings: above, the measured torque
-    after the parallel filter, the posterior predictive mean and its 90 % band,
-    noise included; below, the residual and two noise scales on either side.
+    A column for each of at most three recordings: above, the measured output
+    (torque after the parallel filter, or position), the posterior predictive mean and
+    its 90 % band, noise included; below, the residual and two noise scales on either side.
     Where outputs are missing (dead zone, excluded spans) the lines break.
 
     Parameters
@@ -122,9 +121,9 @@ def prediction_figure(fit: Fit) -> Figure:
     matplotlib.figure.Figure
         A page wide.
     """
-    shown = fit.observations[:_MOST]
-    unit = torque_unit(fit)
-    what = "motor torque" if unit == "N m" else "motor force"
+    outputs = fit.target.likelihood.outputs
+    shown = outputs[:_MOST]
+    what, unit = outputs[0].quantity, outputs[0].unit
     with paper_style():
         figure = Figure(figsize=(PAGE, _HEIGHT))
         axes = figure.subplots(
@@ -155,11 +154,11 @@ def prediction_figure(fit: Fit) -> Figure:
         axes[0, 0].set_ylabel(f"{what} ({unit})")
         axes[1, 0].set_ylabel(f"residual ({unit})")
         figure.align_ylabels(axes[:, 0])
-        _legend(figure, axes, len(fit.observations))
+        _legend(figure, axes, len(outputs))
     return figure
 
 
-def _torque(ax: Axes, o: Observation, p: Predictive) -> None:
+def _torque(ax: Axes, o: Outputs, p: Predictive) -> None:
     low, high = p.band(LEVEL)
     time, measured, mean, low, high = _broken(o, o.measured, p.mean, low, high)
     pixels = o.time.size > _MOST_POINTS
@@ -191,13 +190,13 @@ def _torque(ax: Axes, o: Observation, p: Predictive) -> None:
         marker=".",
         markersize=1.5,
         markevery=_dots(ax, measured),
-        label="measured, filtered",
+        label="measured",
         rasterized=pixels,
         gid="measured",
     )
 
 
-def _residual(ax: Axes, o: Observation, p: Predictive) -> None:
+def _residual(ax: Axes, o: Outputs, p: Predictive) -> None:
     low, high = p.band(LEVEL)
     time, residual, low, high = _broken(o, o.measured - p.mean, low - p.mean, high - p.mean)
     # once more, for on the scale of the torque a good fit's band is a hairline
@@ -214,16 +213,19 @@ def _residual(ax: Axes, o: Observation, p: Predictive) -> None:
         gid="residual",
     )
     for side in (-2.0, 2.0):
-        ax.axhline(
-            side * p.sigma,
+        broken_time, sigma = _broken(o, side * p.sigma)
+        ax.plot(
+            broken_time,
+            sigma,
             color=PALETTE[1],
             linewidth=0.8,
             linestyle=(0, (4.0, 1.5)),
             label=r"$\pm 2\sigma$" if side > 0 else None,
+            gid="sigma",
         )
 
 
-def _broken(o: Observation, *values: Array) -> list[Array]:
+def _broken(o: Outputs, *values: Array) -> list[Array]:
     """Time and values with a break wherever outputs are missing."""
     gaps = (np.diff(o.time) > 1.5 * o.period) | (np.diff(o.segment_of) != 0)
     at: NDArray[np.intp] = np.flatnonzero(gaps) + 1

@@ -37,8 +37,16 @@ FIGURES: dict[str, Callable[[Fit], Figure]] = {
 }
 
 
-def check_free(folder: Path, *, force: bool) -> None:
+def check_free(folder: Path, *, force: bool | None) -> None:
     """Refuse a run directory that would overwrite another, or cannot be made.
+
+    Parameters
+    ----------
+    folder
+        The run directory.
+    force
+        Whether an old run may be kept under another name; ``None`` where the
+        command has no such option.
 
     Raises
     ------
@@ -61,7 +69,8 @@ def check_free(folder: Path, *, force: bool) -> None:
             raise BadInput(
                 str(folder),
                 "is not empty",
-                "name another folder with -o, or add --force to keep it under another name",
+                "name another folder with -o"
+                + ("" if force is None else ", or add --force to keep it under another name"),
             )
         beside = _beside(folder)
         if not beside.parent.is_dir():
@@ -164,7 +173,8 @@ def write_posterior(path: Path, fit: Fit, config_text: str, recordings: list[Rec
     ensemble = np.repeat(np.arange(n_chains) // walkers, n_draws).reshape(n_chains, n_draws)
     rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(1,)))
     log_likelihood, predictive = _pointwise(fit, rng)
-    dims = {o.name: [f"time_{o.name}"] for o in fit.observations}
+    outputs = fit.target.likelihood.outputs
+    dims = {o.name: [f"time_{o.name}"] for o in outputs}
     write_archive(
         path,
         {
@@ -172,14 +182,14 @@ def write_posterior(path: Path, fit: Fit, config_text: str, recordings: list[Rec
             "log_likelihood": log_likelihood,
             "sample_stats": {"lp": as_chains(posterior.log_density), "ensemble": ensemble},
             "posterior_predictive": predictive,
-            "observed_data": {o.name: o.measured for o in fit.observations},
+            "observed_data": {o.name: o.measured for o in outputs},
             "prior": {
                 name: prior.draw(2000, rng)[None]
                 for name, prior in zip(posterior.names, posterior.priors, strict=True)
             },
         },
         dims=dims,
-        coords={f"time_{o.name}": o.time for o in fit.observations},
+        coords={f"time_{o.name}": o.time for o in outputs},
         attrs={
             "bayesfric": bayesfric.__version__,
             "versions": json.dumps(
@@ -202,16 +212,21 @@ def _pointwise(
     picked = each[:, np.linspace(0, w * s - 1, min(w * s, _POINTWISE_DRAWS // e)).astype(int)]
     n = picked.shape[1]
     flat = picked.reshape(-1, d)
+    likelihood = fit.target.likelihood
     scales = fit.target.noise.scales(flat[:, len(fit.target.free) :])
-    torques = fit.target.likelihood.predict(fit.target.chain_values(flat))
+    values = fit.target.chain_values(flat)
     log_likelihood, predictive = {}, {}
-    for i, (o, torque) in enumerate(zip(fit.observations, torques, strict=True)):
-        sigma = scales[:, i, None]
-        z = (o.measured - torque) / sigma
-        density = -0.5 * z**2 - np.log(sigma) - 0.5 * np.log(2.0 * np.pi)
-        log_likelihood[o.name] = density.reshape(e, n, -1)
-        noisy = torque + sigma * rng.standard_normal(torque.shape)
-        predictive[o.name] = noisy.reshape(e, n, -1)
+    for o, density, predicted, noise in zip(
+        likelihood.outputs,
+        likelihood.pointwise(values, scales),
+        likelihood.predict(values),
+        likelihood.draw_noise(scales, rng),
+        strict=True,
+    ):
+        # the position's terms are combinations of outputs, two fewer a segment
+        same = density.shape[1] == o.measured.size
+        log_likelihood[o.name if same else f"{o.name}.terms"] = density.reshape(e, n, -1)
+        predictive[o.name] = (predicted + noise).reshape(e, n, -1)
     return log_likelihood, predictive
 
 

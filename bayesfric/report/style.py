@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.priors import Prior
-from bayesfric.report.summary import torque_unit
+from bayesfric.report.summary import noise_unit
 
 Array = NDArray[np.float64]
 LineStyle = Literal["solid"] | tuple[float, Sequence[float]]
@@ -158,13 +158,7 @@ class Quantity:
     def exponent(self) -> int:
         """Power of ten that is taken out of the numbers on an axis."""
         low, high = (float(v) for v in np.quantile(self.draws, [0.05, 0.95]))
-        largest = max(abs(low), abs(high))
-        if largest == 0.0 or not math.isfinite(largest) or 0.1 <= largest < 1000.0:
-            return 0
-        # 0.03 is as easily read as 3, but 0.0302 is not
-        if 0.01 <= largest < 0.1 and high - low >= 0.002:
-            return 0
-        return math.floor(math.log10(largest))
+        return power_of_ten(low, high)
 
     @property
     def factor(self) -> float:
@@ -174,12 +168,28 @@ class Quantity:
     @property
     def scaled_unit(self) -> str:
         """Unit on an axis, with the power of ten; a dash where there is neither."""
-        power = f"10$^{{{self.exponent}}}$" if self.exponent else ""
-        return " ".join(part for part in (power, self.unit) if part) or "–"
+        return scaled_unit(self.exponent, self.unit)
 
     def label(self, between: str = " ") -> str:
         """Symbol and unit for an axis, with ``between`` between them."""
         return f"{self.symbol}{between}({self.scaled_unit})"
+
+
+def power_of_ten(low: float, high: float) -> int:
+    """Power of ten to take out of the numbers of an axis from ``low`` to ``high``."""
+    largest = max(abs(low), abs(high))
+    if largest == 0.0 or not math.isfinite(largest) or 0.1 <= largest < 1000.0:
+        return 0
+    # 0.03 is as easily read as 3, but 0.0302 is not
+    if 0.01 <= largest < 0.1 and high - low >= 0.002:
+        return 0
+    return math.floor(math.log10(largest))
+
+
+def scaled_unit(exponent: int, unit: str) -> str:
+    """Unit on an axis, with the power of ten; a dash where there is neither."""
+    power = f"10$^{{{exponent}}}$" if exponent else ""
+    return " ".join(part for part in (power, unit) if part) or "–"
 
 
 def quantities(fit: Fit) -> list[Quantity]:
@@ -187,8 +197,8 @@ def quantities(fit: Fit) -> list[Quantity]:
     posterior, noise = fit.posterior, fit.target.noise
     said = {p.name: (p.symbol, p.unit) for p in fit.chain.parameters}
     said |= {
-        name: (symbol, torque_unit(fit))
-        for name, symbol in zip(noise.names, noise.symbols, strict=True)
+        name: (symbol, noise_unit(fit, kind))
+        for name, symbol, kind in zip(noise.names, noise.symbols, noise.quantities, strict=True)
     }
     return [
         Quantity(name, mathtext(said[name][0], name), said[name][1], posterior[name], prior)

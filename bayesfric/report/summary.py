@@ -11,26 +11,41 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bayesfric
-from bayesfric.estimates.torque import typical_load
+from bayesfric.estimates.estimate import Estimate
+from bayesfric.estimates.least_squares import TotalsProjection
+from bayesfric.estimates.torque import filtered_torque, typical_load
 from bayesfric.identifiability.local import LocalInformation, local_information, verdict
 from bayesfric.inference.fit import Fit
+from bayesfric.inference.likelihood import lag_one
 from bayesfric.mechanism.derived import derive
-from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
 
 LEVEL = 0.9
+# Samples times draws for the totals; more draws change nothing that is printed.
+_TOTALS_BUDGET = 50_000_000
+_NOISE_MODELS = {
+    "input-error": "white",
+    "output-error": "white in torque and position, torque noise carried through the simulation",
+}
+_NOISES = {
+    "sigma": "noise of the filtered torque",
+    "torque": "noise of a torque sample",
+    "position": "noise of a position sample",
+}
 # Residual correlation above which white-noise intervals are called too narrow.
 _CORRELATED = 0.2
 
 
-def summarise(fit: Fit) -> dict[str, Any]:
+def summarise(fit: Fit, references: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Put all numbers of a fit into the form of ``summary.json``.
 
     Parameters
     ----------
     fit
         A finished fit.
+    references
+        Values to compare with, as a configuration gives them.
 
     Returns
     -------
@@ -43,7 +58,8 @@ def summarise(fit: Fit) -> dict[str, Any]:
     median = np.median(flat, axis=0)
     local = local_information(fit.target, median)
     residual = residuals(fit)
-    lags = [lag_one(o, r) for o, r in zip(fit.observations, residual, strict=True)]
+    outputs = fit.target.likelihood.outputs
+    lags = [lag_one(o, r) for o, r in zip(outputs, residual, strict=True)]
     weights = [r.size if np.isfinite(lag) else 0 for lag, r in zip(lags, residual, strict=True)]
     correlation = _number(
         np.average(np.nan_to_num(lags), weights=weights) if any(weights) else np.nan
@@ -56,17 +72,10 @@ def summarise(fit: Fit) -> dict[str, Any]:
             for p, value in zip(fit.chain.parameters, fit.chain_draws(1)[0], strict=True)
             if p.name not in fit.target.free
         },
-        "derived": _derived(fit, median, local),
-        "estimates": {
-            fit.totals.method: {
-                "parameters": {
-                    v.name: {"unit": v.unit, "value": v.value, "sd": _number(v.sd)}
-                    for v in fit.totals.values
-                },
-                "residual_rms": fit.totals.residual_rms,
-                "assumption": fit.totals.assumption,
-            }
-        },
+        "derived": _totals(fit, median, local) | _derived(fit, median, local),
+        "estimates": {estimate.method: estimate_summary(estimate) for estimate in fit.estimates},
+        "references": dict(references or {}),
+        "likelihood": {"method": fit.target.likelihood.method},
         "identifiability": {
             "null_directions": [
                 {"parameters": n.exponents, "meaning": n.meaning} for n in local.null_directions
@@ -74,25 +83,29 @@ def summarise(fit: Fit) -> dict[str, Any]:
             "singular_values": [float(x) for x in local.directions.singular_values],
         },
         "noise": {
-            "model": "white",
+            "model": _NOISE_MODELS[fit.target.likelihood.method],
             "parameters": list(fit.target.noise.names),
             "residual_lag1": correlation,
         },
         "fit": {
             "residual_rms": _rms(np.concatenate(residual)),
-            "unit": torque_unit(fit),
+            "unit": outputs[0].unit,
+            "quantity": outputs[0].quantity,
             "recordings": {
                 o.name: {
                     "residual_rms": _rms(r),
-                    "residual_lag1": _number(lag_one(o, r)),
+                    "residual_lag1": _number(lag),
                     "outputs": int(o.measured.size),
-                    **o.settings,
+                    **observation.settings,
                 }
-                for o, r in zip(fit.observations, residual, strict=True)
+                for o, observation, r, lag in zip(
+                    outputs, fit.observations, residual, lags, strict=True
+                )
             },
         },
         "warnings": [
-            *_correlated(correlation),
+            # drifting positions are correlated by their model; there it says nothing
+            *_correlated(correlation if fit.target.likelihood.method == "input-error" else None),
             *(f"{o.name}: {text}" for o in fit.observations for text in o.warnings),
         ],
         "sampler": {
@@ -132,25 +145,14 @@ def summary_table(summary: Mapping[str, Any]) -> str:
 
 
 def residuals(fit: Fit) -> list[Array]:
-    """Measured minus posterior mean torque of each recording."""
-    predicted = fit.target.likelihood.predict(fit.chain_draws(200))
+    """Measured minus posterior mean output of each recording."""
+    likelihood = fit.target.likelihood
     return [
-        o.measured - torque.mean(axis=0)
-        for o, torque in zip(fit.observations, predicted, strict=True)
+        o.measured - predicted.mean(axis=0)
+        for o, predicted in zip(
+            likelihood.outputs, likelihood.predict(fit.chain_draws(200)), strict=True
+        )
     ]
-
-
-def lag_one(observation: Observation, residual: Array) -> float:
-    """Correlate each residual with the next output's, where the next was not left out.
-
-    ``nan`` with fewer than ten such pairs.
-    """
-    step = np.diff(observation.filter.starts)
-    follows = (step == step.min()) & (np.diff(observation.segment_of) == 0)
-    first, second = residual[:-1][follows], residual[1:][follows]
-    if first.size < 10:
-        return float("nan")
-    return float(np.mean(first * second) / np.mean(residual**2))
 
 
 def _correlated(lag: float | None) -> list[str]:
@@ -164,22 +166,56 @@ def _correlated(lag: float | None) -> list[str]:
     ]
 
 
-def torque_unit(fit: Fit) -> str:
-    """Name the unit of the measured torque."""
+def noise_unit(fit: Fit, quantity: str) -> str:
+    """Name the unit of a noise scale: ``sigma``, ``torque`` or ``position``."""
+    if quantity == "position":
+        return fit.target.likelihood.outputs[0].unit
     return "N m" if fit.chain.motor_motion == "rotary" else "N"
+
+
+def estimate_summary(estimate: Estimate) -> dict[str, Any]:
+    """Put a point estimate into the form of ``summary.json``."""
+    return {
+        "parameters": {
+            v.name: {
+                "unit": v.unit,
+                "symbol": v.symbol,
+                "meaning": v.meaning,
+                "value": v.value,
+                "sd": _number(v.sd),
+                "sd_robust": _number(v.sd_robust),
+                "kind": v.kind,
+                "gauge_free": v.gauge_free,
+                "determined": v.determined,
+                "at_bound": v.at_bound,
+                "span": list(v.span) if v.span else None,
+            }
+            for v in estimate.values
+        },
+        "point": dict(estimate.point),
+        "residual_rms": estimate.residual_rms,
+        "residual_unit": estimate.residual_unit,
+        "outputs": estimate.n_outputs,
+        "assumption": estimate.assumption,
+        "notes": list(estimate.notes),
+    }
 
 
 def _parameters(fit: Fit, flat: Array, local: LocalInformation) -> dict[str, Any]:
     d = fit.posterior.diagnostics
-    units = {p.name: (p.unit, p.meaning) for p in fit.chain.parameters}
+    described = {p.name: (p.unit, p.symbol, p.meaning) for p in fit.chain.parameters}
+    noise = fit.target.noise
+    for name, symbol, quantity in zip(noise.names, noise.symbols, noise.quantities, strict=True):
+        described[name] = (noise_unit(fit, quantity), symbol, _NOISES[quantity])
     rows = {}
     for j, (name, prior) in enumerate(zip(fit.posterior.names, fit.posterior.priors, strict=True)):
-        unit, meaning = units.get(name, (torque_unit(fit), "noise of the filtered torque"))
+        unit, symbol, meaning = described[name]
         sd, prior_sd = float(flat[:, j].std()), prior.sd()
         # the noise scale's own information: a variance estimated from n residuals
         data_sd = local.data_sd[j] if j < len(local.names) else sd
         rows[name] = {
             "unit": unit,
+            "symbol": symbol,
             "meaning": meaning,
             **_spread(flat[:, j]),
             "rhat": _number(d.rhat[j]),
@@ -213,6 +249,7 @@ def _derived(fit: Fit, median: Array, local: LocalInformation) -> dict[str, Any]
             continue
         rows[q.name] = {
             "unit": q.unit,
+            "symbol": q.symbol,
             "meaning": q.meaning,
             **_spread(defined),
             "verdict": verdict(
@@ -222,6 +259,61 @@ def _derived(fit: Fit, median: Array, local: LocalInformation) -> dict[str, Any]
             "gauge_free": q.gauge_free,
         }
     return rows
+
+
+def _totals(fit: Fit, median: Array, local: LocalInformation) -> dict[str, Any]:
+    """State what least squares, eq. (11), would find in each draw's torque."""
+    projection = TotalsProjection(fit.chain, fit.observations)
+    wanted = [
+        (i, name, label)
+        for i, (name, label) in enumerate(zip(projection.names, projection.labels, strict=True))
+        if label not in fit.chain.names and not projection.open[i]
+    ]
+    if not wanted:
+        return {}
+    samples = sum(o.q.size for o in fit.observations)
+    values = fit.chain_draws(max(400, _TOTALS_BUDGET // samples))
+    draws = projection.solve(_stacked(fit, values)).T
+    rng = np.random.default_rng(np.random.SeedSequence(fit.posterior.seed, spawn_key=(3,)))
+    drawn = np.stack([prior.draw(300, rng) for prior in fit.posterior.priors], axis=1)
+    prior = projection.solve(_stacked(fit, fit.target.chain_values(drawn))).T
+    k = len(fit.target.free)
+    steps = 1e-5 * np.maximum(np.abs(median[:k]), 1e-9)
+    moved = fit.target.chain_values(_moved(median, steps))
+    change = projection.solve(_stacked(fit, moved))
+    gradients = (change[:, :k] - change[:, k:]) / (2.0 * steps)
+    rows = {}
+    for i, name, label in wanted:
+        unit, symbol, meaning = projection.describe(name)
+        rows[label] = {
+            "unit": unit,
+            "symbol": symbol,
+            "meaning": f"{meaning}, as least squares would see it",
+            **_spread(draws[:, i]),
+            "verdict": verdict(
+                _robust_sd(draws[:, i]), _robust_sd(prior[:, i]), local.data_sd_of(gradients[i])
+            ),
+            "undefined_share": 0.0,
+            "gauge_free": True,
+        }
+    return rows
+
+
+def _stacked(fit: Fit, values: Array) -> Array:
+    """Filter the torques of parameter vectors over all recordings, ``(outputs, n)``."""
+    return np.concatenate(
+        [filtered_torque(fit.chain, o, values) for o in fit.observations], axis=1
+    ).T
+
+
+def _moved(median: Array, steps: Array) -> Array:
+    """Vectors a step to either side in each free parameter, ``(2k, d)``."""
+    k = steps.size
+    moved = np.tile(median, (2 * k, 1))
+    index = np.arange(k)
+    moved[index, index] += steps
+    moved[k + index, index] -= steps
+    return moved
 
 
 def _prior_sds(fit: Fit, at_load: float) -> dict[str, float]:
@@ -246,11 +338,7 @@ def _gradients(fit: Fit, median: Array, at_load: float) -> dict[str, Array]:
     """Differentiate the derived quantities by the free parameters, centrally."""
     k = len(fit.target.free)
     steps = 1e-5 * np.maximum(np.abs(median[:k]), 1e-9)
-    moved = np.tile(median, (2 * k, 1))
-    index = np.arange(k)
-    moved[index, index] += steps
-    moved[k + index, index] -= steps
-    found = derive(fit.chain, fit.target.chain_values(moved), at_load)
+    found = derive(fit.chain, fit.target.chain_values(_moved(median, steps)), at_load)
     return {q.name: (q.values[:k] - q.values[k:]) / (2.0 * steps) for q in found}
 
 

@@ -80,11 +80,11 @@ def test_what_one_direction_of_motion_cannot_tell_is_left_open(make_observation)
     torque = 0.01 * o.qdd + 0.05 * speed + 0.2 + 0.02
     one_way = type(o)(**{**vars(o), "qd": speed, "measured": o.filter.apply(torque)})
     totals = least_squares(chain, [one_way])
-    assert totals["total.inertia"].value == pytest.approx(0.01, rel=1e-6)
-    assert totals["total.viscous"].value == pytest.approx(0.05, rel=1e-6)
-    assert np.isfinite(totals["total.inertia"].sd)
-    assert np.isinf(totals["total.coulomb"].sd)
-    assert np.isinf(totals["total.offset"].sd)
+    assert totals["motor.inertia"].value == pytest.approx(0.01, rel=1e-6)
+    assert totals["motor.viscous"].value == pytest.approx(0.05, rel=1e-6)
+    assert np.isfinite(totals["motor.inertia"].sd)
+    assert np.isinf(totals["motor.coulomb"].sd)
+    assert np.isinf(totals["offset"].sd)
 
 
 def test_fewer_outputs_than_totals_are_refused(make_observation):

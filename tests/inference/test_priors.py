@@ -137,5 +137,5 @@ def test_default_scales_follow_the_shaft():
     assert sd["motor.viscous"] == 0.01
     assert sd["joint.viscous"] == pytest.approx(25.0, abs=5.1)  # 25 to one digit
     assert sd["load.inertia"] == pytest.approx(1.25, abs=0.3)
-    noise = default_noise_prior(scales)
+    noise = default_noise_prior("noise.sigma", scales)
     assert (noise.lower, noise.upper) == (1e-6, 1.0)

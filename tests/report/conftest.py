@@ -109,7 +109,7 @@ def build(
         diagnostics=diagnostics,
         seed=5,
     )
-    return Fit(target, posterior, least_squares(chain, observations))
+    return Fit(target, posterior, (least_squares(chain, observations),))
 
 
 def draw_fast(figure):

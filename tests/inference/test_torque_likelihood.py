@@ -6,7 +6,7 @@ from scipy import stats
 
 from bayesfric.errors import BadInput
 from bayesfric.inference.fit import make_target, read_priors
-from bayesfric.inference.likelihood import TorqueLikelihood
+from bayesfric.inference.torque_likelihood import TorqueLikelihood
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS
 
@@ -53,10 +53,10 @@ def test_density_is_the_normals(knee):
         stats.norm.logpdf(o.measured, torque, sigma[:, i, None]).sum(axis=1)
         for i, (o, torque) in enumerate(zip(observations, likelihood.predict(values), strict=True))
     )
-    np.testing.assert_allclose(likelihood.log_density(values, sigma), expected, rtol=1e-10)
-    shared = likelihood.log_density(values, sigma[:, :1])
-    both = likelihood.log_density(values, np.repeat(sigma[:, :1], 2, axis=1))
-    np.testing.assert_allclose(shared, both)
+    scales = sigma[..., None]
+    np.testing.assert_allclose(likelihood.log_density(values, scales), expected, rtol=1e-10)
+    terms = sum(t.sum(axis=1) for t in likelihood.pointwise(values, scales))
+    np.testing.assert_allclose(terms, expected, rtol=1e-10)
 
 
 @pytest.mark.parametrize("scale", ["shared", "per-recording"])
