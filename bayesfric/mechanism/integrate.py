@@ -193,7 +193,8 @@ def integrate(
         start = load[GAIN] * measured[i] - load[OFFSET]
         if not (abs(q) <= RUNAWAY and math.isfinite(qd)):
             return i
-        # At a sample everything is decided afresh: the torque may have jumped.
+        # At a sample a held torque jumps, and direction and power flow are decided afresh; a
+        # linear one goes on, and so do they unless the joint stands.
         if qd == 0.0:
             low, high = breakaway_torques(joint, q)
             was, sign = sign, 1.0 if start > high else (-1.0 if start < low else 0.0)
@@ -203,8 +204,9 @@ def integrate(
                 if before * sign < 0.0:
                     counts[1] += 1
                 before = sign
-        qdd = 0.0
-        if sign != 0.0:
+        if sign == 0.0:
+            qdd = 0.0
+        elif i == 0 or not linear or qd == 0.0:
             qdd, pattern = exact_acceleration(joint, q, qd, start, sign)
         q_out[i], qd_out[i], qdd_out[i], sticking[i] = q, qd, qdd, sign == 0.0
         if i == samples - 1:
