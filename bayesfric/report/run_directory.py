@@ -21,7 +21,10 @@ from bayesfric.errors import BadInput
 from bayesfric.inference.archive import as_chains, write_archive
 from bayesfric.inference.fit import Fit
 from bayesfric.recordings.recording import Recording
+from bayesfric.report.comparison import comparison
+from bayesfric.report.comparison_table import comparison_csv, comparison_markdown
 from bayesfric.report.corner import corner_figure
+from bayesfric.report.forest import forest_figure
 from bayesfric.report.prediction import prediction_figure
 from bayesfric.report.style import save
 from bayesfric.report.summary import summary_table
@@ -157,6 +160,10 @@ def write_run(
         figures.mkdir()
         for stem, draw in FIGURES.items():
             save(draw(fit), figures, stem)
+        methods = comparison({folder.name: summary})
+        save(forest_figure(methods), figures, "methods")
+        (beside / "methods.csv").write_text(comparison_csv(methods), encoding="utf-8")
+        (beside / "methods.md").write_text(comparison_markdown(methods), encoding="utf-8")
 
 
 def write_posterior(path: Path, fit: Fit, config_text: str, recordings: list[Recording]) -> None:

@@ -187,7 +187,7 @@ def power_of_ten(low: float, high: float) -> int:
 
 
 def scaled_unit(exponent: int, unit: str) -> str:
-    """Unit on an axis, with the power of ten; a dash where there is neither."""
+    """Write the unit of an axis with its power of ten; a dash where there is neither."""
     power = f"10$^{{{exponent}}}$" if exponent else ""
     return " ".join(part for part in (power, unit) if part) or "–"
 

@@ -1,0 +1,116 @@
+"""``bayesfric compare``: methods and runs side by side."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from bayesfric.errors import BadInput
+from bayesfric.report.comparison import Comparison, comparison
+from bayesfric.report.comparison_table import (
+    comparison_csv,
+    comparison_dict,
+    comparison_markdown,
+)
+
+# A summary is a page or two of numbers; anything larger is some other file.
+_LARGEST = 20_000_000
+
+
+def compare(
+    runs: Sequence[Path], output: Path | None = None, *, estimates: bool | None = None
+) -> Comparison:
+    """Compare finished runs; with ``output``, write tables and the forest figure.
+
+    Parameters
+    ----------
+    runs
+        Run directories; of a single one its methods are compared.
+    output
+        Folder to make: ``comparison.csv``, ``.md`` and ``.json`` and
+        ``figures/forest.pdf`` and ``.png``.
+    estimates
+        Whether to show point estimates; if left out, of a single run only.
+
+    Raises
+    ------
+    BadInput
+        For anything that cannot be compared; nothing is written then.
+    """
+    summaries = read_summaries(runs)
+    if output is None:
+        return comparison(summaries, estimates=estimates)
+
+    # these bring ArviZ and Matplotlib along, which the table alone does without
+    from bayesfric.report.forest import forest_figure
+    from bayesfric.report.run_directory import check_free, made_beside
+    from bayesfric.report.style import save
+
+    check_free(output, force=None)
+    found = comparison(summaries, estimates=estimates)
+    figure = forest_figure(found)
+    with made_beside(output) as beside:
+        (beside / "comparison.csv").write_text(comparison_csv(found), encoding="utf-8")
+        (beside / "comparison.md").write_text(comparison_markdown(found), encoding="utf-8")
+        (beside / "comparison.json").write_text(
+            json.dumps(comparison_dict(found), indent=1, ensure_ascii=False, allow_nan=False)
+            + "\n",
+            encoding="utf-8",
+        )
+        (beside / "figures").mkdir()
+        save(figure, beside / "figures", "forest")
+    return found
+
+
+def read_summaries(runs: Sequence[Path]) -> dict[str, Mapping[str, Any]]:
+    """Read ``summary.json`` of every run, named by as much of its folder as tells them apart."""
+    folders: list[Path] = []
+    for run in runs:
+        folder = Path(os.path.realpath(run))
+        if folder in folders:
+            raise BadInput(str(run), "is given twice", "name each run once")
+        folders.append(folder)
+    return dict(zip(_names(folders), map(_read, runs), strict=True))
+
+
+def _names(folders: Sequence[Path]) -> list[str]:
+    deepest = max((len(folder.parts) for folder in folders), default=1)
+    for parts in range(1, deepest):
+        names = ["/".join(folder.parts[-parts:]) for folder in folders]
+        if len(set(names)) == len(names):
+            return names
+    return [str(folder) for folder in folders]
+
+
+def _read(run: Path) -> Mapping[str, Any]:
+    file = run / "summary.json"
+    mend = "name a run directory, as 'bayesfric fit' makes it"
+    try:
+        if not run.is_dir():
+            what = "is a file" if run.exists() else "there is no such folder"
+            raise BadInput(str(run), what, mend)
+        with file.open("rb") as opened:
+            raw = opened.read(_LARGEST + 1)
+        if len(raw) > _LARGEST:
+            raise BadInput(str(file), "is too large for a summary", mend)
+        found = json.loads(raw.decode("utf-8"), parse_constant=_refuse)
+    except FileNotFoundError:
+        raise BadInput(str(run), "holds no summary.json", mend) from None
+    except OSError as error:
+        raise BadInput(str(file), f"cannot be read ({error.strerror})", mend) from None
+    except UnicodeDecodeError as error:
+        raise BadInput(
+            str(file), f"is not UTF-8 (byte {error.start})", "fit this run again"
+        ) from None
+    except (ValueError, RecursionError) as error:
+        raise BadInput(str(file), f"is no JSON ({error})", "fit this run again") from None
+    if not isinstance(found, dict):
+        raise BadInput(str(file), "holds no table of results", "fit this run again")
+    return found
+
+
+def _refuse(constant: str) -> float:
+    raise ValueError(f"{constant} is no number")

@@ -1,0 +1,147 @@
+"""What a ``summary.json`` tells, read back and checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+
+from bayesfric.complaints import complaint
+from bayesfric.errors import BadInput
+from bayesfric.estimates.estimate import Kind, Method
+
+# JSON has lists only; a pair is one with a low and a high end.
+Pair = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
+NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
+Bound = Literal["lower", "upper"]
+Name = Annotated[str, Field(min_length=1)]
+
+
+class _Part(BaseModel):
+    # what other versions add is none of ours; what they lack has a default
+    model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
+
+
+class EstimatedRow(_Part):
+    """One number of a point estimate; see :class:`bayesfric.estimates.estimate.EstimatedValue`."""
+
+    unit: str
+    value: FiniteFloat
+    sd: NotNegative | None = None
+    sd_robust: NotNegative | None = None
+    symbol: str = ""
+    meaning: str = ""
+    kind: Kind | None = None
+    gauge_free: bool | None = None
+    determined: bool | None = None
+    at_bound: Bound | None = None
+    span: Pair | None = None
+
+
+class EstimateTable(_Part):
+    """A point estimate."""
+
+    parameters: dict[Name, EstimatedRow]
+    residual_rms: NotNegative | None = None
+    residual_unit: str = ""
+    assumption: str = ""
+    notes: list[str] = Field(default_factory=list)
+
+
+class PosteriorRow(_Part):
+    """One parameter or derived quantity of a posterior."""
+
+    unit: str
+    mean: FiniteFloat
+    sd: NotNegative
+    interval: Pair
+    level: Annotated[FiniteFloat, Field(gt=0.0, lt=1.0)]
+    verdict: Literal["data", "weak", "prior"]
+    symbol: str = ""
+    meaning: str = ""
+    gauge_free: bool | None = None
+    data_sd: NotNegative | None = None
+    prior_sd: NotNegative | None = None
+    at_bound: Bound | None = None
+    undefined_share: Annotated[FiniteFloat, Field(ge=0.0, le=1.0)] | None = None
+
+
+class KnownRow(_Part):
+    """A parameter that was taken as known."""
+
+    unit: str
+    value: FiniteFloat
+
+
+class ReferenceRow(_Part):
+    """A value from elsewhere: the manufacturer's, or from CAD."""
+
+    value: FiniteFloat
+    unit: str
+    sd: NotNegative | None = None
+    source: str = "reference"
+
+
+class Likelihood(_Part):
+    """What the posterior compares with the recording."""
+
+    method: Literal["input-error", "output-error"] = "input-error"
+
+
+class Noise(_Part):
+    """What residuals were taken for."""
+
+    model: str = "white"
+    residual_lag1: FiniteFloat | None = None
+
+
+class Residual(_Part):
+    """What the posterior leaves unexplained."""
+
+    residual_rms: NotNegative | None = None
+    unit: str = ""
+
+
+class Sampler(_Part):
+    """Whether the posterior can be relied on."""
+
+    status: str = "reliable"
+
+
+class RunSummary(_Part):
+    """The part of a ``summary.json`` that comparisons need."""
+
+    parameters: dict[Name, PosteriorRow]
+    derived: dict[Name, PosteriorRow] = Field(default_factory=dict)
+    fixed: dict[Name, KnownRow] = Field(default_factory=dict)
+    estimates: dict[Method, EstimateTable] = Field(default_factory=dict)
+    references: dict[Name, ReferenceRow] = Field(default_factory=dict)
+    likelihood: Likelihood = Field(default_factory=Likelihood)
+    noise: Noise = Field(default_factory=Noise)
+    fit: Residual = Field(default_factory=Residual)
+    sampler: Sampler = Field(default_factory=Sampler)
+
+
+def read_summary(summary: Mapping[str, Any], where: str) -> RunSummary:
+    """Check what a ``summary.json`` holds.
+
+    Parameters
+    ----------
+    summary
+        The file's contents.
+    where
+        What to call it in complaints.
+
+    Raises
+    ------
+    BadInput
+        Naming the key, where something is missing or of another type.
+    """
+    try:
+        return RunSummary.model_validate(summary)
+    except ValidationError as error:
+        said = complaint(Path(where), error, summary, RunSummary)
+        mend = "name a run that 'bayesfric fit' wrote, or fit it again"
+        raise BadInput(said.where, said.what, mend) from None

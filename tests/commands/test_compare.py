@@ -1,0 +1,196 @@
+"""``bayesfric compare`` as a user runs it."""
+
+import csv
+import json
+import re
+
+import pytest
+
+from bayesfric.report import style
+from tests.report.made_summaries import LEG, TOTALS, knee, loaded, old
+
+from .bench import below_a_file, has
+
+
+@pytest.fixture
+def runs(bench):
+    """Give three runs, two of which have the same name in different folders."""
+    for folder, summary in (("knee", knee()), ("a/run", loaded()), ("b/run", old())):
+        (bench.folder / folder).mkdir(parents=True)
+        write(bench.folder / folder, json.dumps(summary, ensure_ascii=False))
+    return bench
+
+
+def write(folder, text):
+    (folder / "summary.json").write_text(text, encoding="utf-8")
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Leave the figure's pixels out; a process of its own draws them in one test."""
+    monkeypatch.setattr(style, "save", lambda *_: None)
+
+
+def test_one_run_in_a_process_of_its_own(runs):
+    ended = runs.run_apart("compare", "knee", "-o", "out")
+    assert (ended.code, ended.err) == (0, ""), ended
+    for word in ("least-squares", "input-error", "output-error", "posterior", "CAD", *TOTALS, *LEG):
+        assert word in ended.out
+    lines = ended.out.split("\n")
+    assert lines[-2] == "Written to out"
+    assert max(map(len, lines)) <= 120
+    found = {str(path.relative_to(runs.folder / "out")) for path in runs.folder.glob("out/**/*")}
+    assert found == {
+        "comparison.csv",
+        "comparison.md",
+        "comparison.json",
+        "figures",
+        "figures/forest.pdf",
+        "figures/forest.png",
+    }
+    with (runs.folder / "out" / "comparison.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["name"] for row in rows} >= {*TOTALS, *LEG}
+    left = [path.name for path in runs.folder.iterdir() if path.name.startswith(".")]
+    assert left == []
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_json_is_what_is_written(runs):
+    ended = runs.run("compare", "knee", "a/run", "--json", "-o", "out")
+    assert ended.code == 0, ended
+    written = json.loads((runs.folder / "out" / "comparison.json").read_text(encoding="utf-8"))
+    assert json.loads(ended.out) == written
+    assert written["baseline"] == "knee: posterior"
+
+
+def test_runs_of_one_name_are_told_apart(runs):
+    ended = runs.run("compare", "a/run", "b/run", "--json")
+    assert ended.code == 0, ended
+    labels = [column["label"] for column in json.loads(ended.out)["columns"]]
+    assert labels[:2] == ["a/run: posterior", "b/run: posterior"]
+
+
+def test_the_working_folder_has_a_name(runs, monkeypatch):
+    monkeypatch.chdir(runs.folder / "knee")
+    ended = runs.run("compare", ".", "../a/run", "--json")
+    labels = [column["label"] for column in json.loads(ended.out)["columns"]]
+    assert labels[:2] == ["knee: posterior", "run: posterior"]
+
+
+def test_estimates_of_several_runs_when_asked(runs):
+    without = runs.run("compare", "knee", "a/run")
+    with_them = runs.run("compare", "knee", "a/run", "--estimates")
+    assert "output-error" not in re.sub(r"posterior: .*", "", without.out)
+    for label in ("knee: output-error", "run: least-squares"):
+        assert label in with_them.out
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_open_numbers_stay_without_sd_in_every_file(runs):
+    run = knee()
+    for name in LEG:
+        run["parameters"][name] |= {"sd": 0.0717171, "interval": [0.1717171, 0.9717171]}
+    write(runs.folder / "knee", json.dumps(run))
+    ended = runs.run("compare", "knee", "-o", "out")
+    assert ended.code == 0, ended
+    texts = [path.read_text(encoding="utf-8") for path in runs.folder.glob("out/comparison.*")]
+    assert len(texts) == 3
+    for text in (ended.out, *texts):
+        assert "7171" not in text
+        assert "not determined" in text
+
+
+# -- bad input: one line, exit code 2, nothing written (``refused`` looks)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    [
+        (["nowhere"], ["nowhere: there is no such folder"]),
+        (["knee", "nowhere"], ["nowhere: there is no such folder"]),
+        (["knee/summary.json"], ["knee/summary.json: is a file"]),
+        (["a"], ["a: holds no summary.json"]),
+        (["knee", "knee"], ["knee: is given twice"]),
+        (["knee", "a/../knee"], ["a/../knee: is given twice"]),
+        (["knee" * 200], ["cannot be read"]),
+        (["knee", "-o", "knee"], ["knee: is not empty"]),
+        (["knee", "-o", "c.toml"], ["c.toml: is a file"]),
+        (["knee", "-o", "no/such/out"], ["there is no such folder"]),
+    ],
+)
+def test_places(runs, arguments, parts):
+    message = runs.refused("compare", *arguments)
+    has(message, *parts)
+    # there is no such option here
+    assert "--force" not in message
+
+
+def test_a_link_to_the_same_run(runs):
+    (runs.folder / "link").symlink_to("knee", target_is_directory=True)
+    has(runs.refused("compare", "knee", "link"), "link: is given twice")
+
+
+def test_a_place_that_cannot_be_written(runs):
+    below = below_a_file(runs.folder)
+    runs.refused("compare", "knee", "-o", f"{below}/out")
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("", ["is no JSON"]),
+        ("{", ["is no JSON"]),
+        ("[" * 100_000, ["is no JSON"]),
+        ("[1, 2]", ["holds no table"]),
+        ("null", ["holds no table"]),
+        ("{}", ["parameters", "is missing"]),
+        ('{"parameters": {"a": {"mean": NaN}}}', ["is no JSON", "NaN"]),
+        ('{"parameters": {"a": 3}}', ["parameters.a"]),
+        ('{"parameters": {}}', ["holds no result"]),
+    ],
+)
+def test_files_that_hold_something_else(runs, text, parts):
+    write(runs.folder / "knee", text)
+    has(runs.refused("compare", "knee"), "knee", *parts)
+
+
+def test_a_file_that_is_no_text(runs):
+    (runs.folder / "knee" / "summary.json").write_bytes(b'{"parameters": "\xff"}')
+    has(runs.refused("compare", "knee"), "is not UTF-8")
+
+
+def test_a_summary_that_is_a_folder(runs):
+    (runs.folder / "a" / "summary.json").mkdir()
+    has(runs.refused("compare", "a"), "cannot be read")
+
+
+def test_wrong_types_in_a_process_of_its_own(runs):
+    run = knee()
+    run["parameters"]["motor.inertia"]["sd"] = "small"
+    write(runs.folder / "knee", json.dumps(run))
+    message = runs.refused("compare", "knee", run=runs.run_apart)
+    has(message, "knee: parameters.motor.inertia.sd", "'small'")
+
+
+def test_units_that_differ(runs):
+    run = loaded()
+    run["derived"]["gearbox.lambda_ratio"]["unit"] = "rad"
+    for table in ("input-error", "output-error"):
+        run["estimates"][table]["parameters"]["gearbox.lambda_ratio"]["unit"] = "rad"
+    write(runs.folder / "a" / "run", json.dumps(run))
+    message = runs.refused("compare", "knee", "a/run")
+    has(message, "run: gearbox.lambda_ratio", "'rad'", "'no unit'", "in knee")
+
+
+def test_nothing_in_common(runs):
+    run = old()
+    row = run["parameters"]["motor.inertia"]
+    write(runs.folder / "b" / "run", json.dumps({"parameters": {"axis.inertia": row}}))
+    has(runs.refused("compare", "knee", "b/run"), "run: has no quantity in common")
+
+
+def test_no_run_at_all(runs):
+    ended = runs.run("compare")
+    assert ended.code == 2
+    assert "Traceback" not in ended.err

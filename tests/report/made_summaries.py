@@ -1,0 +1,169 @@
+"""Invented summaries of the Rabbit knee: one recording, and the same with a known mass."""
+
+import copy
+
+# name: unit, symbol, value, plain sd, sd for correlated residuals
+TOTALS = {
+    "total.inertia": ("kg m²", "J_t", 4.62e-4, 4.1e-7, 1.3e-6),
+    "total.viscous": ("N m s", "f_t", 5.57e-3, 1.1e-5, 3.6e-5),
+    "total.coulomb": ("N m", "C_t", 0.236, 9.4e-4, 3.1e-3),
+    "total.offset": ("N m", r"\Delta C_t", -4.4e-3, 3.0e-4, 9e-4),
+    "total.gravity": ("N m", r"ml\,g/(\alpha_m N)", 0.1127, 1.2e-3, 3.3e-3),
+}
+DERIVED = {
+    "total_drive.inertia": ("kg m²", r"J_{t}^{\mathrm{drive}}", 4.681e-4, 5e-7, 1.2e-6),
+    "total_drive.viscous": ("N m s", r"f_{t}^{\mathrm{drive}}", 5.70e-3, 1.0e-5, 2.4e-5),
+    "total_drive.coulomb_positive": ("N m", r"C_{t1}^{\mathrm{drive}}", 0.2203, 9e-4, 2.2e-3),
+    "total_drive.gravity": ("N m", r"G_{t}^{\mathrm{drive}}", 0.1128, 9e-4, 2.0e-3),
+    "gearbox.lambda_ratio": ("", r"\lambda_1/\lambda_2", 2.74, 0.55, 0.9),
+}
+MOTOR = {
+    "motor.inertia": ("kg m²", "J_{m}", 3.40e-4, 1.4e-5, 2.6e-5),
+    "motor.viscous": ("N m s", "f_{m}", 3.8e-3, 2.5e-4, 4.4e-4),
+}
+# name: unit, symbol, value, span
+LEG = {
+    "gearbox.load_drive": ("", r"\mu_{1}", 0.30, (0.0, 0.65)),
+    "joint.viscous": ("N m s", "f_{c}", 3.4, (2.5, 4.7)),
+    "load.inertia": ("kg m²", "J_{c}", 0.24, (0.18, 0.34)),
+    "load.first_moment": ("kg m", "ml", 0.42, (0.30, 0.57)),
+}
+
+
+def posterior_row(unit, mean, sd, *, gauge_free=None, verdict="data", **more):
+    row = {
+        "unit": unit,
+        "meaning": "made up",
+        "mean": mean,
+        "sd": sd,
+        "median": mean,
+        "interval": [mean - 1.645 * sd, mean + 1.645 * sd],
+        "level": 0.9,
+        "verdict": verdict,
+        **more,
+    }
+    if gauge_free is not None:
+        row["gauge_free"] = gauge_free
+    return row
+
+
+def estimated(unit, symbol, value, sd, robust, kind, **more):
+    return {
+        "unit": unit,
+        "symbol": symbol,
+        "meaning": "made up",
+        "value": value,
+        "sd": sd,
+        "sd_robust": robust,
+        "kind": kind,
+        "gauge_free": True,
+        "determined": True,
+        "at_bound": None,
+        "span": None,
+        **more,
+    }
+
+
+def left_open(name, **more):
+    unit, symbol, value, span = LEG[name]
+    told = {"gauge_free": False, "determined": False, "span": list(span), **more}
+    return estimated(unit, symbol, value, None, None, "parameter", **told)
+
+
+def method(shift):
+    """Return an estimate of everything: ``shift`` robust sds off."""
+    rows = {}
+    for kind, group in (("total", TOTALS), ("derived", DERIVED), ("parameter", MOTOR)):
+        for name, (unit, symbol, value, sd, robust) in group.items():
+            rows[name] = estimated(unit, symbol, value + shift * robust, sd, robust, kind)
+    return rows | {name: left_open(name) for name in LEG}
+
+
+def knee():
+    """Return a run with all methods; the leg's parameters are open."""
+    both = DERIVED | TOTALS
+    return {
+        "bayesfric": "0.1.0",
+        "parameters": {
+            **{
+                name: posterior_row(unit, value, sd, data_sd=sd, prior_sd=10 * value)
+                for name, (unit, _, value, _, sd) in MOTOR.items()
+            },
+            **{
+                name: posterior_row(unit, value, 0.15 * value, verdict="prior", data_sd=None)
+                for name, (unit, _, value, _) in LEG.items()
+            },
+            "noise.sigma": posterior_row("N m", 0.0063, 1e-4, data_sd=1e-4),
+        },
+        "derived": {
+            name: posterior_row(unit, value, sd, gauge_free=True)
+            for name, (unit, _, value, _, sd) in both.items()
+        },
+        "estimates": {
+            "output-error": {
+                "parameters": method(0.8),
+                "residual_rms": 3.1e-4,
+                "residual_unit": "rad",
+                "assumption": "sd: encoder noise only; sd_robust: correlated residuals (HAC)",
+                "notes": ["stopped after 12 iterations"],
+            },
+            "input-error": {
+                "parameters": method(-0.6),
+                "residual_rms": 6.3e-3,
+                "residual_unit": "N m",
+                "assumption": "sd: uncorrelated residuals; sd_robust: correlated ones (HAC)",
+            },
+            "least-squares": {
+                "parameters": {
+                    name: estimated(unit, symbol, value - 1.4 * robust, sd, robust, "total")
+                    for name, (unit, symbol, value, sd, robust) in TOTALS.items()
+                },
+                "residual_rms": 7.1e-3,
+                "residual_unit": "N m",
+                "assumption": "sd: uncorrelated residuals; sd_robust: correlated ones (HAC)",
+            },
+        },
+        "references": {
+            "load.first_moment": {"value": 0.41, "sd": None, "unit": "kg m", "source": "CAD"},
+            "motor.inertia": {
+                "value": 3.32e-4,
+                "sd": 1e-5,
+                "unit": "kg m²",
+                "source": "data sheet",
+            },
+        },
+        "likelihood": {"method": "input-error"},
+        "noise": {"model": "ar2", "residual_lag1": 0.02},
+        "fit": {"residual_rms": 6.3e-3, "unit": "N m"},
+        "sampler": {"status": "reliable"},
+    }
+
+
+def loaded():
+    """Return a run in which a known mass was bolted on: nothing is open."""
+    run = copy.deepcopy(knee())
+    for name, (unit, _, value, _) in LEG.items():
+        sd = 0.012 * value
+        run["parameters"][name] = posterior_row(unit, 1.02 * value, sd, data_sd=sd, prior_sd=value)
+        for table in ("input-error", "output-error"):
+            rows = run["estimates"][table]["parameters"]
+            rows[name] |= {"determined": True, "span": None, "sd": 0.4 * sd, "sd_robust": sd}
+    for row in run["derived"].values():
+        row["mean"] += 0.7 * row["sd"]
+        row["interval"] = [end + 0.7 * row["sd"] for end in row["interval"]]
+    return run
+
+
+def old():
+    """Return what the first version wrote: least squares only, none of the newer keys."""
+    run = copy.deepcopy(knee())
+    rows = run["estimates"]["least-squares"]["parameters"]
+    rows = {name: {key: row[key] for key in ("unit", "value", "sd")} for name, row in rows.items()}
+    rows["total.offset"]["sd"] = None
+    run["estimates"] = {"least-squares": {"parameters": rows, "residual_rms": 0.007}}
+    for key in ("references", "likelihood"):
+        del run[key]
+    run["noise"] = {"model": "white", "parameters": ["noise.sigma"], "residual_lag1": 0.3}
+    for name in TOTALS:
+        del run["derived"][name]
+    return run

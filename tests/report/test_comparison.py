@@ -1,0 +1,469 @@
+"""Side by side: the arithmetic, the order, and that what is open stays without numbers."""
+
+import copy
+import csv
+import io
+import json
+import math
+import re
+
+import pytest
+
+from bayesfric.errors import BadInput
+from bayesfric.report.comparison import comparison
+from bayesfric.report.comparison_table import (
+    comparison_csv,
+    comparison_dict,
+    comparison_markdown,
+    comparison_text,
+    number,
+)
+
+from .made_summaries import (
+    DERIVED,
+    LEG,
+    MOTOR,
+    TOTALS,
+    estimated,
+    knee,
+    loaded,
+    old,
+    posterior_row,
+)
+
+
+def text(found):
+    return "\n".join(comparison_text(found))
+
+
+# -- arithmetic
+
+
+def test_disagreement_of_an_estimate_is_in_sds_of_the_posterior():
+    found = comparison({"knee": knee()})
+    assert found.baseline == "posterior"
+    for name in (*TOTALS, *DERIVED, *MOTOR):
+        cells = found[name].cells
+        # made so: 0.6 sds below, 0.8 above; the estimate's own sd does not enter
+        assert cells["input-error"].disagreement == pytest.approx(-0.6, abs=1e-9)
+        assert cells["output-error"].disagreement == pytest.approx(0.8, abs=1e-9)
+        assert cells["posterior"].disagreement is None
+
+
+def test_disagreement_of_references_and_runs_adds_their_variance():
+    found = comparison({"a": knee(), "b": loaded()})
+    reference = found["motor.inertia"].cells["reference"]
+    # data sheet 3.32e-4 +- 1e-5 against 3.40e-4 +- 2.6e-5
+    expected = (3.32 - 3.40) / math.hypot(0.26, 0.10)
+    assert reference.disagreement == pytest.approx(expected, rel=1e-9)
+    for name in DERIVED:
+        # 0.7 sds apart, both sds the same
+        cell = found[name].cells["b: posterior"]
+        assert cell.disagreement == pytest.approx(0.7 / math.sqrt(2), rel=1e-6)
+
+
+def test_a_reference_without_sd_is_measured_in_the_posteriors():
+    run = loaded()
+    found = comparison({"b": run})
+    row = run["parameters"]["load.first_moment"]
+    cell = found["load.first_moment"].cells["reference"]
+    assert cell.disagreement == pytest.approx((0.41 - row["mean"]) / row["sd"], rel=1e-12)
+    assert cell.sd is None
+    assert cell.remark == "CAD"
+
+
+def test_the_sd_is_the_one_for_correlated_residuals():
+    cell = comparison({"knee": knee()})["total.inertia"].cells["least-squares"]
+    *_, plain, robust = TOTALS["total.inertia"]
+    assert (cell.sd, cell.sd_plain, cell.accounts) == (robust, plain, True)
+    cell = comparison({"old": old()})["total.inertia"].cells["least-squares"]
+    assert (cell.sd, cell.sd_plain, cell.accounts) == (plain, plain, False)
+
+
+def test_a_posterior_that_takes_noise_for_white_says_so():
+    found = comparison({"old": old()})
+    assert not found["motor.inertia"].cells["posterior"].accounts
+    assert "†" in text(found)
+    assert "†" not in text(comparison({"knee": knee()}))
+
+
+# -- what is shown, in which order
+
+
+def test_totals_first_then_what_no_scaling_changes():
+    found = comparison({"knee": knee()})
+    assert [row.name for row in found.rows] == [*TOTALS, *DERIVED, *MOTOR, *LEG]
+    labels = ["least-squares", "input-error", "output-error", "posterior", "reference"]
+    assert [column.label for column in found.columns] == labels
+
+
+def test_several_runs_show_posteriors_unless_asked():
+    runs = {"a": knee(), "b": loaded()}
+    labels = [column.label for column in comparison(runs).columns]
+    assert labels == ["a: posterior", "b: posterior", "reference"]
+    labels = [column.label for column in comparison(runs, estimates=True).columns]
+    methods = ["least-squares", "input-error", "output-error", "posterior"]
+    assert labels == [*(f"{run}: {m}" for run in "ab" for m in methods), "reference"]
+    assert comparison(runs).baseline == "a: posterior"
+    lone = comparison({"a": knee()}, estimates=False)
+    assert [column.label for column in lone.columns] == ["posterior", "reference"]
+
+
+def test_noise_is_no_quantity_of_the_joint():
+    assert not any(row.name.startswith("noise.") for row in comparison({"a": knee()}).rows)
+
+
+def test_unit_symbol_and_meaning_come_along():
+    row = comparison({"a": knee()})["motor.inertia"]
+    assert (row.unit, row.symbol, row.meaning) == ("kg m²", "J_{m}", "made up")
+    assert row.kind == "parameter"
+    assert row.gauge_free
+    assert not comparison({"a": knee()})["load.inertia"].gauge_free
+
+
+# -- what is open
+
+
+def undetermined(found):
+    return [
+        (row.name, label, cell)
+        for row in found.rows
+        for label, cell in row.cells.items()
+        if cell.status == "undetermined"
+    ]
+
+
+@pytest.mark.parametrize("runs", [{"a": knee()}, {"a": knee(), "b": loaded(), "c": old()}])
+def test_open_numbers_carry_no_sd_and_no_interval(runs):
+    for estimates in (False, True):
+        found = comparison(runs, estimates=estimates)
+        left = undetermined(found)
+        assert {name for name, *_ in left} >= set(LEG)
+        for _, _, cell in left:
+            assert (cell.sd, cell.sd_plain, cell.interval, cell.level) == (None,) * 4
+            assert cell.disagreement is None
+            assert cell.remark.startswith("not determined")
+
+
+def test_open_numbers_are_printed_nowhere():
+    """Odd digits put into every sd and interval of the leg must not come out again."""
+    run = knee()
+    for name in LEG:
+        run["parameters"][name] |= {"sd": 0.0717171, "interval": [0.1717171, 0.9717171]}
+        for method in ("input-error", "output-error"):
+            # a file that contradicts itself: not determined, yet with sds
+            more = {"sd": 0.0717171, "sd_robust": 0.1717171}
+            run["estimates"][method]["parameters"][name] |= more
+    found = comparison({"a": run})
+    everything = [text(found), comparison_markdown(found), comparison_csv(found)]
+    everything.append(json.dumps(comparison_dict(found)))
+    for told in everything:
+        assert "717171" not in told
+        assert not re.search(r"0?\.0?717\d*|0?\.1717|0?\.9717", told)
+    for row in csv.DictReader(io.StringIO(comparison_csv(found))):
+        if row["status"] == "undetermined":
+            keys = ("sd", "sd_uncorrelated", "low", "high", "level", "limit", "disagreement")
+            assert [row[key] for key in keys] == [""] * 7
+            assert row["remark"].startswith("not determined")
+    # and no line of the table with words of an open number has a plus-minus
+    lines = comparison_markdown(found).split("\n")
+    for name in LEG:
+        (line,) = [line for line in lines if f"`{name}`" in line]
+        assert "±" not in line
+        assert "[" not in line
+
+
+def test_an_open_number_says_what_fits_as_well():
+    cell = comparison({"a": knee()})["load.first_moment"].cells["input-error"]
+    assert cell.span == (0.30, 0.57)
+    assert cell.remark == "not determined: 0.3 to 0.57 fit as well"
+    assert "0.3 to 0.57" in " ".join(comparison_markdown(comparison({"a": knee()})).split())
+
+
+def test_one_open_column_of_a_run_withholds_the_others_of_what_scaling_changes():
+    run = knee()
+    row = run["estimates"]["input-error"]["parameters"]["load.inertia"]
+    row |= {"determined": True, "span": None, "sd": 0.01, "sd_robust": 0.02}
+    cells = comparison({"a": run})["load.inertia"].cells
+    assert cells["input-error"].status == "undetermined"
+    assert cells["input-error"].sd is None
+    assert "output-error" in cells["input-error"].remark
+
+
+def test_another_run_that_determines_it_shows_it():
+    found = comparison({"a": knee(), "b": loaded()})
+    cells = found["load.inertia"].cells
+    assert cells["a: posterior"].status == "undetermined"
+    assert cells["b: posterior"].status == "determined"
+    assert cells["b: posterior"].disagreement is None
+
+
+def test_what_no_scaling_changes_is_open_by_itself_only():
+    run = knee()
+    run["derived"]["gearbox.lambda_ratio"]["verdict"] = "prior"
+    cells = comparison({"a": run})["gearbox.lambda_ratio"].cells
+    assert cells["posterior"].status == "undetermined"
+    assert cells["input-error"].status == "determined"
+    # nothing to measure it against
+    assert cells["input-error"].disagreement is None
+
+
+def test_on_a_bound():
+    run = knee()
+    row = run["estimates"]["input-error"]["parameters"]["motor.viscous"]
+    row |= {"value": 0.0, "sd": None, "sd_robust": None, "determined": False, "at_bound": "lower"}
+    cell = comparison({"a": run})["motor.viscous"].cells["input-error"]
+    assert (cell.status, cell.sd, cell.remark) == ("bound", None, "on its lower bound")
+    assert cell.disagreement == pytest.approx((0.0 - 3.8e-3) / 4.4e-4, rel=1e-9)
+
+
+def test_a_span_without_width_is_a_bound():
+    """Scaling a zero leaves it zero."""
+    run = loaded()
+    row = run["estimates"]["input-error"]["parameters"]["joint.viscous"]
+    row |= {"value": 0.0, "determined": False, "sd": None, "at_bound": "lower", "span": [0.0, 0.0]}
+    cell = comparison({"a": run})["joint.viscous"].cells["input-error"]
+    assert (cell.status, cell.span, cell.remark) == ("bound", None, "on its lower bound")
+
+
+@pytest.mark.parametrize(("bound", "words", "limit"), [("lower", "at most", 1), ("upper", "at", 0)])
+def test_pushed_against_a_bound_is_a_limit(bound, words, limit):
+    run = knee()
+    row = run["parameters"]["motor.viscous"]
+    row |= {"at_bound": bound, "verdict": "weak", "data_sd": 1e-3, "prior_sd": 4e-3}
+    cell = comparison({"a": run})["motor.viscous"].cells["posterior"]
+    assert cell.status == "limit"
+    assert cell.limit == row["interval"][limit]
+    assert cell.remark.startswith(words)
+    assert (cell.sd, cell.interval) == (None, None)
+
+
+def test_what_is_known_is_no_result():
+    one, two = knee(), knee()
+    row = one["parameters"].pop("motor.viscous")
+    for table in ("input-error", "output-error"):
+        del one["estimates"][table]["parameters"]["motor.viscous"]
+    one["fixed"] = {
+        "motor.viscous": {"unit": row["unit"], "value": 4e-3},
+        "motor.extra": {"unit": "", "value": 1.0},
+    }
+    found = comparison({"one": one, "two": two})
+    cell = found["motor.viscous"].cells["one: posterior"]
+    assert (cell.value, cell.status, cell.sd) == (4e-3, "known", None)
+    assert "motor.extra" not in [row.name for row in found.rows]
+
+
+# -- old files, notes
+
+
+def test_summaries_without_the_newer_keys():
+    found = comparison({"old": old()})
+    assert [column.label for column in found.columns] == ["least-squares", "posterior"]
+    names = [row.name for row in found.rows]
+    assert names[: len(TOTALS)] == list(TOTALS)
+    # no sd in an old file: the motion could not tell it
+    assert found["total.offset"].cells["least-squares"].status == "undetermined"
+    assert found["motor.inertia"].gauge_free
+    assert not found["load.inertia"].gauge_free
+    assert {name for name, *_ in undetermined(found)} == {*LEG, "total.offset"}
+
+
+def test_notes_say_what_must_be_known():
+    one, two = knee(), loaded()
+    two["sampler"]["status"] = "unusable"
+    one["references"]["motor.moment"] = {"value": 1.0, "unit": "", "source": "a drawing"}
+    two["references"]["load.first_moment"]["value"] = 0.43
+    one["derived"]["gearbox.lambda_ratio"]["meaning"] = "at 1 N m"
+    two["derived"]["gearbox.lambda_ratio"]["meaning"] = "at 2 N m"
+    found = comparison({"one": one, "two": two})
+    notes = " ".join(found.notes)
+    for part in ("two is unusable", "a drawing gives motor.moment", "0.43", "'at 2 N m' in two"):
+        assert part in notes
+    assert found["load.first_moment"].cells["reference"].value == 0.41
+    told = " ".join(text(found).split())
+    for note in found.notes:
+        assert " ".join(note.split()) in told
+
+
+# -- layouts
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_text_fits_and_has_every_cell(width):
+    runs = {f"run {k}": knee() for k in range(7)}
+    found = comparison(runs, estimates=True)
+    lines = list(comparison_text(found, width))
+    assert max(map(len, lines)) <= width
+    cells = [cell for row in found.rows for cell in row.cells.values()]
+    with_sd = [cell for cell in cells if cell.sd is not None]
+    assert sum(line.count(" ± ") for line in lines) == len(with_sd)
+    left_out = [cell for cell in cells if cell.status == "undetermined"]
+    assert sum(line.count("not determined") for line in lines) == len(left_out)
+
+
+def test_markdown_is_one_table():
+    run = knee()
+    run["references"]["motor.inertia"]["source"] = "data|sheet <1>"
+    lines = comparison_markdown(comparison({"a": run})).split("\n")
+    table = [line for line in lines if line.startswith("|")]
+    assert len(table) == 2 + len({**TOTALS, **DERIVED, **MOTOR, **LEG})
+    cells = {len(re.split(r"(?<!\\)\|", line)) for line in table}
+    assert cells == {2 + 2 + 5}
+    assert any(r"data\|sheet &lt;1>" in line for line in table)
+
+
+def test_csv_and_json_hold_the_same():
+    found = comparison({"a": knee(), "b": loaded()}, estimates=True)
+    record = comparison_dict(found)
+    assert json.loads(json.dumps(record, allow_nan=False)) == record
+    rows = list(csv.DictReader(io.StringIO(comparison_csv(found))))
+    assert len(rows) == sum(len(row.cells) for row in found.rows)
+    for row in rows:
+        cell = record["quantities"][row["name"]]["columns"][row["column"]]
+        assert float(row["value"]) == cell["value"]
+        assert row["sd"] == ("" if cell["sd"] is None else str(cell["sd"]))
+        assert row["status"] == cell["status"]
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "printed"),
+    [
+        (4.6179018e-4, 4.07e-7, "0.00046179 ± 4.1e-07"),
+        (0.235988, 0.000943, "0.23599 ± 0.00094"),
+        (-0.0044147, 0.0009, "-0.00441 ± 0.00090"),
+        (0.0, 0.01, "0 ± 0.010"),
+        (0.008, 0.16, "0.01 ± 0.16"),
+        (-0.001, 0.16, "0 ± 0.16"),
+        (1234.5, 120.0, "1234 ± 120"),
+        (3.0, 12.0, "3 ± 12"),
+        (0.41, None, "0.41"),
+        (0.41, 0.0, "0.41"),
+    ],
+)
+def test_numbers_are_rounded_by_their_sd(value, sd, printed):
+    assert number(value, sd) == printed
+
+
+# -- bad input
+
+
+def refused(summaries, *parts):
+    with pytest.raises(BadInput) as caught:
+        comparison(summaries)
+    for part in parts:
+        assert part in str(caught.value), str(caught.value)
+    for foreign in ("Input should", "pydantic", "<class"):
+        assert foreign not in str(caught.value)
+
+
+def changed(change):
+    run = copy.deepcopy(knee())
+    change(run)
+    return run
+
+
+@pytest.mark.parametrize(
+    ("change", "parts"),
+    [
+        (lambda r: r.pop("parameters"), ["parameters", "is missing"]),
+        (lambda r: r.update(parameters=[1, 2]), ["parameters", "[1, 2]"]),
+        (
+            lambda r: r["parameters"]["motor.inertia"].pop("mean"),
+            ["parameters.motor.inertia.mean", "is missing"],
+        ),
+        (
+            lambda r: r["parameters"]["motor.inertia"].update(mean="3e-4"),
+            ["parameters.motor.inertia.mean", "'3e-4'"],
+        ),
+        (
+            lambda r: r["parameters"]["motor.inertia"].update(sd=-1.0),
+            ["parameters.motor.inertia.sd", "-1.0"],
+        ),
+        (
+            lambda r: r["parameters"]["motor.inertia"].update(mean=float("inf")),
+            ["parameters.motor.inertia.mean", "inf"],
+        ),
+        (
+            lambda r: r["parameters"]["motor.inertia"].update(mean=10**400),
+            ["parameters.motor.inertia.mean"],
+        ),
+        (
+            lambda r: r["parameters"]["motor.inertia"].update(mean=True),
+            ["parameters.motor.inertia.mean", "true"],
+        ),
+        (
+            lambda r: r["parameters"]["motor.inertia"].update(interval=[1.0]),
+            ["parameters.motor.inertia.interval"],
+        ),
+        (
+            lambda r: r["parameters"]["motor.inertia"].update(verdict="maybe"),
+            ["parameters.motor.inertia.verdict", "'maybe'"],
+        ),
+        (lambda r: r["estimates"].update(guess={"parameters": {}}), ["estimates", "guess"]),
+        (lambda r: r.update(references={"motor.inertia": 3.3e-4}), ["references.motor.inertia"]),
+        (
+            lambda r: r["references"]["motor.inertia"].update(unit="g m²"),
+            ["references.motor.inertia", "'g m²'", "'kg m²'"],
+        ),
+        (
+            lambda r: r["parameters"]["motor.inertia"].update(unit="kg"),
+            ["motor.inertia", "'kg'", "'kg m²'"],
+        ),
+    ],
+)
+def test_summaries_that_hold_something_else(change, parts):
+    refused({"a run": changed(change)}, "a run", *parts)
+
+
+def test_units_that_differ_between_runs():
+    other = knee()
+    for row in (
+        other["derived"]["total.coulomb"],
+        *(e["parameters"]["total.coulomb"] for e in other["estimates"].values()),
+    ):
+        row["unit"] = "N"
+    refused({"a": knee(), "b": other}, "b: total.coulomb", "'N'", "'N m'", "in a")
+
+
+def test_runs_with_nothing_in_common():
+    other = {
+        "parameters": {"axis.coulomb": posterior_row("N", 3.0, 0.1, data_sd=0.1)},
+        "estimates": {
+            "least-squares": {
+                # shared, but not shown
+                "parameters": {"total.x": estimated("N", "x", 1.0, 0.1, 0.1, "total")}
+            }
+        },
+    }
+    third = copy.deepcopy(other)
+    refused({"a": knee(), "b": other}, "in common")
+    refused({"b": other, "c": third, "a": knee()}, "a: has no quantity in common")
+    assert comparison({"b": other, "c": third}).rows
+
+
+def test_a_run_without_results():
+    refused({"a": {"parameters": {}}}, "a: holds no result")
+    refused({"a": knee(), "b": {"parameters": {}}}, "b: holds no result")
+
+
+def test_whether_scaling_changes_it_is_asked_of_every_run_before_anything_is_shown():
+    """The order of the runs must not decide what is withheld."""
+    one, two = knee(), knee()
+    for table in ("input-error", "output-error"):
+        for run in (one, two):
+            del run["estimates"][table]["parameters"]["motor.inertia"]
+    # only the second run's data say that a scaling changes it
+    two["parameters"]["motor.inertia"] |= {"verdict": "prior", "data_sd": None}
+    for runs in ({"one": one, "two": two}, {"two": two, "one": one}):
+        row = comparison(runs)["motor.inertia"]
+        assert not row.gauge_free
+        assert row.cells["one: posterior"].status == "determined"
+        assert row.cells["two: posterior"].status == "undetermined"
+
+
+def test_what_a_file_says_of_scaling_counts_more_than_a_guess():
+    run = knee()
+    run["parameters"]["motor.inertia"] |= {"verdict": "prior", "data_sd": None}
+    row = comparison({"a": run})["motor.inertia"]
+    assert row.gauge_free
+    assert row.cells["input-error"].status == "determined"

@@ -1,0 +1,220 @@
+"""The forest figure: bars are what they say, what is open has none, nothing is cut off."""
+
+import copy
+import re
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.text import Annotation
+
+from bayesfric.errors import BadInput
+from bayesfric.report.comparison import comparison
+from bayesfric.report.forest import forest_figure
+from bayesfric.report.style import COLUMN, PAGE, save
+
+from .made_summaries import LEG, MOTOR, TOTALS, knee, loaded, old
+from .test_figures import drawn_ticks, shown_texts
+
+# 90 % of a normal distribution lie within so many sds
+HALF = 1.645
+
+
+def only(run, *names):
+    run = copy.deepcopy(run)
+    for group in (run, *run["estimates"].values()):
+        for key in ("parameters", "derived", "references"):
+            if key in group:
+                group[key] = {name: row for name, row in group[key].items() if name in names}
+    return run
+
+
+FEW = only(knee(), "total.inertia", "motor.inertia", "load.first_moment")
+CASES = {
+    "methods": {"a": knee()},
+    "runs": {"a": knee(), "b": loaded(), "a long name of a run": old()},
+    "few": {"a": FEW},
+    "old": {"a": old()},
+}
+cases = pytest.mark.parametrize("runs", CASES.values(), ids=CASES.keys())
+
+
+def panels(figure):
+    """Panels by quantity."""
+    return {ax.get_gid(): ax for ax in figure.axes}
+
+
+def factor(ax):
+    found = re.search(r"10\$\^\{(-?\d+)\}\$", ax.get_xlabel())
+    return 10.0 ** int(found[1]) if found else 1.0
+
+
+def drawn(ax, kind):
+    """Lines of a kind: their x in the quantity's unit, and their y."""
+    return [
+        (np.asarray(line.get_xdata(), dtype=float) * factor(ax), float(line.get_ydata()[0]))
+        for line in ax.lines
+        if line.get_gid() == kind
+    ]
+
+
+def test_bars_are_90_percent():
+    found = comparison({"a": knee()})
+    figure = forest_figure(found)
+    ax = panels(figure)["total.inertia"]
+    *_, plain, robust = TOTALS["total.inertia"]
+    cells = found["total.inertia"].cells
+    assert len(drawn(ax, "thick")) == 4  # three methods and the posterior
+    assert len(drawn(ax, "thin")) == 3
+    for k, label in enumerate(("least-squares", "input-error", "output-error")):
+        value = cells[label].value
+        for sd, kind in ((robust, "thick"), (plain, "thin")):
+            ((low, high),) = [x for x, y in drawn(ax, kind) if y == 3 - k]
+            np.testing.assert_allclose([low, high], [value - HALF * sd, value + HALF * sd])
+    ((low, high),) = [x for x, y in drawn(ax, "thick") if y == 0]
+    np.testing.assert_allclose([low, high], cells["posterior"].interval)
+    values = sorted(float(x[0]) for x, _ in drawn(ax, "value"))
+    np.testing.assert_allclose(values, sorted(cell.value for cell in cells.values()))
+
+
+def test_posteriors_with_white_noise_have_thin_bars():
+    found = comparison({"a": knee(), "old": old()})
+    ax = panels(forest_figure(found))["motor.inertia"]
+    assert [y for _, y in drawn(ax, "thick")] == [1.0]
+    assert [y for _, y in drawn(ax, "thin")] == [0.0]
+
+
+def test_open_numbers_have_no_bars_but_words():
+    found = comparison({"a": knee()})
+    at = panels(forest_figure(found))
+    for name in LEG:
+        ax = at[name]
+        assert not drawn(ax, "thick")
+        assert not drawn(ax, "thin")
+        assert not drawn(ax, "value")
+        assert len(drawn(ax, "open")) == 3
+        words = [t.get_text() for t in ax.texts if isinstance(t, Annotation)]
+        assert words.count("not determined") == 3
+        # dots for the two methods that know what fits as well, over just that
+        assert {y for _, y in drawn(ax, "span")} == {2.0, 1.0}
+        for x, _ in drawn(ax, "span"):
+            np.testing.assert_allclose(x, LEG[name][-1], atol=1e-12)
+        for line in ax.lines:
+            if line.get_gid() == "open":
+                assert line.get_markerfacecolor() == "white"
+
+
+def test_sds_a_file_claims_for_open_numbers_move_nothing():
+    """Not even the limits of the axis."""
+    plain, claimed = knee(), knee()
+    for name in LEG:
+        claimed["parameters"][name] |= {"sd": 50.0, "interval": [-80.0, 80.0]}
+        claimed["estimates"]["input-error"]["parameters"][name] |= {"sd": 9.0, "sd_robust": 99.0}
+    figures = [forest_figure(comparison({"a": run})) for run in (plain, claimed)]
+    for one, two in zip(*(figure.axes for figure in figures), strict=True):
+        assert one.get_xlim() == two.get_xlim()
+        for a, b in zip(one.lines, two.lines, strict=True):
+            np.testing.assert_array_equal(a.get_xydata(), b.get_xydata())
+
+
+def test_references_are_named_lines():
+    found = comparison({"a": knee()})
+    ax = panels(forest_figure(found))["load.first_moment"]
+    ((x, _),) = drawn(ax, "reference")
+    np.testing.assert_allclose(x, [0.41, 0.41])
+    assert "CAD" in [t.get_text() for t in ax.texts]
+
+
+def test_limits_and_bounds():
+    run = knee()
+    row = run["parameters"]["motor.viscous"]
+    row |= {"at_bound": "lower", "verdict": "weak", "data_sd": 1e-3, "prior_sd": 4e-3}
+    row = run["estimates"]["input-error"]["parameters"]["motor.viscous"]
+    row |= {"value": 0.0, "sd": None, "sd_robust": None, "determined": False, "at_bound": "lower"}
+    found = comparison({"a": run})
+    ax = panels(forest_figure(found))["motor.viscous"]
+    assert len(drawn(ax, "thick")) == 1  # output-error
+    words = [t.get_text() for t in ax.texts]
+    assert "on its lower bound" in words
+    assert any(text.startswith("at most") for text in words)
+    assert max(float(x.max()) for x, _ in drawn(ax, "limit")) == pytest.approx(
+        found["motor.viscous"].cells["posterior"].limit
+    )
+
+
+def test_what_only_one_column_tells_is_left_out_if_there_is_more():
+    found = comparison({"a": knee(), "b": old()})
+    shown = panels(forest_figure(found))
+    assert not set(TOTALS) & set(shown)
+    assert set(MOTOR) <= set(shown)
+
+
+def test_nothing_to_draw():
+    run = only(knee(), "load.inertia")
+    run["estimates"] = {}
+    with pytest.raises(BadInput, match="no quantity is determined"):
+        forest_figure(comparison({"a": run}))
+
+
+@cases
+def test_width_of_a_paper_and_nothing_cut_off(runs):
+    figure = forest_figure(comparison(runs))
+    assert figure.get_figwidth() == (COLUMN if len(figure.axes) <= 4 else PAGE)
+    assert figure.get_figheight() <= 9.2
+    ticks = {id(t.label1) for ax in figure.axes for a in (ax.xaxis, ax.yaxis) for t in a.majorTicks}
+    inner = drawn_ticks(figure)
+    boxes = [(t, b) for t, b in shown_texts(figure) if id(t) not in ticks or id(t) in inner]
+    width, height = figure.bbox.size
+    for text, box in boxes:
+        inside = box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height
+        assert inside, (text.get_text(), box)
+    for i, (text, box) in enumerate(boxes):
+        for other, other_box in boxes[:i]:
+            across = min(box.x1, other_box.x1) - max(box.x0, other_box.x0)
+            up = min(box.y1, other_box.y1) - max(box.y0, other_box.y0)
+            assert across <= 1.0 or up <= 1.0, (text.get_text(), other.get_text())
+
+
+def test_many_quantities_say_what_is_left_out():
+    run = knee()
+    for k in range(60):
+        name = f"extra{k}.inertia"
+        run["parameters"][name] = run["parameters"]["motor.inertia"]
+        rows = run["estimates"]["input-error"]["parameters"]
+        rows[name] = rows["motor.inertia"]
+    figure = forest_figure(comparison({"a": run}))
+    assert figure.get_figheight() <= 9.2
+    (remark,) = [t.get_text() for t in figure.texts]
+    total = len(comparison({"a": run}).rows)
+    assert remark == f"{total - len(figure.axes)} more quantities are in the table only"
+
+
+@cases
+def test_axes_say_units_and_there_are_no_titles(runs):
+    figure = forest_figure(comparison(runs))
+    for ax in figure.axes:
+        assert re.search(r"\(.+\)$", ax.get_xlabel())
+        assert ax.get_title() == ""
+    assert len(figure.legends) == 1
+
+
+def test_fonts_are_embedded_truetype(tmp_path):
+    figure = forest_figure(comparison(CASES["methods"]))
+    pdf, png = save(figure, tmp_path, "forest")
+    content = pdf.read_bytes()
+    kinds = set(re.findall(rb"/Subtype /(Type0|Type1|Type3|TrueType|CIDFontType\d)", content))
+    assert b"Type0" in kinds or b"TrueType" in kinds
+    assert not kinds & {b"Type3", b"Type1"}
+    assert b"/FontFile2" in content
+    box = re.search(rb"/MediaBox \[\s*0 0 ([\d.]+) ", content)
+    assert float(box[1]) == pytest.approx(72 * PAGE, abs=1e-3)
+    assert png.read_bytes().startswith(b"\x89PNG")
+
+
+def test_same_summaries_same_bytes_whatever_the_readers_style(tmp_path):
+    save(forest_figure(comparison(CASES["few"])), tmp_path, "one")
+    with matplotlib.rc_context({"font.size": 20, "font.family": "serif", "axes.grid": True}):
+        save(forest_figure(comparison(CASES["few"])), tmp_path, "two")
+    for suffix in ("pdf", "png"):
+        one, two = ((tmp_path / f"{name}.{suffix}").read_bytes() for name in ("one", "two"))
+        assert one == two
