@@ -7,6 +7,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -97,6 +98,37 @@ def check(config: ConfigFile, as_json: AsJson = False) -> None:
     _print(found, as_json, check_text(found))
 
 
+class MethodChoice(StrEnum):
+    """What ``--method`` takes."""
+
+    least_squares = "least-squares"
+    input_error = "input-error"
+    output_error = "output-error"
+    all = "all"
+
+
+@app.command()
+def estimate(
+    config: ConfigFile,
+    method: Annotated[
+        MethodChoice, typer.Option(help="which of the paper's methods")
+    ] = MethodChoice.all,
+    as_json: AsJson = False,
+) -> None:
+    """Point estimates by the paper's methods, with standard deviations."""
+    from bayesfric.commands.estimate import estimate_record, estimate_text, estimates
+    from bayesfric.commands.problem import read_problem
+    from bayesfric.config import read_config
+    from bayesfric.estimates.estimate import METHODS
+    from bayesfric.inference.sampling import phase
+
+    problem = read_problem(read_config(config))
+    wanted = [name for name in METHODS if method in (MethodChoice.all, name)]
+    with _progress_bar() as progress:
+        found = estimates(problem, wanted, progress=lambda name: progress(phase(name)))
+    _print(estimate_record(found, problem), as_json, estimate_text(found, problem))
+
+
 @app.command()
 def fit(
     config: ConfigFile,
@@ -126,6 +158,27 @@ def demo(
     check_free(output, force=force)
     print("The demo recording is simulated, from Table 3 of the paper.", file=sys.stderr)
     _fit(demo_config, output, seed, force, as_json)
+
+
+@app.command()
+def compare(
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN", help="run directories")],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="folder to make: tables and the forest figure"),
+    ] = None,
+    estimates: Annotated[
+        bool, typer.Option("--estimates", help="with several runs: their point estimates too")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Put runs side by side, or the methods and the posterior of one run."""
+    from bayesfric.commands.compare import compare as run
+    from bayesfric.report.comparison_table import comparison_dict, comparison_text
+
+    found = run(runs, output, estimates=estimates or None)
+    written = [f"Written to {output}"] if output else []
+    _print(comparison_dict(found), as_json, [*comparison_text(found), *written])
 
 
 def _fit(

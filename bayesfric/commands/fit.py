@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from bayesfric.commands.estimate import estimates_where_possible
 from bayesfric.commands.problem import read_problem
 from bayesfric.config import Config
 from bayesfric.inference.fit import fit as fit_target
-from bayesfric.inference.sampling import Progress
+from bayesfric.inference.sampling import Progress, phase
 from bayesfric.report.run_directory import check_free, write_run
 from bayesfric.report.summary import summarise
 
@@ -56,10 +57,16 @@ def fit(
     sampling = config.tables.sampling
     if seed is not None:
         sampling = sampling.model_copy(update={"seed": seed})
+
+    found, missing = estimates_where_possible(
+        problem, lambda method: progress(phase(f"{method} estimate"))
+    )
+    target = problem.target(dict(found[-1].point))
     with config.named():
-        result = fit_target(problem.target(), sampling, progress=progress)
-    progress(Progress("writing results", 0, float("nan"), float("nan")))
-    summary = summarise(result)
+        result = fit_target(target, sampling, estimates=found, progress=progress)
+    progress(phase("writing results"))
+    summary = summarise(result, problem.references())
+    summary["warnings"] += missing
     write_run(folder, result, summary, config.text, problem.recordings)
     return summary
 

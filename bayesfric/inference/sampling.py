@@ -68,6 +68,11 @@ class Progress:
     rhat: float
 
 
+def phase(name: str) -> Progress:
+    """Progress of something before or after sampling that has no numbers."""
+    return Progress(name, 0, float("nan"), float("nan"))
+
+
 def sample(
     target: Target,
     start: Start,

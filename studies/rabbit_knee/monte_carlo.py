@@ -1,0 +1,192 @@
+"""Mean error of each method against truth over many SIMULATED recordings of the knee.
+
+``python studies/rabbit_knee/monte_carlo.py [COUNT]`` simulates COUNT (200) recordings of the
+knee that differ in their noise only, estimates each by the three methods with the scale left
+open, and writes ``monte_carlo.json`` beside itself. Half an hour on two cores.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.estimates.estimate import METHODS, Estimate
+from bayesfric.estimates.input_error import input_error
+from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.least_squares import TotalsProjection, least_squares
+from bayesfric.estimates.options import Estimation
+from bayesfric.estimates.output_error import output_error
+from bayesfric.estimates.torque import filtered_torque
+from bayesfric.mechanism.derived import derive
+from bayesfric.mechanism.experiment import Simulation, record
+from bayesfric.mechanism.presets import PRESETS
+from bayesfric.recordings.observation import Observation, observe
+from bayesfric.recordings.options import Processing
+from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.trajectory import trajectory
+
+HERE = Path(__file__).resolve().parent
+PRESET = PRESETS["rabbit-knee"]
+# The conditions of knee.toml.
+CONDITIONS = Simulation(seed=0)
+
+
+def recording(conditions: Simulation) -> Recording:
+    """Simulate a recording of the knee, in memory."""
+    chain = PRESET.chain()
+    columns, _, _ = record(chain, conditions)
+    n = columns["time"].size
+    return Recording(
+        name="knee",
+        path=Path("simulated"),
+        sha256="",
+        time=columns["time"],
+        position=columns["position"] / chain.ratio,
+        velocity=None,
+        torque=columns["torque"],
+        segments=((0, n),),
+        period=1.0 / conditions.rate,
+        excluded=np.zeros(n, dtype=np.bool_),
+        added_mass=0.0,
+        radius=0.0,
+        steps=(),
+        warnings=(),
+    )
+
+
+def truth(observation: Observation) -> dict[str, float]:
+    """Give the true value of everything a method states and no scaling changes.
+
+    The totals of eq. (11) are what least squares finds in the true torque along
+    ``observation``'s motion, for with two alphas there is no other meaning to them.
+    """
+    chain = PRESET.chain()
+    values = chain.vector(PRESET.values)
+    found = {q.name: float(q.values[0]) for q in derive(chain, values[None], 1.0) if q.gauge_free}
+    found |= {name: value for name, value in PRESET.values.items() if name.startswith("motor.")}
+    projection = TotalsProjection(chain, [observation])
+    totals = projection.solve(filtered_torque(chain, observation, values[None])[0])
+    return found | dict(zip(projection.labels, totals.tolist(), strict=True))
+
+
+def estimate(seed: int) -> dict[str, Estimate]:
+    """Estimate one recording by all methods, the scale left open."""
+    chain = PRESET.chain()
+    one = recording(CONDITIONS.model_copy(update={"seed": seed}))
+    observation = observe(one, Processing())
+    options = Estimation(seed=seed)
+    direct = input_error(chain, [observation], Knowledge(), options)
+    whole = trajectory(one, observation, math.inf)
+    recursive = output_error(chain, [whole], [observation], Knowledge(), options, direct)
+    found = (least_squares(chain, [observation]), direct, recursive)
+    return {e.method: e for e in found}
+
+
+def run(count: int, first: int = 1, workers: int = 2) -> dict[str, Any]:
+    """Estimate ``count`` recordings and compare mean errors with claimed deviations."""
+    seeds = range(first, first + count)
+    if workers > 1:
+        with ProcessPoolExecutor(workers) as pool:
+            found = list(pool.map(estimate, seeds, chunksize=5))
+    else:
+        found = [estimate(seed) for seed in seeds]
+    # the true motion, not its measured one, says what the totals are
+    exact = replace(
+        observe(recording(CONDITIONS.model_copy(update=_PERFECT)), Processing()), name="exact"
+    )
+    known = truth(exact)
+    table: dict[str, Any] = {}
+    for name, value in known.items():
+        rows = {}
+        for method in METHODS:
+            cells = [one[method][name] for one in found if name in one[method]]
+            if cells:
+                rows[method] = _compared(
+                    np.array([c.value for c in cells]),
+                    np.array([c.sd for c in cells]),
+                    np.array([c.sd_robust for c in cells]),
+                    value,
+                )
+                rows[method]["unit"] = cells[0].unit
+        if rows:
+            table[name] = {"truth": value, "methods": rows}
+    return {
+        "simulated": True,
+        "recordings": count,
+        "conditions": CONDITIONS.model_dump(mode="json"),
+        "table": table,
+    }
+
+
+_PERFECT = {"encoder_counts": 0, "torque_noise": 0.0}
+
+
+def _compared(
+    values: NDArray[np.float64],
+    sd: NDArray[np.float64],
+    robust: NDArray[np.float64],
+    true: float,
+) -> dict[str, Any]:
+    """Mean error with its standard error, spread, and what was claimed."""
+    free = np.isfinite(sd) & np.isfinite(robust)  # not on a bound
+    spread = float(values.std(ddof=1))
+    error = float(values.mean() - true)
+    reach = 1.6448536269514722  # 90 %
+
+    def covered(claimed: NDArray[np.float64]) -> float:
+        inside = np.abs(values[free] - true) <= reach * claimed[free]
+        return float(inside.mean()) if free.any() else math.nan
+
+    return {
+        "mean_error": error,
+        "standard_error": spread / math.sqrt(values.size),
+        "spread": spread,
+        "claimed_sd": float(np.median(sd[free])) if free.any() else None,
+        "claimed_sd_robust": float(np.median(robust[free])) if free.any() else None,
+        "coverage_90": covered(sd) if free.any() else None,
+        "coverage_90_robust": covered(robust) if free.any() else None,
+        "on_bound": float(1.0 - free.mean()),
+    }
+
+
+def markdown(result: dict[str, Any]) -> str:
+    """Lay the comparison out as a table: errors in units of the spread between recordings."""
+    lines = [
+        "| quantity | method | truth | mean error ± standard error | spread | claimed sd | "
+        "claimed sd (correlated) | 90 % interval holds truth (plain / correlated) | on a bound |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for name, row in result["table"].items():
+        for method, c in row["methods"].items():
+            biased = " **biased**" if abs(c["mean_error"]) > 3 * c["standard_error"] else ""
+            coverage = (
+                f"{100 * c['coverage_90']:.0f} % / {100 * c['coverage_90_robust']:.0f} %"
+                if c["coverage_90"] is not None
+                else "–"
+            )
+            lines.append(
+                f"| `{name}` ({c['unit'] or '–'}) | {method} | {row['truth']:.4g} | "
+                f"{c['mean_error']:+.2g} ± {c['standard_error']:.1g}{biased} | {c['spread']:.2g} | "
+                f"{_short(c['claimed_sd'])} | {_short(c['claimed_sd_robust'])} | {coverage} | "
+                f"{100 * c['on_bound']:.0f} % |"
+            )
+    return "\n".join(lines)
+
+
+def _short(x: float | None) -> str:
+    return "–" if x is None else f"{x:.2g}"
+
+
+if __name__ == "__main__":
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else 200
+    result = run(count)
+    (HERE / "monte_carlo.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    print(markdown(result))
