@@ -50,9 +50,20 @@ def complaint(path: Path, error: ValidationError, document: Any, model: Any) -> 
     model
         What it was checked against, for the keys it could have held.
     """
-    found = [(_place(e["loc"], document), e) for e in error.errors(include_url=False)]
-    if found[0][1]["type"] == "json_invalid":
+    if error.errors(include_url=False)[0]["type"] == "json_invalid":
         return BadInput(str(path), "is nested too deep for a configuration", "correct the file")
+    return complaint_of(f"{path}: ", "configuration", error, document, model)
+
+
+def complaint_of(
+    prefix: str, whole: str, error: ValidationError, document: Any, model: Any
+) -> BadInput:
+    """Word the first thing wrong with a part of a configuration.
+
+    ``prefix`` goes before the key complained about, ``whole`` names the part itself; the
+    rest is as in :func:`complaint`.
+    """
+    found = [(_place(e["loc"], document), e) for e in error.errors(include_url=False)]
     # A misspelt key often causes further complaints: name it first.
     place, first = min(found, key=lambda pair: pair[1]["type"] != "extra_forbidden")
     # Of the ways a value could have been meant, the one that got furthest tells most.
@@ -61,9 +72,9 @@ def complaint(path: Path, error: ValidationError, document: Any, model: Any) -> 
         place, first = max(deeper, key=lambda pair: len(pair[0]))
     words = [str(part + 1) if isinstance(part, int) else part for part in place]
     if first["type"] == "missing" and isinstance(key := first["loc"][-1], str):
-        where = f"{path}: {'.'.join([*words, key])}"
+        where = prefix + ".".join([*words, key])
         return BadInput(where, "is missing", f"add {key!r} ('bayesfric init' shows how)")
-    where = f"{path}: {'.'.join(words) or 'configuration'}"
+    where = prefix + (".".join(words) or whole)
     if first["type"] == "extra_forbidden":
         return BadInput(where, "unknown key", nearest(words[-1], _known_keys(place, model)))
     return BadInput(where, *_worded([e for p, e in deeper if p == place]))

@@ -13,7 +13,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from bayesfric.complaints import complaint
+from bayesfric.complaints import complaint, complaint_of
 from bayesfric.errors import BadInput
 from bayesfric.estimates.options import Estimation, Reference
 from bayesfric.inference.likelihood import LikelihoodMethod
@@ -49,7 +49,7 @@ class LikelihoodOptions(BaseModel):
         "motion; output-error: the position, by simulation, nothing differentiated",
     )
     segment: float = Field(
-        1.0,
+        0.5,
         gt=0,
         le=1e5,
         description="s after which the output-error simulation starts anew",
@@ -128,11 +128,7 @@ class Config(BaseModel):
             try:
                 found[name] = Reference.model_validate(given, strict=True)
             except ValidationError as error:
-                first = error.errors()[0]
-                key = ".".join([where, *(str(part) for part in first["loc"])])
-                raise BadInput(
-                    key, str(first["msg"]), 'write {value = 0.41, source = "CAD"}, in SI units'
-                ) from None
+                raise complaint_of(f"{where}.", "value", error, given, Reference) from None
         return found
 
     @contextmanager

@@ -61,7 +61,8 @@ def fit(
     found, missing = estimates_where_possible(
         problem, lambda method: progress(phase(f"{method} estimate"))
     )
-    target = problem.target(dict(found[-1].point))
+    # the simulation is linearised here first, and anew at every mode this leads to
+    target = problem.target(dict(next(e.point for e in found if e.method == "input-error")))
     with config.named():
         result = fit_target(target, sampling, estimates=found, progress=progress)
     progress(phase("writing results"))

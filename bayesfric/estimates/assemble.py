@@ -33,6 +33,15 @@ def open_scalings(
     return tuple(s for s in scalings(chain) if not known & set(s.names))
 
 
+def open_directions(
+    chain: Chain, knowledge: Knowledge, observations: Sequence[Observation], values: Array
+) -> Array:
+    """Directions of the open scalings at a vector, in the free parameters, ``(k, d)``."""
+    columns = [chain.names.index(name) for name in knowledge.free(chain)]
+    found = [s.tangent(values)[columns] for s in open_scalings(chain, knowledge, observations)]
+    return np.array(found).reshape(-1, len(columns))
+
+
 def centred(values: Array, open_: Sequence[Scaling]) -> Array:
     """Move a vector along its open scalings to the middle of what a passive gearbox allows."""
     for scaling in open_:
@@ -87,7 +96,8 @@ def assemble(
     values
         ``(n_parameters,)`` in the order of ``chain.names``.
     information
-        Of the free parameters that do not stand on a bound, in the chain's order.
+        Of the free parameters, in the chain's order: all of them, or those that do not
+        stand on a bound.
     at_bound
         ``(d,)`` for the free parameters: -1 on the lower bound, 1 on the upper, else 0.
 
@@ -102,6 +112,10 @@ def assemble(
     inner = columns[at_bound == 0]
     scale = np.zeros(values.size)
     scale[columns] = units_of(chain, free, values)
+    if information.directions.units.size == columns.size:
+        # of all free parameters, then; its units also suit those that are zero
+        inner = columns
+        scale[columns] = information.directions.units
 
     def sds(gradient: Array) -> tuple[float, float]:
         return information.sds(gradient[inner])

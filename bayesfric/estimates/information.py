@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,8 @@ Array = NDArray[np.float64]
 NULL = 1e-7
 # With fewer groups than this for each parameter, sums over groups say little.
 _LEAST_GROUPS = 2.0
+# Least share of a direction that other groups are taken to decide.
+_LEAST_LEFT = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,9 +67,19 @@ class Directions:
         return np.asarray((self.rows[~null].T @ inverse) * self.units)
 
 
-def directions(jacobian: Array, units: Array, tolerance: float = NULL) -> Directions:
-    """Decompose a Jacobian ``(n, d)``; the rest as in :class:`Directions`."""
+def directions(
+    jacobian: Array, units: Array, tolerance: float = NULL, *, known_null: Array | None = None
+) -> Directions:
+    """Decompose a Jacobian ``(n, d)``.
+
+    ``known_null`` ``(k, d)`` are directions, in parameter units, of which theory says that
+    no output changes: they come out as null however the derivatives were taken. The rest
+    is as in :class:`Directions`.
+    """
     scaled = jacobian * units
+    if known_null is not None and known_null.size:
+        basis = np.linalg.qr((known_null / units).T)[0]
+        scaled = scaled - (scaled @ basis) @ basis.T
     d = units.size
     if scaled.shape[0] < d:
         scaled = np.concatenate([scaled, np.zeros((d - scaled.shape[0], d))])
@@ -97,8 +110,13 @@ class Information:
         of a data-sheet value with its tolerance.
     tolerance
         Share of the largest singular value below which others are rounding.
+    known_null
+        ``(k, d)`` directions along which, in theory, no output changes.
     inflation
         Factor on standard deviations of uncorrelated residuals, for robust losses.
+    lost
+        Number of quantities fitted besides and already taken out of the Jacobian and
+        the residual, for example initial states.
     """
 
     def __init__(
@@ -111,21 +129,27 @@ class Information:
         groups: NDArray[np.int64] | None = None,
         known: Array | None = None,
         tolerance: float = NULL,
+        known_null: Array | None = None,
         inflation: float = 1.0,
+        lost: int = 0,
     ) -> None:
         n, d = jacobian.shape
         self._jacobian, self._residual = jacobian, residual
         self._places = np.arange(n) if places is None else places
         self._groups = groups
         self._known = np.zeros((0, d)) if known is None else known
-        rank = int(np.count_nonzero(~directions(jacobian, units, tolerance).null)) if d else 0
-        self.freedom = max(n - rank, 1)
+        rank = 0
+        if d:
+            found = directions(jacobian, units, tolerance, known_null=known_null)
+            rank = int(np.count_nonzero(~found.null))
+        self.freedom = max(n - rank - lost, 1)
         self.sigma = float(np.sqrt(residual @ residual / self.freedom)) * inflation
         # Knowledge enters as residuals of the same standard deviation as the others.
         self.directions = directions(
             np.concatenate([jacobian, self.sigma * self._known]) if self._known.size else jacobian,
             units,
             tolerance,
+            known_null=known_null,
         )
 
     def sds(self, gradient: Array) -> tuple[float, float]:
@@ -150,18 +174,40 @@ class Information:
         effect = self._jacobian @ weight
         told = self.sigma**4 * float(np.sum((self._known @ weight) ** 2))
         plain = np.sqrt(self.sigma**2 * float(effect @ effect) + told)
-        return float(plain), float(np.sqrt(self._correlated(effect * self._residual) + told))
+        scores = self._group_scores
+        if scores is not None:
+            d = self.directions
+            along = (d.rows[~d.null] @ (gradient * d.units)) / d.singular_values[~d.null]
+            robust = float(np.sum((scores @ along) ** 2))
+        else:
+            small = self._residual.size / self.freedom
+            robust = small * long_run_variance(effect * self._residual, self._places)
+        return float(plain), float(np.sqrt(robust + told))
 
-    def _correlated(self, score: Array) -> float:
-        """Variance of the sum of the scores, neighbours taken for correlated."""
-        n = score.size
-        small = n / self.freedom
-        if self._groups is not None:
-            sums = np.bincount(self._groups, weights=score)
-            sums = sums[np.bincount(self._groups) > 0]
-            if sums.size >= _LEAST_GROUPS * self.directions.units.size:
-                return float(small * sums.size / (sums.size - 1.0) * (sums @ sums))
-        return float(small * long_run_variance(score, self._places))
+    @cached_property
+    def _group_scores(self) -> Array | None:
+        """Scores of every group in orthonormal directions, ``(K, rank)``; None if too few.
+
+        A group's residuals are small where the group itself decides a direction. Dividing
+        its score by the root of what it leaves to others makes the variance right for
+        uncorrelated residuals (Bell and McCaffrey, Survey Methodology 28, 2002), and near
+        right for the integrated noise of a simulation, where it is 20 to 30 % too small without.
+        """
+        if self._groups is None:
+            return None
+        numbers, group = np.unique(self._groups, return_inverse=True)
+        d = self.directions
+        if numbers.size < _LEAST_GROUPS * d.units.size:
+            return None
+        basis = (self._jacobian * d.units) @ d.rows[~d.null].T / d.singular_values[~d.null]
+        scores = np.zeros((numbers.size, basis.shape[1]))
+        order = np.argsort(group, kind="stable")
+        for k, rows in enumerate(np.split(order, np.cumsum(np.bincount(group))[:-1])):
+            shares, axes = np.linalg.eigh(basis[rows].T @ basis[rows])
+            left = np.maximum(1.0 - shares, _LEAST_LEFT)
+            score = axes.T @ (basis[rows].T @ self._residual[rows])
+            scores[k] = axes @ (score / np.sqrt(left))
+        return scores
 
 
 def long_run_variance(score: Array, places: NDArray[np.int64]) -> float:

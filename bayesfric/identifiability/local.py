@@ -9,7 +9,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesfric.estimates.assemble import open_directions
 from bayesfric.estimates.information import Directions, directions
+from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.inference.target import Target
 
 Array = NDArray[np.float64]
@@ -86,7 +88,16 @@ def local_information(target: Target, parameters: Array) -> LocalInformation:
     point = parameters[: len(free)]
     scales = target.noise.scales(parameters[None, len(free) :])[0]
     units, labels = _units(target, point)
-    found = directions(_jacobian(target, parameters, units, scales), np.ones(units.size))
+    chain = target.likelihood.chain
+    known = Knowledge(dict.fromkeys(set(chain.names) - set(free), 0.0))
+    open_ = open_directions(
+        chain, known, target.likelihood.observations, target.chain_values(parameters[None])[0]
+    )
+    found = directions(
+        _jacobian(target, parameters, units, scales),
+        np.ones(units.size),
+        known_null=open_ / units,
+    )
     found = replace(found, units=units)
     named = tuple(_describe(labels, row) for row in _sparse(found.rows[found.null]))
     local = LocalInformation(tuple(free), np.full(units.size, np.nan), named, found)

@@ -17,11 +17,14 @@ from bayesfric.inference.noise import NoiseScale, noise_model
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.priors import Prior, PriorText, read_prior
 from bayesfric.inference.sampling import Progress, Sampling, sample
-from bayesfric.inference.start import Start, climb, gauss_newton
+from bayesfric.inference.start import CLIMBS, Start, climb, gauss_newton
 from bayesfric.inference.target import Target
 from bayesfric.inference.torque_likelihood import TorqueLikelihood
 from bayesfric.mechanism.chain import Chain
 from bayesfric.recordings.observation import Observation
+
+# How often the simulation is linearised anew at the mode it led to.
+_ROUNDS = 2
 
 
 @dataclass(frozen=True)
@@ -180,11 +183,18 @@ def fit(
     rng = np.random.default_rng(np.random.SeedSequence(sampling.seed, spawn_key=(2**31,)))
     prior_draws = np.stack([prior.draw(500, rng) for prior in target.priors], axis=1)
     try:
-        mode = climb(target, _candidates(target, estimates, prior_draws))
+        candidates = _candidates(target, estimates, prior_draws)
+        # an estimate by simulation is beside the mode already; others may not be
+        near = likelihood.method == "output-error" and any(e.point for e in estimates)
+        mode = climb(target, candidates, climbs=1 if near else CLIMBS)
     except ValueError:
         raise BadInput(
             "priors", "leave no possible starting point near the data", "widen the narrowest ones"
         ) from None
+    if likelihood.method == "output-error":
+        for _ in range(_ROUNDS):
+            target = target.about(target.to_parameters(mode[None])[0][0])
+            mode = climb(target, mode[None], climbs=1)
     # Once the posterior's widths are known, better coordinates than logarithms are too.
     first = gauss_newton(target, mode, target.from_parameters(prior_draws))
     place, widths = _place_and_widths(target, first)

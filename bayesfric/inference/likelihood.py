@@ -61,6 +61,10 @@ class Likelihood(Protocol):
     method: LikelihoodMethod
     noise_quantities: tuple[str, ...]
 
+    def about(self, values: Array) -> Likelihood:
+        """Give the same likelihood with its approximations made near ``(n_parameters,)``."""
+        ...
+
     def log_density(self, values: Array, scales: Array) -> Array:
         """Log-likelihood of parameter vectors ``(n, n_parameters)``, ``(n,)``."""
         ...

@@ -32,7 +32,7 @@ from bayesfric.recordings.trajectory import Trajectory
 Array = NDArray[np.float64]
 
 # Positions are averaged over so many samples: a segment has about this many outputs.
-_OUTPUTS = 50
+_OUTPUTS = 100
 # Steps of the derivatives by state and torque, as shares of what is typical.
 _STEP = 1e-4
 # An initial state that moves no output by this share of what it could is not there.
@@ -104,8 +104,15 @@ class PositionLikelihood:
     ) -> None:
         self.chain = chain
         self.observations = tuple(observations)
+        self._trajectories, self._substeps = tuple(trajectories), substeps
         self._runs = [_Run(chain, t, point, substeps) for t in trajectories]
         self.outputs = tuple(run.outputs for run in self._runs)
+
+    def about(self, values: Array) -> PositionLikelihood:
+        """Give the same likelihood with its derivatives taken at ``(n_parameters,)``."""
+        return PositionLikelihood(
+            self.chain, self._trajectories, self.observations, values, self._substeps
+        )
 
     def log_density(self, values: Array, scales: Array) -> Array:
         """Log-likelihood, the initial states integrated out with flat priors.
@@ -196,7 +203,8 @@ class _Run:
         count = [s.state.shape[0] for s in self._segments]
         number = np.repeat(np.arange(len(count)), count)
         blocks = [
-            self._averaged(t.period * np.arange(t.position.size, dtype=np.float64), k) for k in range(len(count))
+            self._averaged(t.period * np.arange(t.position.size, dtype=np.float64), k)
+            for k in range(len(count))
         ]
         self.outputs = Outputs(
             name=t.name,

@@ -16,7 +16,7 @@ LogDensity = Callable[[Array], Array]
 # A density that falls by this much is one standard deviation away.
 _ONE_SD = 0.5
 # Candidates that are followed to their peak.
-_CLIMBS = 5
+CLIMBS = 5
 
 
 @dataclass(frozen=True)
@@ -86,11 +86,9 @@ def gauss_newton(target: Target, mode: Array, prior_draws: Array) -> Start:
     moved, _ = target.to_parameters(mode + np.concatenate([np.diag(steps), -np.diag(steps)]))
     centre, _ = target.to_parameters(mode[None])
     scales = target.noise.scales(centre[:, k:])[0]
+    both = target.chain_values(np.concatenate([moved, centre]))
     jacobian = np.concatenate(
-        [
-            (output[:d] - output[d:]) / (2.0 * steps[:, None])
-            for output in target.likelihood.standardised(target.chain_values(moved), scales)
-        ],
+        [_differences(output, steps) for output in target.likelihood.standardised(both, scales)],
         axis=1,
     )
     information = jacobian @ jacobian.T + np.diag(1.0 / prior_sd**2)
@@ -104,7 +102,25 @@ def gauss_newton(target: Target, mode: Array, prior_draws: Array) -> Start:
     return Start(mode, inverse * np.outer(scale, scale))
 
 
-def climb(log_density: LogDensity, candidates: Array, *, max_steps: int = 60) -> Array:
+def _differences(output: Array, steps: Array) -> Array:
+    """Differentiate outputs a step up, a step down and at the centre, ``(2d + 1, n)``.
+
+    A step that leaves the support has no output (a joint of negative friction cannot be
+    simulated); the other side then does alone, and nothing is known where both have none.
+    """
+    d = steps.size
+    up, down, centre = output[:d], output[d : 2 * d], output[2 * d]
+    right, left = (up - centre) / steps[:, None], (centre - down) / steps[:, None]
+    usable = np.stack([np.isfinite(right).all(axis=1), np.isfinite(left).all(axis=1)])
+    weights = usable / np.maximum(usable.sum(axis=0), 1)
+    return np.asarray(
+        weights[0][:, None] * np.nan_to_num(right) + weights[1][:, None] * np.nan_to_num(left)
+    )
+
+
+def climb(
+    log_density: LogDensity, candidates: Array, *, climbs: int = CLIMBS, max_steps: int = 60
+) -> Array:
     """Climb to the mode from the best of several candidates, ``(d,)``.
 
     Newton steps with a Hessian by finite differences, damped as Levenberg and
@@ -118,6 +134,8 @@ def climb(log_density: LogDensity, candidates: Array, *, max_steps: int = 60) ->
         ``(n, d)`` to ``(n,)``, ``-inf`` allowed.
     candidates
         ``(n, d)`` places to start from.
+    climbs
+        How many of the best ones are followed to their peak.
 
     Raises
     ------
@@ -129,9 +147,9 @@ def climb(log_density: LogDensity, candidates: Array, *, max_steps: int = 60) ->
         raise ValueError("every starting point has zero probability")
     # Direction-dependent losses make several peaks, and the highest candidate need
     # not stand at the foot of the highest one.
-    order = [i for i in np.argsort(-heights)[:_CLIMBS] if np.isfinite(heights[i])]
-    climbs = [_climb(log_density, candidates[i], heights[i], max_steps) for i in order]
-    return max(climbs, key=lambda found: found[1])[0]
+    order = [i for i in np.argsort(-heights)[:climbs] if np.isfinite(heights[i])]
+    found = [_climb(log_density, candidates[i], heights[i], max_steps) for i in order]
+    return max(found, key=lambda peak: peak[1])[0]
 
 
 def _climb(log_density: LogDensity, x: Array, height: float, max_steps: int) -> tuple[Array, float]:

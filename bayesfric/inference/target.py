@@ -77,6 +77,11 @@ class Target:
         """Make the same target in coordinates that suit posteriors of these sds, ``(d,)``."""
         return Target(self.likelihood, self._all_priors, self.noise, widths)
 
+    def about(self, parameters: Array) -> Target:
+        """Make the same target, the likelihood's approximations made at parameters ``(d,)``."""
+        likelihood = self.likelihood.about(self.chain_values(parameters[None])[0])
+        return Target(likelihood, self._all_priors, self.noise)
+
     def chain_values(self, parameters: Array) -> Array:
         """Fill the fixed parameters in: ``(n, d)`` to ``(n, chain parameters)``."""
         values = np.tile(self._template, (parameters.shape[0], 1))

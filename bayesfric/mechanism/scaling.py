@@ -103,6 +103,17 @@ class Scaling:
         out[..., back] = 1.0 - (1.0 - out[..., back]) / k
         return out if k.shape else out.reshape(-1)
 
+    def tangent(self, values: ArrayLike) -> Array:
+        """Differentiate :meth:`scaled` by the factor's logarithm at one, ``(n_parameters,)``."""
+        at = np.asarray(values, dtype=np.float64)
+        out = np.zeros_like(at)
+        names = self.chain.names
+        for name in self.behind:
+            out[names.index(name)] = at[names.index(name)]
+        out[names.index(self.drive)] = -1.0 - at[names.index(self.drive)]
+        out[names.index(self.back)] = 1.0 - at[names.index(self.back)]
+        return out
+
     def middle(self, values: ArrayLike) -> float:
         """Factor in the (geometric) middle of its bounds; one where there is no lower bound."""
         low, high = self.bounds(values)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,30 +70,22 @@ def trajectory(recording: Recording, observation: Observation, length: float) ->
     observation
         The same, prepared; its filtered position gives the states to start from.
     length
-        Longest segment in s. Stretches between gaps and excluded samples are divided
-        evenly; infinite for no division.
+        Of a segment, in s. Stretches between gaps and excluded samples are divided about
+        evenly, at samples where the joint is fast; infinite for no division.
 
     Raises
     ------
     BadInput
         If no segment has enough samples.
     """
-    pieces: list[tuple[int, int]] = []
-    for a, b in without_excluded(recording.segments, recording.excluded):
-        parts = max(1, round((b - a) * recording.period / length)) if np.isfinite(length) else 1
-        borders = np.linspace(a, b, parts + 1).round().astype(int)
-        pieces += [
-            (first, last)
-            for first, last in zip(borders[:-1].tolist(), borders[1:].tolist(), strict=True)
-            if last - first >= _LEAST_SAMPLES
-        ]
-    if not pieces:
+    parts = without_excluded(recording.segments, recording.excluded)
+    segments = _cut(parts, recording.period, length, observation.qd)
+    if not len(segments):
         raise BadInput(
             f"recording '{recording.name}'",
             f"has no stretch of {_LEAST_SAMPLES} samples to simulate",
             "use longer segments, exclude less, or record longer",
         )
-    segments = np.array(pieces, dtype=np.int64)
     starts = segments[:, 0]
     return Trajectory(
         name=recording.name,
@@ -105,3 +98,46 @@ def trajectory(recording: Recording, observation: Observation, length: float) ->
         added_mass=recording.added_mass,
         radius=recording.radius,
     )
+
+
+def divided(whole: Trajectory, observation: Observation, length: float) -> Trajectory:
+    """Cut the segments of a trajectory into shorter ones, as in :func:`trajectory`.
+
+    A length that would leave nothing to simulate leaves the trajectory as it is.
+    """
+    pieces = [(int(a), int(b)) for a, b in whole.segments]
+    segments = _cut(pieces, whole.period, length, observation.qd)
+    if not len(segments):
+        return whole
+    starts = segments[:, 0]
+    return replace(whole, segments=segments, q0=observation.q[starts], qd0=observation.qd[starts])
+
+
+def _cut(
+    stretches: Sequence[tuple[int, int]],
+    period: float,
+    length: float,
+    speed: NDArray[np.float64],
+) -> NDArray[np.int64]:
+    """Divide stretches about evenly, ``(K, 2)``; too short pieces are left out.
+
+    Borders are put where the joint is fastest within a quarter of a piece of the even
+    ones: at rest, whether it moves off depends on its state in no way that could be
+    linearised.
+    """
+    pieces: list[tuple[int, int]] = []
+    for a, b in stretches:
+        parts = max(1, round((b - a) * period / length)) if np.isfinite(length) else 1
+        borders = np.linspace(a, b, parts + 1).round().astype(int)
+        reach = (b - a) // (4 * parts)
+        for i in range(1, parts):
+            near = np.abs(speed[borders[i] - reach : borders[i] + reach + 1])
+            # of equally fast samples the middle one, so that a steady motion is cut evenly
+            fastest = np.flatnonzero(near >= near.max() * (1.0 - 1e-9))
+            borders[i] += int(fastest[np.argmin(np.abs(fastest - reach))]) - reach
+        pieces += [
+            (first, last)
+            for first, last in zip(borders[:-1].tolist(), borders[1:].tolist(), strict=True)
+            if last - first >= _LEAST_SAMPLES
+        ]
+    return np.array(pieces, dtype=np.int64).reshape(-1, 2)

@@ -1,0 +1,235 @@
+"""Bounded nonlinear least squares of the modelled torque, for any chain."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.least_squares import least_squares, starting_values
+from bayesfric.estimates.torque import filtered_torque, torque_jacobian
+from bayesfric.mechanism.chain import Chain
+from bayesfric.recordings.observation import Observation
+
+Array = NDArray[np.float64]
+
+# Residuals below this share of the torque are rounding.
+ROUNDING = 1e-9
+# A search ends where it can lower the criterion by no larger share than this.
+_NO_GAIN = 1e-10
+_ITERATIONS = 100
+# Recordings longer than this are worth a second thread.
+_SAMPLES = 200_000
+
+
+class TorqueProblem:
+    """Modelled torque of the free parameters, and what is known of them."""
+
+    def __init__(
+        self, chain: Chain, observations: Sequence[Observation], knowledge: Knowledge
+    ) -> None:
+        self.chain, self.observations, self.knowledge = chain, observations, knowledge
+        self.free = knowledge.free(chain)
+        self.columns = np.array([chain.names.index(name) for name in self.free], dtype=np.int64)
+        self.lower, self.upper = knowledge.limits(chain)
+        self.measured = np.concatenate([o.measured for o in observations])
+        self.totals = least_squares(chain, observations)
+        self.base = np.zeros(len(chain.names))
+        for name, value in knowledge.fixed.items():
+            self.base[chain.names.index(name)] = value
+        # what to step by where a value is zero: the torque is linear, any size will do
+        self.typical = np.abs(self.split(0.2, 0.5))
+        self.typical[self.typical == 0.0] = 0.1
+        self.rounding = (ROUNDING**2) * float(self.measured @ self.measured)
+
+    def split(self, mu: float, share: float) -> Array:
+        """Start from the totals of least squares, ``(n_parameters,)``."""
+        return self.chain.vector(starting_values(self.chain, self.totals, mu, share))
+
+    def vector(self, x: Array) -> Array:
+        """Chain's parameters, ``(n_parameters,)``, from the free ones ``(d,)``."""
+        values = self.base.copy()
+        values[self.columns] = x
+        return values
+
+    def inside(self, values: Array) -> Array:
+        """Free parameters of a vector, put within their limits."""
+        return np.clip(values[self.columns], self.lower, self.upper)
+
+    def residual(self, x: Array) -> Array:
+        """Measured minus modelled, ``(n_outputs,)``."""
+        values = self.vector(x)[None]
+        model = [filtered_torque(self.chain, o, values)[0] for o in self.observations]
+        return np.asarray(self.measured - np.concatenate(model))
+
+    def jacobian(self, x: Array) -> Array:
+        """Of the modelled torque, ``(n_outputs, d)``."""
+        steps = np.zeros(self.base.size)
+        steps[self.columns] = 1e-6 * np.maximum(np.abs(x), self.typical[self.columns])
+        full = torque_jacobian(self.chain, self.observations, self.vector(x), steps)
+        return full[:, self.columns]
+
+
+@dataclass(frozen=True, eq=False)
+class Terms:
+    """What is summed up: weights, where Huber's loss bends, and told values."""
+
+    weights: Array
+    bend: float = np.inf
+    rows: Array | None = None
+    targets: Array | None = None
+
+    def residual(self, problem: TorqueProblem, x: Array) -> Array:
+        """Weighted residuals, those of told values behind them."""
+        residual = self.weights * problem.residual(x)
+        if self.rows is None or self.targets is None:
+            return residual
+        return np.concatenate([residual, self.targets - self.rows @ x])
+
+    def jacobian(self, problem: TorqueProblem, x: Array) -> Array:
+        """Of what is taken away in :meth:`residual`."""
+        jacobian = self.weights[:, None] * problem.jacobian(x)
+        return jacobian if self.rows is None else np.concatenate([jacobian, self.rows])
+
+    def shares(self, residual: Array) -> Array:
+        """Weight of each squared residual that gives Huber's loss the same slope."""
+        out = np.ones(residual.size)
+        if np.isfinite(self.bend):
+            size = np.abs(residual[: self.weights.size])
+            out[: size.size] = self.bend / np.maximum(size, self.bend)
+        return out
+
+    def height(self, residual: Array) -> float:
+        """Sum of the losses."""
+        shares = self.shares(residual)
+        # squares inside, 2 c |r| - c² outside
+        return float(np.sum(residual**2 * shares * (2.0 - shares)))
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Where a search ended: free parameters ``(d,)`` and the sum of losses there."""
+
+    x: Array
+    height: float
+
+
+def descend(
+    problem: TorqueProblem,
+    terms: Terms,
+    x: Array,
+    *,
+    lower: Array | None = None,
+    upper: Array | None = None,
+) -> Found:
+    """Search downhill (Levenberg-Marquardt with exact limits).
+
+    Every step solves the linear problem within the limits, so what a limit stops stands
+    on it to the last digit. Huber's loss is a sequence of weighted squares, each of which
+    lies above it and touches it where it is taken.
+
+    Parameters
+    ----------
+    problem, terms
+        What is summed up.
+    x
+        ``(d,)`` free parameters to start from, within the limits.
+    lower, upper
+        ``(d,)`` limits; those of the problem where left out.
+    """
+    lower = problem.lower if lower is None else lower
+    upper = problem.upper if upper is None else upper
+    residual = terms.residual(problem, x)
+    height = terms.height(residual)
+    damping, raised = 1e-3, 2.0
+    for _ in range(_ITERATIONS):
+        root = np.sqrt(terms.shares(residual))
+        triangle, target, size = _packed(
+            root[:, None] * terms.jacobian(problem, x), root * residual
+        )
+        size = np.where(np.isfinite(size), size, problem.typical[problem.columns])
+        while True:
+            step = _bounded_step(
+                np.concatenate([triangle, np.sqrt(damping) * np.eye(x.size)]),
+                np.concatenate([target, np.zeros(x.size)]),
+                (lower - x) / size,
+                (upper - x) / size,
+            )
+            moved = np.clip(x + size * step, lower, upper)
+            # what ends at a limit up to rounding is put exactly there
+            moved = np.where(size * step <= lower - x, lower, moved)
+            moved = np.where(size * step >= upper - x, upper, moved)
+            after = terms.residual(problem, moved)
+            lowered = terms.height(after)
+            expected = float(target @ target - np.sum((target - triangle @ step) ** 2))
+            if lowered < height:
+                break
+            if expected <= _NO_GAIN * height or damping > 1e12:
+                return Found(x, height)
+            damping, raised = damping * raised, 2.0 * raised
+        gain = height - lowered
+        # Nielsen's rule: the better the linear picture held, the less damping
+        damping *= max(1.0 / 10.0, 1.0 - (2.0 * gain / max(expected, gain / 2.0) - 1.0) ** 3)
+        damping, raised = max(damping, 1e-15), 2.0
+        x, residual, height = moved, after, lowered
+        if max(gain, expected) <= _NO_GAIN * height or height <= 1e-12 * problem.rounding:
+            break
+    return Found(x, height)
+
+
+def _packed(jacobian: Array, residual: Array) -> tuple[Array, Array, Array]:
+    """Shrink a linear problem to ``(d, d)``, in units that change the residual by one.
+
+    From the eigenvectors of ``J'J``: the QR of many rows is more exact, but its threads
+    wait for each other on a busy machine, and a search only needs a direction.
+
+    Returns
+    -------
+    matrix : (d, d)
+    target : (d,)
+    size : (d,)
+        The units; infinite for what does not show.
+    """
+    norms = np.linalg.norm(jacobian, axis=0)
+    with np.errstate(divide="ignore"):
+        size = 1.0 / norms
+    size = np.where(norms > 1e-14 * norms.max(initial=1e-300), size, np.inf)
+    unit = jacobian * np.where(np.isfinite(size), size, 0.0)
+    values, vectors = np.linalg.eigh(unit.T @ unit)
+    told = values > 1e-14 * values.max(initial=0.0)
+    roots = np.where(told, np.sqrt(np.where(told, values, 1.0)), 0.0)
+    slope = vectors.T @ (unit.T @ residual)
+    target = np.where(told, slope / np.where(told, roots, 1.0), 0.0)
+    return roots[:, None] * vectors.T, target, size
+
+
+def _bounded_step(matrix: Array, target: Array, lower: Array, upper: Array) -> Array:
+    step = np.linalg.lstsq(matrix, target, rcond=None)[0]
+    if np.all(step >= lower) and np.all(step <= upper):
+        return np.asarray(step)
+    # a limit met twice (lower = upper) would be refused
+    wide = np.maximum(upper, lower + 1e-300)
+    found = lsq_linear(matrix, target, (lower, wide), method="bvls", tol=1e-14)
+    return np.asarray(found.x)
+
+
+@contextmanager
+def few_threads(observations: Sequence[Observation]) -> Iterator[None]:
+    """Keep the compiled kernels to one thread while recordings are short.
+
+    Between many short calls the threads of the kernels and those of linear algebra wait
+    for each other: on two busy cores that was measured to cost thirty times the work.
+    """
+    before = numba.get_num_threads()
+    if sum(o.q.size for o in observations) < _SAMPLES:
+        numba.set_num_threads(1)
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before)

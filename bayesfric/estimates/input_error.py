@@ -1,0 +1,409 @@
+"""Direct identification by minimising the input error, section 4.2, for any chain."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+from bayesfric.errors import BadInput
+from bayesfric.estimates.assemble import (
+    assemble,
+    bounds_met,
+    open_directions,
+    open_scalings,
+    units_of,
+)
+from bayesfric.estimates.descent import ROUNDING, Found, Terms, TorqueProblem, descend, few_threads
+from bayesfric.estimates.estimate import Estimate
+from bayesfric.estimates.information import Information
+from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.options import Estimation
+from bayesfric.estimates.torque import places
+from bayesfric.estimates.torque_form import scale_known, torque_form
+from bayesfric.estimates.variable_projection import VariableProjection
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.scaling import Scaling, scalings
+from bayesfric.recordings.observation import Observation
+
+Array = NDArray[np.float64]
+Bounds = NDArray[np.int_]
+
+# Residuals beyond this many sds count less; 95 % efficient where there are no outliers.
+_HUBER = 1.345
+# Splits of the totals to start from: load loss, and the share the motor gets.
+_SPLITS = ((0.05, 0.5), (0.2, 0.2), (0.2, 0.5), (0.2, 0.8), (0.5, 0.3), (0.5, 0.7))
+# A minimum this many residual variances higher is another one.
+_SAME = 0.01
+# Minima of the first pass that the second looks at again.
+_MINIMA = 3
+# Neighbouring residuals are called correlated from here on.
+_CORRELATED = 0.2
+# How often the sds behind weights and Huber's loss are taken anew, and when they stand still.
+_ROUNDS = 8
+_SETTLED = 1e-3
+
+
+def input_error(
+    chain: Chain,
+    observations: Sequence[Observation],
+    knowledge: Knowledge,
+    options: Estimation,
+) -> Estimate:
+    """Estimate the chain's parameters from the error of the modelled torque, eq. (12).
+
+    The search starts from the variable projection of eqs. (18) and (19) where the chain
+    has that form, from splits of the least-squares totals, and from random vectors;
+    limits are kept exactly.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    observations
+        One or more prepared recordings.
+    knowledge
+        Known values, limits and data-sheet values.
+    options
+        Loss, weights, number and seed of random starts.
+
+    Returns
+    -------
+    Estimate
+        Totals, derived quantities and parameters. What the data leave open has an
+        infinite standard deviation; what stands on a limit has none.
+
+    Raises
+    ------
+    BadInput
+        If nothing is free, limits exclude each other, or there are fewer outputs than
+        free parameters.
+    """
+    _check(chain, observations, knowledge)
+    with few_threads(observations):
+        return _estimate(TorqueProblem(chain, observations, knowledge), options)
+
+
+def _estimate(problem: TorqueProblem, options: Estimation) -> Estimate:
+    chain, observations = problem.chain, problem.observations
+    plain = Terms(np.ones(problem.measured.size))
+    starts = _starts(problem, options)
+    found = sorted((descend(problem, plain, x) for x in starts.inside), key=lambda one: one.height)
+    terms, x = _refined(problem, options, found)
+    values = _centred(problem, problem.vector(x))
+    x = values[problem.columns]
+    at_bound = bounds_met(x, problem.lower, problem.upper)
+    information = _information(problem, terms, x)
+    residual = problem.residual(x)
+    notes = [
+        _agreement(problem, found) + starts.searched,
+        *_pushed(problem, terms, [x, *starts.projected], at_bound, information.sigma**2),
+        *_scale_notes(problem, information),
+        *_correlation_note(problem, terms.weights * residual),
+    ]
+    return Estimate(
+        method="input-error",
+        values=assemble(chain, observations, problem.knowledge, values, information, at_bound),
+        residual_rms=float(np.sqrt(np.mean(residual**2))),
+        n_outputs=residual.size,
+        assumption=_assumption(problem, terms, at_bound),
+        residual_unit="N m" if chain.motor_motion == "rotary" else "N",
+        notes=tuple(notes),
+        point=tuple(zip(chain.names, values.tolist(), strict=True)),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Starts:
+    """Free parameters to start from: within the limits; as projected; and a note."""
+
+    inside: list[Array]
+    projected: list[Array]
+    searched: str
+
+
+def _starts(problem: TorqueProblem, options: Estimation) -> _Starts:
+    """Make starts of the variable projection, splits of the totals, and random vectors."""
+    vectors = [problem.split(mu, share) for mu, share in _SPLITS]
+    rng = np.random.default_rng(options.seed)
+    for _ in range(options.starts):
+        vector = problem.split(rng.uniform(0.02, 0.7), rng.uniform(0.1, 0.9))
+        vectors.append(vector * np.exp(0.5 * rng.standard_normal(vector.size)))
+    fixed = problem.knowledge.fixed
+    form = torque_form(problem.chain, problem.observations)
+    vectors = [scale_known(problem.chain, vector, fixed) for vector in vectors]
+    searched = ""
+    projected = []
+    if form is not None:
+        projection = VariableProjection(form, problem.observations)
+        found = projection.minimise([form.thetas(vector)[1] for vector in vectors])
+        # the projection has looked everywhere; the splits look for minima that limits make
+        vectors = vectors[: len(_SPLITS)]
+        vectors.insert(0, form.parameters(found.theta1, found.theta2, fixed))
+        projected = [vectors[0][problem.columns]]
+        if found.theta2.size:
+            searched = f"; of eqs. (18) and (19), {found.starts_agreeing} of {found.starts}"
+    inside = [problem.inside(_toward_told(problem, vector)) for vector in vectors]
+    return _Starts(inside, projected, searched)
+
+
+def _refined(
+    problem: TorqueProblem, options: Estimation, found: Sequence[Found]
+) -> tuple[Terms, Array]:
+    """Second pass: recordings by their own sd, Huber's loss, told values."""
+    n = problem.measured.size
+    floor = ROUNDING * float(np.sqrt(np.mean(problem.measured**2)))
+    robust = options.loss == "huber"
+    by_recording = options.weights == "recording" and len(problem.observations) > 1
+    rows, targets = problem.knowledge.rows(problem.chain)
+    terms = Terms(np.ones(n))
+    best = found[0]
+    if not rows.size and not robust and not by_recording:
+        return terms, best.x
+    # sds from a fit that a noisy recording or an outlier has bent are taken again
+    for again in range(_ROUNDS if robust or by_recording else 1):
+        residual = problem.residual(best.x)
+        weights = np.ones(n)
+        if by_recording:
+            weights = _recording_weights(problem, terms, best.x, residual, robust)
+        sd = _sd(weights * residual, robust) * float(np.sqrt(n / max(n - len(problem.free), 1)))
+        sd = max(sd, floor)
+        previous, terms = terms, Terms(weights, _HUBER * sd if robust else np.inf)
+        if rows.size:
+            terms = replace(terms, rows=sd * rows, targets=sd * targets)
+        # another minimum of the first pass may be the lower one now
+        begin = [best.x] if again else _apart(problem, found)
+        best = min((descend(problem, terms, x) for x in begin), key=lambda one: one.height)
+        settled = np.allclose(weights, previous.weights, rtol=_SETTLED, atol=0.0)
+        if settled and (not robust or np.isclose(terms.bend, previous.bend, rtol=_SETTLED)):
+            break
+    return terms, best.x
+
+
+def _sd(residual: Array, robust: bool) -> float:
+    """Root mean square, or what the median absolute value says of a normal's sd."""
+    if robust:
+        return float(1.482602218505602 * np.median(np.abs(residual)))
+    return float(np.sqrt(np.mean(residual**2)))
+
+
+def _recording_weights(
+    problem: TorqueProblem, terms: Terms, x: Array, residual: Array, robust: bool
+) -> Array:
+    """One over each recording's residual sd, times their mean so that N m stay N m."""
+    counts = [o.measured.size for o in problem.observations]
+    borders = np.cumsum(counts)[:-1]
+    # a fit takes from each recording as many degrees of freedom as it leans on it
+    left, singular, _ = np.linalg.svd(
+        terms.weights[:, None] * problem.jacobian(x) * problem.typical[problem.columns],
+        full_matrices=False,
+    )
+    leaning = (left[:, singular > 1e-9 * singular.max(initial=0.0)] ** 2).sum(axis=1)
+    sds = np.array(
+        [
+            _sd(part, robust) * np.sqrt(part.size / max(part.size - lean.sum(), 1e-3 * part.size))
+            for part, lean in zip(
+                np.split(residual, borders), np.split(leaning, borders), strict=True
+            )
+        ]
+    )
+    # a recording without noise has rounding for residuals, not a thousandfold say
+    sds = np.maximum(sds, max(1e-3 * sds.max(), ROUNDING * _sd(problem.measured, False)))
+    return np.repeat(np.exp(np.mean(np.log(sds))) / sds, counts)
+
+
+def _toward_told(problem: TorqueProblem, values: Array) -> Array:
+    """Move along the scalings, where these are free, to where told values fit best."""
+    if any(o.added_mass for o in problem.observations):
+        return values
+    told, fixed = problem.knowledge.told, problem.knowledge.fixed
+    for scaling in scalings(problem.chain):
+        names = set(scaling.names)
+        if names & set(told) and not names & set(fixed):
+            values = scaling.scaled(values, _told_factor(scaling, values, told))
+    return values
+
+
+def _told_factor(scaling: Scaling, values: Array, told: Mapping[str, tuple[float, float]]) -> float:
+    """Factor that a passive gearbox allows at which the told values fit best."""
+    names = scaling.chain.names
+
+    def misfit(log_k: float) -> float:
+        at = dict(zip(names, scaling.scaled(values, np.exp(log_k)).tolist(), strict=True))
+        shown = [n for n in scaling.names if n in told]
+        return float(sum(((at[n] - told[n][0]) / told[n][1]) ** 2 for n in shown))
+
+    low, high = scaling.bounds(values)
+    low = max(low, 1e-3 * high)
+    if not low < high:
+        return 1.0
+    ends = (float(np.log(low)), float(np.log(high)))
+    return float(np.exp(minimize_scalar(misfit, bounds=ends, method="bounded").x))
+
+
+def _centred(problem: TorqueProblem, values: Array) -> Array:
+    """Put the fit in the middle of what limits and a passive gearbox leave open."""
+    limits = dict(zip(problem.free, zip(problem.lower, problem.upper, strict=True), strict=True))
+    for scaling in open_scalings(problem.chain, problem.knowledge, problem.observations):
+        low, high = scaling.bounds(values)
+        for name in scaling.names:
+            now = float(values[problem.chain.names.index(name)])
+            least, most = limits[name]
+            if name == scaling.drive:
+                # mu_1 falls, mu_2 grows with the factor
+                now, least, most = 1.0 / (1.0 + now), 1.0 / (1.0 + most), 1.0 / (1.0 + least)
+            elif name == scaling.back:
+                if now >= 1.0 or most >= 1.0:
+                    continue
+                now, least, most = 1.0 / (1.0 - now), 1.0 / (1.0 - least), 1.0 / (1.0 - most)
+            if now > 0.0:
+                low, high = max(low, least / now), min(high, most / now)
+        if 0.0 < low < high:
+            values = scaling.scaled(values, np.sqrt(low * high))
+    return problem.vector(problem.inside(values))
+
+
+def _information(problem: TorqueProblem, terms: Terms, x: Array) -> Information:
+    """Say what determines the free parameters.
+
+    Those on a limit are among them: taking such a value for known would leave what it
+    trades off against with a standard deviation far too small.
+    """
+    residual = terms.weights * problem.residual(x)
+    inflation = 1.0
+    if np.isfinite(terms.bend):
+        # Huber 1981, section 7.6: sandwich of an M-estimator with its small-sample factor
+        straight = float(np.mean(np.abs(residual) <= terms.bend))
+        residual = np.clip(residual, -terms.bend, terms.bend) / straight
+        inflation += x.size / residual.size * (1.0 - straight) / straight
+    rows, _ = problem.knowledge.rows(problem.chain)
+    units = units_of(problem.chain, problem.free, problem.vector(x))
+    return Information(
+        terms.weights[:, None] * problem.jacobian(x),
+        residual,
+        np.maximum(units, 0.1 * problem.typical[problem.columns]),
+        places=places(problem.observations),
+        known=rows,
+        known_null=open_directions(
+            problem.chain, problem.knowledge, problem.observations, problem.vector(x)
+        ),
+        inflation=inflation,
+    )
+
+
+def _width(problem: TorqueProblem, found: Sequence[Found]) -> float:
+    """By how much two minima have to differ to be two."""
+    variance = found[0].height / max(problem.measured.size - len(problem.free), 1)
+    return _SAME * variance + problem.rounding
+
+
+def _apart(problem: TorqueProblem, found: Sequence[Found]) -> list[Array]:
+    """One vector of each of the lowest minima, moved to where told values fit best."""
+    width = _width(problem, found)
+    apart: list[Found] = []
+    for one in found:
+        if not apart or one.height > apart[-1].height + width:
+            apart.append(one)
+    vectors = [_toward_told(problem, problem.vector(one.x)) for one in apart[:_MINIMA]]
+    return [problem.inside(vector) for vector in vectors]
+
+
+def _agreement(problem: TorqueProblem, found: Sequence[Found]) -> str:
+    limit = found[0].height + _width(problem, found)
+    return f"{sum(one.height <= limit for one in found)} of {len(found)} starts reached the minimum"
+
+
+def _pushed(
+    problem: TorqueProblem,
+    terms: Terms,
+    starts: Sequence[Array],
+    at_bound: Bounds,
+    variance: float,
+) -> list[str]:
+    """Which parameters the fit, the first of the starts, would take out of their limits."""
+    if not at_bound.any():
+        return []
+    anywhere = np.full(at_bound.size, np.inf)
+    outside = min(
+        (descend(problem, terms, x, lower=-anywhere, upper=anywhere) for x in starts),
+        key=lambda one: one.height,
+    )
+    kept = terms.height(terms.residual(problem, starts[0]))
+    if kept - outside.height <= variance + problem.rounding:
+        return []
+    values = problem.vector(outside.x)
+    for scaling in open_scalings(problem.chain, problem.knowledge, problem.observations):
+        # a loss that the open scale can make positive has not been pushed anywhere
+        values = scaling.scaled(values, scaling.middle(values))
+    free = values[problem.columns]
+    negative = (free < problem.lower) & (problem.lower == 0.0)
+    beyond = ((free < problem.lower) & ~negative) | (free > problem.upper)
+    notes = []
+    for found, what in ((negative, "negative"), (beyond, "leave theirs")):
+        names = [name for name, is_it in zip(problem.free, found, strict=True) if is_it]
+        if names:
+            notes.append(f"without bounds the fit would make {', '.join(names)} {what}")
+    return notes
+
+
+def _scale_notes(problem: TorqueProblem, information: Information) -> list[str]:
+    """Say what fixes the scale between leg and alpha, or that nothing does."""
+    notes = []
+    knowledge, free = problem.knowledge, np.array(problem.free)
+    for scaling in scalings(problem.chain):
+        what = f"the scale between {scaling.element}.alpha and what is behind it"
+        gradients = [(free == name).astype(np.float64) for name in scaling.names]
+        if all(np.isinf(information.sds(g)[0]) for g in gradients):
+            notes.append(f"{what} is open: the estimate is one of a family that fits as well")
+            continue
+        by = [f"known {name}" for name in scaling.names if name in knowledge.fixed]
+        by += [f"told {name}" for name in scaling.names if name in knowledge.told]
+        by += ["the known added mass"] if any(o.added_mass for o in problem.observations) else []
+        if by:
+            notes.append(f"{what} is fixed by {', '.join(by)}")
+    return notes
+
+
+def _correlation_note(problem: TorqueProblem, residual: Array) -> list[str]:
+    where = places(problem.observations)
+    near = np.flatnonzero(np.diff(where) == 1)
+    power = float(np.mean(residual**2))
+    if not near.size or power * residual.size <= problem.rounding:
+        return []
+    lag = float(np.mean(residual[near] * residual[near + 1])) / power
+    if lag < _CORRELATED:
+        return []
+    return [f"neighbouring residuals are correlated ({lag:.2f}): trust sd_robust, not sd"]
+
+
+def _assumption(problem: TorqueProblem, terms: Terms, at_bound: Bounds) -> str:
+    text = "sd: uncorrelated residuals of equal variance"
+    text += " within each recording" if np.ptp(terms.weights) else ""
+    text += "; sd_robust: correlated ones (HAC)"
+    text += "; outliers beyond 1.345 sd count less (Huber)" if np.isfinite(terms.bend) else ""
+    text += "; told values are independent of the data" if terms.rows is not None else ""
+    on = [name for name, bound in zip(problem.free, at_bound, strict=True) if bound]
+    if on:
+        text += f"; {', '.join(on)} on a bound: the sds of the others are those without it"
+    return text
+
+
+def _check(chain: Chain, observations: Sequence[Observation], knowledge: Knowledge) -> None:
+    free = knowledge.free(chain)
+    where = ", ".join(o.name for o in observations)
+    if not free:
+        raise BadInput(where, "every parameter is fixed", "leave at least one free")
+    lower, upper = knowledge.limits(chain)
+    for name, low, high in zip(free, lower, upper, strict=True):
+        if not low < high:
+            raise BadInput(name, f"has no room between {low:g} and {high:g}", "widen its bounds")
+    outputs = sum(o.measured.size for o in observations)
+    if outputs <= len(free):
+        raise BadInput(
+            where,
+            f"{outputs} outputs cannot determine {len(free)} parameters",
+            "use a longer recording, or decimate less",
+        )

@@ -1,0 +1,413 @@
+"""Output error, section 4.3: parameters whose simulated position is nearest the measured one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.errors import BadInput
+from bayesfric.estimates.assemble import assemble, bounds_met, open_scalings, units_of
+from bayesfric.estimates.estimate import Estimate
+from bayesfric.estimates.information import Information
+from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.least_squares import least_squares, starting_values
+from bayesfric.estimates.options import Estimation
+from bayesfric.estimates.shooting import Shooting, choose_substeps, resolution, step_error
+from bayesfric.estimates.shooting_fit import (
+    HUBER,
+    Frame,
+    Linearised,
+    Solution,
+    Weights,
+    descend_afresh,
+    residual_of,
+    settle_states,
+)
+from bayesfric.estimates.torque import torque_jacobian
+from bayesfric.mechanism.chain import Chain
+from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.trajectory import Trajectory, divided
+
+Array = NDArray[np.float64]
+
+# Segment lengths to try, s. Noise of the torque is integrated, so short segments tell more
+# where the encoder is fine, long ones where it is coarse; measured: beyond 1 s drift rules.
+LENGTHS = (0.2, 0.5, 1.0)
+# Shortest segment, samples: two states come off each.
+_LEAST_SAMPLES = 40
+# Sums over segments make sound standard deviations with this many for each parameter.
+_GROUPS = 2.0
+# A longer segment is taken where it lowers the logarithm of robust sds by this much.
+_CLEARLY = 0.2
+# Differences carry errors of 1e-8 of a derivative; what is smaller than this is null.
+_NULL = 1e-6
+
+
+def output_error(
+    chain: Chain,
+    trajectories: Sequence[Trajectory],
+    observations: Sequence[Observation],
+    knowledge: Knowledge,
+    options: Estimation,
+    start: Estimate,
+) -> Estimate:
+    """Estimate by simulation, section 4.3: the least ``||q - qc||``.
+
+    The measured torque drives the simulated joint; parameters and the state at the start of
+    every segment are fitted to the measured position, unfiltered.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    trajectories
+        The recordings, not yet divided.
+    observations
+        The same, prepared, in the same order.
+    knowledge
+        Known values, bounds and told values.
+    options
+        Loss, weights, segment length and substeps.
+    start
+        Where to start from, with a value for every parameter: the input error.
+
+    Returns
+    -------
+    Estimate
+        Residuals in rad or m. ``sd`` is for white noise of the position. Noise of the torque
+        drives the simulated joint, so residuals within a segment drift together;
+        ``sd_robust`` rests on segments being independent of each other.
+
+    Raises
+    ------
+    BadInput
+        If the joint cannot be simulated, or there are fewer samples than unknowns.
+    """
+    _check(chain, trajectories, knowledge)
+    problem = OutputError(chain, trajectories, observations, knowledge, options)
+    given = dict(start.point)
+    try:
+        values = chain.vector({n: knowledge.fixed.get(n, given[n]) for n in chain.names})
+    except KeyError as error:
+        raise BadInput(
+            "start", f"has no value for {error.args[0]}", "start from the input error"
+        ) from None
+    lengths = problem.lengths()
+    best: Fit | None = None
+    # Of the two places to start from the nearer one; the other if that one gets stuck.
+    starts = [values, _split(chain, observations, knowledge)]
+    starts.sort(key=lambda v: problem.distance(v, lengths[0]))
+    for begin in starts:
+        found = problem.fit(begin, lengths[0])
+        if found is not None and (best is None or found.solution.cost < best.solution.cost):
+            best = found
+        if best is not None and best.solution.converged:
+            break
+    if best is None:
+        raise BadInput(
+            ", ".join(f"recording '{t.name}'" for t in trajectories),
+            "the joint cannot be simulated: from no start has the torque one bounded motion",
+            "check units and sign of the torque, bound the load losses, or shorten 'segment'",
+        )
+    fits = [best]
+    for length in lengths[1:]:
+        longer = problem.fit(fits[-1].solution.values, length)
+        if longer is not None:
+            fits.append(longer)
+    # The more segments, the sounder the sds: a longer length must be clearly better. One that
+    # runs into other bounds only looks better, for bounds count as certain.
+    chosen = fits[0]
+    for longer in fits[1:]:
+        same = np.array_equal(longer.at_bound, fits[0].at_bound) and longer.solution.converged
+        if same and _spread(longer) < _spread(chosen) - _CLEARLY:
+            chosen = longer
+    return problem.estimate(chosen, fits)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fit with segments of one length.
+
+    Attributes
+    ----------
+    length
+        Of the segments, s.
+    frame, weights, solution
+        The problem and where its descent ended, scalings in their middle.
+    information
+        Of the free parameters, bounds left out: beside one, others would look far too certain.
+    at_bound
+        ``(d,)``: -1 on the lower bound, 1 on the upper, else 0.
+    error
+        Discretisation error of the position, rad or m.
+    """
+
+    length: float
+    frame: Frame
+    weights: Weights
+    solution: Solution
+    information: Information
+    at_bound: NDArray[np.int_]
+    error: float
+
+
+class OutputError:
+    """Fits of simulated to measured position with segments of any length.
+
+    Parameters
+    ----------
+    chain, trajectories, observations, knowledge, options
+        As for :func:`output_error`.
+    """
+
+    def __init__(
+        self,
+        chain: Chain,
+        trajectories: Sequence[Trajectory],
+        observations: Sequence[Observation],
+        knowledge: Knowledge,
+        options: Estimation,
+    ) -> None:
+        self.chain, self.knowledge, self.options = chain, knowledge, options
+        self.trajectories, self.observations = tuple(trajectories), tuple(observations)
+        self.free = knowledge.free(chain)
+        self.columns = np.array([chain.names.index(n) for n in self.free], dtype=np.int64)
+        self.limits = knowledge.limits(chain)
+        self.scalings = open_scalings(chain, knowledge, observations)
+
+    def distance(self, values: Array, length: float) -> float:
+        """Sum of squares at a start, states fitted; infinite where it cannot be simulated."""
+        frame, values = self._begin(values, length)
+        plain = Weights(np.ones(frame.shooting.measured.size), 1.0, np.inf)
+        states = settle_states(frame, plain, values, frame.shooting.initial)
+        found = float(np.sum(residual_of(frame, values, states) ** 2))
+        return found if np.isfinite(found) else np.inf
+
+    def _begin(self, values: Array, length: float) -> tuple[Frame, Array]:
+        """Cut the recordings, and bring a start within the limits."""
+        cut = [
+            divided(t, o, length) for t, o in zip(self.trajectories, self.observations, strict=True)
+        ]
+        values = values.copy()
+        values[self.columns] = np.clip(values[self.columns], *self.limits)
+        return self._frame(Shooting(self.chain, cut, self.options.substeps or 1), values), values
+
+    def fit(self, values: Array, length: float) -> Fit | None:
+        """Fit from a start ``(n_parameters,)``; ``None`` where it cannot be simulated."""
+        frame, values = self._begin(values, length)
+        shooting = frame.shooting
+        plain = Weights(np.ones(shooting.measured.size), 1.0, np.inf)
+        states = settle_states(frame, plain, values, shooting.initial)
+        residual = residual_of(frame, values, states)
+        if not np.isfinite(residual).all():
+            return None
+        if self.options.substeps is None:
+            substeps, _ = choose_substeps(shooting, values, states)
+            if substeps != shooting.substeps:
+                frame = self._frame(Shooting(self.chain, shooting.trajectories, substeps), values)
+        rounds = 1
+        if self._weighted or self.knowledge.told or self.options.loss == "huber":
+            rounds = 4
+        for _ in range(rounds):
+            weights = self._weights(frame, residual)
+            solution = descend_afresh(frame, weights, values, states)
+            if not np.isfinite(solution.cost):
+                return None
+            values, states, residual = solution.values, solution.states, solution.residual
+        centred = self._centred(values)
+        if not np.array_equal(centred, values):
+            moved = residual_of(frame, centred, states)
+            solution = replace(solution, values=centred, residual=moved)
+        at_bound = bounds_met(solution.values[self.columns], *self.limits)
+        error, _ = step_error(frame.shooting, solution.values, states, frame.shooting.substeps)
+        information = self._information(frame, weights, solution)
+        return Fit(length, frame, weights, solution, information, at_bound, error)
+
+    def lengths(self) -> tuple[float, ...]:
+        """Segment lengths to try, s: the one told, or those with segments enough for sound sds."""
+        if self.options.segment is not None:
+            return (self.options.segment,)
+        total = sum(float(np.diff(t.segments, axis=1).sum()) * t.period for t in self.trajectories)
+        period = max(t.period for t in self.trajectories)
+        needed = _GROUPS * max(self.columns.size, 1)
+        fitting = [
+            length
+            for length in LENGTHS
+            if length >= _LEAST_SAMPLES * period and total >= needed * length
+        ]
+        return tuple(fitting) or (max(LENGTHS[0], _LEAST_SAMPLES * period),)
+
+    def estimate(self, fit: Fit, others: Sequence[Fit] = ()) -> Estimate:
+        """State everything a fit says."""
+        unit = "rad" if self.chain.load.motion == "rotary" else "m"
+        solution, shooting = fit.solution, fit.frame.shooting
+        values = assemble(
+            self.chain,
+            self.observations,
+            self.knowledge,
+            solution.values,
+            fit.information,
+            fit.at_bound,
+        )
+        finest = min(resolution(t.position) for t in self.trajectories)
+        length = float(np.median(np.diff(shooting.borders) * shooting.periods))
+        n = shooting.n_segments
+        notes = [
+            f"simulated anew in {n} segments of {length:.3g} s ({self._why(others)})"
+            if n > len(self.trajectories)
+            else f"simulated without restart, {length:.3g} s ({self._why(others)})",
+            f"{shooting.substeps} integration steps a sample: discretisation error "
+            f"{fit.error:.1e} {unit}, position resolution {finest:.1e} {unit}",
+        ]
+        if n < _GROUPS * self.columns.size:
+            notes.append(
+                f"{n} segments are too few for sums over segments: sd_robust takes residuals for "
+                "a stationary series and is too small where they drift; give a shorter 'segment'"
+            )
+        if fit.at_bound.any():
+            names = ", ".join(n for n, b in zip(self.free, fit.at_bound, strict=True) if b)
+            notes.append(
+                f"stands on a bound: {names}; the others carry the standard deviations they would "
+                "have without it"
+            )
+        if not solution.converged:
+            notes.append(
+                f"the search stopped after {solution.iterations} steps with something left to gain"
+            )
+        return Estimate(
+            method="output-error",
+            values=values,
+            residual_rms=float(np.sqrt(np.mean(solution.residual**2))),
+            n_outputs=solution.residual.size,
+            assumption="sd: uncorrelated noise of the position; sd_robust: residuals correlated "
+            "in any way within segments, as noise of the torque makes them",
+            residual_unit=unit,
+            notes=tuple(notes),
+            point=tuple(zip(self.chain.names, solution.values.tolist(), strict=True)),
+        )
+
+    def _why(self, others: Sequence[Fit]) -> str:
+        if self.options.segment is not None:
+            return "as told"
+        if len(others) < 2:
+            return "chosen: longer ones would be too few for sound standard deviations"
+        compared = ", ".join(f"{f.length:g}" for f in others)
+        return f"chosen among {compared} s: shortest unless sd_robust clearly falls"
+
+    @property
+    def _weighted(self) -> bool:
+        return self.options.weights == "recording" and len(self.trajectories) > 1
+
+    def _frame(self, shooting: Shooting, values: Array) -> Frame:
+        rows, targets = self.knowledge.rows(self.chain)
+        speeds = np.concatenate([o.qd for o in self.observations])
+        return Frame(
+            shooting,
+            self.columns,
+            self._units(values)[self.columns],
+            self.limits,
+            self.scalings,
+            rows,
+            targets,
+            speed=max(float(np.sqrt(np.mean(speeds**2))), 1e-12),
+            span=max(float(np.ptp(t.position)) for t in self.trajectories) or 1e-12,
+        )
+
+    def _units(self, values: Array) -> Array:
+        """Change of every parameter that changes the torque by all of itself."""
+        values_size = units_of(self.chain, self.chain.names, values)
+        steps = 1e-6 + 1e-4 * values_size
+        jacobian = torque_jacobian(self.chain, self.observations, values, steps)
+        torque = np.concatenate([o.measured for o in self.observations])
+        size = np.sqrt(np.mean(jacobian**2, axis=0))
+        whole = float(np.sqrt(np.mean(torque**2)))
+        return np.where(size > 0.0, whole / np.where(size > 0.0, size, 1.0), values_size)
+
+    def _weights(self, frame: Frame, residual: Array) -> Weights:
+        of = frame.shooting.recording_of
+        rows = np.ones(residual.size)
+        if self._weighted:
+            sizes = np.array(
+                [np.sqrt(np.mean(residual[of == i] ** 2)) for i in range(len(self.trajectories))]
+            )
+            rows = float(np.sqrt(np.mean(residual**2))) / np.maximum(sizes, 1e-300)[of]
+        weighted = residual * rows
+        sigma = float(np.sqrt(np.mean(weighted**2)))
+        if self.options.loss == "squares":
+            return Weights(rows, sigma, np.inf)
+        # the median is blind to the outliers that the loss is for
+        spread = float(np.median(np.abs(weighted))) / 0.6745
+        return Weights(rows, spread, HUBER * max(spread, 1e-300))
+
+    def _centred(self, values: Array) -> Array:
+        """Move along open scalings to the middle of what gearbox and limits allow."""
+        for scaling in self.scalings:
+            low, high = scaling.bounds(values)
+            low, high = max(low, 1e-3 * high), high
+            tried = np.geomspace(low, high, 401)
+            vectors = scaling.scaled(values, tried)[:, self.columns]
+            inside = np.all((vectors >= self.limits[0]) & (vectors <= self.limits[1]), axis=1)
+            if not inside.any():
+                continue
+            allowed = tried[inside]
+            middle = scaling.middle(values)
+            best = float(np.clip(middle, allowed[0], allowed[-1]))
+            if not allowed[0] < best < allowed[-1]:
+                best = float(np.sqrt(allowed[0] * allowed[-1]))
+            values = scaling.scaled(values, best)
+        return values
+
+    def _information(self, frame: Frame, weights: Weights, solution: Solution) -> Information:
+        linear = Linearised(frame, solution.values, solution.states, weights.rows, weights.sigma)
+        residual = weights.rows * linear.residual
+        if np.isfinite(weights.knee):
+            # An M-estimate is a least-squares one whose residuals are the loss's slopes.
+            share = float(np.mean(np.abs(residual) <= weights.knee))
+            residual = np.clip(residual, -weights.knee, weights.knee) / max(share, 0.1)
+        projected, _ = linear.elimination.of(residual[:, None])
+        return Information(
+            linear.elimination.projected[:, 1:],
+            projected[:, 0],
+            frame.units,
+            places=frame.shooting.places,
+            groups=frame.shooting.segment_of,
+            known=frame.told,
+            tolerance=_NULL,
+            lost=linear.elimination.lost,
+        )
+
+
+def _spread(fit: Fit) -> float:
+    """Mean logarithm of the robust sds of what every length determines: smaller is better."""
+    d = fit.information.directions
+    told = d.rows[~d.null]
+    found = [fit.information.sds(row / d.units)[1] for row in told]
+    return float(np.mean(np.log(np.maximum(found, 1e-300)))) if found else np.inf
+
+
+def _split(chain: Chain, observations: Sequence[Observation], knowledge: Knowledge) -> Array:
+    """Least-squares totals split into parameters, as a second place to start from."""
+    values = starting_values(chain, least_squares(chain, observations), 0.2, 0.5)
+    return chain.vector({**values, **{k: knowledge.fixed[k] for k in knowledge.fixed}})
+
+
+def _check(chain: Chain, trajectories: Sequence[Trajectory], knowledge: Knowledge) -> None:
+    inertia = [p.name for p in chain.parameters if p.quantity == "inertia"]
+    known = [n for n in inertia if knowledge.fixed.get(n, 1.0) > 0.0]
+    if not known and not all(t.added_mass for t in trajectories):
+        raise BadInput(
+            "mechanism",
+            "has no inertia, so a torque does not determine a motion to compare with",
+            "give an element or the load inertia, or use the input error",
+        )
+    unknowns = len(knowledge.free(chain)) + 2 * len(trajectories)
+    samples = sum(t.samples.size for t in trajectories)
+    if samples <= unknowns:
+        raise BadInput(
+            ", ".join(f"recording '{t.name}'" for t in trajectories),
+            f"{samples} samples cannot determine {unknowns} unknowns",
+            "use a longer recording",
+        )

@@ -1,0 +1,342 @@
+"""Simulated positions, and what parameters and initial states do to them (section 4.3).
+
+Every segment of a recording is simulated from a state of its own, driven by the measured
+torque. Segments do not depend on each other, so moving all their initial positions (or
+speeds) at once differentiates by each of them, and taking them out of a least-squares
+problem is one small QR decomposition a segment (variable projection). This is multiple
+shooting without continuity constraints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.forward import simulate_segments
+from bayesfric.recordings.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+# Most integration steps a sample; more do not pay where measured torque has kinks at samples.
+_MAX_SUBSTEPS = 64
+# A discretisation error is small below this share of what the encoder can tell.
+_SHARE_OF_RESOLUTION = 0.01
+# A speed that moves the joint for less than this share of one sample says nothing.
+_LEAST_REACH = 1e-2
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivities:
+    """Simulated positions and their derivatives.
+
+    Attributes
+    ----------
+    positions
+        ``(n,)``, rad or m.
+    parameters
+        ``(n, d)`` by the free parameters.
+    states
+        ``(n, 2)`` by position and speed at the start of the segment each sample is in.
+    """
+
+    positions: Array
+    parameters: Array
+    states: Array
+
+
+class Shooting:
+    """Simulation of recordings from one state for each of their segments.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    trajectories
+        One or more recordings, cut into segments.
+    substeps
+        Integration steps a sample.
+
+    Attributes
+    ----------
+    measured
+        ``(n,)`` measured position inside the segments of all recordings, rad or m.
+    segment_of, recording_of
+        ``(n,)`` number of the segment, counted over all recordings, and of the recording.
+    places
+        ``(n,)`` place of each sample on an even grid of time, recordings far apart.
+    borders
+        ``(K + 1,)``: segment ``k`` is ``borders[k]:borders[k + 1]`` of the above.
+    initial
+        ``(K, 2)`` position and speed to start the search for the initial states from.
+    """
+
+    def __init__(self, chain: Chain, trajectories: Sequence[Trajectory], substeps: int) -> None:
+        self.chain, self.trajectories, self.substeps = chain, tuple(trajectories), substeps
+        sizes = [int(np.diff(t.segments, axis=1).sum()) for t in trajectories]
+        self.measured = np.concatenate([t.position[t.samples] for t in trajectories])
+        self.recording_of = np.repeat(np.arange(len(sizes)), sizes)
+        lengths = np.concatenate([np.diff(t.segments, axis=1)[:, 0] for t in trajectories])
+        self.borders = np.concatenate([[0], np.cumsum(lengths)])
+        self.segment_of = np.repeat(np.arange(lengths.size), lengths)
+        self.periods = np.repeat(
+            [t.period for t in trajectories], [len(t.segments) for t in trajectories]
+        )
+        self.initial = np.concatenate([np.stack([t.q0, t.qd0], axis=1) for t in trajectories])
+        places, begin = [], 0
+        for t in trajectories:
+            # a gap of a tenth of the recording keeps it from being a neighbour of the next
+            places.append(t.samples + begin)
+            begin += t.position.size + t.position.size // 10 + 1
+        self.places = np.concatenate(places)
+
+    @property
+    def n_segments(self) -> int:
+        """Number of segments of all recordings."""
+        return int(self.initial.shape[0])
+
+    def positions(self, values: Array, states: Array, substeps: int | None = None) -> Array:
+        """Simulate.
+
+        Parameters
+        ----------
+        values
+            ``(m, n_parameters)`` in the order of ``chain.names``.
+        states
+            ``(K, 2)`` or ``(m, K, 2)``: position and speed at each segment's start.
+        substeps
+            In place of :attr:`substeps`.
+
+        Returns
+        -------
+        ndarray
+            ``(m, n)``, rad or m; NaN where a vector cannot be simulated.
+        """
+        m = values.shape[0]
+        states = np.broadcast_to(states, (m, self.n_segments, 2))
+        blocks, first = [], 0
+        for t in self.trajectories:
+            part = states[:, first : first + len(t.segments)]
+            first += len(t.segments)
+            simulated = simulate_segments(
+                self.chain,
+                values,
+                t.torque,
+                t.period,
+                t.segments,
+                part[..., 0],
+                part[..., 1],
+                added_mass=t.added_mass,
+                radius=t.radius,
+                substeps=self.substeps if substeps is None else substeps,
+            )
+            blocks.append(simulated[:, t.samples])
+        return np.concatenate(blocks, axis=1) if len(blocks) > 1 else blocks[0]
+
+    def sensitivities(
+        self,
+        values: Array,
+        states: Array,
+        steps: Array,
+        state_steps: tuple[float, float],
+        limits: tuple[Array, Array] | None = None,
+        *,
+        central: bool = True,
+    ) -> Sensitivities:
+        """Simulate and differentiate, all differences side by side in one go.
+
+        Central differences; where they would leave the limits, the one-sided formula of
+        the same order. Without ``central`` plain one-sided ones, at half the cost.
+
+        Parameters
+        ----------
+        values
+            ``(n_parameters,)`` in the order of ``chain.names``.
+        states
+            ``(K, 2)``.
+        steps
+            ``(n_parameters,)`` widths of the differences; zero for parameters to leave out.
+        state_steps
+            Of initial position and speed.
+        limits
+            Lower and upper limit of every parameter, ``(n_parameters,)`` each; the
+            supports where left out.
+
+        Returns
+        -------
+        Sensitivities
+            With one column for each parameter whose step is not zero. Derivatives are
+            NaN where neither side can be simulated.
+        """
+        if limits is None:
+            lower = np.array([p.lower for p in self.chain.parameters])
+            upper = np.array([p.upper for p in self.chain.parameters])
+        else:
+            lower, upper = limits
+        moving = np.flatnonzero(steps)
+        d = moving.size
+        h = steps[moving]
+        near = np.where(values[moving] - h < lower[moving], 1.0, -1.0)
+        far = np.where(near > 0, 2.0, np.where(values[moving] + h > upper[moving], -2.0, 1.0))
+        k = 2 if central else 1
+        # k rows a parameter, k rows a state, the middle
+        vectors = np.tile(values, (k * d + 2 * k + 1, 1))
+        starts = np.tile(states, (k * d + 2 * k + 1, 1, 1))
+        vectors[np.arange(d), moving] += near * h
+        for i, step in enumerate(state_steps):
+            starts[k * d + i, :, i] += step
+        if central:
+            vectors[d + np.arange(d), moving] += far * h
+            for i, step in enumerate(state_steps):
+                starts[2 * d + 2 + i, :, i] -= step
+        out = self.positions(vectors, starts)
+        middle = out[-1]
+        columns = np.empty((self.measured.size, d))
+        by_state = np.empty((self.measured.size, 2))
+        for j in range(d):
+            two = out[d + j] if central else None
+            columns[:, j] = _slope(middle, out[j], two, near[j] * h[j], far[j] * h[j])
+        for i, step in enumerate(state_steps):
+            two = out[2 * d + 2 + i] if central else None
+            by_state[:, i] = _slope(middle, out[k * d + i], two, step, -step)
+        return Sensitivities(middle, columns, by_state)
+
+    def eliminate(self, states: Array, columns: Array) -> Elimination:
+        """Take the initial states out of a least-squares problem.
+
+        Parameters
+        ----------
+        states
+            ``(n, 2)`` derivatives by the initial states, weighted like ``columns``.
+        columns
+            ``(n, k)``: residual and derivatives by parameters.
+
+        Returns
+        -------
+        Elimination
+        """
+        base = np.zeros((columns.shape[0], 2))
+        back = np.zeros((self.n_segments, 2, 2))
+        lost = 0
+        for k in range(self.n_segments):
+            a, b = self.borders[k], self.borders[k + 1]
+            q, r = np.linalg.qr(states[a:b])
+            # Where the joint sticks at the start, its speed there is no more than noise of
+            # the differences; how long the speed would carry it says which is which.
+            full = abs(r[1, 1]) > _LEAST_REACH * self.periods[k] * abs(r[0, 0])
+            rank = 2 if full else 1
+            lost += rank
+            base[a:b, :rank] = q[:, :rank]
+            back[k, :rank, :rank] = np.linalg.inv(r[:rank, :rank])
+        return Elimination(*_off(base, back, self.borders, columns), lost, base, back, self.borders)
+
+
+@dataclass(frozen=True, eq=False)
+class Elimination:
+    """A least-squares problem without its initial states.
+
+    Attributes
+    ----------
+    projected
+        ``(n, k)`` columns, each segment's made orthogonal to its two state columns.
+    onto
+        ``(K, 2, k)`` change of the states that each column stands for.
+    lost
+        Number of states that were taken out.
+    base, back, borders
+        ``(n, 2)`` orthonormal in each segment, ``(K, 2, 2)`` from their coefficients to the
+        states, and where segments begin.
+    """
+
+    projected: Array
+    onto: Array
+    lost: int
+    base: Array
+    back: Array
+    borders: NDArray[np.int64]
+
+    def of(self, columns: Array) -> tuple[Array, Array]:
+        """Take the same states out of more columns ``(n, k)``: projected, and onto."""
+        return _off(self.base, self.back, self.borders, columns)
+
+
+def _off(
+    base: Array, back: Array, borders: NDArray[np.int64], columns: Array
+) -> tuple[Array, Array]:
+    parts = base[:, :, None] * columns[:, None, :]
+    coefficients = np.add.reduceat(parts, borders[:-1], axis=0)
+    spread = np.repeat(coefficients, np.diff(borders), axis=0)
+    return columns - np.einsum("ni,nik->nk", base, spread), back @ coefficients
+
+
+def resolution(position: Array) -> float:
+    """Smallest change of position that a recording can tell.
+
+    The larger of the smallest step between values and the noise of neighbouring samples
+    (third differences: motion itself hardly shows in them).
+
+    Parameters
+    ----------
+    position
+        ``(N,)``, rad or m.
+    """
+    span = float(np.ptp(position))
+    gaps = np.diff(np.unique(position))
+    # what is left of rounding after a conversion of units is no step of the encoder
+    gaps = gaps[gaps > 1e-9 * span]
+    step = float(gaps.min()) if gaps.size else 0.0
+    noise = float(np.median(np.abs(np.diff(position, 3)))) / (0.6745 * np.sqrt(20.0))
+    return float(max(step, noise, 1e-9 * span, 1e-12))
+
+
+def choose_substeps(shooting: Shooting, values: Array, states: Array) -> tuple[int, float]:
+    """Integration steps a sample that leave an error well below the encoder's resolution.
+
+    Parameters
+    ----------
+    shooting
+        The recordings.
+    values
+        ``(n_parameters,)`` in the order of ``chain.names``.
+    states
+        ``(K, 2)`` initial states.
+
+    Returns
+    -------
+    substeps : int
+    error : float
+        Estimated discretisation error of the position, largest over all samples, rad or m.
+    """
+    least = min(resolution(t.position) for t in shooting.trajectories)
+    substeps = 1
+    coarse = shooting.positions(values[None], states, substeps)[0]
+    while True:
+        error, fine = step_error(shooting, values, states, substeps, coarse)
+        if not error > _SHARE_OF_RESOLUTION * least or substeps >= _MAX_SUBSTEPS:
+            return substeps, error
+        substeps, coarse = 2 * substeps, fine
+
+
+def step_error(
+    shooting: Shooting, values: Array, states: Array, substeps: int, coarse: Array | None = None
+) -> tuple[float, Array]:
+    """Discretisation error at a number of substeps, and positions with twice as many.
+
+    The method is of fourth order, so halving the step leaves a sixteenth of the error.
+    """
+    if coarse is None:
+        coarse = shooting.positions(values[None], states, substeps)[0]
+    fine = shooting.positions(values[None], states, 2 * substeps)[0]
+    return float(np.max(np.abs(fine - coarse))) * 16.0 / 15.0, fine
+
+
+def _slope(middle: Array, one: Array, two: Array | None, a: float, b: float) -> Array:
+    """Differentiate at zero the parabola through 0, ``a`` and ``b``; a line if one is missing."""
+    if two is None or not np.isfinite(two).all():
+        return np.asarray((one - middle) / a)
+    if not np.isfinite(one).all():
+        return np.asarray((two - middle) / b)
+    return np.asarray(((one - middle) * b / a - (two - middle) * a / b) / (b - a))

@@ -1,0 +1,454 @@
+"""Gauss-Newton with bounds on simulated positions, initial states taken out (section 4.3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from bayesfric.estimates.shooting import Shooting
+from bayesfric.mechanism.scaling import Scaling
+
+Array = NDArray[np.float64]
+
+# Widths of finite differences, in units that change the torque (the position, the speed) by
+# all of itself: measured truncation and rounding are both below 1e-7 of the derivative.
+STEP = 1e-5
+# Residuals beyond this many standard deviations count less under the Huber loss.
+HUBER = 1.345
+# How often segments are tried from their measured states again.
+_AFRESH = 3
+_MAX_ITERATIONS = 60
+# Damping tried side by side, as factors on the last one that worked.
+_DAMPINGS = (0.03, 1.0)
+# Shares of the states' step tried side by side; each segment takes its best.
+_SHARES = (1.0, 0.2, 0.0)
+# Converged: a further step would lower the cost by less than this many variances.
+_GAIN = 1e-4
+# ... or can be taken for it where kinks and rounding stop the descent.
+_SMALL = 1e-2
+# How far ahead curvature is looked for, as a share of the step, and how much it may bend it.
+_AHEAD = 0.1
+_LARGEST_BEND = 0.75
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What stays the same while one fit descends.
+
+    Attributes
+    ----------
+    shooting
+        The simulated recordings.
+    columns
+        ``(d,)`` free parameters among the chain's.
+    units
+        ``(d,)`` change of each free parameter that changes the torque by all of itself.
+    limits
+        Lower and upper limits of the free parameters.
+    scalings
+        Those that nothing known takes away: directions that no torque can see.
+    told, targets
+        Rows ``1/sd`` ``(k, d)`` and ``mean/sd`` of what is known of parameters besides.
+    speed, span
+        Typical speed and range of the position, for the size of state steps.
+    """
+
+    shooting: Shooting
+    columns: NDArray[np.int64]
+    units: Array
+    limits: tuple[Array, Array]
+    scalings: tuple[Scaling, ...]
+    told: Array
+    targets: Array
+    speed: float
+    span: float
+
+    @property
+    def state_steps(self) -> tuple[float, float]:
+        """Widths of the differences by initial position and speed."""
+        return STEP * self.span, STEP * self.speed
+
+    def tangents(self, values: Array) -> Array:
+        """Directions along the scalings, ``(d, g)``, orthonormal in units."""
+        found = np.zeros((self.columns.size, len(self.scalings)))
+        for i, scaling in enumerate(self.scalings):
+            # as far as it goes, in parameters: the derivative of scaled() at one
+            change = scaling.scaled(values, 1.0 + 1e-6) - scaling.scaled(values, 1.0 - 1e-6)
+            found[:, i] = change[self.columns] / self.units
+        return np.asarray(np.linalg.qr(found)[0])
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """How residuals count.
+
+    Attributes
+    ----------
+    rows
+        ``(n,)`` factor on each residual, one for each recording.
+    sigma
+        Standard deviation of the residuals times ``rows``.
+    knee
+        Weighted residual beyond which the loss is linear; infinite for squares.
+    """
+
+    rows: Array
+    sigma: float
+    knee: float
+
+    def irls(self, residual: Array) -> Array:
+        """Weights of the squares that descend like the Huber loss does, ``(n,)``."""
+        if not np.isfinite(self.knee):
+            return self.rows
+        size = np.maximum(np.abs(residual * self.rows), 1e-300)
+        return np.asarray(self.rows * np.sqrt(np.minimum(1.0, self.knee / size)))
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Where a descent ended.
+
+    Attributes
+    ----------
+    values
+        ``(n_parameters,)`` in the order of the chain's names.
+    states
+        ``(K, 2)`` initial states.
+    residual
+        ``(n,)`` measured minus simulated position, not weighted.
+    cost
+        Sum of squares (or of the Huber loss) of weighted residuals and of what is told.
+    gain
+        By how much a further step would lower the cost, in residual variances.
+    iterations
+        Jacobians it took.
+    converged
+        Whether the last step was as small as wanted or nothing smaller could be found.
+    """
+
+    values: Array
+    states: Array
+    residual: Array
+    cost: float
+    gain: float
+    iterations: int
+    converged: bool
+
+
+def residual_of(frame: Frame, values: Array, states: Array) -> Array:
+    """Measured minus simulated position, ``(n,)``."""
+    return np.asarray(frame.shooting.measured - frame.shooting.positions(values[None], states)[0])
+
+
+class Linearised:
+    """The problem around one point: residual, derivatives, states taken out.
+
+    Parameters
+    ----------
+    frame
+        The problem.
+    values, states
+        The point.
+    rows
+        ``(n,)`` weight on each residual.
+    sigma
+        Standard deviation of weighted residuals, against what is told.
+    central
+        Whether to take the more exact of the two kinds of differences.
+
+    Attributes
+    ----------
+    jacobian
+        ``(n, d)`` of the weighted positions, blind along :meth:`Frame.tangents`.
+    elimination
+        Of weighted residual (column 0) and jacobian.
+    """
+
+    def __init__(
+        self,
+        frame: Frame,
+        values: Array,
+        states: Array,
+        rows: Array,
+        sigma: float,
+        *,
+        central: bool = True,
+    ) -> None:
+        self._frame, self._rows = frame, rows
+        columns, units, d = frame.columns, frame.units, frame.columns.size
+        steps = np.zeros(values.size)
+        steps[columns] = STEP * units
+        limits = _all_limits(frame, values.size)
+        found = frame.shooting.sensitivities(
+            values, states, steps, frame.state_steps, limits, central=central
+        )
+        self.jacobian = np.where(np.isfinite(found.parameters), found.parameters, 0.0)
+        tangents = frame.tangents(values)
+        self.jacobian -= (self.jacobian * units) @ tangents @ tangents.T / units
+        self._by_state = np.where(np.isfinite(found.states), found.states, 0.0)
+        self.residual = frame.shooting.measured - found.positions
+        weighted = np.column_stack([self.residual, self.jacobian]) * rows[:, None]
+        self.jacobian = weighted[:, 1:]
+        self.elimination = frame.shooting.eliminate(self._by_state * rows[:, None], weighted)
+        projected = self.elimination.projected
+        triangle = np.asarray(
+            np.linalg.qr(np.column_stack([projected[:, 1:] * units, projected[:, 0]]), mode="r")
+        )
+        told = sigma * frame.told * units
+        rest = sigma * (frame.targets - frame.told @ values[columns])
+        # the last row of the triangle is what no step can lower
+        self._matrix = np.concatenate([triangle[:d, :d], told])
+        self.target = np.concatenate([triangle[:d, d], rest])
+        self._told = told
+        self._size = np.maximum(np.linalg.norm(self._matrix, axis=0), 1e-300)
+        at = values[columns]
+        self._box = ((frame.limits[0] - at) / units, (frame.limits[1] - at) / units)
+
+    @property
+    def gain(self) -> float:
+        """By how much the full step would lower the sum of squares, states included."""
+        left = self.target - self._matrix @ self.step(0.0, self.target)
+        states = np.sum((self._rows * self.residual) ** 2) - np.sum(
+            self.elimination.projected[:, 0] ** 2
+        )
+        return float(self.target @ self.target - left @ left + states)
+
+    def step(self, damping: float, target: Array) -> Array:
+        """Damped step of the free parameters within their limits, ``(d,)`` in units."""
+        d = self._size.size
+        if d == 0:
+            return np.zeros(0)
+        # never quite undamped: directions that no output sees must not move
+        least = 1e-9 * float(np.abs(self._matrix).max())
+        extra = np.diag(np.maximum(np.sqrt(damping) * self._size, least))
+        a = np.concatenate([self._matrix, extra])
+        b = np.concatenate([target, np.zeros(d)])
+        step = np.linalg.lstsq(a, b, rcond=None)[0]
+        low, high = self._box
+        if np.all(step >= low) and np.all(step <= high):
+            return np.asarray(step)
+        # lsq_linear wants room between the bounds
+        low = np.minimum(low, 0.0)
+        high = np.maximum(high, low + 1e-12)
+        return np.asarray(lsq_linear(a, b, (low, high), method="bvls").x)
+
+    def states(self, step: Array) -> Array:
+        """Change of the states that goes with a step of the parameters, ``(K, 2)``."""
+        onto = self.elimination.onto
+        return np.asarray(onto[:, :, 0] - onto[:, :, 1:] @ (step * self._frame.units))
+
+    def along(self, step: Array, change: Array) -> Array:
+        """Weighted change of the positions, to first order, ``(n,)``."""
+        by_state = np.sum(self._by_state * change[self._frame.shooting.segment_of], axis=1)
+        return np.asarray(self.jacobian @ (step * self._frame.units) + self._rows * by_state)
+
+    def weighted(self, change: Array) -> Array:
+        """Weight a change of the positions ``(n,)`` like the residual."""
+        return np.asarray(self._rows * change)
+
+    def bent(self, damping: float, miss: Array) -> tuple[Array, Array]:
+        """Second-order part of a step: what cancels ``miss`` ``(n,)``, weighted positions."""
+        projected, onto = self.elimination.of(miss[:, None])
+        d = self._size.size
+        gradient = (self.elimination.projected[:, 1:] * self._frame.units).T @ projected[:, 0]
+        target = np.linalg.lstsq(self._matrix[:d].T, gradient, rcond=1e-10)[0]
+        free = np.concatenate([target, np.zeros(len(self._told))])
+        step = self.step(damping, free)
+        change = onto[:, :, 0] - self.elimination.onto[:, :, 1:] @ (step * self._frame.units)
+        return step, change
+
+
+def descend(frame: Frame, weights: Weights, values: Array, states: Array) -> Solution:
+    """Find the least cost over free parameters, within limits, and initial states.
+
+    Levenberg and Marquardt's steps on the problem without its states. Several dampings
+    are simulated side by side. Given the parameters, segments do not depend on each
+    other, so each takes the share of its own states' step that suits it best.
+
+    Parameters
+    ----------
+    frame, weights
+        The problem.
+    values
+        ``(n_parameters,)`` to start from, within the limits.
+    states
+        ``(K, 2)`` to start from.
+
+    Returns
+    -------
+    Solution
+        Cost is infinite if the start cannot be simulated.
+    """
+    columns = frame.columns
+    residual = residual_of(frame, values, states)
+    cost = float(_segment_costs(frame, weights, residual[None])[0].sum())
+    cost += _told_cost(frame, weights, values[columns])
+    if not np.isfinite(cost):
+        return Solution(values, states, residual, np.inf, np.inf, 0, False)
+    at = Solution(values, states, residual, cost, np.inf, 0, False)
+    damping = 1e-3
+    for iteration in range(1, _MAX_ITERATIONS + 1):
+        linear = Linearised(
+            frame, at.values, at.states, weights.irls(at.residual), weights.sigma, central=False
+        )
+        freedom = max(at.residual.size - linear.elimination.lost - columns.size, 1)
+        gain = linear.gain * freedom / at.cost if at.cost > 0 else 0.0
+        at = replace(at, gain=gain, iterations=iteration)
+        if gain < _GAIN:
+            return replace(at, converged=True)
+        found = None
+        while found is None and damping < 1e12:
+            trial = _try(frame, weights, at, linear, [damping * f for f in _DAMPINGS])
+            if trial.cost < at.cost:
+                found = trial
+            else:
+                damping *= 1e3
+        if found is None:
+            return replace(at, converged=gain < _SMALL)
+        fall = at.cost - found.cost
+        at = replace(
+            at, values=found.values, states=found.states, residual=found.residual, cost=found.cost
+        )
+        damping = max(found.damping, 1e-12)
+        if fall < 1e-9 * at.cost:
+            return replace(at, converged=gain < _SMALL)
+    return at
+
+
+def settle_states(frame: Frame, weights: Weights, values: Array, states: Array) -> Array:
+    """Fit the initial states alone, ``(K, 2)``, the parameters held."""
+    held = replace(
+        frame,
+        columns=frame.columns[:0],
+        units=frame.units[:0],
+        limits=(frame.limits[0][:0], frame.limits[1][:0]),
+        scalings=(),
+        told=frame.told[:, :0],
+        targets=frame.targets,
+    )
+    return descend(held, weights, values, states).states
+
+
+def descend_afresh(frame: Frame, weights: Weights, values: Array, states: Array) -> Solution:
+    """Descend as :func:`descend`, and again while a segment's state has a better minimum.
+
+    A bad start of the parameters can drive a segment's state into a minimum of its own (a
+    joint that stops where the measured one passes) that no small step leaves. At the end
+    each segment is tried from its measured state once more.
+    """
+    at = descend(frame, weights, values, states)
+    for _ in range(_AFRESH):
+        if not np.isfinite(at.cost):
+            break
+        tried = settle_states(frame, weights, at.values, frame.shooting.initial)
+        residual = residual_of(frame, at.values, tried)
+        old = _segment_costs(frame, weights, at.residual[None])[0]
+        new = _segment_costs(frame, weights, residual[None])[0]
+        better = new < old * (1.0 - 1e-6)
+        if old[better].sum() - new[better].sum() <= 1e-6 * at.cost:
+            break
+        mixed = np.where(better[:, None], tried, at.states)
+        at = descend(frame, weights, at.values, mixed)
+    return at
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """Where a step would lead."""
+
+    damping: float
+    values: Array
+    states: Array
+    residual: Array
+    cost: float
+
+
+def _try(
+    frame: Frame,
+    weights: Weights,
+    solution: Solution,
+    linear: Linearised,
+    dampings: list[float],
+) -> _Trial:
+    """Simulate the steps of several dampings, straight and bent, and give the best."""
+    columns = frame.columns
+    steps = [linear.step(damping, linear.target) for damping in dampings]
+    changes = [linear.states(step) for step in steps]
+    moves = [
+        (damping, _moved(frame, solution.values, step), change)
+        for damping, step, change in zip(dampings, steps, changes, strict=True)
+    ]
+    if columns.size:
+        # Geodesic acceleration (Transtrum and Sethna 2012): the valley floor is bent where
+        # parameters enter as products, and a straight step can only follow it slowly.
+        ahead = frame.shooting.positions(
+            np.array([_moved(frame, solution.values, _AHEAD * step) for step in steps]),
+            np.array([solution.states + _AHEAD * change for change in changes]),
+        )
+        start = frame.shooting.measured - solution.residual
+        for damping, step, change, there in zip(dampings, steps, changes, ahead, strict=True):
+            beyond = linear.weighted(there - start) - _AHEAD * linear.along(step, change)
+            if not np.isfinite(beyond).all():
+                continue
+            more, states_more = linear.bent(damping, -beyond / _AHEAD**2)
+            if np.linalg.norm(more) <= _LARGEST_BEND * np.linalg.norm(step):
+                moved = _moved(frame, solution.values, step + more)
+                moves.append((damping, moved, change + states_more))
+    shares = len(_SHARES) + 1
+    vectors = np.repeat(np.array([moved for _, moved, _ in moves]), shares, axis=0)
+    starts = np.empty((len(moves), shares, *solution.states.shape))
+    for i, (_, _, change) in enumerate(moves):
+        for j, share in enumerate(_SHARES):
+            starts[i, j] = solution.states + share * change
+        # Where a segment starts at rest, Newton's steps on its speed only ever halve it.
+        starts[i, -1] = (solution.states + change) * (1.0, 0.0)
+    starts = starts.reshape(-1, *solution.states.shape)
+    residuals = frame.shooting.measured - frame.shooting.positions(vectors, starts)
+    costs = _segment_costs(frame, weights, residuals).reshape(len(moves), shares, -1)
+    costs = np.where(np.isfinite(costs), costs, np.inf)
+    choice = np.argmin(costs, axis=1)
+    totals = np.take_along_axis(costs, choice[:, None], axis=1)[:, 0].sum(axis=1)
+    totals += [_told_cost(frame, weights, moved[columns]) for _, moved, _ in moves]
+    best = int(np.argmin(totals))
+    pick = best * shares + choice[best]
+    return _Trial(
+        moves[best][0],
+        moves[best][1],
+        starts[pick, np.arange(pick.size)],
+        residuals[pick[frame.shooting.segment_of], np.arange(residuals.shape[1])],
+        float(totals[best]),
+    )
+
+
+def _moved(frame: Frame, values: Array, step: Array) -> Array:
+    out = values.copy()
+    out[frame.columns] = np.clip(values[frame.columns] + step * frame.units, *frame.limits)
+    return out
+
+
+def _segment_costs(frame: Frame, weights: Weights, residuals: Array) -> Array:
+    """Cost of every segment, ``(m, K)``; NaN where it cannot be simulated."""
+    size = np.abs(residuals * weights.rows)
+    loss = (
+        np.where(
+            size <= weights.knee, size**2, 2.0 * min(weights.knee, 1e300) * size - weights.knee**2
+        )
+        if np.isfinite(weights.knee)
+        else size**2
+    )
+    return np.asarray(np.add.reduceat(loss, frame.shooting.borders[:-1], axis=1))
+
+
+def _told_cost(frame: Frame, weights: Weights, at: Array) -> float:
+    if not frame.targets.size:
+        return 0.0
+    return float(weights.sigma**2 * np.sum((frame.targets - frame.told @ at) ** 2))
+
+
+def _all_limits(frame: Frame, n_parameters: int) -> tuple[Array, Array]:
+    lower, upper = np.full(n_parameters, -np.inf), np.full(n_parameters, np.inf)
+    lower[frame.columns], upper[frame.columns] = frame.limits
+    return lower, upper

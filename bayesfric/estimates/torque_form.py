@@ -1,0 +1,295 @@
+"""The torque as ``psi Theta1 + sign(qd) |psi Theta2|``, eq. (13), and the way back to parameters.
+
+Chains with at most one load loss and no Stribeck rise have this form wherever they move;
+at exact rest the mechanism takes no loss, while eq. (13) leaves ``lambda_1``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.inverse import added_load
+from bayesfric.mechanism.scaling import scalings
+from bayesfric.recordings.observation import Observation
+
+Array = NDArray[np.float64]
+Term = tuple[int, float]  # a parameter's index, and its torque at the motor for a value of one
+
+# Columns in the order of the paper's theta.
+_ORDER = (
+    "inertia",
+    "viscous",
+    "quadratic",
+    "coulomb",
+    "difference",
+    "offset",
+    "gravity",
+    "gravity_cosine",
+)
+# Relative size below which a singular value of the regressors is rounding.
+OPEN = 1e-9
+# What is positive in any mechanism that loses energy; gravity's sign is that of Theta1.
+POSITIVE = ("inertia", "viscous", "quadratic", "coulomb", "added_load")
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueForm:
+    """How a chain's parameters make up ``Theta1`` and ``Theta2`` of eq. (13).
+
+    Attributes
+    ----------
+    chain
+        The mechanism.
+    names1, names2
+        Columns of ``psi`` that ``Theta1`` and ``Theta2`` multiply: ``inertia``,
+        ``viscous``, ``quadratic``, ``coulomb`` (the sign of speed), ``difference`` (one
+        while moving), ``offset`` (one), ``gravity``, ``gravity_cosine``, ``added_load``
+        (torque of the known mass at the motor, whose coefficients are lambda_1 and
+        lambda_2). All in motor units, as the paper's.
+    front, behind
+        Parameters in each column, up to the gearbox and behind it.
+    loss
+        Name of the element with load loss; empty for none.
+    """
+
+    chain: Chain
+    names1: tuple[str, ...]
+    names2: tuple[str, ...]
+    front: Mapping[str, list[Term]] = field(repr=False)
+    behind: Mapping[str, list[Term]] = field(repr=False)
+    loss: str
+
+    def lambdas(self, values: Array) -> tuple[float, float]:
+        """``lambda_1`` and ``lambda_2`` of a parameter vector ``(n_parameters,)``."""
+        if not self.loss:
+            return 1.0, 0.0
+        at = dict(zip(self.chain.names, values.tolist(), strict=True))
+        one = at.get(f"{self.loss}.load", 0.0)
+        drive = at.get(f"{self.loss}.load_drive", one)
+        back = at.get(f"{self.loss}.load_back", one)
+        return (2.0 + drive - back) / 2.0, (drive + back) / 2.0
+
+    def thetas(self, values: Array) -> tuple[Array, Array]:
+        """``Theta1`` and ``Theta2`` of a parameter vector ``(n_parameters,)``."""
+        lambda1, lambda2 = self.lambdas(values)
+        leg = self._sums(self.behind, values)
+        motor = self._sums(self.front, values)
+        theta1 = [motor.get(name, 0.0) + lambda1 * leg.get(name, 0.0) for name in self.names1]
+        return np.array(theta1), np.array([lambda2 * leg.get(name, 0.0) for name in self.names2])
+
+    def parameters(
+        self, theta1: Array, theta2: Array, fixed: Mapping[str, float] | None = None
+    ) -> Array:
+        """Parameters behind ``Theta1`` and ``Theta2``; exact where these have one.
+
+        ``lambda_1/lambda_2`` comes from the columns that only the load fills
+        (``theta5/theta10``), then motor = ``Theta1 - (lambda_1/lambda_2) Theta2`` and
+        leg = ``Theta2/lambda_2``. The scale comes from the known mass, a fixed
+        parameter, or is the middle of what a passive gearbox allows. Where more
+        parameters than one fill a column, they share it evenly.
+
+        Parameters
+        ----------
+        theta1, theta2
+            In the order of ``names1`` and ``names2``, the sign of ``theta2`` chosen.
+        fixed
+            Known parameter values.
+
+        Returns
+        -------
+        ndarray
+            ``(n_parameters,)``; negative values are not mended.
+        """
+        one = dict(zip(self.names1, theta1.tolist(), strict=True))
+        two = dict(zip(self.names2, theta2.tolist(), strict=True))
+        values = np.zeros(len(self.chain.names))
+        rho = self._ratio(one, two)
+        # one mu for both directions means lambda_1 = 1; with two it is a place to start
+        lambda1, lambda2 = 1.0, 1.0 / rho
+        single = f"{self.loss}.load" in self.chain.names
+        if "added_load" in two and not single and two["added_load"] > 0.0:
+            lambda1, lambda2 = rho * two["added_load"], two["added_load"]
+        self._spread(self.behind, {k: v / lambda2 for k, v in two.items()}, values)
+        self._spread(self.front, {k: v - rho * two.get(k, 0.0) for k, v in one.items()}, values)
+        if single:
+            values[self.chain.names.index(f"{self.loss}.load")] = lambda2
+        elif self.loss:
+            values[self.chain.names.index(f"{self.loss}.load_drive")] = lambda1 + lambda2 - 1.0
+            values[self.chain.names.index(f"{self.loss}.load_back")] = 1.0 - (lambda1 - lambda2)
+        if "added_load" not in two:
+            values = scale_known(self.chain, values, fixed or {})
+        for name, value in (fixed or {}).items():
+            values[self.chain.names.index(name)] = value
+        return values
+
+    def _sums(self, terms: Mapping[str, list[Term]], values: Array) -> dict[str, float]:
+        out = {k: sum(values[i] * c for i, c in found) for k, found in terms.items()}
+        if "gravity_cosine" in out:
+            angle = float(values[self.chain.names.index("load.gravity_angle")])
+            out["gravity_cosine"] = out["gravity"] * math.sin(angle)
+            out["gravity"] *= math.cos(angle)
+        if terms is self.behind:
+            out["added_load"] = 1.0
+        return out
+
+    def _ratio(self, one: Mapping[str, float], two: Mapping[str, float]) -> float:
+        """``lambda_1/lambda_2`` where a column shows it, else such that all stays positive."""
+        only = [k for k in two if k in one and not self.front.get(k)]
+        # the known mass counts by itself; gravity's two parts in one unit
+        for group in (["added_load"], ["gravity", "gravity_cosine"], only):
+            pairs = [(one[k], two[k]) for k in group if k in only]
+            below = sum(b * b for _, b in pairs)
+            if below > 0.0:
+                return max(sum(a * b for a, b in pairs) / below, 0.1)
+        shares = [one[k] / two[k] for k in POSITIVE if two.get(k, 0.0) > 0.0 and k in one]
+        return max(0.5 * min(shares, default=4.0), 1.0)
+
+    def _spread(
+        self, terms: Mapping[str, list[Term]], totals: Mapping[str, float], values: Array
+    ) -> None:
+        """Write column totals into the parameters that make them up."""
+        if "gravity_cosine" in terms and "gravity" in totals:
+            sine, cosine = totals["gravity"], totals.get("gravity_cosine", 0.0)
+            values[self.chain.names.index("load.gravity_angle")] = math.atan2(cosine, sine)
+            totals = {**totals, "gravity": math.hypot(sine, cosine)}
+        for kind, found in terms.items():
+            if kind != "gravity_cosine":
+                for i, c in found:
+                    values[i] += totals.get(kind, 0.0) / (len(found) * c)
+
+
+def scale_known(chain: Chain, values: Array, fixed: Mapping[str, float]) -> Array:
+    """Move a vector along its scalings until a fixed parameter has its value.
+
+    Where none is fixed it goes to the middle of what a passive gearbox allows.
+    """
+    for scaling in scalings(chain):
+        factors = []
+        for name in scaling.names:
+            if name not in fixed:
+                continue
+            now = float(values[chain.names.index(name)])
+            if name == scaling.drive:
+                factors.append((1.0 + now) / (1.0 + fixed[name]))
+            elif name == scaling.back:
+                factors.append((1.0 - now) / (1.0 - fixed[name]) if fixed[name] < 1.0 else 0.0)
+            elif now:
+                factors.append(fixed[name] / now)
+        good = [k for k in factors if k > 0.0]
+        values = scaling.scaled(values, good[0] if good else scaling.middle(values))
+    return values
+
+
+def torque_form(chain: Chain, observations: Sequence[Observation] = ()) -> TorqueForm | None:
+    """Write a chain's torque in the form of eq. (13).
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    observations
+        Say whether there is a known mass, whose torque then has its own column if the
+        motion sets it apart.
+
+    Returns
+    -------
+    TorqueForm or None
+        ``None`` for a chain with several load losses, a Stribeck rise or an unknown
+        gain, or with a known mass at an unknown angle: these are not of the form.
+    """
+    lossy = [i for i, e in enumerate(chain.elements) if e.load_loss != "none"]
+    angled = "load.gravity_angle" in chain.names
+    masses = any(o.added_mass for o in observations)
+    stribeck = any(e.stribeck for e in chain.elements)
+    if len(lossy) > 1 or chain.gain or stribeck or (angled and masses):
+        return None
+    last = lossy[0] if lossy else len(chain.elements)
+    front: dict[str, list[Term]] = {}
+    behind: dict[str, list[Term]] = {}
+    before = 1.0
+    for i, element in enumerate(chain.elements):
+        for p in element.parameters():
+            terms = _terms(p.quantity, before)
+            for kind, c in terms:
+                side = front if i <= last else behind
+                side.setdefault(kind, []).append((chain.names.index(p.name), c))
+        before *= element.ratio
+    side = behind if lossy else front
+    if "load.inertia" in chain.names:
+        term = (chain.names.index("load.inertia"), 1.0 / chain.ratio**2)
+        side.setdefault("inertia", []).append(term)
+    if "load.first_moment" in chain.names:
+        term = (chain.names.index("load.first_moment"), chain.load.gravity / chain.ratio)
+        side["gravity"] = [term]
+        if angled:
+            side["gravity_cosine"] = [term]
+    if chain.offset:
+        front["offset"] = [(chain.names.index("offset"), 1.0)]
+    names1 = tuple(k for k in _ORDER if k in front or k in behind)
+    names2 = tuple(k for k in _ORDER if k in behind)
+    if masses and lossy:
+        plain = np.concatenate([columns(chain, o, names2) for o in observations], axis=1)
+        known = np.concatenate([columns(chain, o, ("added_load",)) for o in observations], axis=1)
+        # one mass everywhere may look like more leg: then it has no column of its own
+        if _rank(np.concatenate([plain, known])) > _rank(plain):
+            names2 = (*names2, "added_load")
+            names1 += ("added_load",) if chain.elements[last].load_loss == "two" else ()
+    return TorqueForm(
+        chain, names1, names2, front, behind, chain.elements[last].name if lossy else ""
+    )
+
+
+def _terms(quantity: str, before: float) -> tuple[tuple[str, float], ...]:
+    """Columns one quantity fills; ``before``: motor speed over the element's."""
+    return {
+        "inertia": (("inertia", before**-2),),
+        "viscous": (("viscous", before**-2),),
+        "quadratic": (("quadratic", before**-3),),
+        "coulomb": (("coulomb", 1.0 / before),),
+        "coulomb_positive": (("coulomb", 0.5 / before), ("difference", 0.5 / before)),
+        "coulomb_negative": (("coulomb", 0.5 / before), ("difference", -0.5 / before)),
+    }.get(quantity, ())
+
+
+def columns(chain: Chain, observation: Observation, names: Iterable[str]) -> Array:
+    """Columns of ``psi`` before filtering, one a row ``(n, N)``, in motor units."""
+    o, n = observation, chain.ratio
+    sign = np.sign(o.qd)
+
+    def column(name: str) -> Array:
+        match name:
+            case "inertia":
+                return n * o.qdd
+            case "viscous":
+                return n * o.qd
+            case "quadratic":
+                return n**2 * o.qd * np.abs(o.qd)
+            case "coulomb":
+                return sign
+            case "difference":
+                # C1 and C2 act on what moves
+                return np.abs(sign)
+            case "offset":
+                return np.ones_like(sign)
+            case "gravity":
+                return np.sin(o.q)
+            case "gravity_cosine":
+                return np.cos(o.q)
+        inertia, moment = added_load(chain, o.added_mass, o.radius)
+        return (inertia * o.qdd + chain.load.gravity * moment * np.sin(o.q)) / n
+
+    found = [column(name) for name in names]
+    return np.stack(found) if found else np.empty((0, o.q.size))
+
+
+def _rank(rows: Array) -> int:
+    size = np.linalg.norm(rows, axis=1, keepdims=True)
+    triangle = np.linalg.qr((rows / np.where(size > 0.0, size, 1.0)).T, mode="r")
+    singular = np.linalg.svd(triangle, compute_uv=False)
+    return int(np.count_nonzero(singular > OPEN * singular.max(initial=0.0)))

@@ -1,0 +1,145 @@
+"""``bayesfric estimate``: the three methods as a user sees them, and references."""
+
+import json
+import re
+
+import pytest
+
+from bayesfric.commands.problem import read_problem
+from bayesfric.commands.simulate import simulate
+from bayesfric.config import read_config
+from bayesfric.errors import BadInput
+
+from .bench import cases, has
+
+CONFIG = """\
+[mechanism]
+preset = "motor-axis"
+
+[[recordings]]
+file = "small.csv"
+time = { column = "time", unit = "s" }
+position = { column = "position", unit = "rad" }
+torque = { column = "torque", unit = "N m" }
+
+[references]
+"motor.inertia" = { value = 0.0101, sd = 2e-4, source = "data sheet" }
+motor.viscous = 0.05
+
+[simulation]
+duration = 4.0
+rate = 500
+excitation = "multisine"
+encoder_counts = 1048576
+torque_noise = 0.01
+"""
+TRUTH = {"motor.inertia": 0.01, "motor.viscous": 0.05, "motor.coulomb": 0.2, "offset": 0.02}
+METHODS = ["least-squares", "input-error", "output-error"]
+
+
+@pytest.fixture
+def small(bench):
+    bench.config(CONFIG)
+    simulate(read_config(bench.folder / "c.toml"), bench.folder / "small.csv")
+    return bench
+
+
+def test_all_methods_agree_with_the_truth(small):
+    ended = small.run("estimate", "c.toml", "--json")
+    assert ended.code == 0, ended.err
+    found = json.loads(ended.out)
+    assert list(found["estimates"]) == METHODS
+    for method, estimate in found["estimates"].items():
+        for name, value in TRUTH.items():
+            row = estimate["parameters"][name]
+            assert abs(row["value"] - value) < 5 * row["sd_robust"], (method, name)
+            assert row["determined"] is True
+    assert found["references"]["motor.inertia"] == {
+        "value": 0.0101,
+        "sd": 2e-4,
+        "source": "data sheet",
+        "unit": "kg m²",
+    }
+
+
+def test_one_method_alone(small):
+    found = json.loads(small.run("estimate", "c.toml", "--method", "input-error", "--json").out)
+    assert list(found["estimates"]) == ["input-error"]
+    assert small.run("estimate", "c.toml", "--method", "guessing").code == 2
+
+
+def test_text_has_both_deviations_units_and_references(small):
+    ended = small.run("estimate", "c.toml", "--method", "least-squares")
+    (line,) = [one for one in ended.out.splitlines() if "motor.inertia" in one]
+    number = r"[-+.\de]+"
+    assert re.search(rf"{number} ± +{number} +{number} +{number} kg m² +data sheet: 0.0101", line)
+
+
+def test_nothing_undetermined_gets_a_deviation(bench):
+    """The packaged knee alone leaves the scale open: no number there has an sd."""
+    bench.config(KNEE)
+    simulate(read_config(bench.folder / "c.toml"), bench.folder / "knee.csv")
+    ended = bench.run("estimate", "c.toml", "--method", "input-error")
+    assert ended.code == 0, ended.err
+    for name in ("load.first_moment", "gearbox.load_drive", "joint.viscous"):
+        (line,) = [one for one in ended.out.splitlines() if one.strip().startswith(name)]
+        assert "not determined" in line
+        assert "±" not in line
+        assert "fit as well" in line
+    found = json.loads(bench.run("estimate", "c.toml", "--method", "input-error", "--json").out)
+    row = found["estimates"]["input-error"]["parameters"]["load.first_moment"]
+    assert (row["sd"], row["sd_robust"], row["determined"]) == (None, None, False)
+    assert row["span"][0] < 0.42 < row["span"][1]
+
+
+KNEE = """\
+[mechanism]
+preset = "rabbit-knee"
+
+[[recordings]]
+file = "knee.csv"
+time = { column = "time", unit = "s" }
+position = { column = "position", unit = "rad", side = "motor" }
+torque = { column = "torque", unit = "N m" }
+
+[simulation]
+duration = 5.0
+excitation = "square-multisine"
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    cases(
+        (
+            "unknown",
+            "motor.viscous = 0.05",
+            "motor.viscos = 0.05",
+            ["references.motor.viscos", "no result", "'motor.viscous'"],
+        ),
+        ("text", "motor.viscous = 0.05", 'motor.viscous = "0.05"', ["references.motor.viscous"]),
+        ("sd", "sd = 2e-4", "sd = -2e-4", ["references.motor.inertia.sd", "more than 0"]),
+        ("key", 'source = "data', 'sauce = "data', ["references.motor.inertia.sauce"]),
+    ),
+)
+def test_bad_references(bench, old, new, words):
+    assert old in CONFIG
+    bench.config(CONFIG)
+    simulate(read_config(bench.folder / "c.toml"), bench.folder / "small.csv")
+    bench.config(CONFIG.replace(old, new))
+    has(bench.refused("estimate", "c.toml"), *words)
+
+
+def test_the_output_error_likelihood_needs_a_point(small):
+    text = CONFIG + '\n[likelihood]\nmethod = "output-error"\n'
+    small.config(text)
+    problem = read_problem(read_config(small.folder / "c.toml"))
+    with pytest.raises(ValueError, match="point"):
+        problem.target()
+    assert {"noise.torque", "noise.position"} <= set(problem.priors)
+
+
+def test_a_noise_prior_of_the_other_likelihood_is_refused(small):
+    small.config(CONFIG + '\n[priors]\n"noise.torque" = [0, 1]\n')
+    with pytest.raises(BadInput, match=r"noise\.torque"):
+        read_problem(read_config(small.folder / "c.toml"))

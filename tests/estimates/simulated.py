@@ -1,0 +1,48 @@
+"""Recordings simulated without a file, for tests of the output error."""
+
+from pathlib import Path
+
+import numpy as np
+
+from bayesfric.mechanism.excitation import multisine, square
+from bayesfric.mechanism.forward import simulate
+from bayesfric.recordings.observation import observe
+from bayesfric.recordings.options import Processing
+from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.trajectory import trajectory
+
+PERIOD = 2e-3
+
+
+def excite(seconds, amplitude, seed=3):
+    """Square wave and multisine: everything a joint has shows in its motion."""
+    time = np.arange(round(seconds / PERIOD)) * PERIOD
+    return square(time, amplitude, 1.0) + multisine(
+        time, 0.45 * amplitude, (0.3, 0.7, 1.3, 2.9, 5.3), seed=seed
+    )
+
+
+def move(chain, values, torque, **load):
+    return simulate(chain, chain.vector(values), torque, PERIOD, substeps=1, **load)
+
+
+def prepare(position, torque, length=np.inf, name="made-up", added_mass=0.0, radius=0.0):
+    n = position.size
+    recording = Recording(
+        name=name,
+        path=Path(name),
+        sha256="",
+        time=np.arange(n) * PERIOD,
+        position=position,
+        velocity=None,
+        torque=torque,
+        segments=((0, n),),
+        period=PERIOD,
+        excluded=np.zeros(n, dtype=bool),
+        added_mass=added_mass,
+        radius=radius,
+        steps=(),
+        warnings=(),
+    )
+    observation = observe(recording, Processing())
+    return trajectory(recording, observation, length), observation

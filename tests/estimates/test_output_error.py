@@ -1,0 +1,215 @@
+"""Output error, section 4.3: exact recovery, honest standard deviations."""
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+
+from bayesfric.errors import BadInput
+from bayesfric.estimates.estimate import Estimate
+from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.options import Estimation
+from bayesfric.estimates.output_error import output_error
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.scaling import scalings
+from tests.estimates.simulated import excite, move, prepare
+
+# torque that moves each joint well, s of it
+SETTINGS = {"rabbit-knee": (4.0, 0.8), "motor-axis": (2.0, 0.5), "servo-pendulum": (3.0, 0.15)}
+
+
+def start(chain, values, off=0.0, seed=0):
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], len(chain.names))
+    point = tuple((n, values[n] * (1.0 + off * s)) for n, s in zip(chain.names, signs, strict=True))
+    return Estimate("input-error", (), 0.0, 1, "", point=point)
+
+
+def simulated(preset):
+    chain, values = PRESETS[preset].chain(), PRESETS[preset].values
+    seconds, amplitude = SETTINGS[preset]
+    torque = excite(seconds, amplitude)
+    return chain, values, torque, move(chain, values, torque).q
+
+
+@pytest.mark.parametrize(
+    ("preset", "known"),
+    [
+        ("rabbit-knee", ("load.first_moment",)),
+        ("motor-axis", ()),
+        ("servo-pendulum", ()),
+    ],
+)
+def test_exact_recovery_from_twenty_per_cent_off(preset, known):
+    chain, values, torque, q = simulated(preset)
+    knowledge = Knowledge(fixed={n: values[n] for n in known})
+    trajectory, observation = prepare(q, torque)
+    options = Estimation(substeps=1, segment=0.2)
+    found = output_error(
+        chain, [trajectory], [observation], knowledge, options, start(chain, values, 0.2)
+    )
+    assert found.residual_unit == "rad"
+    assert found.residual_rms < 1e-8
+    for name in chain.names:
+        if name in known:
+            assert dict(found.point)[name] == values[name]
+            continue
+        assert found[name].value == pytest.approx(values[name], rel=1e-6), name
+        assert found[name].determined, name
+
+
+def test_segments_or_none_give_the_same_answer_without_noise():
+    chain, values, torque, q = simulated("rabbit-knee")
+    knowledge = Knowledge(fixed={"load.first_moment": values["load.first_moment"]})
+    trajectory, observation = prepare(q, torque)
+    for segment in (1.0, 1e5):
+        options = Estimation(substeps=1, segment=segment)
+        found = output_error(
+            chain, [trajectory], [observation], knowledge, options, start(chain, values, 0.01)
+        )
+        for name in set(chain.names) - set(knowledge.fixed):
+            assert found[name].value == pytest.approx(values[name], rel=1e-6), (segment, name)
+
+
+def test_what_a_scaling_leaves_open_has_no_sd():
+    chain, values, torque, q = simulated("rabbit-knee")
+    trajectory, observation = prepare(q, torque)
+    options = Estimation(substeps=1, segment=0.2)
+    found = output_error(
+        chain, [trajectory], [observation], Knowledge(), options, start(chain, values, 0.1)
+    )
+    (scaling,) = scalings(chain)
+    for name in scaling.names:
+        assert np.isinf(found[name].sd), name
+        assert np.isinf(found[name].sd_robust), name
+        assert found[name].span is not None
+    for name in set(chain.names) - set(scaling.names):
+        assert found[name].value == pytest.approx(values[name], rel=1e-6), name
+        assert found[name].determined, name
+    lambdas = [(2 + a - b) / (a + b) for a, b in [(values[scaling.drive], values[scaling.back])]]
+    assert found["gearbox.lambda_ratio"].value == pytest.approx(lambdas[0], rel=1e-6)
+    # the vector stands where alpha_1 alpha_2 = 1, in the middle of what a passive gearbox allows
+    point = dict(found.point)
+    assert (1 + point[scaling.drive]) * (1 - point[scaling.back]) == pytest.approx(1.0, rel=1e-9)
+
+
+def test_a_known_mass_takes_the_scaling_away():
+    chain, values, torque, q = simulated("rabbit-knee")
+    heavy = 1.5 * excite(3.0, 0.8, seed=5)
+    q2 = move(chain, values, heavy, added_mass=2.0, radius=0.35).q
+    parts = [
+        prepare(q, torque),
+        prepare(q2, heavy, name="loaded", added_mass=2.0, radius=0.35),
+    ]
+    found = output_error(
+        chain,
+        [t for t, _ in parts],
+        [o for _, o in parts],
+        Knowledge(),
+        Estimation(substeps=1, segment=0.2),
+        start(chain, values, 0.05),
+    )
+    for name in chain.names:
+        assert found[name].value == pytest.approx(values[name], rel=1e-5), name
+        assert found[name].determined, name
+
+
+def repeat(noise_of_position, noise_of_torque, segment, repeats):
+    """Estimates and claimed sds of a motor axis, 2 s, over repeated noise: ``(repeats, 4, 3)``."""
+    chain, values, torque, q = simulated("motor-axis")
+    out = []
+    for seed in range(repeats):
+        rng = np.random.default_rng(seed)
+        trajectory, observation = prepare(
+            q + noise_of_position * rng.standard_normal(q.size),
+            torque + noise_of_torque * rng.standard_normal(q.size),
+        )
+        options = Estimation(substeps=1, segment=segment)
+        found = output_error(
+            chain, [trajectory], [observation], Knowledge(), options, start(chain, values)
+        )
+        out.append([(found[n].value, found[n].sd, found[n].sd_robust) for n in chain.names])
+    return np.array(out), np.array([values[n] for n in chain.names])
+
+
+def test_both_sds_are_right_for_noise_of_the_encoder():
+    repeats = 60
+    found, truth = repeat(1e-4, 0.0, 0.1, repeats)
+    spread = found[:, :, 0].std(axis=0, ddof=1)
+    # a spread from n repeats has the relative error 1/sqrt(2(n - 1))
+    error = 5.0 / np.sqrt(2.0 * (repeats - 1))
+    assert np.all(np.abs(found[:, :, 1].mean(axis=0) / spread - 1.0) < error)
+    assert np.all(np.abs(found[:, :, 2].mean(axis=0) / spread - 1.0) < error)
+    assert np.all(np.abs(found[:, :, 0].mean(axis=0) - truth) < 5.0 * spread / np.sqrt(repeats))
+
+
+def test_only_the_robust_sd_is_right_for_noise_of_the_torque():
+    repeats = 60
+    found, _ = repeat(0.0, 0.005, 0.1, repeats)
+    spread = found[:, :, 0].std(axis=0, ddof=1)
+    # integrated noise: the sd for white residuals is too small several times over
+    assert np.all(found[:, :, 1].mean(axis=0) < 0.33 * spread)
+    error = 5.0 / np.sqrt(2.0 * (repeats - 1))
+    robust = np.sqrt((found[:, :, 2] ** 2).mean(axis=0))
+    assert np.all(np.abs(robust / spread - 1.0) < error), robust / spread
+
+
+def test_outliers_count_less_under_huber():
+    chain, values, torque, q = simulated("motor-axis")
+    rng = np.random.default_rng(0)
+    noisy = q + 1e-4 * rng.standard_normal(q.size)
+    noisy[rng.choice(q.size, 30, replace=False)] += 0.02
+    trajectory, observation = prepare(noisy, torque)
+    off = {}
+    for loss in ("squares", "huber"):
+        options = Estimation(loss=loss, substeps=1, segment=0.5)
+        found = output_error(
+            chain, [trajectory], [observation], Knowledge(), options, start(chain, values, 0.02)
+        )
+        off[loss] = max(abs(found[n].value / values[n] - 1.0) for n in chain.names)
+    assert off["huber"] < 0.2 * off["squares"]
+
+
+def test_a_told_value_settles_what_the_scaling_leaves_open():
+    chain, values, torque, q = simulated("rabbit-knee")
+    rng = np.random.default_rng(1)
+    trajectory, observation = prepare(q + 1e-5 * rng.standard_normal(q.size), torque)
+    told = Knowledge(told={"load.first_moment": (0.42, 0.021)})
+    options = Estimation(substeps=1, segment=0.2)
+    found = output_error(
+        chain, [trajectory], [observation], told, options, start(chain, values, 0.02)
+    )
+    assert found["load.first_moment"].value == pytest.approx(0.42, rel=1e-4)
+    # nothing but the told value knows the scale
+    assert found["load.first_moment"].sd == pytest.approx(0.021, rel=0.01)
+
+
+def test_what_it_did_is_in_the_notes():
+    chain, values, torque, q = simulated("motor-axis")
+    trajectory, observation = prepare(np.round(q, 4), torque)
+    found = output_error(
+        chain, [trajectory], [observation], Knowledge(), Estimation(), start(chain, values)
+    )
+    assert re.search(r"in 10 segments of 0\.[12]\d* s", found.notes[0])
+    assert "resolution 1.0e-04 rad" in found.notes[1]
+
+
+def test_a_joint_without_inertia_is_refused():
+    chain = Chain(elements=(Element("motor", coulomb="symmetric", viscous=True),), load=Load())
+    _, _, torque, q = simulated("motor-axis")
+    trajectory, observation = prepare(q, torque)
+    begin = Estimate(
+        "input-error", (), 0.0, 1, "", point=(("motor.coulomb", 0.2), ("motor.viscous", 0.05))
+    )
+    with pytest.raises(BadInput, match="no inertia"):
+        output_error(chain, [trajectory], [observation], Knowledge(), Estimation(), begin)
+
+
+def test_a_joint_that_runs_away_is_refused():
+    chain, values, torque, q = simulated("motor-axis")
+    trajectory, observation = prepare(q, torque)
+    mad = dataclasses.replace(trajectory, torque=np.full_like(torque, 1e12))
+    with pytest.raises(BadInput, match="cannot be simulated"):
+        output_error(chain, [mad], [observation], Knowledge(), Estimation(), start(chain, values))

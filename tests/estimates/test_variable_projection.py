@@ -1,0 +1,237 @@
+"""Eqs. (12) to (19): the form of the torque, Theta1 in closed form, the gradient, the sign."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bayesfric.estimates.torque import filtered_torque
+from bayesfric.estimates.torque_form import columns, torque_form
+from bayesfric.estimates.variable_projection import VariableProjection
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.presets import PRESETS
+
+KNEE = PRESETS["rabbit-knee"]
+
+# Losses everywhere, two stages: every column of psi has several owners.
+RICH = Chain(
+    elements=(
+        Element("motor", inertia=True, coulomb="by-direction", viscous=True, quadratic=True),
+        Element("belt", ratio=3.0, inertia=True, coulomb="symmetric"),
+        Element("gearbox", ratio=10.0, viscous=True, coulomb="symmetric", load_loss="two"),
+        Element("joint", ratio=2.0, viscous=True, coulomb="by-direction", quadratic=True),
+    ),
+    load=Load(inertia=True, first_moment=True, gravity_angle=True),
+    offset=True,
+)
+
+
+def rich_values():
+    rng = np.random.default_rng(3)
+    values = dict(zip(RICH.names, rng.uniform(0.1, 0.4, len(RICH.names)), strict=True))
+    return values | {"motor.inertia": 1e-4, "joint.quadratic": 0.7, "load.inertia": 0.2}
+
+
+CASES = {name: (p.chain(), p.values) for name, p in PRESETS.items()} | {
+    "rich": (RICH, rich_values())
+}
+
+
+def knee(make_observation, *, sigma=0.01, masses=(0.0,), factor=4, n=1000):
+    chain = KNEE.chain()
+    observations = [
+        make_observation(
+            chain,
+            KNEE.values,
+            sigma=sigma,
+            n=n,
+            factor=factor,
+            amplitude=2.0,
+            seed=seed,
+            added_mass=mass,
+            radius=0.35 if mass else 0.0,
+        )
+        for seed, mass in enumerate(masses)
+    ]
+    form = torque_form(chain, observations)
+    return chain, observations, form, VariableProjection(form, observations)
+
+
+def test_thetas_are_those_printed_below_eq_13():
+    chain = KNEE.chain()
+    theta1, theta2 = torque_form(chain).thetas(chain.vector(KNEE.values))
+    v, n = KNEE.values, 50.0
+    l1 = (1 / 0.7432 + 1 / 1.408) / 2
+    l2 = (1 / 0.7432 - 1 / 1.408) / 2
+    c1, c2 = v["joint.coulomb_positive"], v["joint.coulomb_negative"]
+    m1, m2 = v["motor.coulomb_positive"], v["motor.coulomb_negative"]
+    # gravity carries the g that the printed theta5 and theta10 lack
+    leg = [0.206 / n**2, 3.12 / n**2, (c1 + c2) / (2 * n), (c1 - c2) / (2 * n), 9.80665 * 0.42 / n]
+    motor = [3.56e-4, 4.0e-3, (m1 + m2) / 2, (m1 - m2) / 2, 0.0]
+    np.testing.assert_allclose(theta1, np.add(motor, np.multiply(l1, leg)), rtol=1e-12)
+    np.testing.assert_allclose(theta2, np.multiply(l2, leg), rtol=1e-12)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_form_makes_the_torque_of_the_kernels(case, make_observation):
+    chain, values = CASES[case]
+    o = make_observation(chain, values, sigma=0.0, n=800, factor=3, amplitude=2.0)
+    if "gearbox.load_drive" not in chain.names:
+        # at rest the kernels take no loss; eq. (13) leaves lambda_1, which must then be one
+        o = replace(o, qd=np.where(np.arange(o.qd.size) % 50 == 0, 0.0, o.qd))
+    form = torque_form(chain, [o])
+    theta1, theta2 = form.thetas(chain.vector(values))
+    torque = theta1 @ columns(chain, o, form.names1)
+    torque = torque + np.sign(o.qd) * np.abs(theta2 @ columns(chain, o, form.names2))
+    expected = filtered_torque(chain, o, chain.vector(values)[None])[0]
+    size = np.abs(expected).max()
+    np.testing.assert_allclose(o.filter.apply(torque), expected, rtol=0, atol=1e-13 * size)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_parameters_make_the_thetas_they_came_from(case):
+    """Where several parameters share a column they cannot be told apart, but their sum stays."""
+    chain, values = CASES[case]
+    form = torque_form(chain)
+    theta1, theta2 = form.thetas(chain.vector(values))
+    again = form.thetas(form.parameters(theta1, theta2))
+    np.testing.assert_allclose(again[0], theta1, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(again[1], theta2, rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize("name", ["load.first_moment", "joint.viscous", "gearbox.load_drive"])
+def test_one_known_parameter_gives_all_of_table_3(name):
+    chain = KNEE.chain()
+    truth = chain.vector(KNEE.values)
+    form = torque_form(chain)
+    found = form.parameters(*form.thetas(truth), {name: KNEE.values[name]})
+    np.testing.assert_allclose(found, truth, rtol=1e-12)
+
+
+def test_theta1_is_the_least_squares_solution_beside_theta2(make_observation):
+    chain, (o,), form, projection = knee(make_observation)
+    theta2 = 1.3 * form.thetas(chain.vector(KNEE.values))[1]
+    psi = columns(chain, o, form.names1)
+    folded = o.filter.apply(np.sign(o.qd) * np.abs(theta2 @ psi))
+    expected = np.linalg.lstsq(o.filter.apply(psi).T, o.measured - folded, rcond=None)[0]
+    np.testing.assert_allclose(projection.theta1(theta2), expected, rtol=1e-9)
+    residual = o.measured - folded - o.filter.apply(psi).T @ expected
+    assert projection.criterion(theta2) == pytest.approx(residual @ residual, rel=1e-12)
+
+
+def test_dependent_columns_leave_the_fit_what_it_was(make_observation):
+    """One direction of motion: sign and one are one column, eq. (18) has no inverse."""
+    chain, (o,), form, _ = knee(make_observation)
+    one_way = replace(o, qd=np.abs(o.qd) + 0.1)
+    projection = VariableProjection(form, [one_way])
+    theta2 = form.thetas(chain.vector(KNEE.values))[1]
+    theta1 = projection.theta1(theta2)
+    assert theta1[2] == pytest.approx(theta1[3], rel=1e-6)
+    assert np.isfinite(projection.criterion(theta2))
+
+
+def test_weights_are_those_of_weighted_least_squares(make_observation):
+    chain, (o,), form, _ = knee(make_observation)
+    weights = np.random.default_rng(1).uniform(0.5, 2.0, o.measured.size)
+    projection = VariableProjection(form, [o], weights)
+    theta2 = form.thetas(chain.vector(KNEE.values))[1]
+    psi = columns(chain, o, form.names1)
+    target = o.measured - o.filter.apply(np.sign(o.qd) * np.abs(theta2 @ psi))
+    rows = weights[:, None] * o.filter.apply(psi).T
+    expected = np.linalg.lstsq(rows, weights * target, rcond=None)[0]
+    np.testing.assert_allclose(projection.theta1(theta2), expected, rtol=1e-9)
+
+
+def test_gradient_is_that_of_finite_differences(make_observation):
+    chain, _, form, projection = knee(make_observation, masses=(0.0, 2.0))
+    theta2 = 1.2 * form.thetas(chain.vector(KNEE.values))[1]
+    gradient = projection.gradient(theta2)
+    for j in range(theta2.size):
+        # so short that no sample changes sign: the criterion is then a parabola
+        step = np.zeros(theta2.size)
+        step[j] = 1e-7 * theta2[j]
+        slope = projection.criterion(theta2 + step) - projection.criterion(theta2 - step)
+        assert gradient[j] == pytest.approx(slope / (2 * step[j]), rel=1e-4), form.names2[j]
+
+
+def test_gradient_is_eq_15_with_eq_17(make_observation):
+    """Without a filter the paper's own formulas hold sample by sample."""
+    chain, (o,), form, projection = knee(make_observation, factor=1)
+    theta2 = 0.8 * form.thetas(chain.vector(KNEE.values))[1]
+    psi = columns(chain, o, form.names1).T
+    sign = np.sign(o.qd)
+    error = o.measured - psi @ projection.theta1(theta2) - sign * np.abs(psi @ theta2)
+    # eq. (14) is solved by eq. (18)
+    assert np.abs(psi.T @ error).max() < 1e-9 * np.abs(psi).sum()
+    psi1 = (sign * np.sign(psi @ theta2))[:, None] * psi
+    np.testing.assert_allclose(projection.gradient(theta2), -2.0 * psi1.T @ error, rtol=1e-7)
+
+
+def test_both_signs_of_theta2_fit_alike_and_the_mechanical_one_is_taken(make_observation):
+    chain, _, form, projection = knee(make_observation)
+    truth = form.thetas(chain.vector(KNEE.values))[1]
+    assert projection.criterion(truth) == projection.criterion(-truth)
+    plus, minus = projection.minimise([truth]), projection.minimise([-truth])
+    np.testing.assert_allclose(plus.theta2, minus.theta2, rtol=1e-6)
+    found = form.parameters(plus.theta1, plus.theta2)
+    at = dict(zip(chain.names, found, strict=True))
+    assert at["load.inertia"] > 0.0
+    assert at["gearbox.load_drive"] + at["gearbox.load_back"] > 0.0  # alpha_2 > alpha_1
+
+
+def test_the_minimum_solves_eq_19_and_is_reached_from_afar(make_observation):
+    chain, _, form, projection = knee(make_observation)
+    truth = form.thetas(chain.vector(KNEE.values))[1]
+    rng = np.random.default_rng(2)
+    minimum = projection.minimise([truth * rng.lognormal(0.0, 0.7, 5) for _ in range(6)])
+    assert minimum.starts == 6
+    assert minimum.starts_agreeing >= 4
+    # nothing is left to gain: less than rounding of the criterion, in units of each column
+    gradient = projection.gradient(minimum.theta2) / projection.scale
+    assert np.abs(gradient).max() < 1e-6 * projection.criterion(minimum.theta2) ** 0.5
+    assert minimum.rms == pytest.approx(
+        np.sqrt(projection.criterion(minimum.theta2) / projection.residual(truth).size)
+    )
+    assert projection.criterion(minimum.theta2) <= projection.criterion(truth)
+
+
+def test_a_known_mass_tells_the_lambdas_and_so_everything(make_observation):
+    """The 'tests not described here': the added column's coefficients are lambda_1, lambda_2."""
+    chain, _, form, projection = knee(make_observation, sigma=0.0, masses=(0.0, 2.0))
+    truth = chain.vector(KNEE.values)
+    assert form.names1[-1] == form.names2[-1] == "added_load"
+    start = form.thetas(truth)[1]
+    minimum = projection.minimise([1.3 * start, 0.5 * start])
+    lambdas = (minimum.theta1[-1], minimum.theta2[-1])
+    np.testing.assert_allclose(lambdas, form.lambdas(truth), rtol=1e-6)
+    found = form.parameters(minimum.theta1, minimum.theta2)
+    np.testing.assert_allclose(found, truth, rtol=1e-6)
+
+
+def test_the_same_mass_everywhere_is_but_more_leg(make_observation):
+    _, _, form, _ = knee(make_observation, masses=(2.0, 2.0))
+    assert "added_load" not in form.names2
+
+
+def test_a_linear_chain_needs_no_search(make_observation):
+    axis = PRESETS["motor-axis"]
+    chain = axis.chain()
+    o = make_observation(chain, axis.values, sigma=0.01)
+    minimum = VariableProjection(torque_form(chain), [o]).minimise([np.zeros(0)])
+    x = np.stack([o.qdd, o.qd, np.sign(o.qd), np.ones_like(o.q)], axis=1)
+    expected = np.linalg.lstsq(x, o.measured, rcond=None)[0]
+    np.testing.assert_allclose(minimum.theta1, expected, rtol=1e-9)
+
+
+def test_other_chains_do_not_have_the_form(make_observation):
+    motor, gearbox, joint = KNEE.chain().elements
+    load = Load(inertia=True, first_moment=True)
+    assert torque_form(Chain((replace(motor, stribeck=True), gearbox, joint), load)) is None
+    assert torque_form(Chain((motor, gearbox, replace(joint, load_loss="one")), load)) is None
+    assert torque_form(Chain((motor, gearbox, joint), load, gain=True)) is None
+    servo = PRESETS["servo-pendulum"]
+    chain = servo.chain()
+    loaded = make_observation(chain, servo.values, added_mass=0.1, radius=0.1)
+    assert torque_form(chain, [loaded]) is None
+    assert torque_form(chain) is not None

@@ -1,0 +1,131 @@
+"""The scaling of section 4.2: no torque changes, and where it ends."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.scaling import scalings
+
+KNEE = PRESETS["rabbit-knee"]
+FULL = Chain(
+    elements=(
+        Element("motor", inertia=True, coulomb="symmetric", viscous=True, stribeck=True),
+        Element("gearbox", ratio=20.0, inertia=True, viscous=True, load_loss="two"),
+        Element("bearing", coulomb="symmetric", quadratic=True, stribeck=True, load_loss="one"),
+    ),
+    load=Load(inertia=True, first_moment=True, gravity_angle=True),
+    offset=True,
+    gain=True,
+)
+CHAINS = {"knee": KNEE.chain(), "full": FULL}
+
+
+def random_values(chain, rng):
+    """Any passive joint: losses not negative, mu_2 below one."""
+    values = rng.uniform(0.05, 0.9, len(chain.names))
+    if "load.gravity_angle" in chain.names:
+        values[chain.names.index("load.gravity_angle")] -= 0.5
+    return values
+
+
+@pytest.mark.parametrize("name", CHAINS)
+@given(seed=st.integers(0, 2**32 - 1), place=st.floats(0.0, 1.0))
+@settings(max_examples=40, deadline=None)
+def test_no_torque_changes_along_a_scaling(name, seed, place):
+    chain = CHAINS[name]
+    rng = np.random.default_rng(seed)
+    values = random_values(chain, rng)
+    (scaling,) = scalings(chain)
+    low, high = scaling.bounds(values)
+    factor = low * (high / low) ** place
+    q, qd, qdd = rng.standard_normal((3, 200)) * np.array([[1.5], [3.0], [40.0]])
+    before = inverse_torque(chain, values, q, qd, qdd)
+    after = inverse_torque(chain, scaling.scaled(values, factor), q, qd, qdd)
+    # where the leg passes next to no torque, rounding may change which side drives
+    np.testing.assert_allclose(after, before, rtol=0, atol=1e-12 * np.abs(before).max())
+
+
+@pytest.mark.parametrize("name", CHAINS)
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None)
+def test_a_passive_gearbox_ends_it_at_one_over_alpha(name, seed):
+    chain = CHAINS[name]
+    values = random_values(chain, np.random.default_rng(seed))
+    (scaling,) = scalings(chain)
+    drive, back = (chain.names.index(n) for n in (scaling.drive, scaling.back))
+    alpha_1, alpha_2 = 1.0 / (1.0 + values[drive]), 1.0 / (1.0 - values[back])
+    low, high = scaling.bounds(values)
+    assert low == pytest.approx(1.0 / alpha_2, rel=1e-12)
+    assert high == pytest.approx(1.0 / alpha_1, rel=1e-12)
+    # at one end alpha_1 is one, at the other alpha_2; beyond, a loss would be negative
+    assert scaling.scaled(values, high)[drive] == pytest.approx(0.0, abs=1e-12)
+    assert scaling.scaled(values, low)[back] == pytest.approx(0.0, abs=1e-12)
+    inside = scaling.scaled(values, np.geomspace(1.001 * low, high / 1.001, 9))
+    assert (inside[:, [drive, back]] > 0.0).all()
+    assert scaling.scaled(values, 1.001 * high)[drive] < 0.0
+    assert scaling.scaled(values, low / 1.001)[back] < 0.0
+
+
+def test_table_3_leaves_the_factor_between_0_71_and_1_35():
+    chain = KNEE.chain()
+    (scaling,) = scalings(chain)
+    low, high = scaling.bounds(chain.vector(KNEE.values))
+    assert (low, high) == pytest.approx((1 / 1.408, 1 / 0.7432), rel=1e-12)
+    assert (round(low, 2), round(high, 2)) == (0.71, 1.35)
+
+
+@given(seed=st.integers(0, 2**32 - 1), factor=st.floats(0.5, 2.0))
+@settings(max_examples=40, deadline=None)
+def test_scalings_are_a_group_and_the_middle_stays_the_middle(seed, factor):
+    chain = KNEE.chain()
+    values = random_values(chain, np.random.default_rng(seed))
+    (scaling,) = scalings(chain)
+    there = scaling.scaled(values, factor)
+    np.testing.assert_allclose(scaling.scaled(there, 1.0 / factor), values, rtol=1e-9, atol=1e-12)
+    middle = scaling.middle(values)
+    low, high = scaling.bounds(values)
+    assert middle**2 == pytest.approx(low * high, rel=1e-12)
+    assert scaling.middle(scaling.scaled(values, middle)) == pytest.approx(1.0, rel=1e-9)
+
+
+def test_motor_offset_and_angle_do_not_take_part():
+    chain = FULL
+    (scaling,) = scalings(chain)
+    assert set(scaling.names) == {
+        "gearbox.load_drive",
+        "gearbox.load_back",
+        "bearing.coulomb",
+        "bearing.quadratic",
+        "load.inertia",
+        "load.first_moment",
+    }
+
+
+def test_several_factors_give_several_vectors():
+    chain = KNEE.chain()
+    (scaling,) = scalings(chain)
+    values = chain.vector(KNEE.values)
+    many = scaling.scaled(values, [0.8, 1.0, 1.2])
+    assert many.shape == (3, values.size)
+    np.testing.assert_allclose(many[1], values, rtol=1e-15, atol=1e-16)
+    np.testing.assert_allclose(many[2], scaling.scaled(values, 1.2), rtol=1e-15)
+
+
+def test_an_irreversible_gearbox_has_no_lower_end():
+    chain = KNEE.chain()
+    (scaling,) = scalings(chain)
+    values = chain.vector(KNEE.values | {"gearbox.load_back": 1.2})
+    assert scaling.bounds(values)[0] == 0.0
+    assert scaling.middle(values) == 1.0
+
+
+def test_one_mu_or_nothing_behind_means_no_scaling():
+    assert scalings(PRESETS["servo-pendulum"].chain()) == ()
+    assert scalings(PRESETS["motor-axis"].chain()) == ()
+    end = Element("gearbox", inertia=True, load_loss="two")
+    assert scalings(Chain((Element("motor", viscous=True), end), Load())) == ()
