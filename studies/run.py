@@ -14,9 +14,13 @@ from pathlib import Path
 
 from bayesfric.commands.fit import fit, fit_text
 from bayesfric.config import read_config
+from bayesfric.report.comparison import comparison
+from bayesfric.report.comparison_table import comparison_text
+from bayesfric.report.forest import forest_figure
+from bayesfric.report.style import save
 
 ROOT = Path(__file__).resolve().parents[1]
-KEPT = ("corner", "prediction")
+KEPT = ("corner", "prediction", "methods")
 
 
 def run(study: str) -> None:
@@ -26,6 +30,9 @@ def run(study: str) -> None:
     )
     runs = ROOT / "studies-runs"
     runs.mkdir(exist_ok=True)
+    figures = ROOT / "figures" / study
+    figures.mkdir(parents=True, exist_ok=True)
+    summaries = {}
     for path in sorted(folder.glob("*.toml")):
         target = runs / path.stem
         if target.exists():
@@ -33,12 +40,15 @@ def run(study: str) -> None:
         summary = fit(read_config(path), target)
         print(f"=== {study}/{path.name}")
         print("\n".join(fit_text(summary, target.relative_to(ROOT))))
-        figures = ROOT / "figures" / study
-        figures.mkdir(parents=True, exist_ok=True)
+        summaries[path.stem] = summary
         for name in KEPT:
             stem = name if study == "demo" and path.stem == "knee" else f"{path.stem}-{name}"
             for suffix in (".pdf", ".png"):
                 shutil.copyfile(target / "figures" / f"{name}{suffix}", figures / f"{stem}{suffix}")
+    if len(summaries) > 1 and study != "demo":
+        side_by_side = comparison(summaries, estimates=study == "emps")
+        print("\n".join(comparison_text(side_by_side)))
+        save(forest_figure(side_by_side), figures, "comparison")
 
 
 if __name__ == "__main__":

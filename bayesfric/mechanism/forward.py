@@ -21,7 +21,7 @@ from bayesfric.mechanism.dynamics import (
     Joint,
     joint_tables,
 )
-from bayesfric.mechanism.integrate import RUNAWAY, integrate, integrate_many, integrate_segments
+from bayesfric.mechanism.integrate import RUNAWAY, integrate, integrate_segments
 from bayesfric.mechanism.inverse import added_load
 from bayesfric.mechanism.kernels import (
     GAIN,
@@ -226,30 +226,19 @@ def simulate_many(
     ValueError
         If an input is not finite or has the wrong shape.
     """
-    vectors = np.asarray(values, dtype=np.float64)
-    if vectors.ndim != 2 or vectors.shape[1] != len(chain.names):
-        raise ValueError(f"values must have the shape (n, {len(chain.names)})")
-    samples = _torque(torque, period, hold)
-    start = np.ascontiguousarray(np.broadcast_to(np.asarray(q0, np.float64), len(vectors)))
-    speed = np.ascontiguousarray(np.broadcast_to(np.asarray(qd0, np.float64), len(vectors)))
-    if not all(np.all(np.isfinite(x)) for x in (vectors, start, speed)):
-        raise ValueError("values, q0 and qd0 must be finite")
-    if substeps < 1:
-        raise ValueError("substeps must be at least 1")
-    elements, load = chain.tables(vectors)
-    inertia, moment = added_load(chain, added_mass, radius)
-    return integrate_many(
-        elements,
-        load,
-        float(inertia),
-        float(moment),
-        samples,
-        float(period),
-        hold == "linear",
-        start,
-        speed,
-        substeps,
-        _possible(chain, vectors, elements, load, inertia),
+    whole = [(0, np.size(torque))]
+    states = (np.asarray(x, dtype=np.float64).reshape(-1, 1) for x in (q0, qd0))
+    return simulate_segments(
+        chain,
+        values,
+        torque,
+        period,
+        whole,
+        *states,
+        added_mass=added_mass,
+        radius=radius,
+        hold=hold,
+        substeps=substeps,
     )
 
 

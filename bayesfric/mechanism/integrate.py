@@ -325,43 +325,6 @@ def integrate(
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
-def integrate_many(
-    elements: NDArray[np.float64],
-    load: NDArray[np.float64],
-    added_inertia: float,
-    added_moment: float,
-    torque: NDArray[np.float64],
-    period: float,
-    linear: bool,
-    q0: NDArray[np.float64],
-    qd0: NDArray[np.float64],
-    substeps: int,
-    valid: NDArray[np.bool_],
-) -> NDArray[np.float64]:
-    """Integrate many parameter vectors side by side; positions go to the rows of the output."""
-    n, samples = elements.shape[0], torque.shape[0]
-    out = np.full((n, samples), np.nan)
-    for i in prange(n):
-        if valid[i]:
-            done = integrate(
-                joint_tables(elements[i], load[i], added_inertia, added_moment),
-                torque,
-                period,
-                linear,
-                q0[i],
-                qd0[i],
-                substeps,
-                out[i],
-                np.empty(samples),
-                np.empty(samples),
-                np.empty(samples, dtype=np.bool_),
-                np.zeros(3, dtype=np.int64),
-            )
-            out[i, done:] = np.nan
-    return out
-
-
-@njit(cache=True, error_model="numpy", parallel=True)
 def integrate_segments(
     elements: NDArray[np.float64],
     load: NDArray[np.float64],

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from figures import cutoff_figure, fit_figure, forest
 
 from bayesfric.commands.estimate import estimates
 from bayesfric.commands.fit import fit
@@ -25,6 +24,7 @@ from bayesfric.inference.archive import read_archive
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.style import save
+from figures import cutoff_figure, fit_figure, forest
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]

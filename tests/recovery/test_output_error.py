@@ -1,0 +1,87 @@
+"""The posterior by simulation: the truth, both noises, and figures a user gets."""
+
+import json
+
+import numpy as np
+import pytest
+
+from bayesfric.commands.fit import fit
+from bayesfric.commands.simulate import simulate
+from bayesfric.config import read_config
+from bayesfric.inference.archive import read_archive
+
+CONFIG = """\
+[mechanism]
+preset = "motor-axis"
+
+[[recordings]]
+file = "axis.csv"
+time = { column = "time", unit = "s" }
+position = { column = "position", unit = "rad" }
+torque = { column = "torque", unit = "N m" }
+
+[likelihood]
+method = "output-error"
+
+[sampling]
+min_ess = 800
+seed = 4
+
+[simulation]
+duration = 3.0
+rate = 250
+excitation = "multisine"
+encoder_counts = 65536
+torque_noise = 0.02
+"""
+TRUTH = {"motor.inertia": 0.01, "motor.viscous": 0.05, "motor.coulomb": 0.2, "offset": 0.02}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("axis")
+    (folder / "axis.toml").write_text(CONFIG, encoding="utf-8")
+    config = read_config(folder / "axis.toml")
+    simulate(config, folder / "axis.csv")
+    return folder / "run", fit(config, folder / "run")
+
+
+def test_the_truth_and_both_noises_are_found(run):
+    _, summary = run
+    assert summary["sampler"]["status"] == "reliable"
+    rows = summary["parameters"]
+    count = 2.0 * np.pi / 65536
+    truth = TRUTH | {"noise.torque": 0.02, "noise.position": count / np.sqrt(12.0)}
+    for name, value in truth.items():
+        assert abs(rows[name]["mean"] - value) < 4.0 * rows[name]["sd"], name
+        assert rows[name]["verdict"] == "data", name
+    assert (rows["noise.torque"]["unit"], rows["noise.position"]["unit"]) == ("N m", "rad")
+
+
+def test_the_summary_says_what_was_explained(run):
+    _, summary = run
+    assert summary["likelihood"] == {"method": "output-error"}
+    assert (summary["fit"]["quantity"], summary["fit"]["unit"]) == ("joint position", "rad")
+    # drifting residuals are what this likelihood expects, no reason to warn
+    assert not any("too narrow" in text for text in summary["warnings"])
+    assert set(summary["estimates"]) == {"least-squares", "input-error", "output-error"}
+
+
+def test_the_archive_holds_positions_and_as_many_terms_as_states_leave(run):
+    folder, _ = run
+    data = read_archive(folder / "posterior.nc")
+    (name,) = data["observed_data"].data_vars
+    outputs = data["observed_data"][name].size
+    assert data["posterior_predictive"][name].shape[-1] == outputs
+    (terms,) = data["log_likelihood"].data_vars
+    # two states in each of six segments of 0.5 s
+    assert data["log_likelihood"][terms].shape[-1] == outputs - 12
+
+
+def test_methods_stand_side_by_side(run):
+    folder, _ = run
+    assert (folder / "figures" / "methods.pdf").is_file()
+    table = (folder / "methods.csv").read_text(encoding="utf-8")
+    for method in ("least-squares", "input-error", "output-error", "posterior"):
+        assert method in table
+    assert json.loads((folder / "summary.json").read_text(encoding="utf-8"))["estimates"]
