@@ -117,8 +117,9 @@ def assemble(
         inner = columns
         scale[columns] = information.directions.units
 
-    def sds(gradient: Array) -> tuple[float, float]:
-        return information.sds(gradient[inner])
+    def sds(gradient: Array, gauge_free: bool) -> tuple[float, float]:
+        own = gradient[inner]
+        return information.sds(information.directions.off_known(own) if gauge_free else own)
 
     open_ = open_scalings(chain, knowledge, observations)
 
@@ -141,7 +142,7 @@ def assemble(
     ):
         gradient = np.zeros(values.size)
         gradient[column] = 1.0
-        sd, robust = (np.nan, np.nan) if bound else sds(gradient)
+        sd, robust = (np.nan, np.nan) if bound else sds(gradient, False)
         scaled = any(p.name in s.names for s in open_)
         stated.append(
             EstimatedValue(
@@ -175,7 +176,7 @@ def _totals(
     observations: Sequence[Observation],
     values: Array,
     scale: Array,
-    sds: Callable[[Array], tuple[float, float]],
+    sds: Callable[[Array, bool], tuple[float, float]],
 ) -> Iterator[EstimatedValue]:
     """Totals that least squares would find in the torque this vector makes."""
     projection = TotalsProjection(chain, observations)
@@ -189,7 +190,7 @@ def _totals(
         if label in chain.names:
             continue  # it is a parameter, stated as such
         unit, symbol, meaning = projection.describe(name)
-        sd, robust = (np.inf, np.inf) if projection.open[i] else sds(gradients[i])
+        sd, robust = (np.inf, np.inf) if projection.open[i] else sds(gradients[i], True)
         yield EstimatedValue(
             label, unit, symbol, meaning, float(found[i]), sd, robust, kind="total"
         )
@@ -200,7 +201,7 @@ def _derived(
     values: Array,
     load: float,
     scale: Array,
-    sds: Callable[[Array], tuple[float, float]],
+    sds: Callable[[Array, bool], tuple[float, float]],
     span: Callable[[Callable[[Array], Array]], tuple[float, float] | None],
 ) -> Iterator[EstimatedValue]:
     steps = 1e-5 * scale
@@ -215,7 +216,7 @@ def _derived(
         gradient[moving] = (quantity.values[:k] - quantity.values[k : 2 * k]) / (2 * steps[moving])
         if not np.isfinite(middle) or not np.isfinite(gradient).all() or not gradient.any():
             continue  # undefined here, or made of known numbers only
-        sd, robust = sds(gradient)
+        sd, robust = sds(gradient, quantity.gauge_free)
         name = quantity.name
 
         def along(vectors: Array, name: str = name) -> Array:

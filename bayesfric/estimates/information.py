@@ -32,12 +32,26 @@ class Directions:
         ``(d, d)`` right singular vectors, one a row, in those units.
     tolerance
         Singular values below this share of the largest are rounding.
+    known_null
+        ``(d, k)`` orthonormal, in those units: directions known to change no output.
     """
 
     units: Array
     singular_values: Array
     rows: Array
     tolerance: float = NULL
+    known_null: Array | None = None
+
+    def off_known(self, gradient: Array) -> Array:
+        """Take from a gradient ``(d,)`` what points along directions known to be null.
+
+        For functions that theory says no scaling changes; their numerical derivatives
+        point along it by the rounding, and by the kinks, of differences.
+        """
+        if self.known_null is None:
+            return gradient
+        along = gradient * self.units
+        return np.asarray((along - (along @ self.known_null) @ self.known_null.T) / self.units)
 
     @property
     def null(self) -> NDArray[np.bool_]:
@@ -77,6 +91,7 @@ def directions(
     is as in :class:`Directions`.
     """
     scaled = jacobian * units
+    basis = None
     if known_null is not None and known_null.size:
         basis = np.linalg.qr((known_null / units).T)[0]
         scaled = scaled - (scaled @ basis) @ basis.T
@@ -85,7 +100,7 @@ def directions(
         scaled = np.concatenate([scaled, np.zeros((d - scaled.shape[0], d))])
     # The triangle has the same singular values and right vectors at a fraction of the memory.
     _, values, rows = np.linalg.svd(np.linalg.qr(scaled, mode="r"))
-    return Directions(units, values, rows, tolerance)
+    return Directions(units, values, rows, tolerance, basis)
 
 
 class Information:

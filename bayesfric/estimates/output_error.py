@@ -9,7 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
-from bayesfric.estimates.assemble import assemble, bounds_met, open_scalings, units_of
+from bayesfric.estimates.assemble import (
+    assemble,
+    bounds_met,
+    open_directions,
+    open_scalings,
+    units_of,
+)
 from bayesfric.estimates.estimate import Estimate
 from bayesfric.estimates.information import Information
 from bayesfric.estimates.knowledge import Knowledge
@@ -375,6 +381,9 @@ class OutputError:
             places=frame.shooting.places,
             groups=frame.shooting.segment_of,
             known=frame.told,
+            known_null=open_directions(
+                self.chain, self.knowledge, self.observations, solution.values
+            ),
             tolerance=_NULL,
             lost=linear.elimination.lost,
         )

@@ -10,12 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.estimates.assemble import open_directions
-from bayesfric.estimates.information import Directions, directions
+from bayesfric.estimates.information import NULL, Directions, directions
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.inference.target import Target
 
 Array = NDArray[np.float64]
 Verdict = Literal["data", "weak", "prior"]
+
+# Central differences of a torque that is linear are wrong by rounding alone: some 1e-16 of
+# the torque over twice this step. That is 1e-10 of the largest singular value, a thousandth
+# of what NULL allows; what any real recording leaves open is far above both.
+_STEP = 1e-6
+# A simulation's rounding is larger by the number of its steps, and it is not quite linear.
+_NULL_SIMULATED = 1e-6
+# Values below this share of their prior sd are next to zero: those that are zero or
+# positive, and those of either sign.
+_SMALL = 1e-3
+_SMALL_SIGNED = 1e-2
 
 
 @dataclass(frozen=True)
@@ -43,33 +54,61 @@ class LocalInformation:
     ----------
     names
         Free parameters of the chain.
+    labels
+        What a change of one is called: the parameter, or its alpha for load losses.
+    units
+        ``(d,)`` change of each parameter that counts as one: its own value, so that ones
+        are changes of logarithms; its prior sd where the value is next to zero.
+    shifted
+        ``(d,)`` where the unit is the prior sd.
+    effects
+        ``(d,)`` root of the summed squares that a change of one makes, in noise sds.
     data_sd
         ``(d,)`` standard deviation that the data alone would leave, in the
         parameter's unit; infinite where a null direction touches it.
     null_directions
         What no torque can tell.
+    null_rows
+        ``(n_null, d)`` the same in units, the largest entry of each being one.
     directions
         Of the Jacobian over the noise scale, in log parameters.
     """
 
     names: tuple[str, ...]
+    labels: tuple[str, ...]
+    units: Array
+    shifted: NDArray[np.bool_]
+    effects: Array
     data_sd: Array
     null_directions: tuple[NullDirection, ...]
+    null_rows: Array
     directions: Directions
 
-    def data_sd_of(self, gradient: Array) -> float:
+    @property
+    def information(self) -> Array:
+        """Fisher information ``(d, d)`` in those units; exactly nothing along null directions."""
+        found = self.directions
+        kept = ~found.null
+        scaled = found.rows[kept] * found.singular_values[kept, None]
+        return np.asarray(scaled.T @ scaled)
+
+    def data_sd_of(self, gradient: Array, *, gauge_free: bool = False) -> float:
         """Give the sd that the data alone would leave of a function of the parameters.
 
         Parameters
         ----------
         gradient
             ``(d,)`` derivative of the function by the free parameters.
+        gauge_free
+            Whether theory says that no scaling of leg and alpha changes it.
 
         Returns
         -------
         float
             Infinite where the function changes along a null direction.
         """
+        if gauge_free:
+            gradient = self.directions.off_known(gradient)
         weight = self.directions.solve(gradient)
         return float("inf") if weight is None else float(np.sqrt(gradient @ weight))
 
@@ -87,20 +126,29 @@ def local_information(target: Target, parameters: Array) -> LocalInformation:
     free = target.free
     point = parameters[: len(free)]
     scales = target.noise.scales(parameters[None, len(free) :])[0]
-    units, labels = _units(target, point)
+    units, labels, shifted = units_of(target, point)
     chain = target.likelihood.chain
     known = Knowledge(dict.fromkeys(set(chain.names) - set(free), 0.0))
     open_ = open_directions(
         chain, known, target.likelihood.observations, target.chain_values(parameters[None])[0]
     )
-    found = directions(
-        _jacobian(target, parameters, units, scales),
-        np.ones(units.size),
-        known_null=open_ / units,
-    )
+    jacobian = jacobian_of(target, parameters, units, scales)
+    tolerance = NULL if target.likelihood.method == "input-error" else _NULL_SIMULATED
+    found = directions(jacobian, np.ones(units.size), tolerance, known_null=open_ / units)
+    # the Jacobian was taken in these units already
     found = replace(found, units=units)
-    named = tuple(_describe(labels, row) for row in _sparse(found.rows[found.null]))
-    local = LocalInformation(tuple(free), np.full(units.size, np.nan), named, found)
+    rows = _null_basis(found.rows[found.null], open_ / units)
+    local = LocalInformation(
+        tuple(free),
+        tuple(labels),
+        units,
+        shifted,
+        np.linalg.norm(jacobian, axis=0),
+        np.full(units.size, np.nan),
+        tuple(_describe(labels, row) for row in rows),
+        rows,
+        found,
+    )
     return replace(local, data_sd=np.array([local.data_sd_of(one) for one in np.eye(units.size)]))
 
 
@@ -129,13 +177,16 @@ def verdict(posterior_sd: float, prior_sd: float, data_sd: float) -> Verdict:
     return "data" if 0.85 < share < 1.5 and left < 0.5 else "weak"
 
 
-def _units(target: Target, point: Array) -> tuple[Array, list[str]]:
+def units_of(target: Target, point: Array) -> tuple[Array, list[str], NDArray[np.bool_]]:
     """Step that counts as one, in each parameter's unit, and what it then is.
 
     Logarithms for parameters that cannot be negative; for load losses the
-    logarithm of alpha, in which the paper's scaling is one straight line.
+    logarithm of alpha, in which the paper's scaling is one straight line. A value next
+    to zero, as on a bound, has no logarithm worth the name: there the prior sd counts
+    as one, and the third array says so.
     """
     units = np.empty(point.size)
+    shifted = np.zeros(point.size, dtype=np.bool_)
     labels = []
     chain = target.likelihood.chain
     support = {p.name: p for p in chain.parameters}
@@ -145,36 +196,61 @@ def _units(target: Target, point: Array) -> tuple[Array, list[str]]:
             units[j] = -(1.0 + point[j])  # alpha_1 = 1/(1 + mu_1)
             labels.append(f"{element}.alpha_drive")
         elif quantity == "load_back":
-            units[j] = 1.0 - point[j]  # alpha_2 = 1/(1 - mu_2)
+            # alpha_2 = 1/(1 - mu_2), endless where the gearbox is irreversible
+            units[j] = 1.0 - point[j] if abs(1.0 - point[j]) > 1e-3 else 1e-3
             labels.append(f"{element}.alpha_back")
-        elif support[name].lower == 0.0:
-            units[j] = point[j]
-            labels.append(name)
         else:
-            # relative where the value is not next to zero, else in prior sds
             sd = target.priors[j].sd()
-            units[j] = point[j] if abs(point[j]) > 0.01 * sd else sd
+            sd = sd if np.isfinite(sd) else 1.0
+            small = _SMALL if support[name].lower == 0.0 else _SMALL_SIGNED
+            shifted[j] = abs(point[j]) <= small * sd
+            units[j] = sd if shifted[j] else point[j]
             labels.append(name)
-    return units, labels
+    return units, labels, shifted
 
 
-def _jacobian(target: Target, parameters: Array, units: Array, scales: Array) -> Array:
+def jacobian_of(target: Target, parameters: Array, units: Array, scales: Array) -> Array:
     """Differentiate the modelled outputs over their noise, ``(n_outputs, d)``.
 
     The torque is linear in nearly every parameter, so central differences are
     exact up to rounding except where a step changes the direction of power.
     """
     k = units.size
-    steps = 1e-6 * np.where(units == 0.0, 1e-12, units)
+    steps = _STEP * units
     plus, minus = np.tile(parameters, (k, 1)), np.tile(parameters, (k, 1))
     index = np.arange(k)
     plus[index, index] += steps
     minus[index, index] -= steps
     both = target.chain_values(np.concatenate([plus, minus]))
     blocks = [
-        (output[:k] - output[k:]) / 2e-6 for output in target.likelihood.standardised(both, scales)
+        (output[:k] - output[k:]) / (2.0 * _STEP)
+        for output in target.likelihood.standardised(both, scales)
     ]
     return np.concatenate(blocks, axis=1).T
+
+
+def _null_basis(rows: Array, theory: Array) -> Array:
+    """Basis of the null space with many zeros, what theory names first, ``(n_null, d)``.
+
+    The others are only given up to what theory names: one entry of each of those is
+    eliminated, the one that leaves fewest entries.
+    """
+    named = [row / row[int(np.argmax(np.abs(row)))] for row in theory if row.any()]
+    rest = rows
+    for row in named:
+        if len(rest) < 2:
+            rest = rest[:0]
+            break
+        choices = [
+            _sparse(_independent(rest - np.outer(rest[:, c] / row[c], row), len(rest) - 1))
+            for c in np.flatnonzero(np.abs(row) > 1e-6)
+        ]
+        rest = min(choices, key=lambda basis: float(np.abs(basis).sum()))
+    return np.array([*named, *_sparse(rest)]).reshape(-1, rows.shape[1])
+
+
+def _independent(rows: Array, rank: int) -> Array:
+    return np.asarray(np.linalg.svd(rows)[2][:rank])
 
 
 def _sparse(rows: Array) -> Array:
@@ -186,7 +262,7 @@ def _sparse(rows: Array) -> Array:
         for j in range(basis.shape[0]):
             if j != i:
                 basis[j] -= basis[j, pivot] * basis[i]
-    return basis
+    return np.array([row / row[int(np.argmax(np.abs(row)))] for row in basis]).reshape(rows.shape)
 
 
 def _describe(labels: Sequence[str], row: Array) -> NullDirection:

@@ -26,6 +26,7 @@ from bayesfric.report.comparison_table import comparison_csv, comparison_markdow
 from bayesfric.report.corner import corner_figure
 from bayesfric.report.forest import forest_figure
 from bayesfric.report.prediction import prediction_figure
+from bayesfric.report.ridge import ridge_figure
 from bayesfric.report.style import save
 from bayesfric.report.summary import summary_table
 from bayesfric.report.trace import trace_figure
@@ -33,9 +34,11 @@ from bayesfric.report.trace import trace_figure
 # Draws kept of the groups that hold a number for every draw and every output.
 _POINTWISE_DRAWS = 400
 
-FIGURES: dict[str, Callable[[Fit], Figure]] = {
+# What a fit has nothing to show of is None, and left out.
+FIGURES: dict[str, Callable[[Fit], Figure | None]] = {
     "corner": corner_figure,
     "prediction": prediction_figure,
+    "ridge": ridge_figure,
     "trace": trace_figure,
 }
 
@@ -159,7 +162,8 @@ def write_run(
         figures = beside / "figures"
         figures.mkdir()
         for stem, draw in FIGURES.items():
-            save(draw(fit), figures, stem)
+            if (figure := draw(fit)) is not None:
+                save(figure, figures, stem)
         methods = comparison({folder.name: summary})
         save(forest_figure(methods), figures, "methods")
         (beside / "methods.csv").write_text(comparison_csv(methods), encoding="utf-8")

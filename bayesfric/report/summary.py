@@ -14,6 +14,7 @@ import bayesfric
 from bayesfric.estimates.estimate import Estimate
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.torque import filtered_torque, typical_load
+from bayesfric.identifiability.influence import influence
 from bayesfric.identifiability.local import LocalInformation, local_information, verdict
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.likelihood import lag_one
@@ -133,7 +134,7 @@ def summary_table(summary: Mapping[str, Any]) -> str:
     """Lay the parameters and derived quantities of a summary out as CSV text."""
     columns = ["name", "unit", "mean", "sd", "median", "low", "high", "level", "rhat", "ess"]
     columns += ["prior", "prior_sd", "contraction", "verdict", "at_bound"]
-    columns += ["undefined_share"]
+    columns += ["undefined_share", "prior_sensitivity", "likelihood_sensitivity"]
     out = io.StringIO()
     writer = csv.DictWriter(out, columns, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
@@ -208,6 +209,7 @@ def _parameters(fit: Fit, flat: Array, local: LocalInformation) -> dict[str, Any
     for name, symbol, quantity in zip(noise.names, noise.symbols, noise.quantities, strict=True):
         described[name] = (noise_unit(fit, quantity), symbol, _NOISES[quantity])
     rows = {}
+    moved_by = influence(fit)
     for j, (name, prior) in enumerate(zip(fit.posterior.names, fit.posterior.priors, strict=True)):
         unit, symbol, meaning = described[name]
         sd, prior_sd = float(flat[:, j].std()), prior.sd()
@@ -227,6 +229,9 @@ def _parameters(fit: Fit, flat: Array, local: LocalInformation) -> dict[str, Any
             "data_sd": _number(data_sd),
             "verdict": verdict(sd, prior_sd, data_sd),
             "at_bound": _at_bound(flat[:, j], prior.lower, prior.upper),
+            "prior_sensitivity": _number(moved_by[name].prior),
+            "likelihood_sensitivity": _number(moved_by[name].likelihood),
+            "diagnosis": moved_by[name].diagnosis,
         }
     return rows
 
@@ -253,7 +258,9 @@ def _derived(fit: Fit, median: Array, local: LocalInformation) -> dict[str, Any]
             "meaning": q.meaning,
             **_spread(defined),
             "verdict": verdict(
-                _robust_sd(defined), prior[q.name], local.data_sd_of(gradients[q.name])
+                _robust_sd(defined),
+                prior[q.name],
+                local.data_sd_of(gradients[q.name], gauge_free=q.gauge_free),
             ),
             "undefined_share": 1.0 - defined.size / q.values.size,
             "gauge_free": q.gauge_free,
@@ -291,7 +298,9 @@ def _totals(fit: Fit, median: Array, local: LocalInformation) -> dict[str, Any]:
             "meaning": f"{meaning}, as least squares would see it",
             **_spread(draws[:, i]),
             "verdict": verdict(
-                _robust_sd(draws[:, i]), _robust_sd(prior[:, i]), local.data_sd_of(gradients[i])
+                _robust_sd(draws[:, i]),
+                _robust_sd(prior[:, i]),
+                local.data_sd_of(gradients[i], gauge_free=True),
             ),
             "undefined_share": 0.0,
             "gauge_free": True,
