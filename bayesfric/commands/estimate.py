@@ -54,13 +54,19 @@ def estimates(
             if "input-error" in methods:
                 found.append(direct)
             if "output-error" in methods:
-                progress("output-error")
-                whole = [
-                    trajectory(recording, observation, np.inf)
-                    for recording, observation in zip(problem.recordings, observations, strict=True)
-                ]
-                found.append(output_error(chain, whole, observations, knowledge, options, direct))
+                found.append(_output_error(problem, direct, progress))
     return found
+
+
+def _output_error(problem: Problem, start: Estimate, progress: Callable[[str], None]) -> Estimate:
+    progress("output-error")
+    whole = [
+        trajectory(recording, observation, np.inf)
+        for recording, observation in zip(problem.recordings, problem.observations, strict=True)
+    ]
+    knowledge = beforehand(problem.chain, problem.priors)
+    options = problem.config.tables.estimation
+    return output_error(problem.chain, whole, problem.observations, knowledge, options, start)
 
 
 def estimates_where_possible(
@@ -71,10 +77,10 @@ def estimates_where_possible(
     For a posterior, beside which the estimates stand: a mechanism that cannot be
     simulated still has one.
     """
+    found = estimates(problem, ("least-squares", "input-error"), progress=progress)
     try:
-        return estimates(problem, progress=progress), []
+        return [*found, _output_error(problem, found[-1], progress)], []
     except BadInput as error:
-        found = estimates(problem, ("least-squares", "input-error"), progress=progress)
         return found, [f"no output-error estimate: {error.what}"]
 
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bayesfric.commands.estimate import estimates_where_possible
-from bayesfric.commands.problem import read_problem
+from bayesfric.commands.problem import Problem, read_problem
 from bayesfric.config import Config
+from bayesfric.errors import BadInput
 from bayesfric.inference.fit import fit as fit_target
 from bayesfric.inference.sampling import Progress, phase
+from bayesfric.inference.target import Target
 from bayesfric.report.run_directory import check_free, write_run
 from bayesfric.report.summary import summarise
 
@@ -61,8 +63,7 @@ def fit(
     found, missing = estimates_where_possible(
         problem, lambda method: progress(phase(f"{method} estimate"))
     )
-    # the simulation is linearised here first, and anew at every mode this leads to
-    target = problem.target(dict(next(e.point for e in found if e.method == "input-error")))
+    target = _target(problem, [dict(e.point) for e in found if e.point])
     with config.named():
         result = fit_target(target, sampling, estimates=found, progress=progress)
     progress(phase("writing results"))
@@ -70,6 +71,19 @@ def fit(
     summary["warnings"] += missing
     write_run(folder, result, summary, config.text, problem.recordings)
     return summary
+
+
+def _target(problem: Problem, points: Sequence[Mapping[str, float]]) -> Target:
+    """Make the log-posterior; where it simulates, near the first estimate that can be simulated.
+
+    The simulation is linearised there first, and anew at every mode this leads to.
+    """
+    for point in points[:-1]:
+        try:
+            return problem.target(point)
+        except BadInput:
+            continue
+    return problem.target(points[-1])
 
 
 def fit_text(summary: dict[str, Any], folder: Path) -> Iterator[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,23 +15,37 @@ from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical_load
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.derived import derive
+from bayesfric.mechanism.inverse import added_load
 from bayesfric.mechanism.scaling import Scaling, scalings
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
 
-# Closer to a bound than this share of the value's own size (or of its sd) is on it.
+# Closer to a bound than this share of what is a large change is on it.
 _ON_BOUND = 1e-6
 
 
 def open_scalings(
     chain: Chain, knowledge: Knowledge, observations: Sequence[Observation]
 ) -> tuple[Scaling, ...]:
-    """Scalings that neither a known mass nor a known or told parameter takes away."""
-    if any(o.added_mass for o in observations):
+    """Scalings that neither known masses nor a known or told parameter takes away.
+
+    One known mass in all recordings alike might as well be more leg, and zero times any
+    factor is zero: neither fixes a scale.
+    """
+    masses = {added_load(chain, o.added_mass, o.radius) for o in observations}
+    if len(masses) > 1:
         return ()
-    known = set(knowledge.fixed) | set(knowledge.told)
-    return tuple(s for s in scalings(chain) if not known & set(s.names))
+    found = []
+    for scaling in scalings(chain, *next(iter(masses), (0.0, 0.0))):
+        losses = (scaling.drive, scaling.back)
+        known = {n for n, x in knowledge.fixed.items() if x != 0.0 or n in losses}
+        loaded = {n for n, x in zip(scaling.behind, scaling.added, strict=False) if x}
+        if not (known | set(knowledge.told)) & set(scaling.names) and not loaded & set(
+            knowledge.fixed
+        ):
+            found.append(scaling)
+    return tuple(found)
 
 
 def open_directions(
@@ -40,13 +55,6 @@ def open_directions(
     columns = [chain.names.index(name) for name in knowledge.free(chain)]
     found = [s.tangent(values)[columns] for s in open_scalings(chain, knowledge, observations)]
     return np.array(found).reshape(-1, len(columns))
-
-
-def centred(values: Array, open_: Sequence[Scaling]) -> Array:
-    """Move a vector along its open scalings to the middle of what a passive gearbox allows."""
-    for scaling in open_:
-        values = scaling.scaled(values, scaling.middle(values))
-    return values
 
 
 def units_of(chain: Chain, free: Sequence[str], values: Array) -> Array:
@@ -96,8 +104,8 @@ def assemble(
     values
         ``(n_parameters,)`` in the order of ``chain.names``.
     information
-        Of the free parameters, in the chain's order: all of them, or those that do not
-        stand on a bound.
+        Of the free parameters, in the chain's order. Bounds are left out of it: beside a
+        parameter that stands on one, others would look far too certain.
     at_bound
         ``(d,)`` for the free parameters: -1 on the lower bound, 1 on the upper, else 0.
 
@@ -109,19 +117,24 @@ def assemble(
     """
     free = knowledge.free(chain)
     columns = np.array([chain.names.index(name) for name in free], dtype=np.int64)
-    inner = columns[at_bound == 0]
     scale = np.zeros(values.size)
-    scale[columns] = units_of(chain, free, values)
-    if information.directions.units.size == columns.size:
-        # of all free parameters, then; its units also suit those that are zero
-        inner = columns
-        scale[columns] = information.directions.units
+    # these also suit parameters that are zero
+    scale[columns] = information.directions.units
 
     def sds(gradient: Array, gauge_free: bool) -> tuple[float, float]:
-        own = gradient[inner]
+        own = gradient[columns]
+        if np.any(own) and not np.any(own[at_bound == 0]):
+            return np.nan, np.nan  # made of parameters on their bounds
         return information.sds(information.directions.off_known(own) if gauge_free else own)
 
     open_ = open_scalings(chain, knowledge, observations)
+
+    def bound_of(gradient: Array) -> Literal["lower", "upper"] | None:
+        """Which bound a quantity stands on that only parameters on theirs make up."""
+        own = gradient[columns]
+        if not np.any(own) or np.any(own[at_bound == 0]):
+            return None
+        return "lower" if own @ at_bound < 0 else "upper"
 
     def span(function: Callable[[Array], Array]) -> tuple[float, float] | None:
         if len(open_) != 1:
@@ -136,7 +149,8 @@ def assemble(
     stated = list(_totals(chain, observations, values, scale, sds))
     taken = {value.name for value in stated}
     load = typical_load(chain, observations, values)
-    stated += [v for v in _derived(chain, values, load, scale, sds, span) if v.name not in taken]
+    derived = _derived(chain, values, load, scale, sds, span, bound_of)
+    stated += [v for v in derived if v.name not in taken]
     for p, column, bound in (
         (chain.parameters[c], c, at_bound[j]) for j, c in enumerate(columns.tolist())
     ):
@@ -162,9 +176,14 @@ def assemble(
     return tuple(stated)
 
 
-def bounds_met(values: Array, lower: Array, upper: Array) -> NDArray[np.int_]:
-    """Which free parameters stand on a bound: -1 lower, 1 upper, else 0, ``(d,)``."""
-    width = _ON_BOUND * np.maximum(np.abs(values), 1e-9)
+def bounds_met(
+    values: Array, lower: Array, upper: Array, sizes: Array | None = None
+) -> NDArray[np.int_]:
+    """Which free parameters stand on a bound: -1 lower, 1 upper, else 0, ``(d,)``.
+
+    ``sizes`` ``(d,)`` says what is a large change of each; the values themselves if left out.
+    """
+    width = _ON_BOUND * np.maximum(np.abs(values), 1e-9 if sizes is None else sizes)
     out = np.zeros(values.size, dtype=np.int_)
     out[values - lower <= width] = -1
     out[upper - values <= width] = 1
@@ -203,6 +222,7 @@ def _derived(
     scale: Array,
     sds: Callable[[Array, bool], tuple[float, float]],
     span: Callable[[Callable[[Array], Array]], tuple[float, float] | None],
+    bound_of: Callable[[Array], Literal["lower", "upper"] | None],
 ) -> Iterator[EstimatedValue]:
     steps = 1e-5 * scale
     moving = np.flatnonzero(steps)
@@ -232,5 +252,6 @@ def _derived(
             robust,
             kind="derived",
             gauge_free=quantity.gauge_free,
+            at_bound=bound_of(gradient),
             span=None if np.isfinite(sd) else span(along),
         )

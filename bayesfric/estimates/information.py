@@ -132,6 +132,8 @@ class Information:
     lost
         Number of quantities fitted besides and already taken out of the Jacobian and
         the residual, for example initial states.
+    least_sigma
+        Standard deviation of a residual that rounding alone makes, as of an encoder.
     """
 
     def __init__(
@@ -147,6 +149,7 @@ class Information:
         known_null: Array | None = None,
         inflation: float = 1.0,
         lost: int = 0,
+        least_sigma: float = 0.0,
     ) -> None:
         n, d = jacobian.shape
         self._jacobian, self._residual = jacobian, residual
@@ -159,6 +162,7 @@ class Information:
             rank = int(np.count_nonzero(~found.null))
         self.freedom = max(n - rank - lost, 1)
         self.sigma = float(np.sqrt(residual @ residual / self.freedom)) * inflation
+        self.sigma = max(self.sigma, least_sigma)
         # Knowledge enters as residuals of the same standard deviation as the others.
         self.directions = directions(
             np.concatenate([jacobian, self.sigma * self._known]) if self._known.size else jacobian,

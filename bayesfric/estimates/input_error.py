@@ -22,6 +22,7 @@ from bayesfric.estimates.estimate import Estimate
 from bayesfric.estimates.information import Information
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.options import Estimation
+from bayesfric.estimates.robust import HUBER, robust_sd
 from bayesfric.estimates.torque import places
 from bayesfric.estimates.torque_form import scale_known, torque_form
 from bayesfric.estimates.variable_projection import VariableProjection
@@ -32,8 +33,6 @@ from bayesfric.recordings.observation import Observation
 Array = NDArray[np.float64]
 Bounds = NDArray[np.int_]
 
-# Residuals beyond this many sds count less; 95 % efficient where there are no outliers.
-_HUBER = 1.345
 # Splits of the totals to start from: load loss, and the share the motor gets.
 _SPLITS = ((0.05, 0.5), (0.2, 0.2), (0.2, 0.5), (0.2, 0.8), (0.5, 0.3), (0.5, 0.7))
 # A minimum this many residual variances higher is another one.
@@ -95,7 +94,7 @@ def _estimate(problem: TorqueProblem, options: Estimation) -> Estimate:
     terms, x = _refined(problem, options, found)
     values = _centred(problem, problem.vector(x))
     x = values[problem.columns]
-    at_bound = bounds_met(x, problem.lower, problem.upper)
+    at_bound = bounds_met(x, problem.lower, problem.upper, problem.typical[problem.columns])
     information = _information(problem, terms, x)
     residual = problem.residual(x)
     notes = [
@@ -171,7 +170,7 @@ def _refined(
             weights = _recording_weights(problem, terms, best.x, residual, robust)
         sd = _sd(weights * residual, robust) * float(np.sqrt(n / max(n - len(problem.free), 1)))
         sd = max(sd, floor)
-        previous, terms = terms, Terms(weights, _HUBER * sd if robust else np.inf)
+        previous, terms = terms, Terms(weights, HUBER * sd if robust else np.inf)
         if rows.size:
             terms = replace(terms, rows=sd * rows, targets=sd * targets)
         # another minimum of the first pass may be the lower one now
@@ -186,7 +185,7 @@ def _refined(
 def _sd(residual: Array, robust: bool) -> float:
     """Root mean square, or what the median absolute value says of a normal's sd."""
     if robust:
-        return float(1.482602218505602 * np.median(np.abs(residual)))
+        return robust_sd(residual)
     return float(np.sqrt(np.mean(residual**2)))
 
 
@@ -249,9 +248,12 @@ def _centred(problem: TorqueProblem, values: Array) -> Array:
     limits = dict(zip(problem.free, zip(problem.lower, problem.upper, strict=True), strict=True))
     for scaling in open_scalings(problem.chain, problem.knowledge, problem.observations):
         low, high = scaling.bounds(values)
-        for name in scaling.names:
+        on_top = dict(scaling.parts())
+        for name in limits.keys() & set(scaling.names):
             now = float(values[problem.chain.names.index(name)])
             least, most = limits[name]
+            known = on_top.get(name, 0.0)
+            now, least, most = now + known, least + known, most + known
             if name == scaling.drive:
                 # mu_1 falls, mu_2 grows with the factor
                 now, least, most = 1.0 / (1.0 + now), 1.0 / (1.0 + most), 1.0 / (1.0 + least)
@@ -353,10 +355,12 @@ def _scale_notes(problem: TorqueProblem, information: Information) -> list[str]:
     """Say what fixes the scale between leg and alpha, or that nothing does."""
     notes = []
     knowledge, free = problem.knowledge, np.array(problem.free)
+    still_open = {s.element for s in open_scalings(problem.chain, knowledge, problem.observations)}
     for scaling in scalings(problem.chain):
         what = f"the scale between {scaling.element}.alpha and what is behind it"
-        gradients = [(free == name).astype(np.float64) for name in scaling.names]
-        if all(np.isinf(information.sds(g)[0]) for g in gradients):
+        gradients = [(free == name).astype(np.float64) for name in scaling.names if name in free]
+        unseen = all(np.isinf(information.sds(g)[0]) for g in gradients)
+        if scaling.element in still_open or unseen:
             notes.append(f"{what} is open: the estimate is one of a family that fits as well")
             continue
         by = [f"known {name}" for name in scaling.names if name in knowledge.fixed]

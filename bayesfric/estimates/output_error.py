@@ -21,9 +21,9 @@ from bayesfric.estimates.information import Information
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.estimates.options import Estimation
+from bayesfric.estimates.robust import HUBER, robust_sd
 from bayesfric.estimates.shooting import Shooting, choose_substeps, resolution, step_error
 from bayesfric.estimates.shooting_fit import (
-    HUBER,
     Frame,
     Linearised,
     Solution,
@@ -48,6 +48,9 @@ _LEAST_SAMPLES = 40
 _GROUPS = 2.0
 # A longer segment is taken where it lowers the logarithm of robust sds by this much.
 _CLEARLY = 0.2
+# A search that could still lower the sum of squares by this many residual variances, though
+# no step does, is at no minimum.
+_LEFT = 100.0
 # Differences carry errors of 1e-8 of a derivative; what is smaller than this is null.
 _NULL = 1e-6
 
@@ -183,6 +186,8 @@ class OutputError:
         self.columns = np.array([chain.names.index(n) for n in self.free], dtype=np.int64)
         self.limits = knowledge.limits(chain)
         self.scalings = open_scalings(chain, knowledge, observations)
+        # sd of the rounding to counts: no position is measured better
+        self.grain = np.array([resolution(t.position[t.samples]) for t in trajectories]) / 12**0.5
 
     def distance(self, values: Array, length: float) -> float:
         """Sum of squares at a start, states fitted; infinite where it cannot be simulated."""
@@ -227,7 +232,7 @@ class OutputError:
         if not np.array_equal(centred, values):
             moved = residual_of(frame, centred, states)
             solution = replace(solution, values=centred, residual=moved)
-        at_bound = bounds_met(solution.values[self.columns], *self.limits)
+        at_bound = bounds_met(solution.values[self.columns], *self.limits, frame.units)
         error, _ = step_error(frame.shooting, solution.values, states, frame.shooting.substeps)
         information = self._information(frame, weights, solution)
         return Fit(length, frame, weights, solution, information, at_bound, error)
@@ -258,7 +263,7 @@ class OutputError:
             fit.information,
             fit.at_bound,
         )
-        finest = min(resolution(t.position) for t in self.trajectories)
+        finest = float(self.grain.min()) * 12**0.5
         length = float(np.median(np.diff(shooting.borders) * shooting.periods))
         n = shooting.n_segments
         notes = [
@@ -279,9 +284,17 @@ class OutputError:
                 f"stands on a bound: {names}; the others carry the standard deviations they would "
                 "have without it"
             )
-        if not solution.converged:
-            notes.append(
-                f"the search stopped after {solution.iterations} steps with something left to gain"
+        # of residuals that are rounding anyway nothing is left to gain
+        variance = float(np.mean(solution.residual**2))
+        rounding = 1e-12 * fit.frame.span**2
+        lost = not solution.converged and solution.gain * variance > _LEFT * max(variance, rounding)
+        if lost:
+            values = tuple(replace(v, sd=np.nan, sd_robust=np.nan, span=None) for v in values)
+            notes.insert(
+                0,
+                f"NOT CONVERGED: the search stopped after {solution.iterations} steps in a place "
+                "that is no minimum; these numbers are no estimate (another segment length, or "
+                "longer recordings, may help)",
             )
         return Estimate(
             method="output-error",
@@ -339,13 +352,15 @@ class OutputError:
             sizes = np.array(
                 [np.sqrt(np.mean(residual[of == i] ** 2)) for i in range(len(self.trajectories))]
             )
+            # a joint that stands still is simulated exactly, and measured to a count no better
+            sizes = np.maximum(sizes, np.maximum(self.grain, 1e-3 * sizes.max()))
             rows = float(np.sqrt(np.mean(residual**2))) / np.maximum(sizes, 1e-300)[of]
         weighted = residual * rows
         sigma = float(np.sqrt(np.mean(weighted**2)))
         if self.options.loss == "squares":
             return Weights(rows, sigma, np.inf)
-        # the median is blind to the outliers that the loss is for
-        spread = float(np.median(np.abs(weighted))) / 0.6745
+        # the median is blind to the outliers that the loss is for, and at rest to everything
+        spread = max(robust_sd(weighted), 0.1 * sigma, float(np.min(rows * self.grain[of])))
         return Weights(rows, spread, HUBER * max(spread, 1e-300))
 
     def _centred(self, values: Array) -> Array:
@@ -386,6 +401,7 @@ class OutputError:
             ),
             tolerance=_NULL,
             lost=linear.elimination.lost,
+            least_sigma=float(np.min(weights.rows * self.grain[frame.shooting.recording_of])),
         )
 
 

@@ -16,8 +16,6 @@ Array = NDArray[np.float64]
 # Widths of finite differences, in units that change the torque (the position, the speed) by
 # all of itself: measured truncation and rounding are both below 1e-7 of the derivative.
 STEP = 1e-5
-# Residuals beyond this many standard deviations count less under the Huber loss.
-HUBER = 1.345
 # How often segments are tried from their measured states again.
 _AFRESH = 3
 _MAX_ITERATIONS = 60
@@ -75,9 +73,7 @@ class Frame:
         """Directions along the scalings, ``(d, g)``, orthonormal in units."""
         found = np.zeros((self.columns.size, len(self.scalings)))
         for i, scaling in enumerate(self.scalings):
-            # as far as it goes, in parameters: the derivative of scaled() at one
-            change = scaling.scaled(values, 1.0 + 1e-6) - scaling.scaled(values, 1.0 - 1e-6)
-            found[:, i] = change[self.columns] / self.units
+            found[:, i] = scaling.tangent(values)[self.columns] / self.units
         return np.asarray(np.linalg.qr(found)[0])
 
 

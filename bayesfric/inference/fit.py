@@ -187,14 +187,14 @@ def fit(
         # an estimate by simulation is beside the mode already; others may not be
         near = likelihood.method == "output-error" and any(e.point for e in estimates)
         mode = climb(target, candidates, climbs=1 if near else CLIMBS)
+        if likelihood.method == "output-error":
+            for _ in range(_ROUNDS):
+                target = target.about(target.to_parameters(mode[None])[0][0])
+                mode = climb(target, mode[None], climbs=1)
     except ValueError:
         raise BadInput(
             "priors", "leave no possible starting point near the data", "widen the narrowest ones"
         ) from None
-    if likelihood.method == "output-error":
-        for _ in range(_ROUNDS):
-            target = target.about(target.to_parameters(mode[None])[0][0])
-            mode = climb(target, mode[None], climbs=1)
     # Once the posterior's widths are known, better coordinates than logarithms are too.
     first = gauss_newton(target, mode, target.from_parameters(prior_draws))
     place, widths = _place_and_widths(target, first)

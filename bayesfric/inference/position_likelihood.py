@@ -17,7 +17,8 @@ the variances ``sigma_q² w + sigma_Gamma² lambda``.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,11 @@ _OUTPUTS = 100
 _STEP = 1e-4
 # An initial state that moves no output by this share of what it could is not there.
 _RANK = 1e-6
+# Segments with fewer outputs than this are left out.
+_LEAST_OUTPUTS = 4
+# Error of the simulation against the range of the positions: below any encoder's count.
+_DISCRETISATION = 1e-8
+_MOST_SUBSTEPS = 64
 # Rounds of moving the initial states to where the measured positions put them.
 _ROUNDS = 3
 
@@ -83,7 +89,7 @@ class PositionLikelihood:
     point
         ``(n_parameters,)`` where the derivatives are taken, near the posterior's mode.
     substeps
-        Integration steps per sample.
+        Integration steps per sample; chosen at ``point`` if left out.
 
     Raises
     ------
@@ -100,18 +106,24 @@ class PositionLikelihood:
         trajectories: Sequence[Trajectory],
         observations: Sequence[Observation],
         point: Array,
-        substeps: int = 1,
+        substeps: int | None = None,
     ) -> None:
         self.chain = chain
         self.observations = tuple(observations)
-        self._trajectories, self._substeps = tuple(trajectories), substeps
+        self._trajectories, self._given = tuple(trajectories), substeps
         self._runs = [_Run(chain, t, point, substeps) for t in trajectories]
         self.outputs = tuple(run.outputs for run in self._runs)
+
+    @property
+    def discretisation(self) -> tuple[int, float]:
+        """Most integration steps per sample of a recording, and the largest error they leave."""
+        steps = max(run.substeps for run in self._runs)
+        return steps, max(run.step_error for run in self._runs)
 
     def about(self, values: Array) -> PositionLikelihood:
         """Give the same likelihood with its derivatives taken at ``(n_parameters,)``."""
         return PositionLikelihood(
-            self.chain, self._trajectories, self.observations, values, self._substeps
+            self.chain, self._trajectories, self.observations, values, self._given
         )
 
     def log_density(self, values: Array, scales: Array) -> Array:
@@ -186,10 +198,12 @@ class PositionLikelihood:
 class _Run:
     """One recording: its segments and how noise and states move their positions."""
 
-    def __init__(self, chain: Chain, t: Trajectory, point: Array, substeps: int) -> None:
-        self._chain, self._trajectory, self._substeps = chain, t, substeps
-        longest = int(np.diff(t.segments, axis=1).max())
-        self._factor = max(1, round(longest / _OUTPUTS))
+    def __init__(self, chain: Chain, t: Trajectory, point: Array, substeps: int | None) -> None:
+        lengths = np.diff(t.segments, axis=1)[:, 0]
+        self._factor = max(1, round(float(np.median(lengths)) / _OUTPUTS))
+        # two states come off each segment; what has hardly more outputs says nothing
+        t = replace(t, **_kept(t, lengths >= _LEAST_OUTPUTS * self._factor))
+        self._chain, self._trajectory, self.substeps = chain, t, 1
         self._q0, self._qd0 = t.q0.copy(), t.qd0.copy()
         if not np.isfinite(self._simulate(point[None])).any():
             raise BadInput(
@@ -199,13 +213,11 @@ class _Run:
             )
         for _ in range(_ROUNDS):
             self._settle_states(point)
+        self._choose_substeps(point, substeps)
         self._segments = self._linearised(point)
         count = [s.state.shape[0] for s in self._segments]
         number = np.repeat(np.arange(len(count)), count)
-        blocks = [
-            self._averaged(t.period * np.arange(t.position.size, dtype=np.float64), k)
-            for k in range(len(count))
-        ]
+        blocks = [self._averaged(t.time, k) for k in range(len(count))]
         self.outputs = Outputs(
             name=t.name,
             quantity="joint position",
@@ -217,6 +229,22 @@ class _Run:
             follows=np.diff(number) == 0,
         )
         self._weights = np.concatenate([s.weights for s in self._segments])
+
+    def _choose_substeps(self, point: Array, given: int | None) -> None:
+        """Halve the step until its error is far below what the position resolves."""
+        self.substeps = given or 1
+        used = self._trajectory.position[self._trajectory.samples]
+        resolution = float(np.ptp(used)) * _DISCRETISATION
+        while True:
+            coarse = self._simulate(point[None])
+            self.substeps *= 2
+            change = float(np.nanmax(np.abs(self._simulate(point[None]) - coarse)))
+            self.substeps //= 2
+            # of a fourth-order method, 16/15 of what halving the step changes
+            self.step_error = change * 16.0 / 15.0
+            if given or self.step_error < resolution or self.substeps >= _MOST_SUBSTEPS:
+                return
+            self.substeps *= 2
 
     def terms(self, values: Array) -> Array:
         """Independent combinations of measured minus simulated position, ``(n, terms)``."""
@@ -278,7 +306,7 @@ class _Run:
             self._qd0 + shift[1],
             added_mass=t.added_mass,
             radius=t.radius,
-            substeps=self._substeps,
+            substeps=self.substeps,
         )
 
     def _averaged(self, x: Array, k: int) -> Array:
@@ -291,7 +319,7 @@ class _Run:
     def _state_derivatives(self, point: Array) -> Array:
         """Positions by initial position and speed, ``(2, N)``."""
         t = self._trajectory
-        span = np.ptp(t.position)
+        span = np.ptp(t.position[t.samples])
         steps = _STEP * np.array([span, max(float(np.abs(self._qd0).max()), span)])
         found = []
         for move in np.diag(steps):
@@ -317,7 +345,7 @@ class _Run:
     def _linearised(self, point: Array) -> list[_Segment]:
         t = self._trajectory
         state = self._state_derivatives(point)
-        step = _STEP * max(float(np.abs(t.torque).max()), 1e-12)
+        step = _STEP * max(float(np.abs(t.torque[t.samples]).max()), 1e-12)
         longest = int(np.diff(t.segments, axis=1).max())
         blocks = [
             np.zeros(((b - a) // self._factor, b - a)) for a, b in t.segments
@@ -338,6 +366,11 @@ class _Run:
             _segment(int(a), int(b), self._averaged(state, k).T, blocks[k])
             for k, (a, b) in enumerate(t.segments)
         ]
+
+
+def _kept(t: Trajectory, long_enough: NDArray[np.bool_]) -> dict[str, Any]:
+    """Fields of a trajectory without some of its segments."""
+    return {name: getattr(t, name)[long_enough] for name in ("segments", "q0", "qd0")}
 
 
 def _segment(begin: int, end: int, state: Array, by_torque: Array) -> _Segment:

@@ -21,7 +21,8 @@ LOAD_INERTIA, FIRST_MOMENT, GRAVITY_ANGLE, GRAVITY, OFFSET, GAIN = 0, 1, 2, 3, 4
 @njit(cache=True, inline="always")
 def speed_factor(element: NDArray[np.float64], speed: float) -> float:
     """Stribeck rise ``1 + c exp(-(v/v0)²)`` of eq. (2) at the element's input speed."""
-    if element[STRIBECK_RATIO] == 0.0:
+    # a width of zero is the limit in which no speed is low enough for a rise
+    if element[STRIBECK_RATIO] == 0.0 or element[STRIBECK_VELOCITY] <= 0.0:
         return 1.0
     x = speed / element[STRIBECK_VELOCITY]
     return float(1.0 + element[STRIBECK_RATIO] * math.exp(-x * x))
@@ -190,7 +191,7 @@ def _through_element(
         v = speed[j]
         sign = (v > 0.0) * 1.0 - (v < 0.0) * 1.0
         rise = 1.0
-        if ratio != 0.0:
+        if ratio != 0.0 and width > 0.0:
             x = v / width
             rise += ratio * math.exp(-x * x)
         out[j] = element_torque(

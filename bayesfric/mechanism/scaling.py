@@ -8,6 +8,7 @@ load, or a known parameter behind the gearbox, takes the freedom away.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,11 +44,15 @@ class Scaling:
         Names of the parameters that are multiplied by the factor.
     drive, back
         Names of its two load losses, whose alphas are multiplied by the factor.
+    added
+        Known amounts that come on top of parameters behind it, in the order of ``behind``:
+        where every recording has the same added mass, load and mass are scaled as one.
     """
 
     chain: Chain
     element: str
     behind: tuple[str, ...]
+    added: tuple[float, ...] = ()
 
     @property
     def drive(self) -> str:
@@ -76,7 +81,13 @@ class Scaling:
         """
         at = np.asarray(values, dtype=np.float64)
         drive, back = (self.chain.names.index(name) for name in (self.drive, self.back))
-        return max(1.0 - float(at[back]), 0.0), 1.0 + float(at[drive])
+        low, high = max(1.0 - float(at[back]), 0.0), 1.0 + float(at[drive])
+        for name, known in self.parts():
+            # load and known mass together cannot shrink below the known mass
+            whole = float(at[self.chain.names.index(name)]) + known
+            if known > 0.0 and whole > 0.0:
+                low = max(low, known / whole)
+        return low, high
 
     def scaled(self, values: ArrayLike, factor: ArrayLike) -> Array:
         """Parameter vectors that make the same torque.
@@ -95,8 +106,9 @@ class Scaling:
         """
         k = np.asarray(factor, dtype=np.float64)
         out = np.tile(np.asarray(values, dtype=np.float64), (*k.shape, 1))
-        for name in self.behind:
-            out[..., self.chain.names.index(name)] *= k
+        for name, known in self.parts():
+            column = self.chain.names.index(name)
+            out[..., column] = (out[..., column] + known) * k - known
         drive, back = (self.chain.names.index(name) for name in (self.drive, self.back))
         # alpha_1 = 1/(1 + mu_1), alpha_2 = 1/(1 - mu_2), eq. (6)
         out[..., drive] = (1.0 + out[..., drive]) / k - 1.0
@@ -108,8 +120,8 @@ class Scaling:
         at = np.asarray(values, dtype=np.float64)
         out = np.zeros_like(at)
         names = self.chain.names
-        for name in self.behind:
-            out[names.index(name)] = at[names.index(name)]
+        for name, known in self.parts():
+            out[names.index(name)] = at[names.index(name)] + known
         out[names.index(self.drive)] = -1.0 - at[names.index(self.drive)]
         out[names.index(self.back)] = 1.0 - at[names.index(self.back)]
         return out
@@ -117,14 +129,32 @@ class Scaling:
     def middle(self, values: ArrayLike) -> float:
         """Factor in the (geometric) middle of its bounds; one where there is no lower bound."""
         low, high = self.bounds(values)
-        return math.sqrt(low * high) if low > 0.0 else 1.0
+        return math.sqrt(low * high) if 0.0 < low < high else 1.0
+
+    def parts(self) -> Iterator[tuple[str, float]]:
+        """List the names behind the element, with what is known to come on top of each."""
+        return zip(self.behind, self.added or (0.0,) * len(self.behind), strict=True)
 
 
-def scalings(chain: Chain) -> tuple[Scaling, ...]:
+def scalings(
+    chain: Chain, added_inertia: float = 0.0, added_moment: float = 0.0
+) -> tuple[Scaling, ...]:
     """Find the scalings a chain has while nothing behind the gearbox is known.
 
     One for every element with two load losses that has something behind it.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    added_inertia, added_moment
+        Of a known mass on the load in every recording, kg m² (kg) and kg m. It is one with
+        the load where this has both as parameters, and else takes the scaling away.
     """
+    known = {"load.inertia": added_inertia, "load.first_moment": added_moment}
+    known = {name: amount for name, amount in known.items() if amount}
+    if not set(known) <= set(chain.names):
+        return ()
     found = []
     for i, element in enumerate(chain.elements):
         if element.load_loss != "two":
@@ -136,5 +166,6 @@ def scalings(chain: Chain) -> tuple[Scaling, ...]:
             if p.name.rpartition(".")[0] in owners and p.quantity in _SCALED
         )
         if behind:
-            found.append(Scaling(chain, element.name, behind))
+            added = tuple(known.get(name, 0.0) for name in behind) if known else ()
+            found.append(Scaling(chain, element.name, behind, added))
     return tuple(found)

@@ -37,6 +37,21 @@ def check_moves(values: NDArray[np.float64], where: str, what: str) -> None:
         )
 
 
+def check_size(values: NDArray[np.float64], where: str, what: str) -> None:
+    """Refuse a signal of a size that no joint has: its products would leave floating point.
+
+    Parameters are as for :func:`check_moves`.
+
+    Raises
+    ------
+    BadInput
+        If the largest absolute value is below 1e-15 or above 1e15, in SI units.
+    """
+    largest = float(np.abs(values).max())
+    if not 1e-15 < largest < 1e15:
+        raise BadInput(where, f"the {what} is at most {largest:.3g} in SI units", "check its unit")
+
+
 def clipped(values: NDArray[np.float64], what: str) -> list[str]:
     """Warn if a signal rests at its largest or smallest value.
 

@@ -120,6 +120,8 @@ def _read(source: Source, path: Path, name: str, drive: Drive, processing: Proce
     speed = None if velocity is None else grid.linear(velocity)
     torque, step = _torque(source, grid.linear(signal), joint, speed, grid, drive, processing)
     steps.append(step)
+    checks.check_size(joint, table.label(source.position.column), "position")
+    checks.check_size(torque, table.label(channel.column), "torque")
     excluded = _excluded(source, grid.time, warnings)
     if source.valid is not None:
         flag = table.column(source.valid)

@@ -24,6 +24,8 @@ class Trajectory:
     ----------
     name
         Of the recording.
+    time
+        ``(N,)`` s since the file's first stamp.
     position
         ``(N,)`` of the joint as measured, not filtered, rad or m.
     torque
@@ -40,6 +42,7 @@ class Trajectory:
     """
 
     name: str
+    time: NDArray[np.float64]
     position: NDArray[np.float64]
     torque: NDArray[np.float64]
     period: float
@@ -89,6 +92,7 @@ def trajectory(recording: Recording, observation: Observation, length: float) ->
     starts = segments[:, 0]
     return Trajectory(
         name=recording.name,
+        time=recording.time,
         position=recording.position,
         torque=recording.torque,
         period=recording.period,
@@ -103,12 +107,19 @@ def trajectory(recording: Recording, observation: Observation, length: float) ->
 def divided(whole: Trajectory, observation: Observation, length: float) -> Trajectory:
     """Cut the segments of a trajectory into shorter ones, as in :func:`trajectory`.
 
-    A length that would leave nothing to simulate leaves the trajectory as it is.
+    Raises
+    ------
+    BadInput
+        If no piece would have enough samples.
     """
     pieces = [(int(a), int(b)) for a, b in whole.segments]
     segments = _cut(pieces, whole.period, length, observation.qd)
     if not len(segments):
-        return whole
+        raise BadInput(
+            f"recording '{whole.name}', segment",
+            f"{length:g} s is fewer than {_LEAST_SAMPLES} samples",
+            f"give at least {_LEAST_SAMPLES * whole.period:.3g} s",
+        )
     starts = segments[:, 0]
     return replace(whole, segments=segments, q0=observation.q[starts], qd0=observation.qd[starts])
 
@@ -127,9 +138,12 @@ def _cut(
     """
     pieces: list[tuple[int, int]] = []
     for a, b in stretches:
+        if length < _LEAST_SAMPLES * period:
+            break
         parts = max(1, round((b - a) * period / length)) if np.isfinite(length) else 1
         borders = np.linspace(a, b, parts + 1).round().astype(int)
-        reach = (b - a) // (4 * parts)
+        # no piece may get so short that it would be dropped
+        reach = min((b - a) // (4 * parts), max(((b - a) // parts - _LEAST_SAMPLES - 1) // 2, 0))
         for i in range(1, parts):
             near = np.abs(speed[borders[i] - reach : borders[i] + reach + 1])
             # of equally fast samples the middle one, so that a steady motion is cut evenly

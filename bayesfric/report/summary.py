@@ -17,7 +17,8 @@ from bayesfric.estimates.torque import filtered_torque, typical_load
 from bayesfric.identifiability.influence import influence
 from bayesfric.identifiability.local import LocalInformation, local_information, verdict
 from bayesfric.inference.fit import Fit
-from bayesfric.inference.likelihood import lag_one
+from bayesfric.inference.likelihood import Likelihood, lag_one
+from bayesfric.inference.position_likelihood import PositionLikelihood
 from bayesfric.mechanism.derived import derive
 
 Array = NDArray[np.float64]
@@ -92,6 +93,7 @@ def summarise(fit: Fit, references: Mapping[str, Any] | None = None) -> dict[str
             "residual_rms": _rms(np.concatenate(residual)),
             "unit": outputs[0].unit,
             "quantity": outputs[0].quantity,
+            **_discretisation(fit.target.likelihood),
             "recordings": {
                 o.name: {
                     "residual_rms": _rms(r),
@@ -165,6 +167,14 @@ def _correlated(lag: float | None) -> list[str]:
         f"the residuals are correlated (lag 1: {lag:.2f}) but are taken for independent: these "
         f"intervals are about {factor:.1f} times too narrow"
     ]
+
+
+def _discretisation(likelihood: Likelihood) -> dict[str, Any]:
+    """Steps and error of the simulation, where the likelihood simulates."""
+    if not isinstance(likelihood, PositionLikelihood):
+        return {}
+    steps, error = likelihood.discretisation
+    return {"integration_steps": steps, "discretisation_error": error}
 
 
 def noise_unit(fit: Fit, quantity: str) -> str:

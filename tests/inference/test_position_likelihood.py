@@ -22,7 +22,16 @@ INERTIA, VISCOUS = 0.01, 0.2
 
 def cut(position, torque, q0, qd0, segments, period=PERIOD):
     return Trajectory(
-        "made-up", position, torque, period, np.array(segments), q0, qd0, added_mass=0.0, radius=0.0
+        "made-up",
+        period * np.arange(position.size),
+        position,
+        torque,
+        period,
+        np.array(segments),
+        q0,
+        qd0,
+        added_mass=0.0,
+        radius=0.0,
     )
 
 
@@ -121,6 +130,7 @@ def knee():
     starts = np.arange(0, n, 500)
     t = Trajectory(
         "knee",
+        columns["time"],
         columns["position"] / chain.ratio,
         columns["torque"],
         1e-3,

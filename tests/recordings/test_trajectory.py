@@ -92,5 +92,16 @@ def test_divided_is_what_trajectory_makes():
     again, direct = divided(whole, observation, 1.0), trajectory(recording, observation, 1.0)
     assert np.array_equal(again.segments, direct.segments)
     assert np.array_equal(again.qd0, direct.qd0)
-    # nothing would be left of it
-    assert divided(whole, observation, 0.05) is whole
+    with pytest.raises(BadInput, match=r"segment: 0\.05 s is fewer than 20 samples"):
+        divided(whole, observation, 0.05)
+
+
+@pytest.mark.parametrize("length", [0.21, 0.25, 0.3, 1e-9])
+def test_short_segments_lose_no_samples_or_are_refused(length):
+    if length < 0.2:
+        with pytest.raises(BadInput, match="no stretch"):
+            cut(made(), length)
+        return
+    t = cut(made(), length)
+    assert np.diff(t.segments, axis=1).min() >= 20
+    assert t.samples.size == 1000

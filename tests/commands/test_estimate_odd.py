@@ -1,0 +1,101 @@
+"""``bayesfric estimate`` on mechanisms and recordings that are legal and odd."""
+
+import json
+
+import numpy as np
+import pytest
+
+from bayesfric.commands.simulate import simulate
+from bayesfric.config import read_config
+
+from .bench import cases, has
+
+PENDULUM = """\
+[mechanism]
+preset = "servo-pendulum"
+
+[[recordings]]
+file = "pend.csv"
+time = { column = "time", unit = "s" }
+position = { column = "position", unit = "rad" }
+torque = { column = "torque", unit = "N m" }
+
+[simulation]
+duration = 6.0
+rate = 200
+excitation = "multisine"
+amplitude = 0.4
+torque_noise = 0.005
+"""
+
+
+@pytest.fixture
+def pendulum(bench):
+    bench.config(PENDULUM)
+    simulate(read_config(bench.folder / "c.toml"), bench.folder / "pend.csv")
+    return bench
+
+
+def estimates(bench, *arguments):
+    ended = bench.run("estimate", "c.toml", "--json", *arguments)
+    assert ended.code == 0, ended.err
+    return json.loads(ended.out)["estimates"]
+
+
+def test_a_stribeck_rise_that_may_vanish(pendulum):
+    pendulum.config(
+        PENDULUM.replace(
+            'preset = "servo-pendulum"',
+            'preset = "servo-pendulum"\n[mechanism.elements.motor]\nstribeck = true',
+        )
+    )
+    found = estimates(pendulum, "--method", "input-error")["input-error"]["parameters"]
+    assert found["motor.stribeck_velocity"]["value"] >= 0.0
+
+
+def test_one_element_with_two_losses(pendulum):
+    text = """\
+[mechanism]
+[mechanism.load]
+inertia = true
+[mechanism.elements.g]
+coulomb = "symmetric"
+viscous = true
+load_loss = "two"
+inertia = true
+"""
+    pendulum.config(text + PENDULUM[PENDULUM.index("[[recordings]]") :])
+    assert set(estimates(pendulum, "--method", "input-error")) == {"input-error"}
+
+
+@pytest.mark.parametrize(
+    ("segment", "words"),
+    cases(("short", "0.05", ["segment", "20 samples"]), ("tiny", "1e-9", ["segment"])),
+)
+def test_segments_too_short_to_simulate(pendulum, segment, words):
+    pendulum.config(PENDULUM + f"\n[estimation]\nsegment = {segment}\n")
+    has(pendulum.refused("estimate", "c.toml"), *words)
+
+
+def test_rest_leaves_no_certainty_of_its_own(pendulum):
+    """Most of the time at rest: the robust scale of the residuals is zero there."""
+    table = np.loadtxt(pendulum.folder / "pend.csv", delimiter=",", skiprows=1)
+    still = table[-1].copy()
+    rest = np.tile(still, (2 * len(table), 1))
+    rest[:, 0] += 0.005 * np.arange(1, len(rest) + 1)
+    rest[:, 2] = 0.0
+    rows = np.concatenate([table, rest])
+    lines = ["time,position,torque", *(",".join(map(repr, row)) for row in rows.tolist())]
+    (pendulum.folder / "pend.csv").write_text("\n".join(lines) + "\n")
+    pendulum.config(PENDULUM + '\n[estimation]\nloss = "huber"\n')
+    found = estimates(pendulum, "--method", "output-error")["output-error"]
+    sds = [row["sd"] for row in found["parameters"].values() if row["sd"] is not None]
+    assert all(sd > 0.0 for sd in sds)
+
+
+def test_torque_of_no_joint(pendulum):
+    table = np.loadtxt(pendulum.folder / "pend.csv", delimiter=",", skiprows=1)
+    table[:, 2] *= 1e-200
+    lines = ["time,position,torque", *(",".join(map(repr, row)) for row in table.tolist())]
+    (pendulum.folder / "pend.csv").write_text("\n".join(lines) + "\n")
+    has(pendulum.refused("estimate", "c.toml"), "pend.csv", "torque", "unit")
