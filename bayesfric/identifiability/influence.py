@@ -1,0 +1,157 @@
+"""How much prior and likelihood each move the posterior: power scaling.
+
+Kallioinen, Paananen, Bürkner and Vehtari, "Detecting and diagnosing prior and likelihood
+sensitivity with power-scaling", Statistics and Computing 34:57 (2024). The prior (all
+parameters' together), or the likelihood, is raised to a power ``alpha`` near one; the
+draws at hand, weighted by ``p^(alpha - 1)``, then stand for the posterior this would give.
+
+Bounds stay where they are whatever the power: what keeps a parameter between them is no
+prior in this sense. Whether the data determined a parameter is the verdict's to say.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.inference.fit import Fit
+
+Array = NDArray[np.float64]
+Diagnosis = Literal["prior-data conflict", "strong prior", "weak likelihood", "-"]
+
+# From here on the paper calls a posterior sensitive: as if the mean of a normal moved by
+# 0.3 of its sd when alpha is doubled.
+THRESHOLD = 0.05
+# alpha is 1.01 and 1/1.01; weights so close to even need no smoothing of their tail.
+_DELTA = 0.01
+_DRAWS = 2000
+# Fewer draws cannot tell 0.05 from nothing.
+_FEWEST = 100
+
+
+@dataclass(frozen=True)
+class Influence:
+    """Power-scaling sensitivity of one parameter.
+
+    Attributes
+    ----------
+    prior, likelihood
+        Change of its marginal posterior for each doubling of the power of the prior, or
+        of the likelihood, as a normalised cumulative Jensen-Shannon distance; ``nan``
+        where the draws do not move.
+    """
+
+    prior: float
+    likelihood: float
+
+    @property
+    def diagnosis(self) -> Diagnosis | None:
+        """What the two say together, at the paper's threshold of 0.05.
+
+        ``prior-data conflict``: both move the posterior. ``strong prior``: only the
+        prior does. ``weak likelihood``: neither does, as along a direction that no
+        torque sees, under a flat prior. ``-``: only the likelihood does, which is as it
+        should be. ``None`` where there is no number.
+        """
+        if not np.isfinite([self.prior, self.likelihood]).all():
+            return None
+        if self.likelihood >= THRESHOLD:
+            return "prior-data conflict" if self.prior >= THRESHOLD else "-"
+        return "strong prior" if self.prior >= THRESHOLD else "weak likelihood"
+
+
+def influence(fit: Fit) -> dict[str, Influence]:
+    """Measure what prior and likelihood do to every sampled parameter.
+
+    Parameters
+    ----------
+    fit
+        A finished fit; at most 2000 of its draws, evenly spread, are looked at.
+
+    Returns
+    -------
+    dict
+        By name, in the order of ``fit.posterior.names``.
+    """
+    draws = fit.posterior.flat()
+    if draws.shape[0] > _DRAWS:
+        draws = draws[np.linspace(0, draws.shape[0] - 1, _DRAWS).astype(int)]
+    log_prior, log_likelihood = fit.target.log_prior(draws), fit.target.log_likelihood(draws)
+    # a draw that rounding put on a bound may have no density; it weighs nothing
+    sound = np.isfinite(log_prior) & np.isfinite(log_likelihood)
+    if sound.sum() < _FEWEST:
+        return dict.fromkeys(fit.posterior.names, Influence(np.nan, np.nan))
+    by_prior = sensitivity(draws[sound], log_prior[sound])
+    by_likelihood = sensitivity(draws[sound], log_likelihood[sound])
+    return {
+        name: Influence(float(p), float(q))
+        for name, p, q in zip(fit.posterior.names, by_prior, by_likelihood, strict=True)
+    }
+
+
+def sensitivity(draws: Array, log_component: Array) -> Array:
+    """Differentiate the distance from the posterior by the binary logarithm of the power.
+
+    Parameters
+    ----------
+    draws
+        ``(n, d)`` posterior draws.
+    log_component
+        ``(n,)`` log density of what is raised to a power, at each draw; constants do not
+        matter.
+
+    Returns
+    -------
+    ndarray
+        ``(d,)``, mean of both directions; ``nan`` for a parameter whose draws are all equal.
+    """
+    down = scaled_distance(draws, log_component, 1.0 / (1.0 + _DELTA))
+    up = scaled_distance(draws, log_component, 1.0 + _DELTA)
+    return np.asarray((down + up) / (2.0 * np.log2(1.0 + _DELTA)))
+
+
+def scaled_distance(draws: Array, log_component: Array, alpha: float) -> Array:
+    """Measure how far the posterior moves when one component is raised to a power.
+
+    Parameters
+    ----------
+    draws
+        ``(n, d)`` posterior draws.
+    log_component
+        ``(n,)`` log density of that component at each draw.
+    alpha
+        The power.
+
+    Returns
+    -------
+    ndarray
+        ``(d,)`` normalised cumulative Jensen-Shannon distance between the draws and the
+        same draws with the weights ``p^(alpha - 1)``: 0 where nothing moves, at most 1.
+        It is the larger one of ``x`` and ``-x``.
+    """
+    log_weights = (alpha - 1.0) * log_component
+    weights = np.exp(log_weights - log_weights.max())
+    weights /= weights.sum()
+    order = np.argsort(draws, axis=0)
+    steps = np.diff(np.take_along_axis(draws, order, axis=0), axis=0)
+    n = draws.shape[0]
+    before = (np.arange(1, n) / n)[:, None]
+    after = np.cumsum(weights[order], axis=0)[:-1]
+    # rounding must not carry a share beyond one
+    after = np.minimum(after, 1.0)
+    return np.maximum(_distance(before, after, steps), _distance(1.0 - before, 1.0 - after, steps))
+
+
+def _distance(p: Array, q: Array, steps: Array) -> Array:
+    """Cumulative Jensen-Shannon distance of step functions over their upper bound, ``(d,)``.
+
+    In the sum of both directions the paper's terms in the integral of ``Q - P`` cancel.
+    """
+    middle = 0.5 * (p + q)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        terms = p * np.log2(p / middle) + np.where(q > 0.0, q * np.log2(q / middle), 0.0)
+        divergence = np.sum(terms * steps, axis=0) / np.sum((p + q) * steps, axis=0)
+    return np.asarray(np.sqrt(np.maximum(divergence, 0.0)))

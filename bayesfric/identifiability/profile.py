@@ -1,0 +1,256 @@
+"""Profile likelihoods: how well the torque can be explained at each value of one parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from bayesfric.estimates.assemble import bounds_met, open_scalings
+from bayesfric.estimates.descent import Terms, TorqueProblem, descend, few_threads
+from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.inference.fit import Fit
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.scaling import scalings
+from bayesfric.recordings.observation import Observation
+
+Array = NDArray[np.float64]
+
+# Half the 90 % quantile of chi-square with one degree of freedom: where an interval ends.
+DROP_90 = -0.5 * float(chi2.ppf(0.9, 1))
+# Rounds in which recordings get their own noise scales, and the gain that ends them.
+_ROUNDS = 10
+_SETTLED = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """Profile log-likelihood of one parameter.
+
+    Attributes
+    ----------
+    name
+        Of the parameter.
+    values
+        ``(m,)`` rising, in the parameter's unit.
+    drop
+        ``(m,)`` largest log-likelihood with the parameter held at each value, minus the
+        largest of all: zero at the best value, never positive.
+    on_bound
+        For each value, which other parameters stand on a bound there. Bounds that an open
+        scale can be moved away from do not count.
+    """
+
+    name: str
+    values: Array
+    drop: Array
+    on_bound: tuple[tuple[str, ...], ...]
+
+
+def profiles(fit: Fit, points: int = 15) -> tuple[Profile, ...]:
+    """Profile the torque's log-likelihood along every free parameter of a fit.
+
+    Priors enter by their supports alone. Whichever likelihood was sampled, this is the
+    torque's, with white noise.
+
+    Parameters
+    ----------
+    fit
+        A finished fit.
+    points
+        Values of each parameter, evenly over the central 99 % of its posterior.
+
+    Returns
+    -------
+    tuple of Profile
+        In the order of ``fit.target.free``. A parameter whose draws are all equal has none.
+    """
+    target = fit.target
+    flat = fit.posterior.flat()
+    ends = np.quantile(flat, [0.005, 0.5, 0.995], axis=0)
+    middle = fit.target.chain_values(ends[1][None])[0]
+    known = dict(zip(fit.chain.names, middle.tolist(), strict=True))
+    knowledge = Knowledge(
+        fixed={name: value for name, value in known.items() if name not in target.free},
+        bounds={
+            name: (prior.lower, prior.upper)
+            for name, prior in zip(target.free, target.priors, strict=False)
+        },
+    )
+    grids = {
+        name: np.linspace(ends[0, j], ends[2, j], points)
+        for j, name in enumerate(target.free)
+        if ends[0, j] < ends[2, j]
+    }
+    starts = [middle, *(fit.chain.vector(dict(e.point)) for e in fit.estimates if e.point)]
+    own_noise = len(target.noise.names) > 1 and target.noise.n_recordings > 1
+    return profile_likelihoods(
+        fit.chain, fit.observations, knowledge, grids, starts, own_noise=own_noise
+    )
+
+
+def profile_likelihoods(
+    chain: Chain,
+    observations: Sequence[Observation],
+    knowledge: Knowledge,
+    grids: Mapping[str, Array],
+    starts: Sequence[Array],
+    *,
+    own_noise: bool = False,
+) -> tuple[Profile, ...]:
+    """Profile the log-likelihood of the torque, white noise of unknown scale.
+
+    At each value of one parameter all others are fitted anew within their limits, each
+    fit starting from its neighbour's, outwards from the best. The noise scale that fits
+    best is known in closed form and leaves ``-n/2 log SS``.
+
+    Parameters
+    ----------
+    chain, observations
+        The mechanism and one or more prepared recordings.
+    knowledge
+        Known values and limits; told values do not enter.
+    grids
+        Rising values of the parameters to profile.
+    starts
+        Vectors ``(n_parameters,)`` in the order of ``chain.names`` to look for the best
+        fit from, at least one.
+    own_noise
+        Whether each recording has a noise scale of its own.
+
+    Returns
+    -------
+    tuple of Profile
+        In the order of ``grids``.
+    """
+    with few_threads(observations):
+        whole = _Search(chain, observations, knowledge, own_noise)
+        best = max((whole.fit(start) for start in starts), key=lambda one: one.height)
+        found = {}
+        for name, grid in grids.items():
+            value = float(best.values[chain.names.index(name)])
+            held = replace(knowledge, fixed={**knowledge.fixed, name: value})
+            search = _Search(chain, observations, held, own_noise)
+            found[name] = _walk(search, name, np.asarray(grid), best)
+    # a profile may have come upon a better fit than the search for it
+    top = max([best.height, *(p.height for points in found.values() for p in points)])
+    return tuple(
+        Profile(
+            name,
+            np.asarray(grids[name]),
+            np.array([p.height - top for p in points]),
+            tuple(p.on_bound for p in points),
+        )
+        for name, points in found.items()
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """A best fit: chain's parameters, log-likelihood, and which free ones are on a bound."""
+
+    values: Array
+    height: float
+    on_bound: tuple[str, ...]
+
+
+class _Search:
+    """The best fit with some parameters held."""
+
+    def __init__(
+        self,
+        chain: Chain,
+        observations: Sequence[Observation],
+        knowledge: Knowledge,
+        own_noise: bool,
+    ) -> None:
+        self.problem = TorqueProblem(chain, observations, knowledge)
+        self.open = open_scalings(chain, knowledge, observations)
+        sizes = [o.measured.size for o in observations]
+        self._borders = np.cumsum(sizes)[:-1] if own_noise else np.array([], dtype=np.int64)
+
+    def hold(self, name: str, value: float) -> None:
+        """Hold a parameter, one of the known ones, at another value."""
+        self.problem.base[self.problem.chain.names.index(name)] = value
+
+    def fit(self, values: Array) -> _Point:
+        """Search downhill from a vector ``(n_parameters,)``."""
+        problem = self.problem
+        x = problem.inside(values)
+        height = self.height(x)
+        for _ in range(_ROUNDS if x.size else 0):
+            x = descend(problem, Terms(self._weights(x)), x).x
+            before, height = height, self.height(x)
+            # one noise scale needs no second round
+            if not self._borders.size or height - before <= _SETTLED:
+                break
+        found = problem.vector(x)
+        bounds = bounds_met(x, problem.lower, problem.upper)
+        if bounds.any() and self.open:
+            moved = found
+            for scaling in self.open:
+                moved = scaling.scaled(moved, scaling.middle(moved))
+            at = moved[problem.columns]
+            if np.all(at >= problem.lower) and np.all(at <= problem.upper):
+                bounds = bounds_met(at, problem.lower, problem.upper)
+        names = tuple(n for n, b in zip(problem.free, bounds, strict=True) if b)
+        return _Point(found, height, names)
+
+    def height(self, x: Array) -> float:
+        """Log-likelihood at its best noise scales, up to a constant."""
+        parts = self._parts(x)
+        return float(sum(-0.5 * part.size * np.log(self._squares(part)) for part in parts))
+
+    def _parts(self, x: Array) -> list[Array]:
+        return list(np.split(self.problem.residual(x), self._borders))
+
+    def _squares(self, part: Array) -> float:
+        # a recording without noise has rounding for residuals
+        return max(float(part @ part), self.problem.rounding, 1e-300)
+
+    def _weights(self, x: Array) -> Array:
+        """One over the noise scale of each output, times a constant."""
+        if not self._borders.size:
+            return np.ones(self.problem.measured.size)
+        parts = self._parts(x)
+        scales = np.array([np.sqrt(self._squares(part) / part.size) for part in parts])
+        return np.repeat(scales.min() / scales, [part.size for part in parts])
+
+
+def _walk(search: _Search, name: str, grid: Array, best: _Point) -> list[_Point]:
+    """Fit at every value of a grid, from the one nearest to the best fit to both sides."""
+    column = search.problem.chain.names.index(name)
+    nearest = int(np.argmin(np.abs(grid - best.values[column])))
+    points: dict[int, _Point] = {}
+    for order in (range(nearest, grid.size), range(nearest - 1, -1, -1)):
+        before = best if order.start == nearest else points[nearest]
+        for k in order:
+            search.hold(name, float(grid[k]))
+            begin = max(
+                _neighbours(search.problem.chain, name, before.values, float(grid[k])),
+                key=lambda values: search.height(search.problem.inside(values)),
+            )
+            before = points[k] = search.fit(begin)
+    return [points[k] for k in range(grid.size)]
+
+
+def _neighbours(chain: Chain, name: str, values: Array, value: float) -> list[Array]:
+    """Start a parameter at another value: the others as they were, or scaled along with it."""
+    column = chain.names.index(name)
+    old = float(values[column])
+    starts = [values.copy()]
+    for scaling in scalings(chain):
+        if name == scaling.drive:
+            above, below = 1.0 + old, 1.0 + value  # alpha_1 = 1/(1 + mu_1)
+        elif name == scaling.back:
+            above, below = 1.0 - old, 1.0 - value  # alpha_2 = 1/(1 - mu_2)
+        elif name in scaling.behind:
+            above, below = value, old
+        else:
+            continue
+        if above > 0.0 and below > 0.0:
+            starts.append(scaling.scaled(values, above / below))
+    return starts

@@ -1,0 +1,283 @@
+"""The ridge: what theory says of it, in a sampled posterior and in the figure."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from bayesfric.inference.fit import fit, make_target, read_priors
+from bayesfric.inference.sampling import Sampling
+from bayesfric.mechanism.presets import PRESETS
+from bayesfric.report.ridge import ridge, ridge_figure
+from bayesfric.report.style import PAGE, save
+
+from .conftest import draw_fast
+from .test_figures import drawn_ticks, has_unit, shown_texts
+
+KNEE = PRESETS["rabbit-knee"]
+# So wide that only the lower ends, zero, and mu_2 <= 1 are ever met.
+FLAT = {
+    "motor.inertia": [0.0, 0.01],
+    "motor.viscous": [0.0, 0.2],
+    "motor.coulomb_positive": [0.0, 5.0],
+    "motor.coulomb_negative": [0.0, 5.0],
+    "gearbox.load_drive": [0.0, 50.0],
+    "gearbox.load_back": [0.0, 1.0],
+    "joint.viscous": [0.0, 300.0],
+    "joint.coulomb_positive": [0.0, 300.0],
+    "joint.coulomb_negative": [0.0, 300.0],
+    "load.inertia": [0.0, 30.0],
+    "load.first_moment": [0.0, 30.0],
+}
+ALPHA_1, ML, JC = "gearbox.alpha_drive", "load.first_moment", "load.inertia"
+
+
+@pytest.fixture(scope="module")
+def flat(make_observation):
+    """A sampled posterior of one made-up recording under flat priors."""
+    chain = KNEE.chain()
+    observation = make_observation(chain, KNEE.values, amplitude=2.0)
+    priors = read_priors(chain, FLAT, [observation])
+    target = make_target(chain, [observation], priors, "shared")
+    return fit(target, Sampling(seed=1, ensembles=2, min_ess=1000))
+
+
+@pytest.fixture(scope="module")
+def loaded(flat, make_observation):
+    """The same draws beside a second recording with a known mass."""
+    mass = {"added_mass": 2.0, "radius": 0.35, "name": "loaded", "seed": 1}
+    observations = [*flat.observations, make_observation(flat.chain, KNEE.values, **mass)]
+    priors = read_priors(flat.chain, FLAT, observations)
+    return replace(flat, target=make_target(flat.chain, observations, priors, "shared"))
+
+
+@pytest.fixture(scope="module")
+def figure(flat):
+    return ridge_figure(flat)
+
+
+def mu(made):
+    return (made.posterior[f"gearbox.load_{side}"].ravel() for side in ("drive", "back"))
+
+
+def distance(sample, independent):
+    """Kolmogorov's distance from uniform(0, 1), over what chance exceeds once in 10 000 times."""
+    return stats.kstest(sample, "uniform").statistic / stats.kstwo.isf(1e-4, int(independent))
+
+
+def test_flat_priors_and_dissipativity_alone_make_the_posterior_of_the_scale(flat):
+    r"""The scale has the distribution that a change of variables gives, and no other.
+
+    The torque fixes Theta1 and Theta2 of eq. (13), not the factor k of five leg parameters and
+    both alphas. With flat densities of the leg parameters (each k times something) and of
+    ``mu_1 = 1/(alpha_1 k) - 1``, ``mu_2 = 1 - 1/(alpha_2 k)``, the volume element at given
+    Theta is ``k^5 k^-2 d log k``: log k is not uniform, k^3 is. alpha_1 is k up to a factor and
+    runs, at given Theta, from r = alpha_1/alpha_2 (where alpha_2 = 1) to 1; r is one of the
+    numbers that Theta fixes. So whatever the posterior of Theta may be,
+    ``(alpha_1^3 - r^3)/(1 - r^3)`` is uniform(0, 1).
+    """
+    assert flat.posterior.diagnostics.status == "reliable"
+    mu_1, mu_2 = mu(flat)
+    alpha, r = 1.0 / (1.0 + mu_1), (1.0 - mu_2) / (1.0 + mu_1)
+    independent = flat.posterior.diagnostics.ess.min()
+    place = (alpha**3 - r**3) / (1.0 - r**3)
+    assert distance(place, independent) < 1.0
+    # it fills the interval: chance would leave an outer hundredth empty with 0.99^1000 = 4e-5
+    assert place.min() < 0.01
+    assert place.max() > 0.99
+    # two other readings of "flat" would be found out
+    assert distance(np.log(alpha / r) / np.log(1.0 / r), independent) > 3.0
+    assert distance((alpha - r) / (1.0 - r), independent) > 3.0
+    # nothing that Theta fixes tells of the place
+    for known in (r, flat.posterior["motor.inertia"].ravel()):
+        assert abs(stats.spearmanr(place, known).statistic) < 4.0 / np.sqrt(independent)
+
+
+def test_the_posterior_never_leaves_what_a_passive_gearbox_allows(flat):
+    mu_1, mu_2 = mu(flat)
+    assert mu_1.min() >= 0.0
+    assert mu_2.min() >= 0.0
+    assert mu_2.max() <= 1.0
+    # the same in the paper's words: 1/alpha_2 <= k <= 1/alpha_1 from any draw to any bound
+    (low, high), at = ridge(flat).bounds, ridge(flat).values
+    names = flat.chain.names
+    assert low == pytest.approx(1.0 - at[names.index("gearbox.load_back")], rel=1e-14)
+    assert high == pytest.approx(1.0 + at[names.index("gearbox.load_drive")], rel=1e-14)
+
+
+def test_torque_is_the_same_anywhere_on_the_ridge(flat):
+    found = ridge(flat)
+    rng = np.random.default_rng(0)
+    for values in (found.values, *flat.chain_draws(15)):
+        low, high = found.scaling.bounds(values)
+        along = found.scaling.scaled(values, low * (high / low) ** rng.random(20))
+        (torque,) = flat.target.likelihood.predict(np.concatenate([values[None], along]))
+        assert np.ptp(torque[0]) > 0.5  # N m: there is something to be the same
+        np.testing.assert_allclose(torque[1:], torque[:1].repeat(20, axis=0), rtol=0, atol=1e-10)
+    assert max(found.differences) <= 1e-10
+
+
+def test_the_line_ends_where_an_alpha_is_one(flat):
+    found, names = ridge(flat), list(flat.chain.names)
+    drive, back = (
+        1.0 + sign * found.line[:, names.index(f"gearbox.load_{side}")]
+        for side, sign in (("drive", 1.0), ("back", -1.0))
+    )
+    assert back[0] == pytest.approx(1.0, abs=1e-12)
+    assert drive[-1] == pytest.approx(1.0, abs=1e-12)
+    assert (drive >= 1.0 - 1e-12).all()
+    assert (back <= 1.0 + 1e-12).all()
+    # everything behind the gearbox times 1/alpha is what the motor feels: constant
+    for name in (n for n in names if n.startswith(("joint.", "load."))):
+        felt = found.line[:, names.index(name)] * drive
+        np.testing.assert_allclose(felt, felt[0], rtol=1e-12)
+    for name in (n for n in names if n.startswith("motor.")):
+        assert np.ptp(found.line[:, names.index(name)]) == 0.0
+    # from end to end it is as long as the interval of factors
+    assert drive[0] / drive[-1] == pytest.approx(found.bounds[1] / found.bounds[0], rel=1e-12)
+
+
+def test_a_known_mass_shows_in_the_torque_along_the_line(loaded):
+    plain, heavy = ridge(loaded).differences
+    assert plain <= 1e-10
+    # k times the leg without, and once the mass with: g M r (k - 1)/(alpha N) does not cancel
+    assert heavy > 0.01
+
+
+def artists(figure, gid, ax=None):
+    return [a for a in (ax or figure).findobj() if a.get_gid() == gid]
+
+
+def panel(figure, name):
+    (ax,) = [ax for ax in figure.axes if ax.get_gid() == name]
+    return ax
+
+
+def test_panels_of_the_knee(figure):
+    assert [ax.get_gid() for ax in figure.axes[:3]] == [ML, JC, "gearbox.load_back"]
+    labels = [ax.get_ylabel() for ax in figure.axes[:3]]
+    assert labels == ["$ml$ (kg m)", "$J_{c}$ (kg m²)", r"$\alpha_2$ (–)"]
+    for ax in figure.axes[:3]:
+        assert ax.get_xlabel() == r"$\alpha_1$ (–)"
+        assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
+        assert ax.get_title() == ""
+    for ax in figure.axes:
+        assert has_unit(ax.get_xlabel())
+        assert has_unit(ax.get_ylabel())
+
+
+def test_lines_are_straight_with_slope_one_and_end_at_the_bounds(figure, flat):
+    for ax in figure.axes[:3]:
+        (line,) = artists(figure, "line", ax)
+        x, y = (np.log(v) for v in line.get_data())
+        np.testing.assert_allclose(y - x, y[0] - x[0], atol=1e-9)
+        ends = [artists(figure, f"end {k}", ax)[0].get_xydata()[0] for k in (0, 100)]
+        (x_low, y_low), (x_high, _) = ends
+        assert x_high == pytest.approx(1.0, abs=1e-12)  # alpha_1
+        assert [x_low, y_low] == pytest.approx(np.exp([x[0], y[0]]).tolist(), rel=1e-12)
+    assert y_low == pytest.approx(1.0, abs=1e-12)  # alpha_2, in the last panel
+    # posterior draws: the pairs themselves, thinned
+    (dots,) = artists(figure, "posterior", panel(figure, ML))
+    alpha, ml = dots.get_data()
+    of_draws = flat.chain_draws(1500)
+    index = flat.chain.names.index
+    np.testing.assert_allclose(alpha, 1.0 / (1.0 + of_draws[:, index("gearbox.load_drive")]))
+    np.testing.assert_allclose(ml, of_draws[:, index(ML)])
+
+
+def test_the_torque_is_shown_with_its_largest_difference(figure, flat):
+    left, right = figure.axes[3:]
+    curves = [*artists(figure, "torque middle", left), *artists(figure, "torque", left)]
+    assert len(curves) == 3
+    first = curves[0].get_ydata()
+    for curve in curves[1:]:
+        np.testing.assert_allclose(curve.get_ydata(), first, rtol=0, atol=1e-10)
+    scale = float(re.search(r"10\$\^\{(-?\d+)\}\$", right.get_ylabel())[1])
+    for curve in artists(figure, "difference", right):
+        assert np.nanmax(np.abs(curve.get_ydata())) * 10.0**scale <= 1e-10
+    (text,) = artists(figure, "largest", right)
+    told = re.fullmatch(r"made-up: at most (\S+) N m", text.get_text())
+    assert float(told[1]) == pytest.approx(max(ridge(flat).differences), rel=0.05)
+
+
+def test_a_known_mass_in_the_figure(loaded):
+    figure = ridge_figure(loaded)
+    left, right = figure.axes[3:]
+    (text,) = artists(figure, "largest", right)
+    assert text.get_text().startswith("made-up: at most ")
+    assert "loaded: at most " in text.get_text()
+    low, high = (np.asarray(a.get_ydata()) for a in artists(figure, "torque", left))
+    assert np.nanmax(np.abs(high - low)) > 0.01
+    draw_fast(figure)
+
+
+def test_known_parameters_are_lines(flat):
+    """In place of a prior's contours there is the known value."""
+    texts = FLAT | {ML: 0.42}
+    priors = read_priors(flat.chain, texts, flat.observations)
+    target = make_target(flat.chain, flat.observations, priors, "shared")
+    keep = [k for k, name in enumerate(flat.posterior.names) if name != ML]
+    posterior = replace(
+        flat.posterior,
+        names=target.names,
+        priors=target.priors,
+        draws=flat.posterior.draws[..., keep],
+    )
+    figure = ridge_figure(replace(flat, target=target, posterior=posterior))
+    (known,) = artists(figure, "prior", panel(figure, ML))
+    np.testing.assert_allclose(known.get_ydata(), 0.42, rtol=1e-12)
+    draw_fast(figure)
+
+
+@pytest.mark.parametrize("scale", [1e-5, 1e-2])
+def test_a_narrow_prior_is_seen_where_it_is(flat, scale):
+    """A data sheet's value: 90 % of it between its quantiles, however narrow."""
+    texts = FLAT | {
+        ML: {"distribution": "norm", "loc": 0.42, "scale": scale},
+        "gearbox.load_drive": {"distribution": "halfnorm", "scale": 0.5},
+    }
+    priors = read_priors(flat.chain, texts, flat.observations)
+    target = make_target(flat.chain, flat.observations, priors, "shared")
+    told = replace(flat, target=target, posterior=replace(flat.posterior, priors=target.priors))
+    ax = panel(ridge_figure(told), ML)
+    (edges,) = artists(ax.figure, "prior", ax)
+    corners = np.concatenate([path.vertices for path in edges.get_paths() if len(path.vertices)])
+    # of alpha_1 too there are 90 %, so a little more than two sds of ml at most
+    low, high = corners[:, 1].min(), corners[:, 1].max()
+    assert 0.42 - 3.0 * scale < low < 0.42 - scale
+    assert 0.42 + scale < high < 0.42 + 3.0 * scale
+
+
+def test_a_chain_without_a_scaling_has_no_ridge(slide):
+    assert ridge(slide) is None
+    assert ridge_figure(slide) is None
+
+
+@pytest.mark.parametrize("which", ["knee", "many", "flat", "loaded"])
+def test_a_page_wide_and_nothing_cut_off(which, request):
+    figure = ridge_figure(request.getfixturevalue(which))
+    assert figure.get_figwidth() == PAGE
+    texts = shown_texts(figure)
+    ticks = {id(t.label1) for ax in figure.axes for a in (ax.xaxis, ax.yaxis) for t in a.majorTicks}
+    drawn = drawn_ticks(figure)
+    boxes = [(t, b) for t, b in texts if id(t) not in ticks or id(t) in drawn]
+    width, height = figure.bbox.size
+    for k, (text, box) in enumerate(boxes):
+        inside = box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height
+        assert inside, text.get_text()
+        for other, other_box in boxes[:k]:
+            across = min(box.x1, other_box.x1) - max(box.x0, other_box.x0)
+            up = min(box.y1, other_box.y1) - max(box.y0, other_box.y0)
+            assert across <= 1.0 or up <= 1.0, (text.get_text(), other.get_text())
+
+
+def test_fonts_and_bytes(flat, figure, tmp_path):
+    pdf, _ = save(figure, tmp_path, "one")
+    content = pdf.read_bytes()
+    kinds = set(re.findall(rb"/Subtype /(Type0|Type1|Type3|TrueType|CIDFontType\d)", content))
+    assert not kinds & {b"Type3", b"Type1"}
+    assert b"/FontFile2" in content
+    again, _ = save(ridge_figure(flat), tmp_path, "two")
+    assert again.read_bytes() == content
