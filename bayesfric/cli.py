@@ -130,6 +130,20 @@ def estimate(
 
 
 @app.command()
+def identify(config: ConfigFile, as_json: AsJson = False) -> None:
+    """Tell what these recordings can and cannot determine, and what would help."""
+    from bayesfric.commands.identify import identification, identify_record, identify_text
+    from bayesfric.commands.problem import read_problem
+    from bayesfric.config import read_config
+    from bayesfric.inference.sampling import phase
+
+    problem = read_problem(read_config(config))
+    with _progress_bar() as progress:
+        found = identification(problem, progress=lambda name: progress(phase(name)))
+    _print(identify_record(found, problem), as_json, identify_text(found, problem))
+
+
+@app.command()
 def fit(
     config: ConfigFile,
     output: RunOption = None,

@@ -9,9 +9,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesfric.errors import BadInput
 from bayesfric.estimates.assemble import open_directions
 from bayesfric.estimates.information import NULL, Directions, directions
 from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.torque import torque_jacobian
 from bayesfric.inference.target import Target
 
 Array = NDArray[np.float64]
@@ -26,6 +28,8 @@ _NULL_SIMULATED = 1e-6
 # Values below this share of their prior sd are next to zero: those that are zero or
 # positive, and those of either sign.
 _SMALL = 1e-3
+# Share of the measured torque that counts as one for values the data cannot tell from zero.
+_FELT = 0.1
 _SMALL_SIGNED = 1e-2
 
 
@@ -58,9 +62,9 @@ class LocalInformation:
         What a change of one is called: the parameter, or its alpha for load losses.
     units
         ``(d,)`` change of each parameter that counts as one: its own value, so that ones
-        are changes of logarithms; its prior sd where the value is next to zero.
+        are changes of logarithms; something else where the value is next to zero.
     shifted
-        ``(d,)`` where the unit is the prior sd.
+        ``(d,)`` where it is something else.
     effects
         ``(d,)`` root of the summed squares that a change of one makes, in noise sds.
     data_sd
@@ -72,6 +76,8 @@ class LocalInformation:
         ``(n_null, d)`` the same in units, the largest entry of each being one.
     directions
         Of the Jacobian over the noise scale, in log parameters.
+    from_theory
+        How many null directions, the first ones, are scalings that hold at every point.
     """
 
     names: tuple[str, ...]
@@ -83,6 +89,7 @@ class LocalInformation:
     null_directions: tuple[NullDirection, ...]
     null_rows: Array
     directions: Directions
+    from_theory: int = 0
 
     @property
     def information(self) -> Array:
@@ -122,17 +129,29 @@ def local_information(target: Target, parameters: Array) -> LocalInformation:
         Likelihood, priors and noise.
     parameters
         ``(d,)``, noise scales last.
+
+    Raises
+    ------
+    BadInput
+        If a simulation fails beside these parameters.
     """
     free = target.free
     point = parameters[: len(free)]
     scales = target.noise.scales(parameters[None, len(free) :])[0]
     units, labels, shifted = units_of(target, point)
     chain = target.likelihood.chain
-    known = Knowledge(dict.fromkeys(set(chain.names) - set(free), 0.0))
+    at = target.chain_values(parameters[None])[0]
+    known = Knowledge({n: float(x) for n, x in zip(chain.names, at, strict=True) if n not in free})
     open_ = open_directions(
         chain, known, target.likelihood.observations, target.chain_values(parameters[None])[0]
     )
     jacobian = jacobian_of(target, parameters, units, scales)
+    if not np.isfinite(jacobian).all():
+        raise BadInput(
+            "identifiability",
+            "the simulated motion cannot be differentiated at these parameters",
+            'use method = "input-error", or priors that keep parameters off their bounds',
+        )
     tolerance = NULL if target.likelihood.method == "input-error" else _NULL_SIMULATED
     found = directions(jacobian, np.ones(units.size), tolerance, known_null=open_ / units)
     # the Jacobian was taken in these units already
@@ -145,11 +164,59 @@ def local_information(target: Target, parameters: Array) -> LocalInformation:
         shifted,
         np.linalg.norm(jacobian, axis=0),
         np.full(units.size, np.nan),
-        tuple(_describe(labels, row) for row in rows),
+        tuple(describe(labels, row) for row in rows),
         rows,
         found,
+        len(open_),
     )
     return replace(local, data_sd=np.array([local.data_sd_of(one) for one in np.eye(units.size)]))
+
+
+def in_natural_units(
+    target: Target, parameters: Array, local: LocalInformation
+) -> LocalInformation:
+    """Measure a value that is small beside what the data leave of it by what torque feels.
+
+    Of a value that may as well be zero, the logarithm says nothing. Where the sd from the
+    data is finite and larger than the value, a change that makes a tenth of the measured
+    torque counts as one instead (or the prior's sd, if that is less). Null directions do
+    not touch such parameters.
+
+    Parameters
+    ----------
+    target, parameters
+        As for :func:`local_information`.
+    local
+        What it found.
+    """
+    likelihood = target.likelihood
+    values = target.chain_values(parameters[None])[0]
+    k = len(target.free)
+    columns = [likelihood.chain.names.index(name) for name in target.free]
+    steps = np.zeros(values.size)
+    steps[columns] = _STEP * np.abs(local.units)
+    jacobian = torque_jacobian(likelihood.chain, likelihood.observations, values, steps)
+    effect = np.linalg.norm(jacobian[:, columns], axis=0)
+    measured = np.concatenate([o.measured for o in likelihood.observations])
+    sds = np.array([p.sd() for p in target.priors[:k]])
+    with np.errstate(divide="ignore"):
+        floor = np.fmin(_FELT * np.linalg.norm(measured) / effect, sds)
+    loss = np.array([name != label for name, label in zip(local.names, local.labels, strict=True)])
+    value = parameters[:k]
+    small = np.isfinite(local.data_sd) & (np.abs(value) < local.data_sd) & ~loss
+    small &= np.abs(value) < floor
+    units = np.where(small, floor, local.units)
+    d = local.directions
+    told = np.where(d.null, 0.0, d.singular_values)[:, None] * d.rows
+    ratio = units / local.units
+    found = directions(told * ratio, np.ones(k), d.tolerance)
+    return replace(
+        local,
+        units=units,
+        shifted=local.shifted | small,
+        effects=local.effects * np.abs(ratio),
+        directions=replace(found, units=units),
+    )
 
 
 def verdict(posterior_sd: float, prior_sd: float, data_sd: float) -> Verdict:
@@ -216,14 +283,18 @@ def jacobian_of(target: Target, parameters: Array, units: Array, scales: Array) 
     exact up to rounding except where a step changes the direction of power.
     """
     k = units.size
-    steps = _STEP * units
+    support = {p.name: (p.lower, p.upper) for p in target.likelihood.chain.parameters}
+    low, high = np.array([support[name] for name in target.free]).T
+    point, steps = parameters[:k], _STEP * units
     plus, minus = np.tile(parameters, (k, 1)), np.tile(parameters, (k, 1))
     index = np.arange(k)
-    plus[index, index] += steps
-    minus[index, index] -= steps
+    # on a bound one side alone: nothing can be simulated beyond it
+    plus[index, index] = np.clip(point + steps, low, high)
+    minus[index, index] = np.clip(point - steps, low, high)
+    widths = (plus[index, index] - minus[index, index]) / units
     both = target.chain_values(np.concatenate([plus, minus]))
     blocks = [
-        (output[:k] - output[k:]) / (2.0 * _STEP)
+        (output[:k] - output[k:]) / widths[:, None]
         for output in target.likelihood.standardised(both, scales)
     ]
     return np.concatenate(blocks, axis=1).T
@@ -265,7 +336,8 @@ def _sparse(rows: Array) -> Array:
     return np.array([row / row[int(np.argmax(np.abs(row)))] for row in basis]).reshape(rows.shape)
 
 
-def _describe(labels: Sequence[str], row: Array) -> NullDirection:
+def describe(labels: Sequence[str], row: Array) -> NullDirection:
+    """Word a null direction ``(d,)`` whose entries are powers of one factor."""
     row = row / row[int(np.argmax(np.abs(row)))]
     exponents = {
         label: float(round(x, 9)) for label, x in zip(labels, row, strict=True) if abs(x) > 1e-5
