@@ -1,0 +1,204 @@
+"""What the result owes to what is known besides the torque: an added mass, a back-EMF."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.estimates.information import directions
+from bayesfric.estimates.torque import filtered_torque
+from bayesfric.identifiability.local import LocalInformation, jacobian_of, units_of
+from bayesfric.inference.target import Target
+from bayesfric.inference.torque_likelihood import TorqueLikelihood
+from bayesfric.mechanism.scaling import scalings
+
+Array = NDArray[np.float64]
+
+# Step of the derivative by the logarithm of the added mass.
+_STEP = 1e-6
+# Sine of the angle below which two columns of a Jacobian are one.
+_SAME = 1e-6
+# A parameter owes its value to the mass where its sd without it is this much larger.
+_OWES = 3.0
+
+
+@dataclass(frozen=True)
+class UnknownMass:
+    """What would be left if the added mass were not known.
+
+    Attributes
+    ----------
+    exponents
+        What could then be multiplied by powers of one factor together with the mass, and no
+        torque would change; empty where torque tells the mass itself.
+    owed
+        Parameters whose sd from the data would be infinite, or more than three times what
+        it is.
+    """
+
+    exponents: dict[str, float]
+    owed: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class SpeedTerm:
+    """What a torque proportional to speed, such as a back-EMF's, cannot be told from.
+
+    Attributes
+    ----------
+    recordings
+        Names of the recordings whose torque comes from a voltage.
+    same
+        Parameters whose effect has the same shape exactly.
+    explained
+        Share of the term's square that some change of parameters makes up for.
+    """
+
+    recordings: tuple[str, ...]
+    same: tuple[str, ...]
+    explained: float
+
+
+def unknown_mass(target: Target, parameters: Array, local: LocalInformation) -> UnknownMass | None:
+    """Look at the torque as if the added masses were known but for one common factor.
+
+    Parameters
+    ----------
+    target
+        Likelihood, priors and noise.
+    parameters
+        ``(d,)`` the estimate, noise scales last.
+    local
+        Of the target there.
+
+    Returns
+    -------
+    UnknownMass or None
+        ``None`` where no recording has an added mass.
+    """
+    likelihood = target.likelihood
+    observations = likelihood.observations
+    if not any(o.added_mass for o in observations):
+        return None
+    jacobian, noise = _torque_jacobian(target, parameters)
+    values = target.chain_values(parameters[None])
+    column = [
+        (
+            filtered_torque(
+                likelihood.chain, replace(o, added_mass=o.added_mass * (1.0 + _STEP)), values
+            )
+            - filtered_torque(
+                likelihood.chain, replace(o, added_mass=o.added_mass * (1.0 - _STEP)), values
+            )
+        )[0]
+        / (2.0 * _STEP * sigma)
+        for o, sigma in zip(observations, noise, strict=True)
+    ]
+    whole = np.column_stack([jacobian, np.concatenate(column)])
+    k = len(target.free)
+    # what theory says is taken out: where the direction of power changes inside a step, a
+    # derivative is off by enough to make a determined direction of a null one
+    open_ = local.null_rows[: local.from_theory]
+    scaled = np.column_stack([open_, np.zeros(len(open_))])
+    with_mass = _scalings_with_mass(target, values[0], local)
+    found = directions(whole, np.ones(k + 1), known_null=np.concatenate([scaled, with_mass]))
+    known = directions(jacobian, np.ones(k), known_null=open_)
+    exponents: dict[str, float] = {}
+    for row in found.rows[found.null]:
+        if abs(row[k]) > 1e-6:
+            scaled = row / row[k]
+            exponents = {
+                label: float(round(x, 9))
+                for label, x in zip(local.labels, scaled, strict=False)
+                if abs(x) > 1e-5
+            }
+    owed = []
+    for name, one in zip(target.free, np.eye(k + 1)[:k], strict=True):
+        before, after = known.solve(one[:k]), found.solve(one)
+        if before is None:
+            continue  # not even the known mass tells
+        if after is None or after @ one > _OWES**2 * (before @ one[:k]):
+            owed.append(name)
+    return UnknownMass(exponents, tuple(owed))
+
+
+def _scalings_with_mass(target: Target, values: Array, local: LocalInformation) -> Array:
+    """Scalings of the load and the added mass together, in local units and the mass's logarithm.
+
+    A known parameter takes them away, as it does those of the load alone.
+    """
+    chain = target.likelihood.chain
+    columns = [chain.names.index(name) for name in target.free]
+    rows = [
+        np.append(s.tangent(values)[columns] / local.units, 1.0)
+        for s in scalings(chain)
+        if set(s.names) <= set(target.free)
+    ]
+    return np.array(rows).reshape(-1, len(columns) + 1)
+
+
+def speed_term(target: Target, parameters: Array, recordings: Sequence[str]) -> SpeedTerm | None:
+    """Compare a torque proportional to speed with what the parameters can do.
+
+    The torque computed from a voltage is ``kt V/R - kt² (motor speed)/R``; an error of
+    ``kt²/R`` adds a term proportional to speed.
+
+    Parameters
+    ----------
+    target
+        Likelihood, priors and noise.
+    parameters
+        ``(d,)`` the estimate, noise scales last.
+    recordings
+        Names of the recordings whose torque comes from a voltage.
+
+    Returns
+    -------
+    SpeedTerm or None
+        ``None`` where no recording does.
+    """
+    observations = target.likelihood.observations
+    if not any(o.name in recordings for o in observations):
+        return None
+    jacobian, noise = _torque_jacobian(target, parameters)
+    term = np.concatenate(
+        [
+            o.filter.apply(o.qd) / sigma * (o.name in recordings)
+            for o, sigma in zip(observations, noise, strict=True)
+        ]
+    )
+    term /= np.linalg.norm(term)
+    sizes = np.linalg.norm(jacobian, axis=0)
+    unit = jacobian / np.where(sizes > 0.0, sizes, 1.0)
+    apart = np.linalg.norm(unit - np.outer(term, term @ unit), axis=0)
+    same = tuple(
+        name
+        for name, sine, size in zip(target.free, apart, sizes, strict=True)
+        if size > 0.0 and sine < _SAME
+    )
+    rest = term - unit @ np.linalg.lstsq(unit, term, rcond=1e-9)[0]
+    told = tuple(o.name for o in observations if o.name in recordings)
+    return SpeedTerm(told, same, float(1.0 - rest @ rest))
+
+
+def _torque_jacobian(target: Target, parameters: Array) -> tuple[Array, list[float]]:
+    """Jacobian of the torque over its noise, whatever the likelihood is of, and that noise."""
+    k = len(target.free)
+    units, _, _ = units_of(target, parameters[:k])
+    scales = target.noise.scales(parameters[None, k:])[0][:, :1]
+    if target.likelihood.method == "input-error":
+        return jacobian_of(target, parameters, units, scales), scales[:, 0].tolist()
+    likelihood = TorqueLikelihood(target.likelihood.chain, target.likelihood.observations)
+    steps = 1e-6 * units
+    moved = np.tile(parameters, (2 * k, 1))
+    index = np.arange(k)
+    moved[index, index] += steps
+    moved[k + index, index] -= steps
+    blocks = [
+        (one[:k] - one[k:]).T / 2e-6
+        for one in likelihood.standardised(target.chain_values(moved), scales)
+    ]
+    return np.concatenate(blocks), scales[:, 0].tolist()

@@ -1,0 +1,183 @@
+"""What was done to the joint: who drove whom, how far it turned, what shape the torque had."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.estimates.torque import filtered_torque
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.inverse import inverse_torque, load_torque
+from bayesfric.recordings.observation import Observation
+
+Array = NDArray[np.float64]
+
+# Outputs that lie beside a level of torque, and how many levels make a piecewise constant one.
+_LEVELS = 4
+_LEVEL_WIDTH = 0.02
+# Noise wider than this share of the torque's range hides whether it has levels.
+_TOO_NOISY = 0.05
+# Share of the torque below which inertia does not show.
+_LITTLE = 0.05
+
+
+@dataclass(frozen=True)
+class RecordingFacts:
+    """Facts about one recording, at the point estimate where they need one.
+
+    Attributes
+    ----------
+    name
+        Of the recording.
+    outputs
+        Number of outputs.
+    moving
+        Share of them in which the joint moves.
+    back_driven
+        Element with a load loss, and the share of moving outputs in which the load
+        drives it.
+    at_levels
+        Share of outputs that lie at one of at most four levels of torque; ``None`` where
+        noise hides it.
+    turn
+        Range of the joint's position, rad or m.
+    steady
+        Share of moving outputs in which inertia takes less than a twentieth of the torque.
+    added_mass, radius
+        kg and m.
+    """
+
+    name: str
+    outputs: int
+    moving: float
+    back_driven: dict[str, float]
+    at_levels: float | None
+    turn: float
+    steady: float
+    added_mass: float
+    radius: float
+
+    @property
+    def piecewise_constant(self) -> bool:
+        """Whether nearly all outputs lie at a few levels of torque."""
+        return self.at_levels is not None and self.at_levels > 0.9
+
+
+def recording_facts(
+    chain: Chain, observations: Sequence[Observation], values: Array, noise: Array
+) -> tuple[RecordingFacts, ...]:
+    """Collect the facts of every recording.
+
+    Parameters
+    ----------
+    chain, observations
+        The mechanism and its prepared recordings.
+    values
+        ``(n_parameters,)`` in the order of ``chain.names``.
+    noise
+        ``(R,)`` noise scale of the torque, N m or N.
+    """
+    found = []
+    for o, sigma in zip(observations, noise.tolist(), strict=True):
+        shares = back_driven(chain, [o], values[None])
+        q = o.q[o.filter.centres]
+        found.append(
+            RecordingFacts(
+                name=o.name,
+                outputs=int(o.measured.size),
+                moving=float(np.mean(o.qd[o.filter.centres] != 0.0)),
+                back_driven={name: float(share[0]) for name, share in shares.items()},
+                at_levels=_at_levels(o.measured, sigma),
+                turn=float(np.ptp(q)),
+                steady=_steady(chain, o, values),
+                added_mass=o.added_mass,
+                radius=o.radius,
+            )
+        )
+    return tuple(found)
+
+
+def back_driven(
+    chain: Chain, observations: Sequence[Observation], values: Array
+) -> dict[str, Array]:
+    """How often the load drives each element that has a load loss.
+
+    Parameters
+    ----------
+    chain, observations
+        The mechanism and its prepared recordings.
+    values
+        ``(n, n_parameters)`` in the order of ``chain.names``.
+
+    Returns
+    -------
+    dict
+        By element, ``(n,)`` share of all moving outputs in which the torque behind it
+        times the speed is negative, eq. (6).
+    """
+    found = {}
+    for i, element in enumerate(chain.elements):
+        if element.load_loss == "none":
+            continue
+        back, moving = np.zeros(values.shape[0]), 0
+        for o in observations:
+            at = o.filter.centres[o.qd[o.filter.centres] != 0.0]
+            passed = _behind(chain, i, o, at, values)
+            back += np.count_nonzero(passed * o.qd[at] < 0.0, axis=1)
+            moving += at.size
+        found[element.name] = back / max(moving, 1)
+    return found
+
+
+def _behind(chain: Chain, i: int, o: Observation, at: NDArray[np.int64], values: Array) -> Array:
+    """Torque at the output of element ``i``, ``(n, len(at))``."""
+    q, qd, qdd = o.q[at], o.qd[at], o.qdd[at]
+    if i + 1 == len(chain.elements):
+        return np.stack(
+            [
+                load_torque(chain, v, q, qdd, added_mass=o.added_mass, radius=o.radius)
+                for v in values
+            ]
+        )
+    rest = Chain(chain.elements[i + 1 :], chain.load)
+    columns = [chain.names.index(name) for name in rest.names]
+    return inverse_torque(
+        rest, values[:, columns], q, qd, qdd, added_mass=o.added_mass, radius=o.radius
+    )
+
+
+def _at_levels(torque: Array, sigma: float) -> float | None:
+    """Share of a signal that lies beside its few most frequent values."""
+    low, high = np.quantile(torque, [0.001, 0.999])
+    span = float(high - low)
+    if span <= 0.0:
+        return 1.0
+    if sigma > _TOO_NOISY * span:
+        return None
+    width = max(3.0 * sigma, _LEVEL_WIDTH * span)
+    left = np.sort(torque)
+    total, taken = left.size, 0
+    for _ in range(_LEVELS):
+        if left.size == 0:
+            break
+        ends = np.searchsorted(left, left + 2.0 * width, side="right")
+        best = int(np.argmax(ends - np.arange(left.size)))
+        count = int(ends[best]) - best
+        # a level holds its share; what only happens to pass by does not count
+        if count < 0.1 * total:
+            break
+        taken += count
+        left = np.delete(left, slice(best, int(ends[best])))
+    # a smooth signal fills its range evenly: levels as wide as half of it prove nothing
+    return None if 2.0 * width * _LEVELS > 0.75 * span else taken / total
+
+
+def _steady(chain: Chain, o: Observation, values: Array) -> float:
+    """Share of outputs in which the torque would be the same without acceleration."""
+    still = Observation(**{**vars(o), "qdd": np.zeros_like(o.qdd)})
+    whole = filtered_torque(chain, o, values[None])[0]
+    without = filtered_torque(chain, still, values[None])[0]
+    return float(np.mean(np.abs(whole - without) < _LITTLE * np.abs(whole)))

@@ -1,0 +1,184 @@
+"""``bayesfric identify`` as a user sees it: what cannot be told first, then why and what to do."""
+
+import json
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayesfric.commands.identify import identification, identify_record, identify_text
+from bayesfric.commands.problem import read_problem
+from bayesfric.commands.simulate import simulate
+from bayesfric.config import read_config
+
+from ..conftest import DATA, REPOSITORY
+from .bench import has
+
+FOLDER = Path(str(files("bayesfric") / "examples"))
+UR10E = REPOSITORY / "studies" / "ur10e" / "ur10e-joint2.toml"
+XL330 = REPOSITORY / "studies" / "xl330" / "xl330.toml"
+SCALED = {
+    "gearbox.alpha_drive",
+    "gearbox.alpha_back",
+    "joint.viscous",
+    "joint.coulomb_positive",
+    "joint.coulomb_negative",
+    "load.inertia",
+    "load.first_moment",
+}
+AXIS = """\
+[mechanism]
+preset = "motor-axis"
+
+[[recordings]]
+file = "small.csv"
+time = { column = "time", unit = "s" }
+position = { column = "position", unit = "rad" }
+torque = { column = "torque", unit = "N m" }
+
+[simulation]
+duration = 2.0
+rate = 500
+excitation = "multisine"
+encoder_counts = 1048576
+torque_noise = 0.01
+"""
+
+
+def identified(bench, config):
+    ended = bench.run("identify", config, "--json")
+    assert ended.code == 0, ended.err
+    return json.loads(ended.out)
+
+
+def null(found):
+    return [one for one in found["directions"] if one["kind"] == "null"]
+
+
+@pytest.fixture(scope="module")
+def knee():
+    problem = read_problem(read_config(FOLDER / "knee.toml"))
+    found = identification(problem)
+    return identify_record(found, problem), list(identify_text(found, problem))
+
+
+def test_the_packaged_knee_alone_leaves_the_scale_open(knee):
+    found, _ = knee
+    (one,) = null(found)
+    assert set(one["exponents"]) == SCALED
+    np.testing.assert_allclose(list(one["exponents"].values()), 1.0, atol=1e-6)
+    assert one["log_sd"] is None
+    assert one["null_at_points"] == sum(found["points"].values())
+    # nothing that is not determined has a finite sd
+    for name, row in found["parameters"].items():
+        behind = name.replace("load_drive", "alpha_drive").replace("load_back", "alpha_back")
+        assert (row["data_sd"] is None) == (behind in SCALED)
+        assert row["expected_sd"] > 0
+
+
+def test_text_says_first_what_cannot_be_told_and_what_to_do(knee):
+    _, lines = knee
+    first = lines[:6]
+    has(first[0], "cannot tell 1 thing at all")
+    has(first[2], "can all be multiplied by one factor", "load.inertia")
+    has(first[3], "Why:")
+    has(" ".join(first[4:]), "To lift it:", "known added mass")
+    (line,) = [one for one in lines if one.startswith("  load.first_moment ")]
+    has(line, " - ", "none", "prior")
+
+
+def test_the_known_mass_determines_everything(bench):
+    """0.8 N m alone and 1.12 N m with 2 kg at 0.35 m, 10 s each, torque noise 0.02 N m."""
+    found = identified(bench, FOLDER / "knee-loaded.toml")
+    assert null(found) == []
+
+    def relative(row):
+        return row["expected_sd"] / abs(row["value"])
+
+    assert relative(found["combinations"]["gearbox.alpha_drive"]) < 0.01
+    assert relative(found["combinations"]["gearbox.alpha_back"]) < 0.025
+    assert relative(found["parameters"]["load.first_moment"]) < 0.025
+    assert set(found["known_mass"]["exponents_without"]) == SCALED
+    assert {row["verdict"] for row in found["parameters"].values()} == {"data"}
+
+
+def test_a_sine_never_shows_back_driving(bench):
+    text = (FOLDER / "knee.toml").read_text()
+    bench.config(
+        text.replace("knee.csv", "sine.csv").replace('excitation = "square"', 'excitation = "sine"')
+    )
+    simulate(read_config(bench.folder / "c.toml"), bench.folder / "sine.csv")
+    ended = bench.run("identify", "c.toml")
+    assert ended.code == 0, ended.err
+    has(ended.out, "Back-driving of gearbox is never seen", "gearbox.load_back rests on its prior")
+
+
+def test_what_is_determined_is_said_to_be(bench):
+    bench.config(AXIS)
+    simulate(read_config(bench.folder / "c.toml"), bench.folder / "small.csv")
+    ended = bench.run("identify", "c.toml")
+    assert ended.out.splitlines()[0] == "This recording can tell every parameter."
+    found = identified(bench, "c.toml")
+    assert found["method"] == "input-error"
+    assert found["known_mass"] is None
+    assert found["voltage"] is None
+
+
+def test_the_likelihood_of_the_position(bench):
+    bench.config(AXIS + '\n[likelihood]\nmethod = "output-error"\nsegment = 0.25\n')
+    simulate(read_config(bench.folder / "c.toml"), bench.folder / "small.csv")
+    found = identified(bench, "c.toml")
+    assert found["method"] == "output-error"
+    assert null(found) == []
+    truth = {"motor.inertia": 0.01, "motor.viscous": 0.05, "motor.coulomb": 0.2}
+    for name, value in truth.items():
+        row = found["parameters"][name]
+        assert abs(row["value"] - value) < 5 * row["data_sd"]
+
+
+def test_bad_input_is_one_line(bench):
+    bench.config(AXIS.replace("motor-axis", "motor-axes"))
+    has(bench.refused("identify", "c.toml"), "motor-axes")
+    bench.config(AXIS)
+    has(bench.refused("identify", "c.toml"), "small.csv")
+
+
+def test_ur10e_with_two_load_losses_and_a_free_gravity_moment(bench, real_data):
+    if not (real_data / "ur10e-joint2").is_dir():
+        pytest.skip("the UR10e recording is not here")
+    text = UR10E.read_text().replace("../../../shared/data", str(DATA))
+    bench.config(
+        text.replace(
+            "[[recordings]]", '[mechanism.elements.gearbox]\nload_loss = "two"\n\n[[recordings]]'
+        )
+    )
+    found = identified(bench, "c.toml")
+    (one,) = null(found)
+    assert set(one["exponents"]) == {
+        "gearbox.alpha_drive",
+        "gearbox.alpha_back",
+        "load.first_moment",
+    }
+    np.testing.assert_allclose(list(one["exponents"].values()), 1.0, atol=1e-6)
+    has(one["meaning"], "can all be multiplied by one factor")
+    assert {r["kind"] for r in one["remedies"]} >= {"known value", "known mass"}
+    for name in ("gearbox.load_drive", "gearbox.load_back", "load.first_moment"):
+        assert found["parameters"][name]["data_sd"] is None
+    assert found["parameters"]["motor.viscous"]["verdict"] == "data"
+
+
+def test_xl330_rests_on_its_known_mass_and_confounds_back_emf(bench, real_data):
+    if not (real_data / "xl330-pendulum").is_dir():
+        pytest.skip("the XL330 recordings are not here")
+    found = identified(bench, XL330)
+    assert null(found) == []
+    # a servo and its mass twice as large, a drive twice as strong: the same voltage
+    assert {"motor.inertia", "motor.viscous", "drive.gain"} <= set(
+        found["known_mass"]["exponents_without"]
+    )
+    assert "drive.gain" in found["known_mass"]["determines"]
+    assert "gearbox.load" not in found["known_mass"]["determines"]
+    assert found["voltage"]["same_as_back_emf"] == ["motor.viscous"]
+    has(found["voltage"]["meaning"], "viscous loss and back-EMF cannot be told apart")
+    has(found["known_mass"]["meaning"], "known added mass is what determines", "drive.gain")

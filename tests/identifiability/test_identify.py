@@ -1,0 +1,324 @@
+"""What recordings can tell, where theory says so: simulated knee, Table 3 of the paper."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bayesfric.identifiability.identify import expected_covariance, identify
+from bayesfric.identifiability.known_quantities import speed_term
+from bayesfric.identifiability.local import local_information
+from bayesfric.identifiability.plausible import Point, estimate_point, points_around
+from bayesfric.identifiability.recording_facts import recording_facts
+from bayesfric.identifiability.remedies import WEAK, left_along, open_count
+from bayesfric.identifiability.virtual_recording import with_mass
+from bayesfric.inference.fit import make_target, read_priors
+from bayesfric.mechanism import excitation
+from bayesfric.mechanism.forward import simulate
+from bayesfric.mechanism.presets import PRESETS
+from bayesfric.recordings.filters import parallel_filter
+from bayesfric.recordings.observation import Observation
+
+KNEE, AXIS = PRESETS["rabbit-knee"], PRESETS["motor-axis"]
+CHAIN = KNEE.chain()
+VALUES = CHAIN.vector(KNEE.values)
+SCALED = (
+    "gearbox.alpha_drive",
+    "gearbox.alpha_back",
+    "joint.viscous",
+    "joint.coulomb_positive",
+    "joint.coulomb_negative",
+    "load.inertia",
+    "load.first_moment",
+)
+PERIOD, N, SIGMA, PEAK = 1e-3, 4000, 0.02, 0.8
+TIME = PERIOD * np.arange(N)
+SQUARE = excitation.square(TIME, PEAK, 1.0)
+LAGGED = excitation.current_loop(SQUARE, PERIOD, 0.005)
+SINE = excitation.sine(TIME, PEAK, 1.0)
+
+
+def recorded(torque, *, added_mass=0.0, radius=0.0, name="made-up"):
+    """Motion and torque as they are: filtering would blur what the square wave's edges are."""
+    motion = simulate(CHAIN, VALUES, torque, PERIOD, added_mass=added_mass, radius=radius)
+    taken = parallel_filter(((0, N),), 1, None, 1.0 / PERIOD, np.abs(motion.qd) > 0.01)
+    return Observation(
+        name=name,
+        q=motion.q,
+        qd=motion.qd,
+        qdd=motion.qdd,
+        torque=torque,
+        filter=taken,
+        time=taken.apply(motion.time),
+        measured=taken.apply(torque),
+        speed=taken.apply(motion.qd),
+        period=PERIOD,
+        segment_of=np.zeros(taken.n_outputs, dtype=np.int64),
+        added_mass=added_mass,
+        radius=radius,
+        steps=(),
+        warnings=(),
+        settings={},
+    )
+
+
+def problem(*observations, texts=None):
+    target = make_target(
+        CHAIN, observations, read_priors(CHAIN, texts or {}, observations), "shared"
+    )
+    return target, np.array([KNEE.values[name] for name in target.free] + [SIGMA])
+
+
+def look(*observations, texts=None, others=True):
+    target, parameters = problem(*observations, texts=texts)
+    points = [Point("estimate", parameters)]
+    if others:
+        local = local_information(target, parameters)
+        points += points_around(target, points[0], local, np.random.default_rng(4), around=4)
+    return identify(target, points)
+
+
+@pytest.fixture(scope="module")
+def lagged():
+    return look(recorded(LAGGED))
+
+
+@pytest.fixture(scope="module")
+def sine():
+    return look(recorded(SINE))
+
+
+def test_lagged_square_torque_leaves_the_papers_scaling_and_nothing_else(lagged):
+    (null,) = [one for one in lagged.directions if one.null]
+    assert set(null.exponents) == set(SCALED)
+    np.testing.assert_allclose(list(null.exponents.values()), 1.0, atol=1e-6)
+    zero = np.array([label not in SCALED for label in lagged.local.labels])
+    np.testing.assert_allclose(lagged.local.null_rows[0][zero], 0.0, atol=1e-6)
+    assert lagged.directions[0] is null
+    assert null.null_at == len(lagged.origins) > 8
+    assert "can all be multiplied by one factor" in null.meaning
+
+
+def test_an_ideal_square_wave_leaves_three(lagged):
+    """Torque of one size: the equation of motion is itself a relation between the columns.
+
+    With tau = M' + s Cm + (L' + s Cc) u_i/N = +-A and u_i = 1/alpha_i, where M' and L' are
+    the inertial, viscous and gravity torques: M' times 1 + a, u_i times 1 + a, and
+    ``dCm + dCc u_i/N = a (Cm -+ A)`` change nothing, - where the motor drives.
+    """
+    found = look(recorded(SQUARE), others=False)
+    null = [one for one in found.directions if one.null]
+    assert len(null) == 3
+    assert set(null[0].exponents) == set(SCALED)
+    # what rounding makes of an exact zero is far below what any recording leaves
+    share = found.singular_values[0] / found.singular_values[0, 0]
+    assert share[-3:].max() < 1e-9
+    assert share[-4] > 1e-4
+    assert (lagged.singular_values[0][:-1] > 1e-4 * lagged.singular_values[0, 0]).all()
+
+    u, ratio = 1.0 / np.array([0.7432, 1.408]), 50.0
+    of = dict(zip(CHAIN.names, VALUES, strict=True))
+    change = {"motor.inertia": 1.0, "motor.viscous": 1.0}
+    change |= {"gearbox.alpha_drive": -1.0, "gearbox.alpha_back": -1.0}
+    for side in ("positive", "negative"):
+        constant = of[f"motor.coulomb_{side}"]
+        matrix = np.array([[1.0, u[0] / ratio], [1.0, u[1] / ratio]])
+        motor, joint = np.linalg.solve(matrix, [constant - PEAK, constant + PEAK])
+        change[f"motor.coulomb_{side}"] = motor / constant
+        change[f"joint.coulomb_{side}"] = joint / of[f"joint.coulomb_{side}"]
+    row = np.array([change.get(label, 0.0) for label in found.local.labels])
+    null_space = np.linalg.qr(found.local.null_rows.T)[0]
+    np.testing.assert_allclose(null_space @ (null_space.T @ row), row, atol=1e-6 * abs(row).max())
+    assert all("piecewise constant" in one.reasons[0] for one in null[1:])
+    assert all(any("multisine" in r.text for r in one.remedies) for one in null[1:])
+
+
+def test_with_a_sine_the_load_never_drives(sine):
+    (back,) = sine.back_driving
+    assert back.at_estimate == 0.0
+    alone = next(one for one in sine.directions if set(one.exponents) == {"gearbox.alpha_back"})
+    assert alone.null
+    assert "never drives" in alone.reasons[0] or "hardly ever drives" in alone.reasons[0]
+    assert any("load drives the motor" in r.text for r in alone.remedies)
+    # five totals are all that a motor that always drives can tell
+    assert sine.null_counts[0] == len(CHAIN.names) - 5
+    rows = {one.name: one for one in sine.parameters}
+    assert rows["gearbox.load_back"].data_sd == np.inf
+    assert rows["gearbox.load_back"].verdict == "prior"
+    # nothing is learnt of it: both together leave what the prior says
+    assert rows["gearbox.load_back"].expected_sd == pytest.approx(
+        rows["gearbox.load_back"].prior_sd, rel=1e-6
+    )
+
+
+def test_where_the_picture_changes_it_is_said(sine):
+    assert any("matters only where the load drives" in text for text in sine.notes)
+    assert len(set(sine.null_counts)) > 1
+
+
+def test_what_is_proposed_does_it(lagged):
+    """A known mass, a known value: made in earnest, they leave no null direction."""
+    null = lagged.directions[0]
+    kinds = {r.kind for r in null.remedies}
+    assert {"known value", "known mass"} <= kinds
+    (fixed,) = [r for r in null.remedies if r.kind == "known value"]
+    assert set(fixed.parameters) == {
+        name.replace("alpha_", "load_") if "alpha" in name else name for name in SCALED
+    }
+    plain = recorded(LAGGED)
+    for name in fixed.parameters:
+        known = look(plain, texts={name: KNEE.values[name]}, others=False)
+        assert known.null_counts == (0,)
+    loaded = with_mass(CHAIN, VALUES, plain, 2.0, 0.35)
+    both = look(plain, loaded, others=False)
+    assert both.null_counts == (0,)
+    assert all(np.isfinite(one.data_sd) for one in both.parameters)
+
+
+def test_the_known_mass_is_what_the_scale_rests_on():
+    found = look(
+        recorded(LAGGED),
+        recorded(1.4 * LAGGED, added_mass=2.0, radius=0.35, name="loaded"),
+        others=False,
+    )
+    assert set(found.mass.exponents) == set(SCALED)
+    np.testing.assert_allclose(list(found.mass.exponents.values()), 1.0, atol=1e-6)
+    assert {"load.first_moment", "load.inertia", "gearbox.load_drive"} <= set(found.mass.owed)
+    assert not {name for name in found.mass.owed if name.startswith("motor")}
+    assert look(recorded(LAGGED), others=False).mass is None
+
+
+def test_the_same_mass_everywhere_counts_as_load():
+    """Load and mass scale together: (ml + m r) times k, and the mass itself tells nothing."""
+    found = look(recorded(1.4 * LAGGED, added_mass=2.0, radius=0.35), others=False)
+    null = found.directions[0]
+    assert null.null
+    moment, inertia = KNEE.values["load.first_moment"], KNEE.values["load.inertia"]
+    expected = dict.fromkeys(SCALED, 1.0)
+    expected |= {"load.first_moment": 1.0 + 2.0 * 0.35 / moment}
+    expected |= {"load.inertia": 1.0 + 2.0 * 0.35**2 / inertia}
+    whole = expected["load.first_moment"]
+    assert null.exponents == pytest.approx({n: x / whole for n, x in expected.items()}, abs=1e-6)
+    assert found.mass.owed == ()
+    assert any("another known added mass" in r.text for r in null.remedies)
+
+
+def test_a_back_emf_has_the_shape_of_viscous_loss():
+    target, parameters = problem(recorded(LAGGED))
+    found = speed_term(target, parameters, ["made-up"])
+    assert found.same == ("motor.viscous",)
+    assert found.explained == pytest.approx(1.0, abs=1e-9)
+    assert speed_term(target, parameters, ["another"]) is None
+
+
+def test_sds_are_those_of_a_linear_model_with_normal_priors(make_observation):
+    chain = AXIS.chain()
+    o = make_observation(chain, AXIS.values, n=500)
+    target = make_target(chain, [o], read_priors(chain, {}, [o]), "shared")
+    parameters = np.array([AXIS.values[name] for name in target.free] + [0.02])
+    found = identify(target, [Point("estimate", parameters)])
+    x = np.stack([o.qdd, o.qd, np.sign(o.qd), np.ones_like(o.q)], axis=1)
+    data = x.T @ x / 0.02**2
+    prior = np.diag([1.0 / p.sd() ** 2 for p in target.priors[:4]])
+    rows = found.parameters
+    np.testing.assert_allclose(
+        [one.data_sd for one in rows], np.sqrt(np.diag(np.linalg.inv(data))), rtol=1e-6
+    )
+    np.testing.assert_allclose(
+        [one.expected_sd for one in rows], np.sqrt(np.diag(np.linalg.inv(data + prior))), rtol=1e-6
+    )
+    assert {one.verdict for one in rows} == {"data"}
+    assert found.directions == ()
+
+
+def test_a_flat_improper_scale_is_infinite_not_large(lagged):
+    """Where neither data nor prior confine a direction there is no sd at all."""
+    target, parameters = problem(recorded(LAGGED))
+    wide = replace_sds(target)
+    covariance = expected_covariance(wide, local_information(target, parameters))
+    named = np.array([label in SCALED for label in lagged.local.labels])
+    assert np.isinf(np.diag(covariance)[named]).all()
+    assert np.isfinite(np.diag(covariance)[~named]).all()
+
+
+def replace_sds(target):
+    class Flat:
+        def sd(self):
+            return np.inf
+
+    class Wide:
+        free = target.free
+        priors = (Flat(),) * len(target.priors)
+
+    return Wide()
+
+
+def test_noise_of_the_estimate_is_its_residual():
+    plain = recorded(LAGGED)
+    rng = np.random.default_rng(0)
+    noisy = replace(plain, measured=plain.measured + 0.02 * rng.standard_normal(plain.time.size))
+    target, _ = problem(noisy)
+    point = estimate_point(target, KNEE.values)
+    rms = np.sqrt(np.mean((noisy.measured - plain.measured) ** 2))
+    assert point.parameters[-1] == pytest.approx(rms, rel=1e-3)
+
+
+def test_points_that_suit_the_data_predict_the_same(lagged):
+    target, parameters = problem(recorded(LAGGED))
+    estimate = Point("estimate", parameters)
+    local = local_information(target, parameters)
+    points = points_around(target, estimate, local, np.random.default_rng(1), around=5, prior=3)
+    k = len(target.free)
+    near = [p for p in points if p.origin == "data and prior"]
+    assert len(near) == 5
+    assert len(points) - len(near) == 3
+    expected = target.likelihood.predict(target.chain_values(parameters[None]))[0]
+    for point in near:
+        torque = target.likelihood.predict(target.chain_values(point.parameters[None]))[0]
+        assert np.sum((torque - expected) ** 2) < 4.0 * k * SIGMA**2
+    # the scale is open, so the points spread along it
+    moments = [p.parameters[target.free.index("load.first_moment")] for p in near]
+    assert np.ptp(np.log(moments)) > 0.05
+    again = points_around(target, estimate, local, np.random.default_rng(1), around=5, prior=3)
+    np.testing.assert_array_equal([p.parameters for p in points], [p.parameters for p in again])
+    assert lagged.origins[0] == "estimate"
+
+
+def test_facts_of_a_recording():
+    """Who drives whom is the sign of the power that passes the gearbox, eq. (6)."""
+    o = recorded(LAGGED)
+    of = KNEE.values
+    leg = of["load.inertia"] * o.qdd + 9.80665 * of["load.first_moment"] * np.sin(o.q)
+    bearing = of["joint.viscous"] * o.qd + np.where(
+        o.qd > 0, of["joint.coulomb_positive"], -of["joint.coulomb_negative"]
+    )
+    at = o.filter.centres
+    (facts,) = recording_facts(CHAIN, [o], VALUES, np.array([SIGMA]))
+    assert facts.back_driven["gearbox"] == np.mean(((leg + bearing) * o.qd)[at] < 0)
+    assert facts.turn == np.ptp(o.q[at])
+    assert facts.piecewise_constant
+
+
+@pytest.mark.parametrize(
+    ("torque", "sigma", "expected"),
+    [(SQUARE, 0.02, True), (LAGGED, 0.02, True), (SINE, 0.02, False), (SQUARE, 0.2, False)],
+    ids=["square", "lagged", "sine", "noise hides it"],
+)
+def test_piecewise_constant_torque_is_recognised(torque, sigma, expected):
+    o = recorded(torque)
+    noisy = replace(
+        o, measured=o.measured + sigma * np.random.default_rng(0).standard_normal(o.time.size)
+    )
+    (facts,) = recording_facts(CHAIN, [noisy], VALUES, np.array([sigma]))
+    assert facts.piecewise_constant is expected
+    assert (facts.at_levels is None) == (sigma > 0.1)
+
+
+def test_open_directions_are_counted_by_what_they_leave():
+    sharp, weak = 100.0, 0.9 / WEAK
+    rotation = np.linalg.qr(np.random.default_rng(2).standard_normal((3, 3)))[0]
+    assert open_count(np.diag([sharp, sharp, 0.0]) ** 2) == 1
+    assert open_count(np.diag([sharp, weak, 0.0]) ** 2) == 2
+    assert open_count(rotation @ np.diag([sharp, sharp, 0.0]) ** 2 @ rotation.T) == 1
+    assert left_along(np.diag([4.0, 1.0]), np.array([1.0, 0.0])) == pytest.approx(0.5)
+    assert left_along(np.diag([4.0, 0.0]), np.array([0.0, 1.0])) == np.inf
