@@ -170,7 +170,7 @@ def _correlated(lag: float | None) -> list[str]:
 
 
 def _discretisation(likelihood: Likelihood) -> dict[str, Any]:
-    """Steps and error of the simulation, where the likelihood simulates."""
+    """Give steps and error of the simulation, where the likelihood simulates."""
     if not isinstance(likelihood, PositionLikelihood):
         return {}
     steps, error = likelihood.discretisation
