@@ -46,6 +46,9 @@ def run(study: str) -> None:
             for suffix in (".pdf", ".png"):
                 shutil.copyfile(target / "figures" / f"{name}{suffix}", figures / f"{stem}{suffix}")
     if len(summaries) > 1 and study != "demo":
+        if study == "emps":  # one recording, so one set of estimates
+            for name in list(summaries)[1:]:
+                summaries[name] = {**summaries[name], "estimates": {}}
         side_by_side = comparison(summaries, estimates=study == "emps")
         print("\n".join(comparison_text(side_by_side)))
         save(forest_figure(side_by_side), figures, "comparison")

@@ -142,7 +142,7 @@ def main() -> None:
     target = ROOT / "figures" / "rabbit_knee"
     target.mkdir(parents=True, exist_ok=True)
     save(fit_figure(problem, found["output-error"]), target, "fig6")
-    save(cutoff_figure(by_cutoff, TABLE_3), target, "cutoff")
+    save(cutoff_figure(by_cutoff, TRUTH), target, "cutoff")
     save(forest({name: summary for name, (summary, _) in posteriors.items()}), target, "methods")
     print(markdown(result))
 
@@ -178,8 +178,14 @@ def _section_4_4(
         point = chain.vector(dict(found[method].point))
         columns[method] = compared(chain, point[None])[:, 0].tolist()
     for run, (_, values) in posteriors.items():
-        low, middle, high = np.quantile(compared(chain, values), [0.05, 0.5, 0.95], axis=1)
+        drawn = compared(chain, values)
+        # a back-driving efficiency below zero is none: the gearbox is irreversible there
+        low, middle, high = np.nanquantile(drawn, [0.05, 0.5, 0.95], axis=1)
+        undefined = np.isnan(drawn).mean(axis=1)
         columns[run] = np.stack([middle, low, high], axis=1).tolist()
+        for cell, share in zip(columns[run], undefined, strict=True):
+            if share > 0.005:
+                cell.append(f"irreversible in {100 * share:.0f} % of the draws")
     return {
         label: {"printed": printed} | {key: column[i] for key, column in columns.items()}
         for i, (label, printed) in enumerate(COMPARED.items())
