@@ -134,6 +134,7 @@ def repeat(noise_of_position, noise_of_torque, segment, repeats):
     return np.array(out), np.array([values[n] for n in chain.names])
 
 
+@pytest.mark.slow
 def test_both_sds_are_right_for_noise_of_the_encoder():
     repeats = 60
     found, truth = repeat(1e-4, 0.0, 0.1, repeats)
@@ -145,6 +146,7 @@ def test_both_sds_are_right_for_noise_of_the_encoder():
     assert np.all(np.abs(found[:, :, 0].mean(axis=0) - truth) < 5.0 * spread / np.sqrt(repeats))
 
 
+@pytest.mark.slow
 def test_only_the_robust_sd_is_right_for_noise_of_the_torque():
     repeats = 60
     found, _ = repeat(0.0, 0.005, 0.1, repeats)
