@@ -36,14 +36,13 @@ def open_scalings(
     masses = {added_load(chain, o.added_mass, o.radius) for o in observations}
     if len(masses) > 1:
         return ()
+    fixed, told = knowledge.fixed, set(knowledge.told)
     found = []
     for scaling in scalings(chain, *next(iter(masses), (0.0, 0.0))):
-        losses = (scaling.drive, scaling.back)
-        known = {n for n, x in knowledge.fixed.items() if x != 0.0 or n in losses}
-        loaded = {n for n, x in zip(scaling.behind, scaling.added, strict=False) if x}
-        if not (known | set(knowledge.told)) & set(scaling.names) and not loaded & set(
-            knowledge.fixed
-        ):
+        losses = {scaling.drive, scaling.back}
+        loaded = {name for name, mass in scaling.parts() if mass}
+        telling = {name for name, x in fixed.items() if x != 0.0 or name in losses | loaded}
+        if not (telling | told) & set(scaling.names):
             found.append(scaling)
     return tuple(found)
 
@@ -55,6 +54,22 @@ def open_directions(
     columns = [chain.names.index(name) for name in knowledge.free(chain)]
     found = [s.tangent(values)[columns] for s in open_scalings(chain, knowledge, observations)]
     return np.array(found).reshape(-1, len(columns))
+
+
+def centred(
+    chain: Chain, knowledge: Knowledge, observations: Sequence[Observation], values: Array
+) -> Array:
+    """Move a fit along open scalings to the middle of what gearbox and limits leave open.
+
+    ``values`` ``(n_parameters,)`` within the limits; all vectors it may become fit as well.
+    """
+    free = knowledge.free(chain)
+    limits = dict(zip(free, zip(*knowledge.limits(chain), strict=True), strict=True))
+    for scaling in open_scalings(chain, knowledge, observations):
+        low, high = scaling.bounds(values, limits)
+        if 0.0 < low < high:
+            values = scaling.scaled(values, np.sqrt(low * high))
+    return values
 
 
 def units_of(chain: Chain, free: Sequence[str], values: Array) -> Array:

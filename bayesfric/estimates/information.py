@@ -13,7 +13,9 @@ Array = NDArray[np.float64]
 # Relative size below which a singular value is rounding, for Jacobians exact to rounding.
 NULL = 1e-7
 # With fewer groups than this for each parameter, sums over groups say little.
-_LEAST_GROUPS = 2.0
+LEAST_GROUPS = 2.0
+# Neighbouring residuals are called correlated from here on.
+CORRELATED = 0.2
 # Least share of a direction that other groups are taken to decide.
 _LEAST_LEFT = 1e-2
 
@@ -216,7 +218,7 @@ class Information:
             return None
         numbers, group = np.unique(self._groups, return_inverse=True)
         d = self.directions
-        if numbers.size < _LEAST_GROUPS * d.units.size:
+        if numbers.size < LEAST_GROUPS * d.units.size:
             return None
         basis = (self._jacobian * d.units) @ d.rows[~d.null].T / d.singular_values[~d.null]
         scores = np.zeros((numbers.size, basis.shape[1]))
@@ -264,3 +266,15 @@ def long_run_variance(score: Array, places: NDArray[np.int64]) -> float:
     kernel = np.where(near, 1.0 - x**2 / 10.0, 3.0 / safe**2 * (np.sin(safe) / safe - np.cos(safe)))
     total = covariance[0] + 2.0 * float(kernel @ covariance[1:])
     return max(float(total), 0.0)
+
+
+def lag_one(residual: Array, follows: NDArray[np.bool_]) -> float:
+    """Correlate each residual ``(M,)`` with the next where that follows one step later.
+
+    ``follows`` is ``(M - 1,)``. ``nan`` with fewer than ten such pairs, or where all
+    residuals are zero.
+    """
+    first, second, power = residual[:-1][follows], residual[1:][follows], np.mean(residual**2)
+    if first.size < 10 or power == 0.0:
+        return float("nan")
+    return float(np.mean(first * second) / power)

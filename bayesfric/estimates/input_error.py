@@ -13,13 +13,14 @@ from bayesfric.errors import BadInput
 from bayesfric.estimates.assemble import (
     assemble,
     bounds_met,
+    centred,
     open_directions,
     open_scalings,
     units_of,
 )
 from bayesfric.estimates.descent import ROUNDING, Found, Terms, TorqueProblem, descend, few_threads
 from bayesfric.estimates.estimate import Estimate
-from bayesfric.estimates.information import Information
+from bayesfric.estimates.information import CORRELATED, Information, lag_one
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.options import Estimation
 from bayesfric.estimates.robust import HUBER, robust_sd
@@ -39,8 +40,6 @@ _SPLITS = ((0.05, 0.5), (0.2, 0.2), (0.2, 0.5), (0.2, 0.8), (0.5, 0.3), (0.5, 0.
 _SAME = 0.01
 # Minima of the first pass that the second looks at again.
 _MINIMA = 3
-# Neighbouring residuals are called correlated from here on.
-_CORRELATED = 0.2
 # How often the sds behind weights and Huber's loss are taken anew, and when they stand still.
 _ROUNDS = 8
 _SETTLED = 1e-3
@@ -92,8 +91,9 @@ def _estimate(problem: TorqueProblem, options: Estimation) -> Estimate:
     starts = _starts(problem, options)
     found = sorted((descend(problem, plain, x) for x in starts.inside), key=lambda one: one.height)
     terms, x = _refined(problem, options, found)
-    values = _centred(problem, problem.vector(x))
-    x = values[problem.columns]
+    values = centred(chain, problem.knowledge, observations, problem.vector(x))
+    x = problem.inside(values)
+    values = problem.vector(x)
     at_bound = bounds_met(x, problem.lower, problem.upper, problem.typical[problem.columns])
     information = _information(problem, terms, x)
     residual = problem.residual(x)
@@ -243,31 +243,6 @@ def _told_factor(scaling: Scaling, values: Array, told: Mapping[str, tuple[float
     return float(np.exp(minimize_scalar(misfit, bounds=ends, method="bounded").x))
 
 
-def _centred(problem: TorqueProblem, values: Array) -> Array:
-    """Put the fit in the middle of what limits and a passive gearbox leave open."""
-    limits = dict(zip(problem.free, zip(problem.lower, problem.upper, strict=True), strict=True))
-    for scaling in open_scalings(problem.chain, problem.knowledge, problem.observations):
-        low, high = scaling.bounds(values)
-        on_top = dict(scaling.parts())
-        for name in limits.keys() & set(scaling.names):
-            now = float(values[problem.chain.names.index(name)])
-            least, most = limits[name]
-            known = on_top.get(name, 0.0)
-            now, least, most = now + known, least + known, most + known
-            if name == scaling.drive:
-                # mu_1 falls, mu_2 grows with the factor
-                now, least, most = 1.0 / (1.0 + now), 1.0 / (1.0 + most), 1.0 / (1.0 + least)
-            elif name == scaling.back:
-                if now >= 1.0 or most >= 1.0:
-                    continue
-                now, least, most = 1.0 / (1.0 - now), 1.0 / (1.0 - least), 1.0 / (1.0 - most)
-            if now > 0.0:
-                low, high = max(low, least / now), min(high, most / now)
-        if 0.0 < low < high:
-            values = scaling.scaled(values, np.sqrt(low * high))
-    return problem.vector(problem.inside(values))
-
-
 def _information(problem: TorqueProblem, terms: Terms, x: Array) -> Information:
     """Say what determines the free parameters.
 
@@ -372,13 +347,10 @@ def _scale_notes(problem: TorqueProblem, information: Information) -> list[str]:
 
 
 def _correlation_note(problem: TorqueProblem, residual: Array) -> list[str]:
-    where = places(problem.observations)
-    near = np.flatnonzero(np.diff(where) == 1)
-    power = float(np.mean(residual**2))
-    if not near.size or power * residual.size <= problem.rounding:
-        return []
-    lag = float(np.mean(residual[near] * residual[near + 1])) / power
-    if lag < _CORRELATED:
+    follows = np.diff(places(problem.observations)) == 1
+    lag = lag_one(residual, follows)
+    rounding = float(np.sum(residual**2)) <= problem.rounding
+    if rounding or not lag >= CORRELATED:
         return []
     return [f"neighbouring residuals are correlated ({lag:.2f}): trust sd_robust, not sd"]
 

@@ -12,12 +12,13 @@ from bayesfric.errors import BadInput
 from bayesfric.estimates.assemble import (
     assemble,
     bounds_met,
+    centred,
     open_directions,
     open_scalings,
     units_of,
 )
 from bayesfric.estimates.estimate import Estimate
-from bayesfric.estimates.information import Information
+from bayesfric.estimates.information import LEAST_GROUPS, Information
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.estimates.options import Estimation
@@ -44,8 +45,6 @@ Array = NDArray[np.float64]
 LENGTHS = (0.2, 0.5, 1.0)
 # Shortest segment, samples: two states come off each.
 _LEAST_SAMPLES = 40
-# Sums over segments make sound standard deviations with this many for each parameter.
-_GROUPS = 2.0
 # A longer segment is taken where it lowers the logarithm of robust sds by this much.
 _CLEARLY = 0.2
 # A search that could still lower the sum of squares by this many residual variances, though
@@ -228,10 +227,10 @@ class OutputError:
             if not np.isfinite(solution.cost):
                 return None
             values, states, residual = solution.values, solution.states, solution.residual
-        centred = self._centred(values)
-        if not np.array_equal(centred, values):
-            moved = residual_of(frame, centred, states)
-            solution = replace(solution, values=centred, residual=moved)
+        middle = centred(self.chain, self.knowledge, self.observations, values)
+        if not np.array_equal(middle, values):
+            moved = residual_of(frame, middle, states)
+            solution = replace(solution, values=middle, residual=moved)
         at_bound = bounds_met(solution.values[self.columns], *self.limits, frame.units)
         error, _ = step_error(frame.shooting, solution.values, states, frame.shooting.substeps)
         information = self._information(frame, weights, solution)
@@ -243,7 +242,7 @@ class OutputError:
             return (self.options.segment,)
         total = sum(float(np.diff(t.segments, axis=1).sum()) * t.period for t in self.trajectories)
         period = max(t.period for t in self.trajectories)
-        needed = _GROUPS * max(self.columns.size, 1)
+        needed = LEAST_GROUPS * max(self.columns.size, 1)
         fitting = [
             length
             for length in LENGTHS
@@ -273,7 +272,7 @@ class OutputError:
             f"{shooting.substeps} integration steps a sample: discretisation error "
             f"{fit.error:.1e} {unit}, position resolution {finest:.1e} {unit}",
         ]
-        if n < _GROUPS * self.columns.size:
+        if n < LEAST_GROUPS * self.columns.size:
             notes.append(
                 f"{n} segments are too few for sums over segments: sd_robust takes residuals for "
                 "a stationary series and is too small where they drift; give a shorter 'segment'"
@@ -362,24 +361,6 @@ class OutputError:
         # the median is blind to the outliers that the loss is for, and at rest to everything
         spread = max(robust_sd(weighted), 0.1 * sigma, float(np.min(rows * self.grain[of])))
         return Weights(rows, spread, HUBER * max(spread, 1e-300))
-
-    def _centred(self, values: Array) -> Array:
-        """Move along open scalings to the middle of what gearbox and limits allow."""
-        for scaling in self.scalings:
-            low, high = scaling.bounds(values)
-            low, high = max(low, 1e-3 * high), high
-            tried = np.geomspace(low, high, 401)
-            vectors = scaling.scaled(values, tried)[:, self.columns]
-            inside = np.all((vectors >= self.limits[0]) & (vectors <= self.limits[1]), axis=1)
-            if not inside.any():
-                continue
-            allowed = tried[inside]
-            middle = scaling.middle(values)
-            best = float(np.clip(middle, allowed[0], allowed[-1]))
-            if not allowed[0] < best < allowed[-1]:
-                best = float(np.sqrt(allowed[0] * allowed[-1]))
-            values = scaling.scaled(values, best)
-        return values
 
     def _information(self, frame: Frame, weights: Weights, solution: Solution) -> Information:
         linear = Linearised(frame, solution.values, solution.states, weights.rows, weights.sigma)

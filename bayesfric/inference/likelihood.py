@@ -97,17 +97,6 @@ class Likelihood(Protocol):
         ...
 
 
-def lag_one(outputs: Outputs, residual: Array) -> float:
-    """Correlate each residual ``(M,)`` with the next output's, where the next was not left out.
-
-    ``nan`` with fewer than ten such pairs.
-    """
-    first, second = residual[:-1][outputs.follows], residual[1:][outputs.follows]
-    if first.size < 10:
-        return float("nan")
-    return float(np.mean(first * second) / np.mean(residual**2))
-
-
 def normal_terms(z: Sequence[Array], sd: Sequence[Array]) -> list[Array]:
     """Log densities of normal residuals, given over their sds ``sd`` as ``z``."""
     return [-0.5 * a**2 - np.log(s) - 0.5 * np.log(2.0 * np.pi) for a, s in zip(z, sd, strict=True)]

@@ -8,7 +8,7 @@ load, or a known parameter behind the gearbox, takes the freedom away.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,7 +69,9 @@ class Scaling:
         """Everything that changes along the scaling."""
         return (*self.behind, self.drive, self.back)
 
-    def bounds(self, values: ArrayLike) -> tuple[float, float]:
+    def bounds(
+        self, values: ArrayLike, limits: Mapping[str, tuple[float, float]] | None = None
+    ) -> tuple[float, float]:
         """Smallest and largest factor that a passive gearbox allows.
 
         ``1/alpha_2 <= k <= 1/alpha_1``, from ``alpha_1 <= 1 <= alpha_2``.
@@ -78,15 +80,31 @@ class Scaling:
         ----------
         values
             ``(n_parameters,)`` in the order of ``chain.names``.
+        limits
+            Lower and upper limits of parameters, which ``values`` keeps; those of scaled
+            ones narrow the factor further.
         """
         at = np.asarray(values, dtype=np.float64)
-        drive, back = (self.chain.names.index(name) for name in (self.drive, self.back))
-        low, high = max(1.0 - float(at[back]), 0.0), 1.0 + float(at[drive])
+        names = self.chain.names
+        drive, back = (float(at[names.index(name)]) for name in (self.drive, self.back))
+        low, high = max(1.0 - back, 0.0), 1.0 + drive
+        limits = limits or {}
         for name, known in self.parts():
             # load and known mass together cannot shrink below the known mass
-            whole = float(at[self.chain.names.index(name)]) + known
-            if known > 0.0 and whole > 0.0:
-                low = max(low, known / whole)
+            least, most = limits.get(name, (0.0 if known > 0.0 else -math.inf, math.inf))
+            whole = float(at[names.index(name)]) + known
+            if whole > 0.0:
+                low, high = max(low, (least + known) / whole), min(high, (most + known) / whole)
+        if self.drive in limits:
+            # mu_1 falls as the factor grows: 1 + mu_1 = (1 + mu_1 at k = 1) / k
+            least, most = limits[self.drive]
+            low = max(low, (1.0 + drive) / (1.0 + most))
+            high = min(high, (1.0 + drive) / (1.0 + least))
+        if self.back in limits and back < 1.0:
+            # and mu_2 grows: 1 - mu_2 = (1 - mu_2 at k = 1) / k
+            least, most = limits[self.back]
+            low = max(low, (1.0 - back) / (1.0 - least))
+            high = min(high, (1.0 - back) / (1.0 - most) if most < 1.0 else math.inf)
         return low, high
 
     def scaled(self, values: ArrayLike, factor: ArrayLike) -> Array:

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 import bayesfric
 from bayesfric.estimates.estimate import Estimate
+from bayesfric.estimates.information import CORRELATED, lag_one
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.torque import filtered_torque, typical_load
 from bayesfric.identifiability.influence import influence
 from bayesfric.identifiability.local import LocalInformation, local_information, verdict
 from bayesfric.inference.fit import Fit
-from bayesfric.inference.likelihood import Likelihood, lag_one
+from bayesfric.inference.likelihood import Likelihood
 from bayesfric.inference.position_likelihood import PositionLikelihood
 from bayesfric.mechanism.derived import derive
 
@@ -35,8 +36,6 @@ _NOISES = {
     "torque": "noise of a torque sample",
     "position": "noise of a position sample",
 }
-# Residual correlation above which white-noise intervals are called too narrow.
-_CORRELATED = 0.2
 
 
 def summarise(fit: Fit, references: Mapping[str, Any] | None = None) -> dict[str, Any]:
@@ -61,7 +60,7 @@ def summarise(fit: Fit, references: Mapping[str, Any] | None = None) -> dict[str
     local = local_information(fit.target, median)
     residual = residuals(fit)
     outputs = fit.target.likelihood.outputs
-    lags = [lag_one(o, r) for o, r in zip(outputs, residual, strict=True)]
+    lags = [lag_one(r, o.follows) for o, r in zip(outputs, residual, strict=True)]
     weights = [r.size if np.isfinite(lag) else 0 for lag, r in zip(lags, residual, strict=True)]
     correlation = _number(
         np.average(np.nan_to_num(lags), weights=weights) if any(weights) else np.nan
@@ -160,7 +159,7 @@ def residuals(fit: Fit) -> list[Array]:
 
 def _correlated(lag: float | None) -> list[str]:
     """Warn that white noise understates the sds, by the factor of a first-order autoregression."""
-    if lag is None or lag < _CORRELATED:
+    if lag is None or lag < CORRELATED:
         return []
     factor = np.sqrt((1.0 + lag) / (1.0 - min(lag, 0.99)))
     return [

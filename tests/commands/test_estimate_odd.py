@@ -87,7 +87,7 @@ def test_rest_leaves_no_certainty_of_its_own(pendulum):
     rows = np.concatenate([table, rest])
     lines = ["time,position,torque", *(",".join(map(repr, row)) for row in rows.tolist())]
     (pendulum.folder / "pend.csv").write_text("\n".join(lines) + "\n")
-    pendulum.config(PENDULUM + '\n[estimation]\nloss = "huber"\n')
+    pendulum.config(PENDULUM + '\n[estimation]\nloss = "huber"\nsegment = 1.0\n')
     found = estimates(pendulum, "--method", "output-error")["output-error"]
     sds = [row["sd"] for row in found["parameters"].values() if row["sd"] is not None]
     assert all(sd > 0.0 for sd in sds)

@@ -1,0 +1,74 @@
+"""Joints and torques that several tests move."""
+
+import numpy as np
+
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.excitation import current_loop, multisine, square
+from bayesfric.mechanism.presets import PRESETS
+
+KNEE = PRESETS["rabbit-knee"]
+
+
+def everything() -> Chain:
+    """Build a chain with every term there is, two of them load-dependent."""
+    return Chain(
+        elements=(
+            Element("motor", inertia=True, coulomb="by-direction", viscous=True, quadratic=True),
+            Element("belt", ratio=2.5, coulomb="symmetric", load_loss="one"),
+            Element(
+                "gearbox",
+                ratio=30.0,
+                inertia=True,
+                coulomb="symmetric",
+                viscous=True,
+                stribeck=True,
+                load_loss="two",
+            ),
+            Element("joint", coulomb="by-direction", viscous=True, quadratic=True, stribeck=True),
+        ),
+        load=Load(inertia=True, first_moment=True, gravity_angle=True),
+        offset=True,
+        gain=True,
+    )
+
+
+EVERYTHING = {
+    "motor.inertia": 2e-4,
+    "motor.viscous": 1e-3,
+    "motor.coulomb_positive": 0.03,
+    "motor.coulomb_negative": 0.04,
+    "motor.quadratic": 1e-6,
+    "belt.coulomb": 0.01,
+    "belt.load": 0.05,
+    "gearbox.inertia": 3e-4,
+    "gearbox.viscous": 2e-3,
+    "gearbox.coulomb": 0.05,
+    "gearbox.stribeck_ratio": 0.4,
+    "gearbox.stribeck_velocity": 3.0,
+    "gearbox.load_drive": 0.25,
+    "gearbox.load_back": 0.35,
+    "joint.viscous": 1.0,
+    "joint.coulomb_positive": 1.5,
+    "joint.coulomb_negative": 1.2,
+    "joint.quadratic": 0.3,
+    "joint.stribeck_ratio": 0.5,
+    "joint.stribeck_velocity": 0.2,
+    "load.inertia": 0.5,
+    "load.first_moment": 1.0,
+    "load.gravity_angle": 0.3,
+    "offset": 0.02,
+    "drive.gain": 1.1,
+}
+
+
+def axis(**terms) -> Chain:
+    return Chain(elements=(Element("motor", inertia=True, **terms),), load=Load())
+
+
+def signal(period, duration=1.2, amplitude=0.8, seed=0):
+    time = np.arange(round(duration / period) + 1) * period
+    torque = square(time, amplitude, 2.0) + multisine(
+        time, 0.2 * amplitude, [3.0, 7.0, 11.0], seed=seed
+    )
+    return current_loop(torque, period, 5e-3)

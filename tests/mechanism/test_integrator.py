@@ -1,0 +1,228 @@
+"""The integrator: its order, its step control, other integrators, and what it refuses."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+from bayesfric.mechanism import kernels
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.excitation import current_loop, square
+from bayesfric.mechanism.forward import simulate, simulate_many
+from tests.mechanism.joints import EVERYTHING, KNEE, axis, everything, signal
+
+
+def interrupted(period, seconds):
+    """1 Hz square wave through a 5 ms lag, with two pauses in which the joint sticks."""
+    time = np.arange(round(seconds / period) + 1) * period
+    command = square(time, 0.8, 1.0)
+    command[((time > 1.2) & (time < 1.9)) | ((time > 3.1) & (time < 3.6))] = 0.0
+    return current_loop(command, period, 5e-3)
+
+
+def convergence(chain, vector, torque, period, steps, **options):
+    """Return runs, the last as reference, and by how much each halving shrinks the error."""
+    runs = {
+        n: simulate(chain, vector, torque, period, substeps=n, **options)
+        for n in (*steps, 8 * steps[-1])
+    }
+    reference = runs[8 * steps[-1]]
+    errors = np.array([np.abs(runs[n].q - reference.q).max() for n in steps])
+    return runs, reference, errors[:-1] / errors[1:]
+
+
+def test_error_falls_with_the_fourth_power_of_the_step():
+    chain = KNEE.chain()
+    runs, last, ratios = convergence(
+        chain, chain.vector(KNEE.values), interrupted(5e-3, 5.0), 5e-3, (1, 2, 4, 8)
+    )
+    assert last.reversals >= 7
+    # kinks: more events than stops and breakaways can explain
+    starts = np.sum(np.diff(last.sticking.astype(int)) == -1)
+    assert last.events > last.reversals + 2 * starts
+    assert np.sum(last.sticking[100:]) > 50
+    assert 12 < ratios.mean() < 20, ratios
+    for n in (2, 4, 8):
+        true = np.abs(runs[n].q - last.q).max()
+        assert 0.5 < runs[n].step_error / true < 2
+
+
+def test_error_falls_with_the_fourth_power_of_the_step_everything():
+    chain = everything()
+    torque = interrupted(2e-3, 3.0) * 0.8
+    _, last, ratios = convergence(
+        chain,
+        chain.vector(EVERYTHING),
+        torque,
+        2e-3,
+        (4, 8, 16),
+        added_mass=1.0,
+        radius=0.4,
+        q0=0.3,
+    )
+    assert last.reversals >= 3
+    assert np.sum(last.sticking) > 100
+    assert 12 < ratios.mean() < 20, ratios
+
+
+def test_default_substeps_meet_the_tolerance():
+    chain = KNEE.chain()
+    vector = chain.vector(KNEE.values)
+    torque = interrupted(5e-3, 5.0)
+    fine = simulate(chain, vector, torque, 5e-3, substeps=64)
+    coarse = simulate(chain, vector, torque, 5e-3, tolerance=1e-6)
+    assert coarse.substeps < 64
+    assert np.abs(coarse.q - fine.q).max() < 1e-7
+    assert coarse.step_error < 1e-7
+    assert fine.step_error < 1e-12
+    capped = simulate(chain, vector, torque, 5e-3, tolerance=0.0)
+    assert capped.substeps == 64
+
+
+def scipy_motion(chain, vector, torque, period):
+    """Integrate by DOP853, with the acceleration from root finding on the inverse model."""
+    elements, load = (table[0] for table in chain.tables(vector[np.newaxis]))
+    total = load[kernels.LOAD_INERTIA] + sum(
+        e[kernels.INERTIA] * np.prod([x[kernels.RATIO] for x in elements[k:]]) ** 2
+        for k, e in enumerate(elements)
+    )
+
+    def input_torque(q, qd, qdd, sign):
+        gravity = kernels.gravity_torque(load, 0.0, np.sin(q), np.cos(q))
+        return kernels.motor_torque(
+            elements, load[kernels.LOAD_INERTIA] * qdd + gravity, sign, qd, qdd
+        )
+
+    def acceleration(q, qd, tau, sign):
+        reach = 1e4 / total
+        return brentq(lambda a: input_torque(q, qd, a, sign) - tau, -reach, reach, xtol=1e-13)
+
+    tau = load[kernels.GAIN] * torque - load[kernels.OFFSET]
+    state, sign, out = np.zeros(2), 0.0, [np.zeros(2)]
+    for i in range(torque.size - 1):
+        t, rate = 0.0, (tau[i + 1] - tau[i]) / period
+
+        def applied(x, i=i, rate=rate):
+            return tau[i] + rate * x
+
+        while t < period:
+            if state[1] == 0.0:
+                low, high = (input_torque(state[0], 0.0, 0.0, s) for s in (-1.0, 1.0))
+                now, then = applied(t), applied(period)
+                if low <= now <= high:
+                    if low <= then <= high:
+                        break
+                    sign = 1.0 if then > high else -1.0
+                    t = ((high if sign > 0 else low) - tau[i]) / rate
+                else:
+                    sign = 1.0 if now > high else -1.0
+
+            def field(x, y, sign=sign, applied=applied):
+                return [y[1], acceleration(y[0], y[1], applied(x), sign)]
+
+            def stop(x, y, sign=sign):
+                return y[1] * sign + (1e-30 if x == 0.0 else 0.0)
+
+            stop.terminal, stop.direction = True, -1
+            solved = solve_ivp(
+                field, (t, period), state, "DOP853", events=stop, rtol=1e-11, atol=1e-13
+            )
+            t, state = solved.t[-1], solved.y[:, -1].copy()
+            if solved.status == 1:
+                state[1] = 0.0
+        out.append(state.copy())
+    return np.array(out).T
+
+
+def test_agrees_with_scipy_integrator():
+    chain = KNEE.chain()
+    vector = chain.vector(KNEE.values)
+    period = 2e-2
+    torque = current_loop(square(np.arange(31) * period, 0.8, 2.5), period, 5e-3)
+    motion = simulate(chain, vector, torque, period, tolerance=1e-11)
+    assert motion.reversals >= 2
+    q, qd = scipy_motion(chain, vector, torque, period)
+    np.testing.assert_allclose(motion.q, q, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(motion.qd, qd, rtol=0, atol=1e-8)
+
+
+# --- many vectors, and refusals -------------------------------------------------------
+
+
+def test_many_is_one_by_one():
+    chain = everything()
+    rng = np.random.default_rng(5)
+    vectors = chain.vector(EVERYTHING) * np.exp(0.2 * rng.normal(size=(6, len(chain.names))))
+    torque = signal(2e-3)
+    q0, qd0 = rng.normal(size=(2, 6))
+    options = {"added_mass": 0.5, "radius": 0.2, "substeps": 3}
+    many = simulate_many(chain, vectors, torque, 2e-3, q0=q0, qd0=qd0, **options)
+    assert many.shape == (6, torque.size)
+    for row, vector, q, qd in zip(many, vectors, q0, qd0, strict=True):
+        one = simulate(chain, vector, torque, 2e-3, q0=q, qd0=qd, **options)
+        np.testing.assert_array_equal(row, one.q)
+
+
+def test_many_marks_what_cannot_move():
+    chain = KNEE.chain()
+    good = chain.vector(KNEE.values)
+    irreversible = chain.vector({**KNEE.values, "gearbox.load_back": 8.0})
+    negative = chain.vector({**KNEE.values, "motor.viscous": -1.0})
+    q = simulate_many(chain, [good, irreversible, negative], signal(1e-2), 1e-2)
+    np.testing.assert_array_equal(np.isnan(q).all(axis=1), [False, True, True])
+    assert np.all(np.isfinite(q[0]))
+    away = simulate_many(axis(), [[1e-3]], np.full(1001, 10.0), 1.0)
+    assert np.isfinite(away[0, 0])
+    assert np.all(np.isnan(away[0, 20:]))
+
+
+def test_refusals():
+    chain = KNEE.chain()
+    vector = chain.vector(KNEE.values)
+    torque = np.zeros(10)
+
+    def vary(**values):
+        names = {key.replace("__", "."): value for key, value in values.items()}
+        return chain.vector({**KNEE.values, **names})
+
+    for bad, match in (
+        (vary(motor__inertia=np.nan), "motor.inertia"),
+        (vary(joint__viscous=-1.0), "joint.viscous"),
+        (vary(gearbox__load_back=8.0), "irreversible gearbox"),
+        (vary(motor__inertia=0.0, load__inertia=0.0), "no inertia"),
+        (vector[:-1], "shape"),
+    ):
+        with pytest.raises(ValueError, match=match):
+            simulate(chain, bad, torque, 1e-3)
+    for kwargs, match in (
+        ({"torque": [0.0, np.inf]}, "torque must be finite"),
+        ({"torque": np.zeros((2, 2))}, "one-dimensional"),
+        ({"period": 0.0}, "period"),
+        ({"hold": "cubic"}, "hold"),
+        ({"substeps": 0}, "substeps"),
+        ({"q0": np.nan}, "q0"),
+    ):
+        with pytest.raises(ValueError, match=match):
+            simulate(chain, vector, **{"torque": torque, "period": 1e-3, **kwargs})
+    with pytest.raises(ValueError, match="runs away"):
+        simulate(axis(), [1e-3], np.full(1001, 10.0), 1.0)
+    with pytest.raises(ValueError, match="finite"):
+        simulate_many(chain, [vector * np.nan], torque, 1e-3)
+    with pytest.raises(ValueError, match="shape"):
+        simulate_many(chain, vector, torque, 1e-3)
+    with pytest.raises(ValueError, match="substeps"):
+        simulate_many(chain, [vector], torque, 1e-3, substeps=0)
+    with pytest.raises(ValueError, match="greater than zero"):
+        simulate(Chain(axis().elements, Load(), gain=True), [1.0, 0.0], torque, 1e-3)
+
+
+def test_single_sample_and_sliding_load():
+    motion = simulate(axis(), [1.0], [0.5], 1e-3)
+    assert motion.q.shape == (1,)
+    assert motion.qdd[0] == 0.5
+    slide = Chain(
+        elements=(Element("screw", inertia=True, motion="linear"),), load=Load(motion="linear")
+    )
+    moved = simulate(slide, [1.0], np.ones(11), 0.1, added_mass=1.0, radius=5.0)
+    np.testing.assert_allclose(moved.q[-1], 0.25, rtol=1e-13)
