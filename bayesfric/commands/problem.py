@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -139,6 +139,8 @@ def read_problem(config: Config) -> Problem:
                 f"a recording cannot be called {name!r}",
                 "give it another name with name = ...",
             )
+    if tables.mechanism.offset == "per-recording":
+        chain = replace(chain, own_offsets=tuple(r.name for r in recordings))
     with config.named():
         observations = [observe(recording, tables.processing) for recording in recordings]
         outputs = sum(len(o.time) for o in observations)

@@ -135,6 +135,7 @@ class TotalsProjection:
     def __init__(self, chain: Chain, observations: Sequence[Observation]) -> None:
         self.names, self.regressors = _regressors(chain, observations)
         self.labels = [total_label(chain, name) for name in self.names]
+        self._chain = chain
         self._motion = 0 if chain.motor_motion == "rotary" else 1
         scale = np.linalg.norm(self.regressors, axis=0) if self.names else np.empty(0)
         self.scale = np.where(scale == 0.0, 1.0, scale)
@@ -153,16 +154,24 @@ class TotalsProjection:
 
     def describe(self, name: str) -> tuple[str, str, str]:
         """Give unit, LaTeX symbol and meaning of a total."""
-        return _UNITS[name][self._motion], _UNITS[name][2], _UNITS[name][3]
+        kind, _, recording = name.partition(".")
+        units = _UNITS[kind]
+        if not recording:
+            return units[self._motion], units[2], units[3]
+        symbol = rf"\Delta C_{{t,{self._chain.own_offsets.index(recording) + 1}}}"
+        return units[self._motion], symbol, f"{units[3]}, {recording}"
 
 
 def total_label(chain: Chain, name: str) -> str:
     """Name a total: that of the parameter that makes it up alone, else ``total.<name>``."""
-    owners = [p.name for p in chain.parameters if p.quantity.startswith(name)]
+    kind = name.partition(".")[0]
+    owners = [p.name for p in chain.parameters if p.quantity.startswith(kind)]
+    if kind == "offset" and chain.own_offsets:
+        owners = [name]
     motor = chain.elements[0].name
     alone = owners in ([f"{motor}.{name}"], [name]) and not chain.gain
     asymmetric = any(p.quantity == "coulomb_positive" for p in chain.parameters)
-    if not alone or (name == "offset" and asymmetric):
+    if not alone or (kind == "offset" and asymmetric):
         return f"total.{name}"
     return owners[0]
 
@@ -214,7 +223,7 @@ def starting_values(chain: Chain, totals: Estimate, mu: float, share: float) -> 
         elif kind in ("load", "load_drive", "load_back"):
             values[p.name] = mu
         elif kind == "offset":
-            values[p.name] = total.get("offset", 0.0)
+            values[p.name] = total.get(p.name, 0.0)
         elif kind == "gain":
             values[p.name] = 1.0 / gain if gain > 0 else 1.0
         else:
@@ -223,7 +232,9 @@ def starting_values(chain: Chain, totals: Estimate, mu: float, share: float) -> 
 
 
 def _labels(chain: Chain) -> dict[str, str]:
-    return {name: total_label(chain, name) for name in _UNITS}
+    kinds = [kind for kind in _UNITS if kind != "offset" or not chain.own_offsets]
+    kinds += [f"offset.{recording}" for recording in chain.own_offsets]
+    return {name: total_label(chain, name) for name in kinds}
 
 
 def _part(owner: str, peers: set[str], motor: str, share: float) -> float:
@@ -255,7 +266,9 @@ def _regressors(
             columns["quadratic"] = n**2 * o.qd * np.abs(o.qd)
         if quantities & {"coulomb", "coulomb_positive"}:
             columns["coulomb"] = sign
-        if quantities & {"offset", "coulomb_positive"}:
+        for recording in chain.own_offsets:
+            columns[f"offset.{recording}"] = np.full_like(sign, recording == o.name)
+        if not chain.own_offsets and quantities & {"offset", "coulomb_positive"}:
             columns["offset"] = np.ones_like(sign)
         if "first_moment" in quantities:
             columns["gravity"] = np.sin(o.q)

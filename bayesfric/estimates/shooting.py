@@ -131,6 +131,7 @@ class Shooting:
                 part[..., 1],
                 added_mass=t.added_mass,
                 radius=t.radius,
+                recording=t.name,
                 substeps=self.substeps if substeps is None else substeps,
             )
             blocks.append(simulated[:, t.samples])

@@ -22,7 +22,7 @@ _MAX_ITERATIONS = 60
 # Damping tried side by side, as factors on the last one that worked.
 _DAMPINGS = (0.03, 1.0)
 # Shares of the states' step tried side by side; each segment takes its best.
-_SHARES = (1.0, 0.2, 0.0)
+_SHARES = (1.0, 0.2)
 # Converged: a further step would lower the cost by less than this many variances.
 _GAIN = 1e-4
 # ... or can be taken for it where kinks and rounding stop the descent.
@@ -236,6 +236,14 @@ class Linearised:
         onto = self.elimination.onto
         return np.asarray(onto[:, :, 0] - onto[:, :, 1:] @ (step * self._frame.units))
 
+    def positions_only(self, change: Array) -> Array:
+        """Give what a change of the states ``(K, 2)`` would be if speeds stayed, ``(K, 2)``."""
+        back = self.elimination.back
+        by_speed = np.divide(
+            back[:, 0, 1], back[:, 1, 1], out=np.zeros(len(back)), where=back[:, 1, 1] != 0.0
+        )
+        return np.column_stack([change[:, 0] - by_speed * change[:, 1], 0.0 * change[:, 1]])
+
     def along(self, step: Array, change: Array) -> Array:
         """Weighted change of the positions, to first order, ``(n,)``."""
         by_state = np.sum(self._by_state * change[self._frame.shooting.segment_of], axis=1)
@@ -393,12 +401,15 @@ def _try(
             if np.linalg.norm(more) <= _LARGEST_BEND * np.linalg.norm(step):
                 moved = _moved(frame, solution.values, step + more)
                 moves.append((damping, moved, change + states_more))
-    shares = len(_SHARES) + 1
+    shares = len(_SHARES) + 2
     vectors = np.repeat(np.array([moved for _, moved, _ in moves]), shares, axis=0)
     starts = np.empty((len(moves), shares, *solution.states.shape))
     for i, (_, _, change) in enumerate(moves):
         for j, share in enumerate(_SHARES):
             starts[i, j] = solution.states + share * change
+        # A joint that starts next to rest and soon sticks hardly moves with its speed: the
+        # full step of that is far off, while the position alone still has something to gain.
+        starts[i, -2] = solution.states + linear.positions_only(change)
         # Where a segment starts at rest, Newton's steps on its speed only ever halve it.
         starts[i, -1] = (solution.states + change) * (1.0, 0.0)
     starts = starts.reshape(-1, *solution.states.shape)

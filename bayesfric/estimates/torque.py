@@ -48,6 +48,7 @@ def filtered_torque(chain: Chain, observation: Observation, values: Array) -> Ar
             observation.qdd,
             added_mass=observation.added_mass,
             radius=observation.radius,
+            recording=observation.name,
         )
         out[first : first + rows] = observation.filter.apply(torque)
     return out

@@ -49,7 +49,7 @@ class TorqueForm:
     names1, names2
         Columns of ``psi`` that ``Theta1`` and ``Theta2`` multiply: ``inertia``,
         ``viscous``, ``quadratic``, ``coulomb`` (the sign of speed), ``difference`` (one
-        while moving), ``offset`` (one), ``gravity``, ``gravity_cosine``, ``added_load``
+        while moving), ``offset`` (one; ``offset.<recording>`` in that one), ``gravity``, ``gravity_cosine``, ``added_load``
         (torque of the known mass at the motor, whose coefficients are lambda_1 and
         lambda_2). All in motor units, as the paper's.
     front, behind
@@ -229,9 +229,11 @@ def torque_form(chain: Chain, observations: Sequence[Observation] = ()) -> Torqu
         side["gravity"] = [term]
         if angled:
             side["gravity_cosine"] = [term]
-    if chain.offset:
-        front["offset"] = [(chain.names.index("offset"), 1.0)]
-    names1 = tuple(k for k in _ORDER if k in front or k in behind)
+    own = tuple(f"offset.{recording}" for recording in chain.own_offsets)
+    for name in own or ("offset",) * chain.offset:
+        front[name] = [(chain.names.index(name), 1.0)]
+    order = [k for kind in _ORDER for k in ((own or (kind,)) if kind == "offset" else (kind,))]
+    names1 = tuple(k for k in order if k in front or k in behind)
     names2 = tuple(k for k in _ORDER if k in behind)
     if masses and lossy:
         plain = np.concatenate([columns(chain, o, names2) for o in observations], axis=1)
@@ -277,6 +279,8 @@ def columns(chain: Chain, observation: Observation, names: Iterable[str]) -> Arr
                 return np.abs(sign)
             case "offset":
                 return np.ones_like(sign)
+            case _ if name.startswith("offset."):
+                return np.full_like(sign, name == f"offset.{o.name}")
             case "gravity":
                 return np.sin(o.q)
             case "gravity_cosine":

@@ -99,6 +99,11 @@ def read_priors(
         If a name is unknown or a prior cannot be.
     """
     noises = [f"noise.{quantity}" for quantity in noise]
+    # one prior for the offset stands for those of all recordings that have none of their own
+    if "offset" in texts and chain.own_offsets:
+        texts = {f"offset.{r}": texts["offset"] for r in chain.own_offsets} | {
+            name: text for name, text in texts.items() if name != "offset"
+        }
     known = [*chain.names, *noises]
     for name in texts:
         if name not in known:

@@ -306,6 +306,7 @@ class _Run:
             self._qd0 + shift[1],
             added_mass=t.added_mass,
             radius=t.radius,
+            recording=t.name,
             substeps=self.substeps,
         )
 

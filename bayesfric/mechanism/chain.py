@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -44,6 +44,9 @@ class Chain:
         What the last element moves.
     offset
         Whether the measured motor torque holds an unknown constant.
+    own_offsets
+        Names of the recordings that have a constant of their own, ``offset.<recording>``;
+        with none, ``offset`` is one for all.
     gain
         Whether the factor from the torque computed from current or voltage to
         the true motor torque is unknown (``drive.gain``).
@@ -59,6 +62,7 @@ class Chain:
     elements: tuple[Element, ...]
     load: Load
     offset: bool = False
+    own_offsets: tuple[str, ...] = ()
     gain: bool = False
     preset: str = ""
 
@@ -79,8 +83,13 @@ class Chain:
         """All parameters, motor first."""
         found = [p for element in self.elements for p in element.parameters()]
         found += self.load.parameters()
-        if self.offset:
+        if self.offset and not self.own_offsets:
             found.append(parameter("", "offset", self.motor_motion, ""))
+        for number, recording in enumerate(self.own_offsets, start=1):
+            one = parameter("", "offset", self.motor_motion, "")
+            found.append(
+                replace(one, name=f"offset.{recording}", symbol=rf"\Gamma_{{0,{number}}}")
+            )
         if self.gain:
             found.append(parameter("drive", "gain", self.motor_motion, ""))
         return tuple(found)
@@ -115,7 +124,7 @@ class Chain:
         return np.array([values[name] for name in self.names], dtype=np.float64)
 
     def tables(
-        self, values: NDArray[np.float64]
+        self, values: NDArray[np.float64], recording: str = ""
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Lay parameter vectors out for the compiled kernels.
 
@@ -123,6 +132,8 @@ class Chain:
         ----------
         values
             ``(n, n_parameters)`` in the order of :attr:`names`.
+        recording
+            Whose own offset is meant; any other name has none.
 
         Returns
         -------
@@ -134,6 +145,9 @@ class Chain:
         defaults, sources, targets = self._layout
         flat = np.tile(defaults, (values.shape[0], 1))
         flat[:, targets] = values[:, sources]
+        if recording in self.own_offsets:
+            own = self.names.index(f"offset.{recording}")
+            flat[:, LOAD_SLOTS.index("offset") - len(LOAD_SLOTS)] = values[:, own]
         split = len(self.elements) * len(ELEMENT_SLOTS)
         elements = flat[:, :split].reshape(-1, len(self.elements), len(ELEMENT_SLOTS))
         return np.ascontiguousarray(elements), np.ascontiguousarray(flat[:, split:])
@@ -154,6 +168,8 @@ class Chain:
         sources: list[int] = []
         targets: list[int] = []
         for source, p in enumerate(self.parameters):
+            if p.quantity == "offset" and self.own_offsets:
+                continue  # whose it is, only the recording says
             owner = p.name.rpartition(".")[0]
             owner = "load" if owner in ("", "drive") else owner
             for slot in _FILLS.get(p.quantity, (p.quantity,)):

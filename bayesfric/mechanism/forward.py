@@ -91,6 +91,7 @@ def simulate(
     qd0: float = 0.0,
     added_mass: float = 0.0,
     radius: float = 0.0,
+    recording: str = "",
     hold: Hold = "linear",
     substeps: int | None = None,
     tolerance: float = 1e-9,
@@ -113,6 +114,8 @@ def simulate(
     added_mass, radius
         Known mass in kg bolted to the load at a radius in m; a sliding load
         takes the mass alone.
+    recording
+        Whose own offset acts, where the chain knows any.
     hold
         Torque between samples: ``linear``, or ``zero`` for held until the next.
     substeps
@@ -146,7 +149,7 @@ def simulate(
     ]
     if outside:
         raise ValueError(f"not finite or outside its support: {', '.join(outside)}")
-    elements, load = chain.tables(vector[np.newaxis])
+    elements, load = chain.tables(vector[np.newaxis], recording)
     if load[0, GAIN] == 0.0 or np.any(elements[0, :, STRIBECK_VELOCITY] == 0.0):
         raise ValueError("gain and Stribeck velocities must be greater than zero")
     inertia, moment = added_load(chain, added_mass, radius)
@@ -198,6 +201,7 @@ def simulate_many(
     qd0: ArrayLike = 0.0,
     added_mass: float = 0.0,
     radius: float = 0.0,
+    recording: str = "",
     hold: Hold = "linear",
     substeps: int = 2,
 ) -> NDArray[np.float64]:
@@ -205,7 +209,7 @@ def simulate_many(
 
     Parameters
     ----------
-    chain, torque, period, added_mass, radius, hold
+    chain, torque, period, added_mass, radius, recording, hold
         As for :func:`simulate`.
     values
         ``(n, n_parameters)``.
@@ -237,6 +241,7 @@ def simulate_many(
         *states,
         added_mass=added_mass,
         radius=radius,
+        recording=recording,
         hold=hold,
         substeps=substeps,
     )
@@ -253,6 +258,7 @@ def simulate_segments(
     *,
     added_mass: float = 0.0,
     radius: float = 0.0,
+    recording: str = "",
     hold: Hold = "linear",
     substeps: int = 2,
 ) -> NDArray[np.float64]:
@@ -260,7 +266,7 @@ def simulate_segments(
 
     Parameters
     ----------
-    chain, torque, period, added_mass, radius, hold, substeps
+    chain, torque, period, added_mass, radius, recording, hold, substeps
         As for :func:`simulate_many`.
     values
         ``(n, n_parameters)``.
@@ -297,7 +303,7 @@ def simulate_segments(
         raise ValueError("values, q0 and qd0 must be finite")
     if substeps < 1:
         raise ValueError("substeps must be at least 1")
-    elements, load = chain.tables(vectors)
+    elements, load = chain.tables(vectors, recording)
     inertia, moment = added_load(chain, added_mass, radius)
     return integrate_segments(
         elements,

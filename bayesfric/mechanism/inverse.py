@@ -18,6 +18,7 @@ def inverse_torque(
     *,
     added_mass: float = 0.0,
     radius: float = 0.0,
+    recording: str = "",
 ) -> NDArray[np.float64]:
     """Measured motor torque along a motion.
 
@@ -34,6 +35,8 @@ def inverse_torque(
     added_mass, radius
         Known mass in kg bolted to the load at a radius in m; a sliding load
         takes the mass alone.
+    recording
+        Whose own offset the torque has, where the chain knows any.
 
     Returns
     -------
@@ -41,7 +44,7 @@ def inverse_torque(
         ``(N,)`` or ``(n, N)``, N m or N.
     """
     vectors = np.atleast_2d(np.asarray(values, dtype=np.float64))
-    elements, load = chain.tables(vectors)
+    elements, load = chain.tables(vectors, recording)
     position = np.asarray(q, dtype=np.float64)
     inertia, moment = added_load(chain, added_mass, radius)
     torque: NDArray[np.float64] = kernels.inverse_many(

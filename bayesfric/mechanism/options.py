@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -52,7 +52,9 @@ class MechanismOptions(_Options):
 
     preset: str | None = Field(None, description="rabbit-knee, motor-axis or servo-pendulum")
     motion: Motion | None = Field(None, description="makes every element turn, or slide")
-    offset: bool | None = Field(None, description="unknown constant in the motor torque")
+    offset: bool | Literal["per-recording"] | None = Field(
+        None, description="unknown constant in the motor torque; one for all, or per-recording"
+    )
     gain: bool | None = Field(None, description="unknown factor of the torque constant")
     elements: dict[str, ElementOptions] = Field(
         default_factory=dict,
@@ -112,7 +114,7 @@ class MechanismOptions(_Options):
             return Chain(
                 elements=tuple(elements),
                 load=load,
-                offset=base.offset if self.offset is None else self.offset,
+                offset=base.offset if self.offset is None else bool(self.offset),
                 gain=base.gain if self.gain is None else self.gain,
                 preset=self.preset or "",
             )
