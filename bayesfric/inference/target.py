@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.inference.coordinates import BoundedCoordinates, choose_coordinates
+from bayesfric.inference.joint_prior import JointPrior
 from bayesfric.inference.likelihood import Likelihood
 from bayesfric.inference.noise import Noise
 from bayesfric.inference.priors import Prior
@@ -55,6 +56,7 @@ class Target:
         self.free = tuple(name for name in chain.names if not priors[name].fixed)
         self.names = self.free + noise.names
         self.priors = tuple(priors[name] for name in self.free) + noise.priors
+        self._joint_prior = JointPrior(self.priors)
         self.not_finite = 0
         self._columns = [chain.names.index(name) for name in self.free]
         self._template = np.array(
@@ -108,10 +110,7 @@ class Target:
 
     def log_prior(self, parameters: Array) -> Array:
         """Log prior density of physical parameters ``(n, d)``."""
-        total = np.zeros(parameters.shape[0])
-        for j, prior in enumerate(self.priors):
-            total += prior.log_density(parameters[:, j])
-        return total
+        return self._joint_prior.log_density(parameters)
 
     def log_likelihood(self, parameters: Array) -> Array:
         """Log-likelihood of physical parameters ``(n, d)``."""
