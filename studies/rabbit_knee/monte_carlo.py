@@ -17,8 +17,9 @@ from pathlib import Path
 from typing import Any
 
 # Recordings are estimated side by side; threads of one would only wait for the other's.
-for variable in ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-    os.environ.setdefault(variable, "1")
+if __name__ == "__main__":
+    for variable in ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
 
 import numpy as np
 from numpy.typing import NDArray
