@@ -130,17 +130,62 @@ def estimate(
 
 
 @app.command()
-def identify(config: ConfigFile, as_json: AsJson = False) -> None:
+def identify(
+    config: ConfigFile,
+    advise: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME", help="rank what to record next to know this parameter or quantity"
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--output", help="CSV for the best excitation; advice-NAME.csv if left out"
+        ),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="replace that CSV")] = False,
+    as_json: AsJson = False,
+) -> None:
     """Tell what these recordings can and cannot determine, and what would help."""
     from bayesfric.commands.identify import identification, identify_record, identify_text
     from bayesfric.commands.problem import read_problem
     from bayesfric.config import read_config
     from bayesfric.inference.sampling import phase
 
+    if advise is not None:
+        _advise(config, advise, output, force, as_json)
+        return
+    if output is not None or force:
+        raise BadInput(
+            "--output" if output is not None else "--force",
+            "is for the excitation that --advise finds",
+            "add --advise NAME",
+        )
     problem = read_problem(read_config(config))
     with _progress_bar() as progress:
         found = identification(problem, progress=lambda name: progress(phase(name)))
     _print(identify_record(found, problem), as_json, identify_text(found, problem))
+
+
+def _advise(config: Path, name: str, output: Path | None, force: bool, as_json: bool) -> None:
+    from bayesfric.commands.advise import (
+        advice,
+        advice_file,
+        advice_record,
+        advice_text,
+        write_advice,
+    )
+    from bayesfric.commands.problem import read_problem
+    from bayesfric.config import read_config
+    from bayesfric.inference.sampling import phase
+
+    problem = read_problem(read_config(config))
+    path = advice_file(name, output, force=force)
+    with _progress_bar() as progress:
+        found = advice(problem, name, progress=lambda stage: progress(phase(stage)))
+    written = path if write_advice(found, path, problem, force=force) else None
+    _print(advice_record(found, problem, written), as_json, advice_text(found, problem, written))
 
 
 @app.command()

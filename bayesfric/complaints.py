@@ -104,6 +104,8 @@ def _worded(errors: Sequence[Any]) -> tuple[str, str]:
         choices = re.findall(r"'([^']*)'", expected)
         if isinstance(value, str) and choices and all(map(str.isalpha, choices[0])):
             return f"got {_shown(value)}", nearest(value, choices)
+        # TOML writes them small
+        expected = expected.replace("True", "true").replace("False", "false")
         return f"got {_shown(value)}", f"give {expected}"
     if kind in ("tuple_type", "list_type") and isinstance(value, Mapping):
         return "got a single table", "write its name in [[two brackets]]"

@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from bayesfric.complaints import complaint, complaint_of
 from bayesfric.errors import BadInput
 from bayesfric.estimates.options import Estimation, Reference
+from bayesfric.identifiability.options import AdviceOptions
 from bayesfric.inference.likelihood import LikelihoodMethod
 from bayesfric.inference.noise import NoiseScale
 from bayesfric.inference.priors import PriorText
@@ -26,6 +27,9 @@ from bayesfric.recordings.options import Processing, Source
 
 # A configuration is a page of text; anything larger is some other file.
 _LARGEST = 1_000_000
+# tomllib takes time with the square of a dotted key's length
+_LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){50}""")
+_NUL = re.compile(r"(?<!\\)(?:\\\\)*\\u0000")
 
 
 class NoiseOptions(BaseModel):
@@ -76,6 +80,9 @@ class Tables(BaseModel):
     )
     noise: NoiseOptions = Field(default_factory=NoiseOptions, description="what residuals are")
     sampling: Sampling = Field(default_factory=Sampling, description="how the posterior is sampled")
+    advice: AdviceOptions = Field(
+        default_factory=AdviceOptions, description="what the next experiment may be"
+    )
     simulation: Simulation | None = Field(None, description="for bayesfric simulate")
 
 
@@ -160,6 +167,12 @@ def read_config(path: Path) -> Config:
     BadInput
         With the key and the mend, for anything that cannot be used.
     """
+    if not str(path).isprintable():
+        # a name that no encoding can write would end every later print
+        raise BadInput(str(path), "its name cannot be printed", "rename the file or its folder")
+    if path.is_fifo():
+        # opening it would wait for ever if nobody writes
+        raise BadInput(str(path), "is a named pipe, no file", "name the .toml file")
     try:
         with path.open("rb") as file:
             raw = file.read(_LARGEST + 1)
@@ -184,6 +197,9 @@ def read_config(path: Path) -> Config:
 
 def parse_config(text: str, path: Path) -> Config:
     """Check a configuration's text; see :func:`read_config`."""
+    if found := _LONG_KEY.search(text):
+        line = text.count("\n", 0, found.start()) + 1
+        raise BadInput(f"{path}, line {line}", "a key has more than 50 parts", "correct the file")
     try:
         document = tomllib.loads(text)
         # Checked as JSON, because pydantic then takes lists for tuples and still does not
@@ -191,7 +207,7 @@ def parse_config(text: str, path: Path) -> Config:
         as_json = json.dumps(document, default=str)
     except (ValueError, RecursionError) as error:
         raise _no_toml(path, text, str(error)) from None
-    if r"\u0000" in as_json:
+    if _NUL.search(as_json):
         raise BadInput(str(path), "holds a NUL character", "leave it out")
     try:
         tables = Tables.model_validate_json(as_json, strict=True)

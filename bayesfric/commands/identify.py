@@ -19,11 +19,12 @@ from bayesfric.identifiability.identify import (
     identify,
 )
 from bayesfric.identifiability.known_quantities import speed_term
-from bayesfric.identifiability.local import local_information
-from bayesfric.identifiability.plausible import estimate_point, points_around
+from bayesfric.identifiability.local import LocalInformation, local_information
+from bayesfric.identifiability.plausible import Point, estimate_point, points_around
 from bayesfric.identifiability.remedies import HARDLY, WEAK
 from bayesfric.identifiability.words import factor
 from bayesfric.inference.beforehand import beforehand
+from bayesfric.inference.target import Target
 from bayesfric.recordings.trajectory import trajectory
 
 # A sd larger than the value itself: the number says nothing, and is not printed.
@@ -47,18 +48,26 @@ def identification(
     BadInput
         If nothing can be estimated from these recordings.
     """
+    target, point, local = local_picture(problem, progress)
+    # the seed of the whole analysis, in a stream of its own
+    seed = np.random.SeedSequence(problem.config.tables.sampling.seed, spawn_key=(4,))
+    with problem.config.named(), few_threads(problem.observations):
+        others = points_around(target, point, local, np.random.default_rng(seed))
+        speed = speed_term(target, point.parameters, _from_voltage(problem))
+        return identify(target, [point, *others], speed=speed)
+
+
+def local_picture(
+    problem: Problem, progress: Callable[[str], None]
+) -> tuple[Target, Point, LocalInformation]:
+    """Estimate, and look at the likelihood there; see :func:`identification`."""
     with problem.config.named():
         estimate = _estimate(problem, progress)
     progress("identifiability")
     target = problem.target(estimate)
-    # the seed of the whole analysis, in a stream of its own
-    seed = np.random.SeedSequence(problem.config.tables.sampling.seed, spawn_key=(4,))
     with problem.config.named(), few_threads(problem.observations):
         point = estimate_point(target, estimate)
-        local = local_information(target, point.parameters)
-        others = points_around(target, point, local, np.random.default_rng(seed))
-        speed = speed_term(target, point.parameters, _from_voltage(problem))
-        return identify(target, [point, *others], speed=speed)
+        return target, point, local_information(target, point.parameters)
 
 
 def identify_record(found: Identification, problem: Problem) -> dict[str, Any]:

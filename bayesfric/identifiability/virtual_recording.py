@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from bayesfric.estimates.torque import torque_jacobian
 from bayesfric.mechanism import excitation
 from bayesfric.mechanism.chain import Chain
-from bayesfric.mechanism.forward import simulate
-from bayesfric.mechanism.inverse import load_torque
-from bayesfric.recordings.filters import ParallelFilter
+from bayesfric.mechanism.forward import Motion, simulate
+from bayesfric.mechanism.inverse import inverse_torque, load_torque
+from bayesfric.recordings.filters import derivative, lay_windows, lowpass
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
@@ -25,6 +25,8 @@ _LAG = 0.005
 # A mass where the load tells none, kg and m, and the most that anyone would bolt on.
 _MASS, _RADIUS = 2.0, 0.35
 _MOST = 5.0
+# With fewer outputs than this, of twenty times as many samples or more, the joint stood still.
+_FEWEST = 20
 
 
 def sample_period(observation: Observation) -> float:
@@ -47,20 +49,23 @@ def known_mass(chain: Chain, values: Array) -> tuple[float, float]:
     -------
     tuple of float
         kg and m, whose inertia and first moment come to those of the load where it has both
-        and is not too heavy.
+        and is not too heavy; where it has neither, to the inertia of the whole.
     """
     # at rest and upright the load's torque is its inertia; level and still, its moment
     inertia = float(
         load_torque(chain, values, [0.0], [1.0])[0] - load_torque(chain, values, [0.0], [0.0])[0]
     )
+    # all inertia there is, seen at the joint, for a load that is no parameter of its own
+    still = inverse_torque(chain, values, [0.0, 0.0], [0.0, 0.0], [0.0, 1.0])
+    felt = inertia if inertia > 0.0 else float(chain.ratio * (still[1] - still[0]))
     if chain.load.motion == "linear":
-        return (_two_digits(min(inertia, _MOST)) if inertia > 0.0 else _MASS), 0.0
+        return (_two_digits(min(felt, _MOST)) if felt > 0.0 else _MASS), 0.0
     names = chain.names
     moment = (
         float(values[names.index("load.first_moment")]) if "load.first_moment" in names else 0.0
     )
     if moment <= 0.0:
-        return _MASS, _RADIUS
+        return (_two_digits(min(felt / _RADIUS**2, _MOST)) if felt > 0.0 else _MASS), _RADIUS
     if inertia <= 0.0:
         radius = _RADIUS if moment > 0.1 else 0.1
         return _two_digits(min(moment / radius, _MOST)), radius
@@ -78,8 +83,8 @@ def with_mass(
     ValueError
         If the joint cannot be simulated, or then stands still.
     """
-    cut = _whole(observation)
-    return _simulated(chain, values, observation, observation.torque[cut], added_mass, radius)
+    cut = longest_stretch(observation)
+    return played(chain, values, observation, observation.torque[cut], added_mass, radius)
 
 
 def with_torque(
@@ -102,7 +107,7 @@ def with_torque(
     ValueError
         If the joint cannot be simulated, or then stands still.
     """
-    cut = _whole(observation)
+    cut = longest_stretch(observation)
     measured = observation.torque[cut]
     period = sample_period(observation)
     time = period * np.arange(measured.size)
@@ -118,9 +123,7 @@ def with_torque(
         torque = torque + many * 0.4 * peak / float(np.abs(many).max())
     if form != "same":
         torque = excitation.current_loop(torque, period, _LAG)
-    return _simulated(
-        chain, values, observation, torque, observation.added_mass, observation.radius
-    )
+    return played(chain, values, observation, torque, observation.added_mass, observation.radius)
 
 
 def pace(observation: Observation) -> float:
@@ -140,66 +143,112 @@ def torque_information(
     ``units`` is zero for parameters that are known; ``sigma`` is the noise of a filtered
     output.
     """
-    jacobian = torque_jacobian(chain, [observation], values, 1e-6 * units) * units / sigma
+    jacobian = scaled_jacobian(chain, observation, values, units, sigma)
     return np.asarray(jacobian.T @ jacobian)
 
 
-def _whole(observation: Observation) -> slice:
-    """Find the longest stretch that outputs come from, cut to what is worth simulating."""
+def scaled_jacobian(
+    chain: Chain, observation: Observation, values: Array, units: Array, sigma: float
+) -> Array:
+    """Differentiate a recording's filtered torque over its noise, ``(n_outputs, n_parameters)``.
+
+    Parameters as for :func:`torque_information`, whose root it is.
+    """
+    return torque_jacobian(chain, [observation], values, 1e-6 * units) * units / sigma
+
+
+def longest_stretch(observation: Observation, most: float | None = _LONGEST) -> slice:
+    """Find the longest stretch that outputs come from, no more than ``most`` s of it."""
     number = observation.segment_of
     segments, counts = np.unique(number, return_counts=True)
     starts = observation.filter.starts[number == segments[int(np.argmax(counts))]]
     first = int(starts[0])
     last = int(starts[-1]) + len(observation.filter.taps)
-    most = min(_LONGEST_SAMPLES, int(_LONGEST / sample_period(observation)))
-    return slice(first, min(last, first + most))
+    if most is None:
+        return slice(first, last)
+    samples = min(_LONGEST_SAMPLES, int(most / sample_period(observation)))
+    return slice(first, min(last, first + samples))
 
 
-def _simulated(
+def played(
     chain: Chain,
     values: Array,
     observation: Observation,
     torque: Array,
     added_mass: float,
     radius: float,
+    state: tuple[float, float] | None = None,
 ) -> Observation:
-    first = _whole(observation).start
+    """Play a torque to the joint, and look at it as one looks at a recording.
+
+    Parameters
+    ----------
+    chain, values
+        The mechanism and its parameters, ``(n_parameters,)``.
+    observation
+        The recording whose sample rate, filter and dead zone are used.
+    torque
+        ``(N,)`` motor torque at every sample, N m or N.
+    added_mass, radius
+        kg and m.
+    state
+        Position and speed to begin with, rad or m and s; those of the recording if left out.
+
+    Raises
+    ------
+    ValueError
+        If the joint cannot be simulated, or then stands still.
+    """
+    if state is None:
+        first = longest_stretch(observation).start
+        state = float(observation.q[first]), float(observation.qd[first])
     motion = simulate(
         chain,
         values,
         torque,
         sample_period(observation),
-        q0=float(observation.q[first]),
-        qd0=float(observation.qd[first]),
+        q0=state[0],
+        qd0=state[1],
         added_mass=added_mass,
         radius=radius,
         substeps=4,
     )
-    taps, period = observation.filter.taps, sample_period(observation)
+    period, size = sample_period(observation), torque.size
+    q, qd, qdd = _as_filtered(motion, observation)
+    trim = int(observation.settings.get("trim_samples", 0))
     step = max(round(observation.period / period), 1)
-    slow = np.abs(motion.qd) < _dead_zone(observation)
-    # a window counts where the joint moves, in one direction, in all of it
-    ends = np.concatenate([[0], np.cumsum(slow)])
-    starts = np.arange(0, torque.size - len(taps) + 1, step, dtype=np.int64)
-    starts = starts[ends[starts + len(taps)] == ends[starts]]
-    if starts.size < 20:
+    moving = np.abs(qd) >= _dead_zone(observation)
+    kept = (trim, max(size - trim, trim))
+    chosen = lay_windows(observation.filter.taps, (kept,), step, moving & (motion.qd != 0.0))
+    if chosen.n_outputs < _FEWEST:
         raise ValueError("the joint hardly moves")
-    chosen = ParallelFilter(taps, starts)
     return replace(
         observation,
         name="simulated",
-        q=motion.q,
-        qd=motion.qd,
-        qdd=motion.qdd,
+        q=q,
+        qd=qd,
+        qdd=qdd,
         torque=torque,
         filter=chosen,
         time=motion.time[chosen.centres],
         measured=chosen.apply(torque),
-        speed=motion.qd[chosen.centres],
-        segment_of=np.zeros(starts.size, dtype=np.int64),
+        speed=qd[chosen.centres],
+        segment_of=np.zeros(chosen.n_outputs, dtype=np.int64),
         added_mass=added_mass,
         radius=radius,
     )
+
+
+def _as_filtered(motion: Motion, observation: Observation) -> tuple[Array, Array, Array]:
+    """Filter and differentiate a motion like the recording's, so that it blurs as much."""
+    told = observation.settings
+    cutoff, order = float(told.get("lowpass", 0.0)), int(told.get("order", 0))
+    if not cutoff or not order:
+        return motion.q, motion.qd, motion.qdd
+    whole, period = ((0, motion.q.size),), sample_period(observation)
+    q = lowpass(motion.q, whole, 1.0 / period, cutoff, order)
+    qd = derivative(q, whole, period)
+    return q, qd, derivative(qd, whole, period)
 
 
 def _dead_zone(observation: Observation) -> float:

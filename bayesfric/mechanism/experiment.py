@@ -117,26 +117,79 @@ def record(
         raise BadInput("simulation.duration", "makes fewer than 10 samples", "raise it")
     seeds = np.random.SeedSequence(options.seed).spawn(2)
     command = _command(options, time, int(seeds[0].generate_state(1)[0]))
-    torque = excitation.current_loop(command, period, options.lag)
     try:
-        motion = simulate(
+        columns, motion = measure(
             chain,
             chain.vector(values),
-            torque,
-            period,
-            added_mass=options.added_mass,
-            radius=options.radius,
+            command,
+            options,
+            np.random.default_rng(seeds[1]),
         )
     except ValueError as error:
         raise BadInput(
             "simulation", str(error), "change the amplitude, duration or parameters"
         ) from None
+    return columns, motion, values
+
+
+def measure(
+    chain: Chain,
+    values: NDArray[np.float64],
+    command: NDArray[np.float64],
+    options: Simulation,
+    rng: np.random.Generator,
+    *,
+    q0: float = 0.0,
+    qd0: float = 0.0,
+) -> tuple[dict[str, NDArray[np.float64]], Motion]:
+    """Play any command to a joint and measure what it does.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    values
+        ``(n_parameters,)`` true values in the order of ``chain.names``.
+    command
+        ``(N,)`` commanded motor torque, N m or N, ``options.rate`` samples a second.
+    options
+        Current loop, encoder, noise and added mass are used.
+    rng
+        Source of the torque's noise.
+    q0, qd0
+        Position and speed at the first sample, rad or m and s.
+
+    Returns
+    -------
+    columns : dict
+        As for :func:`record`.
+    motion : Motion
+        What really happened.
+
+    Raises
+    ------
+    ValueError
+        If the joint cannot be simulated or runs away.
+    """
+    period = 1.0 / options.rate
+    torque = excitation.current_loop(command, period, options.lag)
+    motion = simulate(
+        chain,
+        values,
+        torque,
+        period,
+        q0=q0,
+        qd0=qd0,
+        added_mass=options.added_mass,
+        radius=options.radius,
+    )
     ratio = chain.ratio if options.encoder_side == "motor" else 1.0
     position = motion.q * ratio
     if options.encoder_counts:
         position = excitation.quantise(position, options.encoder_counts)
-    noise = options.torque_noise * np.random.default_rng(seeds[1]).standard_normal(time.size)
-    return {"time": time, "position": position, "torque": torque + noise}, motion, values
+    noise = options.torque_noise * rng.standard_normal(command.size)
+    time = np.arange(command.size, dtype=np.float64) * period
+    return {"time": time, "position": position, "torque": torque + noise}, motion
 
 
 def _command(options: Simulation, time: NDArray[np.float64], seed: int) -> NDArray[np.float64]:

@@ -52,7 +52,7 @@ class MechanismOptions(_Options):
 
     preset: str | None = Field(None, description="rabbit-knee, motor-axis or servo-pendulum")
     motion: Motion | None = Field(None, description="makes every element turn, or slide")
-    offset: bool | Literal["per-recording"] | None = Field(
+    offset: Literal[True, False, "per-recording"] | None = Field(
         None, description="unknown constant in the motor torque; one for all, or per-recording"
     )
     gain: bool | None = Field(None, description="unknown factor of the torque constant")

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
 
+# A cut-off this small a share of the sampling rate leaves nothing but rounding.
+_LOWEST_CUTOFF = 1e-6
 # Largest share of a window's weight that may lie on samples that are not usable
 _LARGEST_SHARE = 0.02
 
@@ -29,8 +31,15 @@ def check_cutoff(cutoff: float, fs: float, where: str) -> None:
     Raises
     ------
     BadInput
-        If the cut-off is not below half the sampling rate.
+        If the cut-off is not below half the sampling rate, or below a millionth of it.
     """
+    if cutoff < _LOWEST_CUTOFF * fs:
+        raise BadInput(
+            where,
+            f"the cut-off {cutoff:.3g} Hz is next to nothing beside the sampling rate "
+            f"({fs:.6g} Hz)",
+            "choose a higher cut-off, or 'off' for no low-pass",
+        )
     if cutoff >= fs / 2:
         raise BadInput(
             where,
@@ -164,6 +173,21 @@ class ParallelFilter:
         return out
 
 
+def parallel_length(factor: int, band: float | None, fs: float) -> int:
+    """Return how many weights :func:`parallel_taps` has, without making them.
+
+    Parameters and what is raised are as there.
+    """
+    if band is None and factor == 1:
+        return 1
+    nyquist = fs / (2 * factor)
+    if band is None:
+        return 8 * factor + 1
+    check_cutoff(band, fs, "processing, band")
+    # a narrower band needs a longer window for the same steepness
+    return 2 * int(np.ceil(2 * fs / band)) + 1 if band < nyquist else 8 * factor + 1
+
+
 def parallel_taps(factor: int, band: float | None, fs: float) -> NDArray[np.float64]:
     """Design the weights of a parallel filter.
 
@@ -186,15 +210,11 @@ def parallel_taps(factor: int, band: float | None, fs: float) -> NDArray[np.floa
     BadInput
         If the cut-off is not below half the sampling rate.
     """
-    if band is None and factor == 1:
+    length = parallel_length(factor, band, fs)
+    if length == 1:
         return np.ones(1)
-    nyquist = fs / (2 * factor)
-    cutoff = nyquist if band is None else band
+    cutoff = fs / (2 * factor) if band is None else band
     check_cutoff(cutoff, fs, "processing, band")
-    length = 8 * factor + 1
-    if cutoff < nyquist:
-        # a narrower band needs a longer window for the same steepness
-        length = 2 * int(np.ceil(2 * fs / cutoff)) + 1
     from scipy.signal import firwin
 
     taps = np.asarray(firwin(length, cutoff, fs=fs, window="hamming"), dtype=np.float64)
@@ -234,7 +254,16 @@ def parallel_filter(
     BadInput
         If the cut-off is not below half the sampling rate.
     """
-    taps = parallel_taps(factor, band, fs)
+    return lay_windows(parallel_taps(factor, band, fs), segments, factor, usable)
+
+
+def lay_windows(
+    taps: NDArray[np.float64],
+    segments: Sequence[tuple[int, int]],
+    factor: int,
+    usable: NDArray[np.bool_],
+) -> ParallelFilter:
+    """Lay windows of given weights ``(L,)`` as :func:`parallel_filter` does."""
     length = len(taps)
     parts = [np.arange(a, b - length + 1, factor, dtype=np.int64) for a, b in segments]
     starts = np.concatenate(parts) if parts else np.empty(0, dtype=np.int64)

@@ -1,0 +1,396 @@
+"""Recordings that could be made next: what to play to the joint, and what it would do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.errors import BadInput
+from bayesfric.identifiability.options import AdviceOptions
+from bayesfric.identifiability.virtual_recording import (
+    known_mass,
+    longest_stretch,
+    pace,
+    played,
+    sample_period,
+)
+from bayesfric.mechanism import excitation
+from bayesfric.mechanism.chain import Chain
+from bayesfric.recordings.observation import Observation
+
+Array = NDArray[np.float64]
+CandidateKind = Literal["excitation", "known mass", "longer"]
+
+# Speed limit over the fastest that was measured, if none is given.
+_FASTER = 1.2
+# No longer than this, s and samples, unless it is asked for: the joint has told by then.
+_LONGEST = 30.0
+_LONGEST_SAMPLES = 60_000
+# Amplitudes to try, as shares of the torque limit.
+_AMPLITUDES = (1.0, 0.6)
+# Frequencies, as multiples of how often the joint went to and fro.
+_PACES = (0.5, 1.0, 2.0)
+_CHIRPS = ((0.25, 2.0), (0.5, 5.0))
+_LINES = {"slow multisine": (0.13, 0.29, 0.53, 0.97, 1.9), "multisine": (0.37, 0.73, 1.3, 2.9, 5.3)}
+# Share of the square wave in the peak of a square wave with a multisine.
+_SQUARE_SHARE = 0.6
+# What breaks a limit is made this much smaller, and at most so often.
+_SMALLER = 0.85
+_TRIES = 12
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Between what the next recording has to stay.
+
+    Attributes
+    ----------
+    torque
+        Largest command, N m or N.
+    speed
+        Of the joint, rad/s or m/s.
+    angles
+        Lowest and highest position, rad or m; ``None`` for no limit.
+    duration
+        s.
+    lag
+        Time constant of the current loop, s.
+    masses
+        kg and m of each known mass that may be bolted on; ``(0, 0)`` for none is one of them.
+    start
+        Position at which the joint rests when the recording begins, rad or m: where gravity
+        holds it, else where the longest recording began.
+    seen
+        Lowest and highest position of the recordings, rad or m.
+    """
+
+    torque: float
+    speed: float
+    angles: tuple[float, float] | None
+    duration: float
+    lag: float
+    masses: tuple[tuple[float, float], ...]
+    start: float
+    seen: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A command for the motor, and what is bolted to the load meanwhile.
+
+    Attributes
+    ----------
+    kind
+        ``excitation``, ``known mass`` or ``longer``.
+    form
+        In words, without the amplitude.
+    amplitude
+        Largest command, N m or N.
+    command
+        ``(N,)`` N m or N.
+    period
+        From one sample of it to the next, s.
+    lag
+        Time constant of the current loop, s.
+    added_mass, radius
+        kg and m.
+    q0, qd0
+        Position and speed at the first sample, rad or m and s.
+    made
+        For ``longer``: the recording there is, one more of which would be made.
+    """
+
+    kind: CandidateKind
+    form: str
+    amplitude: float
+    command: Array
+    period: float
+    lag: float
+    added_mass: float
+    radius: float
+    q0: float
+    qd0: float
+    made: Observation | None = None
+
+    def smaller(self, factor: float) -> Candidate:
+        """Make the same with a smaller torque."""
+        return replace(self, amplitude=self.amplitude * factor, command=self.command * factor)
+
+    @property
+    def duration(self) -> float:
+        """How long it takes, s."""
+        return self.period * self.command.size
+
+    @property
+    def rows(self) -> Array:
+        """Time (s) and command (N m or N), ``(N, 2)``."""
+        return np.stack([self.period * np.arange(self.command.size), self.command], axis=1)
+
+
+def limits_of(
+    options: AdviceOptions, chain: Chain, observations: Sequence[Observation], values: Array
+) -> Limits:
+    """Settle every limit that the configuration leaves out.
+
+    Parameters
+    ----------
+    options
+        The ``[advice]`` table.
+    chain, observations
+        The mechanism and its prepared recordings.
+    values
+        ``(n_parameters,)`` at the estimate; a mass is chosen to suit them.
+
+    Raises
+    ------
+    BadInput
+        If a mass for a turning load has no radius, or the joint would have to start
+        outside its limits.
+    """
+    rotary = chain.load.motion == "rotary"
+    carried = [(o.added_mass, o.radius) for o in observations if o.added_mass]
+    if options.masses is None:
+        # what was bolted on once is on hand; a guess is for those who never did
+        on_hand = [] if carried else [known_mass(chain, values)]
+    else:
+        on_hand = [(m.mass, m.radius) for m in options.masses]
+        for number, (_, radius) in enumerate(on_hand, start=1):
+            if rotary and not radius:
+                raise BadInput(
+                    f"advice.masses.{number}.radius", "is missing", 'add radius, such as "0.35 m"'
+                )
+    base = longest(observations)
+    period = sample_period(base)
+    stretch = longest_stretch(base, None)
+    whole = (stretch.stop - stretch.start) * period
+    duration = options.duration or min(whole, _LONGEST, _LONGEST_SAMPLES * period)
+    first = float(base.q[stretch.start])
+    start = _hanging(chain, values, first)
+    low, high = options.angle_limits or (-np.inf, np.inf)
+    if not low <= start <= high:
+        start = first
+    if not low <= start <= high:
+        unit = "rad" if rotary else "m"
+        raise BadInput(
+            "advice.angle_limits",
+            f"[{low:g}, {high:g}] leaves out {first:.3g} {unit}, where the joint was when "
+            f"recording {base.name!r} began",
+            "give limits in the recordings' own angle",
+        )
+    return Limits(
+        options.torque_limit or max(float(np.abs(o.measured).max()) for o in observations),
+        options.speed_limit or _FASTER * max(float(np.abs(o.speed).max()) for o in observations),
+        options.angle_limits,
+        duration,
+        options.lag,
+        tuple(dict.fromkeys([(0.0, 0.0), *on_hand, *carried])),
+        start,
+        (min(float(o.q.min()) for o in observations), max(float(o.q.max()) for o in observations)),
+    )
+
+
+def longest(observations: Sequence[Observation]) -> Observation:
+    """Find the recording with most outputs, which sets rate, filter and noise."""
+    return max(observations, key=lambda o: o.filter.n_outputs)
+
+
+def candidates(observations: Sequence[Observation], limits: Limits) -> Iterator[Candidate]:
+    """List everything that is worth trying.
+
+    Parameters
+    ----------
+    observations
+        The prepared recordings.
+    limits
+        From :func:`limits_of`; whether a candidate keeps those of speed and angle is
+        known only once it is played, see :func:`try_out`.
+    """
+    base = longest(observations)
+    period, hertz = sample_period(base), pace(base)
+    stretch = longest_stretch(base, None)
+    peak = float(np.abs(base.measured).max())
+    # noise of the measurement is no part of the torque there was
+    again = np.clip(base.torque[stretch], -peak, peak)
+    again[-1] = 0.0
+    yield Candidate(
+        "longer",
+        f"another recording just like {base.name!r}",
+        peak,
+        again,
+        period,
+        0.0,  # measured torque is behind the current loop already
+        base.added_mass,
+        base.radius,
+        float(base.q[stretch.start]),
+        float(base.qd[stretch.start]),
+        base,
+    )
+    time = period * np.arange(max(round(limits.duration / period), 1), dtype=np.float64)
+    bare = {(o.added_mass, o.radius) for o in observations} == {(0.0, 0.0)}
+    for mass, radius in limits.masses:
+        kind: CandidateKind = "known mass" if mass or not bare else "excitation"
+        for form, shape in _shapes(time, hertz):
+            # the drive is not left with a torque when the command ends
+            shape[-1] = 0.0
+            for share in _AMPLITUDES:
+                peak = share * limits.torque
+                yield Candidate(
+                    kind,
+                    form,
+                    peak,
+                    peak * shape,
+                    period,
+                    limits.lag,
+                    mass,
+                    radius,
+                    limits.start,
+                    0.0,
+                )
+
+
+def _shapes(time: Array, hertz: float) -> Iterator[tuple[str, Array]]:
+    """Make signals of peak one."""
+    many = {name: hertz * np.array(lines) for name, lines in _LINES.items()}
+    for pace_ in _PACES:
+        f = pace_ * hertz
+        yield f"square wave at {f:.3g} Hz", excitation.square(time, 1.0, f)
+        yield f"sine at {f:.3g} Hz", excitation.sine(time, 1.0, f)
+    for low, high in _CHIRPS:
+        first, last = low * hertz, high * hertz
+        yield (
+            f"chirp from {first:.3g} to {last:.3g} Hz",
+            excitation.chirp(time, 1.0, first, last),
+        )
+    for name, lines in many.items():
+        span = f"of {lines.size} sines from {lines[0]:.2g} to {lines[-1]:.2g} Hz"
+        sines = excitation.multisine(time, 1.0, lines)
+        sines /= max(float(np.abs(sines).max()), 1e-12)
+        yield f"{name} {span}", sines
+        for pace_ in _PACES[:2]:
+            square = excitation.square(time, _SQUARE_SHARE, pace_ * hertz)
+            yield (
+                f"square wave at {pace_ * hertz:.3g} Hz with a {name} {span}",
+                square + (1.0 - _SQUARE_SHARE) * sines,
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class TriedOut:
+    """A candidate, played at every point within the limits.
+
+    Attributes
+    ----------
+    candidate
+        With its torque as it was in the end.
+    recordings
+        What would be recorded, one for each point.
+    lowered
+        Factor on the torque that it took to keep the limits; one where none.
+    reason
+        Which limit that was; empty where none.
+    """
+
+    candidate: Candidate
+    recordings: tuple[Observation, ...]
+    lowered: float = 1.0
+    reason: str = ""
+
+    @property
+    def speed(self) -> float:
+        """Fastest at any point, rad/s or m/s."""
+        return max(float(np.abs(o.qd).max()) for o in self.recordings)
+
+    @property
+    def angles(self) -> tuple[float, float]:
+        """Lowest and highest position at any point, rad or m."""
+        return (
+            min(float(o.q.min()) for o in self.recordings),
+            max(float(o.q.max()) for o in self.recordings),
+        )
+
+
+def try_out(
+    chain: Chain, vectors: Array, base: Observation, candidate: Candidate, limits: Limits
+) -> TriedOut | str:
+    """Play a candidate at every point, lowering its torque until it keeps the limits.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    vectors
+        ``(n_points, n_parameters)``.
+    base
+        The recording whose filter and dead zone are used.
+    candidate, limits
+        What to play, and what to keep.
+
+    Returns
+    -------
+    TriedOut or str
+        The latter says why it is no use: a limit that it breaks however small, or that it
+        leaves the joint at rest.
+    """
+    if candidate.made is not None:  # as it was made it would be made again, or not at all
+        broken = _broken(candidate.made, limits, chain)
+        broken = "the torque limit" if candidate.amplitude > limits.torque else broken
+        return broken or TriedOut(candidate, (candidate.made,) * len(vectors))
+    factor, reason, order = 1.0, "", list(range(len(vectors)))
+    for _ in range(_TRIES):
+        trial = candidate.smaller(factor)
+        torque = excitation.current_loop(trial.command, trial.period, trial.lag)
+        found: dict[int, Observation] = {}
+        broken = ""
+        for i in order:
+            try:
+                found[i] = played(
+                    chain,
+                    vectors[i],
+                    base,
+                    torque,
+                    trial.added_mass,
+                    trial.radius,
+                    (trial.q0, trial.qd0),
+                )
+            except ValueError as error:
+                if "runs away" not in str(error):
+                    low = f" once lowered to {100 * factor:.0f} % for {reason}" if reason else ""
+                    return f"{error}{low}"
+                broken = "the joint runs away"
+            else:
+                broken = _broken(found[i], limits, chain)
+            if broken:
+                # the point that broke a limit will be the first to say whether it still does
+                order = [i, *(j for j in order if j != i)]
+                break
+        if not broken:
+            kept = tuple(found[i] for i in range(len(vectors)))
+            return TriedOut(trial, kept, factor, reason)
+        reason, factor = broken, factor * _SMALLER
+    return f"{reason}, even with {100 * factor / _SMALLER:.0f} % of the torque"
+
+
+def _broken(recording: Observation, limits: Limits, chain: Chain) -> str:
+    if float(np.abs(recording.qd).max()) > limits.speed:
+        return "the speed limit"
+    if limits.angles is not None and not (
+        limits.angles[0] <= float(recording.q.min())
+        and float(recording.q.max()) <= limits.angles[1]
+    ):
+        return "the angle limits" if chain.load.motion == "rotary" else "the limits of position"
+    return ""
+
+
+def _hanging(chain: Chain, values: Array, near: float) -> float:
+    """Position at which gravity holds the load, rad; where there is no gravity, ``near``."""
+    names = chain.names
+    if "load.first_moment" not in names:
+        return near
+    angle = (
+        float(values[names.index("load.gravity_angle")]) if "load.gravity_angle" in names else 0.0
+    )
+    return float(-angle + 2.0 * np.pi * np.round((near + angle) / (2.0 * np.pi)))

@@ -1,0 +1,163 @@
+"""``bayesfric identify --advise`` as a user sees it."""
+
+import json
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayesfric.commands.simulate import simulate
+from bayesfric.config import read_config
+from bayesfric.recordings.options import Processing, Source
+from bayesfric.recordings.read import read_recordings
+
+from .bench import cases, has
+from .test_identify import AXIS
+
+FOLDER = Path(str(files("bayesfric") / "examples"))
+# short recordings, so that the test is quick
+KNEE = (
+    FOLDER / "knee.toml"
+).read_text() + "\n[advice]\nduration = 1.5\ntorque_limit = 0.7\nmasses = []\n"
+SHORT = "\n[advice]\nduration = 1.0\n"
+
+
+@pytest.fixture
+def axis(bench):
+    bench.config(AXIS + SHORT)
+    simulate(read_config(bench.folder / "c.toml"), bench.folder / "small.csv")
+    return bench
+
+
+def advised(bench, name, *more):
+    ended = bench.run("identify", "c.toml", "--advise", name, "--json", *more)
+    assert ended.code == 0, ended.err
+    return json.loads(ended.out)
+
+
+def test_the_winning_excitation_is_a_file_that_can_be_played(axis):
+    found = advised(axis, "motor.viscous")
+    path = axis.folder / "advice-motor.viscous.csv"
+    assert found["written"] == path.name
+    lines = path.read_text().splitlines()
+    assert lines[:2] == ["time,torque", "s,N m"]
+    time, torque = np.loadtxt(path, delimiter=",", skiprows=2, unpack=True)
+    best = found["candidates"][0]
+    np.testing.assert_allclose(np.diff(time), 0.002, rtol=1e-6)
+    assert time.size * 0.002 == pytest.approx(best["duration"])
+    assert np.abs(torque).max() <= best["peak_torque"] * (1 + 1e-5)
+    assert np.abs(torque).max() <= found["limits"]["torque"] * (1 + 1e-5)
+    assert not list(axis.folder.glob(".*partial"))
+
+    # the package reads it as it reads any recording: names in line 1, units in line 2
+    source = Source(
+        file=path.name,
+        time={"column": "time", "unit": "s"},
+        position={"column": "time", "unit": "rad"},
+        torque={"column": "torque", "unit": "N m"},
+    )
+    (read,) = read_recordings(
+        source,
+        axis.folder,
+        ratio=1.0,
+        motion="rotary",
+        motor_motion="rotary",
+        processing=Processing(),
+    )
+    np.testing.assert_array_equal(read.torque, torque)
+
+
+def test_candidates_are_ranked_and_say_what_they_do(axis):
+    found = advised(axis, "motor.viscous", "-o", "best.csv")
+    rows = found["candidates"]
+    assert [row["rank"] for row in rows] == list(range(1, len(rows) + 1))
+    sds = [row["after"]["sd"] for row in rows]
+    assert sds == sorted(sds)
+    assert sds[0] < found["now"]["sd"]
+    assert {row["kind"] for row in rows} == {"excitation", "known mass", "longer"}
+    for row in rows:
+        share = row["after"]["sd"] / abs(found["value"])
+        assert row["after"]["relative_sd"] == pytest.approx(share)
+        assert row["angles"][0] < row["angles"][1]
+        assert row["peak_speed"] <= found["limits"]["speed"]
+        assert row["peak_torque"] <= found["limits"]["torque"]
+    assert found["written"] == "best.csv"
+
+
+def test_the_same_bytes_twice(axis):
+    ended = [
+        axis.run("identify", "c.toml", "--advise", "motor.inertia", "-o", f"{n}.csv") for n in "ab"
+    ]
+    assert (axis.folder / "a.csv").read_bytes() == (axis.folder / "b.csv").read_bytes()
+    assert ended[0].out == ended[1].out.replace("b.csv", "a.csv")
+    has(ended[0].out, "motor.inertia (", "Best: ", "Limits kept at ", "data alone")
+
+
+def test_a_file_that_is_there_is_not_lost(axis):
+    path = axis.folder / "kept.csv"
+    path.write_text("mine\n")
+    told = axis.refused("identify", "c.toml", "--advise", "motor.inertia", "-o", "kept.csv")
+    has(told, "kept.csv", "exists already", "--force")
+    advised(axis, "motor.inertia", "-o", "kept.csv", "--force")
+    assert path.read_text().startswith("time,torque\n")
+
+
+def test_the_knee_needs_a_mass_and_says_so(bench):
+    """Recordings with nothing bolted on never tell the leg (section 4.2 of the paper)."""
+    bench.config(KNEE)
+    (bench.folder / "knee.csv").write_bytes((FOLDER / "knee.csv").read_bytes())
+    ended = bench.run("identify", "c.toml", "--advise", "load.inertia")
+    assert ended.code == 0, ended.err
+    has(ended.out, "No recording that was tried determines load.inertia", "rest on the priors")
+    has(ended.out, "recordings alone leave it open", "the load drives gearbox in")
+    # nothing that is not determined is given as a value, nor its sd as a share of one
+    has(ended.out.splitlines()[0], "load.inertia (inertia", "): not determined yet")
+    rows = [line.split() for line in ended.out.splitlines() if " none " in line]
+    assert len(rows) >= 8
+    assert {row[2] for row in rows} == {"-"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    cases(
+        ("misspelt", ["--advise", "motor.inertai"], ["--advise", "did you mean 'motor.inertia'"]),
+        ("nothing like it", ["--advise", "x"], ["--advise x", "use one of"]),
+        ("no CSV", ["--advise", "motor.inertia", "-o", "a.txt"], ["a.txt", "not named .csv"]),
+        ("no folder", ["--advise", "motor.inertia", "-o", "no/a.csv"], ["no/a.csv", "written"]),
+        ("output alone", ["-o", "a.csv"], ["--output", "add --advise"]),
+        ("force alone", ["--force"], ["--force", "add --advise"]),
+    ),
+)
+def test_bad_arguments(axis, arguments, parts):
+    has(axis.refused("identify", "c.toml", *arguments), *parts)
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    cases(
+        ("unknown key", "torque = 3", ["advice.torque", "torque_limit"]),
+        ("no limit", "speed_limit = 0", ["advice.speed_limit", "more than 0"]),
+        ("turned angles", "angle_limits = [1, -1]", ["advice.angle_limits", "smaller one first"]),
+        ("one angle", "angle_limits = [1]", ["advice.angle_limits"]),
+        ("text", 'masses = "2 kg"', ["advice.masses", "list"]),
+        ("not a mass", 'masses = [{ mass = "2 m", radius = 1 }]', ["advice.masses.1.mass"]),
+        ("no mass", "masses = [{ mass = 0, radius = 1 }]", ["advice.masses.1.mass"]),
+        ("endless", "duration = inf", ["advice.duration"]),
+    ),
+)
+def test_bad_limits(bench, text, parts):
+    bench.config(AXIS + f"\n[advice]\n{text}\n")
+    has(bench.refused("identify", "c.toml", "--advise", "motor.inertia"), *parts)
+
+
+def test_a_fixed_parameter_needs_no_experiment(axis):
+    axis.config(AXIS + '\n[priors]\n"motor.inertia" = 0.01\n')
+    told = axis.refused("identify", "c.toml", "--advise", "motor.inertia")
+    has(told, "c.toml", "--advise motor.inertia", "is fixed at 0.01")
+
+
+def test_masses_with_units_are_those_on_hand(axis):
+    axis.config(AXIS + SHORT + 'masses = [{ mass = "500 g", radius = "20 cm" }]\n')
+    found = advised(axis, "motor.inertia")
+    assert found["limits"]["masses"] == [[0.5, pytest.approx(0.2)]]
