@@ -9,12 +9,12 @@ digit: they state an order of magnitude, not a measurement.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from bayesfric.inference.noise import support
 from bayesfric.inference.priors import Prior, PriorText, read_prior
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.parameter import Parameter
@@ -81,11 +81,20 @@ def default_prior(chain: Chain, p: Parameter, scales: Scales) -> Prior:
 def default_noise_prior(name: str, scales: Scales) -> Prior:
     """Spread a noise scale evenly in its logarithm, up to the largest torque or motion.
 
-    ``name`` is ``noise.sigma``, ``noise.torque`` or ``noise.position``.
+    Partial autocorrelations are anything that is stationary; degrees of freedom of a
+    Student-t follow Juárez and Steel (J. Bus. Econ. Stat. 28, 2010).
+
+    ``name`` is ``noise.`` and a quantity such as ``sigma``.
     """
+    low, high = support(name.removeprefix("noise."))
+    if name.startswith("noise.pacf_"):
+        return read_prior(name, [low, high], lower=low, upper=high, default=True)
+    if name == "noise.dof":
+        gamma = {"distribution": "gamma", "a": 2.0, "scale": 10.0}
+        return read_prior(name, gamma, lower=low, upper=high, default=True)
     top = _one_digit(scales.position if name == "noise.position" else scales.torque)
     text = {"distribution": "loguniform", "a": 1e-6 * top, "b": top}
-    return read_prior(name, text, lower=0.0, upper=math.inf, default=True)
+    return read_prior(name, text, lower=low, upper=high, default=True)
 
 
 def _text(chain: Chain, p: Parameter, scales: Scales) -> PriorText:

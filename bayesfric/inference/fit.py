@@ -13,7 +13,7 @@ from bayesfric.estimates.estimate import Estimate
 from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.inference.defaults import default_noise_prior, default_prior, measured_scales
 from bayesfric.inference.likelihood import Likelihood
-from bayesfric.inference.noise import NoiseScale, noise_model
+from bayesfric.inference.noise import NoiseScale, noise_model, support
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.priors import Prior, PriorText, read_prior
 from bayesfric.inference.sampling import Progress, Sampling, sample
@@ -117,9 +117,9 @@ def read_priors(
         else default_prior(chain, p, scales)
         for p in chain.parameters
     }
-    for name in noises:
+    for name, (low, high) in zip(noises, map(support, noise), strict=True):
         priors[name] = (
-            read_prior(name, texts[name], lower=0.0, upper=float("inf"))
+            read_prior(name, texts[name], lower=low, upper=high)
             if name in texts
             else default_noise_prior(name, scales)
         )

@@ -85,7 +85,7 @@ class Likelihood(Protocol):
         ...
 
     def noise_information(self, scales: Array) -> Array:
-        """Fisher information of the logarithms of the noise scales ``(R, Q)``, ``(R, Q, Q)``."""
+        """Fisher information of the noise scales ``(R, Q)``, ``(R, Q, Q)``."""
         ...
 
     def noise_sd(self, scales: Array) -> list[Array]:

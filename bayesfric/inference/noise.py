@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -15,7 +16,21 @@ Array = NDArray[np.float64]
 NoiseScale = Literal["shared", "per-recording"]
 
 # LaTeX symbols of the scales a likelihood may have.
-_SYMBOLS = {"sigma": r"\sigma", "torque": r"\sigma_\Gamma", "position": r"\sigma_q"}
+_SYMBOLS = {
+    "sigma": r"\sigma",
+    "dof": r"\nu",
+    "torque": r"\sigma_\Gamma",
+    "position": r"\sigma_q",
+    **{f"pacf_{k}": rf"\phi_{{{k}{k}}}" for k in range(1, 10)},
+}
+
+
+def support(quantity: str) -> tuple[float, float]:
+    """Give the lowest and highest value a scale may have."""
+    if quantity.startswith("pacf_"):
+        return -1.0, 1.0
+    # below one degree of freedom not even the middle of a Student-t is worth an average
+    return (1.0 if quantity == "dof" else 0.0), math.inf
 
 
 @dataclass(frozen=True)

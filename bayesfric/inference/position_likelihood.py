@@ -170,8 +170,9 @@ class PositionLikelihood:
         found = np.empty((len(self._runs), 2, 2))
         for r, run in enumerate(self._runs):
             torque, position = run.parts(scales[None, r])
-            # d log(variance) / d log(scale) is twice the share of the variance
+            # d log(variance) / d scale is twice the share of the variance over the scale
             shares = 2.0 * np.concatenate([torque, position]) / (torque + position)
+            shares /= scales[r][:, None]
             found[r] = 0.5 * shares @ shares.T
         return found
 

@@ -66,7 +66,7 @@ def gauss_newton(target: Target, mode: Array, prior_draws: Array) -> Start:
     Curvature at the mode itself would be misled where the mode leans on a bound:
     the density falls off a cliff there and the walkers would start in one spot.
     The information is ``J'J`` of the modelled outputs over their noise, that of the
-    logarithms of the noise scales, and the inverse variance of the prior.
+    noise scales, and the inverse variance of the prior.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def gauss_newton(target: Target, mode: Array, prior_draws: Array) -> Start:
     )
     information = jacobian @ jacobian.T + np.diag(1.0 / prior_sd**2)
     index = np.arange(k, d)
-    slope = (moved[index, index] - moved[d + index, index]) / (2.0 * steps[k:] * centre[0, k:])
+    slope = (moved[index, index] - moved[d + index, index]) / (2.0 * steps[k:])
     noise = target.noise.fold(target.likelihood.noise_information(scales))
     information[k:, k:] += noise * np.outer(slope, slope)
     scale = 1.0 / np.sqrt(np.diag(information))

@@ -101,8 +101,10 @@ def test_information_of_the_noise_scales(linear):
     likelihood = PositionLikelihood(LINEAR, [linear[0]], [], np.array([INERTIA, VISCOUS]))
     n = 56
     only_position = likelihood.noise_information(np.array([[1e-9, 1e-3]]))[0]
-    np.testing.assert_allclose(only_position, [[0.0, 0.0], [0.0, 2.0 * n]], atol=1e-6)
-    both = likelihood.noise_information(np.array([[0.05, 1e-3]]))[0]
+    assert only_position[1, 1] == pytest.approx(2.0 * n / 1e-3**2)
+    assert only_position[0, 0] * 1e-9**2 < 1e-6
+    scales = np.array([[0.05, 1e-3]])
+    both = likelihood.noise_information(scales)[0] * np.outer(scales, scales)
     # a common factor on both scales is one scale of everything
     assert np.ones(2) @ both @ np.ones(2) == pytest.approx(2.0 * n)
 

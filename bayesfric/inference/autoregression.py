@@ -1,0 +1,176 @@
+"""Stationary autoregressive series: coefficients, exact density, whitening, simulation.
+
+A series of order p is told by its partial autocorrelations, each between -1 and 1: every
+such vector is stationary and every stationary series has one (Barndorff-Nielsen and Schou,
+J. Multivariate Anal. 3, 1973). The Durbin-Levinson recursion turns the first k of them into
+the best predictor from k predecessors, which also gives the exact density of the beginning
+of a run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.signal import lfilter
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+def predictors(partial: Array) -> list[Array]:
+    """Coefficients of the best predictors from 0, 1, .., p predecessors.
+
+    Parameters
+    ----------
+    partial
+        ``(n, p)`` partial autocorrelations.
+
+    Returns
+    -------
+    list of ndarray
+        ``(n, k)`` for ``k = 0..p``, the nearest predecessor first; the last are the
+        coefficients of the series.
+    """
+    found = [np.empty((partial.shape[0], 0))]
+    for k in range(partial.shape[1]):
+        last, r = found[-1], partial[:, k : k + 1]
+        found.append(np.concatenate([last - r * last[:, ::-1], r], axis=1))
+    return found
+
+
+def variances(partial: Array) -> Array:
+    """Variances of what 0, 1, .., p predecessors leave, in those of the innovations.
+
+    ``(n, p)`` to ``(n, p + 1)``; the first is that of the series itself, the last is one.
+    """
+    left = np.cumprod(1.0 / (1.0 - partial[:, ::-1] ** 2), axis=1)[:, ::-1]
+    return np.concatenate([left, np.ones((partial.shape[0], 1))], axis=1)
+
+
+def autocovariance(partial: Array) -> Array:
+    """Autocovariances at lags 0 to p in variances of the innovations, ``(p,)`` to ``(p + 1,)``."""
+    known = predictors(partial[None])
+    left = variances(partial[None])[0]
+    found = np.zeros(partial.size + 1)
+    found[0] = left[0]
+    for k in range(1, partial.size + 1):
+        found[k] = known[k - 1][0] @ found[1:k][::-1] + partial[k - 1] * left[k - 1]
+    return found
+
+
+def whitened(x: Array, partial: Array, follows: Flags) -> Array:
+    """Take from every value what its predecessors foretell, over the sd of the rest.
+
+    Parameters
+    ----------
+    x
+        ``(..., M)``
+    partial
+        ``(p,)`` partial autocorrelations.
+    follows
+        ``(M - 1,)`` whether each value follows the one before in the same run.
+
+    Returns
+    -------
+    ndarray
+        ``(..., M)`` uncorrelated and of the innovations' variance for the right series.
+    """
+    age = ages(follows, partial.size)
+    coefficients = predictors(partial[None])
+    sds = np.sqrt(variances(partial[None])[0])
+    out = np.array(x, dtype=np.float64)
+    for k in range(1, partial.size + 1):
+        here = np.flatnonzero(age == k)
+        for j in range(k):
+            out[..., here] -= coefficients[k][0, j] * x[..., here - j - 1]
+    return np.asarray(out / sds[age])
+
+
+def ages(follows: Flags, most: int) -> NDArray[np.int64]:
+    """Count the predecessors in its run of each value, counted up to ``most``, ``(M,)``."""
+    n = follows.size + 1
+    begins = np.concatenate([[0], np.flatnonzero(~follows) + 1])
+    length = np.diff(np.append(begins, n))
+    return np.asarray(np.minimum(np.arange(n) - np.repeat(begins, length), most))
+
+
+def simulated(partial: Array, follows: Flags, n: int, rng: np.random.Generator) -> Array:
+    """Draw ``n`` stationary series with innovations of variance one, ``(n, M)``."""
+    p = partial.size
+    noise = rng.standard_normal((n, follows.size + 1))
+    if p == 0:
+        return noise
+    age = ages(follows, p)
+    coefficients = predictors(partial[None])
+    sds = np.sqrt(variances(partial[None])[0])
+    out = noise * sds[age]
+    starts = np.append(np.flatnonzero(age == 0), age.size)
+    for a, b in pairwise(starts.tolist()):
+        for m in range(a + 1, min(a + p, b)):
+            out[:, m] += out[:, a:m][:, ::-1] @ coefficients[m - a][0]
+        if b - a > p:
+            past = out[:, a : a + p][:, ::-1]
+            whole = coefficients[p][0]
+            # lfilter's state after the p values that are there already
+            state = np.stack(
+                [sum(whole[j] * past[:, j - i] for j in range(i, p)) for i in range(p)], axis=1
+            )
+            out[:, a + p : b], _ = lfilter(
+                [1.0], np.concatenate([[1.0], -whole]), noise[:, a + p : b], axis=1, zi=state
+            )
+    return np.asarray(out)
+
+
+def burg(series: Sequence[Array], follows: Sequence[Flags], order: int) -> Array:
+    """Estimate partial autocorrelations by Burg's method, all runs together, ``(order,)``.
+
+    Always stationary, whatever the series.
+    """
+    runs = [
+        part
+        for x, f in zip(series, follows, strict=True)
+        for part in np.split(x, np.flatnonzero(~f) + 1)
+    ]
+    forward, backward = [r[1:] for r in runs], [r[:-1] for r in runs]
+    found = np.zeros(order)
+    for k in range(order):
+        above = sum(2.0 * float(f @ b) for f, b in zip(forward, backward, strict=True))
+        below = sum(float(f @ f + b @ b) for f, b in zip(forward, backward, strict=True))
+        r = above / below if below > 0.0 else 0.0
+        found[k] = np.clip(r, -0.999999, 0.999999)
+        pairs = [(f - r * b, b - r * f) for f, b in zip(forward, backward, strict=True)]
+        forward, backward = [f[1:] for f, _ in pairs], [b[:-1] for _, b in pairs]
+    return found
+
+
+def ljung_box(
+    series: Sequence[Array], follows: Sequence[Flags], lags: int, fitted: int = 0
+) -> float:
+    """p-value of the Ljung-Box test that values of all runs together are uncorrelated.
+
+    Parameters
+    ----------
+    series, follows
+        Innovations, and where runs go on.
+    lags
+        Correlations tested.
+    fitted
+        Coefficients that were fitted to them, taken off the degrees of freedom.
+    """
+    power = sum(float(x @ x) for x in series)
+    statistic = 0.0
+    n = sum(x.size for x in series)
+    for lag in range(1, lags + 1):
+        product, pairs = 0.0, 0
+        for x, f in zip(series, follows, strict=True):
+            joined = ages(f, lag)[lag:] == lag
+            product += float(x[lag:][joined] @ x[:-lag][joined])
+            pairs += int(joined.sum())
+        if pairs:
+            # the variance of a correlation from this many of the n products
+            statistic += (product / power) ** 2 * n * (n + 2.0) / pairs
+    return float(stats.chi2.sf(statistic, max(lags - fitted, 1)))

@@ -1,0 +1,386 @@
+"""Residual moments whose cost does not grow with the recording, exactly.
+
+Chains with one load loss and no Stribeck rise have a torque that is linear but for the
+direction of power at the gearbox. Near the posterior that direction is certain at nearly every
+sample; these go into matrices once. A draw then costs a quadratic form, a look at the few
+samples whose direction it can change, and a correction for those where it does. Far from the
+posterior every sample is computed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numba import get_num_threads, njit, prange
+from numpy.typing import NDArray
+
+from bayesfric.inference.linear_torque import Coefficients, LinearTorque, linear_torque
+from bayesfric.inference.moment_matrices import Index, MomentMatrices, moment_matrices
+from bayesfric.inference.residual_moments import (
+    Moments,
+    PlainMoments,
+    Short,
+    head_entry,
+    n_entries,
+    product_sum,
+    unpacked,
+)
+from bayesfric.inference.sign_region import SignRegion
+from bayesfric.mechanism.chain import Chain
+from bayesfric.recordings.observation import Observation
+
+Array = NDArray[np.float64]
+
+# How far the region reaches. Draws look only as far as they are away themselves, so width costs
+# memory alone.
+RADIUS = 12.0
+# Coefficients beyond this are left to the plain evaluation, which overflows where it does.
+_LARGEST = 1e100
+# Operations in one call below which starting threads costs more than it saves.
+_WORTH_THREADS = 300_000
+# Kept samples whose signs are looked at in one go.
+_LOOK = 128
+# Neighbouring kept outputs that are marked together.
+_CELL = 8
+
+
+class FastMoments:
+    """Moments from matrices, with the exact correction where a sample's sign differs.
+
+    See :class:`bayesfric.inference.residual_moments.ResidualMoments`; made by
+    :func:`fast_moments`.
+
+    Parameters
+    ----------
+    linear
+        From :func:`bayesfric.inference.linear_torque.linear_torque`, same observations.
+    region
+        About where the posterior is.
+    plain
+        The same moments for vectors outside.
+    observations
+        One or more prepared recordings.
+    radius
+        How far the region reaches, in sds of the draws it was made from.
+
+    Attributes
+    ----------
+    radius
+        The same, or less where a recording would have too many uncertain samples.
+    samples, uncertain_samples
+        Raw samples that outputs rest on, and those whose direction can differ in the region.
+    outputs, uncertain_outputs
+        The same of outputs.
+    outside
+        Vectors so far that were computed sample by sample.
+    """
+
+    def __init__(
+        self,
+        linear: LinearTorque,
+        region: SignRegion,
+        plain: PlainMoments,
+        observations: Sequence[Observation],
+        radius: float = RADIUS,
+    ) -> None:
+        self.order, self.counts, self.head_counts = plain.order, plain.counts, plain.head_counts
+        self._linear, self._region, self._plain = linear, region, plain
+        self._recordings = [
+            moment_matrices(linear, o, plain.order, region, radius) for o in observations
+        ]
+        self._arrays = [_laid_out(m) for m in self._recordings]
+        self.radius = min(m.radius for m in self._recordings)
+        self.samples = sum(m.samples for m in self._recordings)
+        self.uncertain_samples = sum(m.ratios.size for m in self._recordings)
+        self.outputs = sum(o.filter.n_outputs for o in observations)
+        self.uncertain_outputs = sum(m.outputs for m in self._recordings)
+        self.outside = 0
+
+    @property
+    def description(self) -> str:
+        """In words, for the record."""
+        if not self._linear.names2:
+            return "moment matrices: the torque is linear"
+        certain = 100.0 * (1.0 - self.uncertain_samples / max(self.samples, 1))
+        return (
+            f"moment matrices: {certain:.1f} % of samples certain within {self.radius:.3g} "
+            f"sds of the expected posterior, the others looked at one by one; every sample beyond"
+        )
+
+    def at(self, values: Array) -> Moments:
+        """See :class:`bayesfric.inference.residual_moments.ResidualMoments`."""
+        n = values.shape[0]
+        flat = np.empty((n, len(self._recordings), n_entries(self.order)))
+        with np.errstate(all="ignore"):
+            known = self._linear.coefficients(values)
+            distance = self._region.distance(known.leg)
+            inside = (distance <= self.radius) & (np.abs(known.all).max(axis=1) < _LARGEST)
+            inside &= np.isfinite(values).all(axis=1)
+            for i, (m, arrays) in enumerate(zip(self._recordings, self._arrays, strict=True)):
+                flat[:, i] = self._one_recording(m, arrays, known, distance, inside)
+        far = ~inside | ~np.isfinite(flat).all(axis=(1, 2))
+        if not far.any():
+            return unpacked(flat, self.order)
+        self.outside += int(np.count_nonzero(far))
+        moments, beyond = unpacked(flat, self.order), self._plain.at(values[far])
+        moments.lagged[far] = beyond.lagged
+        for head, other in zip(moments.heads, beyond.heads, strict=True):
+            head[far] = other
+        return moments
+
+    def _one_recording(
+        self,
+        m: MomentMatrices,
+        arrays: tuple[Any, ...],
+        known: Coefficients,
+        distance: Array,
+        inside: NDArray[np.bool_],
+    ) -> Array:
+        size = m.to_columns.shape[0]
+        z = np.zeros((distance.size, m.rows.shape[1]))
+        z[:, :size] = known.all @ m.to_columns
+        # rounding may blur the border, where the sign does not matter
+        looked = np.searchsorted(m.ratios, distance * (1.0 + 1e-9) + 1e-12, side="right")
+        looked = np.where(inside, looked, -1)
+        n2 = known.leg.shape[1]
+        work = distance.size * (m.matrices.shape[0] * size**2 + n2 * m.ratios.size // 4)
+        threads = get_num_threads() if work > _WORTH_THREADS else 1
+        run = _in_threads if threads > 1 else _in_line
+        found: Array = run(4 * threads, z, known.leg, known.lambda2, looked, self.order, *arrays)
+        return found
+
+
+def fast_moments(
+    chain: Chain,
+    observations: Sequence[Observation],
+    draws: Array,
+    order: int = 0,
+    radius: float = RADIUS,
+    plain: PlainMoments | None = None,
+) -> FastMoments | None:
+    """Reduce recordings for a chain that allows it.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    observations
+        One or more prepared recordings.
+    draws
+        ``(n, n_parameters)`` vectors about as spread as the posterior. They decide how fast the
+        result is, not what it is.
+    order
+        Of the autoregressive noise, 0 for white.
+    radius
+        How far the region reaches, in sds of the draws.
+    plain
+        The plain moments of the same order, if they are there already.
+
+    Returns
+    -------
+    FastMoments or None
+        ``None`` where the torque is not of the form of eq. (13), or the draws show no
+        direction of the load's torque.
+    """
+    linear = linear_torque(chain, observations)
+    if linear is None:
+        return None
+    legs = linear.coefficients(draws[np.isfinite(draws).all(axis=1)]).leg
+    region = SignRegion.around(legs, linear.typical_size(observations))
+    if region is None:
+        return None
+    whole = PlainMoments(chain, observations, order) if plain is None else plain
+    return FastMoments(linear, region, whole, observations, radius)
+
+
+def _laid_out(m: MomentMatrices) -> tuple[Any, ...]:
+    """Lay a recording out for the compiled evaluation."""
+    size, padded = m.to_columns.shape[0], m.rows.shape[1]
+    # each product of two different coordinates once
+    forms = np.zeros((m.matrices.shape[0], size, padded))
+    forms[:, :, :size] = np.triu(2.0 * m.matrices) - m.matrices * np.eye(size)
+    cells = m.inner.size // _CELL + 1
+    return (
+        forms,
+        m.signs,
+        m.jumps,
+        m.first,
+        m.last,
+        m.weights,
+        m.slopes.reshape(m.slopes.shape[0], m.slopes.shape[1] * padded),
+        m.rows,
+        m.age,
+        m.remaining,
+        m.head,
+        m.inner,
+        np.pad(m.inner, (0, cells * _CELL - m.inner.size), constant_values=True)
+        .reshape(cells, _CELL)
+        .all(axis=1),
+    )
+
+
+@njit(cache=True)
+def _correct_edge(
+    at: int,
+    order: int,
+    z: Array,
+    rows: Array,
+    age: Short,
+    remaining: Short,
+    head: Short,
+    inner: NDArray[np.bool_],
+    change: Array,
+    out: Array,
+) -> None:
+    """Add what a changed output does to products with others that are at a run's edge too.
+
+    The pair of an earlier output x and a later one y gives ``dx (ry + dy) + rx dy``: the
+    change of the earlier goes with the other's new residual. It counts in entry ``j, k`` if
+    the output j periods after y is there and has a whole past.
+    """
+    delta, place = change[at], int(age[at])
+    for h in range(-order, order + 1):
+        there = remaining[at] >= h if h >= 0 else place >= -h
+        if not there or inner[at + h]:
+            continue
+        other = at + h
+        value = product_sum(rows[other], z)
+        if h >= 0:
+            value += change[other]
+        if h == 0:
+            value += product_sum(rows[at], z)
+        value *= delta
+        later, apart = max(at, other), abs(h)
+        entry = apart
+        for j in range(order + 1 - apart):
+            if remaining[later] >= j and age[later] + j >= order:
+                out[entry] += value
+            entry += order + 1 - j
+        if place < order and 0 <= place + h < head[at]:
+            j, k = min(place, place + h), max(place, place + h)
+            out[head_entry(order, head[at], j, k)] += value
+
+
+@njit(cache=True)
+def _some_vectors(
+    out: Array,
+    begin: int,
+    end: int,
+    z: Array,
+    leg: Array,
+    lambda2: Array,
+    looked: Index,
+    order: int,
+    forms: Array,
+    signs: Array,
+    jumps: Array,
+    first: Index,
+    last: Index,
+    weights: Array,
+    slopes: Array,
+    rows: Array,
+    age: Short,
+    remaining: Short,
+    head: Short,
+    inner: NDArray[np.bool_],
+    all_inner: NDArray[np.bool_],
+) -> None:
+    n_kept, size = rows.shape[0], forms.shape[1]
+    alone = order == 0 and weights.shape[1] == 1
+    # kept outputs whose residuals change are found again by cells
+    n_cells = n_kept // _CELL + 1
+    change = np.zeros(n_cells * _CELL + order)
+    in_list, touched = np.zeros(n_cells, np.bool_), np.empty(n_cells, np.int64)
+    level, hit = np.empty(_LOOK), np.empty(_LOOK, np.int64)
+    apart, slope = np.empty(order + 1), np.empty(slopes.shape[1])
+    for v in range(begin, end):
+        if looked[v] < 0:
+            out[v] = np.nan
+            continue
+        one = z[v]
+        for e in range(forms.shape[0]):
+            total = 0.0
+            for j in range(size):
+                total += one[j] * product_sum(forms[e, j], one)
+            out[v, e] = total
+        n_touched = 0
+        apart[:] = 0.0
+        slope[:] = 0.0
+        for i0 in range(0, looked[v], _LOOK):
+            n = min(_LOOK, looked[v] - i0)
+            now = level[:n]
+            now[:] = 0.0
+            for k in range(signs.shape[0]):
+                row, factor = signs[k, i0 : i0 + n], leg[v, k]
+                for i in range(n):
+                    now[i] += row[i] * factor
+            # no branch on what the next sample is like: half of them differ
+            n_hits = 0
+            for i in range(n):
+                hit[n_hits] = i
+                n_hits += now[i] < 0.0
+            for i in hit[:n_hits]:
+                s = i0 + i
+                jump = jumps[s] * lambda2[v] * now[i]
+                row = slopes[s]
+                for k in range(slope.shape[0]):
+                    slope[k] += jump * row[k]
+                if alone:
+                    apart[0] += (weights[s, 0] * jump) ** 2
+                    continue
+                a, b = first[s], last[s]
+                part, weight = change[a:b], weights[s, : b - a]
+                for i in range(b - a):
+                    part[i] += weight[i] * jump
+                for c in range(a // _CELL, (b - 1) // _CELL + 1):
+                    if not in_list[c]:
+                        in_list[c] = True
+                        touched[n_touched] = c
+                        n_touched += 1
+        for h in range(order + 1):
+            apart[h] += product_sum(slope[h * one.size : (h + 1) * one.size], one)
+        for c in touched[:n_touched]:
+            if all_inner[c]:
+                a, b = c * _CELL, (c + 1) * _CELL
+                for h in range(order + 1):
+                    apart[h] += product_sum(change[a:b], change[a + h : b + h])
+                continue
+            for m in range(c * _CELL, min((c + 1) * _CELL, n_kept)):
+                if change[m] == 0.0:
+                    continue
+                if inner[m]:
+                    for h in range(order + 1):
+                        apart[h] += change[m] * change[m + h]
+                    continue
+                for h in range(1, order + 1):
+                    if remaining[m] >= h and inner[m + h]:
+                        apart[h] += change[m] * change[m + h]
+                _correct_edge(m, order, one, rows, age, remaining, head, inner, change, out[v])
+        entry = 0
+        for j in range(order + 1):
+            for h in range(order + 1 - j):
+                out[v, entry] += apart[h]
+                entry += 1
+        for c in touched[:n_touched]:
+            change[c * _CELL : (c + 1) * _CELL] = 0.0
+            in_list[c] = False
+
+
+@njit(cache=True)
+def _in_line(parts: int, z: Array, leg: Array, lambda2: Array, looked: Index, *arrays: Any) -> Any:  # noqa: ARG001
+    out = np.empty((z.shape[0], arrays[1].shape[0]))
+    _some_vectors(out, 0, z.shape[0], z, leg, lambda2, looked, *arrays)
+    return out
+
+
+@njit(cache=True, parallel=True)
+def _in_threads(
+    parts: int, z: Array, leg: Array, lambda2: Array, looked: Index, *arrays: Any
+) -> Any:
+    out = np.empty((z.shape[0], arrays[1].shape[0]))
+    n = z.shape[0]
+    for p in prange(parts):
+        _some_vectors(out, p * n // parts, (p + 1) * n // parts, z, leg, lambda2, looked, *arrays)
+    return out

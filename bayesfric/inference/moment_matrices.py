@@ -1,0 +1,383 @@
+"""A recording reduced to the matrices of its residual moments, and what they leave out.
+
+With the signs of ``psi2 l`` at a centre, the filtered residuals are ``E c``: rows
+``[y, psi1, sign(qd) sigma psi2]`` and the coefficients of
+:class:`bayesfric.inference.linear_torque.LinearTorque`. Every moment is then ``c' Q c``. Where
+the sign differs from the centre's, a sample changes the outputs it takes part in; samples for
+which it can, within the region, are kept.
+
+Rounding. ``c' Q c`` would lose the digits that measured and modelled torque have in common
+twice over. So a first pass finds coordinates ``z = A c`` in which the columns of E are nearly
+orthonormal, one of them being the residual of a linear fit, and the second pass adds up the
+products of ``E inv(A)``. What cancels then cancels once, in ``A c``, as it does in a plain
+residual: the sum of squares S is off by about ``K eps (S + s sqrt(S) + eps s^2)``, ``s`` being
+the root sum of squares of measured torque and of each column times its coefficient.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from bayesfric.inference.linear_torque import LinearTorque
+from bayesfric.inference.residual_moments import Runs, product_sum
+from bayesfric.inference.sign_region import SignRegion
+from bayesfric.recordings.observation import Observation
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+# Raw samples whose columns are held at once.
+_CHUNK = 16384
+# Relative size below which a direction of the columns is stretched no further.
+_STRETCH = 1e-14
+# At most this share of the samples is kept one by one, and in any case so many.
+_KEPT_SHARE, _KEPT = 0.05, 20_000
+
+
+@dataclass(frozen=True, eq=False)
+class MomentMatrices:
+    """One recording, reduced.
+
+    Attributes
+    ----------
+    to_columns
+        ``(K, K)`` ``A'``: coefficients ``(n, K)`` times this are ``z``.
+    matrices
+        ``(entries, K, K)`` symmetric: each moment is ``z' Q z``, laid out as in
+        :func:`bayesfric.inference.residual_moments.unpacked`.
+    ratios
+        ``(U,)`` of the kept samples, rising: at a distance below it a sample has the
+        centre's sign.
+    signs
+        ``(n2, U)`` their ``sigma psi2``; its product with the leg is negative where the sign
+        differs.
+    jumps
+        ``(U,)`` by ``2 sign(qd)``, times lambda_2 and that product, the residual changes.
+    first, last
+        ``(U,)`` the kept outputs ``first:last`` that each takes part in.
+    weights
+        ``(U, most)`` what it weighs in each of them.
+    slopes
+        ``(U, order + 1, padded K)``: its product with ``z`` times the residual's jump is what
+        the sum over pairs of outputs 0, 1, .. apart changes by, but for the jump's square.
+        Pairs of outputs that are both at the edge of a run are left out.
+    rows
+        ``(V, padded K)`` ``E inv(A)`` of the kept outputs: those and, for AR noise, their
+        neighbours.
+    age, remaining, head, inner
+        ``(V,)`` of the kept outputs; ``inner`` where the order reaches neither end of the run.
+    samples, outputs
+        How many raw samples outputs rest on, and how many outputs kept samples touch.
+    radius
+        Distance up to which all this is complete.
+    """
+
+    to_columns: Array
+    matrices: Array
+    ratios: Array
+    signs: Array
+    jumps: Array
+    first: Index
+    last: Index
+    weights: Array
+    slopes: Array
+    rows: Array
+    age: NDArray[np.int16]
+    remaining: NDArray[np.int16]
+    head: NDArray[np.int16]
+    inner: NDArray[np.bool_]
+    samples: int
+    outputs: int
+    radius: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Chunk:
+    """Outputs ``outputs`` of a recording and the raw samples ``samples`` that they rest on."""
+
+    outputs: slice
+    samples: slice
+    psi2: Array
+    level: Array
+    rows: Array
+
+
+def moment_matrices(
+    linear: LinearTorque, o: Observation, order: int, region: SignRegion, radius: float
+) -> MomentMatrices:
+    """Reduce a recording, in two passes of chunks.
+
+    Parameters
+    ----------
+    linear
+        The torque's columns.
+    o
+        The recording.
+    order
+        Of the AR noise.
+    region
+        Signs at its centre are the reference.
+    radius
+        Distance within which samples whose sign can differ are kept. It comes back
+        smaller where they would be too many.
+    """
+    gram = np.zeros((linear.size, linear.size))
+    found = _Candidates(o, radius)
+    for chunk in _chunks(linear, o, region):
+        gram += chunk.rows @ chunk.rows.T
+        found.look(chunk, region)
+    kept, ratios = found.sorted()
+    to_columns, stretch = _orthonormal(gram)
+
+    runs = Runs.of(o, order)
+    starts, length = o.filter.starts, o.filter.taps.size
+    low = np.searchsorted(starts, kept - length, side="right")
+    high = np.searchsorted(starts, kept, side="right")
+    touched = _joined(low, high, starts.size)
+    outputs = _with_neighbours(touched, runs, order)
+    padded = -(-linear.size // 4) * 4
+    rows = np.zeros((outputs.size, padded))
+    signs = np.zeros((len(linear.names2), kept.size))
+    in_place = np.argsort(kept, kind="stable")
+    ordered = kept[in_place]
+
+    sums = _Products(order, linear.size, runs)
+    for chunk in _chunks(linear, o, region):
+        straight = stretch.T @ chunk.rows
+        sums.add(straight, chunk.outputs.start)
+        a, b = np.searchsorted(outputs, (chunk.outputs.start, chunk.outputs.stop))
+        rows[a:b, : linear.size] = straight[:, outputs[a:b] - chunk.outputs.start].T
+        a, b = np.searchsorted(ordered, (chunk.samples.start, chunk.samples.stop))
+        at = ordered[a:b] - chunk.samples.start
+        signs[:, in_place[a:b]] = np.where(chunk.level[at] >= 0.0, 1.0, -1.0) * chunk.psi2[:, at]
+
+    first = np.searchsorted(outputs, low)
+    last = first + (high - low)
+    weights = np.zeros((kept.size, int((high - low).max(initial=1))))
+    for i in range(weights.shape[1]):
+        has = np.flatnonzero(low + i < high)
+        weights[has, i] = o.filter.taps[kept[has] - starts[low[has] + i]]
+    age, remaining = runs.age[outputs], runs.remaining[outputs]
+    inner = (age == order) & (remaining == order)
+    slopes = np.zeros((kept.size, order + 1, padded))
+    _slopes(first, last, weights, rows, age, remaining, inner, slopes)
+    return MomentMatrices(
+        to_columns=to_columns,
+        matrices=sums.matrices(),
+        ratios=ratios,
+        signs=signs,
+        jumps=2.0 * np.sign(o.qd[kept]),
+        first=first,
+        last=last,
+        weights=weights,
+        slopes=slopes,
+        rows=rows,
+        age=age,
+        remaining=remaining,
+        head=runs.head[outputs],
+        inner=inner,
+        samples=found.seen,
+        outputs=touched.size,
+        radius=found.radius,
+    )
+
+
+def _chunks(linear: LinearTorque, o: Observation, region: SignRegion) -> Iterator[_Chunk]:
+    """Go through a recording; a chunk's rows are filtered columns ``(K, outputs)``."""
+    starts, taps = o.filter.starts, o.filter.taps
+    k1, n2 = len(linear.names1), len(linear.names2)
+    # long windows overlap: most of a chunk should not be done twice
+    reach = max(_CHUNK, 8 * taps.size) - taps.size
+    begin = 0
+    while begin < starts.size:
+        nearest = starts[begin : begin + reach + 1]
+        end = begin + int(np.searchsorted(nearest, starts[begin] + reach, side="right"))
+        a, b = int(starts[begin]), int(starts[end - 1]) + taps.size
+        psi1, psi2 = linear.columns(o, a, b)
+        raw = np.empty((linear.size - 1, b - a))
+        raw[:k1] = psi1
+        sign = np.sign(o.qd[a:b])
+        level = region.centre @ psi2
+        np.multiply(np.where(level >= 0.0, sign, -sign), psi2, out=raw[k1 : k1 + n2])
+        if linear.rest:
+            np.multiply(sign == 0.0, psi2, out=raw[k1 + n2 :])
+        rows = np.empty((linear.size, end - begin))
+        rows[0] = o.measured[begin:end]
+        if taps.size == 1:
+            rows[1:] = taps[0] * (raw if b - a == end - begin else raw[:, starts[begin:end] - a])
+        else:
+            _filter(raw, taps, starts[begin:end] - a, rows[1:])
+        yield _Chunk(slice(begin, end), slice(a, b), psi2, level, rows)
+        begin = end
+
+
+@njit(cache=True)
+def _filter(raw: Array, taps: Array, starts: Index, out: Array) -> None:
+    for k in range(raw.shape[0]):
+        row = raw[k]
+        for m in range(starts.shape[0]):
+            out[k, m] = product_sum(taps, row[starts[m] : starts[m] + taps.shape[0]])
+
+
+@njit(cache=True)
+def _slopes(
+    first: Index,
+    last: Index,
+    weights: Array,
+    rows: Array,
+    age: NDArray[np.int16],
+    remaining: NDArray[np.int16],
+    inner: NDArray[np.bool_],
+    out: Array,
+) -> None:
+    for i in range(first.shape[0]):
+        for m in range(first[i], last[i]):
+            weight = weights[i, m - first[i]]
+            if inner[m]:
+                out[i, 0] += 2.0 * weight * rows[m]
+            for h in range(1, out.shape[1]):
+                if age[m] >= h and (inner[m] or inner[m - h]):
+                    out[i, h] += weight * rows[m - h]
+                if remaining[m] >= h and (inner[m] or inner[m + h]):
+                    out[i, h] += weight * rows[m + h]
+
+
+class _Candidates:
+    """Collects the samples whose sign can differ within a radius, the nearest if too many."""
+
+    def __init__(self, o: Observation, radius: float) -> None:
+        self._o, self.radius, self.seen, self._done = o, radius, 0, 0
+        self._most = max(_KEPT, int(_KEPT_SHARE * o.q.size))
+        self._number: list[Index] = []
+        self._ratio: list[Array] = []
+        self._held = 0
+
+    def look(self, chunk: _Chunk, region: SignRegion) -> None:
+        """Take the candidates of a chunk, apart from the samples it shares with the last."""
+        a, b = max(self._done, chunk.samples.start), chunk.samples.stop
+        length = self._o.filter.taps.size
+        ratio = region.ratios(chunk.psi2[:, a - chunk.samples.start :])
+        # at rest there is no loss to have a direction
+        near = a + np.flatnonzero((ratio <= self.radius) & (self._o.qd[a:b] != 0.0))
+        starts = self._o.filter.starts[chunk.outputs]
+        at = np.searchsorted(starts, near, side="right") - 1
+        near = near[(at >= 0) & (near - starts[at] < length)]
+        self.seen += _covered(starts, length, a)
+        self._done = b
+        self._number.append(near)
+        self._ratio.append(ratio[near - a])
+        self._held += near.size
+        if self._held > 4 * self._most:
+            self._shorten()
+
+    def _shorten(self) -> None:
+        number, ratio = np.concatenate(self._number), np.concatenate(self._ratio)
+        if ratio.size > self._most:
+            # one sample more than is kept, so that the radius is where samples begin to lack
+            border = float(np.partition(ratio, self._most)[self._most])
+            number, ratio = number[ratio < border], ratio[ratio < border]
+            self.radius = border * (1.0 - 1e-6)
+        self._number, self._ratio, self._held = [number], [ratio], number.size
+
+    def sorted(self) -> tuple[Index, Array]:
+        """Give the candidates and their ratios, the ratios rising."""
+        if not self._number:
+            return np.zeros(0, dtype=np.int64), np.zeros(0)
+        self._shorten()
+        number, ratio = self._number[0], self._ratio[0]
+        rising = np.argsort(ratio, kind="stable")
+        return number[rising], ratio[rising]
+
+
+def _covered(starts: Index, length: int, begin: int) -> int:
+    """Count the samples from ``begin`` on that windows cover."""
+    a = np.maximum(starts, begin)
+    a[1:] = np.maximum(a[1:], starts[:-1] + length)
+    return int(np.maximum(starts + length - a, 0).sum())
+
+
+def _joined(low: Index, high: Index, n: int) -> Index:
+    """All numbers in any of the ranges ``low:high``, rising."""
+    change = np.zeros(n + 1, dtype=np.int32)
+    np.add.at(change, low, 1)
+    np.add.at(change, high, -1)
+    return np.flatnonzero(np.cumsum(change[:n]) > 0)
+
+
+def _with_neighbours(outputs: Index, runs: Runs, order: int) -> Index:
+    """Give outputs and those of their runs at most ``order`` before or after."""
+    found = [outputs]
+    for j in range(1, order + 1):
+        found.append(outputs[runs.age[outputs] >= j] - j)
+        found.append(outputs[runs.remaining[outputs] >= j] + j)
+    return np.unique(np.concatenate(found)) if order else outputs
+
+
+def _orthonormal(gram: Array) -> tuple[Array, Array]:
+    """Coordinates in which the columns with these products are nearly orthonormal.
+
+    Returns ``A'``, which coefficients are multiplied by, and ``inv(A)``, which columns are.
+    """
+    size = np.sqrt(np.diag(gram))
+    size = np.where(size > 0.0, size, 1.0)
+    values, vectors = np.linalg.eigh(gram / size / size[:, None])
+    length = np.sqrt(np.maximum(values, _STRETCH * max(float(values[-1]), 1.0)))
+    return size[:, None] * vectors * length, vectors / length / size[:, None]
+
+
+class _Products:
+    """Adds up products of rows chunk by chunk, laid out as the moments are."""
+
+    def __init__(self, order: int, size: int, runs: Runs) -> None:
+        self._order, self._runs = order, runs
+        self._before = np.zeros((size, order))
+        self._lagged = [
+            [np.zeros((size, size)) for _ in range(j, order + 1)] for j in range(order + 1)
+        ]
+        self._heads = [np.zeros((k, k, size, size)) for k in range(1, order + 1)]
+
+    def add(self, rows: Array, first: int) -> None:
+        """Take rows ``(size, n)`` of the outputs from ``first`` on."""
+        p, n = self._order, rows.shape[1]
+        if p == 0:
+            self._lagged[0][0] += rows @ rows.T
+            return
+        rows = np.concatenate([self._before, rows], axis=1)
+        self._before = rows[:, n:]
+        age = self._runs.age[first : first + n]
+        whole = np.flatnonzero(age == p)
+        if whole.size < n:
+            self._add_heads(rows, np.flatnonzero(age < p), first)
+        for h in range(p + 1):
+            if whole.size == n:
+                total = rows[:, p:] @ rows[:, p - h : p - h + n].T
+            for j in range(p + 1 - h):
+                late, early = p - j, p - j - h
+                if whole.size == n:
+                    # the same pairs, but for a few at both ends
+                    gone = rows[:, late + n : p + n] @ rows[:, early + n : p - h + n].T
+                    come = rows[:, late:p] @ rows[:, early : p - h].T
+                    self._lagged[j][h] += total + (come - gone)
+                else:
+                    self._lagged[j][h] += rows[:, whole + late] @ rows[:, whole + early].T
+
+    def _add_heads(self, rows: Array, at: Index, first: int) -> None:
+        age, head = self._runs.age[first + at], self._runs.head[first + at]
+        for length, sums in enumerate(self._heads, start=1):
+            for k in range(length):
+                late = at[(age == k) & (head == length)] + self._order
+                for j in range(k + 1):
+                    sums[j, k] += rows[:, late - (k - j)] @ rows[:, late].T
+
+    def matrices(self) -> Array:
+        """All sums, symmetric, ``(entries, size, size)``."""
+        found = [q for row in self._lagged for q in row]
+        for k, head in enumerate(self._heads, start=1):
+            found += list(head[np.triu_indices(k)])
+        stacked = np.stack(found)
+        return np.asarray(0.5 * (stacked + stacked.transpose(0, 2, 1)))

@@ -1,0 +1,117 @@
+"""Which noise model the residuals of an estimate ask for, and the evidence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.inference.autoregression import burg, ljung_box, variances, whitened
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+# Longest memory that is tried.
+MOST = 4
+# Correlations that the test of what is left looks at, beyond those fitted.
+_LAGS = 10
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """How well residuals are autoregressive noise of one order.
+
+    Attributes
+    ----------
+    order
+        Predecessors that each residual remembers.
+    bic
+        Bayesian information criterion over that of white noise; the smallest is chosen.
+    innovations
+        Root mean square of the innovations over that of the residuals.
+    p_value
+        Of the Ljung-Box test that the innovations are white.
+    """
+
+    order: int
+    bic: float
+    innovations: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The order chosen, and every one that was tried."""
+
+    order: int
+    tried: tuple[Evidence, ...]
+
+    @property
+    def white(self) -> bool:
+        """Whether the innovations of the chosen order pass as white, at 1 %."""
+        return self.tried[self.order].p_value > 0.01
+
+
+def choose_order(
+    residuals: Sequence[Array], follows: Sequence[Flags], own_scales: bool, most: int = MOST
+) -> Choice:
+    """Choose the order of autoregressive noise by the Bayesian information criterion.
+
+    Parameters
+    ----------
+    residuals
+        Of every recording, ``(M,)`` each.
+    follows
+        ``(M - 1,)`` each, whether runs go on.
+    own_scales
+        Whether every recording has scale and coefficients of its own.
+    most
+        Largest order tried.
+
+    Returns
+    -------
+    Choice
+    """
+    groups = [[i] for i in range(len(residuals))] if own_scales else [list(range(len(residuals)))]
+    n = sum(r.size for r in residuals)
+    most = min(most, max(0, n // 20))
+    tried: list[Evidence] = []
+    for order in range(most + 1):
+        deviance, inner, sizes = 0.0, [], 0.0
+        for group in groups:
+            parts, runs = [residuals[i] for i in group], [follows[i] for i in group]
+            partial = burg(parts, runs, order)
+            left = [whitened(r, partial, f) for r, f in zip(parts, runs, strict=True)]
+            count = sum(r.size for r in left)
+            power = sum(float(z @ z) for z in left) / count
+            if not power > 0.0:
+                return Choice(0, (Evidence(0, 0.0, 1.0, 1.0),))
+            # the first of a run are divided by their own, larger sds
+            logs = sum(float(_log_sds(partial, f).sum()) for f in runs)
+            deviance += count * math.log(power) + 2.0 * logs
+            inner += [z / math.sqrt(power) for z in left]
+            sizes += power * count
+        penalty = len(groups) * order * math.log(n)
+        tried.append(
+            Evidence(
+                order,
+                deviance + penalty - (tried[0].bic if tried else 0.0),
+                math.sqrt(sizes / sum(float(r @ r) for r in residuals)),
+                ljung_box(inner, follows, _LAGS + order, order),
+            )
+        )
+    first = tried[0]
+    tried[0] = Evidence(0, 0.0, first.innovations, first.p_value)
+    best = min(tried, key=lambda one: one.bic)
+    return Choice(best.order, tuple(tried))
+
+
+def _log_sds(partial: Array, follows: Flags) -> Array:
+    """Logarithms of the sds, over the innovations', that the first of every run have."""
+    heads = np.log(variances(partial[None])[0]) / 2.0
+    begins = np.concatenate([[0], np.flatnonzero(~follows) + 1])
+    lengths = np.diff(np.append(begins, follows.size + 1))
+    return np.concatenate([heads[: min(k, partial.size)] for k in lengths.tolist()] or [heads[:0]])

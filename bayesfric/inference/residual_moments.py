@@ -1,0 +1,351 @@
+"""Sums of products of torque residuals, all that Gaussian noise asks of a recording.
+
+White noise needs the sum of squares. Autoregressive noise of order p needs the products of
+each residual with its p predecessors, and, for the exact density of where a stretch of
+recording begins, the products among its first p residuals. With these moments at hand the
+likelihood of any noise scale and any AR coefficients is a few multiplications.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from bayesfric.mechanism import kernels
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.inverse import added_load
+from bayesfric.recordings.observation import Observation
+
+Array = NDArray[np.float64]
+Short = NDArray[np.int16]
+
+# Samples in one call below which starting threads costs more than it saves.
+WORTH_THREADS = 50_000
+# Raw samples whose torque is held at once: what a fast cache holds.
+_BLOCK = 8192
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Lagged products of the residuals of ``n`` parameter vectors and ``R`` recordings.
+
+    A run is a stretch of outputs that follow each other one period apart; ``p`` is the order.
+
+    Attributes
+    ----------
+    lagged
+        ``(n, R, p + 1, p + 1)``: entry ``j, k`` is the sum of ``r[m - j] r[m - k]`` over the
+        outputs ``m`` that have at least p predecessors in their run. Torque unit squared.
+    heads
+        For ``l = 1..p`` an ``(n, R, l, l)`` array: entry ``j, k`` is the sum of ``r_j r_k`` of
+        the first l residuals ``r_0, r_1, ..`` in time, over the runs whose head, the first p
+        outputs or fewer if the run is shorter, has the length l.
+    """
+
+    lagged: Array
+    heads: tuple[Array, ...]
+
+    @property
+    def sum_of_squares(self) -> Array:
+        """Sum of all squared residuals, ``(n, R)``."""
+        total: Array = self.lagged[..., 0, 0].copy()
+        for head in self.heads:
+            total += np.trace(head, axis1=2, axis2=3)
+        return total
+
+
+class ResidualMoments(Protocol):
+    """Whatever computes :class:`Moments` of parameter vectors.
+
+    Attributes
+    ----------
+    order
+        p; zero for the sum of squares alone.
+    counts
+        ``(R,)`` outputs that have at least p predecessors in their run.
+    head_counts
+        ``(R, p)`` runs whose head has the length 1 to p.
+    description
+        How it is computed, in words, for the record.
+    """
+
+    order: int
+    counts: NDArray[np.int64]
+    head_counts: NDArray[np.int64]
+
+    @property
+    def description(self) -> str:
+        """In words, for the record."""
+        ...
+
+    def at(self, values: Array) -> Moments:
+        """Moments at parameter vectors ``(n, n_parameters)``."""
+        ...
+
+
+def follows(o: Observation) -> NDArray[np.bool_]:
+    """Which outputs are followed, one step later in the same segment, by the next."""
+    step = np.diff(o.filter.starts)
+    return np.asarray((step == step.min(initial=step[:1].sum())) & (np.diff(o.segment_of) == 0))
+
+
+@dataclass(frozen=True, eq=False)
+class Runs:
+    """Where each output stands in its run; ``(M,)`` each, counted up to the order.
+
+    Attributes
+    ----------
+    age
+        Outputs before it in its run.
+    remaining
+        Outputs after it in its run.
+    head
+        Length of its run's head.
+    """
+
+    age: Short
+    remaining: Short
+    head: Short
+
+    @classmethod
+    def of(cls, observation: Observation, order: int) -> Runs:
+        """Split the outputs of a recording into runs."""
+        n = observation.filter.n_outputs
+        if order == 0:
+            nothing = np.zeros(n, dtype=np.int16)
+            return cls(nothing, nothing, nothing)
+        begins = np.concatenate([[0], np.flatnonzero(~follows(observation)) + 1])[: max(n, 0)]
+        length = np.diff(np.append(begins, n))
+        age = np.arange(n) - np.repeat(begins, length)
+        remaining = np.repeat(length, length) - 1 - age
+        head = np.repeat(np.minimum(length, order), length)
+        return cls(
+            np.minimum(age, order).astype(np.int16),
+            np.minimum(remaining, order).astype(np.int16),
+            head.astype(np.int16),
+        )
+
+    def count(self, order: int) -> tuple[int, NDArray[np.int64]]:
+        """Count outputs with a whole past, and runs by the length of their heads ``(order,)``."""
+        first = self.head[self.age == 0]
+        heads = np.array([np.count_nonzero(first == k) for k in range(1, order + 1)], dtype=int)
+        return int(np.count_nonzero(self.age == order)), heads
+
+
+def n_entries(order: int) -> int:
+    """Different numbers in the moments of one vector and one recording.
+
+    They are laid out as the upper triangle of ``lagged`` and then those of the heads, by rows.
+    """
+    lagged = (order + 1) * (order + 2) // 2
+    return lagged + order * (order + 1) * (order + 2) // 6
+
+
+def unpacked(flat: Array, order: int) -> Moments:
+    """Turn ``(n, R, n_entries)`` into moments."""
+    parts, begin = [], 0
+    for size in (order + 1, *range(1, order + 1)):
+        row, column = np.triu_indices(size)
+        full = np.empty((*flat.shape[:2], size, size))
+        full[..., row, column] = flat[..., begin : begin + row.size]
+        full[..., column, row] = flat[..., begin : begin + row.size]
+        parts.append(full)
+        begin += row.size
+    return Moments(parts[0], tuple(parts[1:]))
+
+
+class PlainMoments:
+    """Moments by going through every sample for every vector; holds for every chain.
+
+    See :class:`ResidualMoments`.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    observations
+        One or more prepared recordings.
+    order
+        Of the autoregressive noise, 0 for white.
+    """
+
+    description = "every sample"
+
+    def __init__(self, chain: Chain, observations: Sequence[Observation], order: int = 0) -> None:
+        self.chain, self.order = chain, order
+        runs = [Runs.of(o, order) for o in observations]
+        counted = [r.count(order) for r in runs]
+        self.counts = np.array([n for n, _ in counted], dtype=np.int64)
+        self.head_counts = np.array([heads for _, heads in counted]).reshape(len(runs), order)
+        self._arrays = [
+            (
+                *added_load(chain, o.added_mass, o.radius),
+                np.sin(o.q),
+                np.cos(o.q),
+                np.ascontiguousarray(o.qd),
+                np.ascontiguousarray(o.qdd),
+                o.filter.taps,
+                o.filter.starts,
+                np.ascontiguousarray(o.measured),
+                _blocks(o.filter.starts, o.filter.taps.size),
+                r.age,
+                r.head,
+            )
+            for o, r in zip(observations, runs, strict=True)
+        ]
+
+    def at(self, values: Array) -> Moments:
+        """See :class:`ResidualMoments`."""
+        elements, load = self.chain.tables(values)
+        flat = np.zeros((values.shape[0], len(self._arrays), n_entries(self.order)))
+        for i, arrays in enumerate(self._arrays):
+            samples = arrays[2].shape[0] * elements.shape[0]
+            run = _in_threads if samples > WORTH_THREADS and elements.shape[0] > 1 else _in_line
+            flat[:, i] = run(self.order, elements, load, *arrays)
+        return unpacked(flat, self.order)
+
+
+def _blocks(starts: NDArray[np.int64], length: int) -> NDArray[np.int64]:
+    """Borders ``(n_blocks + 1,)`` of outputs whose windows span about one block of samples."""
+    # long windows overlap: most of a block should not be done twice
+    reach = max(_BLOCK, 8 * length) - length
+    borders = [0]
+    while borders[-1] < starts.size:
+        begin = borders[-1]
+        nearest = starts[begin : begin + reach + 1]
+        borders.append(begin + int(np.searchsorted(nearest, starts[begin] + reach, side="right")))
+    return np.array(borders, dtype=np.int64)
+
+
+@njit(cache=True, inline="always")
+def product_sum(x: Array, y: Array) -> float:
+    """Sum of the products of two arrays of one length."""
+    # Four sums side by side are as fast as letting the compiler reorder one, and
+    # unlike that they come out the same wherever this is compiled.
+    a, b, c, d = 0.0, 0.0, 0.0, 0.0
+    whole = x.shape[0] // 4 * 4
+    for k in range(0, whole, 4):
+        a += x[k] * y[k]
+        b += x[k + 1] * y[k + 1]
+        c += x[k + 2] * y[k + 2]
+        d += x[k + 3] * y[k + 3]
+    for k in range(whole, x.shape[0]):
+        a += x[k] * y[k]
+    return (a + b) + (c + d)
+
+
+@njit(cache=True)
+def head_entry(order: int, length: int, j: int, k: int) -> int:
+    """Place of ``r_j r_k``, ``j <= k``, of a head of this length in the flat layout."""
+    before = (order + 1) * (order + 2) // 2 + (length - 1) * length * (length + 1) // 6
+    return before + j * length - j * (j - 1) // 2 + k - j
+
+
+@njit(cache=True)
+def _accumulate(
+    order: int, residual: Array, n: int, age: Short, head: Short, first: int, out: Array
+) -> None:
+    """Add the products of ``n`` residuals from output ``first`` on; ``order`` older ones lead."""
+    i = 0
+    while i < n:
+        if age[first + i] < order:
+            k = age[first + i]
+            for j in range(k + 1):
+                place = head_entry(order, head[first + i], j, k)
+                out[place] += residual[order + i] * residual[order + i - (k - j)]
+            i += 1
+            continue
+        end = n
+        if order > 0:
+            end = i + 1
+            while end < n and age[first + end] == order:
+                end += 1
+        entry = 0
+        for j in range(order + 1):
+            for k in range(j, order + 1):
+                out[entry] += product_sum(
+                    residual[order + i - j : order + end - j],
+                    residual[order + i - k : order + end - k],
+                )
+                entry += 1
+        i = end
+
+
+@njit(cache=True)
+def _one_vector(
+    out: Array,
+    order: int,
+    elements: Array,
+    load: Array,
+    added_inertia: float,
+    added_moment: float,
+    sin_q: Array,
+    cos_q: Array,
+    speed: Array,
+    acceleration: Array,
+    taps: Array,
+    starts: NDArray[np.int64],
+    measured: Array,
+    borders: NDArray[np.int64],
+    age: Short,
+    head: Short,
+) -> None:
+    length = taps.shape[0]
+    longest, most = 0, 0
+    for b in range(borders.shape[0] - 1):
+        last = borders[b + 1] - 1
+        longest = max(longest, starts[last] + length - starts[borders[b]])
+        most = max(most, last + 1 - borders[b])
+    torque = np.empty(longest)
+    residual = np.zeros(order + most)
+    for b in range(borders.shape[0] - 1):
+        first, n = borders[b], borders[b + 1] - borders[b]
+        begin, end = starts[first], starts[borders[b + 1] - 1] + length
+        kernels.inverse_one(
+            elements,
+            load,
+            added_inertia,
+            added_moment,
+            sin_q[begin:end],
+            cos_q[begin:end],
+            speed[begin:end],
+            acceleration[begin:end],
+            torque[: end - begin],
+        )
+        # slices, since an index that might be negative keeps the compiler from vectorising
+        windows, target = starts[first : first + n], measured[first : first + n]
+        now = residual[order:]
+        if length == 1:
+            for i in range(n):
+                now[i] = target[i] - taps[0] * torque[windows[i] - begin]
+        else:
+            for i in range(n):
+                at = windows[i] - begin
+                now[i] = target[i] - product_sum(taps, torque[at : at + length])
+        _accumulate(order, residual, n, age, head, first, out)
+        # the next block's first outputs look back at these
+        for i in range(order):
+            residual[i] = residual[n + i]
+
+
+@njit(cache=True)
+def _in_line(order: int, elements: Array, load: Array, *arrays: Any) -> Array:
+    entries = (order + 1) * (order + 2) // 2 + order * (order + 1) * (order + 2) // 6
+    out = np.zeros((elements.shape[0], entries))
+    for i in range(elements.shape[0]):
+        _one_vector(out[i], order, elements[i], load[i], *arrays)
+    return out
+
+
+@njit(cache=True, parallel=True)
+def _in_threads(order: int, elements: Array, load: Array, *arrays: Any) -> Array:
+    entries = (order + 1) * (order + 2) // 2 + order * (order + 1) * (order + 2) // 6
+    out = np.zeros((elements.shape[0], entries))
+    for i in prange(elements.shape[0]):
+        _one_vector(out[i], order, elements[i], load[i], *arrays)
+    return out

@@ -1,0 +1,103 @@
+"""Where in the space of leg parameters the direction of power at a sample is certain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+Array = NDArray[np.float64]
+
+# Share of its own length that a draw must have along the mean direction to shape the region.
+_ALONG = 0.2
+# Least spread of any direction: relative to the mean one, and absolute (the centre has length 1).
+_FLOOR, _LEAST = 1e-6, 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class SignRegion:
+    """An ellipsoid ``|inv(root) (l - centre)| <= R`` of leg parameters, for every R.
+
+    The sign of ``psi l`` does not depend on the length of ``l``, so what counts is how near
+    to the centre the ray through ``l`` comes. A sample's sign is the centre's at all ``l``
+    nearer than its ratio ``|psi centre| / |root' psi|``.
+
+    Attributes
+    ----------
+    centre
+        ``(n2,)``
+    root
+        ``(n2, n2)`` lower triangular.
+    """
+
+    centre: Array
+    root: Array
+
+    @classmethod
+    def around(cls, legs: Array, size: Array) -> SignRegion | None:
+        """Fit the region to draws.
+
+        Parameters
+        ----------
+        legs
+            ``(n, n2)`` leg parameters, spread like the posterior.
+        size
+            ``(n2,)`` how large the column each multiplies is.
+
+        Returns
+        -------
+        SignRegion or None
+            ``None`` if no draw has a direction.
+        """
+        if legs.shape[1] == 0:
+            return cls(np.zeros(0), np.zeros((0, 0)))
+        torques = legs * size
+        length = np.linalg.norm(torques, axis=1)
+        good = np.isfinite(length) & (length > 0.0)
+        unit = torques[good] / length[good, None]
+        mean = unit.mean(axis=0) if unit.size else np.zeros(legs.shape[1])
+        if not np.linalg.norm(mean) > 0.0:
+            return None
+        mean /= np.linalg.norm(mean)
+        along = unit @ mean
+        near = along > _ALONG
+        if not near.any():
+            return None
+        # all draws at one length along the mean direction: their lengths say nothing here
+        flat = unit[near] / along[near, None]
+        centre = flat.mean(axis=0)
+        apart = flat - centre
+        covariance = apart.T @ apart / max(flat.shape[0] - 1, 1)
+        floor = _FLOOR * np.trace(covariance) / mean.size + _LEAST
+        covariance[np.diag_indices(mean.size)] += floor
+        return cls(centre / size, np.linalg.cholesky(covariance) / size[:, None])
+
+    def distance(self, legs: Array) -> Array:
+        """How near the ray through each of ``(n, n2)`` comes to the centre, ``(n,)``.
+
+        ``inf`` where it points away; ``nan`` where it is no direction.
+        """
+        if self.centre.size == 0:
+            return np.zeros(legs.shape[0])
+        ray = solve_triangular(self.root, legs.T, lower=True, check_finite=False)
+        target = solve_triangular(self.root, self.centre, lower=True)
+        with np.errstate(all="ignore"):
+            # at length one nothing overflows
+            ray /= np.abs(ray).max(axis=0)
+            along = target @ ray / (ray * ray).sum(axis=0)
+            distance = np.sqrt(((along * ray - target[:, None]) ** 2).sum(axis=0))
+        return np.where(along > 0.0, distance, np.where(np.isnan(along), np.nan, np.inf))
+
+    def ratios(self, psi: Array) -> Array:
+        """Distance up to which samples ``psi`` ``(n2, n)`` have the centre's sign, ``(n,)``.
+
+        ``inf`` where the sign never matters, as where ``psi`` is zero.
+        """
+        level = self.centre @ psi
+        spread = self.root.T @ psi
+        width = np.sqrt(np.einsum("kn,kn->n", spread, spread))
+        ratio = np.full(level.size, np.inf)
+        np.divide(np.abs(level), width, out=ratio, where=width > 0.0)
+        return ratio

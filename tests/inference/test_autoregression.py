@@ -1,0 +1,179 @@
+"""Autoregressive noise against covariance matrices written out, and exact densities."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import linalg, stats
+
+from bayesfric.inference.autoregression import (
+    autocovariance,
+    burg,
+    ljung_box,
+    predictors,
+    simulated,
+    variances,
+    whitened,
+)
+from bayesfric.inference.residual_moments import Moments
+from bayesfric.inference.residual_noise import Autoregressive, StudentT
+
+partials = st.lists(st.floats(-0.95, 0.95), min_size=0, max_size=4).map(np.array)
+
+
+def covariance(partial, n):
+    """Autocovariance by the state-space form: P = A P A' + B B', an equation of its own."""
+    p = max(partial.size, 1)
+    phi = np.zeros(p)
+    phi[: partial.size] = predictors(partial[None])[-1][0]
+    a = np.eye(p, k=-1)
+    a[0] = phi
+    b = np.zeros((p, p))
+    b[0, 0] = 1.0
+    state = linalg.solve_discrete_lyapunov(a, b)
+    gamma = [state[0, 0]]
+    for _ in range(n - 1):
+        state = a @ state
+        gamma.append(state[0, 0])
+    return linalg.toeplitz(gamma)
+
+
+def runs_of(lengths):
+    follows = np.ones(sum(lengths) - 1, dtype=bool)
+    follows[np.cumsum(lengths)[:-1] - 1] = False
+    return follows
+
+
+def blocks(partial, lengths):
+    return linalg.block_diag(*(covariance(partial, n) for n in lengths))
+
+
+@given(partials)
+def test_every_partial_autocorrelation_is_a_stationary_series(partial):
+    phi = predictors(partial[None])[-1][0]
+    roots = np.roots(np.concatenate([[1.0], -phi]))
+    assert np.all(np.abs(roots) < 1.0)
+
+
+@settings(max_examples=60)
+@given(partials, st.lists(st.integers(1, 6), min_size=1, max_size=3))
+def test_whitening_leaves_the_identity(partial, lengths):
+    n = sum(lengths)
+    w = whitened(np.eye(n), partial, runs_of(lengths)).T if n > 1 else np.eye(1)
+    if n == 1:
+        return
+    np.testing.assert_allclose(w @ blocks(partial, lengths) @ w.T, np.eye(n), atol=1e-6)
+
+
+@settings(max_examples=40)
+@given(partials, st.integers(0, 2**32 - 1))
+def test_whitening_gives_back_what_a_series_was_made_of(partial, seed):
+    follows = runs_of([7, 1, 12, 3])
+    series = simulated(partial, follows, 2, np.random.default_rng(seed))
+    innovations = np.random.default_rng(seed).standard_normal(series.shape)
+    np.testing.assert_allclose(whitened(series, partial, follows), innovations, atol=1e-7)
+
+
+def moments_of(residual, follows, p):
+    """Lagged products by loops."""
+    parts = np.split(residual, np.flatnonzero(~follows) + 1)
+    lagged = np.zeros((p + 1, p + 1))
+    heads = [np.zeros((k, k)) for k in range(1, p + 1)]
+    counts, head_counts = 0, np.zeros(p, dtype=int)
+    for x in parts:
+        for m in range(p, x.size):
+            past = x[m - p : m + 1][::-1]
+            lagged += np.outer(past, past)
+            counts += 1
+        k = min(p, x.size)
+        if k:
+            heads[k - 1] += np.outer(x[:k], x[:k])
+            head_counts[k - 1] += 1
+    made = Moments(lagged[None, None], tuple(h[None, None] for h in heads))
+    return made, np.array([counts]), head_counts[None]
+
+
+@settings(max_examples=60)
+@given(
+    partials,
+    st.lists(st.integers(1, 7), min_size=1, max_size=4).filter(lambda x: sum(x) > 1),
+    st.floats(0.1, 3.0),
+    st.integers(0, 2**32 - 1),
+)
+def test_density_from_moments_is_the_multivariate_normal_s(partial, lengths, sigma, seed):
+    follows = runs_of(lengths)
+    residual = np.random.default_rng(seed).standard_normal(sum(lengths))
+    noise = Autoregressive(partial.size)
+    scales = np.concatenate([[sigma], partial])
+    exact = stats.multivariate_normal(cov=sigma**2 * blocks(partial, lengths)).logpdf(residual)
+    found = noise.log_density(*moments_of(residual, follows, partial.size), scales[None, None])
+    tolerance = 1e-7 * (1.0 + abs(exact))
+    assert found[0] == pytest.approx(exact, abs=tolerance)
+    z, sds = noise.standard(residual, follows, scales)
+    assert noise.log_terms(z, sds, scales).sum() == pytest.approx(exact, abs=tolerance)
+
+
+@given(partials, st.floats(0.1, 3.0))
+def test_spread_of_one_residual(partial, sigma):
+    noise = Autoregressive(partial.size)
+    expected = sigma * math.sqrt(covariance(partial, 1)[0, 0])
+    assert noise.sd(np.concatenate([[sigma], partial])) == pytest.approx(expected, rel=1e-6)
+    if partial.size:
+        np.testing.assert_allclose(
+            autocovariance(partial), covariance(partial, partial.size + 1)[0], rtol=1e-6, atol=1e-9
+        )
+    left = variances(partial[None])[0]
+    assert np.all(np.diff(left) <= 0.0)
+    assert left[-1] == 1.0
+
+
+def test_burg_finds_what_a_long_series_was_made_with():
+    partial = np.array([0.7, -0.4])
+    follows = runs_of([9000, 2, 11000])
+    series = simulated(partial, follows, 1, np.random.default_rng(3))[0]
+    # sd of a partial autocorrelation is about 1/sqrt(n) = 0.007
+    np.testing.assert_allclose(burg([series], [follows], 3), [0.7, -0.4, 0.0], atol=0.028)
+
+
+def test_ljung_box_is_uniform_for_white_noise_and_finds_what_is_not():
+    rng = np.random.default_rng(8)
+    follows = runs_of([300, 5, 200])
+    white = [ljung_box([rng.standard_normal(505)], [follows], 10) for _ in range(400)]
+    # fixed seed; the threshold is a one-in-a-thousand event
+    assert stats.kstest(white, "uniform").pvalue > 1e-3
+    series = simulated(np.array([0.5]), follows, 1, rng)
+    assert ljung_box(list(series), [follows], 10) < 1e-6
+
+
+def test_student_t_is_scipys():
+    residual = np.linspace(-4.0, 5.0, 11)
+    scales = np.array([0.7, 3.5])
+    z, sds = StudentT().standard(residual, np.ones(10, dtype=bool), scales)
+    expected = stats.t(3.5, scale=0.7).logpdf(residual)
+    np.testing.assert_allclose(StudentT().log_terms(z, sds, scales), expected, rtol=1e-12)
+    assert StudentT().sd(scales) == pytest.approx(stats.t(3.5, scale=0.7).std())
+    assert StudentT().sd(np.array([0.7, 1.5])) == math.inf
+
+
+@pytest.mark.parametrize("noise", [Autoregressive(0), Autoregressive(2), StudentT()])
+def test_information_is_the_curvature_of_the_density(noise):
+    """The mean curvature of many draws is the information, to first order in 1/outputs."""
+    scales = np.array([0.8, 0.5, -0.3])[: len(noise.quantities)]
+    if isinstance(noise, StudentT):
+        scales = np.array([0.8, 4.0])
+    n = 4000
+    follows = np.ones(n - 1, dtype=bool)
+    draws = noise.draw(follows, np.tile(scales, (60, 1)), np.random.default_rng(5))
+
+    def density(at):
+        return noise.log_terms(*noise.standard(draws, follows, at), at).sum(axis=1).mean()
+
+    for j in range(scales.size):
+        step = np.zeros(scales.size)
+        step[j] = 1e-3 * scales[j]
+        curve = -(density(scales + step) - 2.0 * density(scales) + density(scales - step))
+        curve /= step[j] ** 2
+        expected = noise.information(scales, n)[j, j]
+        assert curve == pytest.approx(expected, rel=0.06), noise.quantities[j]

@@ -1,0 +1,350 @@
+"""The fast moments equal the plain ones everywhere, up to the rounding both have."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bayesfric.estimates.torque import filtered_torque, torque_jacobian
+from bayesfric.estimates.torque_form import torque_form
+from bayesfric.inference.fast_moments import fast_moments
+from bayesfric.inference.linear_torque import linear_torque
+from bayesfric.inference.residual_moments import PlainMoments
+from bayesfric.inference.sign_region import SignRegion
+from bayesfric.inference.torque_likelihood import TorqueLikelihood
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.presets import PRESETS
+
+from .test_residual_moments import with_gaps
+
+KNEE = PRESETS["rabbit-knee"]
+AXIS = PRESETS["motor-axis"]
+
+SINGLE = Chain(
+    (
+        Element("motor", inertia=True, viscous=True, coulomb="by-direction", quadratic=True),
+        Element("gearbox", ratio=20.0, load_loss="one"),
+        Element("joint", viscous=True, coulomb="symmetric"),
+    ),
+    Load(inertia=True, first_moment=True),
+    offset=True,
+)
+SINGLE_VALUES = {
+    "motor.inertia": 3e-4,
+    "motor.viscous": 2e-4,
+    "motor.quadratic": 1e-6,
+    "motor.coulomb_positive": 0.06,
+    "motor.coulomb_negative": 0.05,
+    "gearbox.load": 0.15,
+    "joint.viscous": 0.2,
+    "joint.coulomb": 0.4,
+    "load.inertia": 0.15,
+    "load.first_moment": 0.42,
+    "offset": 0.01,
+}
+ANGLED = replace(KNEE.chain(), load=replace(KNEE.chain().load, gravity_angle=True))
+
+
+def draws_about(chain, values, observations, n=300, sigma=0.05, seed=0):
+    """A posterior of noisier torque with a prior of 20 %, so that many signs differ."""
+    v = chain.vector(values)
+    step = 1e-6 * np.maximum(np.abs(v), 1e-3)
+    jacobian = torque_jacobian(chain, observations, v, step)
+    information = jacobian.T @ jacobian / sigma**2 + np.diag(1.0 / (0.2 * np.abs(v) + 1e-6) ** 2)
+    root = np.linalg.cholesky(np.linalg.inv(information))
+    return v + np.random.default_rng(seed).standard_normal((n, v.size)) @ root.T
+
+
+class Case:
+    """A chain, its recordings, and the moments both ways."""
+
+    def __init__(self, chain, values, observations, order, **options):
+        self.chain, self.observations, self.order = chain, observations, order
+        self.draws = draws_about(chain, values, observations)
+        self.plain = PlainMoments(chain, observations, order)
+        self.fast = fast_moments(chain, observations, self.draws, order, **options)
+
+    def check(self, values):
+        with np.errstate(all="ignore"):
+            expected = self.plain.at(values)
+            found = self.fast.at(values)
+            squares = expected.sum_of_squares
+            # What rounding leaves of each residual is eps times the torques whose difference
+            # it is. That is far below 1e-9 of the sum of squares unless residuals are 1e-5 of
+            # the torques or less.
+            lost = 4 * 20 * np.finfo(float).eps * self.size(values)
+            bound = 1e-9 * squares + lost * (np.sqrt(squares) + lost)
+        number = np.isfinite(squares)
+        for a, b in ((found.lagged, expected.lagged), *zip(found.heads, expected.heads)):  # noqa: B905
+            good = np.isfinite(b)
+            np.testing.assert_array_equal(np.isnan(a), np.isnan(b))
+            np.testing.assert_array_equal(a[~good], b[~good])
+            kept = good & number[..., None, None]
+            error = np.abs(np.where(kept, a, 0.0) - np.where(kept, b, 0.0))
+            assert (error.max(axis=(2, 3), initial=0.0) <= np.where(number, bound, np.inf)).all()
+        return found
+
+    def size(self, values):
+        """Root sum of squares of the measured torque and of each column's torque."""
+        linear = linear_torque(self.chain, self.observations)
+        coefficients = linear.coefficients(values).all
+        out = []
+        for o in self.observations:
+            psi1, psi2 = linear.columns(o, 0, o.q.size)
+            parts = [psi1, psi2] + ([psi2] if linear.rest else [])
+            norms = np.concatenate(
+                [[np.linalg.norm(o.measured)], *(np.linalg.norm(p, axis=1) for p in parts)]
+            )
+            out.append(np.abs(coefficients) @ norms)
+        return np.stack(out, axis=1)
+
+
+def knee_observations(make, factor):
+    chain = KNEE.chain()
+    bare = make(chain, KNEE.values, n=500 * factor, factor=factor)
+    return [
+        with_gaps(bare, np.array([7, 9, 12, 16, 100, 101, 250])),
+        make(chain, KNEE.values, n=400 * factor, factor=factor, seed=1, added_mass=2.0, radius=0.3),
+    ]
+
+
+@pytest.fixture(scope="module")
+def cases(make_observation):
+    found = {}
+    for factor in (1, 4):
+        for order in (0, 1, 2):
+            found[f"knee-{factor}-{order}"] = Case(
+                KNEE.chain(), KNEE.values, knee_observations(make_observation, factor), order
+            )
+    loaded = make_observation(KNEE.chain(), KNEE.values, factor=3, added_mass=1.0, radius=0.3)
+    found["knee-one-known-mass"] = Case(KNEE.chain(), KNEE.values, [loaded], 1)
+    single = make_observation(SINGLE, SINGLE_VALUES, n=1200, factor=2)
+    found["single-mu"] = Case(SINGLE, SINGLE_VALUES, [single], 2)
+    known = make_observation(SINGLE, SINGLE_VALUES, n=900, added_mass=1.0, radius=0.3)
+    found["single-mu-known-mass"] = Case(SINGLE, SINGLE_VALUES, [known], 0)
+    axis = AXIS.chain()
+    o = make_observation(axis, AXIS.values, n=800, factor=2, added_mass=3.0)
+    found["no-load-loss"] = Case(axis, AXIS.values, [o], 1)
+    values = {**KNEE.values, "load.gravity_angle": 0.2}
+    found["angle"] = Case(ANGLED, values, [make_observation(ANGLED, values, n=900, factor=3)], 1)
+    # stands still for a while: at rest there is no loss
+    o = make_observation(KNEE.chain(), KNEE.values, n=900, factor=3)
+    speed = o.qd.copy()
+    speed[200:260] = 0.0
+    found["rest"] = Case(KNEE.chain(), KNEE.values, [replace(o, qd=speed)], 2)
+    # no noise: the sum of squares itself is rounding at the truth
+    o = make_observation(KNEE.chain(), KNEE.values, n=900, sigma=0.0)
+    found["exact"] = Case(KNEE.chain(), KNEE.values, [o], 2)
+    o = make_observation(KNEE.chain(), KNEE.values, n=3000, factor=3)
+    found["narrow"] = Case(KNEE.chain(), KNEE.values, [o], 1, radius=1.5)
+    return found
+
+
+NAMES = [
+    *(f"knee-{factor}-{order}" for factor in (1, 4) for order in (0, 1, 2)),
+    "knee-one-known-mass",
+    "single-mu",
+    "single-mu-known-mass",
+    "no-load-loss",
+    "angle",
+    "rest",
+    "exact",
+    "narrow",
+]
+
+
+@pytest.mark.parametrize("name", NAMES)
+@settings(max_examples=8, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 2**32 - 1), far=st.sampled_from([0.0, 0.5, 1.0, 4.0, 6.0, 30.0, 1e3]))
+def test_equal_near_at_the_edge_and_far(cases, name, seed, far):
+    case = cases[name]
+    rng = np.random.default_rng(seed)
+    centre = case.draws.mean(axis=0)
+    rows = case.draws[rng.integers(case.draws.shape[0], size=40)]
+    case.check(centre + far * (rows - centre))
+
+
+@pytest.mark.parametrize("name", NAMES)
+@settings(max_examples=8, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 2**32 - 1), log=st.floats(-3.0, 8.0))
+def test_equal_at_any_sign_and_size(cases, name, seed, log):
+    """Negative inertias, load losses that give energy, lambda_2 of zero."""
+    case = cases[name]
+    rng = np.random.default_rng(seed)
+    names = case.chain.names
+    values = case.draws[rng.integers(case.draws.shape[0], size=40)]
+    flipped = rng.random(values.shape) < 0.2
+    values = np.where(flipped, -values, values)
+    grown = rng.random(values.shape) < 0.2
+    values = np.where(grown, values * 10.0**log, values)
+    values[rng.random(values.shape) < 0.05] = 0.0
+    losses = [j for j, n in enumerate(names) if ".load_" in n or n.endswith(".load")]
+    for j in losses:
+        values[:10, j] *= -1.0
+        values[10:15, j] = 0.0
+    if len(losses) == 2:
+        values[15:20, losses[0]] = -values[15:20, losses[1]]
+    case.check(values)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@settings(max_examples=8, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_what_is_no_number_is_the_same_no_number(cases, name, seed):
+    case = cases[name]
+    rng = np.random.default_rng(seed)
+    values = case.draws[:30].copy()
+    odd = np.array([np.nan, np.inf, -np.inf, 1e308, -1e308, 1e200, 1e155, 1e-308, 0.0])
+    at = rng.integers(values.shape[1], size=30)
+    values[np.arange(30), at] = odd[rng.integers(odd.size, size=30)]
+    case.check(values)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_draws_near_the_posterior_are_not_computed_sample_by_sample(cases, name):
+    case = cases[name]
+    before = case.fast.outside
+    case.check(case.draws)
+    share = (case.fast.outside - before) / len(case.draws)
+    assert share == 0.0 if name != "narrow" else 0.0 < share < 1.0
+
+
+def test_signs_do_differ_where_it_is_tried(cases):
+    """The tests above would show little if no draw crossed the kink of any sample."""
+    case = cases["knee-1-0"]
+    linear = linear_torque(case.chain, case.observations)
+    leg = linear.coefficients(case.draws).leg
+    _, psi2 = linear.columns(case.observations[0], 0, case.observations[0].q.size)
+    signs = np.sign(leg @ psi2)
+    changing = np.abs(signs.sum(axis=0)) < len(case.draws)
+    assert np.count_nonzero(changing) > 10
+    assert 0 < case.fast.uncertain_samples < case.fast.samples
+    assert case.fast.uncertain_outputs <= case.fast.outputs
+
+
+def test_a_sample_exactly_at_the_kink(make_observation):
+    """Where the load takes no torque at the centre either sign is as good."""
+    chain = replace(KNEE.chain())
+    o = make_observation(chain, KNEE.values, n=600)
+    q, qd, qdd = o.q.copy(), o.qd.copy(), o.qdd.copy()
+    q[::50] = qdd[::50] = 0.0
+    values = {**KNEE.values, "joint.viscous": 0.0, "joint.coulomb_positive": 0.0}
+    values["joint.coulomb_negative"] = 0.0
+    case = Case(chain, values, [replace(o, q=q, qd=qd, qdd=qdd)], 2)
+    one = chain.vector(values)
+    other = one.copy()
+    other[chain.names.index("joint.coulomb_positive")] = -0.01
+    case.check(np.stack([one, other, 2.0 * one]))
+    at_centre = fast_moments(chain, case.observations, one[None], 2)
+    for row in (one, other):
+        expected = case.plain.at(row[None]).lagged
+        np.testing.assert_allclose(at_centre.at(row[None]).lagged, expected, rtol=1e-9, atol=1e-12)
+
+
+def test_coefficients_are_those_of_the_form(make_observation):
+    chain = KNEE.chain()
+    o = make_observation(chain, KNEE.values)
+    form, linear = torque_form(chain), linear_torque(chain, [o])
+    rng = np.random.default_rng(0)
+    for values in chain.vector(KNEE.values) * rng.uniform(-1.5, 1.5, (20, len(chain.names))):
+        theta1, theta2 = form.thetas(values)
+        found = linear.coefficients(values[None]).all[0]
+        np.testing.assert_allclose(
+            found, -np.concatenate([[-1.0], theta1, theta2]), rtol=1e-12, atol=1e-15
+        )
+
+
+def test_within_its_ratio_a_sample_has_the_centres_sign():
+    rng = np.random.default_rng(0)
+    legs = np.array([3.0, 1.0, -2.0, 0.5]) + 0.2 * rng.standard_normal((500, 4))
+    size = np.array([1.0, 10.0, 0.1, 2.0])
+    region = SignRegion.around(legs / size, size)
+    psi = rng.standard_normal((4, 2000)) * size[:, None]
+    tried = np.concatenate([legs, 3.0 * rng.standard_normal((500, 4))]) / size
+    distance, ratio = region.distance(tried), region.ratios(psi)
+    assert (distance[:500] < np.inf).all()
+    # longer legs are no farther
+    np.testing.assert_allclose(region.distance(7.0 * tried[:500]), distance[:500], rtol=1e-9)
+    differs = (tried @ psi) * (region.centre @ psi) < 0.0
+    assert not (differs & (distance[:, None] < ratio)).any()
+    # and the border is no farther out than it must be
+    assert (differs & (distance[:, None] < 1.5 * ratio)).any()
+
+
+def test_chains_without_the_form_stay_as_they_are(make_observation):
+    stribeck = Chain((Element("motor", coulomb="symmetric", stribeck=True),), Load())
+    names = dict.fromkeys(stribeck.names, 0.1)
+    o = make_observation(stribeck, names, n=200)
+    likelihood = TorqueLikelihood(stribeck, [o])
+    assert likelihood.prepared(stribeck.vector(names)[None]) is likelihood
+    assert likelihood.evaluation == "every sample"
+
+
+def test_the_prepared_likelihood_says_what_it_does_and_changes_nothing(make_observation):
+    chain = KNEE.chain()
+    observations = knee_observations(make_observation, 4)
+    likelihood = TorqueLikelihood(chain, observations)
+    draws = draws_about(chain, KNEE.values, observations)
+    fast = likelihood.prepared(draws)
+    assert "moment matrices" in fast.evaluation
+    scales = np.full((len(draws), 2, 1), 0.01)
+    np.testing.assert_allclose(
+        fast.log_density(draws, scales), likelihood.log_density(draws, scales), rtol=1e-9
+    )
+    expected = np.stack(
+        [((o.measured - filtered_torque(chain, o, draws)) ** 2).sum(axis=1) for o in observations],
+        axis=1,
+    )
+    np.testing.assert_allclose(fast.sum_of_squares(draws), expected, rtol=1e-9)
+
+
+def test_many_vectors_in_threads_are_each_by_itself(cases):
+    case = cases["knee-4-2"]
+    many = np.tile(case.draws, (20, 1))
+    together = case.fast.at(many).lagged
+    # matrix products of other shapes round differently
+    np.testing.assert_allclose(
+        together, np.tile(case.fast.at(case.draws).lagged, (20, 1, 1, 1)), rtol=1e-12, atol=1e-15
+    )
+
+
+def test_too_many_uncertain_samples_make_the_region_smaller(make_observation, monkeypatch):
+    from bayesfric.inference import moment_matrices
+
+    chain = KNEE.chain()
+    o = make_observation(chain, KNEE.values, n=3000)
+    wide = draws_about(chain, KNEE.values, [o], sigma=0.5)
+    whole = fast_moments(chain, [o], wide)
+    monkeypatch.setattr(moment_matrices, "_KEPT", 30)
+    monkeypatch.setattr(moment_matrices, "_KEPT_SHARE", 0.0)
+    few = fast_moments(chain, [o], wide)
+    assert few.uncertain_samples <= 30 < whole.uncertain_samples
+    assert few.radius < whole.radius
+    expected = PlainMoments(chain, [o]).at(wide).lagged
+    np.testing.assert_allclose(few.at(wide).lagged, expected, rtol=1e-9)
+    np.testing.assert_allclose(whole.at(wide).lagged, expected, rtol=1e-9)
+    assert few.outside > 0
+
+
+@pytest.mark.parametrize("factor", [1, 4])
+@pytest.mark.parametrize("order", [0, 2])
+def test_borders_of_chunks_show_nowhere(make_observation, monkeypatch, factor, order):
+    from bayesfric.inference import moment_matrices
+
+    observations = knee_observations(make_observation, factor)
+    monkeypatch.setattr(moment_matrices, "_CHUNK", 50)
+    case = Case(KNEE.chain(), KNEE.values, observations, order)
+    case.check(case.draws)
+    monkeypatch.undo()
+    whole = Case(KNEE.chain(), KNEE.values, observations, order)
+    assert whole.fast.samples == case.fast.samples
+    assert whole.fast.uncertain_samples == case.fast.uncertain_samples
+    # every sample of a bare recording counts where windows overlap
+    covered = sum(
+        np.unique(o.filter.starts[:, None] + np.arange(o.filter.taps.size)).size
+        for o in observations
+    )
+    assert whole.fast.samples == covered
