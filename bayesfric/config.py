@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -19,6 +19,7 @@ from bayesfric.estimates.options import Estimation, Reference
 from bayesfric.identifiability.options import AdviceOptions
 from bayesfric.inference.likelihood import LikelihoodMethod
 from bayesfric.inference.noise import NoiseScale
+from bayesfric.inference.noise_choice import MOST
 from bayesfric.inference.priors import PriorText
 from bayesfric.inference.sampling import Sampling
 from bayesfric.mechanism.experiment import Simulation
@@ -39,6 +40,17 @@ class NoiseOptions(BaseModel):
 
     scale: NoiseScale = Field(
         "per-recording", description="one noise scale for each recording, or one shared by all"
+    )
+    model: Literal["auto", "white", "autoregressive", "student-t"] = Field(
+        "auto",
+        description="of torque residuals; auto is autoregressive with the order that the "
+        "residuals of the estimate ask for, white where they ask for none",
+    )
+    order: int | None = Field(
+        None,
+        ge=1,
+        le=MOST,
+        description="of the autoregressive noise; from the residuals if left out",
     )
 
 
@@ -167,9 +179,11 @@ def read_config(path: Path) -> Config:
     BadInput
         With the key and the mend, for anything that cannot be used.
     """
-    if not str(path).isprintable():
-        # a name that no encoding can write would end every later print
-        raise BadInput(str(path), "its name cannot be printed", "rename the file or its folder")
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        # every later print of it would end in an error
+        raise BadInput(str(path), "its name is not UTF-8", "rename the file or its folder") from None
     if path.is_fifo():
         # opening it would wait for ever if nobody writes
         raise BadInput(str(path), "is a named pipe, no file", "name the .toml file")

@@ -12,11 +12,14 @@ import numpy as np
 from bayesfric.config import Config
 from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.least_squares import TotalsProjection
+from bayesfric.estimates.torque import filtered_torque
 from bayesfric.inference.fit import make_target, read_priors, target_of
+from bayesfric.inference.noise_choice import MOST, Choice, choose_order
 from bayesfric.inference.position_likelihood import PositionLikelihood
 from bayesfric.inference.priors import Prior
+from bayesfric.inference.residual_moments import follows
+from bayesfric.inference.residual_noise import Autoregressive, ResidualNoise, StudentT
 from bayesfric.inference.target import Target
-from bayesfric.inference.torque_likelihood import TorqueLikelihood
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.derived import derive
 from bayesfric.recordings.observation import Observation, observe
@@ -24,11 +27,6 @@ from bayesfric.recordings.options import Source
 from bayesfric.recordings.read import read_recordings
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.trajectory import trajectory
-
-NOISE_QUANTITIES = {
-    likelihood.method: likelihood.noise_quantities
-    for likelihood in (TorqueLikelihood, PositionLikelihood)
-}
 
 
 @dataclass(frozen=True)
@@ -59,12 +57,19 @@ class Problem:
         Parameters
         ----------
         point
-            Values near the mode, where the output-error likelihood takes its
-            derivatives; not needed for the input error.
+            Values near the mode, where the output-error likelihood takes its derivatives,
+            and whose residuals say which noise there is; without it noise that is to be
+            chosen is white.
         """
         tables = self.config.tables
         if tables.likelihood.method == "input-error":
-            return make_target(self.chain, self.observations, self.priors, tables.noise.scale)
+            return make_target(
+                self.chain,
+                self.observations,
+                self.priors,
+                tables.noise.scale,
+                self._noise(self.noise_choice(point)),
+            )
         if point is None:
             raise ValueError("the output-error likelihood needs a point estimate")
         with self.config.named():
@@ -78,6 +83,28 @@ class Problem:
                 self.chain.vector(point),
             )
         return target_of(likelihood, self.priors, tables.noise.scale)
+
+    def noise_choice(self, point: Mapping[str, float] | None) -> Choice | None:
+        """Choose the noise that the torque residuals of a point ask for, if it is not told."""
+        noise = self.config.tables.noise
+        wanted = noise.model == "auto" or (noise.model == "autoregressive" and noise.order is None)
+        if point is None or not wanted or self.config.tables.likelihood.method == "output-error":
+            return None
+        values = self.chain.vector(point)[None]
+        residuals = [
+            o.measured - filtered_torque(self.chain, o, values)[0] for o in self.observations
+        ]
+        runs = [follows(o) for o in self.observations]
+        return choose_order(residuals, runs, noise.scale == "per-recording")
+
+    def _noise(self, choice: Choice | None) -> ResidualNoise:
+        noise = self.config.tables.noise
+        if noise.model == "student-t":
+            return StudentT()
+        if noise.model == "white":
+            return Autoregressive()
+        order = noise.order or (choice.order if choice else 0)
+        return Autoregressive(order)
 
     def references(self) -> dict[str, dict[str, Any]]:
         """Values to compare with, by name of what they are of.
@@ -151,11 +178,23 @@ def read_problem(config: Config) -> Problem:
                 "record longer, or decimate less",
             )
         _check_names(config, chain)
-        noise = NOISE_QUANTITIES[tables.likelihood.method]
-        priors = read_priors(chain, config.priors, observations, noise)
+        priors = read_priors(chain, config.priors, observations, _noise_quantities(config))
     problem = Problem(config, chain, recordings, observations, priors)
     problem.references()  # refuses what they cannot be of
     return problem
+
+
+def _noise_quantities(config: Config) -> tuple[str, ...]:
+    """Noise scales that may have a prior."""
+    tables = config.tables
+    if tables.likelihood.method == "output-error":
+        return PositionLikelihood.noise_quantities
+    noise = tables.noise
+    if noise.order is not None and noise.model in ("white", "student-t"):
+        raise BadInput("noise.order", f"{noise.model} noise has none", "leave it out")
+    if noise.model == "student-t":
+        return StudentT().quantities
+    return Autoregressive(0 if noise.model == "white" else noise.order or MOST).quantities
 
 
 def _read(config: Config, chain: Chain, source: Source, number: int) -> list[Recording]:

@@ -22,7 +22,7 @@ _MAX_ITERATIONS = 60
 # Damping tried side by side, as factors on the last one that worked.
 _DAMPINGS = (0.03, 1.0)
 # Shares of the states' step tried side by side; each segment takes its best.
-_SHARES = (1.0, 0.2)
+_SHARES = (1.0, 0.2, 0.0)
 # Converged: a further step would lower the cost by less than this many variances.
 _GAIN = 1e-4
 # ... or can be taken for it where kinks and rounding stop the descent.
@@ -305,7 +305,10 @@ def descend(frame: Frame, weights: Weights, values: Array, states: Array) -> Sol
             return replace(at, converged=True)
         found = None
         while found is None and damping < 1e12:
-            trial = _try(frame, weights, at, linear, [damping * f for f in _DAMPINGS])
+            dampings = [damping * f for f in _DAMPINGS]
+            trial = _try(frame, weights, at, linear, dampings)
+            if not trial.cost < at.cost:
+                trial = _try(frame, weights, at, linear, dampings, stuck=True)
             if trial.cost < at.cost:
                 found = trial
             else:
@@ -376,8 +379,14 @@ def _try(
     solution: Solution,
     linear: Linearised,
     dampings: list[float],
+    *,
+    stuck: bool = False,
 ) -> _Trial:
-    """Simulate the steps of several dampings, straight and bent, and give the best."""
+    """Simulate the steps of several dampings, straight and bent, and give the best.
+
+    Where nothing helps, ``stuck``, only positions are changed: a joint that starts next to
+    rest and soon sticks hardly moves with its speed, so the full step of that is far off.
+    """
     columns = frame.columns
     steps = [linear.step(damping, linear.target) for damping in dampings]
     changes = [linear.states(step) for step in steps]
@@ -401,15 +410,13 @@ def _try(
             if np.linalg.norm(more) <= _LARGEST_BEND * np.linalg.norm(step):
                 moved = _moved(frame, solution.values, step + more)
                 moves.append((damping, moved, change + states_more))
-    shares = len(_SHARES) + 2
+    shares = len(_SHARES) + 1
     vectors = np.repeat(np.array([moved for _, moved, _ in moves]), shares, axis=0)
     starts = np.empty((len(moves), shares, *solution.states.shape))
-    for i, (_, _, change) in enumerate(moves):
+    for i, (_, _, whole) in enumerate(moves):
+        change = linear.positions_only(whole) if stuck else whole
         for j, share in enumerate(_SHARES):
             starts[i, j] = solution.states + share * change
-        # A joint that starts next to rest and soon sticks hardly moves with its speed: the
-        # full step of that is far off, while the position alone still has something to gain.
-        starts[i, -2] = solution.states + linear.positions_only(change)
         # Where a segment starts at rest, Newton's steps on its speed only ever halve it.
         starts[i, -1] = (solution.states + change) * (1.0, 0.0)
     starts = starts.reshape(-1, *solution.states.shape)

@@ -16,6 +16,7 @@ from bayesfric.inference.likelihood import Likelihood
 from bayesfric.inference.noise import NoiseScale, noise_model, support
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.priors import Prior, PriorText, read_prior
+from bayesfric.inference.residual_noise import ResidualNoise
 from bayesfric.inference.sampling import Progress, Sampling, sample
 from bayesfric.inference.start import CLIMBS, Start, climb, gauss_newton
 from bayesfric.inference.target import Target
@@ -23,6 +24,8 @@ from bayesfric.inference.torque_likelihood import TorqueLikelihood
 from bayesfric.mechanism.chain import Chain
 from bayesfric.recordings.observation import Observation
 
+# Draws of the expected posterior that a cheaper likelihood is prepared for.
+_DRAWS = 300
 # How often the simulation is linearised anew at the mode it led to.
 _ROUNDS = 2
 
@@ -135,12 +138,13 @@ def make_target(
     observations: Sequence[Observation],
     priors: Mapping[str, Prior],
     noise_scale: NoiseScale,
+    noise: ResidualNoise | None = None,
 ) -> Target:
     """Put the likelihood of the torque, priors and noise together.
 
-    ``priors`` is what :func:`read_priors` gives.
+    ``priors`` is what :func:`read_priors` gives; the noise is white if left out.
     """
-    return target_of(TorqueLikelihood(chain, observations), priors, noise_scale)
+    return target_of(TorqueLikelihood(chain, observations, noise), priors, noise_scale)
 
 
 def target_of(
@@ -189,8 +193,11 @@ def fit(
     prior_draws = np.stack([prior.draw(500, rng) for prior in target.priors], axis=1)
     try:
         candidates = _candidates(target, estimates, prior_draws)
-        # an estimate by simulation is beside the mode already; others may not be
-        near = likelihood.method == "output-error" and any(e.point for e in estimates)
+        # these searched from several starts themselves, and are beside the mode already
+        near = any(e.point for e in estimates)
+        prior_places = target.from_parameters(prior_draws)
+        best = candidates[np.argmax(target(candidates))]
+        target = _prepared(target, gauss_newton(target, best, prior_places), rng)
         mode = climb(target, candidates, climbs=1 if near else CLIMBS)
         if likelihood.method == "output-error":
             for _ in range(_ROUNDS):
@@ -201,17 +208,24 @@ def fit(
             "priors", "leave no possible starting point near the data", "widen the narrowest ones"
         ) from None
     # Once the posterior's widths are known, better coordinates than logarithms are too.
-    first = gauss_newton(target, mode, target.from_parameters(prior_draws))
+    first = gauss_newton(target, mode, prior_places)
     place, widths = _place_and_widths(target, first)
     shaped = target.with_widths(widths)
     start = gauss_newton(
         shaped, shaped.from_parameters(place[None])[0], shaped.from_parameters(prior_draws)
     )
+    shaped = _prepared(shaped, start, rng)
     try:
         posterior = sample(shaped, start, sampling, progress=progress)
     except RuntimeError as error:
         raise BadInput("priors", str(error), "widen the narrowest ones") from None
     return Fit(shaped, posterior, tuple(estimates))
+
+
+def _prepared(target: Target, start: Start, rng: np.random.Generator) -> Target:
+    """Make a target cheap where a normal lies; the draws decide the cost, not the value."""
+    root = np.linalg.cholesky(start.covariance)
+    return target.prepared(start.mode + rng.standard_normal((_DRAWS, start.mode.size)) @ root.T)
 
 
 def _place_and_widths(
@@ -252,12 +266,16 @@ def _candidates(
         rows[outside, j] = np.clip(rows[outside, j], *inner[:, j])
     if likelihood.method == "input-error":
         rms = max(e.residual_rms for e in estimates if e.method == "least-squares")
-        sigma = np.full((rows.shape[0], target.dimension - k), rms)
         # whatever drawn parameters leave unexplained is about as large as the torque itself
         measured = np.concatenate([o.measured for o in likelihood.outputs])
-        drawn = prior_draws[:100].copy()
-        drawn[:, k:] = np.sqrt(np.mean(measured**2))
-        candidates = np.concatenate([np.concatenate([rows, sigma], axis=1), drawn])
+        unexplained = float(np.sqrt(np.mean(measured**2)))
+        candidates = np.concatenate(
+            [
+                np.concatenate([some, np.tile(scales, (len(some), 1))], axis=1)
+                for some, size in ((rows, rms), (prior_draws[:100, :k], unexplained))
+                for scales in _noise_starts(target, size)
+            ]
+        )
     else:
         scales = _noise_grid(target, inner[:, k:])
         candidates = np.concatenate(
@@ -265,6 +283,15 @@ def _candidates(
         )
     candidates[:, k:] = np.clip(candidates[:, k:], *inner[:, k:])
     return target.from_parameters(candidates)
+
+
+def _noise_starts(target: Target, size: float) -> NDArray[np.float64]:
+    """Noise scales for residuals of this size, the same for all recordings, ``(m, scales)``."""
+    likelihood = target.likelihood
+    assert isinstance(likelihood, TorqueLikelihood)
+    starts = likelihood.noise.starts(size)
+    columns = [likelihood.noise_quantities.index(kind) for kind in target.noise.quantities]
+    return np.asarray(starts[:, columns])
 
 
 def _noise_grid(target: Target, inner: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -65,6 +65,20 @@ class Likelihood(Protocol):
         """Give the same likelihood with its approximations made near ``(n_parameters,)``."""
         ...
 
+    @property
+    def cheap(self) -> bool:
+        """Whether a vector costs no more than the sampler's own bookkeeping."""
+        ...
+
+    @property
+    def evaluation(self) -> str:
+        """How it is computed, in words."""
+        ...
+
+    def prepared(self, draws: Array) -> Likelihood:
+        """Give the same likelihood, cheaper near draws ``(n, n_parameters)``."""
+        ...
+
     def log_density(self, values: Array, scales: Array) -> Array:
         """Log-likelihood of parameter vectors ``(n, n_parameters)``, ``(n,)``."""
         ...

@@ -126,6 +126,20 @@ class PositionLikelihood:
             self.chain, self._trajectories, self.observations, values, self._given
         )
 
+    @property
+    def cheap(self) -> bool:
+        """Never: it simulates."""
+        return False
+
+    @property
+    def evaluation(self) -> str:
+        """How it is computed, in words."""
+        return "simulation of every segment"
+
+    def prepared(self, draws: Array) -> PositionLikelihood:  # noqa: ARG002
+        """Give itself: a simulation has no short cut."""
+        return self
+
     def log_density(self, values: Array, scales: Array) -> Array:
         """Log-likelihood, the initial states integrated out with flat priors.
 

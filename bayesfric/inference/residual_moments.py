@@ -179,6 +179,7 @@ class PlainMoments:
     def __init__(self, chain: Chain, observations: Sequence[Observation], order: int = 0) -> None:
         self.chain, self.order = chain, order
         runs = [Runs.of(o, order) for o in observations]
+        self._names = [o.name for o in observations]
         counted = [r.count(order) for r in runs]
         self.counts = np.array([n for n, _ in counted], dtype=np.int64)
         self.head_counts = np.array([heads for _, heads in counted]).reshape(len(runs), order)
@@ -201,13 +202,35 @@ class PlainMoments:
 
     def at(self, values: Array) -> Moments:
         """See :class:`ResidualMoments`."""
-        elements, load = self.chain.tables(values)
         flat = np.zeros((values.shape[0], len(self._arrays), n_entries(self.order)))
         for i, arrays in enumerate(self._arrays):
+            elements, load = self.chain.tables(values, self._names[i])
             samples = arrays[2].shape[0] * elements.shape[0]
             run = _in_threads if samples > WORTH_THREADS and elements.shape[0] > 1 else _in_line
             flat[:, i] = run(self.order, elements, load, *arrays)
         return unpacked(flat, self.order)
+
+    def student_terms(self, values: Array, scales: Array) -> Array:
+        """Sum ``log(1 + r²/(dof sigma²))`` over the residuals of every recording.
+
+        Parameters
+        ----------
+        values
+            ``(n, n_parameters)``
+        scales
+            ``(n, R, 2)`` sigma and degrees of freedom.
+
+        Returns
+        -------
+        ndarray
+            ``(n, R)``
+        """
+        out = np.empty(scales.shape[:2])
+        for i, arrays in enumerate(self._arrays):
+            elements, load = self.chain.tables(values, self._names[i])
+            weight = 1.0 / (scales[:, i, 1] * scales[:, i, 0] ** 2)
+            out[:, i] = _student(weight, elements, load, *arrays)
+        return out
 
 
 def _blocks(starts: NDArray[np.int64], length: int) -> NDArray[np.int64]:
@@ -277,6 +300,60 @@ def _accumulate(
 
 
 @njit(cache=True)
+def _working_space(starts: NDArray[np.int64], length: int, borders: NDArray[np.int64]) -> Any:
+    """Most samples and most outputs of a block."""
+    longest, most = 0, 0
+    for b in range(borders.shape[0] - 1):
+        last = borders[b + 1] - 1
+        longest = max(longest, starts[last] + length - starts[borders[b]])
+        most = max(most, last + 1 - borders[b])
+    return longest, most
+
+
+@njit(cache=True)
+def _block(
+    now: Array,
+    torque: Array,
+    first: int,
+    n: int,
+    elements: Array,
+    load: Array,
+    added_inertia: float,
+    added_moment: float,
+    sin_q: Array,
+    cos_q: Array,
+    speed: Array,
+    acceleration: Array,
+    taps: Array,
+    starts: NDArray[np.int64],
+    measured: Array,
+) -> None:
+    """Write ``n`` residuals from output ``first`` on into ``now``."""
+    length = taps.shape[0]
+    begin, end = starts[first], starts[first + n - 1] + length
+    kernels.inverse_one(
+        elements,
+        load,
+        added_inertia,
+        added_moment,
+        sin_q[begin:end],
+        cos_q[begin:end],
+        speed[begin:end],
+        acceleration[begin:end],
+        torque[: end - begin],
+    )
+    # slices, since an index that might be negative keeps the compiler from vectorising
+    windows, target = starts[first : first + n], measured[first : first + n]
+    if length == 1:
+        for i in range(n):
+            now[i] = target[i] - taps[0] * torque[windows[i] - begin]
+    else:
+        for i in range(n):
+            at = windows[i] - begin
+            now[i] = target[i] - product_sum(taps, torque[at : at + length])
+
+
+@njit(cache=True)
 def _one_vector(
     out: Array,
     order: int,
@@ -295,42 +372,82 @@ def _one_vector(
     age: Short,
     head: Short,
 ) -> None:
-    length = taps.shape[0]
-    longest, most = 0, 0
-    for b in range(borders.shape[0] - 1):
-        last = borders[b + 1] - 1
-        longest = max(longest, starts[last] + length - starts[borders[b]])
-        most = max(most, last + 1 - borders[b])
+    longest, most = _working_space(starts, taps.shape[0], borders)
     torque = np.empty(longest)
     residual = np.zeros(order + most)
     for b in range(borders.shape[0] - 1):
         first, n = borders[b], borders[b + 1] - borders[b]
-        begin, end = starts[first], starts[borders[b + 1] - 1] + length
-        kernels.inverse_one(
+        _block(
+            residual[order:],
+            torque,
+            first,
+            n,
             elements,
             load,
             added_inertia,
             added_moment,
-            sin_q[begin:end],
-            cos_q[begin:end],
-            speed[begin:end],
-            acceleration[begin:end],
-            torque[: end - begin],
+            sin_q,
+            cos_q,
+            speed,
+            acceleration,
+            taps,
+            starts,
+            measured,
         )
-        # slices, since an index that might be negative keeps the compiler from vectorising
-        windows, target = starts[first : first + n], measured[first : first + n]
-        now = residual[order:]
-        if length == 1:
-            for i in range(n):
-                now[i] = target[i] - taps[0] * torque[windows[i] - begin]
-        else:
-            for i in range(n):
-                at = windows[i] - begin
-                now[i] = target[i] - product_sum(taps, torque[at : at + length])
         _accumulate(order, residual, n, age, head, first, out)
         # the next block's first outputs look back at these
         for i in range(order):
             residual[i] = residual[n + i]
+
+
+@njit(cache=True, parallel=True)
+def _student(
+    weight: Array,
+    elements: Array,
+    load: Array,
+    added_inertia: float,
+    added_moment: float,
+    sin_q: Array,
+    cos_q: Array,
+    speed: Array,
+    acceleration: Array,
+    taps: Array,
+    starts: NDArray[np.int64],
+    measured: Array,
+    borders: NDArray[np.int64],
+    age: Short,  # noqa: ARG001  (one set of arrays for all)
+    head: Short,  # noqa: ARG001
+) -> Array:
+    """Sum ``log(1 + weight r²)`` over the outputs, for each vector."""
+    out = np.empty(elements.shape[0])
+    longest, most = _working_space(starts, taps.shape[0], borders)
+    for v in prange(elements.shape[0]):
+        torque = np.empty(longest)
+        residual = np.empty(most)
+        total = 0.0
+        for b in range(borders.shape[0] - 1):
+            first, n = borders[b], borders[b + 1] - borders[b]
+            _block(
+                residual,
+                torque,
+                first,
+                n,
+                elements[v],
+                load[v],
+                added_inertia,
+                added_moment,
+                sin_q,
+                cos_q,
+                speed,
+                acceleration,
+                taps,
+                starts,
+                measured,
+            )
+            for i in range(n):
+                total += np.log1p(weight[v] * residual[i] * residual[i])
+        out[v] = total
+    return out
 
 
 @njit(cache=True)

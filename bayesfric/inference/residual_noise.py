@@ -32,18 +32,17 @@ _LOG_2PI = math.log(2.0 * math.pi)
 
 
 class ResidualNoise(Protocol):
-    """A noise model of torque residuals.
+    """A noise model of torque residuals."""
 
-    Attributes
-    ----------
-    quantities
-        Names of its scales.
-    order
-        Predecessors of a residual that tell something of it.
-    """
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """Names of its scales."""
+        ...
 
-    quantities: tuple[str, ...]
-    order: int
+    @property
+    def order(self) -> int:
+        """Predecessors of a residual that tell something of it."""
+        ...
 
     @property
     def description(self) -> str:
@@ -209,6 +208,23 @@ class StudentT:
     def description(self) -> str:
         """In words, for the record."""
         return "Student-t"
+
+    def log_density(self, terms: Array, sizes: NDArray[np.int64], scales: Array) -> Array:
+        """Log density of all residuals, ``(n,)``.
+
+        Parameters
+        ----------
+        terms
+            ``(n, R)`` sums of ``log(1 + r²/(dof sigma²))``.
+        sizes
+            ``(R,)`` numbers of residuals.
+        scales
+            ``(n, R, 2)``
+        """
+        sigma, dof = scales[..., 0], scales[..., 1]
+        constant = gammaln((dof + 1.0) / 2.0) - gammaln(dof / 2.0) - 0.5 * np.log(dof * math.pi)
+        total = sizes * (constant - np.log(sigma)) - (dof + 1.0) / 2.0 * terms
+        return np.asarray(total.sum(axis=1))
 
     def standard(self, residual: Array, follows: Flags, scales: Array) -> tuple[Array, Array]:
         """See :class:`ResidualNoise`; of scale, not variance, one."""

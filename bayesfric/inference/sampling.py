@@ -43,7 +43,8 @@ class Sampling(BaseModel):
         None,
         ge=8,
         le=10_000,
-        description="walkers in each ensemble; default 3 for each parameter, at least 32",
+        description="walkers in each ensemble; default 3 for each parameter, at least 32, or "
+        "128 where the likelihood is cheap",
     )
     min_ess: float = Field(
         4000.0, gt=0, le=1e8, description="independent draws wanted of every parameter"
@@ -102,7 +103,8 @@ def sample(
     began = time.perf_counter()
     d = target.dimension
     # emcee refuses fewer than two walkers a dimension
-    walkers = max(settings.walkers or max(32, 3 * d), 2 * d)
+    few = 128 if target.likelihood.cheap else 32
+    walkers = max(settings.walkers or max(few, 3 * d), 2 * d)
     walkers += walkers % 2
     seeds = np.random.SeedSequence(settings.seed).spawn(settings.ensembles + 1)
     randoms = [np.random.RandomState(np.random.MT19937(s)) for s in seeds[:-1]]
@@ -127,6 +129,8 @@ def sample(
         settled = nested_rhat(half).max() < 1.05 and warm.settled()
         if settled or warm.steps >= settings.max_steps // 4:
             break
+    # Where the posterior really lies, a likelihood can be prepared best.
+    target = target.prepared(_spread_out(half))
     # A first proposal from few draws, used for one block, makes a better second one.
     trial = _Ensembles(target, _moves(half), warm.positions(), randoms)
     trial.run(block)
@@ -277,6 +281,12 @@ def _moves(learned: Array) -> list[tuple[emcee.moves.Move, float]]:
     draws = learned.reshape(-1, learned.shape[-1])
     proposal = IndependenceMove(draws.mean(axis=0), _covariance(draws))
     return [(proposal, 0.7), (DifferentialEvolutionMove(), 0.3)]
+
+
+def _spread_out(chain: Array) -> Array:
+    """Pick some draws, ``(n, d)``, from all ensembles and steps."""
+    draws = chain.reshape(-1, chain.shape[-1])
+    return np.asarray(draws[:: max(1, draws.shape[0] // 500)])
 
 
 def _covariance(draws: Array) -> Array:

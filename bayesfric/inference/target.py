@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from functools import cached_property
 
 import numpy as np
@@ -83,6 +84,14 @@ class Target:
         """Make the same target, the likelihood's approximations made at parameters ``(d,)``."""
         likelihood = self.likelihood.about(self.chain_values(parameters[None])[0])
         return Target(likelihood, self._all_priors, self.noise)
+
+    def prepared(self, u: Array) -> Target:
+        """Make the same target, cheaper near coordinates ``(n, d)`` about as spread as it."""
+        parameters, jacobian = self.to_parameters(u)
+        draws = self.chain_values(parameters[np.isfinite(jacobian)])
+        out = copy(self)
+        out.likelihood = self.likelihood.prepared(draws)
+        return out
 
     def chain_values(self, parameters: Array) -> Array:
         """Fill the fixed parameters in: ``(n, d)`` to ``(n, chain parameters)``."""

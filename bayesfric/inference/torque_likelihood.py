@@ -1,4 +1,4 @@
-"""Gaussian likelihood of the measured motor torque around the inverse model.
+"""Likelihood of the measured motor torque around the inverse model.
 
 Model output and measured torque pass the same parallel filter, so what the
 filter removes is removed from both and does not bias the comparison.
@@ -6,7 +6,6 @@ filter removes is removed from both and does not bias the comparison.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,8 +13,9 @@ from numpy.typing import NDArray
 
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.inference.fast_moments import fast_moments
-from bayesfric.inference.likelihood import LikelihoodMethod, Outputs, normal_terms
+from bayesfric.inference.likelihood import LikelihoodMethod, Outputs
 from bayesfric.inference.residual_moments import PlainMoments, ResidualMoments, follows
+from bayesfric.inference.residual_noise import Autoregressive, ResidualNoise, StudentT
 from bayesfric.mechanism.chain import Chain
 from bayesfric.recordings.observation import Observation
 
@@ -33,17 +33,19 @@ class TorqueLikelihood:
         The mechanism.
     observations
         One or more prepared recordings. They share the chain's parameters.
+    noise
+        What residuals are; white if left out.
     moments
         Computes the residuals' moments of these recordings; sample by sample if left out.
     """
 
     method: LikelihoodMethod = "input-error"
-    noise_quantities: tuple[str, ...] = ("sigma",)
 
     def __init__(
         self,
         chain: Chain,
         observations: Sequence[Observation],
+        noise: ResidualNoise | None = None,
         moments: ResidualMoments | None = None,
     ) -> None:
         self.chain = chain
@@ -63,9 +65,15 @@ class TorqueLikelihood:
             for o in self.observations
         )
         self.sizes = np.array([o.measured.size for o in self.observations])
-        self.moments: ResidualMoments = (
-            PlainMoments(chain, self.observations) if moments is None else moments
-        )
+        self.noise: ResidualNoise = Autoregressive() if noise is None else noise
+        self.noise_quantities = self.noise.quantities
+        self._plain = PlainMoments(chain, self.observations, self.noise.order)
+        self.moments: ResidualMoments = self._plain if moments is None else moments
+
+    @property
+    def cheap(self) -> bool:
+        """Whether the recordings were reduced to moments."""
+        return self.moments is not self._plain
 
     @property
     def evaluation(self) -> str:
@@ -89,10 +97,18 @@ class TorqueLikelihood:
         TorqueLikelihood
             Itself for a chain whose torque has no such form; :attr:`evaluation` tells.
         """
-        moments = fast_moments(self.chain, self.observations, draws, self.moments.order)
+        if isinstance(self.noise, StudentT):
+            return self  # outliers have no moments to sum
+        moments = fast_moments(
+            self.chain, self.observations, draws, self.noise.order, plain=self._plain
+        )
         if moments is None:
             return self
-        return TorqueLikelihood(self.chain, self.observations, moments)
+        return TorqueLikelihood(self.chain, self.observations, self.noise, moments)
+
+    def with_noise(self, noise: ResidualNoise) -> TorqueLikelihood:
+        """Make the same likelihood with other noise, not prepared."""
+        return TorqueLikelihood(self.chain, self.observations, noise)
 
     def sum_of_squares(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Sum of squared residuals of each recording.
@@ -114,33 +130,38 @@ class TorqueLikelihood:
         return self
 
     def log_density(self, values: Array, scales: Array) -> Array:
-        """Log-likelihood with white Gaussian noise.
+        """Log-likelihood.
 
         Parameters
         ----------
         values
             ``(n, n_parameters)``.
         scales
-            ``(n, n_recordings, 1)`` noise scales.
+            ``(n, n_recordings, Q)`` noise scales.
 
         Returns
         -------
         ndarray
             ``(n,)``
         """
-        squares, sigma = self.sum_of_squares(values), scales[..., 0]
-        terms = squares / sigma**2 + self.sizes * (2.0 * np.log(sigma) + math.log(2.0 * math.pi))
-        total: Array = -0.5 * terms.sum(axis=1)
-        return total
+        if isinstance(self.noise, StudentT):
+            terms = self._plain.student_terms(values, scales)
+            return self.noise.log_density(terms, self.sizes, scales)
+        assert isinstance(self.noise, Autoregressive)
+        moments, plain = self.moments.at(values), self._plain
+        return self.noise.log_density(moments, plain.counts, plain.head_counts, scales)
 
     def pointwise(self, values: Array, scales: Array) -> list[Array]:
         """See :class:`bayesfric.inference.likelihood.Likelihood`."""
-        sds = [scales[:, r] for r in range(len(self.outputs))]
-        z = [
-            (o.measured - torque) / sd
-            for o, torque, sd in zip(self.outputs, self.predict(values), sds, strict=True)
+        return [
+            np.stack(
+                [
+                    self.noise.log_terms(*self.noise.standard(row, o.follows, s), s)
+                    for row, s in zip(o.measured - torque, scales[:, r], strict=True)
+                ]
+            )
+            for r, (o, torque) in enumerate(zip(self.outputs, self.predict(values), strict=True))
         ]
-        return normal_terms(z, sds)
 
     def predict(self, values: Array) -> list[Array]:
         """Predict the filtered torque of each recording, ``(n, n_outputs)`` each."""
@@ -149,20 +170,30 @@ class TorqueLikelihood:
     def standardised(self, values: Array, scales: Array) -> list[Array]:
         """See :class:`bayesfric.inference.likelihood.Likelihood`."""
         return [
-            torque / sigma for torque, sigma in zip(self.predict(values), scales[:, 0], strict=True)
+            self.noise.standard(torque, o.follows, s)[0]
+            for o, torque, s in zip(self.outputs, self.predict(values), scales, strict=True)
+        ]
+
+    def innovations(self, residuals: Sequence[Array], scales: Array) -> list[Array]:
+        """Take from residuals ``(M,)`` what the noise's memory foretells, over their sds.
+
+        ``scales`` ``(R, Q)``.
+        """
+        return [
+            self.noise.standard(residual, o.follows, s)[0]
+            for o, residual, s in zip(self.outputs, residuals, scales, strict=True)
         ]
 
     def noise_information(self, scales: Array) -> Array:
-        """See :class:`bayesfric.inference.likelihood.Likelihood`: ``2n / sigma^2``."""
-        return 2.0 * self.sizes[:, None, None] / scales[..., None] ** 2
+        """See :class:`bayesfric.inference.likelihood.Likelihood`."""
+        return np.stack(
+            [self.noise.information(s, int(n)) for s, n in zip(scales, self.sizes, strict=True)]
+        )
 
     def noise_sd(self, scales: Array) -> list[Array]:
         """See :class:`bayesfric.inference.likelihood.Likelihood`."""
-        return [np.full(n, sigma) for n, sigma in zip(self.sizes, scales[:, 0], strict=True)]
+        return [np.full(n, self.noise.sd(s)) for n, s in zip(self.sizes, scales, strict=True)]
 
     def draw_noise(self, scales: Array, rng: np.random.Generator) -> list[Array]:
         """See :class:`bayesfric.inference.likelihood.Likelihood`."""
-        return [
-            scales[:, r] * rng.standard_normal((scales.shape[0], n))
-            for r, n in enumerate(self.sizes)
-        ]
+        return [self.noise.draw(o.follows, scales[:, r], rng) for r, o in enumerate(self.outputs)]

@@ -1,0 +1,88 @@
+"""Recordings of one joint whose measured torques are shifted by different constants."""
+
+import json
+
+import numpy as np
+import pytest
+
+from bayesfric.commands.simulate import simulate
+from bayesfric.config import read_config
+
+RECORDING = """
+[[recordings]]
+file = "{name}.csv"
+time = {{ column = "time", unit = "s" }}
+position = {{ column = "position", unit = "rad" }}
+torque = {{ column = "torque", unit = "N m" }}
+"""
+SIMULATION = """
+[simulation]
+duration = 4.0
+rate = 500
+excitation = "multisine"
+encoder_counts = 1048576
+torque_noise = 0.01
+seed = {seed}
+parameters = {{ offset = {offset} }}
+"""
+JOINT = '[mechanism]\npreset = "motor-axis"\n'
+OFFSETS = {"one": 0.08, "two": -0.05}
+SHORT = "\n[sampling]\nwalkers = 32\nmax_steps = 400\nmin_ess = 200\n"
+
+
+@pytest.fixture
+def two(bench):
+    for seed, (name, offset) in enumerate(OFFSETS.items(), start=1):
+        bench.config(
+            JOINT + RECORDING.format(name=name) + SIMULATION.format(seed=seed, offset=offset)
+        )
+        simulate(read_config(bench.folder / "c.toml"), bench.folder / f"{name}.csv")
+    both = "".join(RECORDING.format(name=name) for name in OFFSETS)
+    bench.config(JOINT + 'offset = "per-recording"\n' + both + SHORT)
+    return bench
+
+
+def test_every_method_finds_each_offset(two):
+    ended = two.run("estimate", "c.toml", "--json")
+    assert ended.code == 0, ended.err
+    for method, estimate in json.loads(ended.out)["estimates"].items():
+        rows = estimate["parameters"]
+        assert "offset" not in rows
+        for name, value in OFFSETS.items():
+            row = rows[f"offset.{name}"]
+            assert abs(row["value"] - value) < 5 * row["sd_robust"] < 0.05, (method, name)
+        row = rows["motor.coulomb"]
+        assert abs(row["value"] - 0.2) < 5 * row["sd_robust"], method
+
+
+def test_one_offset_for_both_is_their_mean_and_leaves_the_rest_in_the_residual(two):
+    text = (two.folder / "c.toml").read_text()
+    rms = {}
+    for told in ('"per-recording"', "true"):
+        two.config(text.replace('offset = "per-recording"', f"offset = {told}"))
+        ended = two.run("estimate", "c.toml", "--method", "least-squares", "--json")
+        rms[told] = json.loads(ended.out)["estimates"]["least-squares"]["residual_rms"]
+    # a constant off by half the difference in each adds its square, less what the motion mimics
+    missing = (OFFSETS["one"] - OFFSETS["two"]) / 2.0
+    gained = np.sqrt(rms["true"] ** 2 - rms['"per-recording"'] ** 2)
+    assert 0.9 * missing < gained <= missing
+
+
+def test_the_posterior_has_each_and_one_prior_stands_for_all(two):
+    text = (two.folder / "c.toml").read_text()
+    two.config(text + '\n[priors]\noffset = {distribution = "norm", loc = 0.0, scale = 0.3}\n')
+    ended = two.run("fit", "c.toml", "-o", "run", "--json")
+    assert ended.code in (0, 3), ended.err
+    found = json.loads((two.folder / "run" / "summary.json").read_text())["parameters"]
+    for name, value in OFFSETS.items():
+        row = found[f"offset.{name}"]
+        assert row["prior_sd"] == pytest.approx(0.3)
+        assert abs(row["mean"] - value) < 5 * row["sd"] < 0.05
+        assert row["verdict"] == "data"
+
+
+def test_an_unknown_recording_has_no_offset(two):
+    two.config((two.folder / "c.toml").read_text() + '\n[priors]\n"offset.three" = 0.1\n')
+    message = two.refused("check", "c.toml")
+    assert "offset.three" in message
+    assert "offset.two" in message
