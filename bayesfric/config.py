@@ -183,7 +183,9 @@ def read_config(path: Path) -> Config:
         str(path).encode()
     except UnicodeEncodeError:
         # every later print of it would end in an error
-        raise BadInput(str(path), "its name is not UTF-8", "rename the file or its folder") from None
+        raise BadInput(
+            str(path), "its name is not UTF-8", "rename the file or its folder"
+        ) from None
     if path.is_fifo():
         # opening it would wait for ever if nobody writes
         raise BadInput(str(path), "is a named pipe, no file", "name the .toml file")

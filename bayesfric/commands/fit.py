@@ -15,10 +15,13 @@ from bayesfric.errors import BadInput
 from bayesfric.inference.fit import fit as fit_target
 from bayesfric.inference.sampling import Progress, phase
 from bayesfric.inference.target import Target
+from bayesfric.report.noise_summary import add_white_intervals, noise_lines, white_alternative
 from bayesfric.report.run_directory import check_free, write_run
 from bayesfric.report.summary import summarise
 
 NOT_CONVERGED = 3
+# Independent draws that are enough for an interval that only stands beside another.
+_WHITE_ESS = 2000.0
 
 
 def fit(
@@ -63,11 +66,20 @@ def fit(
     found, missing = estimates_where_possible(
         problem, lambda method: progress(phase(f"{method} estimate"))
     )
-    target = _target(problem, [dict(e.point) for e in found if e.point])
+    points = [dict(e.point) for e in found if e.point]
+    target = _target(problem, points)
     with config.named():
         result = fit_target(target, sampling, estimates=found, progress=progress)
+    summary = summarise(
+        result, problem.references(), problem.noise_choice(points[0] if points else None)
+    )
+    if white_alternative(result):
+        progress(phase("the same with white noise"))
+        quick = sampling.model_copy(update={"min_ess": min(sampling.min_ess, _WHITE_ESS)})
+        with config.named():
+            white = fit_target(problem.white_target(), quick, estimates=found, progress=progress)
+        add_white_intervals(summary, summarise(white))
     progress(phase("writing results"))
-    summary = summarise(result, problem.references())
     summary["warnings"] += missing
     write_run(folder, result, summary, config.text, problem.recordings)
     return summary
@@ -113,6 +125,7 @@ def fit_text(summary: dict[str, Any], folder: Path) -> Iterator[str]:
     for warning in summary["warnings"]:
         yield f"WARNING: {warning}"
     yield ""
+    yield from noise_lines(summary["noise"])
     yield f"Residual rms {summary['fit']['residual_rms']:.4g} {summary['fit']['unit']}"
     yield f"Written to {folder}"
 
@@ -137,6 +150,8 @@ def _remark(row: dict[str, Any]) -> str:
 def _row(name: str, row: dict[str, Any]) -> str:
     low, high = row["interval"]
     remark = _remark(row)
-    return f"  {name:<30} {row['median']:>11.5g}  [{low:.5g}, {high:.5g}] {row['unit']}" + (
-        f"   {remark}" if remark else ""
-    )
+    text = f"  {name:<30} {row['median']:>11.5g}  [{low:.5g}, {high:.5g}] {row['unit']}"
+    if row.get("white_interval") and row["verdict"] == "data":
+        low, high = row["white_interval"]
+        text += f"   (white noise: [{low:.5g}, {high:.5g}])"
+    return text + (f"   {remark}" if remark else "")

@@ -84,6 +84,11 @@ class Problem:
             )
         return target_of(likelihood, self.priors, tables.noise.scale)
 
+    def white_target(self) -> Target:
+        """Log-posterior of the torque with white noise, whatever the configuration asks for."""
+        scale = self.config.tables.noise.scale
+        return make_target(self.chain, self.observations, self.priors, scale)
+
     def noise_choice(self, point: Mapping[str, float] | None) -> Choice | None:
         """Choose the noise that the torque residuals of a point ask for, if it is not told."""
         noise = self.config.tables.noise

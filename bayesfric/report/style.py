@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.priors import Prior
-from bayesfric.report.summary import noise_unit
+from bayesfric.report.noise_summary import noise_unit
 
 Array = NDArray[np.float64]
 LineStyle = Literal["solid"] | tuple[float, Sequence[float]]
@@ -47,6 +47,8 @@ MEASURED = "#3a3a3a"
 BAND = "#a9d3ec"
 PRIOR = PALETTE[2]
 POSTERIOR = PALETTE[1]
+# What the data leave open is hatched, never a plain band.
+OPEN_HATCH = "//////"
 
 # Matplotlib 3.11 types the keys, earlier ones do not.
 _STYLE: dict[Any, Any] = {
@@ -80,6 +82,7 @@ _STYLE: dict[Any, Any] = {
     "ps.fonttype": 42,
     "svg.fonttype": "none",
     "svg.hashsalt": "bayesfric",
+    "hatch.linewidth": 0.4,
     # very long paths overflow the rasteriser in one piece
     "agg.path.chunksize": 10_000,
 }
@@ -99,9 +102,10 @@ def paper_style() -> Iterator[None]:
 
 
 def save(figure: Figure, folder: Path, stem: str) -> tuple[Path, Path]:
-    """Write a figure as ``<stem>.pdf`` and ``<stem>.png`` (300 dpi).
+    """Write a figure as ``<stem>.pdf``, ``<stem>.svg`` and ``<stem>.png`` (300 dpi).
 
-    The same figure gives the same bytes: no date is written.
+    The same figure gives the same bytes: no date is written, and names inside the SVG
+    come from a fixed salt.
 
     Parameters
     ----------
@@ -115,11 +119,12 @@ def save(figure: Figure, folder: Path, stem: str) -> tuple[Path, Path]:
     Returns
     -------
     tuple of pathlib.Path
-        The PDF and the PNG.
+        The PDF and the PNG; the SVG lies beside them.
     """
-    pdf, png = folder / f"{stem}.pdf", folder / f"{stem}.png"
+    pdf, svg, png = (folder / f"{stem}.{kind}" for kind in ("pdf", "svg", "png"))
     with paper_style():
         figure.savefig(pdf, format="pdf", metadata={"CreationDate": None})
+        figure.savefig(svg, format="svg", metadata={"Date": None})
         figure.savefig(png, format="png", dpi=300.0)
     return pdf, png
 

@@ -12,33 +12,33 @@ from numpy.typing import NDArray
 
 import bayesfric
 from bayesfric.estimates.estimate import Estimate
-from bayesfric.estimates.information import CORRELATED, lag_one
+from bayesfric.estimates.information import lag_one
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.torque import filtered_torque, typical_load
 from bayesfric.identifiability.influence import influence
 from bayesfric.identifiability.local import LocalInformation, local_information, verdict
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.likelihood import Likelihood
+from bayesfric.inference.noise_choice import Choice
 from bayesfric.inference.position_likelihood import PositionLikelihood
 from bayesfric.mechanism.derived import derive
+from bayesfric.report.noise_summary import (
+    correlation_warnings,
+    noise_meaning,
+    noise_record,
+    noise_unit,
+)
 
 Array = NDArray[np.float64]
 
 LEVEL = 0.9
 # Samples times draws for the totals; more draws change nothing that is printed.
 _TOTALS_BUDGET = 50_000_000
-_NOISE_MODELS = {
-    "input-error": "white",
-    "output-error": "white in torque and position, torque noise carried through the simulation",
-}
-_NOISES = {
-    "sigma": "noise of the filtered torque",
-    "torque": "noise of a torque sample",
-    "position": "noise of a position sample",
-}
 
 
-def summarise(fit: Fit, references: Mapping[str, Any] | None = None) -> dict[str, Any]:
+def summarise(
+    fit: Fit, references: Mapping[str, Any] | None = None, choice: Choice | None = None
+) -> dict[str, Any]:
     """Put all numbers of a fit into the form of ``summary.json``.
 
     Parameters
@@ -47,6 +47,8 @@ def summarise(fit: Fit, references: Mapping[str, Any] | None = None) -> dict[str
         A finished fit.
     references
         Values to compare with, as a configuration gives them.
+    choice
+        How the order of the noise was chosen, where it was.
 
     Returns
     -------
@@ -61,10 +63,7 @@ def summarise(fit: Fit, references: Mapping[str, Any] | None = None) -> dict[str
     residual = residuals(fit)
     outputs = fit.target.likelihood.outputs
     lags = [lag_one(r, o.follows) for o, r in zip(outputs, residual, strict=True)]
-    weights = [r.size if np.isfinite(lag) else 0 for lag, r in zip(lags, residual, strict=True)]
-    correlation = _number(
-        np.average(np.nan_to_num(lags), weights=weights) if any(weights) else np.nan
-    )
+    noise = noise_record(fit, residual, choice)
     return {
         "bayesfric": bayesfric.__version__,
         "parameters": _parameters(fit, flat, local),
@@ -76,18 +75,17 @@ def summarise(fit: Fit, references: Mapping[str, Any] | None = None) -> dict[str
         "derived": _totals(fit, median, local) | _derived(fit, median, local),
         "estimates": {estimate.method: estimate_summary(estimate) for estimate in fit.estimates},
         "references": dict(references or {}),
-        "likelihood": {"method": fit.target.likelihood.method},
+        "likelihood": {
+            "method": fit.target.likelihood.method,
+            "evaluation": fit.target.likelihood.evaluation,
+        },
         "identifiability": {
             "null_directions": [
                 {"parameters": n.exponents, "meaning": n.meaning} for n in local.null_directions
             ],
             "singular_values": [float(x) for x in local.directions.singular_values],
         },
-        "noise": {
-            "model": _NOISE_MODELS[fit.target.likelihood.method],
-            "parameters": list(fit.target.noise.names),
-            "residual_lag1": correlation,
-        },
+        "noise": noise,
         "fit": {
             "residual_rms": _rms(np.concatenate(residual)),
             "unit": outputs[0].unit,
@@ -106,8 +104,7 @@ def summarise(fit: Fit, references: Mapping[str, Any] | None = None) -> dict[str
             },
         },
         "warnings": [
-            # drifting positions are correlated by their model; there it says nothing
-            *_correlated(correlation if fit.target.likelihood.method == "input-error" else None),
+            *correlation_warnings(fit, noise),
             *(f"{o.name}: {text}" for o in fit.observations for text in o.warnings),
         ],
         "sampler": {
@@ -136,13 +133,16 @@ def summary_table(summary: Mapping[str, Any]) -> str:
     columns = ["name", "unit", "mean", "sd", "median", "low", "high", "level", "rhat", "ess"]
     columns += ["prior", "prior_sd", "contraction", "verdict", "at_bound"]
     columns += ["undefined_share", "prior_sensitivity", "likelihood_sensitivity"]
+    columns += ["white_low", "white_high"]
     out = io.StringIO()
     writer = csv.DictWriter(out, columns, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
     for group in ("parameters", "derived"):
         for name, row in summary[group].items():
             low, high = row["interval"]
-            writer.writerow({"name": name, **row, "low": low, "high": high})
+            white_low, white_high = row.get("white_interval") or (None, None)
+            ends = {"low": low, "high": high, "white_low": white_low, "white_high": white_high}
+            writer.writerow({"name": name, **row, **ends})
     return out.getvalue()
 
 
@@ -157,30 +157,12 @@ def residuals(fit: Fit) -> list[Array]:
     ]
 
 
-def _correlated(lag: float | None) -> list[str]:
-    """Warn that white noise understates the sds, by the factor of a first-order autoregression."""
-    if lag is None or lag < CORRELATED:
-        return []
-    factor = np.sqrt((1.0 + lag) / (1.0 - min(lag, 0.99)))
-    return [
-        f"the residuals are correlated (lag 1: {lag:.2f}) but are taken for independent: these "
-        f"intervals are about {factor:.1f} times too narrow"
-    ]
-
-
 def _discretisation(likelihood: Likelihood) -> dict[str, Any]:
     """Give steps and error of the simulation, where the likelihood simulates."""
     if not isinstance(likelihood, PositionLikelihood):
         return {}
     steps, error = likelihood.discretisation
     return {"integration_steps": steps, "discretisation_error": error}
-
-
-def noise_unit(fit: Fit, quantity: str) -> str:
-    """Name the unit of a noise scale: ``sigma``, ``torque`` or ``position``."""
-    if quantity == "position":
-        return fit.target.likelihood.outputs[0].unit
-    return "N m" if fit.chain.motor_motion == "rotary" else "N"
 
 
 def estimate_summary(estimate: Estimate) -> dict[str, Any]:
@@ -216,7 +198,7 @@ def _parameters(fit: Fit, flat: Array, local: LocalInformation) -> dict[str, Any
     described = {p.name: (p.unit, p.symbol, p.meaning) for p in fit.chain.parameters}
     noise = fit.target.noise
     for name, symbol, quantity in zip(noise.names, noise.symbols, noise.quantities, strict=True):
-        described[name] = (noise_unit(fit, quantity), symbol, _NOISES[quantity])
+        described[name] = (noise_unit(fit, quantity), symbol, noise_meaning(fit, quantity))
     rows = {}
     moved_by = influence(fit)
     for j, (name, prior) in enumerate(zip(fit.posterior.names, fit.posterior.priors, strict=True)):

@@ -1,0 +1,169 @@
+"""What a summary says of the noise: its model, why that one, and what white noise would give."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.estimates.information import CORRELATED, lag_one
+from bayesfric.inference.autoregression import ljung_box, predictors
+from bayesfric.inference.fit import Fit
+from bayesfric.inference.noise_choice import Choice
+from bayesfric.inference.residual_noise import Autoregressive
+from bayesfric.inference.torque_likelihood import TorqueLikelihood
+
+Array = NDArray[np.float64]
+
+_SIMULATED = "white in torque and position, torque noise carried through the simulation"
+_MEANINGS = {
+    "sigma": "noise of the filtered torque",
+    "dof": "degrees of freedom of the noise: fewer, more outliers",
+    "torque": "noise of a torque sample",
+    "position": "noise of a position sample",
+}
+# Correlations of the innovations that are tested together.
+_LAGS = 10
+# p-value below which innovations are not called white.
+_SURE = 0.01
+
+
+def noise_unit(fit: Fit, quantity: str) -> str:
+    """Name the unit of a noise scale, such as ``sigma``, ``torque`` or ``position``."""
+    if quantity == "dof" or quantity.startswith("pacf_"):
+        return ""
+    if quantity == "position":
+        return fit.target.likelihood.outputs[0].unit
+    return "N m" if fit.chain.motor_motion == "rotary" else "N"
+
+
+def noise_meaning(fit: Fit, quantity: str) -> str:
+    """Say in a line what a noise scale is."""
+    if quantity.startswith("pacf_"):
+        return f"partial autocorrelation of the noise at lag {quantity.removeprefix('pacf_')}"
+    likelihood = fit.target.likelihood
+    if quantity == "sigma" and isinstance(likelihood, TorqueLikelihood) and likelihood.noise.order:
+        return "sd of the noise's innovations, what its memory does not foretell"
+    return _MEANINGS[quantity]
+
+
+def noise_record(fit: Fit, residuals: list[Array], choice: Choice | None) -> dict[str, Any]:
+    """Put the noise of a fit into the form of ``summary.json``.
+
+    Parameters
+    ----------
+    fit
+        A finished fit.
+    residuals
+        ``(M,)`` of every recording, measured minus posterior mean.
+    choice
+        How the order was chosen, where it was.
+    """
+    likelihood = fit.target.likelihood
+    record: dict[str, Any] = {
+        "model": _SIMULATED,
+        "parameters": list(fit.target.noise.names),
+        "residual_lag1": _mean_lag([lag_one(r, o.follows) for o, r in _with(fit, residuals)]),
+    }
+    if not isinstance(likelihood, TorqueLikelihood):
+        return record
+    noise = likelihood.noise
+    median = np.median(fit.posterior.flat(), axis=0)
+    scales = fit.target.noise.scales(median[None, len(fit.target.free) :])[0]
+    left = likelihood.innovations(residuals, scales)
+    runs = [o.follows for o in likelihood.outputs]
+    p = ljung_box(left, runs, _LAGS + noise.order, noise.order)
+    record |= {
+        "model": noise.description,
+        "innovation_lag1": _mean_lag([lag_one(r, f) for r, f in zip(left, runs, strict=True)]),
+        "innovation_whiteness": {
+            "test": f"Ljung-Box, {_LAGS + noise.order} lags, all recordings together",
+            "p_value": p,
+            "white": bool(p > _SURE),
+        },
+    }
+    if noise.order:
+        record["autoregression"] = {
+            o.name: predictors(s[None, 1:])[-1][0].tolist()
+            for o, s in zip(likelihood.outputs, scales, strict=True)
+        }
+    if choice is not None:
+        record["order_chosen_from"] = [
+            {
+                "order": one.order,
+                "bic": one.bic,
+                "innovation_share": one.innovations,
+                "p_value": one.p_value,
+            }
+            for one in choice.tried
+        ]
+    return record
+
+
+def add_white_intervals(summary: dict[str, Any], white: Mapping[str, Any]) -> None:
+    """Put beside every interval of a summary the one that white noise would have given.
+
+    Parameters
+    ----------
+    summary
+        Changed: rows get ``white_interval`` and ``white_sd``.
+    white
+        Summary of the same problem with white noise.
+    """
+    for group in ("parameters", "derived"):
+        for name, row in summary[group].items():
+            other = white[group].get(name)
+            if other is not None and not name.startswith("noise."):
+                row["white_interval"], row["white_sd"] = other["interval"], other["sd"]
+
+
+def noise_lines(record: Mapping[str, Any]) -> Iterator[str]:
+    """Word the noise of a summary for a person."""
+    yield f"Noise: {record['model']}"
+    tried = record.get("order_chosen_from")
+    if tried and len(tried) > 1:
+        shown = ", ".join(f"AR({one['order']}) {one['bic']:.0f}" for one in tried[1:])
+        yield f"  order chosen by BIC; against white noise, 0: {shown}"
+    for name, coefficients in record.get("autoregression", {}).items():
+        yield f"  {name}: coefficients {', '.join(f'{c:.3f}' for c in coefficients)}"
+    test = record.get("innovation_whiteness")
+    if test is not None:
+        said = "pass as white" if test["white"] else "are NOT white: intervals may be too narrow"
+        yield f"  innovations {said} (Ljung-Box p = {test['p_value']:.2g})"
+
+
+def correlation_warnings(fit: Fit, record: Mapping[str, Any]) -> Iterator[str]:
+    """Warn where residuals that count as independent are not, and by how much it matters."""
+    likelihood = fit.target.likelihood
+    # drifting positions are correlated by their model; there it says nothing
+    if not isinstance(likelihood, TorqueLikelihood):
+        return
+    lag = record["innovation_lag1"]
+    if lag is None or lag < CORRELATED:
+        return
+    # the factor of a first-order autoregression
+    factor = np.sqrt((1.0 + lag) / (1.0 - min(lag, 0.99)))
+    what = "innovations" if likelihood.noise.order else "residuals"
+    yield (
+        f"the {what} are correlated (lag 1: {lag:.2f}) but are taken for independent: these "
+        f"intervals are about {factor:.1f} times too narrow"
+    )
+
+
+def white_alternative(fit: Fit) -> bool:
+    """Whether the noise has a memory, so that white noise would have given other intervals."""
+    likelihood = fit.target.likelihood
+    if not isinstance(likelihood, TorqueLikelihood):
+        return False
+    return isinstance(likelihood.noise, Autoregressive) and likelihood.noise.order > 0
+
+
+def _with(fit: Fit, residuals: list[Array]) -> Iterator[tuple[Any, Array]]:
+    return zip(fit.target.likelihood.outputs, residuals, strict=True)
+
+
+def _mean_lag(lags: list[float]) -> float | None:
+    known = [lag for lag in lags if np.isfinite(lag)]
+    return float(np.mean(known)) if known else None
