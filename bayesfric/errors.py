@@ -5,6 +5,10 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+# A name from a damaged file may be a megabyte long; nobody reads that in one line.
+_LONGEST = 800
+_LONGEST_WORD = 100
+
 
 class BadInput(Exception):
     """Input that cannot be used, told in one line.
@@ -42,11 +46,18 @@ def nearest(word: str, known: Iterable[str]) -> str:
         What could have been.
     """
     choices = list(known)
-    close = difflib.get_close_matches(word, choices, n=1, cutoff=0.6)
+    # comparing takes time with the square of the length
+    close = difflib.get_close_matches(word[:_LONGEST_WORD], choices, n=1, cutoff=0.6)
     if close:
         return f"did you mean {close[0]!r}?"
     return f"use one of {', '.join(choices)}" if choices else "leave it out"
 
 
 def _one_line(text: str) -> str:
-    return " ".join(str(text).split())
+    """Join lines, and escape what a terminal would obey or could not show."""
+    text = " ".join(str(text).split())
+    if len(text) > _LONGEST:
+        text = f"{text[: _LONGEST // 2]} … {text[-_LONGEST // 2 :]}"
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)

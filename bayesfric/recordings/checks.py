@@ -10,6 +10,7 @@ from bayesfric.errors import BadInput
 # Shorter runs of one value are chance in a quantised signal
 _RUN = 4
 _CLIPPED_SHARE = 0.01
+_HUGE = 1e15
 
 
 def check_moves(values: NDArray[np.float64], where: str, what: str) -> None:
@@ -37,6 +38,25 @@ def check_moves(values: NDArray[np.float64], where: str, what: str) -> None:
         )
 
 
+def check_not_huge(values: NDArray[np.float64], where: str, what: str) -> None:
+    """Refuse a signal with a value that no joint has, or that left floating point.
+
+    Parameters are as for :func:`check_moves`.
+
+    Raises
+    ------
+    BadInput
+        If an absolute value is 1e15 or more, in SI units.
+    """
+    fine = np.abs(values) < _HUGE
+    if not fine.all():
+        raise BadInput(
+            where,
+            f"the {what} reaches {values[int(np.argmin(fine))]:.3g} in SI units",
+            "check its unit",
+        )
+
+
 def check_size(values: NDArray[np.float64], where: str, what: str) -> None:
     """Refuse a signal of a size that no joint has: its products would leave floating point.
 
@@ -48,7 +68,7 @@ def check_size(values: NDArray[np.float64], where: str, what: str) -> None:
         If the largest absolute value is below 1e-15 or above 1e15, in SI units.
     """
     largest = float(np.abs(values).max())
-    if not 1e-15 < largest < 1e15:
+    if not 1 / _HUGE < largest < _HUGE:
         raise BadInput(where, f"the {what} is at most {largest:.3g} in SI units", "check its unit")
 
 

@@ -13,8 +13,9 @@ from bayesfric.recordings.filters import (
     ParallelFilter,
     check_cutoff,
     derivative,
+    lay_windows,
     lowpass,
-    parallel_filter,
+    parallel_length,
     parallel_taps,
 )
 from bayesfric.recordings.options import Processing
@@ -191,12 +192,14 @@ def _settle(recording: Recording, processing: Processing) -> _Numbers:
     factor = processing.decimate
     if factor is None:
         factor = max(1, round(fs / cutoff)) if cutoff else 1
+    factor = min(factor, len(recording.time))  # larger ones leave no output either
     if processing.band is not None:
         check_cutoff(processing.band, fs, f"recording '{recording.name}', band")
     if processing.trim is None:
         samples = max(_TRIM_SAMPLES, int(np.ceil(fs / cutoff - 1e-9)) if cutoff else 0)
     else:
-        samples = int(np.ceil(processing.trim * fs - 1e-9))
+        # more than there are would only cost memory
+        samples = int(np.ceil(min(processing.trim * fs, len(recording.time)) - 1e-9))
     return _Numbers(fs, cutoff, factor, processing.band, samples * recording.period, samples)
 
 
@@ -217,26 +220,28 @@ def _windows(
     """Lay the windows, and count what every setting took away."""
     everything = np.ones(len(moving), dtype=np.bool_)
 
-    def lay(segments: tuple[tuple[int, int], ...], usable: NDArray[np.bool_]) -> ParallelFilter:
-        return parallel_filter(segments, numbers.factor, numbers.band, numbers.fs, usable)
-
-    whole = lay(recording.segments, everything).n_outputs
-    trimmed = lay(kept, everything).n_outputs
-    # the low-pass carries what was excluded a little way past its borders, as past a segment's
-    reach = np.ones(2 * numbers.trim_samples + 1)
-    parts = without_excluded(kept, np.convolve(recording.excluded, reach, mode="same") > 0.5)
-    included = lay(parts, everything).n_outputs
-    final = lay(parts, moving)
-    length = len(parallel_taps(numbers.factor, numbers.band, numbers.fs))
     where = f"recording '{recording.name}'"
-    if whole == 0:
-        longest = max(b - a for a, b in recording.segments)
+    length = parallel_length(numbers.factor, numbers.band, numbers.fs)
+    longest = max(b - a for a, b in recording.segments)
+    # before the weights are made: there may be more of them than memory
+    if length > longest:
         raise BadInput(
             f"{where}, decimate",
             f"decimate = {numbers.factor} needs windows of {length} samples, and the longest "
             f"segment has {longest}",
             "decimate less, raise band, or record longer",
         )
+    taps = parallel_taps(numbers.factor, numbers.band, numbers.fs)
+
+    def lay(segments: tuple[tuple[int, int], ...], usable: NDArray[np.bool_]) -> ParallelFilter:
+        return lay_windows(taps, segments, numbers.factor, usable)
+
+    whole = lay(recording.segments, everything).n_outputs
+    trimmed = lay(kept, everything).n_outputs
+    # the low-pass carries what was excluded a little way past its borders, as past a segment's
+    parts = without_excluded(kept, _near(recording.excluded, numbers.trim_samples))
+    included = lay(parts, everything).n_outputs
+    final = lay(parts, moving)
     if trimmed == 0:
         raise BadInput(
             f"{where}, trim",
@@ -256,6 +261,15 @@ def _windows(
         "dropped_excluded": trimmed - included,
         "dropped_dead_zone": included - final.n_outputs,
     }
+
+
+def _near(flags: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+    """Flag what lies no more than ``reach`` samples from a flagged one."""
+    n = len(flags)
+    before = np.concatenate([[0], np.cumsum(flags)])
+    index = np.arange(n)
+    inside = before[np.minimum(index + reach + 1, n)] - before[np.maximum(index - reach, 0)]
+    return np.asarray(inside > 0)
 
 
 def without_excluded(

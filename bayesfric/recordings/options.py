@@ -22,6 +22,9 @@ def _reader(*kinds: units.Kind, off: bool = False) -> BeforeValidator:
     return BeforeValidator(read)
 
 
+_DELIMITERS = "\t !#$%&'()*,/:;<=>?@[\\]^_`{|}~"
+
+
 Seconds = Annotated[float, _reader("time"), Field(ge=0, allow_inf_nan=False)]
 Hertz = Annotated[float, _reader("frequency"), Field(gt=0, allow_inf_nan=False)]
 HertzOrOff = Annotated[float, _reader("frequency", off=True), Field(ge=0, allow_inf_nan=False)]
@@ -207,6 +210,8 @@ class Source(_Options):
     def _one_character(cls, value: str | None) -> str | None:
         if value is not None and len(value) != 1 and value not in ("tab", "whitespace"):
             raise ValueError(f"expected one character, 'tab' or 'whitespace', got '{value}'")
+        if value is not None and len(value) == 1 and value not in _DELIMITERS:
+            raise ValueError(f"'{value}' is part of numbers, or no delimiter of text files")
         return value
 
     @field_validator("exclude")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import glob
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -84,12 +84,19 @@ def read_recordings(
         names = [source.name]
     else:
         names = _names(paths)
-    return [
-        _read(source, path, name, drive, processing)
-        for path, name in zip(paths, names, strict=True)
-    ]
+    recordings = []
+    for path, name in zip(paths, names, strict=True):
+        try:
+            recordings.append(_read(source, path, name, drive, processing))
+        except MemoryError as error:
+            raise BadInput(
+                str(path), "needs more memory than there is", "split it, or save fewer columns"
+            ) from error
+    return recordings
 
 
+# what overflows is refused by its size
+@np.errstate(all="ignore")
 def _read(source: Source, path: Path, name: str, drive: Drive, processing: Processing) -> Recording:
     table = read_table(path, source)
     steps = list(table.notes)
@@ -98,13 +105,16 @@ def _read(source: Source, path: Path, name: str, drive: Drive, processing: Proce
     time = _time(source, table, len(position))
     chosen = _chosen(source, time, str(path))
     part = slice(*chosen)
+    checks.check_not_huge(position, table.label(source.position.column), "position")
     velocity = None
     if source.velocity is not None:
         velocity, step = joint_signal(source.velocity, table, drive)
+        checks.check_not_huge(velocity, table.label(source.velocity.column), "velocity")
         same_length(source.velocity, velocity, source.position, position, table)
         steps.append(step)
     channel, signal, kind = drive_signal(source, table, drive)
     same_length(channel, signal, source.position, position, table)
+    checks.check_not_huge(signal, table.label(channel.column), kind)
 
     grid = make_grid(time, chosen, processing, str(path))
     checks.check_moves(position[part], table.label(source.position.column), "position")
@@ -156,9 +166,7 @@ def _expand(source: Source, folder: Path) -> list[Path]:
         if (folder / pattern).exists() or not glob.has_magic(pattern):
             paths.append(folder / pattern)
             continue
-        # Path.glob takes no absolute pattern
-        found = sorted(glob.glob(pattern, root_dir=folder, recursive=True))  # noqa: PTH207
-        matches = [folder / name for name in found if (folder / name).is_file()]
+        matches = sorted(path for path in _matching(pattern, folder) if path.is_file())
         if not matches:
             raise BadInput(
                 f"file = '{pattern}'",
@@ -166,8 +174,39 @@ def _expand(source: Source, folder: Path) -> list[Path]:
                 "check the pattern and the folder",
             )
         paths.extend(matches)
+    for path in paths:
+        if not _is_text(str(path)):
+            raise BadInput(str(path), "its name is not UTF-8", "rename the file")
     # a file named twice, say by two patterns, would count its measurements twice
     return list(dict.fromkeys(paths))
+
+
+def _matching(pattern: str, folder: Path) -> Iterator[Path]:
+    """Find files as the shell does; ** enters no linked folder, which may hold itself."""
+    anchor = Path(pattern).anchor
+    root = Path(anchor) if anchor else folder
+    relative = pattern[len(anchor) :]
+    # a last ** means folders only in some versions of Python
+    parts = Path(relative).parts
+    if parts and parts[-1] == "**":
+        relative += "/*"
+    hidden = any(part.startswith(".") for part in parts)
+    try:
+        for path in root.glob(relative):
+            if hidden or not any(p.startswith(".") for p in path.relative_to(root).parts):
+                yield path
+    except (ValueError, NotImplementedError) as error:
+        raise BadInput(
+            f"file = '{pattern}'", f"is no pattern ({error})", "write ** between slashes"
+        ) from None
+
+
+def _is_text(name: str) -> bool:
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
@@ -197,8 +236,13 @@ def _time(source: Source, table: Table, count: int) -> NDArray[np.float64]:
     time = scaled(source.time, table, "time", "time")
     if len(time) != count:
         raise lengths(table, source.time.column, len(time), source.position.column, count)
-    check_order(time, table.label(source.time.column), table.row)
-    return np.asarray(time - time[0]) if count else time
+    where = table.label(source.time.column)
+    check_order(time, where, table.row)
+    checks.check_not_huge(time, where, "time")
+    since = np.asarray(time - time[0]) if count else time
+    # steps far smaller than the stamps themselves are lost
+    check_order(since, where, table.row)
+    return since
 
 
 def _chosen(source: Source, time: NDArray[np.float64], where: str) -> tuple[int, int]:

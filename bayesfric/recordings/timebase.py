@@ -16,7 +16,9 @@ from bayesfric.recordings.options import Processing
 Segments = tuple[tuple[int, int], ...]
 _SLOWEST = 1.0
 _FASTEST = 1e-6
-_MOST_SAMPLES = 50_000_000
+# a period outside these is no sampling at all, and its square leaves floating point
+_POSSIBLE = (1e-12, 1e9)
+_MOST_SAMPLES = 10_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,6 +173,12 @@ def make_grid(
             "record longer, or check start and stop",
         )
     intervals = np.diff(time[first:last])
+    if intervals.min() < _POSSIBLE[0]:
+        raise BadInput(
+            where,
+            f"two time stamps are only {float(intervals.min()):.3g} s apart",
+            "check the unit of time, or cut repeated rows out",
+        )
     median = float(np.median(intervals))
     borders = first + 1 + np.flatnonzero(intervals > processing.gap * median)
     edges = [first, *borders.tolist(), last]
@@ -199,6 +207,8 @@ def make_grid(
     jitter = float(np.sqrt(np.mean((inside - mean) ** 2)) / mean)
     period, resampled, told = _choose(jitter, mean, median, processing, warnings)
     steps.append(f"time: {count} samples, {told}")
+    if not _POSSIBLE[0] <= period <= _POSSIBLE[1]:
+        raise BadInput(where, f"the sampling period is {period:.3g} s", "check the unit of time")
     if not _FASTEST <= period <= _SLOWEST:
         warnings.append(f"time: the sampling period is {period:.3g} s; is the unit of time right?")
     times: list[NDArray[np.float64]] = []
@@ -208,10 +218,10 @@ def make_grid(
         if resampled:
             # the tolerance keeps a last stamp that lies on the grid but for rounding
             n = int(np.floor((time[b - 1] - time[a]) / period + 1e-9)) + 1
-            if n > _MOST_SAMPLES:
+            if begin + n > _MOST_SAMPLES:
                 raise BadInput(
                     where,
-                    f"resampling to {period:.3g} s makes {n:.3g} samples",
+                    f"resampling to {period:.3g} s makes more than {_MOST_SAMPLES} samples",
                     "choose a longer period in resample",
                 )
             part = np.minimum(time[a] + period * np.arange(n), time[b - 1])

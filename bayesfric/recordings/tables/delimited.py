@@ -5,7 +5,6 @@ from __future__ import annotations
 import codecs
 import io
 import re
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from bayesfric.recordings.tables.layout import Layout, TextOptions, find_layout,
 from bayesfric.recordings.tables.table import Table, check_names
 
 _HEAD_LINES = 400
+_HEAD_CHARACTERS = 1_000_000
 _BLANK_LINE = re.compile(r"\n[ \r]*\n")
 
 
@@ -43,12 +43,10 @@ def read_delimited(path: Path, options: TextOptions) -> Table:
     text = _decode(path)
     if not text.strip():
         raise BadInput(str(path), "is empty", "check whether the recorder wrote anything")
-    head = [
-        line.rstrip("\n") for line in islice(io.StringIO(text), _HEAD_LINES + options.skip_rows)
-    ]
+    head = _head(text, options.skip_rows)
     layout = find_layout(path, head, options)
-    if layout.header_line is not None:
-        check_names(path, layout.names, f"line {layout.header_line + 1}")
+    line = layout.first if layout.header_line is None else layout.header_line
+    check_names(path, layout.names, f"line {line + 1}")
     body = text[sum(len(line) + 1 for line in head[: layout.first]) :].rstrip()
     lines = None
     if _BLANK_LINE.search(body):
@@ -67,6 +65,19 @@ def read_delimited(path: Path, options: TextOptions) -> Table:
         decimal=options.decimal,
         notes=layout.notes,
     )
+
+
+def _head(text: str, skip: int) -> list[str]:
+    """Return the lines to skip and those that tell the layout."""
+    lines: list[str] = []
+    begin = size = 0
+    while begin < len(text) and len(lines) - skip < _HEAD_LINES and size < _HEAD_CHARACTERS:
+        found = text.find("\n", begin)
+        end = len(text) if found < 0 else found
+        lines.append(text[begin:end])
+        begin = end + 1
+        size += len(lines[-1]) if len(lines) > skip else 0
+    return lines
 
 
 def _decode(path: Path) -> str:
@@ -124,6 +135,12 @@ def _parse(
             str(path),
             f"has {rows} lines but {len(frame)} rows: a quoted cell runs over several lines",
             "close the quotes",
+        )
+    if frame.shape[1] != layout.width:
+        raise BadInput(
+            str(path),
+            f"has {layout.width} columns in some lines and {frame.shape[1]} in others",
+            "give its delimiter, or write it with commas",
         )
     return [np.asarray(_cells(frame.iloc[:, i])) for i in range(frame.shape[1])]
 

@@ -149,6 +149,8 @@ def _from_columns(path: Path, columns: Any, where: str) -> Table:
 
 
 def _table(path: Path, names: list[str], cells: Callable[[str], NDArray[Any]]) -> Table:
+    check_names(path, names)
+
     def load(index: int) -> NDArray[Any]:
         return cells(names[index])
 

@@ -13,6 +13,7 @@ from bayesfric.errors import BadInput
 from bayesfric.recordings.tables.table import is_number
 
 _CANDIDATES = (",", ";", "\t", "|", "whitespace")
+_LONGEST_LINE = 1_000_000
 _MISSING = {"", "nan", "na", "n/a", "null", "none", "inf", "-inf", "-", "--", "?"}
 
 
@@ -81,7 +82,12 @@ def split(line: str, delimiter: str) -> list[str]:
     """
     if delimiter == "whitespace":
         return [cell.strip('"') for cell in line.split()]
-    cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    if '"' not in line:
+        return [cell.strip() for cell in line.split(delimiter)] if line else []
+    try:
+        cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    except csv.Error:  # a cell of more than 131072 characters
+        return [line]
     return [cell.strip() for cell in cells]
 
 
@@ -105,13 +111,20 @@ def find_layout(path: Path, head: Sequence[str], options: TextOptions) -> Layout
     Raises
     ------
     BadInput
-        If there is no row of numbers, or the header does not fit.
+        If there is no row of numbers, the header does not fit, or a line is too long.
     """
+    for i, text in enumerate(head[options.skip_rows :], start=options.skip_rows + 1):
+        if len(text) > _LONGEST_LINE:
+            raise BadInput(
+                f"{path}, line {i}",
+                f"has {len(text)} characters",
+                "write one row a sample, with the recording's columns only",
+            )
     lines = [(i, text) for i, text in enumerate(head) if i >= options.skip_rows and text.strip()]
     if not lines:
         raise BadInput(
             str(path),
-            f"is empty after {options.skip_rows} skipped lines",
+            f"is empty after {options.skip_rows:.10g} skipped lines",
             "check skip_rows and whether the recorder wrote anything",
         )
     delimiter = options.delimiter or _find_delimiter([text for _, text in lines], options.decimal)
@@ -129,7 +142,14 @@ def find_layout(path: Path, head: Sequence[str], options: TextOptions) -> Layout
         width = _width(flags)
         if width == 0:
             raise _only_header(path) if len(rows) <= 2 else _no_numbers(path, rows)
-        begin = next(n for n, f in enumerate(flags) if len(f) == width and 2 * sum(f) >= width)
+        fitting = (n for n, f in enumerate(flags) if len(f) == width and 2 * sum(f) >= width)
+        begin = next(fitting, -1)
+        if begin < 0:
+            raise BadInput(
+                f"{path}, line {rows[-1][0] + 1}",
+                "in no row is half of the cells numbers",
+                "check delimiter, decimal and skip_rows, or whether this is a text table at all",
+            )
     return _with_header(path, rows, flags, begin, width, delimiter, options)
 
 

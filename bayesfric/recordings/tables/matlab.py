@@ -9,8 +9,10 @@ import numpy as np
 
 from bayesfric.errors import BadInput
 from bayesfric.recordings.tables.matlab_structure import check_structure
-from bayesfric.recordings.tables.npz import LARGEST
-from bayesfric.recordings.tables.table import Table
+from bayesfric.recordings.tables.table import Table, check_names
+
+# All variables are unpacked, whichever are used.
+_LARGEST = 2**29
 
 
 def read_matlab(path: Path, table: str | None) -> Table:
@@ -32,7 +34,8 @@ def read_matlab(path: Path, table: str | None) -> Table:
     Raises
     ------
     BadInput
-        For a version 7.3 file, a damaged one, or a struct that is not there.
+        For a version 7.3 file, a damaged one, one of more than 512 MiB unpacked, or a struct
+        that is not there.
     """
     with path.open("rb") as file:
         start = file.read(128)
@@ -45,7 +48,7 @@ def read_matlab(path: Path, table: str | None) -> Table:
     from scipy.io import loadmat
 
     try:
-        check_structure(path.read_bytes(), LARGEST)
+        check_structure(path.read_bytes(), _LARGEST)
         content = loadmat(path, squeeze_me=True, struct_as_record=False)
     except Exception as error:  # scipy raises struct.error, zlib.error, TypeError ... when damaged
         raise BadInput(
@@ -58,6 +61,7 @@ def read_matlab(path: Path, table: str | None) -> Table:
         variables = _struct(path, variables, table)
     if not variables:
         raise BadInput(str(path), "holds no variables", "check the export")
+    check_names(path, list(variables), "variables")
     values = list(variables.values())
 
     def load(index: int) -> np.ndarray[Any, Any]:

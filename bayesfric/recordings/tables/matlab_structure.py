@@ -18,6 +18,8 @@ _CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE = 1, 2, 3, 4, 5
 _NUMERIC = range(6, 16)
 _COMPLEX_FLAG = 0x0800
 _DEEPEST = 20
+# Cells and fields of structs; each takes scipy a thousand times its room in the file.
+_MOST_ARRAYS = 300_000
 _MOST_DIMENSIONS = 32
 
 
@@ -29,12 +31,13 @@ def check_structure(data: bytes, largest: int) -> None:
     data
         The whole file.
     largest
-        Most bytes one variable may unpack to.
+        Most bytes that all compressed variables together may unpack to.
 
     Raises
     ------
     ValueError
-        If an element has an unknown type, or does not fit in what surrounds it.
+        If an element has an unknown type, or does not fit in what surrounds it, or claims
+        more than it holds.
     zlib.error
         If a compressed element is damaged.
     """
@@ -44,6 +47,7 @@ def check_structure(data: bytes, largest: int) -> None:
     if order is None:
         raise ValueError("no byte order mark")
     place = _HEADER
+    arrays = _Budget(_MOST_ARRAYS)
     while place < len(data):
         if place + 8 > len(data):
             raise ValueError("cut off in a variable's tag")
@@ -56,21 +60,34 @@ def check_structure(data: bytes, largest: int) -> None:
             body = unpacker.decompress(body, largest)
             if not unpacker.eof:
                 raise ValueError("a compressed variable is cut off or too large")
+            largest = max(largest - len(body), 1)  # 0 would be no limit
             kind, size = struct.unpack(order + "II", body[:8].ljust(8, b"\0"))
             body = body[8:]
             if len(body) != size:
                 raise ValueError("a compressed variable has another size than stated")
         if kind != _MATRIX:
             raise ValueError(f"unknown element type {kind}")
-        _Matrix(body, order, 0).check()
+        _Matrix(body, order, 0, arrays).check()
         place += 8 + struct.unpack(order + "I", data[place + 4 : place + 8])[0]
+
+
+class _Budget:
+    """How many arrays a file may still hold."""
+
+    def __init__(self, left: int) -> None:
+        self.left = left
+
+    def take(self, count: int) -> None:
+        self.left -= count
+        if self.left < 0:
+            raise ValueError(f"more than {_MOST_ARRAYS} cells or fields")
 
 
 class _Matrix:
     """One array element, read from its beginning."""
 
-    def __init__(self, body: bytes, order: str, depth: int) -> None:
-        self.body, self.order, self.depth = body, order, depth
+    def __init__(self, body: bytes, order: str, depth: int, arrays: _Budget) -> None:
+        self.body, self.order, self.depth, self.arrays = body, order, depth, arrays
         self.place = 0
 
     def check(self) -> None:
@@ -96,7 +113,9 @@ class _Matrix:
             for _ in range(2 if is_complex else 1):
                 self._values(count)
         elif kind == _CHAR:
-            self._element(_TEXT)
+            # scipy fills what is missing with blanks, whatever it takes
+            if count > len(self._element(_TEXT)):
+                raise ValueError("a text does not fit its dimensions")
         elif kind == _CELL:
             self._matrices(count)
         elif kind in (_STRUCT, _OBJECT):
@@ -106,6 +125,7 @@ class _Matrix:
             if len(width) != 1 or width[0] < 1:
                 raise ValueError("damaged field names")
             names = self._element({_INT8})
+            self.arrays.take(count)  # made even without a field
             self._matrices(count * (len(names) // width[0]))
         elif kind == _SPARSE:
             self._integers()
@@ -129,8 +149,9 @@ class _Matrix:
     def _matrices(self, count: int) -> None:
         if count > len(self.body):
             raise ValueError("more elements than bytes")
+        self.arrays.take(count)
         for _ in range(count):
-            _Matrix(self._element({_MATRIX}), self.order, self.depth + 1).check()
+            _Matrix(self._element({_MATRIX}), self.order, self.depth + 1, self.arrays).check()
 
     def _element(self, kinds: set[int]) -> bytes:
         kind, content = self._next()

@@ -12,10 +12,15 @@ from bayesfric.recordings.tables.json_rows import read_json
 from bayesfric.recordings.tables.layout import TextOptions
 from bayesfric.recordings.tables.matlab import read_matlab
 from bayesfric.recordings.tables.npz import read_npz
+from bayesfric.recordings.tables.ordinary_file import check_ordinary
 from bayesfric.recordings.tables.parquet import read_parquet
 from bayesfric.recordings.tables.table import Table
 
 Format = Literal["csv", "parquet", "mat", "npz", "json"]
+
+# Formats that are read as a whole, which takes several times their size in memory.
+_WHOLE = ("csv", "mat", "json")
+_LARGEST_WHOLE = 2**30
 
 _SUFFIXES: dict[str, Format] = {
     ".csv": "csv",
@@ -59,10 +64,17 @@ def read_table(path: Path, source: TableOptions) -> Table:
     Raises
     ------
     BadInput
-        If the file is missing, not allowed, empty, of unknown format, or damaged.
+        If the file is missing, not allowed, no ordinary file, empty, too large, of unknown
+        format, or damaged.
     """
-    _check_file(path)
     form = source.format or _SUFFIXES.get(path.suffix.lower())
+    size = _check_file(path)
+    if form in _WHOLE and size > _LARGEST_WHOLE:
+        raise BadInput(
+            str(path),
+            f"has {size / 2**30:.1f} GiB, more than {_LARGEST_WHOLE / 2**30:.0f} GiB",
+            "save its columns as Parquet or NPZ, or split it",
+        )
     try:
         match form:
             case "csv":
@@ -109,8 +121,9 @@ def sha256(path: Path) -> str:
         raise _unreadable(path, error) from error
 
 
-def _check_file(path: Path) -> None:
+def _check_file(path: Path) -> int:
     try:
+        size = check_ordinary(path)
         if path.is_dir():
             raise BadInput(str(path), "is a directory", "give a file, or a pattern such as '*.csv'")
         with path.open("rb") as file:
@@ -118,6 +131,7 @@ def _check_file(path: Path) -> None:
                 raise BadInput(str(path), "is empty", "check whether the recorder wrote anything")
     except OSError as error:
         raise _unreadable(path, error) from error
+    return size
 
 
 def _unreadable(path: Path, error: OSError) -> BadInput:

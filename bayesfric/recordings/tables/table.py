@@ -16,6 +16,8 @@ from bayesfric.errors import BadInput
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _MOST_NAMES = 20
+_MOST_COLUMNS = 10_000
+_LONGEST_NAME = 60
 
 
 def is_number(text: str, decimal: str = ".") -> bool:
@@ -124,7 +126,8 @@ class Table:
                 self.label(key), f"is no vector but {shape}", "give a vector of one value a sample"
             )
         if cells.dtype.kind in "biuf":
-            values = cells.astype(np.float64)
+            with np.errstate(all="ignore"):  # a long double may become infinite
+                values = cells.astype(np.float64)
         elif cells.dtype.kind == "O":
             values = self._numbers(cells, key)
         else:
@@ -146,7 +149,7 @@ class Table:
                 cell = cell.strip().replace(self.decimal, ".")
             elif cell is None:
                 raise self._bad_cell(key, index, "is empty")
-            elif not isinstance(cell, bool | int | float | np.number | np.bool_):
+            elif not isinstance(cell, bool | int | float | np.integer | np.floating | np.bool_):
                 raise self._bad_cell(key, index, f"holds {_shown(cell)}, not a number")
             try:
                 values[index] = float(cell)
@@ -185,7 +188,7 @@ class Table:
 
 
 def check_names(path: Path, names: Sequence[str], where: str = "header") -> None:
-    """Refuse two columns of one name.
+    """Refuse two columns of one name, and more columns than a recording has.
 
     Parameters
     ----------
@@ -199,8 +202,14 @@ def check_names(path: Path, names: Sequence[str], where: str = "header") -> None
     Raises
     ------
     BadInput
-        If a name comes twice.
+        If a name comes twice, or there are more than 10 000.
     """
+    if len(names) > _MOST_COLUMNS:
+        raise BadInput(
+            f"{path}, {where}",
+            f"has {len(names)} columns, more than {_MOST_COLUMNS}",
+            "save only the recording's columns, one row a sample",
+        )
     seen: dict[str, int] = {}
     for number, name in enumerate(names, start=1):
         if name and name in seen:
@@ -214,17 +223,22 @@ def check_names(path: Path, names: Sequence[str], where: str = "header") -> None
 
 def _nearest(key: str, names: Sequence[str]) -> str:
     folded = {name.casefold(): name for name in names}
-    close = difflib.get_close_matches(key.casefold(), list(folded), n=1, cutoff=0.5)
+    short = key.casefold()[:_LONGEST_NAME]
+    close = difflib.get_close_matches(short, list(folded), n=1, cutoff=0.5)
     return f"did you mean '{folded[close[0]]}'? " if close else ""
 
 
 def _listed(names: Sequence[str]) -> str:
-    shown = ", ".join(f"'{name}'" for name in names[:_MOST_NAMES])
+    shown = ", ".join(f"'{name[:_LONGEST_NAME]}'" for name in names[:_MOST_NAMES])
     more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
     return f"it has {shown}{more}"
 
 
 def _shown(cell: object) -> str:
+    if isinstance(cell, list | tuple | np.ndarray):
+        return "a list"
+    if isinstance(cell, dict) or hasattr(cell, "_fieldnames"):
+        return "a table"
     text = repr(cell.item() if isinstance(cell, np.generic) else cell)
     return text if len(text) <= 60 else text[:57] + "..."
 

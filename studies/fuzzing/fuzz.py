@@ -1,0 +1,203 @@
+"""Coverage-guided fuzzing of one reader, or of the configuration.
+
+``python studies/fuzzing/fuzz.py READER --seconds N`` lets atheris (libFuzzer for Python) change
+the bytes of good files, keeping what reaches new lines of this package and of the Python
+libraries below it. Whatever is not read must be refused with BadInput within 20 s and
+2 GiB. Other exceptions are findings: each is shown once, its input is saved beside the corpus.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import re
+import subprocess
+import sys
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+READERS = ("csv", "json", "npz", "mat", "parquet", "config")
+_INSTRUMENTED = [
+    "bayesfric.recordings",
+    "bayesfric.config",
+    "bayesfric.complaints",
+    "bayesfric.errors",
+    "json",
+    "tomllib",
+    "zipfile",
+    "numpy.lib._format_impl",
+    "numpy.lib._npyio_impl",
+    "scipy.io.matlab._mio",
+    "scipy.io.matlab._miobase",
+]
+_MOST_BYTES = 16_000
+# Twice what the tests allow: on a busy machine a stall is no finding.
+_SECONDS_A_RUN = 20
+_MEGABYTES = 2048
+
+
+def main() -> int:
+    """Run one reader's fuzzer in a process of its own, and add a line to results.json."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("reader", choices=READERS)
+    parser.add_argument("--seconds", type=int, default=600)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--work", type=Path, default=Path("/tmp/bayesfric-fuzzing"))
+    parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    sys.path.insert(0, str(REPOSITORY))
+    folder: Path = options.work / options.reader
+    if options.child:
+        _child(options.reader, folder, options.seconds, options.seed)
+        return 0
+    corpus, findings = folder / "corpus", folder / "findings"
+    for path in (corpus, findings, folder / "input"):
+        path.mkdir(parents=True, exist_ok=True)
+    for old in findings.iterdir():
+        old.unlink()
+    _seed(options.reader, corpus)
+    command = [sys.executable, __file__, *sys.argv[1:], "--child"]
+    done = subprocess.run(command, stderr=subprocess.PIPE, text=True, check=False)
+    print(done.stderr[-3000:], file=sys.stderr)
+    runs = re.search(r"number_of_executed_units: +(\d+)", done.stderr)
+    covered = re.findall(r"cov: (\d+) ft: (\d+)", done.stderr)
+    record = {
+        "reader": options.reader,
+        "seconds": options.seconds,
+        "seed": options.seed,
+        "executions": int(runs[1]) if runs else None,
+        "edges": int(covered[-1][0]) if covered else None,
+        "corpus": len(list(corpus.iterdir())),
+        "findings": sorted(path.name for path in findings.iterdir()),
+        "ended": done.returncode,
+    }
+    results = Path(__file__).with_name("results.json")
+    lines = json.loads(results.read_text()) if results.exists() else []
+    lines = [line for line in lines if line["reader"] != options.reader]
+    lines = sorted([*lines, record], key=lambda line: READERS.index(line["reader"]))
+    results.write_text(json.dumps(lines, indent=1) + "\n")
+    print(json.dumps(record))
+    return 1 if record["findings"] or done.returncode else 0
+
+
+def _seed(reader: str, corpus: Path) -> None:
+    from tests.hostile import good
+
+    if reader == "config":
+        texts = [good.config("run.csv").encode(), good.LONG_CONFIG.encode()]
+    else:
+        # short ones: most changes of a long file hit its numbers
+        texts = [
+            b"\0" + good.content(form, 60)
+            for form in good.FORMATS
+            if form.rpartition(".")[2].replace("tsv", "csv") == reader
+        ]
+    for number, text in enumerate(texts):
+        (corpus / f"seed{number}").write_bytes(text)
+
+
+def _child(reader: str, folder: Path, seconds: int, seed: int) -> None:
+    import atheris
+
+    with atheris.instrument_imports(include=_INSTRUMENTED):
+        target = _config_target(folder) if reader == "config" else _table_target(reader, folder)
+    from bayesfric.errors import BadInput
+
+    seen: set[str] = set()
+
+    def one(data: bytes) -> None:
+        try:
+            target(data)
+        except BadInput as error:
+            if not str(error).isprintable():
+                raise
+        except Exception as error:
+            own = [
+                f for f in traceback.extract_tb(error.__traceback__) if "bayesfric" in f.filename
+            ]
+            name = f"{type(error).__name__}-{Path(own[-1].filename).stem}-{own[-1].lineno}"
+            if name not in seen:
+                seen.add(name)
+                digest = hashlib.sha256(data).hexdigest()[:8]
+                (folder / "findings" / f"{name}-{digest}").write_bytes(data)
+                traceback.print_exc()
+
+    flags = [
+        f"-max_total_time={seconds}",
+        f"-seed={seed}",
+        f"-max_len={_MOST_BYTES}",
+        f"-timeout={_SECONDS_A_RUN}",
+        "-report_slow_units=1000",
+        f"-rss_limit_mb={_MEGABYTES}",
+        f"-artifact_prefix={folder}/findings/",
+        "-print_final_stats=1",
+        "-verbosity=1",
+        str(folder / "corpus"),
+    ]
+    atheris.Setup([sys.argv[0], *flags], one)
+    atheris.Fuzz()
+
+
+def _table_target(reader: str, folder: Path) -> Callable[[bytes], None]:
+    """Read a recording; the first byte chooses what the configuration says about it."""
+    import numpy as np
+
+    from bayesfric.recordings import Processing, Source, observe, read_recordings
+
+    path = folder / "input" / f"run.{reader}"
+    by_name = {"time": "t", "position": "q", "torque": "tau"}
+    by_number = {"time": 1, "position": 2, "torque": 3}
+    more: list[dict[str, object]] = [{}]
+    if reader == "csv":
+        more += [{"header": True}, {"header": False}, {"delimiter": ";", "decimal": ","}]
+        more += [{"skip_rows": 2}, {"delimiter": "whitespace"}, {"delimiter": "tab"}]
+    elif reader in ("json", "mat"):
+        more += [{"table": "log"}, {"table": "a.b"}]
+    units = {"time": "s", "position": "rad", "torque": "N m"}
+    sources = [
+        Source.model_validate(
+            {
+                "file": path.name,
+                **{k: {"column": column, "unit": units[k]} for k, column in columns.items()},
+                **keys,
+            }
+        )
+        for keys in more
+        for columns in (by_name, by_number)
+    ]
+    processing = Processing(min_samples=5, lowpass="off", dead_zone=0.0, trim=0.0)
+
+    def target(data: bytes) -> None:
+        path.write_bytes(data[1:])
+        source = sources[data[0] % len(sources)] if data else sources[0]
+        with np.errstate(all="ignore"):
+            for recording in read_recordings(
+                source, path.parent, ratio=1.0, motion="rotary", processing=processing
+            ):
+                observe(recording, processing)
+
+    return target
+
+
+def _config_target(folder: Path) -> Callable[[bytes], None]:
+    """Check a configuration, and everything in it that is read later."""
+    from bayesfric.config import read_config
+
+    path = folder / "input" / "c.toml"
+
+    def target(data: bytes) -> None:
+        path.write_bytes(data)
+        config = read_config(path)
+        with config.named():
+            config.tables.mechanism.chain()
+        assert isinstance(config.priors, dict)
+        assert isinstance(config.references, dict)
+
+    return target
+
+
+if __name__ == "__main__":
+    sys.exit(main())

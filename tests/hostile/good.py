@@ -1,0 +1,132 @@
+"""Good inputs to damage: one small recording in every format, and configurations for it."""
+
+import io
+import json
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from scipy.io import savemat
+
+from tests.commands.bench import CONFIG, swing
+
+N = 250
+FORMATS = (
+    "csv",
+    "tsv",
+    "json",
+    "rows.json",
+    "npz",
+    "deflated.npz",
+    "mat",
+    "deflated.mat",
+    "parquet",
+)
+
+# every table and most keys, so that damage meets each reader of the configuration
+LONG_CONFIG = """\
+[mechanism]
+preset = "rabbit-knee"
+offset = true
+gain = false
+elements.motor.viscous = true
+elements.gearbox = { load_loss = "two", ratio = 50.0 }
+load = { gravity_angle = false, gravity = 9.81 }
+
+[[recordings]]
+file = ["run.csv"]
+format = "csv"
+delimiter = ","
+header = true
+decimal = "."
+skip_rows = 0
+time = { column = "t", unit = "s" }
+position = { column = "q", unit = "turn/8192", side = "motor", sign = -1 }
+velocity = { column = 2, unit = "rpm", side = "joint" }
+current = { column = "tau", unit = "A", torque_constant = "0.32 N m/A" }
+start = "0.1 s"
+stop = 30.0
+exclude = [[0.5, 0.6], ["700 ms", "0.8 s"]]
+added_mass = "2 kg"
+radius = "35 cm"
+name = "knee"
+
+[processing]
+lowpass = "8 Hz"
+order = 4
+decimate = 3
+band = 10.0
+dead_zone = "0.5 deg/s"
+trim = "50 ms"
+resample = "auto"
+gap = 5.0
+jitter = 0.01
+min_samples = 20
+
+[likelihood]
+method = "output-error"
+segment = 0.5
+
+[noise]
+scale = "per-recording"
+
+[estimation]
+loss = "huber"
+starts = 4
+seed = 3
+
+[sampling]
+walkers = 64
+ensembles = 4
+seed = 1
+
+[advice]
+torque_limit = 1.0
+masses = [{ mass = "2 kg", radius = 0.35 }]
+
+[priors]
+"motor.inertia" = { distribution = "norm", loc = 3.32e-4, scale = 1e-5 }
+load = { first_moment = 0.41 }
+motor.viscous = [0.0, 1.0]
+
+[references]
+"motor.inertia" = { value = 3.32e-4, source = "data sheet" }
+"""
+
+
+def columns(n=N):
+    return dict(zip(("t", "q", "tau"), swing(n), strict=True))
+
+
+def content(form, n=N):
+    """Bytes of the good recording in one of FORMATS."""
+    data = columns(n)
+    rows = np.stack(list(data.values()), axis=1).tolist()
+    out = io.BytesIO()
+    match form:
+        case "csv" | "tsv":
+            mark = "," if form == "csv" else "\t"
+            text = [mark.join(data), *(mark.join(map(repr, row)) for row in rows)]
+            return ("\n".join(text) + "\n").encode()
+        case "json":
+            return json.dumps({name: values.tolist() for name, values in data.items()}).encode()
+        case "rows.json":
+            return json.dumps([dict(zip(data, row, strict=True)) for row in rows]).encode()
+        case "npz":
+            np.savez(out, **data)
+        case "deflated.npz":
+            np.savez_compressed(out, **data)
+        case "mat":
+            savemat(out, {**data, "log": {**data, "note": "x"}})
+        case "deflated.mat":
+            savemat(out, data, do_compression=True)
+        case "parquet":
+            pq.write_table(pa.table(data), out)
+    return out.getvalue()
+
+
+def config(file, extra=""):
+    """The good configuration for a file, with more keys for its recording."""
+    return CONFIG.replace('file = "run.csv"', f'file = "{file}"{extra}').replace(
+        "order = 4", "order = 4\nmin_samples = 20"
+    )

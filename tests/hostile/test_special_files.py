@@ -1,0 +1,396 @@
+"""What is no ordinary file, or far larger than it looks: refused at once, never run or awaited."""
+
+import io
+import os
+import pickle
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from bayesfric.errors import BadInput
+from bayesfric.recordings.options import Processing, Source
+from bayesfric.recordings.read import read_recordings
+from bayesfric.recordings.tables import npz, read_table
+from tests.commands.bench import CONFIG, has
+from tests.hostile import good
+from tests.hostile.rule import SECONDS, at_most, broken_rule, check
+
+FORMATS = ("csv", "json", "npz", "mat", "parquet")
+SOURCE = {
+    "time": {"column": "t", "unit": "s"},
+    "position": {"column": "q", "unit": "rad"},
+    "torque": {"column": "tau", "unit": "N m"},
+}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "data").mkdir()
+    return tmp_path / "data"
+
+
+def refused(folder, file, *, extra="", parts=(), seconds=SECONDS):
+    path = folder / "c.toml"
+    path.write_text(good.config(file, extra))
+    told = []
+    assert broken_rule(path, seconds=seconds, told=told) is None
+    (outcome,) = told
+    assert outcome.code == 2, outcome
+    has(outcome.err, *parts)
+    return outcome.err
+
+
+# -- pipes, devices, folders, links
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_named_pipe_is_not_waited_for(folder, form):
+    os.mkfifo(folder / f"run.{form}")
+    refused(folder, f"run.{form}", parts=[f"run.{form}", "named pipe"])
+
+
+@pytest.mark.parametrize("form", FORMATS)
+@pytest.mark.parametrize("device", ["zero", "full", "null", "urandom"])
+def test_device_is_not_read(folder, form, device):
+    extra = f'\nformat = "{form}"'
+    refused(folder, f"/dev/{device}", extra=extra, parts=[f"/dev/{device}", "a device"])
+
+
+def test_link_to_a_device_is_not_read(folder):
+    (folder / "run.csv").symlink_to("/dev/zero")
+    refused(folder, "run.csv", parts=["run.csv", "a device"])
+
+
+def test_pattern_over_a_pipe_takes_the_files_only(folder):
+    os.mkfifo(folder / "a.csv")
+    (folder / "b.csv").write_bytes(good.content("csv"))
+    (folder / "c.toml").write_text(good.config("*.csv"))
+    assert check(folder / "c.toml").code == 0
+
+
+def test_configuration_that_is_a_pipe(folder):
+    os.mkfifo(folder / "c.toml")
+    outcome = check(folder / "c.toml")
+    assert outcome.code == 2
+    has(outcome.err, "c.toml", "named pipe")
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_folder_in_place_of_a_file(folder, form):
+    (folder / f"run.{form}").mkdir()
+    refused(folder, f"run.{form}", parts=[f"run.{form}", "is a directory"])
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_link_that_leads_to_itself(folder, form):
+    (folder / f"run.{form}").symlink_to(f"run.{form}")
+    refused(folder, f"run.{form}", parts=[f"run.{form}", "symbolic links"])
+
+
+def test_link_to_nothing(folder):
+    (folder / "run.csv").symlink_to("gone.csv")
+    refused(folder, "run.csv", parts=["run.csv", "does not exist"])
+
+
+def test_pattern_does_not_go_round_in_linked_folders(folder):
+    # each further level would double the number of paths, forty levels deep
+    for name in ("a", "b"):
+        (folder / name).symlink_to(".", target_is_directory=True)
+    (folder / "deep").mkdir()
+    (folder / "deep" / "run.csv").write_bytes(good.content("csv"))
+    (folder / "c.toml").write_text(good.config("**/*.csv"))
+    outcome = check(folder / "c.toml")
+    assert outcome.code == 0, outcome
+    assert outcome.out.count('"sha256"') == 1
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+@pytest.mark.parametrize("form", FORMATS)
+def test_permission_denied(folder, form):
+    path = folder / f"run.{form}"
+    path.write_bytes(good.content(form))
+    path.chmod(0)
+    refused(folder, path.name, parts=[path.name, "permission"])
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_permission_denied_told_by_the_system(folder, form, monkeypatch):
+    path = folder / f"run.{form}"
+    path.write_bytes(good.content(form))
+    opened = Path.open
+
+    def denied(self, *arguments, **more):
+        if self.name == path.name:
+            raise PermissionError(13, "Permission denied")
+        return opened(self, *arguments, **more)
+
+    monkeypatch.setattr(Path, "open", denied)
+    refused(folder, path.name, parts=[path.name, "permission"])
+
+
+def test_files_outside_the_folder_are_allowed(tmp_path, folder):
+    """A user's data may be anywhere: absolute paths and .. name what they name."""
+    (tmp_path / "run.csv").write_bytes(good.content("csv"))
+    for file in ("../run.csv", str(tmp_path / "run.csv"), "../r*.csv", str(tmp_path / "r*.csv")):
+        (folder / "c.toml").write_text(good.config(file))
+        assert check(folder / "c.toml").code == 0, file
+
+
+def test_file_names_that_are_not_text(folder):
+    with open(os.path.join(os.fsencode(folder), b"run\xff.csv"), "wb") as file:  # noqa: PTH123, PTH118
+        file.write(good.content("csv"))
+    refused(folder, "*.csv", parts=["run\\udcff.csv", "not UTF-8"])
+    name = os.path.join(os.fsencode(folder), b"c\xff.toml")  # noqa: PTH118
+    with open(name, "wb") as file:  # noqa: PTH123
+        file.write(CONFIG.encode())
+    outcome = check(os.fsdecode(name))
+    assert outcome.code == 2
+    has(outcome.err, "c\\udcff.toml", "not UTF-8")
+
+
+# -- larger than they look
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_sparse_file_of_a_tebibyte(folder, form):
+    with (folder / f"run.{form}").open("wb") as file:
+        file.truncate(2**40)
+    refused(folder, f"run.{form}", parts=[f"run.{form}"])
+
+
+def _zeros(size):
+    """A member of ``size`` zero bytes, deflated a thousandfold, piece by piece."""
+    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (%d,), }" % (size // 8)
+    yield b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
+    for _ in range(size // 2**20):
+        yield bytes(2**20)
+
+
+def _bomb(path, size):
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in ("t", "q", "tau"):
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                for piece in _zeros(size):
+                    member.write(piece)
+
+
+@pytest.mark.parametrize("limit", [2**22, pytest.param(2**28, marks=pytest.mark.slow)])
+def test_archive_that_would_inflate(folder, limit, monkeypatch):
+    """A member a thousand times as large as it looks."""
+    assert npz.LARGEST_COLUMN == 2**28
+    monkeypatch.setattr(npz, "LARGEST_COLUMN", limit)
+    _bomb(folder / "run.npz", limit + 2**20)
+    assert (folder / "run.npz").stat().st_size < limit / 250
+    refused(folder, "run.npz", parts=["run.npz", "'q'", "MiB"])
+
+
+def test_archive_that_hides_its_size(folder):
+    """The directory claims a small member; only so much of it is unpacked."""
+    path = folder / "run.npz"
+    _bomb(path, 2**24)
+    data = bytearray(path.read_bytes())
+    with zipfile.ZipFile(path) as archive:
+        real = archive.getinfo("q.npy").file_size
+    at = data.find(real.to_bytes(4, "little"), data.find(b"PK\x01\x02"))
+    while at > 0:
+        data[at : at + 4] = (1000).to_bytes(4, "little")
+        at = data.find(real.to_bytes(4, "little"), at + 4)
+    path.write_bytes(data)
+    refused(folder, "run.npz", parts=["run.npz"])
+
+
+def test_array_that_claims_to_be_large(folder):
+    for shape in ("(99999999999,)", "(9223372036854775807,)", "(4000000000, 4000000000)"):
+        out = io.BytesIO()
+        header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}".encode()
+        with zipfile.ZipFile(out, "w") as archive:
+            for name in ("t", "q", "tau"):
+                start = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little")
+                archive.writestr(f"{name}.npy", start + header + bytes(800))
+        (folder / "run.npz").write_bytes(out.getvalue())
+        refused(folder, "run.npz", parts=["run.npz", "readable NPZ"])
+
+
+# -- code inside data
+
+
+class Payload:
+    """Makes a file when it is unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return (Path.touch, (self.path,))
+
+
+def _pickles(folder):
+    trap = folder / "trap"
+    payload = pickle.dumps(Payload(trap))
+    values = np.array([Payload(trap)] * 3, dtype=object)
+    np.savez(folder / "objects.npz", t=values, q=values, tau=values)
+    np.save(folder / "array.npy", values)
+    (folder / "array.npy").rename(folder / "array.npz")
+    (folder / "plain.npz").write_bytes(payload)
+    header = b"{'descr': '|O', 'fortran_order': False, 'shape': (3,), }"
+    with zipfile.ZipFile(folder / "disguised.npz", "w") as archive:
+        for name in ("t", "q", "tau"):
+            archive.writestr(
+                f"{name}.npy",
+                b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + payload,
+            )
+    return trap, payload
+
+
+def test_pickles_are_never_run(folder):
+    trap, payload = _pickles(folder)
+    pickle.loads(payload)
+    assert trap.exists()  # it would work
+    trap.unlink()
+    names = sorted(path.name for path in folder.glob("*.npz"))
+    assert len(names) == 4
+    for name in names:
+        for extra in ("", *(f'\nformat = "{form}"' for form in FORMATS)):
+            refused(folder, name, extra=extra, parts=[name])
+            assert not trap.exists()
+
+
+# -- MATLAB 7.3 is HDF5, and is told so without opening it
+
+
+def _hdf5(path, make):
+    with h5py.File(path, "w", userblock_size=512) as file:
+        make(file)
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda f: f.create_dataset("q", data=np.arange(9.0)),
+        lambda f: f.update({"q": h5py.ExternalLink("/etc/passwd", "/x")}),
+        lambda f: f.update({"q": h5py.ExternalLink("run.mat", "/q")}),
+        lambda f: f.update({"q": h5py.SoftLink("/tau"), "tau": h5py.SoftLink("/q")}),
+        lambda f: f.create_group("g").update({"up": f["/"]}),
+        lambda f: f.create_dataset("q", shape=(2**50,), dtype="f8", chunks=(2**20,)),
+        lambda f: f.create_dataset("q", data=np.array([f.ref] * 3, dtype=h5py.ref_dtype)),
+    ],
+    ids=["plain", "external", "itself", "soft-loop", "hard-loop", "huge", "references"],
+)
+@pytest.mark.parametrize("share", [1.0, 0.5])
+def test_matlab_73(folder, make, share):
+    path = folder / "run.mat"
+    _hdf5(path, make)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    refused(folder, "run.mat", parts=["run.mat", "7.3", "-v7"])
+
+
+def test_hdf5_under_any_name(folder):
+    for form in FORMATS:
+        _hdf5(folder / f"run.{form}", lambda f: f.create_dataset("q", data=np.arange(9.0)))
+        refused(folder, f"run.{form}", parts=[f"run.{form}"])
+
+
+# -- very wide
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("form", ["csv", "json", "npz", "mat"])
+def test_a_million_columns(folder, form):
+    n = 10**6
+    path = folder / f"run.{form}"
+    if form == "csv":
+        path.write_text(
+            "\n".join([",".join(f"c{i}" for i in range(n)), *[",".join(["1"] * n)] * 5])
+        )
+    elif form == "json":
+        path.write_text("{" + ", ".join(f'"c{i}": [1, 2]' for i in range(n)) + "}")
+    elif form == "npz":
+        with zipfile.ZipFile(path, "w") as archive:
+            for i in range(n):
+                archive.writestr(f"c{i}.npy", b"")
+    else:
+        # arrays of one element: tag, flags, dimensions, name, values
+        one = bytes.fromhex(
+            "0e00000030000000" "0600000008000000" "0600000000000000" "0500000008000000"
+            "0100000001000000" "0100010078000000" "0900000008000000" "000000000000f03f"
+        )  # fmt: skip
+        path.write_bytes(b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + one * n)
+    # zipfile alone takes ten seconds to list a million members
+    refused(folder, path.name, parts=[path.name], seconds=60 if form == "npz" else SECONDS)
+
+
+@pytest.mark.parametrize("columns", [20, 9_999])
+def test_wide_but_possible(folder, columns):
+    head = ",".join(["t", "q", "tau", *(f"c{i}" for i in range(columns - 3))])
+    rest = ",1" * (columns - 3)
+    rows = good.content("csv", 110).decode().splitlines()[1:]
+    (folder / "run.csv").write_text("\n".join([head, *(row + rest for row in rows)]))
+    with at_most(SECONDS):
+        source = Source.model_validate({"file": "run.csv", **SOURCE})
+        (read,) = read_recordings(
+            source, folder, ratio=1.0, motion="rotary", processing=Processing()
+        )
+    assert len(read.time) == 110
+
+
+def test_too_wide_is_told(folder):
+    (folder / "run.csv").write_text("\n".join([",".join(["1"] * 10_001)] * 60))
+    refused(folder, "run.csv", parts=["run.csv", "10001 columns"])
+
+
+# -- memory
+
+
+@pytest.mark.slow
+def test_limits_hold_in_little_memory(tmp_path):
+    """Archives just below the limits, in a process that may take 1 GiB more than it has."""
+    _bomb(tmp_path / "run.npz", 2**28 - 2**20)
+    (tmp_path / "c.toml").write_text(good.config("run.npz"))
+    program = (
+        "import sys; from pathlib import Path;"
+        "from tests.hostile import worker, rule;"
+        "import tempfile; folder = Path(tempfile.mkdtemp());"
+        "worker.warm_up(folder); worker.limit_memory();"
+        "print(rule.broken_rule(Path(sys.argv[1])))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, str(tmp_path / "c.toml")],
+        cwd=Path(__file__).parents[2],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert (done.returncode, done.stdout) == (0, "None\n"), done.stderr
+
+
+def test_no_memory_left_is_told(folder, monkeypatch):
+    (folder / "run.npz").write_bytes(good.content("npz"))
+
+    def full(*_, **__):
+        raise MemoryError
+
+    monkeypatch.setattr(np, "squeeze", full)
+    refused(folder, "run.npz", parts=["run.npz", "MemoryError"])
+    monkeypatch.undo()
+    monkeypatch.setattr("bayesfric.recordings.read.make_grid", full)
+    refused(folder, "run.npz", parts=["run.npz", "memory"])
+
+
+def test_table_is_not_read_before_it_is_asked_for(folder):
+    """A column too large does not spoil the others."""
+    _bomb(folder / "run.npz", 2**20)
+    source = Source.model_validate({"file": "run.npz", **SOURCE})
+    table = read_table(folder / "run.npz", source)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(npz, "LARGEST_COLUMN", 1000)
+        with pytest.raises(BadInput, match="MiB"):
+            table.column("q")
