@@ -6,7 +6,7 @@ import json
 import os
 import platform
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
@@ -21,25 +21,50 @@ from bayesfric.errors import BadInput
 from bayesfric.inference.archive import as_chains, write_archive
 from bayesfric.inference.fit import Fit
 from bayesfric.recordings.recording import Recording
-from bayesfric.report.comparison import comparison
+from bayesfric.report.captions import captions
+from bayesfric.report.comparison import Comparison, comparison
 from bayesfric.report.comparison_table import comparison_csv, comparison_markdown
 from bayesfric.report.corner import corner_figure
+from bayesfric.report.efficiency import efficiency_figure
 from bayesfric.report.forest import forest_figure
+from bayesfric.report.friction import friction_figure
+from bayesfric.report.methods_text import methods_text
 from bayesfric.report.prediction import prediction_figure
+from bayesfric.report.prior_posterior import prior_posterior_figure
+from bayesfric.report.residual import residual_figure
 from bayesfric.report.ridge import ridge_figure
 from bayesfric.report.style import save
 from bayesfric.report.summary import summary_table
+from bayesfric.report.tables import (
+    methods_latex,
+    parameter_table,
+    parameters_csv,
+    parameters_latex,
+    parameters_markdown,
+)
 from bayesfric.report.trace import trace_figure
 
 # Draws kept of the groups that hold a number for every draw and every output.
 _POINTWISE_DRAWS = 400
 
-# What a fit has nothing to show of is None, and left out.
-FIGURES: dict[str, Callable[[Fit], Figure | None]] = {
-    "corner": corner_figure,
-    "prediction": prediction_figure,
-    "ridge": ridge_figure,
-    "trace": trace_figure,
+# From a fit and its summary. What there is nothing to show of is None, and left out.
+Draw = Callable[[Fit, Mapping[str, Any]], Figure | None]
+
+
+def _of_fit(draw: Callable[[Fit], Figure | None]) -> Draw:
+    """Leave the summary aside."""
+    return lambda fit, _: draw(fit)
+
+
+FIGURES: dict[str, Draw] = {
+    "corner": _of_fit(corner_figure),
+    "prediction": _of_fit(prediction_figure),
+    "ridge": _of_fit(ridge_figure),
+    "trace": _of_fit(trace_figure),
+    "friction": _of_fit(friction_figure),
+    "efficiency": efficiency_figure,
+    "prior_posterior": prior_posterior_figure,
+    "residual": _of_fit(residual_figure),
 }
 
 
@@ -161,13 +186,37 @@ def write_run(
         write_posterior(beside / "posterior.nc", fit, config_text, recordings)
         figures = beside / "figures"
         figures.mkdir()
+        drawn = []
         for stem, draw in FIGURES.items():
-            if (figure := draw(fit)) is not None:
+            if (figure := draw(fit, summary)) is not None:
                 save(figure, figures, stem)
+                drawn.append(stem)
         methods = comparison({folder.name: summary})
         save(forest_figure(methods), figures, "methods")
         (beside / "methods.csv").write_text(comparison_csv(methods), encoding="utf-8")
         (beside / "methods.md").write_text(comparison_markdown(methods), encoding="utf-8")
+        _write_for_paper(beside, fit, summary, methods, drawn)
+
+
+def _write_for_paper(
+    folder: Path, fit: Fit, summary: Mapping[str, Any], methods: Comparison, drawn: list[str]
+) -> None:
+    """Write what a paper takes over: tables, captions, a methods paragraph and its references."""
+    table = parameter_table(summary, folder.name)
+    said = methods_text(fit, summary)
+    texts = {
+        "tables/parameters.tex": parameters_latex(table),
+        "tables/parameters.md": parameters_markdown(table),
+        "tables/parameters.csv": parameters_csv(table),
+        "tables/methods.tex": methods_latex(methods),
+        "text/methods.txt": said.plain,
+        "text/methods.tex": said.latex,
+        "text/references.bib": said.bibtex,
+        "text/captions.md": captions(fit, drawn),
+    }
+    for name, text in texts.items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text(text, encoding="utf-8")
 
 
 def write_posterior(path: Path, fit: Fit, config_text: str, recordings: list[Recording]) -> None:

@@ -55,6 +55,7 @@ class PosteriorRow(_Part):
 
     unit: str
     mean: FiniteFloat
+    median: FiniteFloat | None = None
     sd: NotNegative
     interval: Pair
     level: Annotated[FiniteFloat, Field(gt=0.0, lt=1.0)]

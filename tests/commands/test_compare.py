@@ -43,6 +43,7 @@ def test_one_run_in_a_process_of_its_own(runs):
     assert found == {
         "comparison.csv",
         "comparison.md",
+        "figures/forest.svg",
         "comparison.json",
         "figures",
         "figures/forest.pdf",

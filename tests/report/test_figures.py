@@ -9,8 +9,21 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
 
 from bayesfric.report.corner import corner_figure
+from bayesfric.report.efficiency import efficiency_figure
+from bayesfric.report.friction import friction_figure
 from bayesfric.report.prediction import prediction_figure
-from bayesfric.report.style import PAGE, PALETTE, line_style, mathtext, paper_style, save
+from bayesfric.report.prior_posterior import prior_posterior_figure
+from bayesfric.report.residual import residual_figure
+from bayesfric.report.style import (
+    COLUMN,
+    PAGE,
+    PALETTE,
+    line_style,
+    mathtext,
+    paper_style,
+    save,
+)
+from bayesfric.report.summary import summarise
 from bayesfric.report.trace import trace_figure
 
 DRAW = {"corner": corner_figure, "prediction": prediction_figure, "trace": trace_figure}
@@ -100,10 +113,55 @@ def test_same_fit_same_bytes_whatever_the_readers_style(draw, slide, tmp_path):
         before = dict(matplotlib.rcParams)
         save(draw(slide), tmp_path, "two")
         assert dict(matplotlib.rcParams) == before
-    for suffix in ("pdf", "png"):
+    for suffix in ("pdf", "svg", "png"):
         one, two = ((tmp_path / f"{name}.{suffix}").read_bytes() for name in ("one", "two"))
         assert one == two
     assert b"CreationDate" not in (tmp_path / "one.pdf").read_bytes()
+    assert b"dc:date" not in (tmp_path / "one.svg").read_bytes()
+
+
+FOR_PAPERS = {
+    "friction": lambda fit, _: friction_figure(fit),
+    "efficiency": efficiency_figure,
+    "prior_posterior": prior_posterior_figure,
+    "residual": lambda fit, _: residual_figure(fit),
+}
+
+
+@pytest.mark.parametrize("stem", FOR_PAPERS)
+def test_figures_for_papers(stem, knee, tmp_path):
+    """Printed size, nothing cut off or on top of each other, TrueType fonts, units, no title."""
+    summary = summarise(knee)
+    figure = FOR_PAPERS[stem](knee, summary)
+    assert figure.get_figwidth() in (COLUMN, PAGE)
+    width, height = figure.bbox.size
+    texts = shown_texts(figure)
+    ticks = {id(t.label1) for ax in figure.axes for a in (ax.xaxis, ax.yaxis) for t in a.majorTicks}
+    drawn = drawn_ticks(figure)
+    boxes = [(t, b) for t, b in texts if id(t) not in ticks or id(t) in drawn]
+    for i, (text, box) in enumerate(boxes):
+        inside = box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height
+        assert inside, text.get_text()
+        for other, other_box in boxes[:i]:
+            across = min(box.x1, other_box.x1) - max(box.x0, other_box.x0)
+            up = min(box.y1, other_box.y1) - max(box.y0, other_box.y0)
+            assert across <= 1.0 or up <= 1.0, (text.get_text(), other.get_text())
+    for ax in figure.axes:
+        assert ax.get_title() == ""
+        assert ax.get_xlabel() == "" or has_unit(ax.get_xlabel())
+        assert ax.get_ylabel() == "" or has_unit(ax.get_ylabel())
+    pdf, _ = save(figure, tmp_path, stem)
+    content = pdf.read_bytes()
+    kinds = set(re.findall(rb"/Subtype /(Type0|Type1|Type3|TrueType|CIDFontType\d)", content))
+    assert b"/FontFile2" in content
+    assert not kinds & {b"Type3", b"Type1"}
+    (box,) = re.findall(rb"/MediaBox \[\s*0 0 ([\d.]+) ", content)
+    assert float(box) == pytest.approx(72 * figure.get_figwidth(), abs=1e-3)
+    # what may differ from one drawing to the next differs in all formats; this is the fastest
+    again = tmp_path / "again.svg"
+    with paper_style():
+        FOR_PAPERS[stem](knee, summary).savefig(again, format="svg", metadata={"Date": None})
+    assert again.read_bytes() == (tmp_path / f"{stem}.svg").read_bytes()
 
 
 def has_unit(label):

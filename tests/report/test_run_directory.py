@@ -3,6 +3,7 @@
 import hashlib
 import json
 import platform
+import re
 from importlib.metadata import version
 
 import h5py
@@ -18,8 +19,16 @@ from bayesfric.config import parse_config, read_config
 from bayesfric.errors import BadInput
 from bayesfric.inference.archive import read_archive
 from bayesfric.report import run_directory
+from bayesfric.report.comparison import comparison
 from bayesfric.report.run_directory import check_free, write_run
 from bayesfric.report.summary import summarise, summary_table
+from bayesfric.report.tables import (
+    methods_latex,
+    parameter_table,
+    parameters_csv,
+    parameters_latex,
+    parameters_markdown,
+)
 
 # Two recordings, one with dots and a dash in its name, each with a noise scale of its own.
 NAMES = ("plain", "run-2.left")
@@ -55,7 +64,7 @@ SAMPLED = {
 }
 
 
-def blank(_):
+def blank(*_):
     return Figure(figsize=(0.1, 0.1))
 
 
@@ -70,8 +79,8 @@ def folder(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         # the real figures are drawn in tests/commands/test_fit.py
         for stem in run_directory.FIGURES:
-            # an axis has no ridge: a figure that there is nothing for is left out
-            if stem != "ridge":
+            # an axis has no ridge and no load: what there is nothing to show of is left out
+            if stem not in ("ridge", "efficiency"):
                 patch.setitem(run_directory.FIGURES, stem, blank)
         fit(read_config(folder / "axis.toml"), folder / "run")
     return folder
@@ -95,11 +104,54 @@ def problem(folder):
 def test_the_files_of_the_design(run):
     found = {path.name for path in run.iterdir()} - {"report.html"}
     tables = {"summary.csv", "methods.csv", "methods.md"}
-    assert found == {"posterior.nc", "summary.json", "config.toml", "figures"} | tables
+    folders = {"figures", "tables", "text"}
+    assert found == {"posterior.nc", "summary.json", "config.toml"} | folders | tables
     drawn = {path.name for path in (run / "figures").iterdir()}
-    stems = ("corner", "prediction", "trace", "methods")
-    assert drawn == {f"{stem}.{kind}" for stem in stems for kind in ("pdf", "png")}
+    stems = ("corner", "prediction", "trace", "methods", "friction", "prior_posterior", "residual")
+    assert drawn == {f"{stem}.{kind}" for stem in stems for kind in ("pdf", "png", "svg")}
     assert all(path.stat().st_size for path in run.rglob("*"))
+
+
+def test_what_a_paper_takes_over(run):
+    summary = json.loads((run / "summary.json").read_text(encoding="utf-8"))
+    table = parameter_table(summary)
+    written = {
+        "tables/parameters.tex": parameters_latex(table),
+        "tables/parameters.md": parameters_markdown(table),
+        "tables/parameters.csv": parameters_csv(table),
+        "tables/methods.tex": methods_latex(comparison({"run": summary})),
+    }
+    for name, text in written.items():
+        assert (run / name).read_text(encoding="utf-8") == text, name
+    assert {path.name for path in (run / "tables").iterdir()} == {
+        name.partition("/")[2] for name in written
+    }
+    assert {path.name for path in (run / "text").iterdir()} == {
+        "methods.txt",
+        "methods.tex",
+        "references.bib",
+        "captions.md",
+    }
+    captions = (run / "text" / "captions.md").read_text(encoding="utf-8")
+    assert re.findall(r"^\*\*(\w+)\*\*", captions, re.MULTILINE) == [
+        "friction",
+        "prior_posterior",
+        "residual",
+    ]
+
+
+def test_what_is_left_open_is_in_no_table(tmp_path, make_fit, monkeypatch):
+    monkeypatch.setattr(run_directory, "FIGURES", {})
+    fit = make_fit(samples=400, ensembles=2)
+    summary = summarise(fit)
+    write(tmp_path / "run", (fit, summary))
+    markdown = (tmp_path / "run" / "tables" / "parameters.md").read_text(encoding="utf-8")
+    open_ = [n for n, row in summary["parameters"].items() if row["verdict"] == "prior"]
+    assert open_
+    for name in open_:
+        (line,) = [line for line in markdown.splitlines() if line.startswith(f"| `{name}` |")]
+        assert "(prior)" in line or "≤" in line
+        assert "[" not in line
 
 
 def test_nothing_else_is_left_beside_it(folder):
@@ -257,7 +309,7 @@ def held(folder):
 def broken(monkeypatch):
     """The second figure fails."""
 
-    def fail(_):
+    def fail(*_):
         raise RuntimeError("no ink")
 
     monkeypatch.setattr(run_directory, "FIGURES", {"corner": blank, "prediction": fail})

@@ -1,0 +1,71 @@
+"""Captions of a run's figures: what is drawn, and what it says of this run in words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from bayesfric.inference.fit import Fit
+from bayesfric.report.curve_band import CurveJudge
+from bayesfric.report.residual import residual_words
+from bayesfric.report.summary import LEVEL
+
+_SHARE = f"{100 * LEVEL:.0f} %"
+
+
+def friction_caption(fit: Fit) -> str:
+    """Say what load means in the friction figure, which depends on what the run can tell."""
+    start = (
+        "Friction of the whole joint at the motor, at constant speed: posterior median and "
+        f"{_SHARE} band. Dashed where no recording ran, hatched where the data do not tell. "
+    )
+    if all(element.load_loss == "none" for element in fit.chain.elements):
+        return start + "No element has a loss that depends on load."
+    if CurveJudge(fit).open_scale:
+        return start + (
+            "Load is the mean of what the motor feels of it while driving and while driven: the "
+            "scale between leg and gearbox is open, and only this mean is the same for all "
+            "parameters that make the same torque."
+        )
+    return start + "Load is the torque at the joint over the ratio, positive against the motion."
+
+
+def efficiency_caption(_: Fit) -> str:
+    """Say what the efficiency figure counts."""
+    return (
+        f"Efficiency of eq. (4) over the load at the joint: posterior median and {_SHARE} band, "
+        "constant losses in and behind the element counted, viscous ones not. Dashed where no "
+        "recording had such loads, hatched where the data do not determine it."
+    )
+
+
+def prior_posterior_caption(_: Fit) -> str:
+    """Say how the panels of the prior-posterior figure are scaled."""
+    return (
+        f"Prior (dashed) and posterior density of each parameter; dotted: {_SHARE} interval; "
+        "hatched where the data leave the parameter open. 1:n compares the sds of posterior and "
+        "prior. A posterior can be far narrower than its prior and open all the same: then "
+        "priors and bounds of other parameters confine it."
+    )
+
+
+def residual_caption(fit: Fit) -> str:
+    """Say what the residuals look like."""
+    return (
+        "What the posterior mean leaves unexplained: autocorrelation, quantiles against those of a "
+        "normal, and residuals against speed, load and angle (thin: one sd; thick: 95 % interval "
+        "of the bin's mean; the share of variance that the bins' means hold is written in each "
+        "panel). " + " ".join(residual_words(fit))
+    )
+
+
+CAPTIONS: dict[str, Callable[[Fit], str]] = {
+    "friction": friction_caption,
+    "efficiency": efficiency_caption,
+    "prior_posterior": prior_posterior_caption,
+    "residual": residual_caption,
+}
+
+
+def captions(fit: Fit, stems: Sequence[str]) -> str:
+    """Write the captions of the named figures, those that have one, as Markdown."""
+    return "\n".join(f"**{stem}**: {CAPTIONS[stem](fit)}\n" for stem in stems if stem in CAPTIONS)

@@ -1,0 +1,48 @@
+"""Read the LaTeX that the tables write back into numbers."""
+
+import re
+from decimal import Decimal
+
+
+def num(text):
+    r"""Value and uncertainty of ``\num{1.23(45)e-6}``, and the weight of its last digit."""
+    found = re.fullmatch(r"\\num\{(-?[\d.]+)(?:\(([\d.]+)\))?(?:e(-?\d+))?\}", text)
+    assert found, text
+    shown, uncertainty, exponent = found.groups()
+    power = Decimal(10) ** int(exponent or 0)
+    decimals = len(shown.partition(".")[2])
+    last = Decimal(1).scaleb(-decimals) * power
+    value = Decimal(shown) * power
+    if uncertainty is None:
+        return float(value), None, float(last)
+    if "." in uncertainty or not decimals:
+        return float(value), float(Decimal(uncertainty) * power), float(last)
+    return float(value), float(int(uncertainty) * last), float(last)
+
+
+def ends(text):
+    found = re.fullmatch(r"\$\[(-?[\d.]+), (-?[\d.]+)\](?:\\times 10\^\{(-?\d+)\})?\$", text)
+    assert found, text
+    power = 10.0 ** int(found[3] or 0)
+    decimals = len(found[1].partition(".")[2])
+    return float(found[1]) * power, float(found[2]) * power, power * 10.0**-decimals
+
+
+def skewed(text):
+    found = re.fullmatch(
+        r"\$\(?(-?[\d.]+)\^\{\+([\d.]+)\}_\{-([\d.]+)\}\)?(?:\\times 10\^\{(-?\d+)\})?\$", text
+    )
+    assert found, text
+    power = 10.0 ** int(found[4] or 0)
+    decimals = len(found[1].partition(".")[2])
+    return (*(float(found[k]) * power for k in (1, 2, 3)), power * 10.0**-decimals)
+
+
+def lines(table):
+    """Cells of every line of a LaTeX table."""
+    body = table.partition(r"\midrule")[2].partition(r"\bottomrule")[0]
+    found = []
+    for line in body.splitlines():
+        if line.endswith(r" \\") and not line.startswith(r"\multicolumn"):
+            found.append([cell.strip() for cell in line.removesuffix(r" \\").split(" & ")])
+    return found

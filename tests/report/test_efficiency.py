@@ -1,0 +1,95 @@
+"""Efficiency curves: eq. (4), the package's own definition, and what is open."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bayesfric.mechanism.derived import derive, efficiencies
+from bayesfric.mechanism.presets import PRESETS
+from bayesfric.report.efficiency import efficiency_curves, efficiency_figure
+from bayesfric.report.style import COLUMN
+from bayesfric.report.summary import summarise
+
+from .conftest import draw_fast
+
+P = PRESETS["rabbit-knee"].values
+
+
+@pytest.fixture(scope="module")
+def curves(knee):
+    return efficiency_curves(knee)
+
+
+def test_both_directions_of_the_gearbox(curves):
+    names = ["gearbox.efficiency_drive", "gearbox.efficiency_back"]
+    assert [c.name for c in curves] == names
+
+
+def test_medians_are_equation_4_of_the_truth(curves):
+    """Draws within a thousandth of Table 3."""
+    constant = (P["joint.coulomb_positive"] + P["joint.coulomb_negative"]) / 2
+    drive, back = curves
+    expected = efficiencies(
+        np.array(P["gearbox.load_drive"]), np.array(P["gearbox.load_back"]), constant, drive.load
+    )
+    np.testing.assert_allclose(drive.band.median, expected[0], rtol=2e-3)
+    defined = expected[1] > 0.02
+    np.testing.assert_allclose(back.band.median[defined], expected[1][defined], rtol=2e-2)
+    # eq. (4) ends where no torque comes back
+    assert np.isnan(back.band.median[back.load * (1 - P["gearbox.load_back"]) < 5.0]).all()
+
+
+def test_the_summarys_efficiency_lies_on_the_curve(knee, curves):
+    derived = summarise(knee)["derived"]
+    for curve in curves:
+        row = derived[curve.name]
+        load = float(row["meaning"].partition(" at ")[2].split()[0])
+        k = int(np.argmin(np.abs(curve.load - load)))
+        draws = {q.name: q.values for q in derive(knee.chain, knee.chain_draws(500), curve.load[k])}
+        ends = np.nanquantile(draws[curve.name], [0.05, 0.5, 0.95])
+        found = [curve.band.low[k], curve.band.median[k], curve.band.high[k]]
+        np.testing.assert_allclose(found, ends, rtol=1e-12)
+        # between two neighbouring loads of the curve lies the one of the summary
+        inside = slice(max(k - 1, 0), k + 2)
+        assert curve.band.low[inside].min() <= row["median"] <= curve.band.high[inside].max()
+
+
+def test_one_recording_does_not_determine_it(knee, curves):
+    """The scale is open, and efficiency is of the load at the joint."""
+    for curve in curves:
+        assert not curve.band.determined.any()
+    figure = efficiency_figure(knee, {"references": {}})
+    gids = [c.get_gid() for c in figure.axes[0].collections]
+    assert "open" in gids
+    assert "band" not in gids
+    assert "NOT determined by the data" in [t.get_text() for t in figure.legends[0].get_texts()]
+
+
+def test_a_reference_stands_at_the_stated_load(knee):
+    given = {"value": 0.7, "sd": 0.05, "unit": "", "source": "data sheet"}
+    figure = efficiency_figure(knee, {"references": {"gearbox.efficiency_drive": given}})
+    draw_fast(figure)
+    (shown,) = [c for c in figure.axes[0].containers if c.get_label() or True][:1]
+    assert shown.lines[0].get_ydata() == pytest.approx([0.7])
+    meaning = summarise(knee)["derived"]["gearbox.efficiency_drive"]["meaning"]
+    stated = float(meaning.partition(" at ")[2].split()[0])
+    assert float(shown.lines[0].get_xdata()[0]) == pytest.approx(stated, rel=6e-3)
+    words = [t.get_text() for t in figure.legends[0].get_texts()]
+    assert "data sheet, motor drives" in words
+    assert figure.get_figwidth() == COLUMN
+
+
+def test_no_load_loss_no_figure(slide):
+    assert efficiency_curves(slide) == ()
+    assert efficiency_figure(slide, {}) is None
+
+
+def test_an_irreversible_gearbox_has_no_curve_back(knee):
+    draws = knee.posterior.draws.copy()
+    draws[..., knee.posterior.names.index("gearbox.load_back")] = 0.9999
+    fit = replace(knee, posterior=replace(knee.posterior, draws=draws))
+    _, back = efficiency_curves(fit)
+    assert np.isnan(back.band.median).all()
+    assert (back.band.undefined_share == 1.0).all()
+    draw_fast(efficiency_figure(fit, {}))

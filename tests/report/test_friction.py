@@ -1,0 +1,236 @@
+"""Friction curves: what they must be at no load, along the ridge, and around the truth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.derived import derive
+from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.scaling import scalings
+from bayesfric.report.captions import friction_caption
+from bayesfric.report.curve_band import CurveJudge
+from bayesfric.report.friction import friction_curves, friction_figure
+from bayesfric.report.friction_curve import Covered, covered, friction_torque, load_reach
+from bayesfric.report.style import COLUMN, PAGE
+
+from .conftest import SLIDE, draw_fast
+
+KNEE = PRESETS["rabbit-knee"].chain()
+TRUTH = KNEE.vector(PRESETS["rabbit-knee"].values)
+SPEED = np.concatenate([np.linspace(-100, -1, 9), np.linspace(1, 100, 9)])
+
+
+@pytest.fixture(scope="module")
+def curves(knee):
+    return friction_curves(knee)
+
+
+def test_at_no_load_it_is_the_total_constant_and_viscous_loss():
+    found = friction_torque(KNEE, TRUTH[None], SPEED, np.zeros(18), open_scale=True)[0]
+    total = {q.name: float(q.values[0]) for q in derive(KNEE, TRUTH[None], 1.0)}
+    constant = np.where(
+        SPEED > 0,
+        total["total_drive.coulomb_positive"],
+        total["total_drive.coulomb_negative"],
+    )
+    # speed in rad/s of the motor, as the total viscous loss wants it
+    expected = constant + total["total_drive.viscous"] * np.abs(SPEED)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("open_scale", [True, False])
+def test_it_is_the_inverse_models_torque_without_the_load(open_scale):
+    """A leg held at q weighs g ml sin(q); lifting and lowering it at one speed."""
+    p = PRESETS["rabbit-knee"].values
+    q = np.linspace(-1.4, 1.4, 18)
+    torque = inverse_torque(KNEE, TRUTH, q, SPEED / 50.0, np.zeros(18))
+    weight = 9.80665 * p["load.first_moment"] * np.sin(q) / 50.0
+    if open_scale:
+        weight = weight * (2.0 + p["gearbox.load_drive"] - p["gearbox.load_back"]) / 2.0
+    sign = np.sign(SPEED)
+    found = friction_torque(KNEE, TRUTH[None], SPEED, sign * weight, open_scale=open_scale)[0]
+    np.testing.assert_allclose(found, sign * (torque - weight), rtol=1e-11)
+
+
+def test_with_the_load_it_is_half_of_what_lifting_takes_more_than_lowering():
+    """With equal constant losses in both directions, half sum and half difference."""
+    x = TRUTH.copy()
+    for element in ("motor", "joint"):
+        x[KNEE.names.index(f"{element}.coulomb_negative")] = x[
+            KNEE.names.index(f"{element}.coulomb_positive")
+        ]
+    load = np.full(2, 0.9)
+    up, down = friction_torque(KNEE, x[None], np.array([30.0, 30.0]), load * [1, -1],
+                               open_scale=True)[0]  # fmt: skip
+    lifting, lowering = up + load[0], load[0] - down
+    p = dict(zip(KNEE.names, x, strict=True))
+    bearing = (p["joint.coulomb_positive"] + p["joint.viscous"] * 30.0 / 50.0) / 50.0
+    motor = p["motor.coulomb_positive"] + p["motor.viscous"] * 30.0
+    one, two = (
+        (2 + p["gearbox.load_drive"] - p["gearbox.load_back"]) / 2,
+        (p["gearbox.load_drive"] + p["gearbox.load_back"]) / 2,
+    )
+    # eq. (13): Theta1 makes the half difference of the constant terms, Theta2 that of the load
+    assert (lifting - lowering) / 2 == pytest.approx(motor + one * bearing + two / one * load[0])
+    assert (lifting + lowering) / 2 == pytest.approx(load[0] + two * bearing)
+
+
+@pytest.mark.parametrize("factor", [0.75, 1.3])
+def test_the_ridge_leaves_it_alone(factor):
+    (scaling,) = scalings(KNEE)
+    other = scaling.scaled(TRUTH, factor)
+    both = np.stack([TRUTH, other])
+    for load in (-0.3, -0.05, 0.0, 0.02, 0.4):
+        one, two = friction_torque(KNEE, both, SPEED, np.full(18, load), open_scale=True)
+        np.testing.assert_allclose(two, one, rtol=1e-10)
+    # but over the torque of the load itself it would not be left alone
+    one, two = friction_torque(KNEE, both, SPEED, np.full(18, 0.4), open_scale=False)
+    assert np.abs(two / one - 1).min() > 0.02
+
+
+def test_recordings_lie_at_the_same_places_all_along_the_ridge(knee):
+    (scaling,) = scalings(KNEE)
+    one, two = (covered(knee, x, open_scale=True) for x in (TRUTH, scaling.scaled(TRUTH, 1.2)))
+    np.testing.assert_allclose(two.load, one.load, rtol=1e-10, atol=1e-14)
+    np.testing.assert_array_equal(two.speed, one.speed)
+
+
+def test_one_mu_needs_no_mean():
+    chain = PRESETS["servo-pendulum"].chain()
+    x = chain.vector(PRESETS["servo-pendulum"].values)[None]
+    reach = [load_reach(chain, x, open_scale=flag) for flag in (True, False)]
+    np.testing.assert_allclose(reach[0], reach[1], rtol=1e-14)
+
+
+def test_an_unknown_gain_scales_torque_and_load_alike():
+    chain = replace(PRESETS["servo-pendulum"].chain(), gain=True)
+    values = PRESETS["servo-pendulum"].values | {"drive.gain": 1.0}
+    one = chain.vector(values)[None]
+    twice = {
+        k: v * 2 if k.rpartition(".")[2] in ("inertia", "viscous", "coulomb", "first_moment") else v
+        for k, v in values.items()
+    }
+    two = chain.vector(twice | {"drive.gain": 2.0})[None]
+    load = np.linspace(-1, 1, 18)
+    found = [friction_torque(chain, x, SPEED, load, open_scale=False) for x in (one, two)]
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-12)
+
+
+def test_the_stribeck_rise_shows():
+    chain = Chain(
+        (Element("motor", coulomb="symmetric", viscous=True, stribeck=True),), Load(inertia=True)
+    )
+    x = np.array([[0.3, 0.01, 0.5, 2.0, 0.1]])
+    assert chain.names[:2] == ("motor.viscous", "motor.coulomb")
+    p = dict(zip(chain.names, x[0], strict=True))
+    found = friction_torque(chain, x, SPEED, np.zeros(18), open_scale=False)[0]
+    v = np.abs(SPEED)
+    rise = 1 + p["motor.stribeck_ratio"] * np.exp(-((v / p["motor.stribeck_velocity"]) ** 2))
+    np.testing.assert_allclose(
+        found, p["motor.coulomb"] * rise + p["motor.viscous"] * v, rtol=1e-13
+    )
+
+
+# -- bands of a fit
+
+
+def test_the_band_holds_the_truth(knee, curves):
+    """Draws are spread evenly around the truth, so that medians are it within their error."""
+    draws = knee.chain_draws()
+    for curve in (*curves.over_speed, *curves.over_load):
+        true = friction_torque(KNEE, TRUTH[None], curve.speed, curve.load, open_scale=True)[0]
+        assert (curve.band.low < true).all()
+        assert (true < curve.band.high).all()
+        values = friction_torque(KNEE, draws, curve.speed, curve.load, open_scale=True)
+        # 1000 of the draws give the ends of the interval to 10 % of its width
+        width = curve.band.high - curve.band.low
+        for end, share in ((curve.band.low, 0.05), (curve.band.high, 0.95)):
+            assert (np.abs(end - np.quantile(values, share, axis=0)) < 0.1 * width).all()
+
+
+def test_places_are_where_the_recordings_ran(knee, curves):
+    speed = 50.0 * np.concatenate([o.speed for o in knee.observations])
+    for curve in curves.over_speed:
+        assert curve.speed.min() >= speed.min() - 1e-9
+        assert curve.speed.max() <= speed.max() + 1e-9
+        assert not (curve.speed == 0.0).any()
+    assert float(curves.over_speed[0].load[0]) == 0.0
+    assert {np.sign(c.load[0]) for c in curves.over_speed} == {-1.0, 0.0, 1.0}
+
+
+def test_near_means_near():
+    place = Covered(np.linspace(0, 10, 101), np.zeros(101))
+    near = place.near(np.array([5.0, 10.4, 14.0]), None)
+    assert near.tolist() == [True, True, False]
+
+
+def test_what_never_drove_back_is_not_determined(knee):
+    """Without power from the load mu_2 shows nowhere, and neither does the friction there."""
+    judge = CurveJudge(knee)
+    zeroed = replace(judge.local, directions=judge.local.directions)
+    assert zeroed.data_sd_of(np.zeros(len(judge.local.names))) == 0.0
+
+    def unseen(x):
+        # alpha_2 times the leg's scale: changes along the null direction
+        return x[:, [KNEE.names.index("gearbox.load_back")]]
+
+    assert not judge.band(unseen, gauge_free=False).determined.any()
+    seen = judge.band(
+        lambda x: friction_torque(KNEE, x, np.array([50.0]), np.zeros(1), open_scale=True),
+        gauge_free=True,
+    )
+    assert seen.low < seen.median < seen.high
+
+
+def test_points_without_a_value_in_most_draws_have_none(knee):
+    judge = CurveJudge(knee)
+
+    def half(x):
+        out = np.tile(x[:, :1], (1, 2))
+        out[: int(0.7 * len(out)), 1] = np.nan
+        return out
+
+    band = judge.band(half, gauge_free=False)
+    assert np.isfinite(band.median[0])
+    assert np.isnan([band.median[1], band.low[1], band.high[1]]).all()
+    assert band.undefined_share[1] == pytest.approx(0.7, abs=0.01)
+    assert not band.determined[1]
+
+
+# -- the figure
+
+
+def open_and_bands(figure):
+    found = [c.get_gid() for ax in figure.axes for c in ax.collections if c.get_gid()]
+    return found.count("open"), found.count("band")
+
+
+def test_a_page_for_the_knee_a_column_for_an_axis(knee, slide):
+    page, column = friction_figure(knee), friction_figure(slide)
+    assert (page.get_figwidth(), column.get_figwidth()) == (PAGE, COLUMN)
+    for figure in (page, column):
+        draw_fast(figure)
+        assert open_and_bands(figure)[1] > 0
+    labels = [ax.get_xlabel() for ax in page.axes]
+    assert r"load $\lambda_1\Gamma/N$ (N m)" in labels
+    assert column.axes[0].get_ylabel() == "friction force $F$ (N)"
+
+
+def test_what_the_data_leave_open_is_hatched_and_named(make_fit):
+    # draws far narrower than what 60 samples leave: the data cannot have made them
+    figure = friction_figure(make_fit(samples=300, spread=1e-6))
+    hatched, plain = open_and_bands(figure)
+    assert hatched > 0
+    assert plain == 0
+    words = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "NOT determined by the data" in words
+
+
+def test_the_caption_says_what_load_is(knee, slide):
+    assert "mean of what the motor feels" in friction_caption(knee)
+    assert "No element" in friction_caption(slide)
+    assert SLIDE.motor_motion == "linear"

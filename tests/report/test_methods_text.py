@@ -1,0 +1,102 @@
+"""The methods paragraph: what was done in this run, and nothing that was not."""
+
+import re
+from dataclasses import replace
+from importlib.metadata import version
+
+import pytest
+
+import bayesfric
+from bayesfric.report.bibliography import ENTRIES
+from bayesfric.report.methods_text import methods_text
+from bayesfric.report.summary import summarise
+
+
+@pytest.fixture(scope="module")
+def said(knee):
+    return methods_text(knee, summarise(knee))
+
+
+def test_numbers_of_this_run(knee, said):
+    d = knee.posterior.diagnostics
+    (o,) = knee.observations
+    (out,) = knee.target.likelihood.outputs
+    for words in (
+        "3 elements from motor to load",
+        "ratio 50",
+        f"One recording of {o.settings['n_samples']} samples in all, at 1000 Hz, was used",
+        f"{out.measured.size} outputs",
+        f"{d.ensembles} independent ensembles of {d.walkers} walkers, {d.warmup} steps of warm-up",
+        f"{d.steps} steps, seed {knee.posterior.seed}",
+        f"bayesfric {bayesfric.__version__}",
+        f"NumPy {version('numpy')}",
+        "(input error)",
+        "differentiated without a filter",
+    ):
+        assert words in said.plain, words
+
+
+def test_the_noise_model_is_the_summarys(knee):
+    summary = summarise(knee)
+    summary["noise"]["model"] = "autoregressive of order 2, Student-t"
+    assert "Noise model: autoregressive of order 2, Student-t;" in methods_text(knee, summary).plain
+
+
+def test_what_is_open_and_what_is_wrong_is_said(knee):
+    summary = summarise(knee)
+    warning = "the residuals are correlated (lag 1: 0.67) but are taken for independent: wrong"
+    summary["warnings"] = [warning, "run 0: something else"]
+    text = methods_text(knee, summary).plain
+    assert "The residuals are correlated (lag 1: 0.67)" in text
+    assert "something else" not in text
+    assert "No recording of this kind can tell: gearbox.alpha_drive" in text
+    verdicts = [r["verdict"] for n, r in summary["parameters"].items() if n != "noise.sigma"]
+    assert f"not determined by the data {verdicts.count('prior')}." in text
+
+
+def test_all_that_is_cited_is_listed_and_nothing_else(said):
+    cited = re.findall(r"\\cite\{([^}]+)\}", said.latex)
+    listed = re.findall(r"^@\w+\{(\w+),", said.bibtex, re.MULTILINE)
+    assert tuple(cited) == tuple(listed) == said.keys
+    assert set(listed) == set(ENTRIES) - {"barndorff1973", "juarez2010"}
+    for key in listed:
+        assert ENTRIES[key].short in said.plain
+    assert "[@" not in said.plain + said.latex
+
+
+def test_autoregressive_noise_cites_its_coordinates(knee):
+    noise = replace(knee.target.noise, quantities=("pacf_1",))
+    target = object.__new__(type(knee.target))
+    target.__dict__ |= knee.target.__dict__ | {"noise": noise}
+    found = methods_text(replace(knee, target=target), summarise(knee))
+    assert "barndorff1973" in found.keys
+    assert "juarez2010" not in found.keys
+
+
+def test_the_papers_authors_are_not_made_up(said):
+    entry = said.bibtex.partition("@misc{rabbit2005,")[2].partition("\n}")[0]
+    assert "author =" not in entry
+    assert "taken from the printed paper" in entry
+
+
+def test_bibtex_is_balanced(said):
+    for block in said.bibtex.split("\n\n"):
+        assert block.count("{") == block.count("}")
+    assert said.bibtex.isascii()
+
+
+def test_latex_is_escaped(make_fit):
+    summary = summarise(make_fit(samples=400))
+    row = next(iter(summary["parameters"].values()))
+    row["prior_default"], row["prior"] = False, "norm(loc=50%, my_scale=1)"
+    text = methods_text(make_fit(samples=400), summary).latex
+    assert r"norm(loc=50\%, my\_scale=1)" in text
+    assert not re.search(r"(?<!\\)[%&#_]", re.sub(r"\\cite\{[^}]+\}", "", text))
+
+
+def test_an_axis_and_four_recordings(slide, many):
+    text = methods_text(slide, summarise(slide)).plain
+    assert "1 element from motor to load, slide (inertia and constant loss)" in text
+    text = methods_text(many, summarise(many)).plain
+    assert "4 recordings of" in text
+    assert "4 noise parameters," in text

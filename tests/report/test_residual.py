@@ -1,0 +1,143 @@
+"""Residual analysis: white noise passes, and what is missing from a model shows."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from bayesfric.inference.fit import read_priors, target_of
+from bayesfric.inference.residual_noise import Autoregressive
+from bayesfric.report.residual import residual_analysis, residual_figure, residual_words
+from bayesfric.report.style import PAGE
+from bayesfric.report.summary import residuals
+
+from .conftest import draw_fast
+
+
+def disturbed(fit, change):
+    """Add to what was measured; ``change`` gets the outputs and gives their additions."""
+    likelihood = fit.target.likelihood
+    outputs = tuple(
+        replace(o, measured=o.measured + change(o, seen))
+        for o, seen in zip(likelihood.outputs, fit.observations, strict=True)
+    )
+    other = object.__new__(type(likelihood))
+    other.__dict__ |= likelihood.__dict__ | {"outputs": outputs}
+    target = object.__new__(type(fit.target))
+    target.__dict__ |= fit.target.__dict__ | {"likelihood": other}
+    return replace(fit, target=target)
+
+
+def test_white_residuals_stay_in_the_band(knee):
+    found = residual_analysis(knee)
+    outside = np.abs(found.correlation) > found.white
+    # 40 lags, 5 % each: more than 7 come once in a thousand
+    assert outside.sum() <= 7
+    n = knee.target.likelihood.outputs[0].measured.size
+    assert found.white[0] == pytest.approx(1.96 / np.sqrt(n), rel=0.02)
+    assert all(b.p_value > 1e-3 for b in found.against)
+    assert abs(found.kurtosis) < 0.5
+    said = " ".join(residual_words(knee))
+    assert "none of joint speed, load, joint angle" in said
+    assert "close to normal" in said
+
+
+def test_the_autocorrelation_is_that_of_the_noise(knee):
+    """A first-order autoregression of 0.8 has 0.8, 0.64, ... at lags 1, 2, ..."""
+
+    def memory(o, _):
+        rng = np.random.default_rng(3)
+        return 1.0 * lfilter([1.0], [1.0, -0.8], rng.standard_normal(o.measured.size))
+
+    found = residual_analysis(disturbed(knee, memory))
+    # Bartlett: sd of the lag-1 estimate is sqrt((1 - 0.8^2)/1400) = 0.016; gaps cost a little
+    assert found.correlation[0] == pytest.approx(0.8, abs=0.06)
+    assert found.correlation[1] == pytest.approx(0.64, abs=0.09)
+    outside = int((np.abs(found.correlation) > found.white).sum())
+    words = residual_words(disturbed(knee, memory))
+    assert outside > 5
+    assert "as many as chance allows" not in words[0]
+
+
+def test_correlation_counts_no_pairs_across_gaps(knee):
+    """The recording has a second of nothing in its middle."""
+    found = residual_analysis(knee)
+    (o,) = knee.target.likelihood.outputs
+    place = np.rint((o.time - o.time[0]) / o.period).astype(int)
+    pairs = int((np.diff(place) == 1).sum())
+    assert 0 < pairs < o.time.size - 1
+    assert found.white[0] == pytest.approx(1.959964 / np.sqrt(pairs), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("joint speed", lambda _, seen: 0.02 * np.abs(seen.speed)),
+        ("joint angle", lambda _, seen: 0.03 * np.sin(9 * seen.q[seen.filter.centres])),
+    ],
+)
+def test_what_the_model_lacks_shows_where_it_acts(knee, name, change):
+    fit = disturbed(knee, change)
+    (binned,) = [b for b in residual_analysis(fit).against if b.what.startswith(name)]
+    assert binned.p_value < 1e-6
+    assert any(f"depends on {name}" in words for words in residual_words(fit))
+
+
+def test_binned_means_are_the_bins(knee):
+    (left,) = residuals(knee)
+    (o,) = knee.observations
+    (binned,) = [b for b in residual_analysis(knee).against if b.what.startswith("joint speed")]
+    order = np.argsort(o.speed, kind="stable")
+    parts = np.array_split(order, binned.centre.size)
+    np.testing.assert_allclose(binned.mean, [left[p].mean() for p in parts], rtol=1e-12)
+    np.testing.assert_allclose(binned.sd, [left[p].std() for p in parts], rtol=1e-12)
+    between = sum(p.size * (left[p].mean() - left.mean()) ** 2 for p in parts)
+    assert binned.explained == pytest.approx(between / ((left - left.mean()) ** 2).sum())
+
+
+def test_heavy_tails_are_told(knee):
+    rng = np.random.default_rng(7)
+
+    def heavy(o, _):
+        return 0.05 * rng.standard_t(3, o.measured.size)
+
+    fit = disturbed(knee, heavy)
+    assert any("heavier tails" in words for words in residual_words(fit))
+
+
+def remembering(fit, partial):
+    """Give the fit's noise a memory of one, known well."""
+    likelihood = fit.target.likelihood.with_noise(Autoregressive(1))
+    priors = read_priors(fit.chain, {}, fit.observations, likelihood.noise_quantities)
+    target = target_of(likelihood, priors, "shared")
+    draws = fit.posterior.draws
+    draws = np.concatenate([draws, np.full((*draws.shape[:3], 1), partial)], axis=-1)
+    posterior = replace(fit.posterior, names=target.names, priors=target.priors, draws=draws)
+    return replace(fit, target=target, posterior=posterior)
+
+
+def test_innovations_are_what_a_memory_leaves(knee):
+    def memory(o, _):
+        return lfilter([1.0], [1.0, -0.8], np.random.default_rng(3).standard_normal(o.time.size))
+
+    fit = disturbed(remembering(knee, 0.8), memory)
+    found = residual_analysis(fit)
+    assert (np.abs(found.correlation) > found.white).sum() > 5
+    # gaps of the dead zone hide some of the past: a few more than chance are let pass
+    assert np.abs(found.innovations[0]) < 0.1
+    assert (np.abs(found.innovations) > found.white).sum() <= 7
+    words = " ".join(residual_words(fit))
+    assert "autocorrelation of the innovations" in words
+    assert "Innovations are close to normal" in words
+    figure = residual_figure(fit)
+    draw_fast(figure)
+    assert any(line.get_gid() == "innovations" for line in figure.axes[0].lines)
+    assert residual_analysis(knee).innovations is None
+
+
+@pytest.mark.parametrize("which", ["knee", "slide", "many"])
+def test_the_figure_is_a_page_wide(which, request):
+    figure = residual_figure(request.getfixturevalue(which))
+    assert figure.get_figwidth() == PAGE
+    draw_fast(figure)

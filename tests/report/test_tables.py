@@ -1,0 +1,242 @@
+"""Tables for papers: the summary's numbers, read back; nothing open passes for a number."""
+
+import copy
+import csv
+import io
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bayesfric.report import latex
+from bayesfric.report.comparison import comparison
+from bayesfric.report.summary import summarise
+from bayesfric.report.tables import (
+    methods_latex,
+    parameter_table,
+    parameters_csv,
+    parameters_latex,
+    parameters_markdown,
+)
+
+from .made_summaries import LEG, knee, loaded, posterior_row
+from .made_tables import ends, lines, num, skewed
+
+CASES = {"open": knee, "loaded": loaded}
+
+
+def invented():
+    """Return a run with every kind of number there is."""
+    run = copy.deepcopy(knee())
+    rows = run["parameters"]
+    rows["motor.coulomb_positive"] = posterior_row("N m", 0.02, 0.015, verdict="weak")
+    rows["motor.coulomb_positive"] |= {"median": 0.016, "interval": [0.002, 0.051]}
+    limit = {"at_bound": "lower", "data_sd": 0.01, "prior_sd": 1.0}
+    rows["motor.coulomb_negative"] = posterior_row("N m", 0.02, 0.015, verdict="prior", **limit)
+    rows["motor_50%.inertia"] = posterior_row("kg", 95123.0, 310.0)
+    run["fixed"] = {"offset": {"unit": "N m", "value": -0.0213}}
+    return run
+
+
+CASES["invented"] = invented
+
+
+@pytest.fixture(params=CASES)
+def summary(request):
+    return CASES[request.param]()
+
+
+@pytest.fixture(scope="module")
+def real(make_fit):
+    return summarise(make_fit(samples=600))
+
+
+def rows_of(summary):
+    return {**summary["derived"], **summary["parameters"]}
+
+
+def test_csv_is_the_summary(summary):
+    table = parameter_table(summary)
+    found = list(csv.DictReader(io.StringIO(parameters_csv(table))))
+    assert {r["name"] for r in found} == set(rows_of(summary)) | set(summary.get("fixed", {}))
+    for r in found:
+        if r["group"] == "known":
+            assert float(r["median"]) == summary["fixed"][r["name"]]["value"]
+            continue
+        row = rows_of(summary)[r["name"]]
+        assert r["unit"] == row["unit"]
+        if r["status"] == "determined":
+            for key in ("mean", "sd", "median", "level"):
+                assert float(r[key]) == row[key]
+            assert [float(r["low"]), float(r["high"])] == row["interval"]
+        else:
+            assert row["verdict"] == "prior"
+            assert [r[k] for k in ("mean", "sd", "median", "low", "high")] == [""] * 5
+
+
+def test_latex_is_the_summary_to_its_last_digit(summary):
+    table = parameter_table(summary)
+    found = lines(parameters_latex(table))
+    assert len(found) == len(table.rows)
+    for (_, _, value, interval, unit, verdict), r in zip(found, table.rows, strict=True):
+        assert latex.escaped(r.verdict) == verdict
+        assert unit == latex.unit(r.unit)
+        if r.row is None:
+            assert num(value)[0] == pytest.approx(summary["fixed"][r.name]["value"], rel=1e-3)
+            continue
+        row = rows_of(summary)[r.name]
+        if r.cell.status == "undetermined":
+            assert (value, interval) == ("--- (prior)", "---")
+            continue
+        if r.cell.status == "limit":
+            sign, _, limit = value.partition(" ")
+            assert sign == r"$\leq$"
+            assert num(limit)[0] == pytest.approx(row["interval"][1], rel=5e-3)
+            assert interval == "---"
+            continue
+        *both, last = ends(interval)
+        np.testing.assert_allclose(both, row["interval"], rtol=0, atol=0.5001 * last)
+        if r.skewed:
+            middle, up, down, last = skewed(value)
+            assert middle + up == pytest.approx(row["interval"][1], abs=1.001 * last)
+            assert middle - down == pytest.approx(row["interval"][0], abs=1.001 * last)
+        else:
+            middle, sd, last = num(value)
+            assert sd == pytest.approx(row["sd"], abs=0.5001 * last)
+            # two digits of the sd, whatever its size
+            assert 10 <= round(sd / last) <= 99 or last == 1.0
+        assert middle == pytest.approx(row["median"], abs=0.5001 * last)
+
+
+def test_markdown_is_the_summary(summary):
+    table = parameter_table(summary)
+    body = parameters_markdown(table).splitlines()[2 : 2 + len(table.rows)]
+    for line, r in zip(body, table.rows, strict=True):
+        name, _, value, interval, unit, verdict = (c.strip() for c in line[2:-2].split(" | "))
+        assert name == f"`{r.name}`"
+        assert (unit, verdict) == (r.unit or "–", r.verdict)
+        if r.row is None or r.cell.status != "determined":
+            assert interval == "–"
+            assert ("(prior)" in value) == (r.cell.status == "undetermined")
+            continue
+        row = rows_of(summary)[r.name]
+        both = [float(end) for end in interval.strip("[]").split(", ")]
+        np.testing.assert_allclose(both, row["interval"], rtol=0, atol=0.06 * row["sd"])
+        middle = float(value.partition(" ±")[0])
+        assert middle == pytest.approx(row["median"], abs=0.06 * row["sd"])
+
+
+def test_what_the_prior_determined_never_has_a_bare_interval(summary):
+    table = parameter_table(summary)
+    open_ = [r for r in table.rows if r.row is not None and r.row.verdict == "prior"]
+    markdown, tex = parameters_markdown(table).splitlines(), lines(parameters_latex(table))
+    for r in open_:
+        line = markdown[2 + table.rows.index(r)]
+        assert "[" not in line.replace(f"`{r.name}`", "")
+        assert "(prior)" in line or "≤" in line or "≥" in line
+        assert tex[table.rows.index(r)][3] == "---"
+    if summary["parameters"]["load.inertia"]["verdict"] == "prior":
+        assert set(LEG) <= {r.name for r in open_}
+
+
+def test_gauge_free_combinations_come_first(summary):
+    groups = [r.group for r in parameter_table(summary).rows]
+    order = ["free", "parameter", "derived", "known"]
+    assert groups == sorted(groups, key=order.index)
+    assert groups[0] == "free"
+
+
+def test_a_real_summary(real):
+    table = parameter_table(real)
+    for text in (parameters_latex(table), parameters_markdown(table), parameters_csv(table)):
+        assert text.endswith("\n")
+        assert "nan" not in text.lower().replace("determinan", "")
+    assert {r.name for r in table.rows} >= set(real["parameters"]) | set(real["derived"])
+
+
+def test_correlated_residuals_are_confessed():
+    run = knee()
+    warning = "the residuals are correlated (lag 1: 0.67) but are taken for independent: so"
+    run["warnings"] = [warning, "knee: the encoder is coarse"]
+    notes = parameter_table(run).notes
+    assert warning.capitalize().partition(" (")[0] in " ".join(notes)
+    assert "encoder" not in " ".join(notes)
+
+
+def test_methods_table_is_the_comparison(summary):
+    found = comparison({"run": summary})
+    body = lines(methods_latex(found))
+    assert len(body) == len(found.rows)
+    for cells, row in zip(body, found.rows, strict=True):
+        for text, column in zip(cells[2:], found.columns, strict=True):
+            cell = row.cells.get(column.label)
+            if cell is None:
+                assert text == ""
+            elif cell.status == "undetermined":
+                assert text == "---"
+            elif cell.status != "limit":
+                value, sd, last = num(re.sub(r"\\textsuperscript\{.*\}$", "", text))
+                tolerance = 0.5001 * last if cell.sd else 1e-3 * abs(cell.value)
+                assert value == pytest.approx(cell.value, abs=tolerance)
+                if cell.sd:
+                    assert sd == pytest.approx(cell.sd, abs=0.5001 * last)
+
+
+# -- numbers
+
+
+@given(
+    st.floats(-1e6, 1e6, allow_subnormal=False),
+    st.floats(1e-9, 1e6),
+)
+def test_any_number_reads_back(value, sd):
+    text = latex.with_sd(value, sd)
+    found, uncertainty, _ = num(text)
+    last = 10.0 ** latex.last_digit(sd)
+    # beside the rounding to the last digit that of a double
+    assert found == pytest.approx(value, abs=0.5001 * last + 1e-15 * abs(value))
+    assert uncertainty == pytest.approx(sd, abs=0.5001 * last)
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "text"),
+    [
+        (4.6178e-4, 3.6e-7, r"\num{4.6178(36)e-4}"),
+        (0.23600, 0.00084, r"\num{0.23600(84)}"),
+        (0.0123, 0.000996, r"\num{0.0123(10)}"),
+        (203.5, 1.14, r"\num{203.5(11)}"),
+        (95123.0, 310.0, r"\num{9.512(31)e4}"),
+        (0.0, 0.25, r"\num{0.00(25)}"),
+        (-0.001, 0.3, r"\num{0.00(30)}"),
+        (2034.0, 11.4, r"\num{2034(11)}"),
+    ],
+)
+def test_digits_are_set_by_the_uncertainty(value, sd, text):
+    assert latex.with_sd(value, sd) == text
+
+
+@pytest.mark.parametrize(
+    ("unit", "text"),
+    [
+        ("kg m²", r"\unit{kg.m^2}"),
+        ("N s²/m²", r"\unit{N.s^2/m^2}"),
+        ("N m s", r"\unit{N.m.s}"),
+        ("", "1"),
+    ],
+)
+def test_units(unit, text):
+    assert latex.unit(unit) == text
+
+
+def test_names_that_latex_would_trip_over():
+    assert latex.symbol("", "motor_50%.inertia") == r"\texttt{motor\_50\%.inertia}"
+    assert latex.symbol("J_{left_arm}", "x") == r"$J_{\mathrm{left\_arm}}$"
+    assert latex.escaped("a & b_c $5 {x} 50%") == r"a \& b\_c \$5 \{x\} 50\%"
+
+
+@pytest.mark.parametrize("sd", [0.0, -1.0, float("nan"), float("inf")])
+def test_no_uncertainty_no_digits(sd):
+    with pytest.raises(ValueError, match="no uncertainty"):
+        latex.last_digit(sd)
