@@ -45,6 +45,8 @@ def check(problem: Problem) -> dict[str, Any]:
         "priors": {
             name: {"prior": prior.text, "default": prior.default}
             for name, prior in problem.priors.items()
+            # whether the noise remembers, the residuals of an estimate will say
+            if not (name.startswith("noise.pacf_") and prior.default)
         },
         "least_squares": {
             "residual_rms": totals.residual_rms,

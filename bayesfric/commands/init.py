@@ -9,9 +9,10 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
-from bayesfric.config import LikelihoodOptions
+from bayesfric.config import LikelihoodOptions, NoiseOptions
 from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.options import Estimation
+from bayesfric.identifiability.options import AdviceOptions
 from bayesfric.inference.sampling import Sampling
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.experiment import Simulation
@@ -56,10 +57,14 @@ def configuration(preset: str) -> str:
             *_options(LikelihoodOptions),
             "",
             "[noise]",
-            '# scale = "per-recording"  # or "shared"',
+            *_options(NoiseOptions),
             "",
             "[sampling]",
             *_options(Sampling),
+            "",
+            "# Only for 'bayesfric identify --advise':",
+            "[advice]",
+            *_options(AdviceOptions),
             "",
             "# Only for 'bayesfric simulate':",
             "[simulation]",
@@ -75,7 +80,10 @@ def configuration(preset: str) -> str:
 def _mechanism(preset: str, chain: Chain) -> Iterator[str]:
     yield "[mechanism]"
     yield f'preset = "{preset}"'
-    yield f"# offset = {str(chain.offset).lower()}  # unknown constant in the motor torque"
+    yield (
+        f"# offset = {str(chain.offset).lower()}  # unknown constant in the motor torque; "
+        'or "per-recording"'
+    )
     yield f"# gain = {str(chain.gain).lower()}  # unknown factor of the torque constant"
     for element in chain.elements:
         yield f"# [mechanism.elements.{element.name}]"

@@ -208,7 +208,7 @@ def _likely_scales(target: Target, values: Array) -> Array:
         ).reshape(-1, len(kinds))
         grid = axes[index[:, None, :], np.arange(sets)[:, None], np.arange(len(kinds))]
         scales = np.broadcast_to(np.exp(grid), (len(grid), sets, len(kinds)))
-        whole = np.broadcast_to(scales, (len(grid), noise.n_recordings, len(kinds)))
+        whole = np.broadcast_to(scales, (len(grid), len(noise.places), len(kinds)))
         terms = likelihood.pointwise(np.tile(chain, (len(grid), 1)), whole)
         sums = np.stack([t.sum(axis=1) for t in terms], axis=1)  # (grid, recordings)
         if sets == 1:

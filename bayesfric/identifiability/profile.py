@@ -86,7 +86,7 @@ def profiles(fit: Fit, points: int = 15) -> tuple[Profile, ...]:
         if ends[0, j] < ends[2, j]
     }
     starts = [middle, *(fit.chain.vector(dict(e.point)) for e in fit.estimates if e.point)]
-    own_noise = len(target.noise.names) > 1 and target.noise.n_recordings > 1
+    own_noise = len(set(target.noise.places[:, 0].tolist())) > 1
     return profile_likelihoods(
         fit.chain, fit.observations, knowledge, grids, starts, own_noise=own_noise
     )

@@ -231,6 +231,62 @@ class TorqueFormCoordinates:
         return low + (high - low) * expit(place), log_slope
 
 
+# The same chain with one mu for both directions of power.
+SINGLE_LOSS_FORM = (
+    *GEARBOX_FORM[:4],
+    "gearbox.load",
+    *GEARBOX_FORM[6:],
+)
+
+
+class SingleLossCoordinates:
+    """Theta1 and Theta2 of eq. (13) where one mu holds for both directions of power.
+
+    Then ``lambda_1 = 1`` and ``lambda_2 = mu``: no scale is open, and ten coordinates are
+    ten parameters, ``mu = theta10/theta5``.
+
+    Parameters
+    ----------
+    ratio
+        ``N``, motor speed over joint speed.
+    gravity
+        m/s².
+    """
+
+    description = "Theta1 and Theta2 of eq. (13), one mu for both directions"
+
+    def __init__(self, ratio: float, gravity: float) -> None:
+        n = ratio
+        self._to_motor = np.array([1.0 / n**2, 1.0 / n**2, 1.0 / n, 1.0 / n, gravity / n])
+        self._log_constant = -float(np.log(self._to_motor).sum())
+        self._leg = [8, 5, 6, 7, 9]  # in SINGLE_LOSS_FORM: J, f, C1, C2, ml
+
+    def to_parameters(self, u: Array) -> tuple[Array, Array]:
+        """See :class:`Coordinates`. ``u``: theta_1..5, theta_6..10."""
+        theta1, theta2 = u[:, :5], u[:, 5:]
+        with np.errstate(all="ignore"):
+            mu = theta2[:, 4] / theta1[:, 4]
+            leg = theta2 / mu[:, None]
+            parameters = np.empty_like(u)
+            parameters[:, :4] = theta1[:, :4] - leg[:, :4]
+            parameters[:, 4] = mu
+            parameters[:, self._leg] = leg / self._to_motor
+            # four of the leg by 1/mu, (mu, ml) by (theta5, theta10)
+            jacobian = self._log_constant - 4.0 * np.log(mu) - np.log(theta1[:, 4])
+            possible = (theta1[:, 4] > 0.0) & (mu > 0.0)
+            possible &= np.isfinite(jacobian) & np.isfinite(parameters).all(axis=1)
+        return parameters, np.where(possible, jacobian, -np.inf)
+
+    def from_parameters(self, parameters: Array) -> Array:
+        """See :class:`Coordinates`."""
+        leg = parameters[:, self._leg] * self._to_motor
+        u = np.empty_like(parameters)
+        u[:, :5] = leg
+        u[:, :4] += parameters[:, :4]
+        u[:, 5:] = parameters[:, 4:5] * leg
+        return u
+
+
 def choose_coordinates(
     chain: Chain, priors: Mapping[str, Prior], widths: Array | None = None
 ) -> Coordinates:
@@ -256,5 +312,7 @@ def choose_coordinates(
             return TorqueFormCoordinates(chain.ratio, chain.load.gravity)
         if tuple(free) == GEARBOX_FORM[:-1] and first_moment > 0.0:
             return TorqueFormCoordinates(chain.ratio, chain.load.gravity, first_moment)
+    if plain_gearbox and tuple(chain.names) == tuple(free) == SINGLE_LOSS_FORM:
+        return SingleLossCoordinates(chain.ratio, chain.load.gravity)
     bounds = [(priors[name].lower, priors[name].upper) for name in free]
     return BoundedCoordinates([low for low, _ in bounds], [high for _, high in bounds], widths)

@@ -33,9 +33,9 @@ def support(quantity: str) -> tuple[float, float]:
     return (1.0 if quantity == "dof" else 0.0), math.inf
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Noise:
-    """Gaussian noise with scales shared by all recordings, or some for each.
+    """Noise with scales shared by all recordings, or some for each.
 
     Attributes
     ----------
@@ -48,20 +48,15 @@ class Noise:
         Quantity of each name, as the likelihood calls them.
     priors
         One each.
-    n_recordings
-        Number of recordings the scales serve.
+    places
+        ``(n_recordings, quantities)`` which name each recording's scales are.
     """
 
     names: tuple[str, ...]
     symbols: tuple[str, ...]
     quantities: tuple[str, ...]
     priors: tuple[Prior, ...]
-    n_recordings: int
-
-    @property
-    def _each(self) -> int:
-        """Scales of one recording."""
-        return len(set(self.quantities))
+    places: NDArray[np.int64]
 
     def scales(self, parameters: Array) -> Array:
         """Noise scales of every recording.
@@ -76,9 +71,7 @@ class Noise:
         ndarray
             ``(n, n_recordings, quantities)``
         """
-        n = parameters.shape[0]
-        split = parameters.reshape(n, -1, self._each)
-        return np.broadcast_to(split, (n, self.n_recordings, self._each))
+        return parameters[:, self.places]
 
     def fold(self, information: Array) -> Array:
         """Information of every recording's scales to that of the parameters.
@@ -86,19 +79,16 @@ class Noise:
         Parameters
         ----------
         information
-            ``(n_recordings, quantities, quantities)`` of the logarithms.
+            ``(n_recordings, quantities, quantities)``
 
         Returns
         -------
         ndarray
             ``(len(names), len(names))``
         """
-        if len(self.names) == self._each:
-            return np.asarray(information.sum(axis=0))
         out = np.zeros((len(self.names), len(self.names)))
-        for r in range(self.n_recordings):
-            own = slice(r * self._each, (r + 1) * self._each)
-            out[own, own] = information[r]
+        for own, one in zip(self.places, information, strict=True):
+            out[np.ix_(own, own)] += one
         return out
 
 
@@ -119,22 +109,29 @@ def noise_model(
     priors
         Of every scale, by ``noise.<quantity>``.
     scale
-        ``shared`` by all recordings or some ``per-recording``.
+        ``shared`` by all recordings or some ``per-recording``. How noise is shaped, its
+        memory or its tails, is shared in any case: it comes from one bench.
     """
     own = scale == "per-recording" and len(recordings) > 1
-    names, symbols, kinds, given = [], [], [], []
-    for i, recording in enumerate(recordings if own else recordings[:1]):
-        for quantity in quantities:
-            symbol = _SYMBOLS[quantity]
-            if own:
-                # a second subscript would not typeset: it joins the first
-                symbol = (
-                    f"{symbol.partition('_')[0]}_{{{symbol.partition('_')[2]},{i + 1}}}"
-                    if "_" in symbol
-                    else f"{symbol}_{{{i + 1}}}"
+    names: list[str] = []
+    symbols, kinds, given = [], [], []
+    places = np.zeros((len(recordings), len(quantities)), dtype=np.int64)
+    for i, recording in enumerate(recordings):
+        for j, quantity in enumerate(quantities):
+            apart = own and not (quantity == "dof" or quantity.startswith("pacf_"))
+            name = f"noise.{quantity}.{recording}" if apart else f"noise.{quantity}"
+            if name not in names:
+                names.append(name)
+                symbols.append(
+                    _numbered(_SYMBOLS[quantity], i + 1) if apart else _SYMBOLS[quantity]
                 )
-            names.append(f"noise.{quantity}.{recording}" if own else f"noise.{quantity}")
-            symbols.append(symbol)
-            kinds.append(quantity)
-            given.append(priors[f"noise.{quantity}"])
-    return Noise(tuple(names), tuple(symbols), tuple(kinds), tuple(given), len(recordings))
+                kinds.append(quantity)
+                given.append(priors[f"noise.{quantity}"])
+            places[i, j] = names.index(name)
+    return Noise(tuple(names), tuple(symbols), tuple(kinds), tuple(given), places)
+
+
+def _numbered(symbol: str, number: int) -> str:
+    """Add a recording's number; a second subscript would not typeset, so it joins the first."""
+    base, _, subscript = symbol.partition("_")
+    return f"{base}_{{{subscript},{number}}}" if subscript else f"{symbol}_{{{number}}}"

@@ -67,7 +67,7 @@ def choose_order(
     follows
         ``(M - 1,)`` each, whether runs go on.
     own_scales
-        Whether every recording has scale and coefficients of its own.
+        Whether every recording has a scale of its own.
     most
         Largest order tried.
 
@@ -75,32 +75,30 @@ def choose_order(
     -------
     Choice
     """
-    groups = [[i] for i in range(len(residuals))] if own_scales else [list(range(len(residuals)))]
     n = sum(r.size for r in residuals)
     most = min(most, max(0, n // 20))
+    whole = sum(float(r @ r) for r in residuals)
+    if not whole > 0.0:
+        return Choice(0, (Evidence(0, 0.0, 1.0, 1.0),))
+    sizes = [_size([r]) if own_scales else _size(residuals) for r in residuals]
+    scaled = [r / size if size > 0.0 else r for r, size in zip(residuals, sizes, strict=True)]
     tried: list[Evidence] = []
     for order in range(most + 1):
-        deviance, inner, sizes = 0.0, [], 0.0
-        for group in groups:
-            parts, runs = [residuals[i] for i in group], [follows[i] for i in group]
-            partial = burg(parts, runs, order)
-            left = [whitened(r, partial, f) for r, f in zip(parts, runs, strict=True)]
-            count = sum(r.size for r in left)
-            power = sum(float(z @ z) for z in left) / count
-            if not power > 0.0:
-                return Choice(0, (Evidence(0, 0.0, 1.0, 1.0),))
-            # the first of a run are divided by their own, larger sds
-            logs = sum(float(_log_sds(partial, f).sum()) for f in runs)
-            deviance += count * math.log(power) + 2.0 * logs
-            inner += [z / math.sqrt(power) for z in left]
-            sizes += power * count
-        penalty = len(groups) * order * math.log(n)
+        partial = burg(scaled, follows, order)
+        left = [whitened(r, partial, f) for r, f in zip(scaled, follows, strict=True)]
+        # the first of a run are divided by their own, larger sds
+        deviance = 2.0 * sum(float(_log_sds(partial, f).sum()) for f in follows)
+        inner = [_size([z]) if own_scales else _size(left) for z in left]
+        for z, size in zip(left, inner, strict=True):
+            deviance += 2.0 * z.size * math.log(size) if size > 0.0 else 0.0
+        power = sum(z.size * (a * b) ** 2 for z, a, b in zip(left, sizes, inner, strict=True))
+        normal = [z / size if size > 0.0 else z for z, size in zip(left, inner, strict=True)]
         tried.append(
             Evidence(
                 order,
-                deviance + penalty - (tried[0].bic if tried else 0.0),
-                math.sqrt(sizes / sum(float(r @ r) for r in residuals)),
-                ljung_box(inner, follows, _LAGS + order, order),
+                deviance + order * math.log(n) - (tried[0].bic if tried else 0.0),
+                math.sqrt(power / whole),
+                ljung_box(normal, follows, _LAGS + order, order),
             )
         )
     first = tried[0]
@@ -115,3 +113,8 @@ def _log_sds(partial: Array, follows: Flags) -> Array:
     begins = np.concatenate([[0], np.flatnonzero(~follows) + 1])
     lengths = np.diff(np.append(begins, follows.size + 1))
     return np.concatenate([heads[: min(k, partial.size)] for k in lengths.tolist()] or [heads[:0]])
+
+
+def _size(parts: Sequence[Array]) -> float:
+    """Root mean square of all parts together."""
+    return math.sqrt(sum(float(p @ p) for p in parts) / sum(p.size for p in parts))

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 from scipy.special import gammaln, polygamma
@@ -127,25 +128,9 @@ class Autoregressive:
             squares = moments.lagged[..., 0, 0]
             total = squares / sigma**2 + counts * (2.0 * np.log(sigma) + _LOG_2PI)
             return np.asarray(-0.5 * total.sum(axis=1))
-        n, r = sigma.shape
-        partial = scales[..., 1:].reshape(n * r, p)
-        known = predictors(partial)
-        left = variances(partial).reshape(n, r, p + 1)
-        # (1, -phi_1, .., -phi_p) against residuals now and before
-        whole = _errors(known[p]).reshape(n, r, p + 1)
-        squares = np.einsum("nrj,nrjk,nrk->nr", whole, moments.lagged, whole)
-        logs = np.zeros((n, r))
-        outputs = counts.astype(np.float64)
-        for length, head in enumerate(moments.heads, start=1):
-            for k in range(length):
-                # the head's residuals are in time: the predictor's newest comes last
-                part = _errors(known[k])[:, ::-1].reshape(n, r, k + 1)
-                inner = head[..., : k + 1, : k + 1]
-                squares += np.einsum("nrj,nrjk,nrk->nr", part, inner, part) / left[..., k]
-                logs += head_counts[:, length - 1] * np.log(left[..., k])
-            outputs = outputs + length * head_counts[:, length - 1]
-        total = squares / sigma**2 + outputs * (2.0 * np.log(sigma) + _LOG_2PI) + logs
-        return np.asarray(-0.5 * total.sum(axis=1))
+        return _log_density(
+            moments.lagged, moments.heads, counts, head_counts, np.ascontiguousarray(scales)
+        )
 
     def standard(self, residual: Array, follows: Flags, scales: Array) -> tuple[Array, Array]:
         """See :class:`ResidualNoise`."""
@@ -262,6 +247,55 @@ class StudentT:
         return np.array([[sigma, 10.0], [0.5 * sigma, 3.0]])
 
 
-def _errors(coefficients: Array) -> Array:
-    """Coefficients of what a predictor leaves, ``(n, k)`` to ``(n, k + 1)``."""
-    return np.concatenate([np.ones((coefficients.shape[0], 1)), -coefficients], axis=1)
+@njit(cache=True)
+def _form(coefficients: Array, k: int, products: Array, reverse: bool) -> float:
+    """Sum of squares of what a predictor from ``k`` predecessors leaves."""
+    total = 0.0
+    for i in range(k + 1):
+        for j in range(k + 1):
+            # the newest residual has the coefficient one
+            a = 1.0 if i == 0 else -coefficients[i - 1]
+            b = 1.0 if j == 0 else -coefficients[j - 1]
+            total += a * b * (products[k - i, k - j] if reverse else products[i, j])
+    return total
+
+
+@njit(cache=True)
+def _log_density(
+    lagged: Array,
+    heads: tuple[Array, ...],
+    counts: NDArray[np.int64],
+    head_counts: NDArray[np.int64],
+    scales: Array,
+) -> Array:
+    """Exact density of autoregressive residuals, run by run: heads first, then the rest."""
+    n, recordings, p = scales.shape[0], scales.shape[1], scales.shape[2] - 1
+    out = np.zeros(n)
+    coefficients, before = np.zeros(p), np.zeros(p)
+    for v in range(n):
+        for r in range(recordings):
+            sigma, partial = scales[v, r, 0], scales[v, r, 1:]
+            squares, logs, outputs = 0.0, 0.0, float(counts[r])
+            # variance that no predecessor leaves, in the innovations'
+            left = 1.0
+            for k in range(p):
+                left /= 1.0 - partial[k] * partial[k]
+            for k in range(p):
+                for length in range(k + 1, p + 1):
+                    # the heads' residuals are in time
+                    head = heads[length - 1][v, r]
+                    squares += _form(coefficients, k, head, True) / left
+                    logs += head_counts[r, length - 1] * math.log(left)
+                    outputs += head_counts[r, length - 1]
+                # Durbin and Levinson: one predecessor more
+                for i in range(k):
+                    before[i] = coefficients[i]
+                for i in range(k):
+                    coefficients[i] = before[i] - partial[k] * before[k - 1 - i]
+                coefficients[k] = partial[k]
+                left *= 1.0 - partial[k] * partial[k]
+            squares += _form(coefficients, p, lagged[v, r], False)
+            out[v] -= 0.5 * (
+                squares / sigma**2 + logs + outputs * (2.0 * math.log(sigma) + _LOG_2PI)
+            )
+    return out

@@ -95,7 +95,7 @@ def moments_of(residual, follows, p):
     return made, np.array([counts]), head_counts[None]
 
 
-@settings(max_examples=60)
+@settings(max_examples=60, deadline=None)
 @given(
     partials,
     st.lists(st.integers(1, 7), min_size=1, max_size=4).filter(lambda x: sum(x) > 1),

@@ -10,11 +10,13 @@ from hypothesis import strategies as st
 from bayesfric.inference.coordinates import (
     GEARBOX_FORM,
     BoundedCoordinates,
+    SingleLossCoordinates,
     TorqueFormCoordinates,
     choose_coordinates,
 )
 from bayesfric.inference.priors import read_prior
 from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.options import ElementOptions, MechanismOptions
 from bayesfric.mechanism.presets import PRESETS
 
 INF = math.inf
@@ -56,6 +58,28 @@ def test_the_torque_forms_jacobian():
     for u in coordinates.from_parameters(knee_rows(20, seed=1)):
         closed = coordinates.to_parameters(u[None])[1][0]
         assert closed == pytest.approx(numeric_log_determinant(coordinates, u), abs=1e-5)
+
+
+def test_one_loss_round_trips_and_its_jacobian_is_right():
+    coordinates = SingleLossCoordinates(50.0, 9.80665)
+    rows = np.delete(knee_rows(50, seed=2), 5, axis=1)
+    u = coordinates.from_parameters(rows)
+    back, jacobian = coordinates.to_parameters(u)
+    np.testing.assert_allclose(back, rows, rtol=1e-9)
+    for place, closed in zip(u[:10], jacobian[:10], strict=True):
+        assert closed == pytest.approx(numeric_log_determinant(coordinates, place), abs=1e-5)
+    u[:, 9] = -u[:, 9]  # a loss that gains
+    assert np.isneginf(coordinates.to_parameters(u)[1]).all()
+
+
+def test_one_loss_is_chosen_where_it_holds():
+    chain = MechanismOptions(
+        preset="rabbit-knee", elements={"gearbox": ElementOptions(load_loss="one")}
+    ).chain()
+    priors = {
+        p.name: read_prior(p.name, [0.0, 9.0], lower=0.0, upper=INF) for p in chain.parameters
+    }
+    assert isinstance(choose_coordinates(chain, priors), SingleLossCoordinates)
 
 
 def test_the_scale_coordinate_leaves_the_torque_alone_and_fills_the_passive_interval():

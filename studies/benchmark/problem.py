@@ -1,0 +1,213 @@
+"""The one posterior that every sampler of the benchmark draws from.
+
+A **simulated** knee of Rabbit, Table 3 of the 2005 IFAC paper: 1 Hz square torque of 0.8 N m plus
+a multisine, behind a 5 ms current loop, 1 kHz. (With the square alone emcee accepted 1.4 % of its
+steps in a trial, with the multisine 6 %: this was chosen for the rivals.) Position, speed and
+acceleration are the simulation's own, and the measured torque is the true one plus white normal
+noise of 0.02 N m. So the likelihood is exactly right: this measures samplers, not filters. Samples
+at which the joint stands still are left out, because no inverse model knows what static friction
+takes.
+
+Eleven parameters of the joint and the noise scale are free. Each has a log-normal prior, sd 1 of
+its logarithm, around a value that is off Table 3 by up to 50 %; ``gearbox.load_back`` stays below
+1, as in a gearbox that the leg can turn. In the logarithms, in which the rivals sample, these
+priors are normal with sd 1: as kind to them as a prior can be.
+
+``python studies/benchmark/problem.py problem.npz`` writes what the rivals read.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.inference.fit import make_target
+from bayesfric.inference.priors import Prior, read_prior
+from bayesfric.inference.start import climb, gauss_newton
+from bayesfric.inference.target import Target
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.experiment import Simulation, record
+from bayesfric.mechanism.presets import PRESETS
+from bayesfric.recordings.filters import ParallelFilter
+from bayesfric.recordings.observation import Observation
+
+Array = NDArray[np.float64]
+
+SAMPLES = 10_000
+RATE = 1000.0  # Hz
+TORQUE_NOISE = 0.02  # N m
+SEED = 2005
+PRIOR_SD = 1.0  # of the natural logarithm
+# Set by hand, each beside its value in Table 3 (for the noise: 0.02 N m), not on it.
+PRIOR_MEDIANS = {
+    "motor.inertia": 2.6e-4,
+    "motor.viscous": 5.0e-3,
+    "motor.coulomb_positive": 0.11,
+    "motor.coulomb_negative": 0.080,
+    "gearbox.load_drive": 0.25,
+    "gearbox.load_back": 0.40,
+    "joint.viscous": 2.5,
+    "joint.coulomb_positive": 4.0,
+    "joint.coulomb_negative": 6.5,
+    "load.inertia": 0.30,
+    "load.first_moment": 0.55,
+    "noise.sigma": 0.03,
+}
+# A gearbox that the leg can turn loses less than what it is handed: mu_2 < 1.
+PRIOR_UPPER = {"gearbox.load_back": 1.0}
+N_STARTS = 1024
+N_REFERENCES = 12
+
+
+def knee() -> Chain:
+    """Build the joint."""
+    return PRESETS["rabbit-knee"].chain()
+
+
+def truth() -> dict[str, float]:
+    """Give the true values, noise scale included."""
+    return {**PRESETS["rabbit-knee"].values, "noise.sigma": TORQUE_NOISE}
+
+
+def priors() -> dict[str, Prior]:
+    """Read the priors of all twelve."""
+    return {
+        name: read_prior(
+            name,
+            {"distribution": "lognorm", "s": PRIOR_SD, "scale": median},
+            lower=0.0,
+            upper=PRIOR_UPPER.get(name, float("inf")),
+        )
+        for name, median in PRIOR_MEDIANS.items()
+    }
+
+
+def observation(n_samples: int = SAMPLES, seed: int = SEED) -> Observation:
+    """Simulate the recording and keep the first ``n_samples`` at which the joint moves."""
+    simulation = Simulation(
+        duration=1.05 * n_samples / RATE + 0.1,
+        rate=RATE,
+        excitation="square-multisine",
+        amplitude=0.8,
+        frequency=1.0,
+        lag=0.005,
+        encoder_counts=0,
+        torque_noise=TORQUE_NOISE,
+        seed=seed,
+    )
+    columns, motion, _ = record(knee(), simulation)
+    moving = np.flatnonzero(motion.qd != 0.0)[:n_samples]
+    if moving.size < n_samples:
+        raise RuntimeError(f"the joint moves at {moving.size} samples only, not {n_samples}")
+    torque = columns["torque"][moving]
+    return Observation(
+        name="simulated knee",
+        q=motion.q[moving],
+        qd=motion.qd[moving],
+        qdd=motion.qdd[moving],
+        torque=torque,
+        # no filter: every sample is an output
+        filter=ParallelFilter(np.ones(1), np.arange(n_samples, dtype=np.int64)),
+        time=motion.time[moving],
+        measured=torque,
+        speed=motion.qd[moving],
+        period=1.0 / RATE,
+        segment_of=np.cumsum(np.diff(moving, prepend=moving[0] - 1) > 1).astype(np.int64),
+        added_mass=0.0,
+        radius=0.0,
+        steps=("simulated motion as it was, torque with white noise, no filter",),
+        warnings=(),
+        settings={"sampling_rate": RATE, "n_outputs": n_samples},
+    )
+
+
+def target(n_samples: int = SAMPLES, seed: int = SEED) -> Target:
+    """Make the posterior as ``bayesfric`` samples it.
+
+    Parameters
+    ----------
+    n_samples
+        Of the recording.
+    seed
+        Of its noise.
+    """
+    return make_target(knee(), [observation(n_samples, seed)], priors(), "shared")
+
+
+def log_density_of_logarithms(target: Target, logarithms: Array) -> Array:
+    """Log posterior density of the logarithms of all parameters, ``(n, 12)`` to ``(n,)``."""
+    parameters = np.exp(logarithms)
+    density = target.log_prior(parameters) + target.log_likelihood(parameters)
+    return density + logarithms.sum(axis=1)
+
+
+def starts(target: Target, n: int, rng: np.random.Generator) -> Array:
+    """Draw starts close to the posterior, as logarithms ``(n, 12)``.
+
+    From a Laplace approximation in the coordinates of ``bayesfric``. Rivals start there, so none
+    of them has to find the posterior first.
+    """
+    true = np.array([[truth()[name] for name in target.names]])
+    mode = climb(target, target.from_parameters(true), climbs=1)
+    drawn = np.stack([prior.draw(500, rng) for prior in target.priors], axis=1)
+    laplace = gauss_newton(target, mode, target.from_parameters(drawn))
+    coordinates = laplace.draw(n, target, rng, spread=1.0)
+    return np.log(target.to_parameters(coordinates)[0])
+
+
+def write(path: Path, n_samples: int = SAMPLES, seed: int = SEED) -> Target:
+    """Write the problem for the rivals, and give the target it was made from.
+
+    The file holds, for names in the order of ``names``:
+
+    ``q, qd, qdd, torque``
+        ``(N,)`` joint motion (rad, s) and measured motor torque (N m).
+    ``prior``
+        JSON: ``median``, ``sd`` of the logarithm and ``upper`` of each parameter, in order.
+    ``ratio, gravity``
+        Known constants of the joint.
+    ``starts``
+        ``(1024, 12)`` logarithms close to the posterior.
+    ``reference_logarithms, reference_log_density``
+        ``(12, 12)`` and ``(12,)``: what ``bayesfric`` computes, half of them close to the
+        posterior and half far out. A constant may be added.
+    """
+    posterior = target(n_samples, seed)
+    chain, recording = posterior.likelihood.chain, posterior.likelihood.observations[0]
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
+    near = starts(posterior, N_STARTS, rng)
+    true = np.log([truth()[name] for name in posterior.names])
+    far = true + 0.3 * rng.standard_normal((N_REFERENCES // 2, true.size))
+    references = np.concatenate([near[: N_REFERENCES - far.shape[0]], far])
+    table = [
+        {
+            "name": name,
+            "median": PRIOR_MEDIANS[name],
+            "sd": PRIOR_SD,
+            "upper": PRIOR_UPPER.get(name),
+        }
+        for name in posterior.names
+    ]
+    np.savez(
+        path,
+        names=np.array(posterior.names),
+        q=recording.q,
+        qd=recording.qd,
+        qdd=recording.qdd,
+        torque=recording.measured,
+        prior=json.dumps(table),
+        ratio=chain.ratio,
+        gravity=chain.load.gravity,
+        starts=near,
+        reference_logarithms=references,
+        reference_log_density=log_density_of_logarithms(posterior, references),
+    )
+    return posterior
+
+
+if __name__ == "__main__":
+    write(Path(sys.argv[1]))

@@ -1,0 +1,93 @@
+"""Every experiment that ``identify --advise`` ranks, made (SIMULATED) and sampled."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayesfric.commands.advise import advice
+from bayesfric.commands.problem import read_problem
+from bayesfric.config import Config, parse_config, read_config
+from bayesfric.inference.fit import fit
+from bayesfric.mechanism.derived import derive
+from bayesfric.mechanism.experiment import Simulation
+from bayesfric.mechanism.presets import PRESETS
+
+# Far enough for the sd of an sd to be 1 %.
+ESS = 5000.0
+RECORDING = """
+[[recordings]]
+file = "{file}"
+name = "added"
+time = {{ column = "time", unit = "s" }}
+position = {{ column = "position", unit = "rad", side = "motor" }}
+torque = {{ column = "torque", unit = "N m" }}
+"""
+MASS = 'added_mass = "{mass} kg"\nradius = "{radius} m"\n'
+
+
+def experiments(path: Path, name: str, folder: Path) -> dict[str, Any]:
+    """Rank the next recordings for one quantity, then make and sample each with the present one.
+
+    Parameters
+    ----------
+    path
+        Configuration of the present recording, simulated from Table 3.
+    name
+        A derived quantity that should be known better.
+    folder
+        For the recordings.
+    """
+    config = read_config(path)
+    problem = read_problem(config)
+    found = advice(problem, name)
+    truth = PRESETS["rabbit-knee"].values
+    bench = Simulation(encoder_counts=8192, encoder_side="motor", torque_noise=0.02)
+    rows = []
+    for number, one in enumerate(found.advices, start=1):
+        columns = one.recording(problem.chain, problem.chain.vector(truth), bench, 100 + number)
+        file = folder / f"{number}.csv"
+        np.savetxt(
+            file,
+            np.stack(list(columns.values()), axis=1),
+            delimiter=",",
+            header=",".join(columns),
+            comments="",
+            fmt="%.10g",
+        )
+        sd, status = _sampled(config, file, one.candidate, name)
+        rows.append(
+            {
+                "rank": number,
+                "form": one.candidate.form,
+                "amplitude": one.candidate.amplitude,
+                "added_mass": one.candidate.added_mass,
+                "radius": one.candidate.radius,
+                "predicted": one.after.sd,
+                "sampled": sd,
+                "status": status,
+                "back_driven": {k: v[0] for k, v in one.back_driven.items()},
+            }
+        )
+        print(f"  {number:2d} {rows[-1]['form']} predicted {one.after.sd:.5f} sampled {sd:.5f}")
+    best = min(row["sampled"] for row in rows)
+    return {
+        "quantity": name,
+        "candidates": rows,
+        "chosen_over_best": rows[0]["sampled"] / best,
+    }
+
+
+def _sampled(config: Config, file: Path, candidate: Any, name: str) -> tuple[float, str]:
+    """Sample the present recording together with a new one; sd of the quantity."""
+    added = RECORDING.format(file=file.as_posix())
+    if candidate.added_mass:
+        added += MASS.format(mass=candidate.added_mass, radius=candidate.radius)
+    text = config.text.replace("\n[sampling]", added + "\n[sampling]")
+    problem = read_problem(parse_config(text, config.path))
+    settings = problem.config.tables.sampling.model_copy(update={"min_ess": ESS})
+    result = fit(problem.target(), settings)
+    values = {q.name: q.values for q in derive(result.chain, result.chain_draws(), 1.0)}
+    return float(values[name].std()), result.posterior.diagnostics.status

@@ -1,0 +1,153 @@
+"""The scaling that no torque tells: shown, bounded, lifted, on SIMULATED recordings.
+
+``python studies/scaling/study.py`` samples every configuration of this folder, compares the
+standard deviations predicted before sampling with those sampled, samples every experiment
+that ``identify --advise`` ranks, writes ``result.json`` and draws ``figures/scaling``.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from experiments import experiments
+
+from bayesfric.commands.identify import identification
+from bayesfric.commands.problem import read_problem
+from bayesfric.config import read_config
+from bayesfric.inference.fit import Fit, fit
+from bayesfric.mechanism.derived import derive
+from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.scaling import scalings
+from bayesfric.report.profile import profile_figure
+from bayesfric.report.ridge import ridge, ridge_figure
+from bayesfric.report.style import save
+from bayesfric.report.summary import summarise
+from figures import interval_figure, lifted_figure
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+# In the order in which the table tells the story.
+CASES = {
+    "alone": "one recording, default priors",
+    "flat": "one recording, flat wide priors",
+    "datasheet-inertia": "rotor inertia from a data sheet, 2 %",
+    "common-mu": "one mu for both directions (a wrong model here)",
+    "datasheet-mu": "mu_1 from a data sheet, 10 %",
+    "cad-moment": "first moment ml from CAD, 2.5 %",
+    "known-mass": "second recording with 2 kg at 0.35 m",
+}
+SHOWN = ("gearbox.alpha_drive", "gearbox.alpha_back", "load.first_moment", "load.inertia")
+PREDICTED = ("known-mass", "cad-moment", "common-mu")
+TRUTH = dict(PRESETS["rabbit-knee"].values)
+
+
+def truths(chain: Any) -> dict[str, float]:
+    """List true parameters and derived quantities."""
+    values = chain.vector({n: TRUTH[n] for n in chain.names})
+    return {**TRUTH, **{q.name: float(q.values[0]) for q in derive(chain, values[None], 1.0)}}
+
+
+def sampled(path: Path) -> tuple[Fit, dict[str, Any]]:
+    """Sample a configuration as ``bayesfric fit`` does, without its point estimates."""
+    problem = read_problem(read_config(path))
+    found = fit(problem.target(), problem.config.tables.sampling)
+    return found, summarise(found)
+
+
+def places(found: Fit) -> tuple[np.ndarray, float]:
+    """Say where in the interval that dissipativity gives the scale lies, for every draw.
+
+    Returns places, 0 at alpha_2 = 1 and 1 at alpha_1 = 1, and the share of draws outside.
+    """
+    scaling = scalings(found.chain)[0]
+    draws = found.chain_draws()
+    bounds = np.array([scaling.bounds(v) for v in draws])
+    low, high = np.log(np.maximum(bounds, 1e-12)).T
+    return -low / (high - low), float(np.mean((low > 0.0) | (high < 0.0)))
+
+
+def row_of(summary: dict[str, Any], name: str) -> dict[str, Any] | None:
+    """One quantity of a summary; ``None`` where the model has no such thing."""
+    found = summary["parameters"].get(name) or summary["derived"].get(name)
+    if found is None:
+        return None
+    return {key: found.get(key) for key in ("median", "sd", "interval", "verdict")}
+
+
+def predicted(path: Path, summary: dict[str, Any]) -> dict[str, Any]:
+    """Put standard deviations foretold by ``identify`` beside the sampled ones."""
+    found = identification(read_problem(read_config(path)))
+    rows = {}
+    for one in found.parameters:
+        sampled_row = summary["parameters"][one.name]
+        rows[one.name] = {
+            "predicted": one.expected_sd,
+            "sampled": sampled_row["sd"],
+            "ratio": one.expected_sd / sampled_row["sd"],
+            "verdict": sampled_row["verdict"],
+            "on_bound": one.on_bound,
+        }
+    return {"null_directions": sum(d.null for d in found.directions), "parameters": rows}
+
+
+def main() -> None:
+    figures = ROOT / "figures" / "scaling"
+    figures.mkdir(parents=True, exist_ok=True)
+    result: dict[str, Any] = {"simulated": True, "cases": {}, "predicted": {}}
+    shown: dict[str, dict[str, Any]] = {}
+    scale: dict[str, np.ndarray] = {}
+    for case, what in CASES.items():
+        path = HERE / f"{case}.toml"
+        found, summary = sampled(path)
+        rows = {name: row_of(summary, name) for name in SHOWN}
+        result["cases"][case] = {
+            "what": what,
+            "status": summary["sampler"]["status"],
+            "null_directions": len(summary["identifiability"]["null_directions"]),
+            "rows": rows,
+        }
+        shown[case] = rows
+        print(case, summary["sampler"]["status"], {n: r and r["verdict"] for n, r in rows.items()})
+        if scalings(found.chain):
+            scale[case], outside = places(found)
+            quantiles = np.quantile(scale[case], [0.0, 0.05, 0.5, 0.95, 1.0])
+            result["cases"][case]["place_of_scale"] = {
+                "quantiles_0_5_50_95_100": quantiles.tolist(),
+                "outside": outside,
+            }
+        if case == "alone":
+            along = ridge(found)
+            figure = ridge_figure(found)
+            assert along is not None
+            assert figure is not None
+            result["torque_along_the_ridge_changes_by"] = max(along.differences)
+            save(figure, figures, "ridge")
+            save(profile_figure(found), figures, "profile")
+        if case == "known-mass":
+            figure = ridge_figure(found)
+            assert figure is not None
+            save(figure, figures, "ridge-known-mass")
+        if case in PREDICTED:
+            result["predicted"][case] = predicted(path, summary)
+    truth = truths(PRESETS["rabbit-knee"].chain())
+    save(
+        interval_figure({c: scale[c] for c in ("flat", "cad-moment", "known-mass")}),
+        figures,
+        "interval",
+    )
+    save(lifted_figure(CASES, shown, truth, SHOWN[:3]), figures, "lifted")
+    if "--no-advice" not in sys.argv:
+        runs = ROOT / "studies-runs" / "advice"
+        shutil.rmtree(runs, ignore_errors=True)
+        runs.mkdir(parents=True)
+        result["advice"] = experiments(HERE / "alone.toml", "gearbox.alpha_drive", runs)
+    (HERE / "result.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

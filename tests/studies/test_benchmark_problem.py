@@ -1,0 +1,132 @@
+"""The benchmark's posterior is the same for bayesfric, for the rivals, and by hand."""
+
+import importlib.util
+import json
+import math
+import sys
+
+import numpy as np
+import pytest
+
+from tests.conftest import REPOSITORY
+
+FOLDER = REPOSITORY / "studies" / "benchmark"
+N = 3000
+
+
+def load(path):
+    name = f"benchmark_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return load(FOLDER / "problem.py")
+
+
+@pytest.fixture(scope="module")
+def written(problem, tmp_path_factory):
+    path = tmp_path_factory.mktemp("benchmark") / "problem.npz"
+    return path, problem.write(path, n_samples=N)
+
+
+def by_hand(file, x):
+    """Log density of logarithms from eqs. (3) to (9), element by element, up to a constant."""
+    jm, fm, cm1, cm2, mu1, mu2, fc, cc1, cc2, jc, ml, sigma = np.exp(x)
+    n, g = float(file["ratio"]), float(file["gravity"])
+    total = 0.0
+    for q, qd, qdd, measured in zip(
+        file["q"], file["qd"], file["qdd"], file["torque"], strict=True
+    ):
+        load = jc * qdd + g * ml * math.sin(q)
+        joint = load + (cc1 if qd > 0 else -cc2) + fc * qd
+        alpha = 1.0 / (1.0 + mu1) if joint * qd > 0 else 1.0 / (1.0 - mu2)
+        motor = jm * n * qdd + (cm1 if qd > 0 else -cm2) + fm * n * qd + joint / (alpha * n)
+        total -= 0.5 * ((measured - motor) / sigma) ** 2 + math.log(sigma)
+    for value, row in zip(x, json.loads(str(file["prior"])), strict=True):
+        # log-normal density times the Jacobian of the logarithm: normal in the logarithm
+        total -= 0.5 * ((value - math.log(row["median"])) / row["sd"]) ** 2
+    return total
+
+
+def test_stored_densities_follow_from_the_equations(written):
+    path, _ = written
+    with np.load(path) as file:
+        found = np.array([by_hand(file, x) for x in file["reference_logarithms"]])
+        wanted = file["reference_log_density"]
+    top = int(np.argmax(wanted))
+    difference = np.abs((found - found[top]) - (wanted - wanted[top]))
+    # sums of 3000 terms in another order; relative where the density is far below its top
+    assert np.all(difference < 1e-8 * np.maximum(1.0, wanted[top] - wanted))
+
+
+def test_the_rivals_densities_are_the_same_posterior(written):
+    path, _ = written
+    rivals = load(FOLDER / "rivals" / "posterior.py").read(path)
+    assert rivals.check(rivals.log_density) < 1e-8
+    assert rivals.check(lambda x: rivals.log_density_many(x[None])[0]) < 1e-8
+    with pytest.raises(AssertionError, match="not the same posterior"):
+        rivals.check(lambda x: rivals.log_density(x) + 1e-3 * x[0])
+
+
+def test_beyond_the_bound_nobody_finds_probability(written, problem):
+    path, target = written
+    rivals = load(FOLDER / "rivals" / "posterior.py").read(path)
+    x = rivals.starts[:1].copy()
+    x[0, problem.knee().names.index("gearbox.load_back")] = 1e-9
+    assert rivals.log_density(x[0]) == -np.inf
+    assert rivals.log_density_many(x)[0] == -np.inf
+    assert target.log_prior(np.exp(x))[0] == -np.inf
+
+
+def test_the_recording_is_the_true_model_with_white_noise(problem):
+    o = problem.observation(N)
+    assert o.measured.shape == o.q.shape == (N,)
+    assert np.all(o.qd != 0.0)
+    values = problem.knee().vector(
+        {name: value for name, value in problem.truth().items() if name != "noise.sigma"}
+    )
+    likelihood = problem.target(N).likelihood
+    residual = o.measured - likelihood.predict(values[None])[0][0]
+    # N normal numbers: four standard errors of sd, mean and lag-1 correlation
+    assert residual.std() == pytest.approx(problem.TORQUE_NOISE, rel=4 / math.sqrt(2 * N))
+    assert abs(residual.mean()) < 4 * problem.TORQUE_NOISE / math.sqrt(N)
+    assert abs(np.corrcoef(residual[1:], residual[:-1])[0, 1]) < 4 / math.sqrt(N)
+
+
+def test_eleven_parameters_and_the_noise_scale_are_free(problem):
+    target = problem.target(N)
+    assert len(target.free) == 11
+    assert target.names == tuple(problem.PRIOR_MEDIANS) == tuple(problem.truth())
+    for name, value in problem.truth().items():
+        assert abs(math.log(value / problem.PRIOR_MEDIANS[name])) < 0.6
+
+
+def test_same_seed_same_problem(problem, written, tmp_path):
+    path, _ = written
+    problem.write(tmp_path / "again.npz", n_samples=N)
+    with np.load(path) as first, np.load(tmp_path / "again.npz") as second:
+        assert set(first.files) == set(second.files)
+        for name in first.files:
+            np.testing.assert_array_equal(first[name], second[name])
+
+
+def test_a_rival_runs_and_reports(written):
+    """Plain emcee is also in this environment; a second of it shows the way there and back."""
+    runner = load(FOLDER / "run_rivals.py")
+    path, target = written
+    budget = {"emcee_plain": runner.Budget(1.0, 0.2), "no_such_rival": runner.Budget(1.0, 1.0)}
+    found = runner.run_rivals(path, sys.executable, budget)
+    assert "failed" in found["no_such_rival"]
+    row = found["emcee_plain"]
+    assert set(row["parameters"]) == set(target.names)
+    assert row["log_density_difference"] < 1e-8
+    # a second is too short by far, and it says so
+    assert row["settled"] is False
+    assert row["seconds"] >= 1.0
+    same = {name: (p["mean"], p["sd"]) for name, p in row["parameters"].items()}
+    assert runner.disagreement(row, same) == {"mean": 0.0, "sd": 0.0}
