@@ -87,9 +87,7 @@ class Chain:
             found.append(parameter("", "offset", self.motor_motion, ""))
         for number, recording in enumerate(self.own_offsets, start=1):
             one = parameter("", "offset", self.motor_motion, "")
-            found.append(
-                replace(one, name=f"offset.{recording}", symbol=rf"\Gamma_{{0,{number}}}")
-            )
+            found.append(replace(one, name=f"offset.{recording}", symbol=rf"\Gamma_{{0,{number}}}"))
         if self.gain:
             found.append(parameter("drive", "gain", self.motor_motion, ""))
         return tuple(found)

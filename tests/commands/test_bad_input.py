@@ -205,7 +205,12 @@ def test_file(bench, file, parts):
         ("date", "seed = 1", "block = 2020-01-01", ["block: got '2020-01-01'; give a whole"]),
         ("noise", '"shared"', '"share"', ["noise.scale: got 'share'; did you mean 'shared'?"]),
         ("sign", '"rad"', '"rad", sign = 2', [".sign: got 2; give 1 or -1"]),
-        ("bool", "preset", 'offset = "no"\npreset', ["offset: got 'no'; give true, false or 'per-recording'"]),
+        (
+            "bool",
+            "preset",
+            'offset = "no"\npreset',
+            ["offset: got 'no'; give true, false or 'per-recording'"],
+        ),
         (
             "gear",
             "preset",
