@@ -49,9 +49,9 @@ class TorqueForm:
     names1, names2
         Columns of ``psi`` that ``Theta1`` and ``Theta2`` multiply: ``inertia``,
         ``viscous``, ``quadratic``, ``coulomb`` (the sign of speed), ``difference`` (one
-        while moving), ``offset`` (one; ``offset.<recording>`` in that one), ``gravity``, ``gravity_cosine``, ``added_load``
-        (torque of the known mass at the motor, whose coefficients are lambda_1 and
-        lambda_2). All in motor units, as the paper's.
+        while moving), ``offset`` (one; ``offset.<recording>`` in that one), ``gravity``,
+        ``gravity_cosine``, ``added_load`` (torque of the known mass at the motor, whose
+        coefficients are lambda_1 and lambda_2). All in motor units, as the paper's.
     front, behind
         Parameters in each column, up to the gearbox and behind it.
     loss
