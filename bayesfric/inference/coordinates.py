@@ -20,6 +20,8 @@ from bayesfric.mechanism.chain import Chain
 
 Array = NDArray[np.float64]
 
+# A prior with a sd below this share of its mean tells its parameter.
+_TELLING = 0.3
 # Between two bounds, a posterior wider than this share of them feels both.
 _WIDE = 0.1
 
@@ -157,15 +159,22 @@ class TorqueFormCoordinates:
     first_moment
         ``ml`` in kg m where it is known: it fixes the scale, ``lambda_2 = theta10 N/(g ml)``,
         and there is no eleventh coordinate.
+    told
+        ``load.first_moment`` or ``gearbox.load_drive`` where a prior tells it well: then its
+        logarithm (that of ``1 + mu_1``) is the eleventh coordinate, in which such a posterior
+        is straight, while its place between the bounds would be a bent ridge.
     """
 
-    def __init__(self, ratio: float, gravity: float, first_moment: float | None = None) -> None:
-        self.first_moment = first_moment
-        self.description = "Theta1 and Theta2 of eq. (13)" + (
-            ", and the alpha/leg scale between the bounds that a passive gearbox sets"
-            if first_moment is None
-            else ", the scale known from load.first_moment"
-        )
+    def __init__(
+        self, ratio: float, gravity: float, first_moment: float | None = None, told: str = ""
+    ) -> None:
+        self.first_moment, self.told = first_moment, told
+        scale = "the alpha/leg scale between the bounds that a passive gearbox sets"
+        if first_moment is not None:
+            scale = "the scale known from load.first_moment"
+        elif told:
+            scale = f"the scale by {told}, which its prior tells"
+        self.description = f"Theta1 and Theta2 of eq. (13), and {scale}"
         n = ratio
         # what each leg parameter is worth at the motor: inertia, viscous, C1, C2, gravity
         self._to_motor = np.array([1.0 / n**2, 1.0 / n**2, 1.0 / n, 1.0 / n, gravity / n])
@@ -213,6 +222,9 @@ class TorqueFormCoordinates:
         u[:, :4] += parameters[:, self._order_motor]
         if self.first_moment is not None:
             return u[:, :10]
+        if self.told:
+            u[:, 10] = np.log(parameters[:, 10] if self.told == "load.first_moment" else drive)
+            return u
         rho = lambda1 / lambda2
         low, high = -np.log(rho + 1.0), -np.log(rho - 1.0)
         u[:, 10] = logit((np.log(lambda2) - low) / (high - low))
@@ -225,6 +237,11 @@ class TorqueFormCoordinates:
             log_moment = math.log(self.first_moment)
             log_lambda2 = np.log(u[:, 9] / self._to_motor[4]) - log_moment
             return log_lambda2, np.full(u.shape[0], -log_moment)
+        none = np.zeros(u.shape[0])
+        if self.told == "load.first_moment":
+            return np.log(u[:, 9] / self._to_motor[4]) - u[:, 10], none
+        if self.told:
+            return u[:, 10] - np.log(rho + 1.0), none
         low, high = -np.log(rho + 1.0), -np.log(rho - 1.0)
         place = u[:, 10]
         log_slope = np.log(high - low) + log_expit(place) + log_expit(-place)
@@ -287,6 +304,11 @@ class SingleLossCoordinates:
         return u
 
 
+def _tells(prior: Prior) -> bool:
+    """Whether a prior says more of its parameter than its order of magnitude."""
+    return prior.sd() < _TELLING * prior.mean()
+
+
 def choose_coordinates(
     chain: Chain, priors: Mapping[str, Prior], widths: Array | None = None
 ) -> Coordinates:
@@ -309,7 +331,10 @@ def choose_coordinates(
     )
     if plain_gearbox and tuple(chain.names) == GEARBOX_FORM and reversible:
         if tuple(free) == GEARBOX_FORM:
-            return TorqueFormCoordinates(chain.ratio, chain.load.gravity)
+            told = [n for n in ("load.first_moment", "gearbox.load_drive") if _tells(priors[n])]
+            return TorqueFormCoordinates(
+                chain.ratio, chain.load.gravity, told=told[0] if told else ""
+            )
         if tuple(free) == GEARBOX_FORM[:-1] and first_moment > 0.0:
             return TorqueFormCoordinates(chain.ratio, chain.load.gravity, first_moment)
     if plain_gearbox and tuple(chain.names) == tuple(free) == SINGLE_LOSS_FORM:

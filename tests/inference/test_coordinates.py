@@ -45,16 +45,18 @@ def numeric_log_determinant(coordinates, u):
     return np.linalg.slogdet(jacobian)[1]
 
 
-def test_the_torque_form_round_trips():
-    coordinates = TorqueFormCoordinates(50.0, 9.80665)
+@pytest.mark.parametrize("told", ["", "load.first_moment", "gearbox.load_drive"])
+def test_the_torque_form_round_trips(told):
+    coordinates = TorqueFormCoordinates(50.0, 9.80665, told=told)
     rows = knee_rows(500)
     back, jacobian = coordinates.to_parameters(coordinates.from_parameters(rows))
     np.testing.assert_allclose(back, rows, rtol=1e-9)
     assert np.isfinite(jacobian).all()
 
 
-def test_the_torque_forms_jacobian():
-    coordinates = TorqueFormCoordinates(50.0, 9.80665)
+@pytest.mark.parametrize("told", ["", "load.first_moment", "gearbox.load_drive"])
+def test_the_torque_forms_jacobian(told):
+    coordinates = TorqueFormCoordinates(50.0, 9.80665, told=told)
     for u in coordinates.from_parameters(knee_rows(20, seed=1)):
         closed = coordinates.to_parameters(u[None])[1][0]
         assert closed == pytest.approx(numeric_log_determinant(coordinates, u), abs=1e-5)
