@@ -33,7 +33,7 @@ from bayesfric.identifiability.local import LocalInformation, local_information
 from bayesfric.identifiability.options import AdviceOptions
 from bayesfric.identifiability.plausible import Point
 from bayesfric.identifiability.recording_facts import back_driven
-from bayesfric.identifiability.virtual_recording import scaled_jacobian
+from bayesfric.identifiability.virtual_recording import TorqueNoise, scaled_jacobian, torque_noise
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.derived import derive
@@ -270,7 +270,8 @@ def ranking(
                 raise
     limits = limits_of(options, chain, observations, at_estimate)
     base = longest(observations)
-    sigma = _noise(target, first, base)
+    number = next(i for i, o in enumerate(target.likelihood.observations) if o is base)
+    noise = torque_noise(target, first, number)
     vectors = np.stack([one.values for one in there])
     advices, dropped = [], []
     least: dict[tuple[str, float, float], float] = {}
@@ -286,7 +287,7 @@ def ranking(
             continue
         if tried.reason:
             least[same] = tried.candidate.amplitude
-        advices.append(_advice(target, there, tried, sigma))
+        advices.append(_advice(target, there, tried, noise))
     advices.sort(key=lambda one: (one.after.sd, one.after.data_sd))
     now = _averaged([_sds(target, one) for one in there])
     return Ranking(
@@ -372,26 +373,16 @@ def _at(
     return _At(target.chain_values(point.parameters[None])[0], local, rows, prior, gradient)
 
 
-def _noise(target: Target, parameters: Array, base: Observation) -> float:
-    """Noise of one filtered output of torque, N m or N."""
-    scales = target.noise.scales(parameters[None, len(target.free) :])[0]
-    number = next(i for i, o in enumerate(target.likelihood.observations) if o is base)
-    sigma = float(scales[number, 0])
-    if target.likelihood.method == "output-error":  # the noise of a sample, then filtered
-        sigma *= float(np.linalg.norm(base.filter.taps))
-    return sigma
-
-
 def _advice(
     target: Target,
     there: Sequence[_At],
     tried: TriedOut,
-    sigma: float,
+    noise: TorqueNoise,
 ) -> Advice:
     chain = target.likelihood.chain
     sds, shares = [], []
     for one, recording in zip(there, tried.recordings, strict=True):
-        sds.append(_sds(target, one, recording, sigma))
+        sds.append(_sds(target, one, recording, noise))
         shares.append(back_driven(chain, [recording], one.values[None]))
     back = {
         name: (float(x.mean()), float(x.min()), float(x.max()))
@@ -410,7 +401,7 @@ def _advice(
 
 
 def _sds(
-    target: Target, at: _At, added: Observation | None = None, sigma: float = 1.0
+    target: Target, at: _At, added: Observation | None = None, noise: TorqueNoise | None = None
 ) -> tuple[float, float]:
     """Posterior sd and the sd that recordings alone leave, with one more recording or none.
 
@@ -420,11 +411,11 @@ def _sds(
     chain, observations = target.likelihood.chain, list(target.likelihood.observations)
     k = len(target.free)
     rows, known = at.rows, None
-    if added is not None:
+    if added is not None and noise is not None:
         columns = [chain.names.index(name) for name in target.free]
         units = np.zeros(at.values.size)
         units[columns] = at.local.units
-        jacobian = scaled_jacobian(chain, added, at.values, units, sigma)[:, columns]
+        jacobian = scaled_jacobian(chain, added, at.values, units, noise)[:, columns]
         rows = np.concatenate([rows, jacobian])
         fixed = {
             n: float(x) for n, x in zip(chain.names, at.values, strict=True) if n not in target.free

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from bayesfric.estimates.information import directions
 from bayesfric.estimates.torque import filtered_torque
-from bayesfric.identifiability.local import LocalInformation, jacobian_of, units_of
+from bayesfric.identifiability.local import LocalInformation, units_of
+from bayesfric.identifiability.virtual_recording import TorqueNoise, scaled_jacobian, torque_noise
 from bayesfric.inference.target import Target
-from bayesfric.inference.torque_likelihood import TorqueLikelihood
 from bayesfric.mechanism.scaling import scalings
 
 Array = NDArray[np.float64]
@@ -86,16 +86,19 @@ def unknown_mass(target: Target, parameters: Array, local: LocalInformation) -> 
     jacobian, noise = _torque_jacobian(target, parameters)
     values = target.chain_values(parameters[None])
     column = [
-        (
-            filtered_torque(
-                likelihood.chain, replace(o, added_mass=o.added_mass * (1.0 + _STEP)), values
-            )
-            - filtered_torque(
-                likelihood.chain, replace(o, added_mass=o.added_mass * (1.0 - _STEP)), values
-            )
-        )[0]
-        / (2.0 * _STEP * sigma)
-        for o, sigma in zip(observations, noise, strict=True)
+        one.whitened(
+            (
+                filtered_torque(
+                    likelihood.chain, replace(o, added_mass=o.added_mass * (1.0 + _STEP)), values
+                )
+                - filtered_torque(
+                    likelihood.chain, replace(o, added_mass=o.added_mass * (1.0 - _STEP)), values
+                )
+            )[0]
+            / (2.0 * _STEP),
+            o,
+        )
+        for o, one in zip(observations, noise, strict=True)
     ]
     whole = np.column_stack([jacobian, np.concatenate(column)])
     k = len(target.free)
@@ -166,8 +169,8 @@ def speed_term(target: Target, parameters: Array, recordings: Sequence[str]) -> 
     jacobian, noise = _torque_jacobian(target, parameters)
     term = np.concatenate(
         [
-            o.filter.apply(o.qd) / sigma * (o.name in recordings)
-            for o, sigma in zip(observations, noise, strict=True)
+            one.whitened(o.filter.apply(o.qd) * (o.name in recordings), o)
+            for o, one in zip(observations, noise, strict=True)
         ]
     )
     term /= np.linalg.norm(term)
@@ -184,21 +187,16 @@ def speed_term(target: Target, parameters: Array, recordings: Sequence[str]) -> 
     return SpeedTerm(told, same, float(1.0 - rest @ rest))
 
 
-def _torque_jacobian(target: Target, parameters: Array) -> tuple[Array, list[float]]:
+def _torque_jacobian(target: Target, parameters: Array) -> tuple[Array, list[TorqueNoise]]:
     """Jacobian of the torque over its noise, whatever the likelihood is of, and that noise."""
-    k = len(target.free)
-    units, _, _ = units_of(target, parameters[:k])
-    scales = target.noise.scales(parameters[None, k:])[0][:, :1]
-    if target.likelihood.method == "input-error":
-        return jacobian_of(target, parameters, units, scales), scales[:, 0].tolist()
-    likelihood = TorqueLikelihood(target.likelihood.chain, target.likelihood.observations)
-    steps = 1e-6 * units
-    moved = np.tile(parameters, (2 * k, 1))
-    index = np.arange(k)
-    moved[index, index] += steps
-    moved[k + index, index] -= steps
+    likelihood = target.likelihood
+    units = np.zeros(len(likelihood.chain.names))
+    columns = [likelihood.chain.names.index(name) for name in target.free]
+    units[columns], _, _ = units_of(target, parameters[: len(target.free)])
+    values = target.chain_values(parameters[None])[0]
+    noise = [torque_noise(target, parameters, r) for r in range(len(likelihood.observations))]
     blocks = [
-        (one[:k] - one[k:]).T / 2e-6
-        for one in likelihood.standardised(target.chain_values(moved), scales)
+        scaled_jacobian(likelihood.chain, o, values, units, one)[:, columns]
+        for o, one in zip(likelihood.observations, noise, strict=True)
     ]
-    return np.concatenate(blocks), scales[:, 0].tolist()
+    return np.concatenate(blocks), noise

@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.identifiability.local import LocalInformation, jacobian_of, units_of
+from bayesfric.inference.autoregression import burg
 from bayesfric.inference.target import Target
+from bayesfric.inference.torque_likelihood import TorqueLikelihood
 
 Array = NDArray[np.float64]
 Origin = Literal["estimate", "data and prior", "prior"]
@@ -188,9 +190,39 @@ def _possible(target: Target, origin: Origin, values: Array, estimate: Point) ->
     return [Point(origin, parameters)]
 
 
+def _noise_of_residuals(target: Target, likelihood: TorqueLikelihood, values: Array) -> Array:
+    """Memory by Burg's method, and scales from what it leaves."""
+    noise = target.noise
+    chain = target.chain_values(np.concatenate([values, np.ones(len(noise.names))])[None])
+    residuals = [
+        o.measured - p[0]
+        for o, p in zip(likelihood.outputs, likelihood.predict(chain), strict=True)
+    ]
+    runs = [o.follows for o in likelihood.outputs]
+    scales = np.tile(likelihood.noise.starts(1.0)[0], (len(residuals), 1))
+    sizes = np.array([float(np.sqrt(np.mean(r**2))) for r in residuals])
+    order = likelihood.noise.order
+    if order:
+        unit = [r / s if s > 0.0 else r for r, s in zip(residuals, sizes, strict=True)]
+        scales[:, 1:] = burg(unit, runs, order)
+    for r, (residual, follows) in enumerate(zip(residuals, runs, strict=True)):
+        left = likelihood.noise.standard(residual, follows, np.array([1.0, *scales[r, 1:]]))[0]
+        scales[r, 0] = np.sqrt(np.mean(left**2))
+    found = np.empty(len(noise.names))
+    if len(set(noise.places[:, 0].tolist())) == 1:
+        scales[:, 0] = np.sqrt(np.average(scales[:, 0] ** 2, weights=likelihood.sizes))
+    found[noise.places] = scales
+    low = np.array([p.lower for p in noise.priors])
+    high = np.array([p.upper for p in noise.priors])
+    return np.clip(found, np.nextafter(low, np.inf), np.nextafter(high, -np.inf))
+
+
 def _likely_scales(target: Target, values: Array) -> Array:
-    """Noise scales that make the measurements most likely, by a grid that gets finer."""
+    """Noise scales that make the measurements about most likely."""
     noise, likelihood = target.noise, target.likelihood
+    if isinstance(likelihood, TorqueLikelihood):
+        return _noise_of_residuals(target, likelihood, values)
+    # torque and position noise: a grid that gets finer
     kinds = tuple(dict.fromkeys(noise.quantities))
     sets = len(noise.names) // len(kinds)
     chain = target.chain_values(np.concatenate([values, np.ones(len(noise.names))])[None])

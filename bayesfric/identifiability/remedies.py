@@ -15,6 +15,7 @@ from bayesfric.identifiability.virtual_recording import (
     known_mass,
     pace,
     torque_information,
+    torque_noise,
     with_mass,
     with_torque,
 )
@@ -122,10 +123,7 @@ def trials(
     values = target.chain_values(parameters[None])[0]
     longest = max(range(len(observations)), key=lambda r: facts[r].outputs)
     base = observations[longest]
-    scales = target.noise.scales(parameters[None, len(target.free) :])[0]
-    sigma = float(scales[longest, 0])
-    if target.likelihood.method == "output-error":  # the noise of a sample, then filtered
-        sigma *= float(np.linalg.norm(base.filter.taps))
+    noise = torque_noise(target, parameters, longest)
     columns = [chain.names.index(name) for name in target.free]
     units = np.zeros(values.size)
     units[columns] = local.units
@@ -178,7 +176,7 @@ def trials(
             recording = make()
         except ValueError:
             continue  # the joint cannot be simulated, or would stand still: nothing to propose
-        gained = torque_information(chain, recording, values, units, sigma)
+        gained = torque_information(chain, recording, values, units, noise)
         if np.isfinite(gained).all():
             found.append(Trial(kind, text, gained[np.ix_(columns, columns)]))
     return found

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.estimates.torque import torque_jacobian
+from bayesfric.inference.residual_moments import follows
+from bayesfric.inference.residual_noise import Autoregressive, ResidualNoise
+from bayesfric.inference.target import Target
+from bayesfric.inference.torque_likelihood import TorqueLikelihood
 from bayesfric.mechanism import excitation
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.forward import Motion, simulate
@@ -135,26 +139,53 @@ def pace(observation: Observation) -> float:
     return _two_digits(max(turns, 5.0) / duration)
 
 
+@dataclass(frozen=True, eq=False)
+class TorqueNoise:
+    """Noise of the filtered torque: its model, and the model's scales ``(Q,)``."""
+
+    model: ResidualNoise
+    scales: Array
+
+    def whitened(self, rows: Array, observation: Observation) -> Array:
+        """Turn changes of the torque ``(..., M)`` into ones with independent unit noise."""
+        return self.model.standard(rows, follows(observation), self.scales)[0]
+
+
+def torque_noise(target: Target, parameters: Array, number: int) -> TorqueNoise:
+    """Give the noise of a recording's filtered torque, whatever the likelihood is of.
+
+    ``parameters`` ``(d,)``, noise scales last.
+    """
+    scales = target.noise.scales(parameters[None, len(target.free) :])[0, number]
+    likelihood = target.likelihood
+    if isinstance(likelihood, TorqueLikelihood):
+        return TorqueNoise(likelihood.noise, scales)
+    # the noise of a sample, then filtered
+    taps = likelihood.observations[number].filter.taps
+    return TorqueNoise(Autoregressive(), scales[:1] * float(np.linalg.norm(taps)))
+
+
 def torque_information(
-    chain: Chain, observation: Observation, values: Array, units: Array, sigma: float
+    chain: Chain, observation: Observation, values: Array, units: Array, noise: TorqueNoise
 ) -> Array:
     """Fisher information of a recording's torque, ``(n_parameters, n_parameters)``, in units.
 
-    ``units`` is zero for parameters that are known; ``sigma`` is the noise of a filtered
+    ``units`` is zero for parameters that are known; ``noise`` is that of the filtered
     output.
     """
-    jacobian = scaled_jacobian(chain, observation, values, units, sigma)
+    jacobian = scaled_jacobian(chain, observation, values, units, noise)
     return np.asarray(jacobian.T @ jacobian)
 
 
 def scaled_jacobian(
-    chain: Chain, observation: Observation, values: Array, units: Array, sigma: float
+    chain: Chain, observation: Observation, values: Array, units: Array, noise: TorqueNoise
 ) -> Array:
     """Differentiate a recording's filtered torque over its noise, ``(n_outputs, n_parameters)``.
 
     Parameters as for :func:`torque_information`, whose root it is.
     """
-    return torque_jacobian(chain, [observation], values, 1e-6 * units) * units / sigma
+    jacobian = torque_jacobian(chain, [observation], values, 1e-6 * units) * units
+    return noise.whitened(jacobian.T, observation).T
 
 
 def longest_stretch(observation: Observation, most: float | None = _LONGEST) -> slice:

@@ -60,7 +60,7 @@ def test_the_truth_and_both_noises_are_found(run):
 
 def test_the_summary_says_what_was_explained(run):
     _, summary = run
-    assert summary["likelihood"] == {"method": "output-error"}
+    assert summary["likelihood"]["method"] == "output-error"
     assert (summary["fit"]["quantity"], summary["fit"]["unit"]) == ("joint position", "rad")
     # drifting residuals are what this likelihood expects, no reason to warn
     assert not any("too narrow" in text for text in summary["warnings"])
