@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from bayesfric.commands.advise import advice
+from bayesfric.commands.estimate import estimates
 from bayesfric.commands.problem import read_problem
 from bayesfric.config import Config, parse_config, read_config
 from bayesfric.inference.fit import fit
@@ -16,7 +17,7 @@ from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.presets import PRESETS
 
 # Far enough for the sd of an sd to be 1 %.
-ESS = 5000.0
+ESS = 4000.0
 RECORDING = """
 [[recordings]]
 file = "{file}"
@@ -88,6 +89,7 @@ def _sampled(config: Config, file: Path, candidate: Any, name: str) -> tuple[flo
     text = config.text.replace("\n[sampling]", added + "\n[sampling]")
     problem = read_problem(parse_config(text, config.path))
     settings = problem.config.tables.sampling.model_copy(update={"min_ess": ESS})
-    result = fit(problem.target(), settings)
+    near = estimates(problem, ("least-squares", "input-error"))
+    result = fit(problem.target(dict(near[-1].point)), settings, estimates=near)
     values = {q.name: q.values for q in derive(result.chain, result.chain_draws(), 1.0)}
     return float(values[name].std()), result.posterior.diagnostics.status

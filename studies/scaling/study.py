@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from experiments import experiments
 
+from bayesfric.commands.estimate import estimates
 from bayesfric.commands.identify import identification
 from bayesfric.commands.problem import read_problem
 from bayesfric.config import read_config
@@ -55,7 +56,9 @@ def truths(chain: Any) -> dict[str, float]:
 def sampled(path: Path) -> tuple[Fit, dict[str, Any]]:
     """Sample a configuration as ``bayesfric fit`` does, without its point estimates."""
     problem = read_problem(read_config(path))
-    found = fit(problem.target(), problem.config.tables.sampling)
+    near = estimates(problem, ("least-squares", "input-error"))
+    target = problem.target(dict(near[-1].point))
+    found = fit(target, problem.config.tables.sampling, estimates=near)
     return found, summarise(found)
 
 

@@ -1,0 +1,110 @@
+"""What ``fit`` makes of noise that remembers, and of outliers, as a user sees it."""
+
+import json
+
+import numpy as np
+import pytest
+
+from bayesfric.commands.simulate import simulate
+from bayesfric.config import read_config
+from bayesfric.inference.autoregression import simulated
+
+from .bench import has
+
+CONFIG = """\
+[mechanism]
+preset = "motor-axis"
+
+[[recordings]]
+file = "small.csv"
+time = { column = "time", unit = "s" }
+position = { column = "position", unit = "rad" }
+torque = { column = "torque", unit = "N m" }
+
+[processing]
+lowpass = "100 Hz"
+decimate = 1
+
+[sampling]
+min_ess = 1000
+
+[simulation]
+duration = 6.0
+rate = 500
+excitation = "multisine"
+encoder_counts = 0
+torque_noise = 0.0
+"""
+TRUTH = {"motor.inertia": 0.01, "motor.viscous": 0.05, "motor.coulomb": 0.2, "offset": 0.02}
+RHO = 0.8
+
+
+def with_noise(bench, make):
+    """Simulate without noise, then add it to the torque that the file tells."""
+    bench.config(CONFIG)
+    path = bench.folder / "small.csv"
+    simulate(read_config(bench.folder / "c.toml"), path)
+    table = np.loadtxt(path, delimiter=",", skiprows=1)
+    table[:, 2] += make(len(table))
+    head = path.read_text().split("\n", 1)[0]
+    rows = [head, *(",".join(map(repr, row)) for row in table.tolist())]
+    path.write_text("\n".join(rows) + "\n")
+    return bench
+
+
+def fitted(bench, *more):
+    ended = bench.run("fit", "c.toml", "-o", "run", "--force", *more)
+    assert ended.code == 0, ended
+    return json.loads((bench.folder / "run" / "summary.json").read_text()), ended.out
+
+
+def test_memory_is_found_and_the_white_interval_stands_beside(bench):
+    follows = np.ones(2999, dtype=bool)
+    rng = np.random.default_rng(6)
+    with_noise(bench, lambda n: 0.01 * simulated(np.array([RHO]), follows[: n - 1], 1, rng)[0])
+    summary, out = fitted(bench)
+    noise = summary["noise"]
+    assert noise["model"] == "AR(1)"
+    assert noise["autoregression"]["small"][0] == pytest.approx(RHO, abs=0.05)
+    assert noise["innovation_whiteness"]["white"] is True
+    assert noise["order_chosen_from"][0]["p_value"] < 1e-6
+    for name, value in TRUTH.items():
+        row = summary["parameters"][name]
+        assert abs(row["mean"] - value) < 4 * row["sd"], name
+    # of a constant among such noise white noise claims sqrt((1 + rho)/(1 - rho)) = 3 times less
+    row = summary["parameters"]["offset"]
+    assert row["sd"] / row["white_sd"] == pytest.approx(3.0, rel=0.15)
+    low, high = row["white_interval"]
+    assert row["interval"][0] < low < high < row["interval"][1]
+    has(out, "Noise: AR(1)", "order chosen by BIC", "pass as white", "white noise: [")
+    head, *_ = (bench.folder / "run" / "summary.csv").read_text().split("\n")
+    assert {"white_low", "white_high"} <= set(head.split(","))
+
+
+def test_white_noise_stays_white(bench):
+    rng = np.random.default_rng(7)
+    with_noise(bench, lambda n: 0.01 * rng.standard_normal(n))
+    summary, out = fitted(bench)
+    assert summary["noise"]["model"] == "white"
+    assert "white_interval" not in summary["parameters"]["offset"]
+    assert summary["noise"]["innovation_whiteness"]["white"] is True
+    assert "white noise: [" not in out
+
+
+def test_outliers_are_for_student_t(bench):
+    rng = np.random.default_rng(8)
+    with_noise(bench, lambda n: 0.01 * rng.standard_t(2.5, n))
+    (bench.folder / "c.toml").write_text(CONFIG + '\n[noise]\nmodel = "student-t"\n')
+    summary, _ = fitted(bench)
+    assert summary["noise"]["model"] == "Student-t"
+    rows = summary["parameters"]
+    assert abs(rows["noise.dof"]["mean"] - 2.5) < 4 * rows["noise.dof"]["sd"]
+    assert abs(rows["noise.sigma"]["mean"] - 0.01) < 4 * rows["noise.sigma"]["sd"]
+    for name, value in TRUTH.items():
+        assert abs(rows[name]["mean"] - value) < 4 * rows[name]["sd"], name
+
+
+@pytest.mark.parametrize("model", ["white", "student-t"])
+def test_an_order_belongs_to_autoregressive_noise(bench, model):
+    bench.edit('scale = "shared"', f'scale = "shared"\nmodel = "{model}"\norder = 2')
+    has(bench.refused("check", "c.toml"), "noise.order", model)
