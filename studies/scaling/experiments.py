@@ -16,8 +16,10 @@ from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.presets import PRESETS
 
-# Far enough for the sd of an sd to be 1 %.
-ESS = 4000.0
+# Far enough for the sd of an sd to be 2 %; a posterior that mixes slowly ends ``tentative``.
+ESS, MOST_STEPS = 2000.0, 2000
+# Of the ranking, the first so many are sampled, and of the rest one in so many.
+FIRST, ONE_IN = 10, 10
 RECORDING = """
 [[recordings]]
 file = "{file}"
@@ -48,6 +50,8 @@ def experiments(path: Path, name: str, folder: Path) -> dict[str, Any]:
     bench = Simulation(encoder_counts=8192, encoder_side="motor", torque_noise=0.02)
     rows = []
     for number, one in enumerate(found.advices, start=1):
+        if number > FIRST and number % ONE_IN:
+            continue
         columns = one.recording(problem.chain, problem.chain.vector(truth), bench, 100 + number)
         file = folder / f"{number}.csv"
         np.savetxt(
@@ -76,6 +80,7 @@ def experiments(path: Path, name: str, folder: Path) -> dict[str, Any]:
     best = min(row["sampled"] for row in rows)
     return {
         "quantity": name,
+        "ranked": len(found.advices),
         "candidates": rows,
         "chosen_over_best": rows[0]["sampled"] / best,
     }
@@ -88,7 +93,9 @@ def _sampled(config: Config, file: Path, candidate: Any, name: str) -> tuple[flo
         added += MASS.format(mass=candidate.added_mass, radius=candidate.radius)
     text = config.text.replace("\n[sampling]", added + "\n[sampling]")
     problem = read_problem(parse_config(text, config.path))
-    settings = problem.config.tables.sampling.model_copy(update={"min_ess": ESS})
+    settings = problem.config.tables.sampling.model_copy(
+        update={"min_ess": ESS, "max_steps": MOST_STEPS}
+    )
     near = estimates(problem, ("least-squares", "input-error"))
     result = fit(problem.target(dict(near[-1].point)), settings, estimates=near)
     values = {q.name: q.values for q in derive(result.chain, result.chain_draws(), 1.0)}

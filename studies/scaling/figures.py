@@ -53,9 +53,9 @@ def interval_figure(places: Mapping[str, np.ndarray]) -> Figure:
                 va="top",
             )
         ax.set_xlim(-0.03, 1.03)
-        ax.set_xlabel("place of the logarithm of the scale between its bounds (no unit)")
+        ax.set_xlabel("place of ln(scale) between its bounds (no unit)")
         ax.set_ylabel("density (no unit)")
-        ax.legend(loc="upper center")
+        ax.legend(loc="upper left", bbox_to_anchor=(0.03, 0.85))
     return figure
 
 
@@ -69,7 +69,7 @@ def lifted_figure(
     with paper_style():
         figure = Figure(figsize=(2.05 * COLUMN, 0.8 * COLUMN))
         axes = figure.subplots(1, len(shown), sharey=True)
-        figure.subplots_adjust(left=0.33, right=0.985, bottom=0.16, top=0.9, wspace=0.12)
+        figure.subplots_adjust(left=0.3, right=0.985, bottom=0.16, top=0.9, wspace=0.12)
         for ax, name in zip(axes, shown, strict=True):
             for y, case in enumerate(cases):
                 row = rows[case][name]
