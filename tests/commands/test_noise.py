@@ -81,6 +81,7 @@ def test_memory_is_found_and_the_white_interval_stands_beside(bench):
     assert {"white_low", "white_high"} <= set(head.split(","))
 
 
+@pytest.mark.slow
 def test_white_noise_stays_white(bench):
     rng = np.random.default_rng(7)
     with_noise(bench, lambda n: 0.01 * rng.standard_normal(n))
@@ -91,6 +92,7 @@ def test_white_noise_stays_white(bench):
     assert "white noise: [" not in out
 
 
+@pytest.mark.slow
 def test_outliers_are_for_student_t(bench):
     rng = np.random.default_rng(8)
     with_noise(bench, lambda n: 0.01 * rng.standard_t(2.5, n))

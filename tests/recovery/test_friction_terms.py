@@ -126,6 +126,7 @@ def test_every_term_is_found_again(case):
         assert draws.std() < 0.7 * prior.sd(), name
 
 
+@pytest.mark.slow
 def test_each_term_left_out_is_missed_in_the_residual(case):
     """A nested model without the term fits worse than chance: 1 degree of freedom, 5 sigma."""
     problem, result, _, terms = case
