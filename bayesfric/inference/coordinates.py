@@ -175,9 +175,7 @@ class TorqueFormCoordinates:
         elif told:
             scale = f"the scale by {told}, which its prior tells"
         self.description = f"Theta1 and Theta2 of eq. (13), and {scale}"
-        n = ratio
-        # what each leg parameter is worth at the motor: inertia, viscous, C1, C2, gravity
-        self._to_motor = np.array([1.0 / n**2, 1.0 / n**2, 1.0 / n, 1.0 / n, gravity / n])
+        self._to_motor = _worth_at_motor(ratio, gravity)
         self._log_constant = -float(np.log(self._to_motor[:4]).sum())
         self._order_leg = [9, 6, 7, 8, 10]  # in GEARBOX_FORM: J, f, C1, C2, ml
         self._order_motor = [0, 1, 2, 3]
@@ -273,8 +271,7 @@ class SingleLossCoordinates:
     description = "Theta1 and Theta2 of eq. (13), one mu for both directions"
 
     def __init__(self, ratio: float, gravity: float) -> None:
-        n = ratio
-        self._to_motor = np.array([1.0 / n**2, 1.0 / n**2, 1.0 / n, 1.0 / n, gravity / n])
+        self._to_motor = _worth_at_motor(ratio, gravity)
         self._log_constant = -float(np.log(self._to_motor).sum())
         self._leg = [8, 5, 6, 7, 9]  # in SINGLE_LOSS_FORM: J, f, C1, C2, ml
 
@@ -302,6 +299,11 @@ class SingleLossCoordinates:
         u[:, :4] += parameters[:, :4]
         u[:, 5:] = parameters[:, 4:5] * leg
         return u
+
+
+def _worth_at_motor(n: float, gravity: float) -> Array:
+    """Give what each leg parameter is worth at the motor: inertia, viscous, C1, C2, gravity."""
+    return np.array([1.0 / n**2, 1.0 / n**2, 1.0 / n, 1.0 / n, gravity / n])
 
 
 def _tells(prior: Prior) -> bool:

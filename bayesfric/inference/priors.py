@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +15,6 @@ from bayesfric.errors import BadInput, nearest
 
 # What a configuration may say: 3.3e-4, [0, 1] or {distribution = "norm", loc = 1, scale = 2}.
 PriorText = float | Sequence[float] | Mapping[str, Any]
-
-_LogDensity = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 # Below this share of its mass inside the parameter's support a prior is taken for a mistake.
 _LEAST_MASS = 1e-6
@@ -65,29 +62,10 @@ class Prior:
             ``(n,)`` values in the parameter's unit.
         """
         with np.errstate(all="ignore"):
-            density = self._log_density(x) - math.log(self.mass)
+            density = self.distribution.logpdf(x) - math.log(self.mass)
         # at the very edge some closed forms are 0 - inf - inf: no number, no density
         inside = (x >= self.lower) & (x <= self.upper) & ~np.isnan(density)
         return np.where(inside, density, -np.inf)
-
-    def __getstate__(self) -> dict[str, Any]:
-        # the cached closed form is a local function, which cannot be pickled
-        return {key: value for key, value in vars(self).items() if key != "_log_density"}
-
-    @cached_property
-    def _log_density(self) -> _LogDensity:
-        """The distribution's own, in closed form for the common families.
-
-        SciPy's public ``logpdf`` spends a hundred microseconds on checking its
-        arguments, once for every parameter in every step of the sampler.
-        """
-        make = _CLOSED_FORMS.get(self.distribution.dist.name)
-        if make is None:
-            return cast(_LogDensity, self.distribution.logpdf)
-        shapes, loc, scale = self.distribution.dist._parse_args(
-            *self.distribution.args, **self.distribution.kwds
-        )
-        return make(float(loc), float(scale), *(float(shape) for shape in shapes))
 
     def draw(self, n: int, rng: np.random.Generator) -> NDArray[np.float64]:
         """Draw ``n`` values by inversion, inside the support."""
@@ -120,41 +98,6 @@ class Prior:
         low, high = self.distribution.cdf(self.lower), self.distribution.cdf(self.upper)
         nodes, weights = np.polynomial.legendre.leggauss(200)
         return self.distribution.ppf(low + (high - low) * (nodes + 1.0) / 2.0), weights / 2.0
-
-
-def _normal(loc: float, scale: float) -> _LogDensity:
-    constant = math.log(scale) + 0.5 * math.log(2.0 * math.pi)
-    return lambda x: -0.5 * ((x - loc) / scale) ** 2 - constant
-
-
-def _half_normal(loc: float, scale: float) -> _LogDensity:
-    whole = _normal(loc, scale)
-    return lambda x: whole(x) + math.log(2.0)
-
-
-def _log_normal(loc: float, scale: float, s: float) -> _LogDensity:
-    logarithm = _normal(math.log(scale), s)
-    return lambda x: logarithm(np.log(x - loc)) - np.log(x - loc)
-
-
-def _log_uniform(loc: float, scale: float, a: float, b: float) -> _LogDensity:  # noqa: ARG001
-    constant = math.log(math.log(b / a))
-    # the density 1/(y ln(b/a)) of y = (x - loc)/scale, divided by scale, has no scale left
-    return lambda x: -np.log(x - loc) - constant
-
-
-def _uniform(loc: float, scale: float) -> _LogDensity:  # noqa: ARG001  (one signature for all)
-    constant = math.log(scale)
-    return lambda x: np.full(x.shape, -constant)
-
-
-_CLOSED_FORMS: dict[str, Callable[..., _LogDensity]] = {
-    "norm": _normal,
-    "halfnorm": _half_normal,
-    "lognorm": _log_normal,
-    "loguniform": _log_uniform,
-    "uniform": _uniform,
-}
 
 
 def fixed(value: float) -> Prior:

@@ -7,6 +7,7 @@ filter removes is removed from both and does not bias the comparison.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +36,6 @@ class TorqueLikelihood:
         One or more prepared recordings. They share the chain's parameters.
     noise
         What residuals are; white if left out.
-    moments
-        Computes the residuals' moments of these recordings; sample by sample if left out.
     """
 
     method: LikelihoodMethod = "input-error"
@@ -46,7 +45,6 @@ class TorqueLikelihood:
         chain: Chain,
         observations: Sequence[Observation],
         noise: ResidualNoise | None = None,
-        moments: ResidualMoments | None = None,
     ) -> None:
         self.chain = chain
         self.observations = tuple(observations)
@@ -68,7 +66,8 @@ class TorqueLikelihood:
         self.noise: ResidualNoise = Autoregressive() if noise is None else noise
         self.noise_quantities = self.noise.quantities
         self._plain = PlainMoments(chain, self.observations, self.noise.order)
-        self.moments: ResidualMoments = self._plain if moments is None else moments
+        # sample by sample; see :meth:`prepared`
+        self.moments: ResidualMoments = self._plain
 
     @property
     def cheap(self) -> bool:
@@ -104,7 +103,9 @@ class TorqueLikelihood:
         )
         if moments is None:
             return self
-        return TorqueLikelihood(self.chain, self.observations, self.noise, moments)
+        out = copy(self)
+        out.moments = moments
+        return out
 
     def with_noise(self, noise: ResidualNoise) -> TorqueLikelihood:
         """Make the same likelihood with other noise, not prepared."""

@@ -49,7 +49,9 @@ def noise_meaning(fit: Fit, quantity: str) -> str:
     return _MEANINGS[quantity]
 
 
-def noise_record(fit: Fit, residuals: list[Array], choice: Choice | None) -> dict[str, Any]:
+def noise_record(
+    fit: Fit, residuals: list[Array], lags: list[float], choice: Choice | None
+) -> dict[str, Any]:
     """Put the noise of a fit into the form of ``summary.json``.
 
     Parameters
@@ -58,6 +60,8 @@ def noise_record(fit: Fit, residuals: list[Array], choice: Choice | None) -> dic
         A finished fit.
     residuals
         ``(M,)`` of every recording, measured minus posterior mean.
+    lags
+        Their lag-1 correlations.
     choice
         How the order was chosen, where it was.
     """
@@ -65,7 +69,7 @@ def noise_record(fit: Fit, residuals: list[Array], choice: Choice | None) -> dic
     record: dict[str, Any] = {
         "model": _SIMULATED,
         "parameters": list(fit.target.noise.names),
-        "residual_lag1": _mean_lag([lag_one(r, o.follows) for o, r in _with(fit, residuals)]),
+        "residual_lag1": _mean_lag(lags, residuals),
     }
     if not isinstance(likelihood, TorqueLikelihood):
         return record
@@ -77,7 +81,9 @@ def noise_record(fit: Fit, residuals: list[Array], choice: Choice | None) -> dic
     p = ljung_box(left, runs, _LAGS + noise.order, noise.order)
     record |= {
         "model": noise.description,
-        "innovation_lag1": _mean_lag([lag_one(r, f) for r, f in zip(left, runs, strict=True)]),
+        "innovation_lag1": _mean_lag(
+            [lag_one(r, f) for r, f in zip(left, runs, strict=True)], left
+        ),
         "innovation_whiteness": {
             "test": f"Ljung-Box, {_LAGS + noise.order} lags, all recordings together",
             "p_value": p,
@@ -160,10 +166,7 @@ def white_alternative(fit: Fit) -> bool:
     return isinstance(likelihood.noise, Autoregressive) and likelihood.noise.order > 0
 
 
-def _with(fit: Fit, residuals: list[Array]) -> Iterator[tuple[Any, Array]]:
-    return zip(fit.target.likelihood.outputs, residuals, strict=True)
-
-
-def _mean_lag(lags: list[float]) -> float | None:
-    known = [lag for lag in lags if np.isfinite(lag)]
-    return float(np.mean(known)) if known else None
+def _mean_lag(lags: list[float], residuals: list[Array]) -> float | None:
+    """Average over the recordings that have one, by their numbers of residuals."""
+    weights = [r.size if np.isfinite(lag) else 0 for lag, r in zip(lags, residuals, strict=True)]
+    return float(np.average(np.nan_to_num(lags), weights=weights)) if any(weights) else None

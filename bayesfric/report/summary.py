@@ -63,7 +63,7 @@ def summarise(
     residual = residuals(fit)
     outputs = fit.target.likelihood.outputs
     lags = [lag_one(r, o.follows) for o, r in zip(outputs, residual, strict=True)]
-    noise = noise_record(fit, residual, choice)
+    noise = noise_record(fit, residual, lags, choice)
     return {
         "bayesfric": bayesfric.__version__,
         "parameters": _parameters(fit, flat, local),
