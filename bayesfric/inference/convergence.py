@@ -52,24 +52,26 @@ def autocorrelation_time(draws: NDArray[np.float64]) -> NDArray[np.float64]:
     Returns
     -------
     ndarray
-        ``(d,)``, the largest over ensembles; infinite where a walker never moved.
+        ``(d,)``, over all ensembles (the largest of some noisy estimates would grow with their
+        number; that ensembles agree is for :func:`nested_rhat` to say); infinite where a walker
+        never moved.
     """
-    walkers = draws.shape[1]
-    centre = draws.mean(axis=(0, 1, 2))
-    times = np.full((draws.shape[0], draws.shape[3]), np.inf)
-    for k, x in enumerate(draws - centre):
-        moving = (np.ptp(x, axis=1) > 0.0).all(axis=0) & np.isfinite(x).all(axis=(0, 1))
-        variance = np.mean(x**2, axis=(0, 1))
-        for j in np.flatnonzero(moving):
-            own = _integrated(_autocovariance(x[:, :, j]) / variance[j])
-            mean = x[:, :, j].mean(axis=0)
-            mean = mean - mean.mean()
-            # var(grand mean) = tau_mean var(mean) / n; in steps of a lone walker that
-            # is tau_mean * walkers * var(mean) / var(x)
-            spread = float(np.mean(mean**2))
-            together = _integrated(_autocovariance(mean[None]) / spread)
-            times[k, j] = max(own, together * walkers * spread / variance[j])
-    return np.asarray(times.max(axis=0))
+    _, walkers, steps, d = draws.shape
+    times = np.full(d, np.inf)
+    for j in range(d):
+        x = draws[..., j] - draws[..., j].mean()
+        if not np.isfinite(x).all() or (np.ptp(x, axis=2) == 0.0).any():
+            continue
+        variance = np.mean(x**2)
+        own = _integrated(_autocovariance(x.reshape(-1, steps)) / variance)
+        means = x.mean(axis=1)
+        means -= means.mean(axis=1, keepdims=True)
+        # var(grand mean) = tau_mean var(mean) / n; in steps of a lone walker that
+        # is tau_mean * walkers * var(mean) / var(x)
+        spread = np.mean(means**2)
+        together = _integrated(_autocovariance(means) / spread)
+        times[j] = max(own, together * walkers * spread / variance)
+    return times
 
 
 def autocorrelation(series: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,4 +1,8 @@
-"""Proposals on emcee's public move interface.
+"""Proposals on emcee's public move interface, for several ensembles in one sampler.
+
+The walkers of one emcee sampler are here several independent ensembles, one after the other:
+a step then asks for the density of all of them at once, which costs little more than one
+ensemble's. Walkers of different ensembles never see each other.
 
 emcee's own ``DESnookerMove`` and ``GaussianMove`` are not used: in 3.1.6 the
 first samples a standard normal with 0.59 of its variance, the second hands every
@@ -12,99 +16,88 @@ import math
 from typing import Any
 
 import numpy as np
-from emcee.moves import RedBlueMove
+from emcee.moves import Move
 from numpy.typing import NDArray
-from scipy.special import gammaln
+
+from bayesfric.inference.proposal import Proposal
+
+Array = NDArray[np.float64]
+Chosen = NDArray[np.bool_]
 
 
-class DifferentialEvolutionMove(RedBlueMove):  # type: ignore[misc]
-    """Step along the difference of two walkers of the other half.
+class _VectorisedMove(Move):  # type: ignore[misc]
+    """Judge all proposals at once; emcee's own moves loop over walkers in Python."""
+
+    def _judge(
+        self, model: Any, state: Any, some: NDArray[np.int64], proposed: Array, factors: Array
+    ) -> Chosen:
+        """Accept or refuse ``(n, d)`` proposals for walkers ``some``; say which, ``(n,)``."""
+        # straight to the function: emcee's compute_log_prob unpacks its answer one by one
+        density = np.asarray(model.log_prob_fn(proposed))
+        if np.isnan(density).any():
+            raise ValueError("the log density came out as no number")
+        with np.errstate(invalid="ignore"):
+            gain = factors + density - state.log_prob[some]
+        accepted = gain > np.log(model.random.rand(gain.size))
+        taken = some[accepted]
+        state.coords[taken] = proposed[accepted]
+        state.log_prob[taken] = density[accepted]
+        return np.asarray(accepted, dtype=np.bool_)
+
+
+class DifferentialEvolutionMove(_VectorisedMove):
+    """Step along the difference of two walkers of the other half of the same ensemble.
 
     ter Braak (2006), vectorised over walkers. One proposal in ten takes the whole
     difference, which lets walkers change between separate modes.
 
     Parameters
     ----------
+    ensembles
+        How many ensembles the sampler's walkers are.
     jitter
         Relative standard deviation of the scatter around the step length.
     """
 
-    def __init__(self, jitter: float = 1e-5, **options: Any) -> None:
-        super().__init__(**options)
-        self.jitter = jitter
+    def __init__(self, ensembles: int = 1, jitter: float = 1e-5) -> None:
+        self.ensembles, self.jitter = ensembles, jitter
 
-    def get_proposal(
-        self,
-        sample: NDArray[np.float64],
-        complement: list[NDArray[np.float64]],
-        random: np.random.RandomState,
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Propose for every walker of one half, ``(n, d)``; factors are zero."""
-        others = np.concatenate(complement, axis=0)
-        n, d = sample.shape
-        first = random.randint(others.shape[0], size=n)
-        second = random.randint(others.shape[0] - 1, size=n)
-        second += second >= first
-        length = np.where(random.rand(n) < 0.1, 1.0, 2.38 / math.sqrt(2.0 * d))
-        length = length * (1.0 + self.jitter * random.randn(n))
-        return sample + length[:, None] * (others[first] - others[second]), np.zeros(n)
+    def propose(self, model: Any, state: Any) -> tuple[Any, Chosen]:
+        """Move both halves of every ensemble, one after the other."""
+        random = model.random
+        total, d = state.coords.shape
+        walkers = total // self.ensembles
+        first = np.arange(0, total, walkers)[:, None]
+        # which walkers make which half is drawn anew in every step
+        halves = np.array_split(random.permutation(walkers), 2)
+        accepted = np.zeros(total, dtype=bool)
+        for own, other in (halves, halves[::-1]):
+            some = (first + own).ravel()
+            shape = (self.ensembles, own.size)
+            i = random.randint(other.size, size=shape)
+            j = random.randint(other.size - 1, size=shape)
+            j += j >= i
+            length = np.where(random.rand(some.size) < 0.1, 1.0, 2.38 / math.sqrt(2.0 * d))
+            length *= 1.0 + self.jitter * random.randn(some.size)
+            difference = state.coords[first + other[i]] - state.coords[first + other[j]]
+            proposed = state.coords[some] + length[:, None] * difference.reshape(-1, d)
+            accepted[some] = self._judge(model, state, some, proposed, np.zeros(some.size))
+        return state, accepted
 
 
-class IndependenceMove(RedBlueMove):  # type: ignore[misc]
-    """Propose from a fixed multivariate t, wherever the walker is.
+class IndependenceMove(_VectorisedMove):
+    """Propose from a fixed density, wherever the walker is.
 
-    The proposal is fitted to the warm-up and then frozen: a proposal that went on
+    The proposal is fitted to the warm-up and then frozen: one that went on
     learning from the chain it drives would not leave the posterior invariant.
-
-    Parameters
-    ----------
-    mean
-        ``(d,)``
-    covariance
-        ``(d, d)``, of the draws the proposal is fitted to.
-    degrees
-        Degrees of freedom; heavier tails than a normal keep weights bounded.
     """
 
-    def __init__(
-        self,
-        mean: NDArray[np.float64],
-        covariance: NDArray[np.float64],
-        degrees: float = 10.0,
-        **options: Any,
-    ) -> None:
-        super().__init__(**options)
-        self.mean = mean
-        self.degrees = degrees
-        self.root = np.linalg.cholesky(np.asarray(covariance, dtype=np.float64))
-        # a product with a small inverse is far cheaper than a solve at every step
-        self._whiten = np.linalg.inv(self.root)
+    def __init__(self, proposal: Proposal) -> None:
+        self.proposal = proposal
 
-    def draw(self, n: int, random: np.random.RandomState) -> NDArray[np.float64]:
-        """Draw ``(n, d)`` from the proposal."""
-        d = self.mean.size
-        stretch = np.sqrt(self.degrees / random.chisquare(self.degrees, size=n))
-        return self.mean + stretch[:, None] * (random.randn(n, d) @ self.root.T)
-
-    def log_density(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Log of the proposal's density at ``(n, d)`` points."""
-        d, nu = self.mean.size, self.degrees
-        z = self._whiten @ (x - self.mean).T
-        constant = (
-            gammaln((nu + d) / 2.0)
-            - gammaln(nu / 2.0)
-            - d / 2.0 * math.log(nu * math.pi)
-            - float(np.log(np.diag(self.root)).sum())
-        )
-        density: NDArray[np.float64] = constant - (nu + d) / 2.0 * np.log1p((z**2).sum(axis=0) / nu)
-        return density
-
-    def get_proposal(
-        self,
-        sample: NDArray[np.float64],
-        complement: list[NDArray[np.float64]],  # noqa: ARG002  (emcee's interface)
-        random: np.random.RandomState,
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Propose for every walker of one half, with the Hastings factor of the proposal."""
-        proposed = self.draw(sample.shape[0], random)
-        return proposed, self.log_density(sample) - self.log_density(proposed)
+    def propose(self, model: Any, state: Any) -> tuple[Any, Chosen]:
+        """Move all walkers at once, with the Hastings factor of the proposal."""
+        proposed = self.proposal.draw(state.coords.shape[0], model.random)
+        factors = self.proposal.log_density(state.coords) - self.proposal.log_density(proposed)
+        some = np.arange(state.coords.shape[0])
+        return state, self._judge(model, state, some, proposed, factors)

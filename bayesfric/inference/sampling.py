@@ -21,6 +21,7 @@ from bayesfric.inference.convergence import (
 )
 from bayesfric.inference.moves import DifferentialEvolutionMove, IndependenceMove
 from bayesfric.inference.posterior import Diagnostics, Posterior, Status
+from bayesfric.inference.proposal import Proposal
 from bayesfric.inference.start import Start
 from bayesfric.inference.target import Target
 
@@ -84,7 +85,7 @@ def sample(
     """Sample until every criterion of ``settings`` is met or ``max_steps`` is reached.
 
     Warm-up with differential evolution from over-dispersed starts goes on until the
-    ensembles agree roughly and nothing climbs or spreads any more. A multivariate t
+    ensembles agree roughly and nothing climbs or spreads any more. A mixture of normals
     fitted to it is then used as the proposal of an independence move beside
     differential evolution, fitted once more, and frozen. Only steps after that
     count.
@@ -106,9 +107,9 @@ def sample(
     few = 128 if target.likelihood.cheap else 32
     walkers = max(settings.walkers or max(few, 3 * d), 2 * d)
     walkers += walkers % 2
-    seeds = np.random.SeedSequence(settings.seed).spawn(settings.ensembles + 1)
-    randoms = [np.random.RandomState(np.random.MT19937(s)) for s in seeds[:-1]]
-    rng = np.random.default_rng(seeds[-1])
+    for_emcee, for_starts = np.random.SeedSequence(settings.seed).spawn(2)
+    random = np.random.RandomState(np.random.MT19937(for_emcee))
+    rng = np.random.default_rng(for_starts)
     # Every ensemble around a point of its own, the points further apart than its walkers:
     # only then does nested R-hat, which compares ensembles, say anything.
     centres = start.draw(settings.ensembles, target, rng, spread=2.0)
@@ -120,7 +121,9 @@ def sample(
     )
 
     block = min(settings.block, max(settings.max_steps // 8, 10))
-    warm = _Ensembles(target, [(DifferentialEvolutionMove(), 1.0)], positions, randoms)
+    warm = _Ensembles(
+        target, [(DifferentialEvolutionMove(settings.ensembles), 1.0)], positions, random
+    )
     while True:
         warm.run(block)
         warm.bring_back_lost(rng)
@@ -132,11 +135,11 @@ def sample(
     # Where the posterior really lies, a likelihood can be prepared best.
     target = target.prepared(_spread_out(half))
     # A first proposal from few draws, used for one block, makes a better second one.
-    trial = _Ensembles(target, _moves(half), warm.positions(), randoms)
+    trial = _Ensembles(target, _moves(half), warm.positions(), random)
     trial.run(block)
     trial.bring_back_lost(rng)
     progress(Progress("warm-up", warm.steps + trial.steps, float("nan"), float("nan")))
-    main = _Ensembles(target, _moves(trial.chain()), trial.positions(), randoms)
+    main = _Ensembles(target, _moves(trial.chain()), trial.positions(), random)
     while True:
         # looks at growing distances: a stopping rule asked too often stops by luck
         main.run(max(block, main.steps // 3))
@@ -193,36 +196,31 @@ def sample(
 
 
 class _Ensembles:
-    """Several emcee samplers side by side, each with its own random stream."""
+    """Several independent ensembles in one emcee sampler, and what they have walked so far."""
 
     def __init__(
         self,
         target: Target,
         moves: list[tuple[emcee.moves.Move, float]],
         positions: Array,
-        randoms: list[np.random.RandomState],
+        random: np.random.RandomState,
     ) -> None:
         self.steps = 0
-        self._samplers = []
-        self._states = []
-        for x, random in zip(positions, randoms, strict=True):
-            sampler = emcee.EnsembleSampler(
-                x.shape[0], x.shape[1], target, moves=moves, vectorize=True
-            )
-            # emcee silently ignores any other way of seeding it
-            sampler.random_state = random.get_state()
-            self._samplers.append(sampler)
-            self._states.append(emcee.State(x))
-        self._randoms = randoms
+        self._shape = positions.shape
+        ensembles, walkers, d = positions.shape
+        self._sampler = emcee.EnsembleSampler(
+            ensembles * walkers, d, target, moves=moves, vectorize=True
+        )
+        # emcee silently ignores any other way of seeding it
+        self._sampler.random_state = random.get_state()
+        self._state = emcee.State(positions.reshape(-1, d))
+        self._random = random
 
     def run(self, steps: int) -> None:
         with _quiet_emcee():
-            for k, sampler in enumerate(self._samplers):
-                self._states[k] = sampler.run_mcmc(
-                    self._states[k], steps, skip_initial_state_check=True
-                )
-                # so that what comes next goes on where this stream ends
-                self._randoms[k].set_state(sampler.random_state)
+            self._state = self._sampler.run_mcmc(self._state, steps, skip_initial_state_check=True)
+        # so that what comes next goes on where this stream ends
+        self._random.set_state(self._sampler.random_state)
         self.steps += steps
 
     def bring_back_lost(self, rng: np.random.Generator) -> None:
@@ -231,27 +229,25 @@ class _Ensembles:
         Only during warm-up. A mode whose log density is this far below the best
         holds no mass worth counting, but a walker can stay in it for ever.
         """
-        heights = np.stack([state.log_prob for state in self._states])
-        d = self._states[0].coords.shape[1]
+        ensembles, _, d = self._shape
+        coords, heights = self.positions(), self._state.log_prob.reshape(ensembles, -1)
         lost = heights < heights.max() - stats.chi2.isf(1e-12, d) / 2.0
-        sound = self.positions()[~lost]
-        for k, state in enumerate(self._states):
-            own = state.coords[~lost[k]]
-            pool = own if own.shape[0] >= 3 else sound
-            n = int(lost[k].sum())
-            if n == 0 or pool.shape[0] < 3:
+        if not lost.any():
+            return
+        for own, gone in zip(coords, lost, strict=True):
+            pool = own[~gone] if np.count_nonzero(~gone) >= 3 else coords[~lost]
+            if pool.shape[0] < 3:
                 continue
             # beside one sound walker, in the direction of a difference of two others
-            first, second, third = (rng.integers(pool.shape[0], size=n) for _ in range(3))
-            coords = state.coords.copy()
-            coords[lost[k]] = pool[first] + 0.1 * (pool[second] - pool[third])
-            self._states[k] = emcee.State(coords, random_state=state.random_state)
+            first, second, third = (rng.integers(pool.shape[0], size=gone.sum()) for _ in range(3))
+            own[gone] = pool[first] + 0.1 * (pool[second] - pool[third])
+        self._state = emcee.State(coords.reshape(-1, d), random_state=self._state.random_state)
 
     def settled(self) -> bool:
         """Whether over the second half of the steps nothing climbs, shrinks or spreads."""
         third, fourth = np.array_split(self.log_density()[:, :, self.steps // 2 :], 2, axis=2)
         climbing = abs(fourth.mean() - third.mean()) > 0.25 * fourth.std()
-        d = self._states[0].coords.shape[1]
+        d = self._shape[2]
         before, after = (
             x.reshape(-1, d).std(axis=0)
             for x in np.array_split(self.chain()[:, :, self.steps // 2 :], 2, axis=2)
@@ -261,39 +257,36 @@ class _Ensembles:
 
     def chain(self) -> Array:
         """All steps, ``(ensembles, walkers, steps, d)``."""
-        return np.stack([s.get_chain().swapaxes(0, 1) for s in self._samplers])
+        chain = self._sampler.get_chain()
+        return np.asarray(np.moveaxis(chain.reshape(-1, *self._shape), 0, 2))
 
     def log_density(self) -> Array:
         """``(ensembles, walkers, steps)``."""
-        return np.stack([s.get_log_prob().T for s in self._samplers])
+        density = self._sampler.get_log_prob()
+        return np.asarray(np.moveaxis(density.reshape(-1, *self._shape[:2]), 0, 2))
 
     def positions(self) -> Array:
         """Where the walkers are, ``(ensembles, walkers, d)``."""
-        return np.stack([state.coords for state in self._states])
+        return np.array(self._state.coords).reshape(self._shape)
 
     def acceptance(self) -> Array:
         """Give the accepted share of each walker's proposals, ``(ensembles, walkers)``."""
-        return np.stack([s.acceptance_fraction for s in self._samplers])
+        return np.asarray(self._sampler.acceptance_fraction).reshape(self._shape[:2])
 
 
 def _moves(learned: Array) -> list[tuple[emcee.moves.Move, float]]:
     """Mix an independence move fitted to draws, and frozen, with differential evolution."""
-    draws = learned.reshape(-1, learned.shape[-1])
-    proposal = IndependenceMove(draws.mean(axis=0), _covariance(draws))
-    return [(proposal, 0.7), (DifferentialEvolutionMove(), 0.3)]
+    proposal = Proposal.fitted(learned.reshape(-1, learned.shape[-1]))
+    return [
+        (IndependenceMove(proposal), 0.8),
+        (DifferentialEvolutionMove(learned.shape[0]), 0.2),
+    ]
 
 
 def _spread_out(chain: Array) -> Array:
     """Pick some draws, ``(n, d)``, from all ensembles and steps."""
     draws = chain.reshape(-1, chain.shape[-1])
     return np.asarray(draws[:: max(1, draws.shape[0] // 500)])
-
-
-def _covariance(draws: Array) -> Array:
-    covariance = np.atleast_2d(np.cov(draws.T))
-    scale = np.sqrt(np.diag(covariance))
-    # keeps the Cholesky factor alive when two coordinates are all but one
-    return covariance + np.diag(1e-10 * scale**2 + 1e-300)
 
 
 def _problems(

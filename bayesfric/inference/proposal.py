@@ -1,0 +1,157 @@
+"""A proposal fitted to draws of the posterior, frozen before it is used."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaln
+
+Array = NDArray[np.float64]
+
+# Components of the mixture at most, and how many draws each must have for every entry of its
+# covariance, or it would learn the draws and not the posterior.
+_MOST_COMPONENTS = 3
+_DRAWS_AN_ENTRY = 10
+# Draws that a fit looks at, and rounds it takes at most.
+_LOOKED_AT = 8000
+_ROUNDS = 60
+# A round that gains less log-likelihood a draw ends the fit.
+_GAIN = 1e-4
+# Share and degrees of freedom of the wide component: it bounds the weights in the tails.
+_WIDE_SHARE = 0.1
+_WIDE_DEGREES = 5.0
+
+
+class Proposal:
+    """A mixture of normals, which follows a bent posterior, and a multivariate t around it all.
+
+    With one component it is a normal. The t has heavier tails than any posterior that is
+    normal far out, so that the weights of an independence move stay bounded (Hesterberg 1995).
+
+    Parameters
+    ----------
+    weights
+        ``(k,)`` of the normals, sum 1.
+    means
+        ``(k, d)``
+    roots
+        ``(k, d, d)`` Cholesky factors of their covariances.
+    mean, root
+        ``(d,)`` and ``(d, d)``: of the t.
+    """
+
+    def __init__(
+        self, weights: Array, means: Array, roots: Array, mean: Array, root: Array
+    ) -> None:
+        k, d = means.shape
+        self.dimension = d
+        self.weights = np.append((1.0 - _WIDE_SHARE) * weights, _WIDE_SHARE)
+        self.means = np.concatenate([means, mean[None]])
+        self.roots = np.concatenate([roots, root[None]])
+        # a product with small inverses is far cheaper than solves at every step
+        inverses = np.linalg.inv(self.roots)
+        self._whiten = inverses.reshape((k + 1) * d, d)
+        self._shift = np.einsum("kij,kj->ki", inverses, self.means)[:, :, None]
+        log_volume = np.log(np.diagonal(self.roots, axis1=1, axis2=2)).sum(axis=1)
+        constant = np.full(k + 1, -d / 2.0 * math.log(2.0 * math.pi))
+        nu = _WIDE_DEGREES
+        constant[-1] = (
+            gammaln((nu + d) / 2.0) - gammaln(nu / 2.0) - d / 2.0 * math.log(nu * math.pi)
+        )
+        self._constant = (np.log(self.weights) + constant - log_volume)[:, None]
+        self._shares = np.cumsum(self.weights)[:-1]
+
+    @classmethod
+    def normal(cls, mean: Array, covariance: Array) -> Proposal:
+        """Make one normal and a t of the same covariance."""
+        root = _cholesky(covariance)
+        return cls(np.ones(1), mean[None], root[None], mean, root)
+
+    @classmethod
+    def fitted(cls, draws: Array) -> Proposal:
+        """Fit by expectation and maximisation (Dempster et al. 1977).
+
+        The components start as slices across the direction in which the draws are most skewed.
+
+        Parameters
+        ----------
+        draws
+            ``(n, d)``, from warm-up.
+        """
+        n, d = draws.shape
+        mean, covariance = draws.mean(axis=0), np.atleast_2d(np.cov(draws.T))
+        # keeps the Cholesky factor alive when two coordinates are all but one
+        covariance[np.diag_indices(d)] *= 1.0 + 1e-10
+        covariance[np.diag_indices(d)] += 1e-300
+        root = _cholesky(covariance)
+        z = np.linalg.solve(root, (draws[:: n // _LOOKED_AT + 1] - mean).T).T
+        components = min(_MOST_COMPONENTS, z.shape[0] // (_DRAWS_AN_ENTRY * d * d))
+        if components < 2:
+            return cls(np.ones(1), mean[None], root[None], mean, root)
+        weights, means, roots = _mixture(z, components)
+        return cls(weights, mean + means @ root.T, np.asarray(root @ roots), mean, root)
+
+    def draw(self, n: int, random: np.random.RandomState) -> Array:
+        """Draw ``(n, d)``."""
+        component = np.searchsorted(self._shares, random.rand(n))
+        z = random.randn(n, self.dimension)
+        wide = component == self.weights.size - 1
+        stretch = _WIDE_DEGREES / random.chisquare(_WIDE_DEGREES, size=int(wide.sum()))
+        z[wide] *= np.sqrt(stretch)[:, None]
+        out = np.empty_like(z)
+        for k, root in enumerate(self.roots):
+            here = component == k
+            out[here] = self.means[k] + z[here] @ root.T
+        return out
+
+    def log_density(self, x: Array) -> Array:
+        """Log of the density at ``(n, d)`` points, ``(n,)``."""
+        d, nu = self.dimension, _WIDE_DEGREES
+        z = (self._whiten @ x.T).reshape(self.weights.size, d, -1) - self._shift
+        level = np.einsum("kdn,kdn->kn", z, z)
+        level[:-1] *= -0.5
+        level[-1] = -(nu + d) / 2.0 * np.log1p(level[-1] / nu)
+        level += self._constant
+        top = level.max(axis=0)
+        return np.asarray(top + np.log(np.exp(level - top).sum(axis=0)))
+
+
+def _mixture(z: Array, components: int) -> tuple[Array, Array, Array]:
+    """Fit normals to white draws ``(n, d)``: weights, means and Cholesky factors."""
+    n, d = z.shape
+    skewed = (z * np.sum(z**2, axis=1, keepdims=True)).mean(axis=0)
+    place = np.argsort(np.argsort(z @ skewed)) * components // n
+    share = np.eye(components)[place]
+    last = -np.inf
+    for _ in range(_ROUNDS):
+        weights = share.mean(axis=0)
+        means = (share.T @ z) / (n * weights[:, None])
+        roots = np.empty((components, d, d))
+        level = np.empty((n, components))
+        for k in range(components):
+            away = z - means[k]
+            covariance = (share[:, k, None] * away).T @ away / (n * weights[k])
+            # a component may not collapse onto a few draws
+            roots[k] = _cholesky(covariance + 1e-3 * np.eye(d))
+            white = np.linalg.solve(roots[k], away.T)
+            level[:, k] = (
+                math.log(weights[k])
+                - 0.5 * np.sum(white**2, axis=0)
+                - np.log(np.diag(roots[k])).sum()
+            )
+        top = level.max(axis=1, keepdims=True)
+        share = np.exp(level - top)
+        total = share.sum(axis=1, keepdims=True)
+        share /= total
+        gained = float(np.mean(top + np.log(total)))
+        # an empty component would divide by zero in the next round
+        if gained - last < _GAIN or share.mean(axis=0).min() * n < 2 * d:
+            break
+        last = gained
+    return weights, means, roots
+
+
+def _cholesky(covariance: Array) -> Array:
+    return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
