@@ -13,6 +13,9 @@ from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
 
+# Outputs further apart than this are taken to know nothing of each other.
+_FAR = 2000
+
 # Numbers of unfiltered torque held at once.
 _ROWS_AT_ONCE = 5_000_000
 # The load torque at which efficiencies are stated: nearly the largest of the recordings.
@@ -124,8 +127,9 @@ def places(observations: Sequence[Observation]) -> NDArray[np.int64]:
     for o in observations:
         step = max(int(np.diff(o.filter.starts).min(initial=len(o.filter.taps))), 1)
         raw = o.filter.starts // step
-        # a gap after each segment as long as a tenth of the recording keeps them apart
-        apart = int(raw[-1] - raw[0]) // 10 + 1
+        # a gap after each segment as long as a tenth of the recording keeps them apart; with
+        # thousands of segments more than what any kernel spans would only be zeros
+        apart = min(int(raw[-1] - raw[0]) // 10 + 1, _FAR)
         found.append(raw - raw[0] + o.segment_of * apart + begin)
         begin = int(found[-1][-1]) + apart
     return np.concatenate(found)

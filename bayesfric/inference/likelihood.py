@@ -66,6 +66,11 @@ class Likelihood(Protocol):
         ...
 
     @property
+    def outside(self) -> int:
+        """Vectors so far that lay where the likelihood is not prepared, and were dear."""
+        ...
+
+    @property
     def cheap(self) -> bool:
         """Whether a vector costs no more than the sampler's own bookkeeping."""
         ...

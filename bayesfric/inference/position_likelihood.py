@@ -127,6 +127,11 @@ class PositionLikelihood:
         )
 
     @property
+    def outside(self) -> int:
+        """See :class:`bayesfric.inference.likelihood.Likelihood`."""
+        return 0
+
+    @property
     def cheap(self) -> bool:
         """Never: it simulates."""
         return False

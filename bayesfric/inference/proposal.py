@@ -86,7 +86,7 @@ class Proposal:
         covariance[np.diag_indices(d)] *= 1.0 + 1e-10
         covariance[np.diag_indices(d)] += 1e-300
         root = _cholesky(covariance)
-        z = np.linalg.solve(root, (draws[:: n // _LOOKED_AT + 1] - mean).T).T
+        z = (draws[:: n // _LOOKED_AT + 1] - mean) @ np.linalg.inv(root).T
         components = min(_MOST_COMPONENTS, z.shape[0] // (_DRAWS_AN_ENTRY * d * d))
         if components < 2:
             return cls(np.ones(1), mean[None], root[None], mean, root)
@@ -135,7 +135,7 @@ def _mixture(z: Array, components: int) -> tuple[Array, Array, Array]:
             covariance = (share[:, k, None] * away).T @ away / (n * weights[k])
             # a component may not collapse onto a few draws
             roots[k] = _cholesky(covariance + 1e-3 * np.eye(d))
-            white = np.linalg.solve(roots[k], away.T)
+            white = np.linalg.inv(roots[k]) @ away.T
             level[:, k] = (
                 math.log(weights[k])
                 - 0.5 * np.sum(white**2, axis=0)

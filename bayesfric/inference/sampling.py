@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 
 # Ensembles further apart than this are not sampling one distribution.
 _UNUSABLE_RHAT = 1.1
+# Blocks of warm-up at least, so that the proposal has learned from what it proposed.
+_LEAST_BLOCKS = 3
 # Draws kept in the result, over all walkers; more only makes the file larger.
 _KEPT_DRAWS = 20_000
 
@@ -54,7 +56,13 @@ class Sampling(BaseModel):
     max_steps: int = Field(
         20_000, ge=100, le=10_000_000, description="steps after which sampling gives up"
     )
-    block: int = Field(100, ge=10, le=100_000, description="steps between two looks at convergence")
+    block: int | None = Field(
+        None,
+        ge=10,
+        le=100_000,
+        description="steps between two looks at convergence; default 100, or 25 where a step "
+        "simulates",
+    )
 
 
 @dataclass(frozen=True)
@@ -84,11 +92,10 @@ def sample(
 ) -> Posterior:
     """Sample until every criterion of ``settings`` is met or ``max_steps`` is reached.
 
-    Warm-up with differential evolution from over-dispersed starts goes on until the
-    ensembles agree roughly and nothing climbs or spreads any more. A mixture of normals
-    fitted to it is then used as the proposal of an independence move beside
-    differential evolution, fitted once more, and frozen. Only steps after that
-    count.
+    Warm-up from over-dispersed starts mixes differential evolution with an independence move
+    whose proposal, a mixture of normals, learns from it, until the ensembles agree
+    roughly and nothing climbs or spreads any more. Then the proposal is fitted once
+    more and frozen. Only steps after that count.
 
     Parameters
     ----------
@@ -120,26 +127,33 @@ def sample(
         ]
     )
 
-    block = min(settings.block, max(settings.max_steps // 8, 10))
-    warm = _Ensembles(
-        target, [(DifferentialEvolutionMove(settings.ensembles), 1.0)], positions, random
-    )
+    block = settings.block or (100 if target.likelihood.method == "input-error" else 25)
+    block = min(block, max(settings.max_steps // 8, 10))
+    # The normal at the mode to begin with, then whatever the walkers have found: until it is
+    # frozen the proposal may learn, because none of these steps count.
+    learning = IndependenceMove(Proposal.normal(start.mode, start.covariance))
+    search = DifferentialEvolutionMove(settings.ensembles)
+    warm = _Ensembles(target, [(learning, 0.5), (search, 0.5)], positions, random)
     while True:
         warm.run(block)
         warm.bring_back_lost(rng)
         progress(Progress("warm-up", warm.steps, float("nan"), float("nan")))
         half = warm.chain()[:, :, warm.steps // 2 :]
-        settled = nested_rhat(half).max() < 1.05 and warm.settled()
+        settled = (
+            warm.steps >= _LEAST_BLOCKS * block
+            and nested_rhat(half).max() < 1.05
+            and warm.settled()
+        )
         if settled or warm.steps >= settings.max_steps // 4:
             break
+        learning.proposal = Proposal.fitted(half.reshape(-1, d))
     # Where the posterior really lies, a likelihood can be prepared best.
     target = target.prepared(_spread_out(half))
-    # A first proposal from few draws, used for one block, makes a better second one.
-    trial = _Ensembles(target, _moves(half), warm.positions(), random)
-    trial.run(block)
-    trial.bring_back_lost(rng)
-    progress(Progress("warm-up", warm.steps + trial.steps, float("nan"), float("nan")))
-    main = _Ensembles(target, _moves(trial.chain()), trial.positions(), random)
+    moves = [
+        (IndependenceMove(Proposal.fitted(half.reshape(-1, d))), 0.8),
+        (DifferentialEvolutionMove(settings.ensembles), 0.2),
+    ]
+    main = _Ensembles(target, moves, warm.positions(), random)
     while True:
         # looks at growing distances: a stopping rule asked too often stops by luck
         main.run(max(block, main.steps // 3))
@@ -152,7 +166,7 @@ def sample(
             and rhats.max() <= settings.max_rhat
             and main.steps >= 50.0 * tau.max()
         )
-        if done or warm.steps + trial.steps + main.steps >= settings.max_steps:
+        if done or warm.steps + main.steps >= settings.max_steps:
             break
 
     wanted = max(_KEPT_DRAWS, 2 * int(settings.min_ess))
@@ -185,7 +199,7 @@ def sample(
             acceptance=main.acceptance(),
             ensembles=settings.ensembles,
             walkers=walkers,
-            warmup=warm.steps + trial.steps,
+            warmup=warm.steps,
             steps=main.steps,
             thin=thin,
             not_finite=target.not_finite,
@@ -272,15 +286,6 @@ class _Ensembles:
     def acceptance(self) -> Array:
         """Give the accepted share of each walker's proposals, ``(ensembles, walkers)``."""
         return np.asarray(self._sampler.acceptance_fraction).reshape(self._shape[:2])
-
-
-def _moves(learned: Array) -> list[tuple[emcee.moves.Move, float]]:
-    """Mix an independence move fitted to draws, and frozen, with differential evolution."""
-    proposal = Proposal.fitted(learned.reshape(-1, learned.shape[-1]))
-    return [
-        (IndependenceMove(proposal), 0.8),
-        (DifferentialEvolutionMove(learned.shape[0]), 0.2),
-    ]
 
 
 def _spread_out(chain: Array) -> Array:

@@ -12,9 +12,12 @@ from bayesfric.inference.target import Target
 
 Array = NDArray[np.float64]
 LogDensity = Callable[[Array], Array]
+Curvature = Callable[[Array], Array]
 
 # A density that falls by this much is one standard deviation away.
 _ONE_SD = 0.5
+# How far a density falls, for differences, where it is zero.
+_CLIFF = 50.0
 # Candidates that are followed to their peak.
 CLIMBS = 5
 
@@ -119,7 +122,13 @@ def _differences(output: Array, steps: Array) -> Array:
 
 
 def climb(
-    log_density: LogDensity, candidates: Array, *, climbs: int = CLIMBS, max_steps: int = 60
+    log_density: LogDensity,
+    candidates: Array,
+    *,
+    climbs: int = CLIMBS,
+    max_steps: int = 60,
+    curvature: Curvature | None = None,
+    moved: Callable[[Array], None] = lambda _: None,
 ) -> Array:
     """Climb to the mode from the best of several candidates, ``(d,)``.
 
@@ -136,6 +145,11 @@ def climb(
         ``(n, d)`` places to start from.
     climbs
         How many of the best ones are followed to their peak.
+    curvature
+        Negative Hessian, ``(d, d)``, from elsewhere. By differences it takes ``d²`` evaluations
+        a step, which a density that simulates cannot afford.
+    moved
+        Called with every place ``(d,)`` a climb gets to; the density may prepare itself for it.
 
     Raises
     ------
@@ -148,17 +162,36 @@ def climb(
     # Direction-dependent losses make several peaks, and the highest candidate need
     # not stand at the foot of the highest one.
     order = [i for i in np.argsort(-heights)[:climbs] if np.isfinite(heights[i])]
-    found = [_climb(log_density, candidates[i], heights[i], max_steps) for i in order]
+    found = [
+        _climb(log_density, candidates[i], heights[i], max_steps, curvature, moved) for i in order
+    ]
     return max(found, key=lambda peak: peak[1])[0]
 
 
-def _climb(log_density: LogDensity, x: Array, height: float, max_steps: int) -> tuple[Array, float]:
+def _climb(
+    log_density: LogDensity,
+    x: Array,
+    height: float,
+    max_steps: int,
+    known_curvature: Curvature | None,
+    moved: Callable[[Array], None],
+) -> tuple[Array, float]:
     damping = 1.0
-    steps = _difference_steps(log_density, x, height, np.full(x.size, 0.1) * (np.abs(x) + 1e-3))
-    for _ in range(max_steps):
+    steps = np.full(x.size, 0.1) * (np.abs(x) + 1e-3)
+    if known_curvature is None:
         steps = _difference_steps(log_density, x, height, steps)
-        gradient, hessian = _derivatives(log_density, x, height, steps)
-        gradient, curvature = gradient * steps, -hessian * np.outer(steps, steps)
+    for _ in range(max_steps):
+        moved(x)
+        if known_curvature is None:
+            steps = _difference_steps(log_density, x, height, steps)
+            gradient, hessian = _derivatives(log_density, x, height, steps)
+            curvature = -hessian
+        else:
+            curvature = known_curvature(x)
+            # over such a step the density falls by an eighth of a unit
+            steps = 0.5 / np.sqrt(np.diag(curvature))
+            gradient = _gradient(log_density, x, height, steps)
+        gradient, curvature = gradient * steps, curvature * np.outer(steps, steps)
         values, vectors = np.linalg.eigh((curvature + curvature.T) / 2.0)
         rotated = vectors.T @ gradient
         dampings = damping * 10.0 ** np.arange(-3.0, 5.0)
@@ -197,6 +230,13 @@ def _difference_steps(log_density: LogDensity, x: Array, height: float, steps: A
     return steps
 
 
+def _gradient(log_density: LogDensity, x: Array, height: float, steps: Array) -> Array:
+    """Gradient ``(d,)`` by central differences."""
+    values = log_density(np.concatenate([x + np.diag(steps), x - np.diag(steps)]))
+    values = np.where(np.isfinite(values), values, height - _CLIFF)
+    return np.asarray((values[: x.size] - values[x.size :]) / (2.0 * steps))
+
+
 def _derivatives(
     log_density: LogDensity, x: Array, height: float, steps: Array
 ) -> tuple[Array, Array]:
@@ -209,7 +249,7 @@ def _derivatives(
     pair[np.arange(rows.size), columns] = steps[columns]
     values = log_density(np.concatenate([one, x + pair, x - pair]))
     # a difference that steps out of the support says: steeply down
-    values = np.where(np.isfinite(values), values, height - 50.0)
+    values = np.where(np.isfinite(values), values, height - _CLIFF)
     up, down = values[:d], values[d : 2 * d]
     both, neither = values[2 * d : 2 * d + rows.size], values[2 * d + rows.size :]
     gradient = (up - down) / (2.0 * steps)

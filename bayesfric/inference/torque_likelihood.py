@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.estimates.torque import filtered_torque
-from bayesfric.inference.fast_moments import fast_moments
+from bayesfric.inference.fast_moments import FastMoments, fast_moments
 from bayesfric.inference.likelihood import LikelihoodMethod, Outputs
 from bayesfric.inference.residual_moments import PlainMoments, ResidualMoments, follows
 from bayesfric.inference.residual_noise import Autoregressive, ResidualNoise, StudentT
@@ -68,6 +68,11 @@ class TorqueLikelihood:
         self._plain = PlainMoments(chain, self.observations, self.noise.order)
         # sample by sample; see :meth:`prepared`
         self.moments: ResidualMoments = self._plain
+
+    @property
+    def outside(self) -> int:
+        """See :class:`bayesfric.inference.likelihood.Likelihood`."""
+        return self.moments.outside if isinstance(self.moments, FastMoments) else 0
 
     @property
     def cheap(self) -> bool:
