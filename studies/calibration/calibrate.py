@@ -27,6 +27,7 @@ from typing import Any
 
 import emcee
 import numpy as np
+import position_case
 from numpy.typing import NDArray
 from ranks import summary_of
 
@@ -52,15 +53,15 @@ DURATION = 4.0  # s
 RANKED = 99
 # Log-normal priors with this sd of the logarithm, about Table 3.
 PRIOR_SD = 0.3
-SETTINGS = Sampling(min_ess=500.0, max_steps=4000, block=50, walkers=64, max_rhat=1.02)
+SETTINGS = Sampling(min_ess=500.0, max_steps=4000, walkers=64, max_rhat=1.02)
 
 
 @dataclass(frozen=True)
 class Case:
-    """What makes the noise, and what is believed of it."""
+    """What makes the torque noise, and what is believed of it; None for the output error."""
 
-    made: ResidualNoise
-    believed: ResidualNoise
+    made: ResidualNoise | None
+    believed: ResidualNoise | None
     move: str = "own"
 
 
@@ -69,6 +70,7 @@ CASES = {
     "AR(1)": Case(Autoregressive(1), Autoregressive(1)),
     "AR(2)": Case(Autoregressive(2), Autoregressive(2)),
     "Student-t": Case(StudentT(), StudentT()),
+    "output error": Case(None, None),
     "control: white noise on AR(1) data": Case(Autoregressive(1), Autoregressive(0)),
     "control: snooker move": Case(Autoregressive(0), Autoregressive(0), "snooker"),
 }
@@ -137,6 +139,8 @@ def priors(noise: ResidualNoise) -> dict[str, Prior]:
 
 def recording(case: Case, rng: np.random.Generator) -> tuple[Target, Array]:
     """Draw a truth from the priors, make its recordings, and give the target believed in."""
+    if case.made is None or case.believed is None:
+        return position_case.recording(rng)
     chain = PRESETS["rabbit-knee"].chain()
     made = make_target(chain, motions(), priors(case.made), "shared", case.made)
     truth = np.concatenate([p.draw(1, rng) for p in made.priors])
@@ -161,14 +165,16 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
     rng = np.random.default_rng(seed)
     target, truth = recording(case, rng)
     settings = SETTINGS.model_copy(update={"seed": int(rng.integers(2**31))})
-    own = sampling._moves
     if case.move == "snooker":
+        settings, own = settings.model_copy(update={"ensembles": 2}), sampling._Ensembles
         mix = [(emcee.moves.DEMove(), 0.2), (emcee.moves.DESnookerMove(), 0.8)]
-        sampling._moves = lambda learned: mix  # noqa: ARG005
-    try:
+        sampling._Ensembles = lambda t, _, x, random: own(t, mix, x, random)
+        try:
+            result = fit(target, settings)
+        finally:
+            sampling._Ensembles = own
+    else:
         result = fit(target, settings)
-    finally:
-        sampling._moves = own
     draws = result.posterior.flat()
     chosen = draws[rng.permutation(draws.shape[0])[:RANKED]]
     names, quantities = quantities_of(result.target, np.concatenate([truth[None], draws]))

@@ -1,0 +1,71 @@
+"""Draw ``result.json``: where the truth lies among the draws, minus where it should.
+
+``python studies/calibration/figures.py`` writes ``figures/calibration``.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from bayesfric.report.style import BAND, PAGE, PALETTE, SMALL, paper_style, save
+
+HERE = Path(__file__).resolve().parent
+FOLDER = HERE.parents[1] / "figures" / "calibration"
+COLUMNS = 3
+
+
+def draw(result: dict[str, Any]) -> Figure:
+    """One panel a case, all its quantities in one band."""
+    rows = math.ceil(len(result) / COLUMNS)
+    figure = Figure(figsize=(PAGE, 1.75 * rows + 0.35), layout="constrained")
+    axes = figure.subplots(rows, COLUMNS, sharex=True, sharey=True, squeeze=False)
+    for ax, (name, case) in zip(axes.flat, result.items(), strict=False):
+        _panel(ax, name, case)
+    for ax in list(axes.flat)[len(result) :]:
+        ax.axis("off")
+    for ax in axes[:, 0]:
+        ax.set_ylabel("ECDF minus uniform")
+    for ax in list(axes.flat)[max(0, len(result) - COLUMNS) : len(result)]:
+        ax.set_xlabel("place of the truth among the draws")
+        ax.tick_params(labelbottom=True)
+    return figure
+
+
+def _panel(ax: Any, name: str, case: dict[str, Any]) -> None:
+    z = np.arange(1, case["ranked"] + 1) / (case["ranked"] + 1.0)
+    low, high = (np.array(side) for side in case["band"])
+    ax.fill_between(z, low, high, color=BAND, linewidth=0.0, step="mid")
+    ax.axhline(0.0, color="black", linewidth=0.4)
+    outside = 0
+    for row in case["quantities"].values():
+        outside += not row["inside"]
+        ax.plot(
+            z,
+            row["difference"],
+            color=PALETTE[1] if row["inside"] else PALETTE[2],
+            linewidth=0.6 if row["inside"] else 1.1,
+            linestyle="solid" if row["inside"] else (0, (4.0, 1.5)),
+        )
+    words = f"{name}, {case['recordings']} recordings\n"
+    words += f"{outside} of {len(case['quantities'])} quantities leave the 99 % band"
+    ax.text(0.03, 0.96, words, transform=ax.transAxes, va="top", fontsize=SMALL)
+    ax.set_xlim(0.0, 1.0)
+    ax.set_ylim(-0.22, 0.3)
+
+
+def main() -> None:
+    result = json.loads((HERE / "result.json").read_text(encoding="utf-8"))
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    with paper_style():
+        figure = draw(result)
+    save(figure, FOLDER, "ranks")
+
+
+if __name__ == "__main__":
+    main()

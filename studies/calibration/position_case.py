@@ -1,0 +1,126 @@
+"""SIMULATED recordings for the output-error likelihood: one axis, positions and torque with noise.
+
+The torque sent is known exactly to nobody: the joint feels the measured torque minus white
+noise. The positions are those of the simulation, plus white noise. So the likelihood is right
+up to its linearisation, by the mode, of what torque noise and initial states do.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.inference.fit import target_of
+from bayesfric.inference.position_likelihood import PositionLikelihood
+from bayesfric.inference.priors import Prior, read_prior
+from bayesfric.inference.target import Target
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.experiment import Simulation, record
+from bayesfric.mechanism.forward import simulate_segments
+from bayesfric.mechanism.presets import PRESETS
+from bayesfric.recordings.filters import ParallelFilter
+from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+RATE = 200.0  # Hz
+DURATION = 2.0  # s
+SEGMENT = 50  # samples
+SEED = 2005
+# Medians of log-normal priors and the sd of the logarithm; the offset's is normal.
+MEDIANS = {"noise.torque": 0.02, "noise.position": 1e-3}
+PRIOR_SD = 0.3
+
+
+def axis() -> Chain:
+    """Build the joint: inertia, viscous and Coulomb friction, offset."""
+    return PRESETS["motor-axis"].chain()
+
+
+def priors() -> dict[str, Prior]:
+    """Priors of the axis and of both noise scales."""
+    infinite = float("inf")
+    found = {}
+    for name, value in {**PRESETS["motor-axis"].values, **MEDIANS}.items():
+        if name == "offset":
+            text = {"distribution": "norm", "loc": 0.0, "scale": 0.02}
+            found[name] = read_prior(name, text, lower=-infinite, upper=infinite)
+        else:
+            text = {"distribution": "lognorm", "s": PRIOR_SD, "scale": value}
+            found[name] = read_prior(name, text, lower=0.0, upper=infinite)
+    return found
+
+
+@lru_cache(maxsize=1)
+def excitation() -> Array:
+    """Torque as the drive reports it, ``(n,)``."""
+    options = Simulation(
+        duration=DURATION,
+        rate=RATE,
+        excitation="multisine",
+        amplitude=3.0,
+        encoder_counts=0,
+        torque_noise=0.0,
+        seed=SEED,
+    )
+    _, motion, _ = record(axis(), options)
+    return np.asarray(motion.torque)
+
+
+def recording(rng: np.random.Generator) -> tuple[Target, Array]:
+    """Draw a truth from the priors, make its recording, and give the target and the truth."""
+    chain, believed = axis(), priors()
+    truth = np.concatenate([p.draw(1, rng) for p in believed.values()])
+    values = truth[: len(chain.names)]
+    torque_sd, position_sd = truth[len(chain.names) :]
+    torque, n, period = excitation(), excitation().size, 1.0 / RATE
+    felt = torque - torque_sd * rng.standard_normal(n)
+    whole = np.array([[0, n]])
+    q = simulate_segments(
+        chain, values[None], felt, period, whole, np.zeros(1), np.zeros(1), substeps=8
+    )[0]
+    qd, qdd = np.gradient(q, period), np.gradient(np.gradient(q, period), period)
+    # borders where the joint is fast, as in a real fit: near a reversal nothing is linear
+    even = np.arange(SEGMENT, n - SEGMENT // 2, SEGMENT)
+    fast = [
+        k - SEGMENT // 4 + int(np.argmax(np.abs(qd[k - SEGMENT // 4 : k + SEGMENT // 4])))
+        for k in even
+    ]
+    starts = np.array([0, *fast])
+    trajectory = Trajectory(
+        name="axis",
+        time=period * np.arange(n),
+        position=q + position_sd * rng.standard_normal(n),
+        torque=torque,
+        period=period,
+        segments=np.stack([starts, np.append(starts[1:], n)], axis=1),
+        # where the linearisation begins; the likelihood integrates the states out
+        q0=q[starts],
+        qd0=qd[starts],
+        added_mass=0.0,
+        radius=0.0,
+    )
+    observation = Observation(
+        name="axis",
+        q=q,
+        qd=qd,
+        qdd=qdd,
+        torque=torque,
+        filter=ParallelFilter(np.ones(1), np.arange(n, dtype=np.int64)),
+        time=trajectory.time,
+        measured=torque,
+        speed=qd,
+        period=period,
+        segment_of=np.zeros(n, dtype=np.int64),
+        added_mass=0.0,
+        radius=0.0,
+        steps=("simulated motion as it was, to start the search from",),
+        warnings=(),
+        settings={"sampling_rate": RATE},
+    )
+    point = chain.vector(PRESETS["motor-axis"].values)
+    likelihood = PositionLikelihood(chain, [trajectory], [observation], point)
+    return target_of(likelihood, believed, "shared"), truth
