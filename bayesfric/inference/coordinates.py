@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit, log_expit, logit
+from scipy.special import expit, log_expit, logit, ndtr, ndtri
 
 from bayesfric.inference.priors import Prior
 from bayesfric.mechanism.chain import Chain
@@ -144,7 +144,9 @@ class TorqueFormCoordinates:
 
     ``1/(rho + 1) <= lambda_2 <= 1/(rho - 1)``, ``rho = lambda_1/lambda_2 = theta5/theta10``,
 
-    and its logarithm's place between those bounds is sampled as a logit. Motor
+    and its logarithm's place between those bounds is sampled as a normal quantile: where
+    nothing tells the scale the place is about uniform, and its quantile normal. (A logit would
+    have the long tails of a logistic distribution, in which walkers hang on.) Motor
     parameters, ``Theta1 - rho Theta2``, do not depend on the scale at all.
 
     Here Theta2's rows are leg parameters times ``lambda_2``, in joint units (the
@@ -181,7 +183,7 @@ class TorqueFormCoordinates:
         self._order_motor = [0, 1, 2, 3]
 
     def to_parameters(self, u: Array) -> tuple[Array, Array]:
-        """See :class:`Coordinates`. ``u``: theta_1..5, theta_6..10, logit of the scale."""
+        """See :class:`Coordinates`. ``u``: theta_1..5, theta_6..10, place of the scale."""
         theta1, theta2 = u[:, :5], u[:, 5:10]
         with np.errstate(all="ignore"):
             rho = theta1[:, 4] / theta2[:, 4]
@@ -225,7 +227,7 @@ class TorqueFormCoordinates:
             return u
         rho = lambda1 / lambda2
         low, high = -np.log(rho + 1.0), -np.log(rho - 1.0)
-        u[:, 10] = logit((np.log(lambda2) - low) / (high - low))
+        u[:, 10] = ndtri((np.log(lambda2) - low) / (high - low))
         return u
 
     def _scale(self, u: Array, rho: Array) -> tuple[Array, Array]:
@@ -242,8 +244,8 @@ class TorqueFormCoordinates:
             return u[:, 10] - np.log(rho + 1.0), none
         low, high = -np.log(rho + 1.0), -np.log(rho - 1.0)
         place = u[:, 10]
-        log_slope = np.log(high - low) + log_expit(place) + log_expit(-place)
-        return low + (high - low) * expit(place), log_slope
+        log_slope = np.log(high - low) - 0.5 * place**2 - 0.5 * math.log(2.0 * math.pi)
+        return low + (high - low) * ndtr(place), log_slope
 
 
 # The same chain with one mu for both directions of power.
