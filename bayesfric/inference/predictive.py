@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,8 +23,8 @@ Array = NDArray[np.float64]
 _DRAWS = 400
 _BUDGET = 20_000_000
 _BLOCK = 1_000_000
-# Halvings of the interval that a quantile lies in.
-_HALVINGS = 14
+# Halvings of the interval that a quantile lies in: to less than the width of a line.
+_HALVINGS = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +68,7 @@ class Prediction:
         """Predictive variance, ``(M,)``; infinite where the noise has none."""
         return np.asarray(self.torque.var(axis=0) + np.mean(self.noise.var()))
 
+    @cached_property
     def pit(self) -> Array:
         """Predictive probability of less than was measured, ``(M,)``.
 
@@ -74,6 +76,7 @@ class Prediction:
         """
         return self._probability(self.measured)
 
+    @cached_property
     def log_score(self) -> Array:
         """Log of the predictive density of what was measured, ``(M,)``."""
         found = np.empty(self.measured.size)

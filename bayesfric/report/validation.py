@@ -125,7 +125,7 @@ def validation_record(fit: Fit) -> dict[str, Any]:
 def _numbers(predictions: Sequence[Prediction], outputs: Outputs) -> dict[str, Any]:
     observations = [p.held_out.observation for p in predictions]
     at = places(observations)
-    pit = np.concatenate([p.pit() for p in predictions])
+    pit = np.concatenate([p.pit for p in predictions])
     residuals = [p.measured - p.mean for p in predictions]
     residual = np.concatenate(residuals)
     variance = np.concatenate([p.variance for p in predictions])
@@ -152,7 +152,7 @@ def _numbers(predictions: Sequence[Prediction], outputs: Outputs) -> dict[str, A
             math.sqrt(long_run_variance(centred, at)) / residual.size if finite else None
         ),
         "residual_lag1": mean_lag(lags, residuals),
-        "log_score": float(np.mean(np.concatenate([p.log_score() for p in predictions]))),
+        "log_score": float(np.mean(np.concatenate([p.log_score for p in predictions]))),
         "discrepancy": _discrepancy(residual**2 - variance, at) if finite else None,
     }
     numbers["verdict"], numbers["says"] = _verdict(numbers, shares[_JUDGED], outputs)

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from bayesfric.commands.estimate import estimates_where_possible
+from bayesfric.commands.estimate import estimates
 from bayesfric.commands.problem import read_problem
 from bayesfric.config import parse_config
 from bayesfric.inference.fit import fit
@@ -44,7 +44,7 @@ def held_out(gain: int, noise: str) -> tuple[str, dict[str, Any]]:
         }
     )
     problem = read_problem(config.model_copy(update={"tables": tables}))
-    found, _ = estimates_where_possible(problem, lambda _: None)
+    found = estimates(problem, ("least-squares", "input-error"))
     points = [dict(e.point) for e in found if e.point]
     result = fit(problem.target(points[0]), tables.sampling, estimates=found)
     predictions = predict_held_out(result.target, result.posterior, problem.held_out)
