@@ -28,7 +28,6 @@ NOISES = {
     "white, one scale": {"model": "white", "scale": "shared"},
     "white, a scale each": {"model": "white", "scale": "per-recording"},
     "AR, one scale": {"model": "auto", "scale": "shared"},
-    "AR, a scale each": {"model": "auto", "scale": "per-recording"},
 }
 
 

@@ -21,8 +21,8 @@ torque = {{ column = "torque", unit = "N m" }}
 """
 SIMULATION = """
 [simulation]
-duration = 4.0
-rate = 500
+duration = 3.0
+rate = 400
 excitation = "multisine"
 encoder_counts = 0
 torque_noise = 0.01
@@ -85,10 +85,12 @@ def test_what_is_held_out_is_predicted_and_changes_no_draw(three):
     assert set(hashes) == set(NAMES)
     assert (three.folder / "run" / "figures" / "validation.pdf").stat().st_size > 1000
     assert "**validation**" in (three.folder / "run" / "text" / "captions.md").read_text()
+    methods = (three.folder / "run" / "text" / "methods.txt").read_text()
+    has(methods, f"{n} outputs were held out of the fit")
     assert set(summary["fit"]["recordings"]) == {"one", "three"}
 
     alter(three, "two", 0.0, 0.05)
-    alter(three, "one", 3.21, 0.03)
+    alter(three, "one", 2.41, 0.03)
     again, same, out, _ = fitted(three)
     assert set(same) == set(draws)
     for name, values in draws.items():
@@ -99,7 +101,7 @@ def test_what_is_held_out_is_predicted_and_changes_no_draw(three):
     for name, size in (("two", 0.05), ("one", 0.03)):
         found = again["validation"]["parts"][name]
         assert found["verdict"] == "model discrepancy"
-        assert found["discrepancy"]["value"] == pytest.approx(size, rel=0.05)
+        assert found["discrepancy"]["value"] == pytest.approx(size, rel=0.1)
     assert again["validation"]["parts"]["three"] == record["parts"]["three"]
     has(out, "model discrepancy", "more than noise and posterior explain")
 

@@ -51,3 +51,17 @@ def test_xl330_predicts_the_runs_of_another_gain():
         ]
     )
     assert inside.mean() == pytest.approx(pooled["coverage"]["0.9"]["share"], abs=0.01)
+
+
+@pytest.mark.slow
+def test_emps_predicts_its_last_fifth():
+    problem, _, record = predicted("emps/emps-held-out.toml")
+    (held,) = problem.held_out
+    whole = problem.recordings[0].time.size + held.recording.time.size
+    # a gap of a window of 81 samples and ten outputs of ten
+    assert whole == 24841 - 181
+    pooled = record["pooled"]
+    assert pooled["verdict"] == "covered"
+    # forces remember: as many independent ones are far fewer
+    cover = pooled["coverage"]["0.9"]
+    assert cover["effective_outputs"] < 0.6 * pooled["outputs"]
