@@ -24,6 +24,7 @@ from bayesfric.inference.priors import PriorText
 from bayesfric.inference.sampling import Sampling
 from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.options import MechanismOptions
+from bayesfric.recordings.held_out import Validation
 from bayesfric.recordings.options import Processing, Source
 
 # A configuration is a page of text; anything larger is some other file.
@@ -92,6 +93,9 @@ class Tables(BaseModel):
     )
     noise: NoiseOptions = Field(default_factory=NoiseOptions, description="what residuals are")
     sampling: Sampling = Field(default_factory=Sampling, description="how the posterior is sampled")
+    validation: Validation = Field(
+        default_factory=Validation, description="what the fit does not see but predicts"
+    )
     advice: AdviceOptions = Field(
         default_factory=AdviceOptions, description="what the next experiment may be"
     )

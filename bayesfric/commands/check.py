@@ -9,6 +9,8 @@ import numpy as np
 
 from bayesfric.commands.problem import Problem
 from bayesfric.estimates.least_squares import least_squares
+from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.recording import Recording
 
 
 def check(problem: Problem) -> dict[str, Any]:
@@ -31,6 +33,7 @@ def check(problem: Problem) -> dict[str, Any]:
         "recordings": [
             {
                 "name": recording.name,
+                "held_out": part,
                 "file": str(recording.path),
                 "sha256": recording.sha256,
                 "duration": float(recording.time[-1] - recording.time[0]),
@@ -40,7 +43,7 @@ def check(problem: Problem) -> dict[str, Any]:
                 "steps": list(observation.steps),
                 "warnings": list(observation.warnings),
             }
-            for recording, observation in zip(problem.recordings, problem.observations, strict=True)
+            for recording, observation, part in _parts(problem)
         ],
         "priors": {
             name: {"prior": prior.text, "default": prior.default}
@@ -63,10 +66,19 @@ def check(problem: Problem) -> dict[str, Any]:
     }
 
 
+def _parts(problem: Problem) -> Iterator[tuple[Recording, Observation, str | None]]:
+    """Everything read, with which part of a recording is held out where one is."""
+    for recording, observation in zip(problem.recordings, problem.observations, strict=True):
+        yield recording, observation, None
+    for one in problem.held_out:
+        yield one.recording, one.observation, one.part
+
+
 def check_text(found: dict[str, Any]) -> Iterator[str]:
     """Word the result of :func:`check` for a person, line by line."""
     for recording in found["recordings"]:
-        yield f"{recording['name']}  ({recording['file']}, {recording['duration']:.3g} s)"
+        held = f", {recording['held_out']} held out" if recording["held_out"] else ""
+        yield f"{recording['name']}{held}  ({recording['file']}, {recording['duration']:.3g} s)"
         if recording["added_mass"]:
             yield f"  added mass: {recording['added_mass']:g} kg at {recording['radius']:g} m"
         for step in recording["steps"]:

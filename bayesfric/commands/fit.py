@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,13 @@ from bayesfric.commands.problem import Problem, read_problem
 from bayesfric.config import Config
 from bayesfric.errors import BadInput
 from bayesfric.inference.fit import fit as fit_target
+from bayesfric.inference.predictive import predict_held_out
 from bayesfric.inference.sampling import Progress, phase
 from bayesfric.inference.target import Target
 from bayesfric.report.noise_summary import add_white_intervals, noise_lines, white_alternative
 from bayesfric.report.run_directory import check_free, write_run
 from bayesfric.report.summary import summarise
+from bayesfric.report.validation import validation_lines
 
 NOT_CONVERGED = 3
 # Independent draws that are enough for an interval that only stands beside another.
@@ -70,6 +73,9 @@ def fit(
     target = _target(problem, points)
     with config.named():
         result = fit_target(target, sampling, estimates=found, progress=progress)
+    if problem.held_out:
+        held_out = predict_held_out(result.target, result.posterior, problem.held_out)
+        result = replace(result, held_out=held_out)
     summary = summarise(
         result, problem.references(), problem.noise_choice(points[0] if points else None)
     )
@@ -81,7 +87,8 @@ def fit(
         add_white_intervals(summary, summarise(white))
     progress(phase("writing results"))
     summary["warnings"] += missing
-    write_run(folder, result, summary, config.text, problem.recordings)
+    recordings = [*problem.recordings, *(one.recording for one in problem.held_out)]
+    write_run(folder, result, summary, config.text, recordings)
     return summary
 
 
@@ -127,6 +134,8 @@ def fit_text(summary: dict[str, Any], folder: Path) -> Iterator[str]:
     yield ""
     yield from noise_lines(summary["noise"])
     yield f"Residual rms {summary['fit']['residual_rms']:.4g} {summary['fit']['unit']}"
+    if "validation" in summary:
+        yield from validation_lines(summary["validation"])
     yield f"Written to {folder}"
 
 

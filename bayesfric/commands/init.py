@@ -17,6 +17,7 @@ from bayesfric.inference.sampling import Sampling
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.recordings.held_out import Validation
 from bayesfric.recordings.options import Processing
 
 
@@ -61,6 +62,10 @@ def configuration(preset: str) -> str:
             "",
             "[sampling]",
             *_options(Sampling),
+            "",
+            "# What the fit does not see, so that 'bayesfric fit' can say how well it predicts:",
+            "[validation]",
+            *_options(Validation),
             "",
             "# Only for 'bayesfric identify --advise':",
             "[advice]",
@@ -136,7 +141,8 @@ def _options(model: type[BaseModel]) -> Iterator[str]:
             continue
         text = f"{key}: {field.description}"
         yield from textwrap.wrap(text, 92, initial_indent="# ", subsequent_indent="#   ")
-        yield f"# {key} = {_toml(field.default)}"
+        shown = field.examples[0] if field.examples else field.default
+        yield f"# {key} = {_toml(shown)}"
 
 
 def _toml(value: Any) -> str:

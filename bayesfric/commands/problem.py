@@ -22,7 +22,8 @@ from bayesfric.inference.residual_noise import Autoregressive, ResidualNoise, St
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.derived import derive
-from bayesfric.recordings.observation import Observation, observe
+from bayesfric.recordings.held_out import HeldOut, divide
+from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.options import Source
 from bayesfric.recordings.read import read_recordings
 from bayesfric.recordings.recording import Recording
@@ -40,9 +41,11 @@ class Problem:
     chain
         The mechanism it describes.
     recordings, observations
-        As read and as prepared, in the same order.
+        Those to be fitted, as read and as prepared, in the same order.
     priors
         Of every parameter and noise scale.
+    held_out
+        What is to be predicted and not fitted.
     """
 
     config: Config
@@ -50,6 +53,7 @@ class Problem:
     recordings: list[Recording]
     observations: list[Observation]
     priors: dict[str, Prior]
+    held_out: tuple[HeldOut, ...] = ()
 
     def target(self, point: Mapping[str, float] | None = None) -> Target:
         """Log-posterior of the problem.
@@ -171,10 +175,13 @@ def read_problem(config: Config) -> Problem:
                 f"a recording cannot be called {name!r}",
                 "give it another name with name = ...",
             )
-    if tables.mechanism.offset == "per-recording":
-        chain = replace(chain, own_offsets=tuple(r.name for r in recordings))
+    _check_validation(config)
     with config.named():
-        observations = [observe(recording, tables.processing) for recording in recordings]
+        divided = divide(recordings, tables.processing, tables.validation)
+        observations = divided.observations
+    if tables.mechanism.offset == "per-recording":
+        chain = replace(chain, own_offsets=tuple(o.name for o in observations))
+    with config.named():
         outputs = sum(len(o.time) for o in observations)
         if outputs < len(chain.parameters):
             raise BadInput(
@@ -184,9 +191,20 @@ def read_problem(config: Config) -> Problem:
             )
         _check_names(config, chain)
         priors = read_priors(chain, config.priors, observations, _noise_quantities(config))
-    problem = Problem(config, chain, recordings, observations, priors)
+    problem = Problem(config, chain, divided.recordings, observations, priors, divided.held_out)
     problem.references()  # refuses what they cannot be of
     return problem
+
+
+def _check_validation(config: Config) -> None:
+    tables = config.tables
+    wanted = tables.validation.recordings or tables.validation.hold_out is not None
+    if wanted and tables.likelihood.method == "output-error":
+        raise BadInput(
+            f"{config.path}: validation",
+            "is not offered for the output-error likelihood",
+            'leave it out, or set likelihood.method = "input-error"',
+        )
 
 
 def _noise_quantities(config: Config) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from bayesfric.inference.defaults import default_noise_prior, default_prior, mea
 from bayesfric.inference.likelihood import Likelihood
 from bayesfric.inference.noise import NoiseScale, noise_model, support
 from bayesfric.inference.posterior import Posterior
+from bayesfric.inference.predictive import Prediction
 from bayesfric.inference.priors import Prior, PriorText, read_prior
 from bayesfric.inference.residual_noise import ResidualNoise
 from bayesfric.inference.sampling import Progress, Sampling, sample
@@ -46,11 +47,14 @@ class Fit:
         Draws and diagnostics.
     estimates
         Point estimates of the same recordings, least squares first.
+    held_out
+        Predictions of what the likelihood did not see.
     """
 
     target: Target
     posterior: Posterior
     estimates: tuple[Estimate, ...]
+    held_out: tuple[Prediction, ...] = ()
 
     @property
     def chain(self) -> Chain:

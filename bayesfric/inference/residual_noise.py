@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy import stats
 from scipy.linalg import toeplitz
 from scipy.special import gammaln, polygamma
 
@@ -64,6 +65,13 @@ class ResidualNoise(Protocol):
 
     def sd(self, scales: Array) -> float:
         """Spread of one residual, ``scales`` ``(Q,)``; infinite where it has none."""
+        ...
+
+    def marginal(self, scales: Array) -> Any:
+        """SciPy's distribution of one residual by itself, of shape ``(n, 1)``.
+
+        ``scales`` ``(n, Q)``.
+        """
         ...
 
     def draw(self, follows: Flags, scales: Array, rng: np.random.Generator) -> Array:
@@ -146,6 +154,10 @@ class Autoregressive:
         """See :class:`ResidualNoise`."""
         return float(scales[0] * math.sqrt(variances(scales[None, 1:])[0, 0]))
 
+    def marginal(self, scales: Array) -> Any:
+        """See :class:`ResidualNoise`."""
+        return stats.norm(scale=scales[:, :1] * np.sqrt(variances(scales[:, 1:])[:, :1]))
+
     def draw(self, follows: Flags, scales: Array, rng: np.random.Generator) -> Array:
         """See :class:`ResidualNoise`."""
         if not self.order:
@@ -225,6 +237,10 @@ class StudentT:
         """See :class:`ResidualNoise`."""
         sigma, dof = scales
         return float(sigma * math.sqrt(dof / (dof - 2.0))) if dof > 2.0 else math.inf
+
+    def marginal(self, scales: Array) -> Any:
+        """See :class:`ResidualNoise`."""
+        return stats.t(scales[:, 1:2], scale=scales[:, :1])
 
     def draw(self, follows: Flags, scales: Array, rng: np.random.Generator) -> Array:
         """See :class:`ResidualNoise`."""

@@ -184,6 +184,18 @@ def observe(recording: Recording, processing: Processing) -> Observation:
     )
 
 
+def window(recording: Recording, processing: Processing) -> tuple[int, int]:
+    """Count the samples that one output is made of, and from one output to the next.
+
+    Raises
+    ------
+    BadInput
+        For a cut-off the sampling rate cannot carry.
+    """
+    numbers = _settle(recording, processing)
+    return parallel_length(numbers.factor, numbers.band, numbers.fs), numbers.factor
+
+
 def _settle(recording: Recording, processing: Processing) -> _Numbers:
     fs = 1 / recording.period
     cutoff = fs / 10 if processing.lowpass is None else processing.lowpass

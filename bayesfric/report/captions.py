@@ -58,11 +58,24 @@ def residual_caption(fit: Fit) -> str:
     )
 
 
+def validation_caption(fit: Fit) -> str:
+    """Say what was held out, and what its panels are."""
+    names = ", ".join(f"{p.held_out.name} ({p.held_out.part})" for p in fit.held_out)
+    return (
+        f"Predicted and measured torque of what the fit did not see: {names}. Above: {_SHARE} "
+        "band of the posterior predictive, noise included. Below left: predicted probability of "
+        "less than was measured, level where predictions are right. Below right: share of outputs "
+        "inside central predictive intervals; bars: two standard errors that account for "
+        "correlation."
+    )
+
+
 CAPTIONS: dict[str, Callable[[Fit], str]] = {
     "friction": friction_caption,
     "efficiency": efficiency_caption,
     "prior_posterior": prior_posterior_caption,
     "residual": residual_caption,
+    "validation": validation_caption,
 }
 
 

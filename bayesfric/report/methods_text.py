@@ -130,7 +130,7 @@ def _element(e: Element) -> str:
     return f"{e.name} ({_and(parts) or 'no loss'}{ratio})"
 
 
-def _data(fit: Fit, _: Mapping[str, Any]) -> Iterator[str]:
+def _data(fit: Fit, summary: Mapping[str, Any]) -> Iterator[str]:
     seen = fit.observations
     samples = sum(int(o.settings["n_samples"]) for o in seen)
     count = "One recording" if len(seen) == 1 else f"{len(seen)} recordings"
@@ -166,6 +166,14 @@ def _data(fit: Fit, _: Mapping[str, Any]) -> Iterator[str]:
         words = f"; {slow} at joint speeds below {_each(seen, 'dead_zone')} {unit} were left out"
         words = words if slow else ""
         yield f"{outputs} outputs were compared with the model{words}."
+    if fit.held_out:
+        pooled = summary["validation"]["pooled"]
+        cover = pooled["coverage"]["0.9"]
+        yield (
+            f"Besides these, {pooled['outputs']} outputs were held out of the fit; 90 % intervals "
+            f"of the posterior predictive cover {100 * cover['share']:.1f} % of them (standard "
+            f"error {100 * cover['standard_error']:.1f} %, correlation accounted for)."
+        )
 
 
 def _each(seen: Sequence[Observation], key: str) -> str:

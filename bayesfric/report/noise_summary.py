@@ -69,7 +69,7 @@ def noise_record(
     record: dict[str, Any] = {
         "model": _SIMULATED,
         "parameters": list(fit.target.noise.names),
-        "residual_lag1": _mean_lag(lags, residuals),
+        "residual_lag1": mean_lag(lags, residuals),
     }
     if not isinstance(likelihood, TorqueLikelihood):
         return record
@@ -81,9 +81,7 @@ def noise_record(
     p = ljung_box(left, runs, _LAGS + noise.order, noise.order)
     record |= {
         "model": noise.description,
-        "innovation_lag1": _mean_lag(
-            [lag_one(r, f) for r, f in zip(left, runs, strict=True)], left
-        ),
+        "innovation_lag1": mean_lag([lag_one(r, f) for r, f in zip(left, runs, strict=True)], left),
         "innovation_whiteness": {
             "test": f"Ljung-Box, {_LAGS + noise.order} lags, all recordings together",
             "p_value": p,
@@ -166,7 +164,7 @@ def white_alternative(fit: Fit) -> bool:
     return isinstance(likelihood.noise, Autoregressive) and likelihood.noise.order > 0
 
 
-def _mean_lag(lags: list[float], residuals: list[Array]) -> float | None:
-    """Average over the recordings that have one, by their numbers of residuals."""
+def mean_lag(lags: list[float], residuals: list[Array]) -> float | None:
+    """Average lag-1 correlations over recordings that have one, by their numbers of residuals."""
     weights = [r.size if np.isfinite(lag) else 0 for lag, r in zip(lags, residuals, strict=True)]
     return float(np.average(np.nan_to_num(lags), weights=weights)) if any(weights) else None

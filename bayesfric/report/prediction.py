@@ -12,6 +12,7 @@ from scipy.special import ndtri
 
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.likelihood import Outputs
+from bayesfric.recordings.observation import Observation
 from bayesfric.report.style import (
     BAND,
     MEASURED,
@@ -148,7 +149,7 @@ def prediction_figure(fit: Fit) -> Figure:
             axes[1, r].set_xlabel("time (s)")
             axes[1, r].set_xlim(float(o.time.min()), max(float(o.time.max()), o.time.min() + 1e-9))
             few_ticks(axes[1, r].xaxis, 8 if len(shown) == 1 else 4)
-            axes[0, r].set_title(_shortened(o.name), fontsize=SMALL, pad=2.5)
+            axes[0, r].set_title(shortened(o.name), fontsize=SMALL, pad=2.5)
         few_ticks(axes[0, 0].yaxis, 5)
         few_ticks(axes[1, 0].yaxis, 4)
         axes[0, 0].set_ylabel(f"{what} ({unit})")
@@ -160,7 +161,7 @@ def prediction_figure(fit: Fit) -> Figure:
 
 def _torque(ax: Axes, o: Outputs, p: Predictive) -> None:
     low, high = p.band(LEVEL)
-    time, measured, mean, low, high = _broken(o, o.measured, p.mean, low, high)
+    time, measured, mean, low, high = broken(o, o.measured, p.mean, low, high)
     pixels = o.time.size > _MOST_POINTS
     ax.fill_between(
         time,
@@ -198,7 +199,7 @@ def _torque(ax: Axes, o: Outputs, p: Predictive) -> None:
 
 def _residual(ax: Axes, o: Outputs, p: Predictive) -> None:
     low, high = p.band(LEVEL)
-    time, residual, low, high = _broken(o, o.measured - p.mean, low - p.mean, high - p.mean)
+    time, residual, low, high = broken(o, o.measured - p.mean, low - p.mean, high - p.mean)
     # once more, for on the scale of the torque a good fit's band is a hairline
     ax.fill_between(time, low, high, color=BAND, linewidth=0.0, rasterized=time.size > _MOST_POINTS)
     ax.plot(
@@ -213,7 +214,7 @@ def _residual(ax: Axes, o: Outputs, p: Predictive) -> None:
         gid="residual",
     )
     for side in (-2.0, 2.0):
-        broken_time, sigma = _broken(o, side * p.sigma)
+        broken_time, sigma = broken(o, side * p.sigma)
         ax.plot(
             broken_time,
             sigma,
@@ -225,8 +226,8 @@ def _residual(ax: Axes, o: Outputs, p: Predictive) -> None:
         )
 
 
-def _broken(o: Outputs, *values: Array) -> list[Array]:
-    """Time and values with a break wherever outputs are missing."""
+def broken(o: Outputs | Observation, *values: Array) -> list[Array]:
+    """Give time and values with a break wherever outputs are missing."""
     gaps = (np.diff(o.time) > 1.5 * o.period) | (np.diff(o.segment_of) != 0)
     at: NDArray[np.intp] = np.flatnonzero(gaps) + 1
     # a time inside the gap keeps the order; the values there are none
@@ -247,7 +248,8 @@ def _dots(ax: Axes, broken: Array) -> list[int]:
     return [int(i) for i in np.flatnonzero(present)]
 
 
-def _shortened(name: str, most: int = 36) -> str:
+def shortened(name: str, most: int = 36) -> str:
+    """Cut a recording's name to what a title has room for."""
     shown = name if len(name) <= most else f"{name[: most - 1]}…"
     return shown.replace("$", r"\$")
 

@@ -43,6 +43,7 @@ from bayesfric.report.tables import (
     parameters_markdown,
 )
 from bayesfric.report.trace import trace_figure
+from bayesfric.report.validation_figure import validation_figure
 
 # Draws kept of the groups that hold a number for every draw and every output.
 _POINTWISE_DRAWS = 400
@@ -65,6 +66,7 @@ FIGURES: dict[str, Draw] = {
     "efficiency": efficiency_figure,
     "prior_posterior": prior_posterior_figure,
     "residual": _of_fit(residual_figure),
+    "validation": validation_figure,
 }
 
 

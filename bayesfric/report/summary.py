@@ -28,6 +28,7 @@ from bayesfric.report.noise_summary import (
     noise_record,
     noise_unit,
 )
+from bayesfric.report.validation import validation_record
 
 Array = NDArray[np.float64]
 
@@ -103,9 +104,14 @@ def summarise(
                 )
             },
         },
+        **({"validation": validation_record(fit)} if fit.held_out else {}),
         "warnings": [
             *correlation_warnings(fit, noise),
-            *(f"{o.name}: {text}" for o in fit.observations for text in o.warnings),
+            *(
+                f"{o.name}: {text}"
+                for o in (*fit.observations, *(p.held_out.observation for p in fit.held_out))
+                for text in o.warnings
+            ),
         ],
         "sampler": {
             "status": d.status,

@@ -120,6 +120,6 @@ def test_single_outputs_are_marked(make_fit):
 
 @pytest.mark.parametrize("name", ["with $ sign", "x" * 80])
 def test_odd_names(name):
-    shown = module._shortened(name)
+    shown = module.shortened(name)
     assert len(shown) <= 40
     assert "$" not in shown.replace(r"\$", "")

@@ -79,8 +79,8 @@ def folder(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         # the real figures are drawn in tests/commands/test_fit.py
         for stem in run_directory.FIGURES:
-            # an axis has no ridge and no load: what there is nothing to show of is left out
-            if stem not in ("ridge", "efficiency"):
+            # an axis has no ridge and no load, and nothing is held out: that is left out
+            if stem not in ("ridge", "efficiency", "validation"):
                 patch.setitem(run_directory.FIGURES, stem, blank)
         fit(read_config(folder / "axis.toml"), folder / "run")
     return folder

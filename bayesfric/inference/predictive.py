@@ -1,0 +1,158 @@
+"""What a posterior predicts of measurements that its likelihood did not see."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from bayesfric.estimates.torque import filtered_torque
+from bayesfric.inference.posterior import Posterior
+from bayesfric.inference.target import Target
+from bayesfric.inference.torque_likelihood import TorqueLikelihood
+from bayesfric.recordings.held_out import HeldOut
+
+Array = NDArray[np.float64]
+
+# Draws of the posterior that are used, and numbers held at once.
+_DRAWS = 400
+_BUDGET = 20_000_000
+_BLOCK = 1_000_000
+# Halvings of the interval that a quantile lies in: to less than the width of a line.
+_HALVINGS = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Posterior predictive of a held-out part, each output by itself.
+
+    It is a mixture with one component a draw: that draw's modelled torque, and about it
+    one residual of that draw's noise. What the noise remembers of neighbouring outputs is not
+    used: the prediction is made from the motion alone.
+
+    Attributes
+    ----------
+    held_out
+        What is predicted.
+    torque
+        ``(n, M)`` modelled by each draw, filtered like the measured.
+    noise
+        SciPy's distribution of a residual in each draw, of shape ``(n, 1)``.
+    borrowed
+        What the recording would have of its own but no fit has seen, ``noise scale``
+        or ``offset``: each draw takes them from one fitted recording, picked at random.
+    """
+
+    held_out: HeldOut
+    torque: Array
+    noise: Any
+    borrowed: tuple[str, ...]
+
+    @property
+    def measured(self) -> Array:
+        """``(M,)``, N m or N."""
+        return self.held_out.observation.measured
+
+    @property
+    def mean(self) -> Array:
+        """Predictive mean, ``(M,)``."""
+        return np.asarray(self.torque.mean(axis=0))
+
+    @property
+    def variance(self) -> Array:
+        """Predictive variance, ``(M,)``; infinite where the noise has none."""
+        return np.asarray(self.torque.var(axis=0) + np.mean(self.noise.var()))
+
+    @cached_property
+    def pit(self) -> Array:
+        """Predictive probability of less than was measured, ``(M,)``.
+
+        Uniform between 0 and 1 where predictions are right (Dawid, JRSS A 147, 1984).
+        """
+        return self._probability(self.measured)
+
+    @cached_property
+    def log_score(self) -> Array:
+        """Log of the predictive density of what was measured, ``(M,)``."""
+        found = np.empty(self.measured.size)
+        for part in self._blocks():
+            density = self.noise.logpdf(self.measured[part] - self.torque[:, part])
+            found[part] = logsumexp(density, axis=0) - np.log(len(self.torque))
+        return found
+
+    def quantile(self, probability: float) -> Array:
+        """Predictive quantile, ``(M,)``."""
+        # a mixture's quantile lies between those of its components
+        own = self.noise.ppf(probability)
+        low, high = np.empty(self.measured.size), np.empty(self.measured.size)
+        for part in self._blocks():
+            ends = self.torque[:, part] + own
+            low[part], high[part] = ends.min(axis=0), ends.max(axis=0)
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            below = self._probability(middle) < probability
+            low, high = np.where(below, middle, low), np.where(below, high, middle)
+        return np.asarray(0.5 * (low + high))
+
+    def _probability(self, x: Array) -> Array:
+        """Predictive probability of less than ``x`` ``(M,)``."""
+        found = np.empty(x.size)
+        for part in self._blocks():
+            found[part] = self.noise.cdf(x[part] - self.torque[:, part]).mean(axis=0)
+        return found
+
+    def _blocks(self) -> list[slice]:
+        wide = max(1, _BLOCK // len(self.torque))
+        return [slice(a, a + wide) for a in range(0, self.measured.size, wide)]
+
+
+def predict_held_out(
+    target: Target, posterior: Posterior, held_out: Sequence[HeldOut]
+) -> tuple[Prediction, ...]:
+    """Predict what was held out.
+
+    The end of a fitted recording is predicted with that recording's own noise scale and
+    offset. Those of a recording that was held out as a whole are not known; where recordings
+    have their own, the predictive is a mixture over those of the fitted ones.
+
+    Parameters
+    ----------
+    target, posterior
+        Of a finished fit of the torque.
+    held_out
+        From :func:`bayesfric.recordings.held_out.divide`.
+    """
+    likelihood = target.likelihood
+    if not isinstance(likelihood, TorqueLikelihood):
+        raise TypeError("only the torque is predicted")
+    chain, noise = likelihood.chain, likelihood.noise
+    names = [o.name for o in likelihood.observations]
+    rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(6,)))
+    flat = posterior.flat()
+    found = []
+    for one in held_out:
+        n = min(_DRAWS, max(50, _BUDGET // one.observation.measured.size), flat.shape[0])
+        draws = flat[np.linspace(0, flat.shape[0] - 1, n).astype(int)]
+        values = target.chain_values(draws)
+        scales = target.noise.scales(draws[:, len(target.free) :])
+        if one.name in names:
+            like, borrowed = np.full(n, names.index(one.name)), []
+        else:
+            like = rng.integers(len(names), size=n)
+            apart = np.ptp(target.noise.places, axis=0).any()
+            borrowed = ["noise scale"] if apart else []
+            borrowed += ["offset"] if chain.own_offsets else []
+        torque = np.empty((n, one.observation.measured.size))
+        for r in np.unique(like):
+            # a recording's offset goes by its name
+            named = replace(one.observation, name=names[r])
+            torque[like == r] = filtered_torque(chain, named, values[like == r])
+        found.append(
+            Prediction(one, torque, noise.marginal(scales[np.arange(n), like]), tuple(borrowed))
+        )
+    return tuple(found)

@@ -1,0 +1,196 @@
+"""What is kept out of a fit, to be predicted by it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from bayesfric.errors import BadInput, nearest
+from bayesfric.recordings.observation import Observation, observe, window
+from bayesfric.recordings.options import Processing
+from bayesfric.recordings.recording import Recording
+
+# Outputs left out before a held-out end, beyond one window of the parallel filter: noise that
+# remembers its predecessors must have forgotten them.
+_MEMORY = 10
+# Fewer outputs say nothing of the coverage of a 90 % interval.
+_LEAST = 20
+
+
+class Validation(BaseModel):
+    """The ``[validation]`` table."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    recordings: tuple[str, ...] = Field(
+        (),
+        description="names of recordings that the fit does not see; it predicts them instead, "
+        "and says how well",
+        examples=[("run-3",)],
+    )
+    hold_out: float | None = Field(
+        None,
+        gt=0,
+        lt=1,
+        description="share of every fitted recording, at its end, that the fit does not see "
+        "either; none if left out",
+        examples=[0.2],
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """A recording, or the end of one, that is predicted and not fitted.
+
+    Attributes
+    ----------
+    recording, observation
+        As read and as prepared. The name is that of the whole recording.
+    part
+        ``whole recording``, or ``last 20 %``.
+    """
+
+    recording: Recording
+    observation: Observation
+    part: str
+
+    @property
+    def name(self) -> str:
+        """Name of the recording."""
+        return self.recording.name
+
+
+@dataclass(frozen=True, eq=False)
+class Divided:
+    """Recordings, divided into what is fitted and what is held out.
+
+    Attributes
+    ----------
+    recordings, observations
+        To be fitted, as read and as prepared, in the same order.
+    held_out
+        To be predicted.
+    """
+
+    recordings: list[Recording]
+    observations: list[Observation]
+    held_out: tuple[HeldOut, ...]
+
+
+def divide(
+    recordings: Sequence[Recording], processing: Processing, validation: Validation
+) -> Divided:
+    """Prepare recordings, and keep out of the fit what is to be predicted.
+
+    The torque of what is held out is seen by nothing that is fitted: ends are cut off before
+    anything is filtered, and a gap of one window of the parallel filter and ten outputs
+    more is left out before them.
+
+    Parameters
+    ----------
+    recordings
+        As read; their names differ.
+    processing
+        How to prepare them. An end is prepared with the dead zone of the rest.
+    validation
+        What to hold out.
+
+    Raises
+    ------
+    BadInput
+        For a name that no recording has, if nothing is left to fit, or if what is held out is
+        too short or does not move.
+    """
+    names = [r.name for r in recordings]
+    for name in validation.recordings:
+        if name not in names:
+            raise BadInput(
+                "validation.recordings", f"no recording is called {name!r}", nearest(name, names)
+            )
+    if set(names) == set(validation.recordings):
+        raise BadInput("validation.recordings", "holds out every recording", "leave one to fit")
+    fitted: list[Recording] = []
+    observations: list[Observation] = []
+    held_out: list[HeldOut] = []
+    for recording in recordings:
+        if recording.name in validation.recordings:
+            o = observe(recording, processing)
+            _check(recording, o, "validation.recordings", f"recording {recording.name!r}")
+            held_out.append(HeldOut(recording, o, "whole recording"))
+        elif validation.hold_out is not None:
+            rest, o, end = _without_end(recording, processing, validation.hold_out)
+            fitted.append(rest)
+            observations.append(o)
+            held_out.append(end)
+        else:
+            fitted.append(recording)
+            observations.append(observe(recording, processing))
+    return Divided(fitted, observations, tuple(held_out))
+
+
+def _without_end(
+    recording: Recording, processing: Processing, share: float
+) -> tuple[Recording, Observation, HeldOut]:
+    """Hold out the last share of the samples, with a gap before it."""
+    where = "validation.hold_out"
+    length, step = window(recording, processing)
+    n = recording.time.size
+    begin = n - round(share * n)
+    last = begin - length - _MEMORY * step
+    part = f"last {100 * share:.3g} %"
+    whose = f"the {part} of recording {recording.name!r}"
+    if last < 1:
+        raise BadInput(where, f"leaves nothing of recording {recording.name!r}", "hold out less")
+    if begin >= n:
+        raise BadInput(where, f"{whose} is not even one sample", "hold out more")
+    least = processing.min_samples
+    rest, end = _piece(recording, 0, last, least), _piece(recording, begin, n, least)
+    try:
+        o = observe(rest, processing)
+    except BadInput as error:
+        what = f"what is left of recording {recording.name!r} cannot be fitted: {error.what}"
+        raise BadInput(where, what, "hold out less") from None
+    told = (
+        f"held out: {whose}, from {end.time[0]:.4g} s on, "
+        f"and {begin - last} samples before it as a gap"
+    )
+    o = replace(o, steps=(*o.steps, told))
+    # a dead zone from the end's own speeds would be none where the joint is at rest
+    same = processing.model_copy(update={"dead_zone": float(o.settings["dead_zone"])})
+    try:
+        predicted = observe(end, same)
+    except BadInput as error:
+        raise BadInput(where, f"{whose}: {error.what}", "hold out another share") from None
+    _check(end, predicted, where, whose)
+    return rest, o, HeldOut(end, replace(predicted, warnings=()), part)
+
+
+def _check(recording: Recording, o: Observation, where: str, whose: str) -> None:
+    if not np.ptp(recording.position) > 0.0:
+        raise BadInput(where, f"{whose}: the joint never moves", "hold out another part")
+    if o.measured.size < _LEAST:
+        raise BadInput(
+            where,
+            f"{whose} is too short: {o.measured.size} outputs after filtering, at least "
+            f"{_LEAST} are needed",
+            "hold out more, or decimate less",
+        )
+
+
+def _piece(r: Recording, begin: int, end: int, least: int) -> Recording:
+    """Cut a recording to samples ``begin`` to ``end``; a segment's stump goes, as in reading."""
+    cut = [(max(a, begin), min(b, end)) for a, b in r.segments if a < end and b > begin]
+    kept = [(a, b) for a, b in cut if b - a >= least] or cut
+    begin, end = kept[0][0], kept[-1][1]
+    return replace(
+        r,
+        time=r.time[begin:end],
+        position=r.position[begin:end],
+        velocity=None if r.velocity is None else r.velocity[begin:end],
+        torque=r.torque[begin:end],
+        segments=tuple((a - begin, b - begin) for a, b in kept),
+        excluded=r.excluded[begin:end],
+    )

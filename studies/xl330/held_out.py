@@ -1,0 +1,77 @@
+"""Fit twelve runs of the XL330, predict the four of the gain left out, for every gain.
+
+``python studies/xl330/held_out.py`` prints the table of README.md.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from bayesfric.commands.estimate import estimates
+from bayesfric.commands.problem import read_problem
+from bayesfric.config import parse_config
+from bayesfric.inference.fit import fit
+from bayesfric.inference.predictive import predict_held_out
+from bayesfric.report.validation import validation_record
+
+PATH = Path(__file__).with_name("xl330-held-out.toml")
+GAINS = {
+    100: ("10h28m10", "10h28m17", "10h28m24", "10h28m32"),
+    200: ("10h28m42", "10h28m49", "10h28m57", "10h29m04"),
+    400: ("10h29m14", "10h29m21", "10h29m29", "10h29m37"),
+    800: ("10h29m47", "10h29m54", "10h30m02", "10h30m10"),
+}
+NOISES = {
+    "white, one scale": {"model": "white", "scale": "shared"},
+    "white, a scale each": {"model": "white", "scale": "per-recording"},
+    "AR, one scale": {"model": "auto", "scale": "shared"},
+}
+
+
+def held_out(gain: int, noise: str) -> tuple[str, dict[str, Any]]:
+    """Fit without the runs of a gain; name the noise, and say how they are predicted."""
+    config = parse_config(PATH.read_text(encoding="utf-8"), PATH)
+    tables = config.tables
+    names = tuple(f"2026-01-15_{name}" for name in GAINS[gain])
+    tables = tables.model_copy(
+        update={
+            "validation": tables.validation.model_copy(update={"recordings": names}),
+            "noise": tables.noise.model_copy(update=NOISES[noise]),
+        }
+    )
+    problem = read_problem(config.model_copy(update={"tables": tables}))
+    found = estimates(problem, ("least-squares", "input-error"))
+    points = [dict(e.point) for e in found if e.point]
+    result = fit(problem.target(points[0]), tables.sampling, estimates=found)
+    predictions = predict_held_out(result.target, result.posterior, problem.held_out)
+    record = validation_record(replace(result, held_out=predictions))
+    return result.target.likelihood.noise.description, record
+
+
+def main(noises: list[str]) -> None:
+    """Print a row for each gain and noise."""
+    print("| gain held out | noise | outputs | 50 % | 90 % | 99 % | rms | predicted | off by |")
+    print("|---|---|---|---|---|---|---|---|---|")
+    for noise in noises:
+        for gain in GAINS:
+            description, record = held_out(gain, noise)
+            p = record["pooled"]
+            shares = " | ".join(
+                f"{100 * c['share']:.0f} ± {100 * c['standard_error']:.0f} %"
+                for c in p["coverage"].values()
+            )
+            off = p["discrepancy"]
+            low, high = off["interval"]
+            print(
+                f"| {gain} | {noise} ({description}) | {p['outputs']} | {shares} | "
+                f"{p['residual_rms']:.4f} | {p['predictive_sd']:.4f} | "
+                f"{off['value']:.4f} [{low:.4f}, {high:.4f}] |",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:] or list(NOISES))

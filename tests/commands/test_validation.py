@@ -1,0 +1,156 @@
+"""``[validation]`` as a user meets it: what is held out is predicted and changes no fit."""
+
+import json
+
+import numpy as np
+import pytest
+
+from bayesfric.commands.simulate import simulate
+from bayesfric.config import read_config
+from bayesfric.inference.archive import read_archive
+from bayesfric.report import run_directory
+
+from .bench import has
+
+RECORDING = """
+[[recordings]]
+file = "{name}.csv"
+time = {{ column = "time", unit = "s" }}
+position = {{ column = "position", unit = "rad" }}
+torque = {{ column = "torque", unit = "N m" }}
+"""
+SIMULATION = """
+[simulation]
+duration = 3.0
+rate = 400
+excitation = "multisine"
+encoder_counts = 0
+torque_noise = 0.01
+"""
+JOINT = '[mechanism]\npreset = "motor-axis"\n'
+NAMES = ("one", "two", "three")
+SHORT = "\n[sampling]\nwalkers = 32\nmax_steps = 400\nmin_ess = 200\n"
+PROCESSING = '\n[processing]\nlowpass = "100 Hz"\ndecimate = 1\n'
+CONFIG = JOINT + "".join(RECORDING.format(name=name) for name in NAMES) + PROCESSING + SHORT
+HELD_OUT = '\n[validation]\nrecordings = ["two"]\nhold_out = 0.2\n'
+
+
+@pytest.fixture
+def three(bench, monkeypatch):
+    for seed, name in enumerate(NAMES, start=1):
+        bench.config(JOINT + RECORDING.format(name=name) + SIMULATION)
+        simulate(read_config(bench.folder / "c.toml"), bench.folder / f"{name}.csv", seed=seed)
+    bench.config(CONFIG + HELD_OUT)
+    kept = {"validation": run_directory.FIGURES["validation"]}
+    monkeypatch.setattr(run_directory, "FIGURES", kept)
+    return bench
+
+
+def fitted(bench):
+    ended = bench.run("fit", "c.toml", "-o", "run", "--force")
+    assert ended.code in (0, 3), ended
+    data = read_archive(bench.folder / "run" / "posterior.nc")
+    draws = {name: data["posterior"][name].values for name in data["posterior"].data_vars}
+    summary = json.loads((bench.folder / "run" / "summary.json").read_text(encoding="utf-8"))
+    return summary, draws, ended.out, json.loads(data.attrs["recordings"])
+
+
+def alter(bench, name, begin, size):
+    """Add to the torque from a time on."""
+    path = bench.folder / f"{name}.csv"
+    head, *rows = path.read_text().strip().split("\n")
+    table = np.loadtxt(rows, delimiter=",")
+    table[table[:, 0] >= begin, head.split(",").index("torque")] += size
+    path.write_text("\n".join([head, *(",".join(map(repr, row)) for row in table.tolist())]) + "\n")
+
+
+def test_what_is_held_out_is_predicted_and_changes_no_draw(three):
+    summary, draws, out, hashes = fitted(three)
+    record = summary["validation"]
+    assert {name: p["held_out"] for name, p in record["parts"].items()} == {
+        "one": "last 20 %",
+        "two": "whole recording",
+        "three": "last 20 %",
+    }
+    assert record["unit"] == "N m"
+    assert "noise scale" in record["predictive"]
+    n = record["pooled"]["outputs"]
+    for level, found in record["pooled"]["coverage"].items():
+        p = float(level)
+        # white noise, and a posterior from three times as many outputs: sds add up
+        error = np.sqrt(p * (1 - p) * (1 / n + 1 / 3 / n)) + 0.005
+        assert abs(found["share"] - p) < 4 * error, level
+    assert record["pooled"]["verdict"] == "covered"
+    has(out, "Held out: 1 whole recording and the last 20 % of 2 recordings", "covered: 90 %")
+    assert set(hashes) == set(NAMES)
+    assert (three.folder / "run" / "figures" / "validation.pdf").stat().st_size > 1000
+    assert "**validation**" in (three.folder / "run" / "text" / "captions.md").read_text()
+    methods = (three.folder / "run" / "text" / "methods.txt").read_text()
+    has(methods, f"{n} outputs were held out of the fit")
+    assert set(summary["fit"]["recordings"]) == {"one", "three"}
+
+    alter(three, "two", 0.0, 0.05)
+    alter(three, "one", 2.41, 0.03)
+    again, same, out, _ = fitted(three)
+    assert set(same) == set(draws)
+    for name, values in draws.items():
+        np.testing.assert_array_equal(same[name], values)
+    assert again["parameters"] == summary["parameters"]
+    assert again["estimates"] == summary["estimates"]
+    # what was put in, beyond a noise of 0.01 N m, and found
+    for name, size in (("two", 0.05), ("one", 0.03)):
+        found = again["validation"]["parts"][name]
+        assert found["verdict"] == "model discrepancy"
+        assert found["discrepancy"]["value"] == pytest.approx(size, rel=0.1)
+    assert again["validation"]["parts"]["three"] == record["parts"]["three"]
+    has(out, "model discrepancy", "more than noise and posterior explain")
+
+
+def test_check_shows_what_is_held_out(three):
+    ended = three.run("check", "c.toml")
+    assert ended.code == 0
+    has(ended.out, "two, whole recording held out", "one, last 20 % held out", "as a gap")
+
+
+def test_no_validation_no_entry(three):
+    three.config(JOINT + RECORDING.format(name="one") + PROCESSING + SHORT)
+    summary, _, out, _ = fitted(three)
+    assert "validation" not in summary
+    assert "Held out" not in out
+    assert not list((three.folder / "run" / "figures").glob("validation*"))
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ('recordings = ["twoo"]', ["validation.recordings", "'twoo'", "did you mean 'two'"]),
+        ('recordings = ["one", "two", "three"]', ["validation.recordings", "every recording"]),
+        ("hold_out = 0", ["validation.hold_out", "got 0", "more than 0"]),
+        ("hold_out = 1.0", ["validation.hold_out", "got 1", "less than 1"]),
+        ("hold_out = 0.001", ["validation.hold_out", "last 0.1 %"]),
+        ("hold_out = 0.999", ["validation.hold_out", "leaves nothing", "hold out less"]),
+        ('hold_out = "0.2"', ["validation.hold_out", "a number, without quotes"]),
+        ("holdout = 0.2", ["validation.holdout", "unknown key", "did you mean 'hold_out'"]),
+        (
+            'hold_out = 0.2\n[likelihood]\nmethod = "output-error"',
+            ["c.toml: validation", "not offered for the output-error likelihood"],
+        ),
+    ],
+)
+def test_bad_validation(three, text, parts):
+    three.config(CONFIG + f"\n[validation]\n{text}\n")
+    has(three.refused("check", "c.toml"), "c.toml: ", *parts)
+
+
+def test_the_offset_of_what_is_held_out_is_no_parameter(three):
+    text = CONFIG.replace("[mechanism]\n", '[mechanism]\noffset = "per-recording"\n')
+    three.config(text + HELD_OUT + '\n[priors]\n"offset.two" = 0.0\n')
+    has(three.refused("check", "c.toml"), "priors.offset.two", "no such parameter")
+
+
+def test_init_shows_the_table(bench):
+    ended = bench.run("init", "motor-axis", "-o", "new.toml")
+    assert ended.code == 0, ended
+    text = (bench.folder / "new.toml").read_text()
+    has(text, "[validation]", '# recordings = ["run-3"]', "# hold_out = 0.2")
+    assert read_config(bench.folder / "new.toml").tables.validation.hold_out is None

@@ -1,0 +1,149 @@
+"""What is held out of a fit: which samples, how far from the others, and what is refused."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayesfric.errors import BadInput
+from bayesfric.recordings.held_out import Validation, divide
+from bayesfric.recordings.observation import observe
+from bayesfric.recordings.options import Processing
+from bayesfric.recordings.recording import Recording
+
+PROCESSING = Processing(lowpass=20.0, decimate=5)
+N, PERIOD = 4000, 0.002
+
+
+def recording(name="run", n=N, segments=None, moves=slice(None)):
+    time = PERIOD * np.arange(n)
+    position = np.zeros(n)
+    position[moves] = np.sin(2 * np.pi * 0.9 * time[moves])
+    return Recording(
+        name=name,
+        path=Path(name),
+        sha256="",
+        time=time,
+        position=position,
+        velocity=None,
+        torque=np.random.default_rng(n).standard_normal(n),
+        segments=segments or ((0, n),),
+        period=PERIOD,
+        excluded=np.zeros(n, dtype=bool),
+        added_mass=0.0,
+        radius=0.0,
+        steps=(),
+        warnings=(),
+    )
+
+
+def touched(o):
+    """Time stamps of the first and the last sample that outputs are made of."""
+    reach = 0.5 * (len(o.filter.taps) - 1) * PERIOD
+    return o.time[0] - reach, o.time[-1] + reach
+
+
+def test_nothing_is_held_out_unless_asked():
+    (one,) = (recording(),)
+    divided = divide([one], PROCESSING, Validation())
+    assert divided.held_out == ()
+    assert divided.recordings == [one]
+    np.testing.assert_array_equal(
+        divided.observations[0].measured, observe(one, PROCESSING).measured
+    )
+
+
+def test_a_named_recording_is_prepared_as_usual_but_not_fitted():
+    runs = [recording(name) for name in ("a", "b", "c")]
+    divided = divide(runs, PROCESSING, Validation(recordings=("b",)))
+    assert [r.name for r in divided.recordings] == ["a", "c"]
+    assert [o.name for o in divided.observations] == ["a", "c"]
+    (held,) = divided.held_out
+    assert (held.name, held.part) == ("b", "whole recording")
+    np.testing.assert_array_equal(held.observation.measured, observe(runs[1], PROCESSING).measured)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.2, 0.5])
+def test_the_end_is_the_share_asked_for_and_a_window_away(share):
+    divided = divide([recording()], PROCESSING, Validation(hold_out=share))
+    (held,) = divided.held_out
+    (o,) = divided.observations
+    assert held.part == f"last {100 * share:g} %"
+    assert held.recording.time.size == round(share * N)
+    assert held.recording.time[-1] == PERIOD * (N - 1)
+    # no output of either is made of a sample nearer than a window to those of the other
+    window = (len(o.filter.taps) - 1) * PERIOD
+    assert touched(held.observation)[0] - touched(o)[1] > window
+    # nor does noise that remembers ten outputs reach over
+    assert held.observation.time[0] - o.time[-1] > window + 10 * o.period
+
+
+def test_the_torque_that_is_held_out_changes_nothing_that_is_fitted():
+    one = recording()
+    changed = replace(one, torque=one.torque + 5.0 * (one.time >= PERIOD * N * 0.8))
+    before, after = (divide([r], PROCESSING, Validation(hold_out=0.2)) for r in (one, changed))
+    np.testing.assert_array_equal(before.observations[0].measured, after.observations[0].measured)
+    np.testing.assert_array_equal(before.recordings[0].torque, after.recordings[0].torque)
+    assert np.all(
+        after.held_out[0].observation.measured - before.held_out[0].observation.measured > 4
+    )
+
+
+def test_gaps_in_time_stay_and_stumps_go():
+    # the cut at 80 % lies 20 samples into the third segment: too few to fit
+    end = 3200 - 37
+    segments = ((0, 1000), (1000, end - 65), (end - 65, 3600), (3600, N))
+    one = recording(segments=segments)
+    divided = divide([one], PROCESSING, Validation(hold_out=0.2))
+    assert divided.recordings[0].segments == ((0, 1000), (1000, end - 65))
+    held = divided.held_out[0].recording
+    assert held.segments == ((0, 400), (400, 800))
+    np.testing.assert_array_equal(held.time, one.time[3200:])
+
+
+def refused(runs, processing=PROCESSING, **options):
+    with pytest.raises(BadInput) as caught:
+        divide(runs, processing, Validation(**options))
+    return str(caught.value)
+
+
+def test_an_unknown_name_names_the_nearest():
+    message = refused([recording("run-a"), recording("other")], recordings=("run-b",))
+    assert message.startswith("validation.recordings: no recording is called 'run-b'")
+    assert "did you mean 'run-a'?" in message
+
+
+def test_everything_held_out():
+    assert "every recording" in refused([recording("a")], recordings=("a",))
+    assert "leaves nothing of recording 'run'" in refused([recording()], hold_out=0.995)
+    assert "what is left of recording 'run'" in refused([recording()], hold_out=0.97)
+
+
+@pytest.mark.parametrize("share", [1e-9, 0.003, 0.02])
+def test_an_end_that_is_too_short(share):
+    message = refused([recording()], hold_out=share)
+    assert message.startswith(
+        f"validation.hold_out: the last {100 * share:.3g} % of recording 'run'"
+    )
+    assert "hold out" in message.rpartition(";")[2]
+
+
+def test_a_recording_that_is_too_short():
+    message = refused([recording("a"), recording("b", n=160)], recordings=("b",))
+    assert "recording 'b' is too short" in message
+
+
+@pytest.mark.parametrize("dead_zone", [None, 0.0, "0.05 rad/s"])
+def test_an_end_in_which_the_joint_rests(dead_zone):
+    processing = PROCESSING.model_copy(update={"dead_zone": dead_zone})
+    message = refused([recording(moves=slice(0, 3000))], processing, hold_out=0.2)
+    assert message.startswith("validation.hold_out: the last 20 % of recording 'run'")
+    assert "never" in message
+
+
+def test_an_end_in_which_the_joint_only_dithers():
+    """Its own speeds would set a dead zone below the dither; that of the rest does not."""
+    one = recording(moves=slice(0, 3000))
+    one.position[3000:] = 1e-6 * np.sin(40.0 * one.time[3000:])
+    assert "never faster than the dead zone" in refused([one], hold_out=0.2)
