@@ -46,11 +46,10 @@ def test_what_is_wrong_on_purpose_is_caught_by_the_same_check(result, case):
 
 
 def test_the_band_holds_uniform_ranks_as_often_as_it_says(study):
-    from ranks import band, simultaneous
-
+    ranks_of = importlib.import_module("ranks", package=study.__package__)
     n, ranked, level, trials = 200, 99, 0.9, 2000
-    probability = simultaneous(n, ranked, level)
-    _, low, high = band(n, ranked, probability)
+    probability = ranks_of.simultaneous(n, ranked, level)
+    _, low, high = ranks_of.band(n, ranked, probability)
     rng = np.random.default_rng(7)
     inside = 0
     for _ in range(trials):
