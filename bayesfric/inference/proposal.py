@@ -87,7 +87,9 @@ class Proposal:
         covariance[np.diag_indices(d)] += 1e-300
         root = _cholesky(covariance)
         z = (draws[:: n // _LOOKED_AT + 1] - mean) @ np.linalg.inv(root).T
-        components = min(_MOST_COMPONENTS, z.shape[0] // (_DRAWS_AN_ENTRY * d * d))
+        # a walker that stayed where it was says nothing new
+        distinct = np.unique(z[:, 0]).size
+        components = min(_MOST_COMPONENTS, distinct // (_DRAWS_AN_ENTRY * d * d))
         if components < 2:
             return cls(np.ones(1), mean[None], root[None], mean, root)
         weights, means, roots = _mixture(z, components)
