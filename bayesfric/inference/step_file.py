@@ -1,21 +1,22 @@
 """One HDF5 file that sampled steps are appended to, readable whenever its writer is killed.
 
 HDF5 is no journal: a process killed while the library rewrites an index leaves a file that
-nobody opens again. So nothing but numbers is ever written into a file that is in use. Its
-datasets are contiguous and have their place from the beginning, longer than needed; an append
-fills rows that nobody counts yet, and then the count. When the places are full, a longer file is
-made beside, from the shorter one, and moved over it.
+nobody opens again. And it takes a full disk badly: closing a file then ends in a crash (1.14 and
+2.0). So the library makes the tables of an empty file in memory, and reads; a file in use gets
+nothing but numbers, from here. Its datasets are contiguous and have their place from the
+beginning, longer than needed; an append fills rows that nobody counts yet, and then the count.
+When the places are full, a longer file is made beside, from the shorter one, and moved over it.
 """
 
 from __future__ import annotations
 
+import io
 import os
-import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import h5py
 import numpy as np
@@ -79,21 +80,19 @@ class StepFile:
         end = first + len(steps)
         if not self.path.exists():
             self._remake(0, max(_ROOM // self._step_size, end))
-        with _opened(self.path, "r+") as file:
-            room = self._datasets(file)["coordinates"].shape[0]
+        room, places = self._places()
         if end > room:
             self._remake(first, max(2 * room, end))
-        with _opened(self.path, "r+") as file:
-            for name, dataset in self._datasets(file).items():
-                dataset[first:end] = getattr(steps, name)
-            file.flush()
-            file["steps"][()] = end
-        _to_disk(self.path)
+            room, places = self._places()
+        with self.path.open("r+b") as file:
+            _write_rows(file, places, steps, first)
+            _write(file, places["steps"], np.array(end, dtype="<i8"))
+            os.fsync(file.fileno())
 
     def read(self, begin: int, end: int) -> Steps:
         """Read some steps."""
-        with _opened(self.path, "r") as file:
-            if not end <= int(file["steps"][()]):
+        with _opened(self.path) as file:
+            if not end <= int(file["steps"][0]):
                 raise ValueError(f"holds fewer than {end} steps")
             rows = {name: data[begin:end] for name, data in self._datasets(file).items()}
         return Steps(**rows)
@@ -106,26 +105,40 @@ class StepFile:
 
     def _remake(self, kept: int, room: int) -> None:
         """Move a file over this one that has room for more rows."""
-        beside = self.path.with_name(f".{self.path.name}.{os.getpid()}.partial")
-        shape = (room, self.walkers)
+        beside = self.path.with_name(f".{self.path.name}.partial")
+        tables = _Tables()
+        with h5py.File(tables, "w", libver="earliest", meta_block_size=2**14) as empty:
+            _create(empty, "steps", (1,), "<i8")
+            _create(empty, "coordinates", (room, self.walkers, self.dimension), "<f8")
+            _create(empty, "log_density", (room, self.walkers), "<f8")
+            # as h5py stores NumPy's bool
+            _create(empty, "accepted", (room, self.walkers), np.bool_)
+            places = {name: dataset.id.get_offset() for name, dataset in empty.items()}
         try:
-            with _opened(beside, "w") as file:
-                _create(file, "coordinates", (*shape, self.dimension), "<f8")
-                _create(file, "log_density", shape, "<f8")
-                # as h5py stores NumPy's bool
-                _create(file, "accepted", shape, np.bool_)
-                _create(file, "steps", (), "<i8")
-                datasets, end = self._datasets(file), 0
+            with beside.open("wb") as file:
+                file.write(tables.getbuffer())
+                file.truncate(tables.size)
+                end = 0
                 for steps in self.pieces(kept):
-                    begin, end = end, end + len(steps)
-                    for name, dataset in datasets.items():
-                        dataset[begin:end] = getattr(steps, name)
-                file["steps"][()] = kept
-            _to_disk(beside)
+                    _write_rows(file, places, steps, end)
+                    end += len(steps)
+                _write(file, places["steps"], np.array(kept, dtype="<i8"))
+                file.flush()
+                os.fsync(file.fileno())
             beside.replace(self.path)
         finally:
             with suppress(OSError):  # it has its name already, or was never made
                 beside.unlink()
+
+    def _places(self) -> tuple[int, dict[str, int]]:
+        """Give how many rows there is room for, and where in the file each dataset begins."""
+        with _opened(self.path) as file:
+            datasets = self._datasets(file) | {"steps": file["steps"]}
+            places = {name: dataset.id.get_offset() for name, dataset in datasets.items()}
+            room = int(datasets["coordinates"].shape[0])
+        if None in places.values():
+            raise ValueError("holds no place for numbers")
+        return room, places
 
     def _datasets(self, file: Any) -> dict[str, Any]:
         """Give the datasets by name, after a look at whether they are ours."""
@@ -157,27 +170,36 @@ def _create(file: Any, name: str, shape: tuple[int, ...], kind: Any) -> None:
     file.create_dataset(name, shape, kind, dcpl=plan)
 
 
+def _write_rows(file: IO[bytes], places: Mapping[str, int], steps: Steps, first: int) -> None:
+    for name, kind in (("coordinates", "<f8"), ("log_density", "<f8"), ("accepted", "i1")):
+        rows = np.ascontiguousarray(getattr(steps, name), dtype=kind)
+        _write(file, places[name] + first * rows[0].nbytes, rows)
+
+
+def _write(file: IO[bytes], place: int, numbers: NDArray[Any]) -> None:
+    file.seek(place)
+    file.write(numbers.tobytes())
+
+
+class _Tables(io.BytesIO):
+    """What HDF5 writes of a file without numbers; the rest of its size is left out."""
+
+    size = 0
+
+    def truncate(self, size: int | None = None) -> int:
+        """Note the size of the file."""
+        self.size = self.tell() if size is None else size
+        return self.size
+
+
 @contextmanager
-def _opened(path: Path, mode: str) -> Iterator[Any]:
-    """Open an HDF5 file for a moment; its errors become the system's, or a ValueError."""
-    if mode != "w" and not path.exists():
-        raise FileNotFoundError(2, "No such file or directory", str(path))
+def _opened(path: Path) -> Iterator[Any]:
+    """Open an HDF5 file for reading; what is wrong inside it becomes a ValueError."""
+    with path.open("rb"):
+        pass  # the system's own reason, where it cannot be opened at all
     try:
         # the run directory is locked; HDF5's own lock fails on some network disks
-        with h5py.File(path, mode, libver="earliest", locking=False) as file:
+        with h5py.File(path, "r", locking=False) as file:
             yield file
-    except (OSError, RuntimeError) as error:
-        # h5py hands on a paragraph, in which the system's reason stands
-        found = re.search(r"errno = (\d+)", str(error))
-        number = int(found[1]) if found else getattr(error, "errno", None)
-        if number:
-            raise OSError(number, os.strerror(number), str(path)) from None
-        raise ValueError(f"is no HDF5 file that can be read ({error})") from None
-    except (KeyError, TypeError, IndexError) as error:
-        raise ValueError(f"holds something else ({error})") from None
-
-
-def _to_disk(path: Path) -> None:
-    """Wait until a file is on the disk and not only in memory."""
-    with path.open("r+b") as file:
-        os.fsync(file.fileno())
+    except (OSError, RuntimeError, KeyError, TypeError, IndexError) as error:
+        raise ValueError(f"is no HDF5 file with steps ({error})") from None
