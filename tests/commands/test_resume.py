@@ -47,6 +47,8 @@ def plain():
     """No figures; save after every block, however fast."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run_directory, "FIGURES", {})
+        patch.setattr(run_directory, "forest_figure", lambda _: None)
+        patch.setattr(run_directory, "save", lambda *_: None)
         patch.setattr(checkpoint, "_SHARE", 1e9)
         patch.setattr(step_file, "_ROOM", 2**16)
         yield
@@ -107,7 +109,7 @@ def blocks(whole):
 
 @pytest.mark.parametrize(
     "every",
-    [pytest.param(1, marks=pytest.mark.slow, id="every"), pytest.param(6, id="every-6th")],
+    [pytest.param(1, marks=pytest.mark.slow, id="every"), pytest.param(12, id="every-12th")],
 )
 def test_interrupted_after_a_block_and_resumed(here, whole, every):
     """The quick form of every single one is in ``tests/inference/test_checkpoint.py``."""
@@ -192,6 +194,7 @@ def test_force_keeps_the_old_checkpoint(here, whole):
     same(here.folder, whole)
 
 
+@pytest.mark.slow
 def test_force_that_is_interrupted_still_keeps_the_old_run(here, whole):
     assert here.run("fit", "few.toml", "-o", "run", "--seed", "9").code == 3
     left = itertools.count(1)
@@ -252,8 +255,16 @@ def test_a_killed_process_leaves_no_lock(tmp_path):
 def begun(folder, *arguments):
     """Start ``bayesfric fit`` in a process of its own."""
     return subprocess.Popen(
-        [sys.executable, "-m", "tests.commands.slow_likelihood", "fit", "few.toml", "-o", "run"]
-        + list(arguments),
+        [
+            sys.executable,
+            "-m",
+            "tests.commands.slow_likelihood",
+            "fit",
+            "few.toml",
+            "-o",
+            "run",
+            *arguments,
+        ],
         cwd=folder,
         env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
         stdout=subprocess.PIPE,
@@ -274,15 +285,21 @@ def wait_for(condition, process):
         time.sleep(0.005)
 
 
-def test_signals_in_processes_of_their_own(here, whole):
-    """Ctrl-C, then SIGTERM to the one that went on; in between, a second process tries."""
-    before = 0
-    for number, code, options in (
-        (signal.SIGINT, 130, ()),
-        (signal.SIGTERM, 143, ("--resume",)),
-    ):
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        [signal.SIGINT],
+        pytest.param([signal.SIGTERM, signal.SIGINT, signal.SIGTERM], marks=pytest.mark.slow),
+    ],
+    ids=["ctrl-c", "three-times"],
+)
+def test_signals_in_processes_of_their_own(here, whole, numbers):
+    """One after the other, each to the process that went on; in between, a second one tries."""
+    before, options = 0, ()
+    for number in numbers:
+        code = 128 + number
         process = begun(here.folder, *options)
-        wait_for(lambda: steps(here.folder) > before, process)
+        wait_for(lambda before=before: steps(here.folder) > before, process)
         time.sleep(0.015)
         if not options:
             message = here.run("fit", "few.toml", "-o", "run").err
@@ -299,13 +316,13 @@ def test_signals_in_processes_of_their_own(here, whole):
             "bayesfric fit few.toml -o run --resume\n"
         )
         assert now > before
-        before = now
+        before, options = now, ("--resume",)
     fit(read_config(here.folder / "few.toml"), here.folder / "run", resume=True)
     same(here.folder, whole)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_handlers_are_put_back(here, whole, number):
+def test_handlers_are_put_back(here, number):
     def mine(*_):
         raise AssertionError
 
@@ -351,12 +368,11 @@ def test_the_second_ctrl_c_does_not_wait(here, whole, monkeypatch):
         return original(self, u)
 
     def begin(self, *arguments):
+        original_begin(self, *arguments)
         monkeypatch.setattr(Target, "__call__", impatient)
 
     original_begin = checkpoint.Checkpoint.begin
-    monkeypatch.setattr(
-        checkpoint.Checkpoint, "begin", lambda self, *a: (original_begin(self, *a), begin(self))
-    )
+    monkeypatch.setattr(checkpoint.Checkpoint, "begin", begin)
     monkeypatch.setattr(
         step_file.StepFile, "append", lambda *_: os.kill(os.getpid(), signal.SIGINT)
     )
@@ -390,7 +406,9 @@ def small_disk(tmp_path):
     subprocess.run(["umount", "-l", str(place)], check=True)
 
 
-@pytest.mark.parametrize("free", [4, 30, 60, 120])
+@pytest.mark.parametrize(
+    "free", [30, *(pytest.param(n, marks=pytest.mark.slow) for n in range(4, 252, 8))]
+)
 def test_a_full_disk(here, small_disk, whole, free):
     """It fills up while sampling, or while results are written; both go on when there is room."""
     with (small_disk / "ballast").open("wb") as ballast:
@@ -410,7 +428,7 @@ def test_a_full_disk(here, small_disk, whole, free):
     same(small_disk, whole)
 
 
-def test_the_folder_vanishes_midway(here, whole):
+def test_the_folder_vanishes_midway(here):
     (here.folder / "out").mkdir()
 
     def progress(p):
