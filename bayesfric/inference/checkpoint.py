@@ -67,7 +67,7 @@ class Manifest(_Part):
     log_density: list[float | None]
     not_finite: int = Field(ge=0)
     seconds: float = Field(ge=0)
-    checksums: dict[str, int]
+    checksum: int
 
 
 class _Step(NamedTuple):
@@ -125,7 +125,7 @@ class Checkpoint:
         self.saved = 0
         self.seconds = 0.0
         self.walking = False
-        self._sums = {"coordinates": 0, "log_density": 0, "accepted": 0}
+        self._checksum = 0
         self._replayed = 0
         self._pending: list[_Step] = []
         self._file: StepFile | None = None
@@ -261,7 +261,7 @@ class Checkpoint:
             np.stack([s.log_density for s in pending]),
             np.stack([s.accepted for s in pending]),
         )
-        sums = _added(self._sums, steps)
+        checksum = zlib.crc32(self._file.packed(steps), self._checksum)
         try:
             self._file.append(steps, self.saved)
         except ValueError as error:
@@ -281,10 +281,10 @@ class Checkpoint:
             log_density=[float(x) if np.isfinite(x) else None for x in last.log_density],
             not_finite=last.not_finite,
             seconds=self.seconds + began - self._began,
-            checksums=sums,
+            checksum=checksum,
         )
         _replace(self._manifest_path, manifest.model_dump_json(indent=1))
-        self.saved, self._sums = manifest.steps, sums
+        self.saved, self._checksum = manifest.steps, checksum
         del self._pending[: len(pending)]
         self._last = time.perf_counter()
         self._spent += self._last - began
@@ -321,14 +321,13 @@ class Checkpoint:
             raise self._unreadable(path, f"{where}: {first['msg']}") from None
         for what, then, now in _differences(found.facts, self._facts):
             raise self._differs(what, then, now)
+        file = StepFile(self._steps_path, found.walkers, found.dimension)
         try:
-            for steps in StepFile(self._steps_path, found.walkers, found.dimension).pieces(
-                found.steps
-            ):
-                self._sums = _added(self._sums, steps)
+            for steps in file.pieces(found.steps):
+                self._checksum = zlib.crc32(file.packed(steps), self._checksum)
         except (OSError, ValueError, MemoryError) as error:
             raise self._unreadable(self._steps_path, error) from None
-        if self._sums != found.checksums:
+        if self._checksum != found.checksum:
             raise self._unreadable(
                 self._steps_path, f"its steps are not those that {path.name} tells of"
             )
@@ -344,11 +343,6 @@ class Checkpoint:
             f"cannot be resumed: {what} was {_short(then)} and is {_short(now)} now",
             _AFRESH,
         )
-
-
-def _added(sums: Mapping[str, int], steps: Steps) -> dict[str, int]:
-    """Go on with the CRC-32 of every dataset."""
-    return {name: zlib.crc32(getattr(steps, name).tobytes(), sum_) for name, sum_ in sums.items()}
 
 
 def _differences(then: Any, now: Any, place: str = "") -> Iterator[tuple[str, Any, Any]]:

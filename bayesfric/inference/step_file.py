@@ -3,16 +3,16 @@
 HDF5 is no journal: a process killed while the library rewrites an index leaves a file that
 nobody opens again. And it takes a full disk badly: closing a file then ends in a crash (1.14 and
 2.0). So the library makes the tables of an empty file in memory, and reads; a file in use gets
-nothing but numbers, from here. Its datasets are contiguous and have their place from the
-beginning, longer than needed; an append fills rows that nobody counts yet, and then the count.
-When the places are full, a longer file is made beside, from the shorter one, and moved over it.
+nothing but numbers, from here. They have their place from the beginning, longer than needed; an
+append fills rows that nobody counts yet, and then the count. When the place is full, a longer
+file is made beside, from the shorter one, and moved over it.
 """
 
 from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -72,30 +72,39 @@ class StepFile:
 
     def __init__(self, path: Path, walkers: int, dimension: int) -> None:
         self.path, self.walkers, self.dimension = path, walkers, dimension
-        # a flag, a density and the coordinates of every walker
-        self._step_size = walkers * (8 * dimension + 9)
+        self._kind = np.dtype(
+            [("coordinates", "<f8", (dimension,)), ("log_density", "<f8"), ("accepted", "?")]
+        )
+        self._step_size = walkers * self._kind.itemsize
 
     def append(self, steps: Steps, first: int) -> None:
         """Put steps behind the first ``first`` ones: rows, then the count, then to the disk."""
         end = first + len(steps)
         if not self.path.exists():
             self._remake(0, max(_ROOM // self._step_size, end))
-        room, places = self._places()
-        if end > room:
-            self._remake(first, max(2 * room, end))
-            room, places = self._places()
+        if end > self._place()[0]:
+            self._remake(first, max(2 * self._place()[0], end))
+        _, place, counter = self._place()
         with self.path.open("r+b") as file:
-            _write_rows(file, places, steps, first)
-            _write(file, places["steps"], np.array(end, dtype="<i8"))
-            os.fsync(file.fileno())
+            file.seek(place + first * self._step_size)
+            file.write(self.packed(steps))
+            file.flush()
+            self._count(file, counter, end)
+
+    def packed(self, steps: Steps) -> bytes:
+        """Give steps as they are in the file: one walker's coordinates, density, flag; the next."""
+        rows = np.empty(steps.log_density.shape, self._kind)
+        for name in self._kind.names or ():
+            rows[name] = getattr(steps, name)
+        return rows.tobytes()
 
     def read(self, begin: int, end: int) -> Steps:
         """Read some steps."""
         with _opened(self.path) as file:
             if not end <= int(file["steps"][0]):
                 raise ValueError(f"holds fewer than {end} steps")
-            rows = {name: data[begin:end] for name, data in self._datasets(file).items()}
-        return Steps(**rows)
+            rows = self._walk(file)[begin:end]
+        return Steps(*(np.ascontiguousarray(rows[name]) for name in self._kind.names or ()))
 
     def pieces(self, end: int) -> Iterator[Steps]:
         """Read the first ``end`` steps, not all at once."""
@@ -107,78 +116,52 @@ class StepFile:
         """Move a file over this one that has room for more rows."""
         beside = self.path.with_name(f".{self.path.name}.partial")
         tables = _Tables()
-        with h5py.File(tables, "w", libver="earliest", meta_block_size=2**14) as empty:
-            _create(empty, "steps", (1,), "<i8")
-            _create(empty, "coordinates", (room, self.walkers, self.dimension), "<f8")
-            _create(empty, "log_density", (room, self.walkers), "<f8")
-            # as h5py stores NumPy's bool
-            _create(empty, "accepted", (room, self.walkers), np.bool_)
-            places = {name: dataset.id.get_offset() for name, dataset in empty.items()}
+        with h5py.File(tables, "w", libver="earliest") as empty:
+            # the large one last: whatever HDF5 writes is in front of its place
+            counter = _placed(empty, "steps", (1,), np.dtype("<i8"))
+            place = _placed(empty, "walk", (room, self.walkers), self._kind)
         try:
             with beside.open("wb") as file:
                 file.write(tables.getbuffer())
                 file.truncate(tables.size)
-                end = 0
+                file.seek(place)
                 for steps in self.pieces(kept):
-                    _write_rows(file, places, steps, end)
-                    end += len(steps)
-                _write(file, places["steps"], np.array(kept, dtype="<i8"))
-                file.flush()
-                os.fsync(file.fileno())
+                    file.write(self.packed(steps))
+                self._count(file, counter, kept)
             beside.replace(self.path)
         finally:
             with suppress(OSError):  # it has its name already, or was never made
                 beside.unlink()
 
-    def _places(self) -> tuple[int, dict[str, int]]:
-        """Give how many rows there is room for, and where in the file each dataset begins."""
+    def _count(self, file: IO[bytes], counter: int, steps: int) -> None:
+        """Write how many steps there are, behind them, and wait for the disk."""
+        file.seek(counter)
+        file.write(np.array(steps, dtype="<i8").tobytes())
+        file.flush()
+        os.fsync(file.fileno())
+
+    def _place(self) -> tuple[int, int, int]:
+        """Give how many steps there is room for, and where in the file they and the count are."""
         with _opened(self.path) as file:
-            datasets = self._datasets(file) | {"steps": file["steps"]}
-            places = {name: dataset.id.get_offset() for name, dataset in datasets.items()}
-            room = int(datasets["coordinates"].shape[0])
-        if None in places.values():
-            raise ValueError("holds no place for numbers")
-        return room, places
+            walk = self._walk(file)
+            return walk.shape[0], walk.id.get_offset(), file["steps"].id.get_offset()
 
-    def _datasets(self, file: Any) -> dict[str, Any]:
-        """Give the datasets by name, after a look at whether they are ours."""
-        rows = (self.walkers,)
-        wanted = {
-            "coordinates": ((*rows, self.dimension), "f"),
-            "log_density": (rows, "f"),
-            "accepted": (rows, "b"),
-        }
-        found = {}
-        for name, (shape, kind) in wanted.items():
-            dataset = file.get(name)
-            if (
-                not isinstance(dataset, h5py.Dataset)
-                or dataset.shape[1:] != shape
-                or dataset.dtype.kind != kind
-                or dataset.chunks is not None
-            ):
-                raise ValueError(f"holds no {name} of {shape[0]} walkers")
-            found[name] = dataset
-        return found
+    def _walk(self, file: Any) -> Any:
+        """Give the dataset of steps, after a look at whether it is ours."""
+        walk = file["walk"]
+        if walk.shape[1:] != (self.walkers,) or walk.dtype != self._kind:
+            raise ValueError(f"holds no steps of {self.walkers} walkers")
+        if walk.id.get_offset() is None:
+            raise ValueError("holds steps in another order")
+        return walk
 
 
-def _create(file: Any, name: str, shape: tuple[int, ...], kind: Any) -> None:
+def _placed(file: Any, name: str, shape: tuple[int, ...], kind: np.dtype[Any]) -> int:
     """Make a dataset that has its place in the file at once, and leave the place empty."""
     plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     plan.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
     plan.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
-    file.create_dataset(name, shape, kind, dcpl=plan)
-
-
-def _write_rows(file: IO[bytes], places: Mapping[str, int], steps: Steps, first: int) -> None:
-    for name, kind in (("coordinates", "<f8"), ("log_density", "<f8"), ("accepted", "i1")):
-        rows = np.ascontiguousarray(getattr(steps, name), dtype=kind)
-        _write(file, places[name] + first * rows[0].nbytes, rows)
-
-
-def _write(file: IO[bytes], place: int, numbers: NDArray[Any]) -> None:
-    file.seek(place)
-    file.write(numbers.tobytes())
+    return int(file.create_dataset(name, shape, kind, dcpl=plan).id.get_offset())
 
 
 class _Tables(io.BytesIO):
@@ -201,5 +184,5 @@ def _opened(path: Path) -> Iterator[Any]:
         # the run directory is locked; HDF5's own lock fails on some network disks
         with h5py.File(path, "r", locking=False) as file:
             yield file
-    except (OSError, RuntimeError, KeyError, TypeError, IndexError) as error:
+    except (OSError, RuntimeError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"is no HDF5 file with steps ({error})") from None

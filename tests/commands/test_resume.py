@@ -449,7 +449,7 @@ def test_errors_of_the_disk_are_told(here, whole, monkeypatch):
         raise OSError(errno.EIO, "Input/output error", "steps.h5")
 
     with monkeypatch.context() as patch:
-        patch.setattr(step_file, "_write", broken)
+        patch.setattr(step_file.StepFile, "_count", broken)
         message = here.run("fit", "few.toml", "-o", "run", "--resume").err
     has(message, "steps.h5: cannot be written (Input/output error)", "go on with --resume")
     assert steps(here.folder) == before
