@@ -116,8 +116,8 @@ class StepFile:
         """Move a file over this one that has room for more rows."""
         beside = self.path.with_name(f".{self.path.name}.partial")
         tables = _Tables()
-        with h5py.File(tables, "w", libver="earliest") as empty:
-            # the large one last: whatever HDF5 writes is in front of its place
+        # tables of that version all stand in front of the numbers, and those are left out here
+        with h5py.File(tables, "w", libver="v108") as empty:
             counter = _placed(empty, "steps", (1,), np.dtype("<i8"))
             place = _placed(empty, "walk", (room, self.walkers), self._kind)
         try:

@@ -191,6 +191,16 @@ def test_a_file_in_use_gets_numbers_only(tmp_path):
         file.read(0, 28)
 
 
+def test_room_that_is_not_used_takes_no_disk(tmp_path, monkeypatch):
+    monkeypatch.setattr(step_file, "_ROOM", 2**24)
+    file = StepFile(tmp_path / "a.h5", 512, 12)
+    file.append(Steps(np.ones((2, 512, 12)), np.ones((2, 512)), np.ones((2, 512), dtype=bool)), 0)
+    taken = file.path.stat()
+    assert taken.st_size > 0.9 * 2**24
+    assert taken.st_blocks * 512 < 2**19
+    assert file.read(1, 2).coordinates.sum() == 512 * 12
+
+
 def test_a_file_that_is_full_is_made_longer(tmp_path, monkeypatch, whole):
     monkeypatch.setattr(step_file, "_ROOM", 4000)
     monkeypatch.setattr(step_file, "_PIECE", 3000)
