@@ -359,7 +359,12 @@ def _problems(
             "needed to trust them: raise sampling.max_steps"
         )
     stuck = int((main.acceptance() < 0.01).sum())
-    if stuck:
+    if not main.acceptance().any():
+        yield (
+            "no walker ever moved: not one proposal was accepted; check the recording's units, or "
+            "give wider priors"
+        )
+    elif stuck:
         yield f"{stuck} walkers hardly ever moved: look at the trace; narrower priors may help"
 
 
