@@ -13,7 +13,7 @@ OLD = sorted((REPOSITORY / "tests" / "data").glob("*.*.*"))
 
 def test_there_is_one_of_this_version():
     assert OLD[0].name == "0.1.0"
-    assert sum(path.stat().st_size for path in OLD[0].iterdir()) < 200_000
+    assert sum(path.stat().st_size for path in OLD[0].iterdir()) < 250_000
 
 
 @pytest.mark.parametrize("run", OLD, ids=lambda path: path.name)
