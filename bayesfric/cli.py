@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 import warnings
 from collections.abc import Callable, Iterator
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import bayesfric
-from bayesfric.errors import BadInput
+from bayesfric.errors import BadInput, Interrupted
 
 if TYPE_CHECKING:
     from bayesfric.inference.sampling import Progress
@@ -35,6 +36,7 @@ Seed = Annotated[
     int | None, typer.Option(min=0, max=2**63 - 1, help="replaces the configuration's seed")
 ]
 Force = Annotated[bool, typer.Option("--force", help="keep an old run under another name")]
+Resume = Annotated[bool, typer.Option("--resume", help="go on with an interrupted run")]
 RunOption = Annotated[Path | None, typer.Option("-o", "--output", help="run directory to make")]
 
 BAD_INPUT, NOT_CONVERGED, INTERRUPTED = 2, 3, 130
@@ -193,30 +195,31 @@ def fit(
     config: ConfigFile,
     output: RunOption = None,
     seed: Seed = None,
+    resume: Resume = False,
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
     """Sample the posterior and write the run directory."""
     from bayesfric.config import read_config
 
-    _fit(lambda: read_config(config), output or Path(f"{config.stem}-run"), seed, force, as_json)
+    folder = output or Path(f"{config.stem}-run")
+    _fit(lambda: read_config(config), folder, as_json, seed=seed, resume=resume, force=force)
 
 
 @app.command()
 def demo(
     output: RunOption = None,
     seed: Seed = None,
+    resume: Resume = False,
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
     """Fit the packaged knee: a recording SIMULATED from Table 3 of the paper."""
     from bayesfric.commands.demo import demo_config
-    from bayesfric.report.run_directory import check_free
 
     output = output or Path("demo-run")
-    check_free(output, force=force)
-    print("The demo recording is simulated, from Table 3 of the paper.", file=sys.stderr)
-    _fit(demo_config, output, seed, force, as_json)
+    remark = "The demo recording is simulated, from Table 3 of the paper."
+    _fit(demo_config, output, as_json, remark, seed=seed, resume=resume, force=force)
 
 
 @app.command()
@@ -241,16 +244,34 @@ def compare(
 
 
 def _fit(
-    config: Callable[[], Any], folder: Path, seed: int | None, force: bool, as_json: bool
+    config: Callable[[], Any], folder: Path, as_json: bool, remark: str = "", **options: Any
 ) -> None:
     from bayesfric.commands.fit import fit as run
     from bayesfric.commands.fit import fit_text
 
-    with _progress_bar() as progress:
-        summary = run(config(), folder, seed=seed, force=force, progress=progress)
+    try:
+        with _progress_bar() as progress:
+            summary = run(config(), folder, progress=progress, **options)
+    except Interrupted as stopped:
+        raise _Stopped(stopped) from None
+    if remark:
+        print(remark, file=sys.stderr)
     _print(summary, as_json, fit_text(summary, folder))
     if summary["sampler"]["status"] != "reliable":
         raise typer.Exit(NOT_CONVERGED)
+
+
+class _Stopped(Exception):
+    """An interruption with something to tell; typer would end on its own on a KeyboardInterrupt."""
+
+    def __init__(self, stopped: Interrupted) -> None:
+        self.code = 128 + stopped.signal
+        text = "interrupted, nothing was written"
+        if stopped.saved:
+            again = [word for word in sys.argv[1:] if word not in ("--resume", "--force")]
+            command = shlex.join(["bayesfric", *again, "--resume"])
+            text = f"interrupted, {stopped.saved} steps are kept; go on with: {command}"
+        super().__init__(text)
 
 
 @contextmanager
@@ -296,7 +317,13 @@ def main() -> None:
     except BadInput as error:
         print(f"bayesfric: {error}", file=sys.stderr)
         sys.exit(BAD_INPUT)
-    except KeyboardInterrupt:
+    except _Stopped as stopped:
+        print(f"bayesfric: {stopped}", file=sys.stderr)
+        sys.exit(stopped.code)
+    except (KeyboardInterrupt, SystemExit) as end:
+        # typer turns the first into the second
+        if isinstance(end, SystemExit) and end.code != INTERRUPTED:
+            raise
         print("bayesfric: interrupted, nothing was written", file=sys.stderr)
         sys.exit(INTERRUPTED)
 

@@ -1,4 +1,4 @@
-"""The one error a user is meant to see: bad input, in one line."""
+"""What a user is meant to see when a command ends early: bad input, in one line, or a stop."""
 
 from __future__ import annotations
 
@@ -33,6 +33,22 @@ class BadInput(Exception):
         self.what = _one_line(what)
         self.mend = _one_line(mend)
         super().__init__(f"{self.where}: {self.what}; {self.mend}")
+
+
+class Interrupted(KeyboardInterrupt):
+    """The user asked to stop, and what was done so far is kept.
+
+    Parameters
+    ----------
+    signal
+        That asked; Ctrl-C if left out.
+    saved
+        Steps of the sampler that are on disk.
+    """
+
+    def __init__(self, signal: int | None, saved: int) -> None:
+        self.signal, self.saved = signal or 2, saved
+        super().__init__(f"interrupted, {saved} steps are kept")
 
 
 def nearest(word: str, known: Iterable[str]) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 
 from bayesfric.commands.estimate import estimates_where_possible
 from bayesfric.commands.problem import Problem, read_problem
+from bayesfric.commands.unfinished import Unfinished, unfinished
 from bayesfric.config import Config
 from bayesfric.errors import BadInput
 from bayesfric.inference.fit import fit as fit_target
@@ -32,6 +33,7 @@ def fit(
     folder: Path,
     *,
     seed: int | None = None,
+    resume: bool = False,
     force: bool = False,
     progress: Callable[[Progress], None] = lambda _: None,
 ) -> dict[str, Any]:
@@ -45,8 +47,11 @@ def fit(
         Run directory to make.
     seed
         Replaces the configuration's.
+    resume
+        Go on with an interrupted run; the result is that of one never interrupted.
     force
-        Keep what stands there under another name and start afresh.
+        Keep what stands there, and an interrupted run's checkpoint, under other names
+        and start afresh.
     progress
         Called as sampling goes on.
 
@@ -58,13 +63,29 @@ def fit(
     Raises
     ------
     BadInput
-        For anything that cannot be used; nothing is written then.
+        For anything that cannot be used; nothing is written then. For a disk that is full
+        or gone; the last checkpoint is kept then.
+    Interrupted
+        On Ctrl-C or SIGTERM; what was sampled is kept.
     """
-    check_free(folder, force=force)
+    # who resumes has an old run kept, if --force came with the first command
+    check_free(folder, force=force or resume)
+    with unfinished(folder, resume=resume, force=force) as run:
+        return _fit(config, folder, seed, progress, run)
+
+
+def _fit(
+    config: Config,
+    folder: Path,
+    seed: int | None,
+    progress: Callable[[Progress], None],
+    run: Unfinished,
+) -> dict[str, Any]:
     problem = read_problem(config)
     sampling = config.tables.sampling
     if seed is not None:
         sampling = sampling.model_copy(update={"seed": seed})
+    kept = run.sampling("posterior", problem, sampling)
 
     found, missing = estimates_where_possible(
         problem, lambda method: progress(phase(f"{method} estimate"))
@@ -72,7 +93,7 @@ def fit(
     points = [dict(e.point) for e in found if e.point]
     target = _target(problem, points)
     with config.named():
-        result = fit_target(target, sampling, estimates=found, progress=progress)
+        result = fit_target(target, sampling, estimates=found, progress=progress, checkpoint=kept)
     if problem.held_out:
         held_out = predict_held_out(result.target, result.posterior, problem.held_out)
         result = replace(result, held_out=held_out)
@@ -82,13 +103,21 @@ def fit(
     if white_alternative(result):
         progress(phase("the same with white noise"))
         quick = sampling.model_copy(update={"min_ess": min(sampling.min_ess, _WHITE_ESS)})
+        kept = run.sampling("white-noise", problem, quick)
         with config.named():
-            white = fit_target(problem.white_target(), quick, estimates=found, progress=progress)
+            white = fit_target(
+                problem.white_target(), quick, estimates=found, progress=progress, checkpoint=kept
+            )
         add_white_intervals(summary, summarise(white))
     progress(phase("writing results"))
     summary["warnings"] += missing
     recordings = [*problem.recordings, *(one.recording for one in problem.held_out)]
-    write_run(folder, result, summary, config.text, recordings)
+    try:
+        write_run(folder, result, summary, config.text, recordings)
+    except BadInput as error:
+        mend = "mend that, then write them with --resume: nothing is sampled again"
+        raise BadInput(error.where, error.what, mend) from None
+    run.remove()
     return summary
 
 

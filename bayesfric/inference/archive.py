@@ -5,6 +5,7 @@ Every difference between the two lives here, and nowhere else.
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,6 +20,10 @@ with warnings.catch_warnings():
     import arviz
 
 _OLD = int(arviz.__version__.partition(".")[0]) < 1
+
+# Bytes beside the numbers: tables, names, labels. And bytes that are written in one go.
+_TABLES = 2**18
+_PIECE = 2**20
 
 Groups = Mapping[str, Mapping[str, NDArray[Any]]]
 
@@ -46,6 +51,11 @@ def write_archive(
         Labels of the dimensions.
     attrs
         Root attributes.
+
+    Raises
+    ------
+    OSError
+        If there is no room for it, or the folder cannot be written to.
     """
     options = {"dims": dict(dims), "coords": dict(coords)}
     named = {group: dict(variables) for group, variables in groups.items()}
@@ -61,7 +71,21 @@ def write_archive(
         data[group].attrs.pop("created_at", None)
     data.attrs.clear()
     data.attrs.update(attrs)
+    arrays = [array for variables in named.values() for array in variables.values()]
+    _try_room(path, sum(np.asarray(array).nbytes for array in arrays) + _TABLES)
     data.to_netcdf(str(path), engine="h5netcdf")
+
+
+def _try_room(path: Path, size: int) -> None:
+    """Raise the system's error where there is no room; HDF5 would crash on a full disk."""
+    try:
+        with path.open("wb") as file:
+            for begin in range(0, size, _PIECE):
+                file.write(bytes(min(_PIECE, size - begin)))
+            file.flush()
+            os.fsync(file.fileno())
+    finally:
+        path.unlink(missing_ok=True)
 
 
 def read_archive(path: Path) -> Any:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.estimate import Estimate
 from bayesfric.estimates.least_squares import least_squares, starting_values
+from bayesfric.inference.checkpoint import Checkpoint
 from bayesfric.inference.defaults import default_noise_prior, default_prior, measured_scales
 from bayesfric.inference.likelihood import Likelihood
 from bayesfric.inference.noise import NoiseScale, noise_model, support
@@ -173,6 +174,7 @@ def fit(
     *,
     estimates: Sequence[Estimate] = (),
     progress: Callable[[Progress], None] = lambda _: None,
+    checkpoint: Checkpoint | None = None,
 ) -> Fit:
     """Estimate, climb to the mode, sample.
 
@@ -186,6 +188,8 @@ def fit(
         Point estimates already made; the search starts from theirs too.
     progress
         Called as sampling goes on.
+    checkpoint
+        See :func:`bayesfric.inference.sampling.sample`.
 
     Raises
     ------
@@ -227,7 +231,7 @@ def fit(
     )
     shaped = _prepared(shaped, start, rng)
     try:
-        posterior = sample(shaped, start, sampling, progress=progress)
+        posterior = sample(shaped, start, sampling, progress=progress, checkpoint=checkpoint)
     except RuntimeError as error:
         raise BadInput("priors", str(error), "widen the narrowest ones") from None
     return Fit(shaped, posterior, tuple(estimates))

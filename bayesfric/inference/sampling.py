@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 
 import emcee
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from scipy import stats
 
+from bayesfric.inference.checkpoint import Checkpoint
 from bayesfric.inference.convergence import (
     autocorrelation_time,
     effective_sample_size,
@@ -89,6 +90,7 @@ def sample(
     settings: Sampling,
     *,
     progress: Callable[[Progress], None] = lambda _: None,
+    checkpoint: Checkpoint | None = None,
 ) -> Posterior:
     """Sample until every criterion of ``settings`` is met or ``max_steps`` is reached.
 
@@ -107,8 +109,11 @@ def sample(
         Seed, sizes and stopping rule.
     progress
         Called after every block.
+    checkpoint
+        Keeps the steps on disk, and gives back those of an interrupted run: the result
+        is the same, byte for byte. Nothing is kept if left out.
     """
-    began = time.perf_counter()
+    began = time.perf_counter() - (checkpoint.seconds if checkpoint else 0.0)
     d = target.dimension
     # emcee refuses fewer than two walkers a dimension
     few = 128 if target.likelihood.cheap else 32
@@ -127,13 +132,16 @@ def sample(
         ]
     )
 
+    if checkpoint is not None:
+        checkpoint.begin(positions.shape[0] * walkers, d, target.coordinates.description)
     block = settings.block or (100 if target.likelihood.method == "input-error" else 25)
     block = min(block, max(settings.max_steps // 8, 10))
     # The normal at the mode to begin with, then whatever the walkers have found: until it is
     # frozen the proposal may learn, because none of these steps count.
     learning = IndependenceMove(Proposal.normal(start.mode, start.covariance))
     search = DifferentialEvolutionMove(settings.ensembles)
-    warm = _Ensembles(target, [(learning, 0.5), (search, 0.5)], positions, random)
+    first_moves = [(learning, 0.5), (search, 0.5)]
+    warm = _Ensembles(target, first_moves, positions, random, checkpoint, "warm-up")
     while True:
         warm.run(block)
         warm.bring_back_lost(rng)
@@ -153,7 +161,7 @@ def sample(
         (IndependenceMove(Proposal.fitted(half.reshape(-1, d))), 0.8),
         (DifferentialEvolutionMove(settings.ensembles), 0.2),
     ]
-    main = _Ensembles(target, moves, warm.positions(), random)
+    main = _Ensembles(target, moves, warm.positions(), random, checkpoint, "sampling")
     while True:
         # looks at growing distances: a stopping rule asked too often stops by luck
         main.run(max(block, main.steps // 3))
@@ -218,8 +226,11 @@ class _Ensembles:
         moves: list[tuple[emcee.moves.Move, float]],
         positions: Array,
         random: np.random.RandomState,
+        checkpoint: Checkpoint | None,
+        phase: str,
     ) -> None:
         self.steps = 0
+        self._target, self._checkpoint, self._phase = target, checkpoint, phase
         self._shape = positions.shape
         ensembles, walkers, d = positions.shape
         self._sampler = emcee.EnsembleSampler(
@@ -231,11 +242,44 @@ class _Ensembles:
         self._random = random
 
     def run(self, steps: int) -> None:
-        with _quiet_emcee():
-            self._state = self._sampler.run_mcmc(self._state, steps, skip_initial_state_check=True)
+        """Go so many steps further; those that a checkpoint holds are not made again."""
+        end = self.steps + steps
+        if self._checkpoint is not None:
+            self._replay(self._checkpoint, steps)
+        if self.steps < end:
+            walk = self._sampler.sample(
+                self._state, iterations=end - self.steps, skip_initial_state_check=True
+            )
+            with _quiet_emcee(), self._recording() as record:
+                for self._state in walk:
+                    self.steps += 1
+                    record(self._state, self._sampler.backend.accepted, self._target.not_finite)
         # so that what comes next goes on where this stream ends
         self._random.set_state(self._sampler.random_state)
-        self.steps += steps
+
+    def _replay(self, checkpoint: Checkpoint, most: int) -> None:
+        """Take steps from a checkpoint, and the generator's state with the last of them."""
+        stored = checkpoint.replay(most)
+        if stored is None:
+            return
+        backend, first = self._sampler.backend, self.steps
+        self.steps += len(stored)
+        backend.grow(len(stored), None)
+        backend.chain[first : self.steps] = stored.coordinates
+        backend.log_prob[first : self.steps] = stored.log_density
+        backend.accepted += stored.accepted.sum(axis=0)
+        backend.iteration = self.steps
+        self._state = emcee.State(
+            stored.coordinates[-1], log_prob=stored.log_density[-1], copy=True
+        )
+        stopped = checkpoint.where_it_stopped(lambda: self._target(self._state.coords))
+        if stopped is not None:
+            self._sampler.random_state, self._target.not_finite = stopped
+
+    def _recording(self) -> AbstractContextManager[Callable[[emcee.State, Array, int], None]]:
+        if self._checkpoint is None:
+            return nullcontext(lambda *_: None)
+        return self._checkpoint.recording(self._phase, self._sampler.backend.accepted)
 
     def bring_back_lost(self, rng: np.random.Generator) -> None:
         """Move walkers that hang on to a hopelessly improbable mode next to the others.
@@ -321,7 +365,12 @@ def _problems(
             "needed to trust them: raise sampling.max_steps"
         )
     stuck = int((main.acceptance() < 0.01).sum())
-    if stuck:
+    if not main.acceptance().any():
+        yield (
+            "no walker ever moved: not one proposal was accepted; check the recording's units, or "
+            "give wider priors"
+        )
+    elif stuck:
         yield f"{stuck} walkers hardly ever moved: look at the trace; narrower priors may help"
 
 

@@ -168,7 +168,7 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
     if case.move == "snooker":
         settings, own = settings.model_copy(update={"ensembles": 2}), sampling._Ensembles
         mix = [(emcee.moves.DEMove(), 0.2), (emcee.moves.DESnookerMove(), 0.8)]
-        sampling._Ensembles = lambda t, _, x, random: own(t, mix, x, random)
+        sampling._Ensembles = lambda t, _, *rest: own(t, mix, *rest)
         try:
             result = fit(target, settings)
         finally:

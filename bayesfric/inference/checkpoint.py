@@ -1,0 +1,373 @@
+"""A sampling's steps on disk, so that an interrupted one goes on where it stopped.
+
+Sampling is repeatable: the same seed, data and code make the same steps. A resumed run therefore
+begins like a new one, and only takes the steps that it would make from the checkpoint as long as
+there are any. Whatever depends on steps (walkers brought back, the proposal, the likelihood
+prepared for the draws, when to stop) is worked out from them again, and so are the draws of every
+other random generator; just the sampler's own generator, which those steps would have moved on,
+is set to where it was.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from bayesfric.errors import BadInput
+from bayesfric.inference.step_file import StepFile, Steps
+
+Array = NDArray[np.float64]
+# As numpy.random.RandomState gives and takes it.
+RandomState = tuple[str, NDArray[np.uint32], int, int, float]
+
+FORMAT = 1
+# Share of the time that may go into saving.
+_SHARE = 0.02
+# Seconds of a long block that may be lost.
+_LOSS = 5.0
+# What rounding may do to a log-probability, evaluated beside others or alone.
+_ROUNDING = 1e-9
+_AFRESH = "undo that, or start afresh with --force"
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+
+class _Twister(_Part):
+    """State of the sampler's Mersenne twister MT19937."""
+
+    key: list[int] = Field(min_length=624, max_length=624)
+    position: int = Field(ge=0, le=624)
+    has_gauss: int = Field(ge=0, le=1)
+    cached: float
+
+
+class Manifest(_Part):
+    """What a checkpoint holds beside the steps; ``<name>.json``."""
+
+    format: int
+    facts: dict[str, Any]
+    coordinates: str
+    phase: str
+    steps: int = Field(ge=1, le=10**9)
+    walkers: int = Field(ge=1, le=10**6)
+    dimension: int = Field(ge=1, le=10**6)
+    random_state: _Twister
+    log_density: list[float | None]
+    not_finite: int = Field(ge=0)
+    seconds: float = Field(ge=0)
+    checksum: int
+
+
+class _Step(NamedTuple):
+    coordinates: Array
+    log_density: Array
+    accepted: NDArray[np.bool_]
+    random_state: RandomState
+    not_finite: int
+    phase: str
+
+
+class Checkpoint:
+    """The steps of one sampling on disk: those it has made, and those it need not make again.
+
+    Parameters
+    ----------
+    folder
+        Where to keep it; it exists, and nobody else writes there.
+    name
+        Of the sampling: ``<name>.h5`` holds its steps, ``<name>.json`` the rest.
+    facts
+        What the steps depend on, as JSON would give it back. A checkpoint of other
+        facts is refused, naming the first that differs.
+    asked_to_stop
+        Asked after every step; if so, everything is saved and KeyboardInterrupt raised.
+
+    Attributes
+    ----------
+    saved
+        Steps on disk.
+    seconds
+        That sampling took before.
+    walking
+        Whether steps are being made at this moment, so that it is worth waiting for one.
+
+    Raises
+    ------
+    BadInput
+        If what lies in ``folder`` cannot be read or was made of other facts.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        name: str,
+        facts: Mapping[str, Any],
+        *,
+        asked_to_stop: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self._folder, self._asked_to_stop = folder, asked_to_stop
+        self._manifest_path, self._steps_path = (
+            folder / f"{name}{suffix}" for suffix in (".json", ".h5")
+        )
+        self._facts: dict[str, Any] = json.loads(json.dumps(facts))
+        self.saved = 0
+        self.seconds = 0.0
+        self.walking = False
+        self._checksum = 0
+        self._replayed = 0
+        self._pending: list[_Step] = []
+        self._file: StepFile | None = None
+        self._description = ""
+        self._spent = 0.0
+        self._began = self._last = time.perf_counter()
+        self._resumed = self._read()
+        if self._resumed is not None:
+            self.saved, self.seconds = self._resumed.steps, self._resumed.seconds
+
+    def begin(self, walkers: int, dimension: int, coordinates: str) -> None:
+        """Tell what is going to be sampled, before the first step.
+
+        Raises
+        ------
+        BadInput
+            If the checkpoint's steps have another shape.
+        """
+        self._file = StepFile(self._steps_path, walkers, dimension)
+        self._description = coordinates
+        self._began = self._last = time.perf_counter()
+        if self._resumed is None:
+            return
+        for what, then, now in (
+            ("walkers", self._resumed.walkers, walkers),
+            ("parameters", self._resumed.dimension, dimension),
+            ("coordinates", self._resumed.coordinates, coordinates),
+        ):
+            if then != now:
+                raise self._differs(what, then, now)
+
+    def replay(self, most: int) -> Steps | None:
+        """Give the next steps that need not be made again, at most so many."""
+        resumed = self._resumed
+        if resumed is None or self._replayed == resumed.steps:
+            return None
+        assert self._file is not None
+        begin, end = self._replayed, min(self._replayed + most, resumed.steps)
+        try:
+            steps = self._file.read(begin, end)
+        except (OSError, ValueError) as error:
+            raise self._unreadable(self._steps_path, error) from None
+        self._replayed = end
+        return steps
+
+    def where_it_stopped(self, log_density: Callable[[], Array]) -> tuple[RandomState, int] | None:
+        """Give the random state and how often there was no number, once all is replayed.
+
+        Parameters
+        ----------
+        log_density
+            Evaluates the density of the last step again, ``(walkers,)``.
+
+        Raises
+        ------
+        BadInput
+            If that is not what it was.
+        """
+        resumed = self._resumed
+        if resumed is None or self._replayed < resumed.steps:
+            return None
+        then = np.array([-np.inf if x is None else x for x in resumed.log_density])
+        now = log_density()
+        same = np.isclose(now, then, rtol=_ROUNDING, atol=_ROUNDING)
+        if not same.all():
+            worst = int(np.argmin(same))
+            raise self._differs(
+                f"log-probability (walker {worst + 1} after step {resumed.steps}; the code, or a "
+                "library, is another)",
+                float(then[worst]),
+                float(now[worst]),
+            )
+        t = resumed.random_state
+        key = np.array(t.key, dtype=np.uint32)
+        return ("MT19937", key, t.position, t.has_gauss, t.cached), resumed.not_finite
+
+    @contextmanager
+    def recording(self, phase: str, accepted: Array) -> Iterator[Callable[[Any, Array, int], None]]:
+        """Keep every step of a block; give what is to be called after each.
+
+        Parameters
+        ----------
+        phase
+            What is being walked, for the record.
+        accepted
+            How many proposals each walker accepted before, ``(walkers,)``.
+        """
+        before = accepted.copy()
+
+        def record(state: Any, accepted: Array, not_finite: int) -> None:
+            flags = accepted > before
+            before[:] = accepted
+            # emcee goes on in the same arrays
+            self._pending.append(
+                _Step(
+                    state.coords.copy(),
+                    state.log_prob.copy(),
+                    flags,
+                    state.random_state,
+                    not_finite,
+                    phase,
+                )
+            )
+            self._stop_if_asked()
+            if self._affordable() and time.perf_counter() - self._last > _LOSS:
+                self.save()
+
+        self.walking = True
+        try:
+            yield record
+            if self._affordable():
+                self.save()
+        finally:
+            self.walking = False
+        # who asked during the last step
+        self._stop_if_asked()
+
+    def save(self) -> None:
+        """Put everything recorded on disk: steps, their count, then the manifest.
+
+        Raises
+        ------
+        OSError
+            If that cannot be; what was saved before is as it was.
+        """
+        if not self._pending:
+            return
+        assert self._file is not None
+        began = time.perf_counter()
+        pending, last = self._pending, self._pending[-1]
+        steps = Steps(
+            np.stack([s.coordinates for s in pending]),
+            np.stack([s.log_density for s in pending]),
+            np.stack([s.accepted for s in pending]),
+        )
+        checksum = zlib.crc32(self._file.packed(steps), self._checksum)
+        try:
+            self._file.append(steps, self.saved)
+        except ValueError as error:
+            raise OSError(5, f"{error}", str(self._steps_path)) from None
+        _, key, position, has_gauss, cached = last.random_state
+        manifest = Manifest(
+            format=FORMAT,
+            facts=self._facts,
+            coordinates=self._description,
+            phase=last.phase,
+            steps=self.saved + len(pending),
+            walkers=self._file.walkers,
+            dimension=self._file.dimension,
+            random_state=_Twister(
+                key=key.tolist(), position=position, has_gauss=has_gauss, cached=cached
+            ),
+            log_density=[float(x) if np.isfinite(x) else None for x in last.log_density],
+            not_finite=last.not_finite,
+            seconds=self.seconds + began - self._began,
+            checksum=checksum,
+        )
+        _replace(self._manifest_path, manifest.model_dump_json(indent=1))
+        self.saved, self._checksum = manifest.steps, checksum
+        del self._pending[: len(pending)]
+        self._last = time.perf_counter()
+        self._spent += self._last - began
+
+    def remove(self) -> None:
+        """Take it off the disk: the sampling is done."""
+        for path in (self._manifest_path, self._steps_path):
+            path.unlink(missing_ok=True)
+
+    def _stop_if_asked(self) -> None:
+        if self._asked_to_stop():
+            self.save()
+            raise KeyboardInterrupt
+
+    def _affordable(self) -> bool:
+        return self._spent < _SHARE * (time.perf_counter() - self._began)
+
+    def _read(self) -> Manifest | None:
+        path = self._manifest_path
+        if not path.exists():
+            return None
+        try:
+            text = path.read_text(encoding="utf-8")
+            number = json.loads(text).get("format")
+        except (OSError, ValueError, AttributeError, RecursionError) as error:
+            raise self._unreadable(path, error) from None
+        if number != FORMAT:
+            raise self._differs("checkpoint format", number, FORMAT)
+        try:
+            found = Manifest.model_validate_json(text)
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(map(str, first["loc"]))
+            raise self._unreadable(path, f"{where}: {first['msg']}") from None
+        for what, then, now in _differences(found.facts, self._facts):
+            raise self._differs(what, then, now)
+        file = StepFile(self._steps_path, found.walkers, found.dimension)
+        try:
+            for steps in file.pieces(found.steps):
+                self._checksum = zlib.crc32(file.packed(steps), self._checksum)
+        except (OSError, ValueError, MemoryError) as error:
+            raise self._unreadable(self._steps_path, error) from None
+        if self._checksum != found.checksum:
+            raise self._unreadable(
+                self._steps_path, f"its steps are not those that {path.name} tells of"
+            )
+        return found
+
+    def _unreadable(self, path: Path, error: Exception | str) -> BadInput:
+        reason = getattr(error, "strerror", None) or str(error)
+        return BadInput(str(path), f"cannot be resumed ({reason})", "start afresh with --force")
+
+    def _differs(self, what: str, then: Any, now: Any) -> BadInput:
+        return BadInput(
+            str(self._folder),
+            f"cannot be resumed: {what} was {_short(then)} and is {_short(now)} now",
+            _AFRESH,
+        )
+
+
+def _differences(then: Any, now: Any, place: str = "") -> Iterator[tuple[str, Any, Any]]:
+    """Name everything that differs between two trees of JSON."""
+    if isinstance(then, Mapping) and isinstance(now, Mapping):
+        for key in [*then, *(key for key in now if key not in then)]:
+            inner = f"{place}.{key}" if place else key
+            yield from _differences(then.get(key, "not there"), now.get(key, "not there"), inner)
+    elif isinstance(then, list) and isinstance(now, list) and len(then) == len(now):
+        for number, (one, other) in enumerate(zip(then, now, strict=True), start=1):
+            yield from _differences(one, other, f"{place}.{number}")
+    elif then != now:
+        yield place, then, now
+
+
+def _short(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value)
+    return text if len(text) <= 80 else f"{text[:76]} ..."
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write a text beside, wait for the disk, move it into place."""
+    beside = path.with_name(f".{path.name}.partial")
+    with beside.open("w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    beside.replace(path)

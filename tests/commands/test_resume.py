@@ -1,0 +1,492 @@
+"""``bayesfric fit --resume``: runs interrupted as users and machines interrupt them."""
+
+import errno
+import itertools
+import json
+import os
+import random
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from bayesfric.commands import unfinished as module
+from bayesfric.commands.fit import fit
+from bayesfric.commands.lock import Taken, alone_in
+from bayesfric.commands.simulate import simulate
+from bayesfric.config import read_config
+from bayesfric.errors import BadInput, Interrupted
+from bayesfric.inference import checkpoint, step_file
+from bayesfric.inference.archive import read_archive
+from bayesfric.report import run_directory
+from tests.conftest import REPOSITORY
+
+from .bench import has
+from .test_fit import CONFIG, draws, without_seconds
+
+# Few steps: what is tested is the bytes, not what they say. The noise remembers, so that there is
+# a second sampling, with white noise.
+FEW = CONFIG.replace(
+    "min_ess = 500", "min_ess = 1e6\nmax_steps = 100\nblock = 10\nwalkers = 10\nensembles = 2"
+)
+FEW += '\n[noise]\nmodel = "autoregressive"\norder = 1\n'
+HIDDEN = ".run.checkpoint"
+
+
+class Stop(Exception):
+    pass
+
+
+@pytest.fixture(scope="module", autouse=True)
+def plain():
+    """No figures; save after every block, however fast."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run_directory, "FIGURES", {})
+        patch.setattr(run_directory, "forest_figure", lambda _: None)
+        patch.setattr(run_directory, "save", lambda *_: None)
+        patch.setattr(checkpoint, "_SHARE", 1e9)
+        patch.setattr(step_file, "_ROOM", 2**16)
+        yield
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("measured")
+    (folder / "few.toml").write_text(FEW, encoding="utf-8")
+    simulate(read_config(folder / "few.toml"), folder / "small.csv")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def whole(measured):
+    """A run never interrupted: summary, draws, and what it showed of its progress."""
+    seen = []
+    summary = fit(read_config(measured / "few.toml"), measured / "whole", progress=seen.append)
+    assert not list(measured.glob(".*"))
+    return without_seconds(summary), draws(measured / "whole"), seen
+
+
+@pytest.fixture
+def here(bench, measured):
+    for name in ("few.toml", "small.csv"):
+        (bench.folder / name).write_bytes((measured / name).read_bytes())
+    return bench
+
+
+def same(folder, whole):
+    """Every number of the run is that of the whole one, and nothing is left beside it."""
+    summary, expected, _ = whole
+    written = json.loads((folder / "run" / "summary.json").read_text(encoding="utf-8"))
+    assert without_seconds(written) == summary
+    found = draws(folder / "run")
+    assert found.keys() == expected.keys()
+    for name, values in expected.items():
+        np.testing.assert_array_equal(found[name], values, err_msg=name)
+    assert not [path.name for path in folder.iterdir() if path.name.startswith(".")]
+
+
+def stopped(folder, at):
+    """Interrupt by an exception from the ``at``-th call of the progress callback."""
+    left = itertools.count(1)
+
+    def progress(_):
+        if next(left) == at:
+            raise Stop
+
+    with pytest.raises(Stop):
+        fit(read_config(folder / "few.toml"), folder / "run", progress=progress)
+
+
+def blocks(whole):
+    """Which calls of the progress callback come after a block."""
+    return [k for k, seen in enumerate(whole[2], start=1) if seen.steps]
+
+
+@pytest.mark.parametrize(
+    "every",
+    [pytest.param(1, marks=pytest.mark.slow, id="every"), pytest.param(12, id="every-12th")],
+)
+def test_interrupted_after_a_block_and_resumed(here, whole, every):
+    """The quick form of every single one is in ``tests/inference/test_checkpoint.py``."""
+    assert len(blocks(whole)) > 15
+    for k in blocks(whole)[::every]:
+        stopped(here.folder, k)
+        assert (here.folder / HIDDEN / "posterior.json").is_file()
+        fit(read_config(here.folder / "few.toml"), here.folder / "run", resume=True)
+        same(here.folder, whole)
+        shutil.rmtree(here.folder / "run")
+
+
+def test_what_a_manifest_tells(here, whole):
+    stopped(here.folder, blocks(whole)[4])
+    found = json.loads((here.folder / HIDDEN / "posterior.json").read_text(encoding="utf-8"))
+    facts = found["facts"]
+    assert facts["version"].keys() == {"bayesfric", "python", "numpy", "scipy", "emcee", "numba"}
+    assert re.fullmatch("[0-9a-f]{64}", facts["recording"]["small"])
+    assert facts["configuration"]["sampling"]["seed"] == 3
+    assert found["steps"] == 50
+    assert not list((here.folder / HIDDEN).glob("lock"))
+
+
+def refused(here, *arguments):
+    """One line, exit code 2, and the checkpoint as it was."""
+    return here.refused("fit", "few.toml", "-o", "run", *arguments)
+
+
+def test_what_is_refused(here, whole):
+    has(refused(here, "--resume"), "run: there is no checkpoint to resume; leave --resume out")
+    stopped(here.folder, blocks(whole)[6])
+    has(refused(here), "run: was interrupted", "add --resume to go on, or --force to start afresh")
+    has(refused(here, "--resume", "--force"), "--resume: cannot go with --force")
+    has(refused(here, "--resume", "--seed", "4"), "configuration.sampling.seed was 3 and is 4 now")
+    config = here.folder / "few.toml"
+    text = config.read_text(encoding="utf-8")
+    config.write_text(text + '[priors]\n"motor.coulomb" = [0, 1]\n', encoding="utf-8")
+    has(
+        refused(here, "--resume"),
+        f"{HIDDEN}: cannot be resumed: configuration.priors.motor.coulomb was not there and is",
+    )
+    # a remark changes nothing
+    config.write_text(text + "# my knee\n", encoding="utf-8")
+    recording = here.folder / "small.csv"
+    raw = recording.read_bytes()
+    recording.write_bytes(raw + b"\n")
+    has(refused(here, "--resume"), "recording.small was ")
+    recording.write_bytes(raw)
+    path = here.folder / HIDDEN / "posterior.h5"
+    good = path.read_bytes()
+    path.write_bytes(good[:3000])
+    has(refused(here, "--resume"), "posterior.h5: cannot be resumed (")
+    path.write_bytes(good)
+    fit(read_config(config), here.folder / "run", resume=True)
+    same(here.folder, whole)
+    has(refused(here, "--resume"), "run: is finished; leave --resume out")
+
+
+def test_other_code_is_refused(here, whole, monkeypatch):
+    stopped(here.folder, blocks(whole)[6])
+    from bayesfric.inference.joint_prior import JointPrior
+
+    original = JointPrior.log_density
+    monkeypatch.setattr(JointPrior, "log_density", lambda self, x: original(self, x) + 1e-3)
+    message = refused(here, "--resume")
+    has(message, "log-probability (walker ", "the code", "start afresh with --force")
+
+
+def test_other_libraries_are_refused(here, whole, monkeypatch):
+    stopped(here.folder, blocks(whole)[2])
+    monkeypatch.setattr(module, "version", lambda name: "0.9" if name == "emcee" else "1.0")
+    has(refused(here, "--resume"), "version.", " was ", " now; undo that")
+
+
+def test_force_keeps_the_old_checkpoint(here, whole):
+    stopped(here.folder, blocks(whole)[6])
+    old = {path.name: path.read_bytes() for path in (here.folder / HIDDEN).iterdir()}
+    assert here.run("fit", "few.toml", "-o", "run", "--force").code == 3
+    kept = here.folder / f"{HIDDEN}.old1"
+    assert {path.name: path.read_bytes() for path in kept.iterdir()} == old
+    shutil.rmtree(kept)
+    same(here.folder, whole)
+
+
+@pytest.mark.slow
+def test_force_that_is_interrupted_still_keeps_the_old_run(here, whole):
+    assert here.run("fit", "few.toml", "-o", "run", "--seed", "9").code == 3
+    left = itertools.count(1)
+
+    def progress(_):
+        if next(left) == blocks(whole)[5]:
+            raise Stop
+
+    with pytest.raises(Stop):
+        fit(
+            read_config(here.folder / "few.toml"),
+            here.folder / "run",
+            force=True,
+            progress=progress,
+        )
+    assert here.run("fit", "few.toml", "-o", "run", "--resume").code == 3
+    same(here.folder, whole)
+    first = json.loads((here.folder / "run.old1" / "summary.json").read_text(encoding="utf-8"))
+    assert first["sampler"]["seed"] == 9
+
+
+# -- two at once
+
+
+def test_the_second_of_two_is_told(here):
+    with alone_in(here.folder / HIDDEN):
+        message = refused(here)
+        has(message, f"run: process {os.getpid()} on ", "is making this run", "wait for it")
+        has(refused(here, "--resume"), "is making this run")
+        with pytest.raises(Taken), alone_in(here.folder / HIDDEN):
+            pass
+    assert not (here.folder / HIDDEN).exists()
+
+
+def test_a_killed_process_leaves_no_lock(tmp_path):
+    code = (
+        "import sys, time; from pathlib import Path; from bayesfric.commands.lock import alone_in\n"
+        "with alone_in(Path(sys.argv[1])): print('in', flush=True); time.sleep(60)"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code, str(tmp_path / "place")],
+        cwd=REPOSITORY,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout.readline() == "in\n"
+        with pytest.raises(Taken, match=f"process {process.pid} on "), alone_in(tmp_path / "place"):
+            pass
+        process.kill()
+    with alone_in(tmp_path / "place"):
+        pass
+    assert not (tmp_path / "place").exists()
+
+
+# -- signals
+
+
+def begun(folder, *arguments):
+    """Start ``bayesfric fit`` in a process of its own."""
+    return subprocess.Popen(
+        [
+            sys.executable,
+            "-m",
+            "tests.commands.slow_likelihood",
+            "fit",
+            "few.toml",
+            "-o",
+            "run",
+            *arguments,
+        ],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def steps(folder):
+    path = folder / HIDDEN / "posterior.json"
+    return json.loads(path.read_text(encoding="utf-8"))["steps"] if path.exists() else 0
+
+
+def wait_for(condition, process):
+    for _ in range(12000):
+        if condition() or process.poll() is not None:
+            return
+        time.sleep(0.005)
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        [signal.SIGINT],
+        pytest.param([signal.SIGTERM, signal.SIGINT, signal.SIGTERM], marks=pytest.mark.slow),
+    ],
+    ids=["ctrl-c", "three-times"],
+)
+def test_signals_in_processes_of_their_own(here, whole, numbers):
+    """One after the other, each to the process that went on; in between, a second one tries."""
+    before, options = 0, ()
+    for number in numbers:
+        code = 128 + number
+        process = begun(here.folder, *options)
+        wait_for(lambda before=before: steps(here.folder) > before, process)
+        time.sleep(0.015)
+        if not options:
+            message = here.run("fit", "few.toml", "-o", "run").err
+            has(message, f"process {process.pid} on ")
+        asked = time.perf_counter()
+        process.send_signal(number)
+        out, err = process.communicate(timeout=60)
+        took = time.perf_counter() - asked
+        assert (process.returncode, out) == (code, ""), err
+        assert took < 5.0, took  # the step, the file, and the end of the interpreter
+        now = steps(here.folder)
+        assert err == (
+            f"bayesfric: interrupted, {now} steps are kept; go on with: "
+            "bayesfric fit few.toml -o run --resume\n"
+        )
+        assert now > before
+        before, options = now, ("--resume",)
+    fit(read_config(here.folder / "few.toml"), here.folder / "run", resume=True)
+    same(here.folder, whole)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_handlers_are_put_back(here, number):
+    def mine(*_):
+        raise AssertionError
+
+    previous = signal.signal(number, mine)
+    try:
+        with pytest.raises(Interrupted) as caught:
+            fit(
+                read_config(here.folder / "few.toml"),
+                here.folder / "run",
+                progress=lambda p: os.kill(os.getpid(), number) if p.steps else None,
+            )
+        assert signal.getsignal(number) is mine
+    finally:
+        signal.signal(number, previous)
+    assert caught.value.signal == number
+    assert caught.value.saved == steps(here.folder) == 10
+
+
+def test_before_sampling_nothing_is_kept(here, monkeypatch):
+    from bayesfric.commands import fit as command
+
+    def interrupted(*_):
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    monkeypatch.setattr(command, "estimates_where_possible", interrupted)
+    ended = here.run("fit", "few.toml", "-o", "run")
+    assert (ended.code, ended.out) == (143, "")
+    assert ended.err == "bayesfric: interrupted, nothing was written\n"
+    assert not (here.folder / HIDDEN).exists()
+
+
+def test_the_second_ctrl_c_does_not_wait(here, whole, monkeypatch):
+    """The first comes within a step, the second within the saving that it makes."""
+    from bayesfric.inference.target import Target
+
+    original, calls = Target.__call__, itertools.count()
+    stopped(here.folder, blocks(whole)[4])
+    before = {path.name: path.read_bytes() for path in (here.folder / HIDDEN).glob("*.json")}
+
+    def impatient(self, u):
+        if next(calls) == 10:
+            os.kill(os.getpid(), signal.SIGINT)
+        return original(self, u)
+
+    def begin(self, *arguments):
+        original_begin(self, *arguments)
+        monkeypatch.setattr(Target, "__call__", impatient)
+
+    original_begin = checkpoint.Checkpoint.begin
+    monkeypatch.setattr(checkpoint.Checkpoint, "begin", begin)
+    monkeypatch.setattr(
+        step_file.StepFile, "append", lambda *_: os.kill(os.getpid(), signal.SIGINT)
+    )
+    ended = here.run("fit", "few.toml", "-o", "run", "--resume")
+    assert ended.code == 130, ended
+    has(ended.err, "interrupted, 50 steps are kept")
+    assert before == {
+        path.name: path.read_bytes() for path in (here.folder / HIDDEN).glob("*.json")
+    }
+    monkeypatch.undo()
+    monkeypatch.chdir(here.folder)
+    fit(read_config(here.folder / "few.toml"), here.folder / "run", resume=True)
+    same(here.folder, whole)
+
+
+# -- disks
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A disk of half a megabyte."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=512k", "tmpfs", str(place)]
+    if (
+        not shutil.which("mount")
+        or subprocess.run(mount, capture_output=True, check=False).returncode
+    ):
+        pytest.skip("only root can mount a small disk")
+    yield place
+    subprocess.run(["umount", "-l", str(place)], check=True)
+
+
+@pytest.mark.parametrize(
+    "free", [30, *(pytest.param(n, marks=pytest.mark.slow) for n in range(4, 252, 8))]
+)
+def test_a_full_disk(here, small_disk, whole, free):
+    """It fills up while sampling, or while results are written; both go on when there is room."""
+    with (small_disk / "ballast").open("wb") as ballast:
+        ballast.write(bytes(512 * 1024 - free * 1024))
+    output = small_disk / "run"
+    ended = here.run("fit", "few.toml", "-o", output)
+    assert (ended.code, ended.out) == (2, ""), ended
+    assert re.fullmatch(r"bayesfric: [^\n]+: [^\n]+; [^\n]+\n", ended.err), ended.err
+    has(ended.err, "No space left on device", "mend that")
+    names = {path.name for path in small_disk.iterdir()}
+    assert names <= {"ballast", HIDDEN}
+    (small_disk / "ballast").unlink()
+    kept = (small_disk / HIDDEN / "posterior.json").is_file()
+    assert ("--resume" in ended.err) == kept
+    subprocess.run(["mount", "-o", "remount,size=8m", str(small_disk)], check=True)
+    assert here.run("fit", "few.toml", "-o", output, *(["--resume"] if kept else [])).code == 3
+    same(small_disk, whole)
+
+
+def test_the_folder_vanishes_midway(here):
+    (here.folder / "out").mkdir()
+
+    def progress(p):
+        if p.steps == 30:
+            shutil.rmtree(here.folder / "out", ignore_errors=True)
+
+    with pytest.raises(BadInput) as caught:
+        fit(read_config(here.folder / "few.toml"), here.folder / "out" / "run", progress=progress)
+    has(str(caught.value), "cannot be written (No such file or directory); mend that")
+    assert not (here.folder / "out").exists()
+
+
+def test_errors_of_the_disk_are_told(here, whole, monkeypatch):
+    stopped(here.folder, blocks(whole)[4])
+    before = steps(here.folder)
+
+    def broken(*_):
+        raise OSError(errno.EIO, "Input/output error", "steps.h5")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(step_file.StepFile, "_count", broken)
+        message = here.run("fit", "few.toml", "-o", "run", "--resume").err
+    has(message, "steps.h5: cannot be written (Input/output error)", "go on with --resume")
+    assert steps(here.folder) == before
+    with monkeypatch.context() as patch:
+        patch.setattr(run_directory, "write_posterior", broken)
+        message = here.run("fit", "few.toml", "-o", "run", "--resume").err
+    has(message, "run: cannot be written", "nothing is sampled again")
+    assert here.run("fit", "few.toml", "-o", "run", "--resume").code == 3
+    same(here.folder, whole)
+
+
+# -- killed
+
+
+@pytest.mark.slow
+def test_killed_at_fifty_random_moments(here, whole):
+    """The command line itself; five kills on the way to every result."""
+    moments = random.Random(2005)
+    kills = 0
+    while kills < 50:
+        for _ in range(5):
+            options = ["--resume"] if steps(here.folder) else []
+            before = steps(here.folder)
+            process = begun(here.folder, *options)
+            wait_for(lambda before=before: steps(here.folder) > before, process)
+            time.sleep(moments.uniform(0.0, 0.3))
+            if process.poll() is not None:
+                break
+            process.kill()
+            process.communicate()
+            kills += 1
+        if not (here.folder / "run").exists():
+            options = ["--resume"] if steps(here.folder) else []
+            assert here.run("fit", "few.toml", "-o", "run", *options).code == 3
+        assert read_archive(here.folder / "run" / "posterior.nc").attrs["seed"] == "3"
+        shutil.rmtree(here.folder / HIDDEN, ignore_errors=True)
+        for path in here.folder.glob(".run.*.partial"):
+            shutil.rmtree(path)
+        same(here.folder, whole)
+        shutil.rmtree(here.folder / "run")

@@ -1,0 +1,369 @@
+"""Interrupted sampling goes on to the same bytes, and refuses what is no longer the same."""
+
+import errno
+import itertools
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import h5py
+import numpy as np
+import pytest
+
+from bayesfric.errors import BadInput
+from bayesfric.inference import checkpoint as module
+from bayesfric.inference import sampling, step_file
+from bayesfric.inference.checkpoint import Checkpoint
+from bayesfric.inference.sampling import Progress
+from bayesfric.inference.step_file import StepFile, Steps
+from tests.conftest import REPOSITORY
+from tests.inference.two_valleys import FACTS, SETTINGS, TwoValleys, run
+
+
+class Stop(Exception):
+    pass
+
+
+@pytest.fixture(scope="module")
+def whole():
+    """A run never interrupted, without a checkpoint."""
+    posterior, _ = run(None)
+    return posterior
+
+
+@pytest.fixture(autouse=True)
+def save_always(monkeypatch):
+    """Leave nothing to how long a step takes here."""
+    monkeypatch.setattr(module, "_SHARE", 1e9)
+    monkeypatch.setattr(step_file, "_ROOM", 2**18)
+
+
+def same(found, expected):
+    for name in ("draws", "log_density"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    for name in ("rhat", "tau", "ess", "acceptance"):
+        np.testing.assert_array_equal(
+            getattr(found.diagnostics, name), getattr(expected.diagnostics, name)
+        )
+    for name in ("status", "problems", "warmup", "steps", "thin", "not_finite"):
+        assert getattr(found.diagnostics, name) == getattr(expected.diagnostics, name), name
+
+
+def stopping_after(blocks):
+    """Raise from the progress callback after so many blocks."""
+    left = itertools.count(1)
+
+    def progress(_: Progress):
+        if next(left) == blocks:
+            raise Stop
+
+    return progress
+
+
+def n_blocks():
+    seen = []
+    run(None, progress=seen.append)
+    return len(seen)
+
+
+def test_the_density_has_what_may_go_wrong(whole, monkeypatch):
+    """Walkers are brought back, and some proposals have no number: otherwise nothing is tested."""
+    brought = []
+    original = sampling._Ensembles.bring_back_lost
+
+    def counted(self, rng):
+        before = self.positions()
+        original(self, rng)
+        brought.append(not np.array_equal(before, self.positions()))
+
+    monkeypatch.setattr(sampling._Ensembles, "bring_back_lost", counted)
+    again, _ = run(None)
+    assert any(brought)
+    assert whole.diagnostics.not_finite > 0
+    same(again, whole)
+
+
+def test_a_checkpoint_changes_nothing(whole, tmp_path):
+    found, _ = run(tmp_path)
+    same(found, whole)
+
+
+@pytest.mark.parametrize("block", range(1, n_blocks() + 1))
+def test_interrupted_after_every_block(whole, tmp_path, block):
+    with pytest.raises(Stop):
+        run(tmp_path, progress=stopping_after(block))
+    found, kept = run(tmp_path)
+    same(found, whole)
+    # once more from the end: all is there
+    assert (
+        run(tmp_path)[1].saved == kept.saved == found.diagnostics.warmup + found.diagnostics.steps
+    )
+
+
+def test_interrupted_after_each_block_one_after_the_other(whole, tmp_path):
+    for block in range(1, n_blocks() + 1):
+        with pytest.raises(Stop):
+            run(tmp_path, progress=stopping_after(block))
+    same(run(tmp_path)[0], whole)
+
+
+@pytest.mark.parametrize("apart", [pytest.param(1, marks=pytest.mark.slow), 17, 41])
+def test_asked_to_stop_in_the_middle_of_blocks(whole, tmp_path, apart):
+    """However often the request comes."""
+    stops = [0]
+    while True:
+        asks = itertools.count(1)
+        try:
+            found, _ = run(tmp_path, asked_to_stop=lambda asks=asks: next(asks) == apart)
+        except KeyboardInterrupt:
+            stops.append(manifest(tmp_path)["steps"])
+            # it is asked after each step, and when a block ends
+            assert 0.8 * apart <= stops[-1] - stops[-2] <= apart
+        else:
+            break
+    same(found, whole)
+    assert len(stops) > 110 // apart
+
+
+def manifest(folder):
+    return json.loads((folder / "steps.json").read_text(encoding="utf-8"))
+
+
+@pytest.fixture
+def stopped(tmp_path):
+    with pytest.raises(Stop):
+        run(tmp_path, progress=stopping_after(6))
+    return tmp_path
+
+
+def test_the_manifest_says_what_it_is(stopped):
+    found = manifest(stopped)
+    assert found["facts"] == FACTS
+    assert found["phase"] == "sampling"
+    assert found["coordinates"] == "as they are"
+    assert (found["walkers"], found["dimension"]) == (24, 3)
+    with h5py.File(stopped / "steps.h5") as file:
+        n = int(file["steps"][0])
+        assert n == found["steps"]
+        np.testing.assert_array_equal(file["walk"]["log_density"][n - 1], found["log_density"])
+
+
+def test_no_pickle_anywhere(stopped):
+    for path in stopped.iterdir():
+        raw = path.read_bytes()
+        assert not raw.startswith(b"\x80"), path
+    with h5py.File(stopped / "steps.h5") as file:
+        assert {d.dtype.base.kind for d in file.values()} == {"V", "i"}
+        kinds = [file["walk"].dtype[name].base.kind for name in file["walk"].dtype.names]
+        assert kinds == ["f", "f", "b"]
+
+
+def test_a_file_in_use_gets_numbers_only(tmp_path):
+    """Its own tables are written once: so no moment can leave it unreadable."""
+    rng = np.random.default_rng(0)
+    file = StepFile(tmp_path / "a.h5", 4, 2)
+
+    def some(n):
+        return Steps(rng.normal(size=(n, 4, 2)), rng.normal(size=(n, 4)), rng.random((n, 4)) < 0.5)
+
+    def rest():
+        """Everything in the file but the numbers."""
+        with h5py.File(file.path) as opened:
+            places = [(d.id.get_offset(), d.id.get_storage_size()) for d in opened.values()]
+        raw = bytearray(file.path.read_bytes())
+        for at, size in places:
+            raw[at : at + size] = bytes(size)
+        return bytes(raw)
+
+    first = some(3)
+    file.append(first, 0)
+    before = rest()
+    file.append(some(50), 3)
+    file.append(some(7), 20)
+    assert rest() == before
+    np.testing.assert_array_equal(file.read(0, 3).coordinates, first.coordinates)
+    with pytest.raises(ValueError, match="fewer than"):
+        file.read(0, 28)
+
+
+def test_room_that_is_not_used_takes_no_disk(tmp_path, monkeypatch):
+    monkeypatch.setattr(step_file, "_ROOM", 2**24)
+    file = StepFile(tmp_path / "a.h5", 512, 12)
+    file.append(Steps(np.ones((2, 512, 12)), np.ones((2, 512)), np.ones((2, 512), dtype=bool)), 0)
+    taken = file.path.stat()
+    assert taken.st_size > 0.9 * 2**24
+    assert taken.st_blocks * 512 < 2**19
+    assert file.read(1, 2).coordinates.sum() == 512 * 12
+
+
+def test_a_file_that_is_full_is_made_longer(tmp_path, monkeypatch, whole):
+    monkeypatch.setattr(step_file, "_ROOM", 4000)
+    monkeypatch.setattr(step_file, "_PIECE", 3000)
+    with pytest.raises(Stop):
+        run(tmp_path, progress=stopping_after(9))
+    same(run(tmp_path)[0], whole)
+    assert {path.name for path in tmp_path.iterdir()} == {"steps.json", "steps.h5"}
+
+
+# -- what is refused
+
+
+def refused(folder, *parts, **options):
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    with pytest.raises(BadInput) as caught:
+        run(folder, **options)
+    for part in (*parts, "--force"):
+        assert part in str(caught.value)
+    assert before == {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_another_configuration_is_named(stopped):
+    facts = {**FACTS, "configuration": {"priors": {"x": [0.0, 2.0]}}}
+    refused(stopped, "configuration.priors.x.2 was 1.0 and is 2.0 now", facts=facts)
+    facts = {**FACTS, "configuration": {"priors": {}}}
+    refused(stopped, "configuration.priors.x was [0.0, 1.0] and is not there now", facts=facts)
+    facts = {**FACTS, "version": {"bayesfric": "9"}}
+    refused(stopped, "version.bayesfric was 0 and is 9 now", facts=facts)
+
+
+def test_another_density_is_refused(stopped):
+    refused(stopped, "log-probability (walker", "the code", target=TwoValleys(scale=1.0 + 1e-6))
+
+
+def test_another_shape_is_refused(stopped):
+    more = SETTINGS.model_copy(update={"walkers": 14})
+    refused(stopped, "walkers was 24 and is 28 now", settings=more)
+
+
+@pytest.mark.parametrize("name", ["steps.json", "steps.h5"])
+@pytest.mark.parametrize("left", [0.0, 0.01, 0.3, 0.9])
+def test_truncated_files_are_refused(stopped, name, left):
+    path = stopped / name
+    raw = path.read_bytes()
+    if name == "steps.h5":
+        # what is behind the written rows is empty, and may go
+        with h5py.File(path) as file:
+            end = file["walk"].id.get_offset() + manifest(stopped)["steps"] * 24 * 33
+        raw = raw[:end]
+    path.write_bytes(raw[: int(left * len(raw))])
+    refused(stopped, f"{name}: cannot be resumed (")
+
+
+@pytest.mark.parametrize(
+    ("edit", "part"),
+    [
+        (lambda m: m | {"format": 2}, "checkpoint format was 2 and is 1 now"),
+        (lambda m: m | {"format": None}, "checkpoint format was null"),
+        (lambda m: m | {"steps": m["steps"] + 5}, "holds fewer than"),
+        (lambda m: m | {"steps": 10**9}, "holds fewer than"),
+        (lambda m: m | {"steps": m["steps"] - 1}, "not those that steps.json tells of"),
+        (lambda m: m | {"walkers": 10**6}, "holds no steps of 1000000 walkers"),
+        (lambda m: m | {"steps": "5"}, "steps: Input should be"),
+        (lambda m: {k: v for k, v in m.items() if k != "seconds"}, "seconds: Field required"),
+        (lambda m: m | {"random_state": {}}, "random_state.key"),
+        (lambda m: [m], "steps.json: cannot be resumed"),
+    ],
+)
+def test_a_foreign_manifest_is_refused(stopped, edit, part):
+    (stopped / "steps.json").write_text(json.dumps(edit(manifest(stopped))), encoding="utf-8")
+    refused(stopped, part)
+
+
+def test_a_flipped_bit_is_refused(stopped):
+    with h5py.File(stopped / "steps.h5") as file:
+        at = file["walk"].id.get_offset() + 1234
+    raw = bytearray((stopped / "steps.h5").read_bytes())
+    raw[at] ^= 4
+    (stopped / "steps.h5").write_bytes(raw)
+    refused(stopped, "its steps are not those")
+
+
+def test_a_missing_file_is_refused(stopped):
+    (stopped / "steps.h5").unlink()
+    refused(stopped, "steps.h5: cannot be resumed (No such file")
+
+
+# -- when the disk fails
+
+
+def test_a_save_that_fails_leaves_the_last_checkpoint(stopped, whole, monkeypatch):
+    before = manifest(stopped)
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    for place, broken in ((StepFile, "_count"), (module, "_replace")):
+        with monkeypatch.context() as patch:
+            patch.setattr(place, broken, full)
+            with pytest.raises(OSError, match="No space"):
+                run(stopped)
+        assert manifest(stopped) == before
+    same(run(stopped)[0], whole)
+
+
+# -- killed in a process of its own
+
+
+def killed(folder, kills, moments):
+    """Start sampling anew after every kill; how many steps were on disk at each."""
+    saved = []
+    for _ in range(kills):
+        process = subprocess.Popen(
+            [sys.executable, "-m", "tests.inference.two_valleys", str(folder)], cwd=REPOSITORY
+        )
+        begun = saved[-1] if saved else 0
+        for _ in range(6000):
+            found = manifest(folder)["steps"] if (folder / "steps.json").exists() else 0
+            if found > begun or process.poll() is not None:
+                break
+            time.sleep(0.01)
+        time.sleep(moments.uniform(0.0, 0.1))
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        # whatever is there can be read
+        Checkpoint(folder, "steps", FACTS)
+        saved.append(manifest(folder)["steps"])
+    return saved
+
+
+@pytest.mark.parametrize("kills", [3, pytest.param(50, marks=pytest.mark.slow)], ids=["3", "50"])
+def test_killed_at_random_moments(whole, tmp_path, kills):
+    moments = random.Random(6)
+    for _ in range(-(-kills // 3)):
+        folder = tmp_path / "checkpoint"
+        folder.mkdir()
+        saved = killed(folder, min(3, kills), moments)
+        assert saved[0] > 0
+        same(run(folder)[0], whole)
+        shutil.rmtree(folder)
+
+
+def test_saving_is_rationed(monkeypatch, tmp_path):
+    """Its share of the time stays below what it may have, on a disk however slow."""
+    monkeypatch.setattr(module, "_SHARE", 0.02)
+    saves = []
+    original = Checkpoint.save
+
+    def slow(self):
+        began = time.perf_counter()
+        original(self)
+        time.sleep(0.02)
+        self._spent += 0.02
+        saves.append(time.perf_counter() - began)
+
+    monkeypatch.setattr(Checkpoint, "save", slow)
+    run(tmp_path)
+    # 16 blocks of a few milliseconds each: the first is saved, none of the others
+    assert len(saves) == 1
+
+
+def test_a_killed_writer_leaves_no_partial_that_counts(stopped, whole):
+    """Files that a killed process was just writing are in nobody's way."""
+    (stopped / ".steps.json.partial").write_text("{")
+    (stopped / f".steps.h5.{os.getpid()}.partial").write_bytes(b"\x89HDF")
+    same(run(stopped)[0], whole)
