@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bayesfric.commands.estimate import estimates_where_possible
+from bayesfric.commands.identify import open_directions
 from bayesfric.commands.problem import Problem, read_problem
 from bayesfric.config import Config
 from bayesfric.errors import BadInput
@@ -79,6 +81,10 @@ def fit(
         with config.named():
             white = fit_target(problem.white_target(), quick, estimates=found, progress=progress)
         add_white_intervals(summary, summarise(white))
+    progress(phase("identifiability"))
+    with suppress(BadInput):  # a simulation that fails there takes no result away
+        middle = np.median(result.posterior.flat(), axis=0)
+        summary["identifiability"]["directions"] = open_directions(target, middle)
     progress(phase("writing results"))
     summary["warnings"] += missing
     write_run(folder, result, summary, config.text, problem.recordings)
