@@ -57,9 +57,7 @@ def figure_words(stem: str, told: Told, captions: Mapping[str, str]) -> FigureWo
         From :func:`written_captions`; they come first.
     """
     title, caption, alternative = _WORDS.get(stem, (stem, "", lambda _: ""))
-    return FigureWords(
-        title, captions.get(stem, caption), f"{title}. {alternative(told)}".strip()
-    )
+    return FigureWords(title, captions.get(stem, caption), f"{title}. {alternative(told)}".strip())
 
 
 def in_words(row: ParameterRow) -> str:
@@ -147,9 +145,7 @@ def _trace(told: Told) -> str:
 
 def _friction(told: Told) -> str:
     words = ("coulomb", "viscous", "load_", "quadratic", "stribeck", ".load")
-    rows = [
-        r for r in told.table.rows if any(w in r.name for w in words) and r.group != "derived"
-    ]
+    rows = [r for r in told.table.rows if any(w in r.name for w in words) and r.group != "derived"]
     return "Losses that the curves follow from: " + "; ".join(map(in_words, rows)) + "."
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -37,22 +37,17 @@ class PageFigure:
         return self.drawing.width > _COLUMN
 
 
-def read_figures(folder: Path, words: Mapping[str, FigureWords]) -> dict[str, PageFigure]:
-    """Read those of the named figures that were drawn, in the order of their words.
+def read_figures(folder: Path, words: Mapping[str, FigureWords]) -> dict[str, PageFigure | None]:
+    """Read the named figures; those that were not drawn are ``None``.
 
     A file that is no drawing of this package is left out, as if it were not there.
     """
-    found = {}
-    for stem, said in words.items():
-        try:
-            text = (folder / f"{stem}.svg").read_text(encoding="utf-8")
-            drawing = inline_svg(text, f"{stem}-", said.alternative)
-        except (OSError, ValueError):
-            continue
-        found[stem] = PageFigure(stem, said, drawing)
-    return found
+    return {stem: _read(folder / f"{stem}.svg", stem, said) for stem, said in words.items()}
 
 
-def those(figures: Mapping[str, PageFigure], stems: Sequence[str]) -> list[PageFigure]:
-    """Pick figures that are there."""
-    return [figures[stem] for stem in stems if stem in figures]
+def _read(path: Path, stem: str, words: FigureWords) -> PageFigure | None:
+    try:
+        text = path.read_text(encoding="utf-8")
+        return PageFigure(stem, words, inline_svg(text, f"{stem}-", words.alternative))
+    except (OSError, ValueError):
+        return None

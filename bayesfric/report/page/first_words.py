@@ -11,7 +11,7 @@ from bayesfric.report.tables import ParameterRow, ParameterTable
 
 _COUNTS = ("none", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 # Lines of the list of what is known; the rest is in the table.
-_MOST = 8
+_MOST = 6
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,8 @@ class FirstWords:
         Rows that the data bound on one side.
     open
         What they leave open, by reason.
-    trust
-        ``reliable``, ``tentative`` or ``unusable``, and in words.
+    answer, trust
+        Whether the sampling can be trusted, and why.
     problems
         What the sampler complained of.
     steps
@@ -64,7 +64,8 @@ class FirstWords:
     more: int
     limits: tuple[ParameterRow, ...]
     open: tuple[OpenGroup, ...]
-    trust: tuple[str, str]
+    answer: str
+    trust: str
     problems: tuple[str, ...]
     steps: tuple[NextStep, ...]
     otherwise: str
@@ -84,7 +85,7 @@ def first_words(table: ParameterTable, facts: Facts) -> FirstWords:
         max(0, len(known) - _MOST),
         tuple(r for r in [*joint, *combined] if r.cell.status == "limit"),
         tuple(_groups(joint, combined, facts)),
-        (facts.sampler.status, _trust(facts)),
+        *_trust(facts),
         tuple(facts.sampler.problems),
         steps,
         _otherwise(joint, facts, bool(steps)),
@@ -128,16 +129,21 @@ def _groups(
     if facts.identifiability.directions is not None:
         for one in facts.identifiability.directions:
             # a weak direction holds a little of everything; its words name what changes most
-            named = {n: x for n, x in one.exponents.items() if one.kind == "null" or n in one.meaning}
+            named = {
+                n: x for n, x in one.exponents.items() if one.kind == "null" or n in one.meaning
+            }
             seen.append((named, one.meaning, one.reasons))
     else:
-        for null in facts.identifiability.null_directions:
-            seen.append((null.parameters, null.meaning, []))
+        for direction in facts.identifiability.null_directions:
+            seen.append((direction.parameters, direction.meaning, []))
     for exponents, meaning, reasons in seen:
         members = [name for name in left if name in exponents or _alpha(name) in exponents]
         if members:
             left = [name for name in left if name not in members]
-            why = (_sentence(_without_names(meaning, exponents, members)), *(_sentence(f"because {text}") for text in reasons))
+            why = (
+                _sentence(_without_names(meaning, exponents, members)),
+                *(_sentence(f"because {text}") for text in reasons),
+            )
             yield OpenGroup(tuple(members), why)
     if left:
         yield OpenGroup(
@@ -165,23 +171,27 @@ def _alpha(name: str) -> str:
     return f"{element}.alpha_{quantity.removeprefix('load_')}" if "load_" in quantity else name
 
 
-def _trust(facts: Facts) -> str:
+def _trust(facts: Facts) -> tuple[str, str]:
     s = facts.sampler
-    many = f"{_count(s.ensembles)} independent ensembles" if s.ensembles else "independent runs"
-    if s.status == "reliable":
-        said = f"Yes. {_capital(many)} of walkers agree"
-        if s.max_rhat is not None and s.min_ess is not None:
-            said += (
-                f" (nested R-hat {s.max_rhat:.4f}, 1.01 allowed) and hold at least "
-                f"{spaced(s.min_ess)} independent draws of every parameter"
-            )
-        return said + "."
     if s.status == "tentative":
         return (
-            "Not yet. Treat every number here as provisional: the ensembles are too short, or do "
-            "not agree well enough. Fit again with more steps."
+            "Not yet: it is tentative.",
+            "Treat every number here as provisional: the ensembles are too short, or do not "
+            "agree well enough. Fit again with more steps.",
         )
-    return "No. The ensembles disagree: do not use these numbers."
+    if s.status != "reliable":
+        return (
+            f"No: it is {s.status}.",
+            "The ensembles disagree, or a parameter never moved: do not use these numbers.",
+        )
+    many = f"{_count(s.ensembles)} independent ensembles" if s.ensembles else "independent runs"
+    said = f"{_capital(many)} of walkers agree"
+    if s.max_rhat is not None and s.min_ess is not None:
+        said += (
+            f" (nested R-hat {s.max_rhat:.4f}, 1.01 allowed) and hold at least "
+            f"{spaced(s.min_ess)} independent draws of every parameter"
+        )
+    return "Yes, it is reliable.", said + "."
 
 
 def _steps(directions: Sequence[OpenDirectionRow]) -> Iterator[NextStep]:
@@ -210,7 +220,9 @@ def _steps(directions: Sequence[OpenDirectionRow]) -> Iterator[NextStep]:
 def _otherwise(joint: Sequence[ParameterRow], facts: Facts, steps: bool) -> str:
     identify = "bayesfric identify CONFIG"
     if steps:
-        return f"“{identify} --advise NAME” ranks experiments for one parameter and writes the best."
+        return (
+            f"“{identify} --advise NAME” ranks experiments for one parameter and writes the best."
+        )
     if all(r.cell.status == "determined" for r in joint):
         return (
             "Nothing is open. To know one parameter better, "

@@ -13,7 +13,7 @@ from markupsafe import Markup
 
 from bayesfric.report.page.first_words import spaced
 from bayesfric.report.page.symbol import html_symbol
-from bayesfric.report.page.values import cell_html, ends_html, plain, unit_html
+from bayesfric.report.page.values import cell_html, number_html, plain, unit_html
 
 
 def render(template: str, **told: Any) -> str:
@@ -35,8 +35,10 @@ def render(template: str, **told: Any) -> str:
         "default-src 'none'; base-uri 'none'; form-action 'none'; img-src data:; "
         f"style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
     )
-    return _environment().get_template(template).render(
-        style=Markup(style), script=Markup(script), policy=policy, **told
+    return (
+        _environment()
+        .get_template(template)
+        .render(style=Markup(style), script=Markup(script), policy=policy, **told)
     )
 
 
@@ -60,5 +62,5 @@ def _environment() -> Environment:
         "cell": cell_html,
         "sig": lambda x, digits=4: plain(f"{x:.{digits}g}"),
     }
-    environment.globals |= {"symbol": html_symbol, "ends": ends_html}
+    environment.globals |= {"symbol": html_symbol, "number": number_html}
     return environment

@@ -156,7 +156,8 @@ def _white(row: ParameterRow, facts: Row | None) -> Markup | None:
     if facts is None or not facts.white_interval or row.cell.status != "determined":
         return None
     sd = facts.white_sd or facts.sd
-    return ends_html(*facts.white_interval, sd) if sd else None
+    low, high = facts.white_interval
+    return ends_html(low, high, sd) if sd else None
 
 
 def _groups(table: ParameterTable, facts: Facts) -> list[Group]:

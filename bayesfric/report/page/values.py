@@ -22,7 +22,7 @@ _VERDICTS = {
 
 def verdict_words(row: ParameterRow) -> str:
     """Say what determined a number, in words that stand in its line."""
-    status = row.cell.status
+    status: str = row.cell.status
     if status == "determined" and row.row is not None:
         status += f" {row.row.verdict}"
     return _VERDICTS[status]
@@ -47,10 +47,10 @@ def value_html(row: ParameterRow) -> Markup:
     if row.row.median is None or not row.row.sd:
         return plain(f"{row.row.mean:.5g}")
     middle, sd = row.row.median, row.row.sd
-    last = latex.last_digit(sd)
-    exponent = latex.shared_exponent(middle, last)
-    shown = _signed(latex.digits(middle, last, exponent))
     if row.skewed:
+        last = latex.last_digit(sd)
+        exponent = latex.shared_exponent(middle, last)
+        shown = _signed(latex.digits(middle, last, exponent))
         low, high = row.row.interval
         up = latex.rounded(high, last) - latex.rounded(middle, last)
         down = latex.rounded(middle, last) - latex.rounded(low, last)
@@ -58,8 +58,15 @@ def value_html(row: ParameterRow) -> Markup:
             f"{up.scaleb(-exponent):f}", f"{down.scaleb(-exponent):f}"
         )
         return _scaled(Markup("{} {}").format(shown, ends), exponent)
-    own = latex.digits(sd, last, exponent)
-    return _scaled(Markup("{} ± {}").format(shown, own), exponent)
+    return number_html(middle, sd)
+
+
+def number_html(value: float, sd: float) -> Markup:
+    """Write a value to the second digit of its standard deviation, and that with two."""
+    last = latex.last_digit(sd)
+    exponent = latex.shared_exponent(value, last)
+    shown = _signed(latex.digits(value, last, exponent))
+    return _scaled(Markup("{} ± {}").format(shown, latex.digits(sd, last, exponent)), exponent)
 
 
 def interval_html(row: ParameterRow) -> Markup:
