@@ -1,4 +1,4 @@
-"""What several runs say together: a pooled value, and how far runs differ beyond their intervals."""
+"""What several runs say together: pooled values, and how far they differ beyond intervals."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ def figure_words(stem: str, told: Told, captions: Mapping[str, str]) -> FigureWo
     captions
         From :func:`written_captions`; they come first.
     """
-    title, caption, alternative = _WORDS.get(stem, (stem, "", lambda _: ""))
+    title, caption, alternative = STEMS_IN_WORDS.get(stem, (stem, "", lambda _: ""))
     return FigureWords(title, captions.get(stem, caption), f"{title}. {alternative(told)}".strip())
 
 
@@ -175,7 +175,7 @@ def forest_words(found: Comparison) -> str:
     return "; ".join(parts) + "."
 
 
-_WORDS: dict[str, tuple[str, str, Callable[[Told], str]]] = {
+STEMS_IN_WORDS: dict[str, tuple[str, str, Callable[[Told], str]]] = {
     "methods": (
         "Estimates and posterior side by side",
         "Every quantity by every method and by the posterior. Thick: 90 %, accounting for "

@@ -17,6 +17,7 @@ _DRAWN = {
     "stop", "title", "desc",
 }  # fmt: skip
 _REFERENCE = re.compile(r"url\(\s*['\"]?([^)'\"]*)['\"]?\s*\)")
+_TARGET = re.compile(r"(?:url\(\s*['\"]?|href=\s*['\"])#([^)'\"]+)")
 _LONG = re.compile(r"(?<=\.\d\d)\d+")
 # Coordinates in points: a hundredth is finer than any printer, and halves the page.
 _COORDINATES = ("d", "x", "y")
@@ -50,7 +51,7 @@ def inline_svg(text: str, prefix: str, label: str) -> Drawing:
     text
         The file's contents, as :func:`bayesfric.report.style.save` wrote them.
     prefix
-        Put before every ``id``; unique in the page.
+        Put before every ``id`` that is referred to; unique in the page.
     label
         What a screen reader says in its place.
 
@@ -65,8 +66,13 @@ def inline_svg(text: str, prefix: str, label: str) -> Drawing:
         _, _, width, height = box
     except (ET.ParseError, KeyError, ValueError) as error:
         raise ValueError(f"no SVG with a view box: {error}") from None
+    referred = set(_TARGET.findall(text))
     if root.tag != f"{{{_SVG}}}svg" or not (width > 0 and height > 0):
         raise ValueError("no SVG with a view box")
+    # Matplotlib names groups, some of them twice; only what is referred to needs its name
+    for element in root.iter():
+        if element.attrib.get("id", "") not in referred:
+            element.attrib.pop("id", None)
     out: list[str] = []
     root.attrib.pop("width", None)
     root.attrib.pop("height", None)
