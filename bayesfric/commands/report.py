@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -33,21 +34,20 @@ def report(run: Path) -> dict[str, Any]:
     """
     summary = read_summary_file(run)
     name = Path(os.path.realpath(run)).name
+    # first, for it looks at every key
+    page = run_page(run, summary, name)
+    texts = summary_texts(summary, name) | {"report.html": page}
+    tables = run / "tables"
+    made = not tables.exists()
     try:
-        texts = summary_texts(summary, name)
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
-        # the tables of every number ask for more than a comparison does
-        raise BadInput(
-            str(run / "summary.json"),
-            f"is not whole ({type(error).__name__}: {error})",
-            "fit this run again",
-        ) from None
-    texts["report.html"] = run_page(run, summary, name)
-    try:
-        (run / "tables").mkdir(exist_ok=True)
+        tables.mkdir(exist_ok=True)
+        write_beside({run / file: text for file, text in texts.items()}, replace=True)
     except OSError as error:
         raise BadInput(
             str(run), f"cannot be written ({error.strerror})", "copy the run to a folder of yours"
         ) from None
-    write_beside({run / file: text for file, text in texts.items()}, replace=True)
+    finally:
+        if made:
+            with suppress(OSError):  # it is filled, as it should be
+                tables.rmdir()
     return {"run": str(run), "written": sorted(texts)}

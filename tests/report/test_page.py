@@ -11,7 +11,6 @@ import time
 
 import pytest
 from markupsafe import Markup
-from matplotlib.figure import Figure
 
 from bayesfric.report import run_directory
 from bayesfric.report.comparison import comparison
@@ -21,33 +20,16 @@ from bayesfric.report.page.figure_words import STEMS_IN_WORDS, Told, figure_word
 from bayesfric.report.page.inline_svg import inline_svg
 from bayesfric.report.page.run_page import STEMS, run_page
 from bayesfric.report.page.symbol import html_symbol
-from bayesfric.report.run_directory import write_run
-from bayesfric.report.summary import summarise
 from bayesfric.report.tables import parameter_table, parameters_csv, parameters_latex
 
 from . import made_tables
 from .made_summaries import LEG, knee, loaded, old
 from .page_reader import number, read_page
 
-DRAWN = ("prediction", "prior_posterior")
-
 
 @pytest.fixture(scope="module")
-def fitted(make_fit):
-    """A knee whose leg is open, as a fit and its summary; some posteriors are skewed."""
-    fit = make_fit(samples=400, ensembles=2)
-    return fit, summarise(fit)
-
-
-@pytest.fixture(scope="module")
-def run(fitted, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("page") / "run"
-    with pytest.MonkeyPatch.context() as patch:
-        # two real ones, for what they name alike
-        patch.setattr(run_directory, "FIGURES", {s: run_directory.FIGURES[s] for s in DRAWN})
-        patch.setattr(run_directory, "forest_figure", lambda _: Figure(figsize=(0.1, 0.1)))
-        write_run(folder, *fitted, '[simulation]\nnote = "</script><b>"\n', [])
-    return folder
+def run(written_run):
+    return written_run
 
 
 @pytest.fixture(scope="module")
@@ -266,7 +248,7 @@ def test_names_are_unique_and_targets_exist(page, text):
         if node.attrs.get("href", "").startswith("#"):
             assert node.attrs["href"][1:] in names
     assert set(re.findall(r"url\(#([^)]*)\)", text)) <= set(names)
-    assert len(list(page.all("svg"))) == 3
+    assert len(list(page.all("svg"))) == 4
     for svg in page.all("svg"):
         assert len(svg.attrs["aria-label"]) > 60
 
