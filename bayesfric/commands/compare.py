@@ -60,6 +60,8 @@ def compare(
     provenance = {name: read_provenance(run) for name, run in zip(summaries, runs, strict=True)}
     # one recording seen by two runs would count twice
     pooled = [] if shared_recordings(provenance) else between_runs(checked)
+    order = {row.name: k for k, row in enumerate(found.rows)}
+    pooled.sort(key=lambda one: order[one.name])
     with made_beside(output) as beside:
         (beside / "comparison.csv").write_text(comparison_csv(found), encoding="utf-8")
         (beside / "comparison.md").write_text(comparison_markdown(found), encoding="utf-8")

@@ -100,3 +100,15 @@ def test_a_page_that_cannot_be_replaced(runs):
 def test_a_summary_of_parameters_alone(runs):
     write(runs, json.dumps({"parameters": knee()["parameters"]}))
     assert runs.run("report", "knee").code == 0
+
+
+@pytest.mark.slow
+def test_the_page_of_the_demo(bench):
+    assert bench.run("demo", "-o", "demo").code == 0
+    page = bench.folder / "demo" / "report.html"
+    first = page.read_bytes()
+    assert len(first) < 3_000_000
+    assert first.count(b"<figure") == 9
+    assert b"known added mass" in first
+    assert bench.run("report", "demo").code == 0
+    assert page.read_bytes() == first
