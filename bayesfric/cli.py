@@ -223,11 +223,23 @@ def demo(
 
 
 @app.command()
+def report(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="run directory")],
+    as_json: AsJson = False,
+) -> None:
+    """Make the page and the tables of a finished run again."""
+    from bayesfric.commands.report import report as make
+
+    found = make(run)
+    _print(found, as_json, [f"Written to {run}: {', '.join(found['written'])}"])
+
+
+@app.command()
 def compare(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN", help="run directories")],
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", help="folder to make: tables and the forest figure"),
+        typer.Option("-o", "--output", help="folder to make: page, tables, forest figure"),
     ] = None,
     estimates: Annotated[
         bool, typer.Option("--estimates", help="with several runs: their point estimates too")

@@ -15,6 +15,7 @@ from bayesfric.report.comparison_table import (
     comparison_dict,
     comparison_markdown,
 )
+from bayesfric.report.run_summary import read_summary
 
 # A summary is a page or two of numbers; anything larger is some other file.
 _LARGEST = 20_000_000
@@ -30,8 +31,8 @@ def compare(
     runs
         Run directories; of a single one its methods are compared.
     output
-        Folder to make: ``comparison.csv``, ``.md`` and ``.json`` and
-        ``figures/forest.pdf`` and ``.png``.
+        Folder to make: ``report.html``, ``comparison.csv``, ``.md`` and ``.json``,
+        ``figures/forest.pdf``, ``.svg`` and ``.png``, of several runs ``between-runs.csv``.
     estimates
         Whether to show point estimates; if left out, of a single run only.
 
@@ -45,13 +46,22 @@ def compare(
         return comparison(summaries, estimates=estimates)
 
     # these bring ArviZ and Matplotlib along, which the table alone does without
+    from bayesfric.report.between_runs import between_runs, between_runs_csv
     from bayesfric.report.forest import forest_figure
+    from bayesfric.report.page.compare_page import compare_page, shared_recordings
+    from bayesfric.report.page.provenance import read_provenance
     from bayesfric.report.run_directory import check_free, made_beside
     from bayesfric.report.style import save
 
     check_free(output, force=None)
     found = comparison(summaries, estimates=estimates)
     figure = forest_figure(found)
+    checked = {name: read_summary(summary, name) for name, summary in summaries.items()}
+    provenance = {name: read_provenance(run) for name, run in zip(summaries, runs, strict=True)}
+    # one recording seen by two runs would count twice
+    pooled = [] if shared_recordings(provenance) else between_runs(checked)
+    order = {row.name: k for k, row in enumerate(found.rows)}
+    pooled.sort(key=lambda one: order[one.name])
     with made_beside(output) as beside:
         (beside / "comparison.csv").write_text(comparison_csv(found), encoding="utf-8")
         (beside / "comparison.md").write_text(comparison_markdown(found), encoding="utf-8")
@@ -62,6 +72,10 @@ def compare(
         )
         (beside / "figures").mkdir()
         save(figure, beside / "figures", "forest")
+        if len(checked) > 1:
+            (beside / "between-runs.csv").write_text(between_runs_csv(pooled), encoding="utf-8")
+        page = compare_page(beside, found, summaries, checked, pooled, provenance)
+        (beside / "report.html").write_text(page, encoding="utf-8")
     return found
 
 
@@ -73,7 +87,7 @@ def read_summaries(runs: Sequence[Path]) -> dict[str, Mapping[str, Any]]:
         if folder in folders:
             raise BadInput(str(run), "is given twice", "name each run once")
         folders.append(folder)
-    return dict(zip(_names(folders), map(_read, runs), strict=True))
+    return dict(zip(_names(folders), map(read_summary_file, runs), strict=True))
 
 
 def _names(folders: Sequence[Path]) -> list[str]:
@@ -85,7 +99,8 @@ def _names(folders: Sequence[Path]) -> list[str]:
     return [str(folder) for folder in folders]
 
 
-def _read(run: Path) -> Mapping[str, Any]:
+def read_summary_file(run: Path) -> Mapping[str, Any]:
+    """Read ``summary.json`` of a run directory; ``BadInput`` where there is none that is whole."""
     file = run / "summary.json"
     mend = "name a run directory, as 'bayesfric fit' makes it"
     try:

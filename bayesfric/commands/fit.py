@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from bayesfric.commands.estimate import estimates_where_possible
+from bayesfric.commands.identify import open_directions
 from bayesfric.commands.problem import Problem, read_problem
 from bayesfric.commands.unfinished import Unfinished, unfinished
 from bayesfric.config import Config
@@ -109,6 +111,10 @@ def _fit(
                 problem.white_target(), quick, estimates=found, progress=progress, checkpoint=kept
             )
         add_white_intervals(summary, summarise(white))
+    progress(phase("identifiability"))
+    with suppress(BadInput):  # a simulation that fails there takes no result away
+        middle = np.median(result.posterior.flat(), axis=0)
+        summary["identifiability"]["directions"] = open_directions(target, middle)
     progress(phase("writing results"))
     summary["warnings"] += missing
     recordings = [*problem.recordings, *(one.recording for one in problem.held_out)]

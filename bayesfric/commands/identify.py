@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesfric.commands.problem import Problem
 from bayesfric.estimates.descent import few_threads
@@ -26,6 +27,8 @@ from bayesfric.identifiability.words import factor
 from bayesfric.inference.beforehand import beforehand
 from bayesfric.inference.target import Target
 from bayesfric.recordings.trajectory import trajectory
+
+Array = NDArray[np.float64]
 
 # A sd larger than the value itself: the number says nothing, and is not printed.
 _NOTHING = 1.0
@@ -68,6 +71,25 @@ def local_picture(
     with problem.config.named(), few_threads(problem.observations):
         point = estimate_point(target, estimate)
         return target, point, local_information(target, point.parameters)
+
+
+def open_directions(target: Target, parameters: Array) -> list[dict[str, Any]]:
+    """List what is open at one point, why, and what would lift it, ready for JSON.
+
+    Parameters
+    ----------
+    target
+        Likelihood, priors and noise.
+    parameters
+        ``(d,)`` for example the posterior's median, noise scales last.
+
+    Raises
+    ------
+    BadInput
+        If a simulation fails beside the point.
+    """
+    found = identify(target, [Point("estimate", parameters)])
+    return [_direction_record(one) for one in found.directions]
 
 
 def identify_record(found: Identification, problem: Problem) -> dict[str, Any]:

@@ -58,7 +58,7 @@ def comparison_text(found: Comparison, width: int = _WIDTH) -> Iterator[str]:
             group = (row.kind, row.gauge_free)
             yield from _lines(name, cells, left, cell)
     yield ""
-    for line in _explained(found):
+    for line in explained(found):
         yield from textwrap.wrap(line, width, subsequent_indent="  ")
 
 
@@ -72,7 +72,7 @@ def comparison_markdown(found: Comparison) -> str:
             told = _cell_parts(row.cells.get(column.label))
             cells.append("<br>".join(part.replace("<", "&lt;") for part in told) or "–")
         lines.append(_piped([f"`{row.name}`", row.unit or "–", *cells]))
-    return "\n".join([*lines, "", *(f"- {line}" for line in _explained(found))]) + "\n"
+    return "\n".join([*lines, "", *(f"- {line}" for line in explained(found))]) + "\n"
 
 
 def comparison_csv(found: Comparison) -> str:
@@ -198,7 +198,7 @@ def _lines(
         yield f"{start:<{left}}{line}".rstrip()
 
 
-def _explained(found: Comparison) -> Iterator[str]:
+def explained(found: Comparison) -> Iterator[str]:
     """Say what the numbers are and what they take for granted."""
     yield "± is one standard deviation, accounting for correlated residuals."
     cells = [cell for row in found.rows for cell in row.cells.values()]

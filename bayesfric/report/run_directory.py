@@ -22,26 +22,19 @@ from bayesfric.inference.archive import as_chains, write_archive
 from bayesfric.inference.fit import Fit
 from bayesfric.recordings.recording import Recording
 from bayesfric.report.captions import captions
-from bayesfric.report.comparison import Comparison, comparison
-from bayesfric.report.comparison_table import comparison_csv, comparison_markdown
+from bayesfric.report.comparison import comparison
 from bayesfric.report.corner import corner_figure
 from bayesfric.report.efficiency import efficiency_figure
 from bayesfric.report.forest import forest_figure
 from bayesfric.report.friction import friction_figure
 from bayesfric.report.methods_text import methods_text
+from bayesfric.report.page.run_page import run_page
 from bayesfric.report.prediction import prediction_figure
 from bayesfric.report.prior_posterior import prior_posterior_figure
 from bayesfric.report.residual import residual_figure
 from bayesfric.report.ridge import ridge_figure
 from bayesfric.report.style import save
-from bayesfric.report.summary import summary_table
-from bayesfric.report.tables import (
-    methods_latex,
-    parameter_table,
-    parameters_csv,
-    parameters_latex,
-    parameters_markdown,
-)
+from bayesfric.report.summary_texts import summary_texts
 from bayesfric.report.trace import trace_figure
 from bayesfric.report.validation_figure import validation_figure
 
@@ -184,7 +177,6 @@ def write_run(
             json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False) + "\n",
             encoding="utf-8",
         )
-        (beside / "summary.csv").write_text(summary_table(summary), encoding="utf-8")
         write_posterior(beside / "posterior.nc", fit, config_text, recordings)
         figures = beside / "figures"
         figures.mkdir()
@@ -193,32 +185,20 @@ def write_run(
             if (figure := draw(fit, summary)) is not None:
                 save(figure, figures, stem)
                 drawn.append(stem)
-        methods = comparison({folder.name: summary})
-        save(forest_figure(methods), figures, "methods")
-        (beside / "methods.csv").write_text(comparison_csv(methods), encoding="utf-8")
-        (beside / "methods.md").write_text(comparison_markdown(methods), encoding="utf-8")
-        _write_for_paper(beside, fit, summary, methods, drawn)
-
-
-def _write_for_paper(
-    folder: Path, fit: Fit, summary: Mapping[str, Any], methods: Comparison, drawn: list[str]
-) -> None:
-    """Write what a paper takes over: tables, captions, a methods paragraph and its references."""
-    table = parameter_table(summary, folder.name)
-    said = methods_text(fit, summary)
-    texts = {
-        "tables/parameters.tex": parameters_latex(table),
-        "tables/parameters.md": parameters_markdown(table),
-        "tables/parameters.csv": parameters_csv(table),
-        "tables/methods.tex": methods_latex(methods),
-        "text/methods.txt": said.plain,
-        "text/methods.tex": said.latex,
-        "text/references.bib": said.bibtex,
-        "text/captions.md": captions(fit, drawn),
-    }
-    for name, text in texts.items():
-        (folder / name).parent.mkdir(exist_ok=True)
-        (folder / name).write_text(text, encoding="utf-8")
+        save(forest_figure(comparison({folder.name: summary})), figures, "methods")
+        said = methods_text(fit, summary)
+        texts = summary_texts(summary, folder.name) | {
+            "text/methods.txt": said.plain,
+            "text/methods.tex": said.latex,
+            "text/references.bib": said.bibtex,
+            "text/captions.md": captions(fit, drawn),
+        }
+        for name, text in texts.items():
+            (beside / name).parent.mkdir(exist_ok=True)
+            (beside / name).write_text(text, encoding="utf-8")
+        # last: it is made from what lies there
+        page = run_page(beside, summary, folder.name)
+        (beside / "report.html").write_text(page, encoding="utf-8")
 
 
 def write_posterior(path: Path, fit: Fit, config_text: str, recordings: list[Recording]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
@@ -17,14 +17,17 @@ Pair = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
 NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
 Bound = Literal["lower", "upper"]
 Name = Annotated[str, Field(min_length=1)]
+Table = TypeVar("Table", bound=BaseModel)
 
 
-class _Part(BaseModel):
+class Part(BaseModel):
+    """A piece of a ``summary.json``."""
+
     # what other versions add is none of ours; what they lack has a default
     model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
 
 
-class EstimatedRow(_Part):
+class EstimatedRow(Part):
     """One number of a point estimate; see :class:`bayesfric.estimates.estimate.EstimatedValue`."""
 
     unit: str
@@ -40,7 +43,7 @@ class EstimatedRow(_Part):
     span: Pair | None = None
 
 
-class EstimateTable(_Part):
+class EstimateTable(Part):
     """A point estimate."""
 
     parameters: dict[Name, EstimatedRow]
@@ -50,7 +53,7 @@ class EstimateTable(_Part):
     notes: list[str] = Field(default_factory=list)
 
 
-class PosteriorRow(_Part):
+class PosteriorRow(Part):
     """One parameter or derived quantity of a posterior."""
 
     unit: str
@@ -69,14 +72,14 @@ class PosteriorRow(_Part):
     undefined_share: Annotated[FiniteFloat, Field(ge=0.0, le=1.0)] | None = None
 
 
-class KnownRow(_Part):
+class KnownRow(Part):
     """A parameter that was taken as known."""
 
     unit: str
     value: FiniteFloat
 
 
-class ReferenceRow(_Part):
+class ReferenceRow(Part):
     """A value from elsewhere: the manufacturer's, or from CAD."""
 
     value: FiniteFloat
@@ -85,33 +88,33 @@ class ReferenceRow(_Part):
     source: str = "reference"
 
 
-class Likelihood(_Part):
+class Likelihood(Part):
     """What the posterior compares with the recording."""
 
     method: Literal["input-error", "output-error"] = "input-error"
 
 
-class Noise(_Part):
+class Noise(Part):
     """What residuals were taken for."""
 
     model: str = "white"
     residual_lag1: FiniteFloat | None = None
 
 
-class Residual(_Part):
+class Residual(Part):
     """What the posterior leaves unexplained."""
 
     residual_rms: NotNegative | None = None
     unit: str = ""
 
 
-class Sampler(_Part):
+class Sampler(Part):
     """Whether the posterior can be relied on."""
 
     status: str = "reliable"
 
 
-class RunSummary(_Part):
+class RunSummary(Part):
     """The part of a ``summary.json`` that comparisons need."""
 
     parameters: dict[Name, PosteriorRow]
@@ -140,9 +143,14 @@ def read_summary(summary: Mapping[str, Any], where: str) -> RunSummary:
     BadInput
         Naming the key, where something is missing or of another type.
     """
+    return read_as(RunSummary, summary, where)
+
+
+def read_as(kind: type[Table], summary: Mapping[str, Any], where: str) -> Table:
+    """Check another part of a ``summary.json``; see :func:`read_summary`."""
     try:
-        return RunSummary.model_validate(summary)
+        return kind.model_validate(summary)
     except ValidationError as error:
-        said = complaint(Path(where), error, summary, RunSummary)
+        said = complaint(Path(where), error, summary, kind)
         mend = "name a run that 'bayesfric fit' wrote, or fit it again"
         raise BadInput(said.where, said.what, mend) from None

@@ -144,7 +144,7 @@ def summary_table(summary: Mapping[str, Any]) -> str:
     writer = csv.DictWriter(out, columns, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
     for group in ("parameters", "derived"):
-        for name, row in summary[group].items():
+        for name, row in summary.get(group, {}).items():
             low, high = row["interval"]
             white_low, white_high = row.get("white_interval") or (None, None)
             ends = {"low": low, "high": high, "white_low": white_low, "white_high": white_high}

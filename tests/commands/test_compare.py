@@ -4,10 +4,12 @@ import csv
 import json
 import re
 
+import h5py
 import pytest
 
 from bayesfric.report import style
 from tests.report.made_summaries import LEG, TOTALS, knee, loaded, old
+from tests.report.page_reader import number, read_page
 
 from .bench import below_a_file, has
 
@@ -41,6 +43,7 @@ def test_one_run_in_a_process_of_its_own(runs):
     assert max(map(len, lines)) <= 120
     found = {str(path.relative_to(runs.folder / "out")) for path in runs.folder.glob("out/**/*")}
     assert found == {
+        "report.html",
         "comparison.csv",
         "comparison.md",
         "figures/forest.svg",
@@ -195,3 +198,55 @@ def test_no_run_at_all(runs):
     ended = runs.run("compare")
     assert ended.code == 2
     assert "Traceback" not in ended.err
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_the_page_of_several_runs(runs):
+    assert runs.run("compare", "knee", "a/run", "-o", "out").code == 0
+    page = read_page((runs.folder / "out" / "report.html").read_text(encoding="utf-8"))
+    with (runs.folder / "out" / "between-runs.csv").open(encoding="utf-8", newline="") as file:
+        pooled = {row["name"]: row for row in csv.DictReader(file)}
+    (table,) = [t for t in page.all("table") if "pooled" in t.attrs["class"]]
+    shown = {r.attrs["data-name"]: r for r in table.all("tr") if "data-name" in r.attrs}
+    assert set(shown) == set(pooled)
+    assert set(TOTALS) <= set(shown)
+    assert set(LEG).isdisjoint(shown)
+    for name, row in shown.items():
+        mean, ends, _, between, p, said = list(row.all("td"))
+        (value, sd), last = number(mean.text)
+        assert value == pytest.approx(float(pooled[name]["mean"]), abs=0.51 * last)
+        assert sd == pytest.approx(float(pooled[name]["sd"]), abs=0.51 * last)
+        (low, high), last = number(ends.text)
+        assert low == pytest.approx(float(pooled[name]["low"]), abs=0.51 * last)
+        assert high == pytest.approx(float(pooled[name]["high"]), abs=0.51 * last)
+        assert float(between.attrs["data-sort"]) == float(pooled[name]["between_sd"])
+        assert float(p.attrs["data-sort"]) == float(pooled[name]["p_value"])
+        # the second run is 0.7 sds off: nobody can call that a difference
+        assert said.text == "agree"
+    # what one run leaves open is open in its column, whatever the other says
+    for cell in page.all("td", **{"data-status": "undetermined"}):
+        assert cell.text.startswith("not determined")
+        assert not set("[±") & set(cell.text)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_runs_that_differ_are_named_first(runs):
+    other = loaded()
+    other["derived"]["total.inertia"]["mean"] *= 1.2
+    write(runs.folder / "a/run", json.dumps(other, ensure_ascii=False))
+    assert runs.run("compare", "knee", "a/run", "-o", "out").code == 0
+    page = read_page((runs.folder / "out" / "report.html").read_text(encoding="utf-8"))
+    (first,) = page.all("section", id="findings")
+    assert "in 1 they do not" in first.text
+    assert "total.inertia" in first.text
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_runs_of_one_recording_are_not_pooled(runs):
+    for name in ("knee", "a/run"):
+        with h5py.File(runs.folder / name / "posterior.nc", "w") as file:
+            file.attrs.update(versions="{}", seed="1", recordings='{"r": "ab12"}')
+    assert runs.run("compare", "knee", "a/run", "-o", "out").code == 0
+    page = read_page((runs.folder / "out" / "report.html").read_text(encoding="utf-8"))
+    assert "saw the same recording" in page.text
+    assert not [t for t in page.all("table") if "pooled" in t.attrs["class"]]

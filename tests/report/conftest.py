@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from bayesfric.estimates.least_squares import least_squares
 from bayesfric.inference.fit import Fit, make_target, read_priors
@@ -16,6 +17,8 @@ from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.observation import observe
 from bayesfric.recordings.options import Processing
 from bayesfric.recordings.recording import Recording
+from bayesfric.report import run_directory
+from bayesfric.report.summary import summarise
 
 NOISE = 0.02
 SLIDE = Chain(
@@ -125,6 +128,21 @@ def make_fit():
 @pytest.fixture(scope="session")
 def knee():
     return build()
+
+
+@pytest.fixture(scope="session")
+def written_run(tmp_path_factory):
+    """A run directory of a knee whose leg is open, with three real figures and a blank one."""
+    fit = build(samples=400, ensembles=2)
+    folder = tmp_path_factory.mktemp("written") / "run"
+    with pytest.MonkeyPatch.context() as patch:
+        # one of bands, one of many panels, one with pixels in it
+        some = ("prediction", "prior_posterior", "ridge")
+        patch.setattr(run_directory, "FIGURES", {s: run_directory.FIGURES[s] for s in some})
+        patch.setattr(run_directory, "forest_figure", lambda _: Figure(figsize=(3.0, 1.0)))
+        config = '[simulation]\nnote = "</script><b>"\n'
+        run_directory.write_run(folder, fit, summarise(fit), config, [])
+    return folder
 
 
 @pytest.fixture(scope="session")

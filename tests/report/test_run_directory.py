@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 import bayesfric
 from bayesfric.commands.fit import fit
 from bayesfric.commands.problem import read_problem
+from bayesfric.commands.report import report
 from bayesfric.commands.simulate import simulate
 from bayesfric.config import parse_config, read_config
 from bayesfric.errors import BadInput
@@ -29,6 +30,8 @@ from bayesfric.report.tables import (
     parameters_latex,
     parameters_markdown,
 )
+
+from .page_reader import read_page
 
 # Two recordings, one with dots and a dash in its name, each with a noise scale of its own.
 NAMES = ("plain", "run-2.left")
@@ -102,10 +105,11 @@ def problem(folder):
 
 
 def test_the_files_of_the_design(run):
-    found = {path.name for path in run.iterdir()} - {"report.html"}
+    found = {path.name for path in run.iterdir()}
     tables = {"summary.csv", "methods.csv", "methods.md"}
     folders = {"figures", "tables", "text"}
-    assert found == {"posterior.nc", "summary.json", "config.toml"} | folders | tables
+    files = {"posterior.nc", "summary.json", "config.toml", "report.html"}
+    assert found == files | folders | tables
     drawn = {path.name for path in (run / "figures").iterdir()}
     stems = ("corner", "prediction", "trace", "methods", "friction", "prior_posterior", "residual")
     assert drawn == {f"{stem}.{kind}" for stem in stems for kind in ("pdf", "png", "svg")}
@@ -152,6 +156,27 @@ def test_what_is_left_open_is_in_no_table(tmp_path, make_fit, monkeypatch):
         (line,) = [line for line in markdown.splitlines() if line.startswith(f"| `{name}` |")]
         assert "(prior)" in line or "≤" in line
         assert "[" not in line
+
+
+def test_its_page_tells_what_is_needed_to_repeat_it(folder, run):
+    page = (run / "report.html").read_text(encoding="utf-8")
+    (section,) = read_page(page).all("section", id="repeat")
+    for name in NAMES:
+        assert hashlib.sha256((folder / f"{name}.csv").read_bytes()).hexdigest() in section.text
+    for library in ("numpy", "scipy", "emcee", "arviz", "numba"):
+        assert version(library) in section.text
+    assert platform.python_version() in section.text
+    assert CONFIG.strip() in section.text
+    assert "Seed12" in section.text.replace("\n", "")
+
+
+def test_a_run_can_be_reported_again(run, monkeypatch):
+    """From the folder alone, to the byte; the posterior's draws are not even read."""
+    before = held(run)
+    monkeypatch.setattr("bayesfric.inference.archive.read_archive", None)
+    found = report(run)
+    assert held(run) == before
+    assert set(found["written"]) >= {"report.html", "summary.csv", "tables/parameters.tex"}
 
 
 def test_nothing_else_is_left_beside_it(folder):

@@ -1,0 +1,166 @@
+"""What a run's page needs of ``summary.json`` besides the numbers of the tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import Field, FiniteFloat
+
+from bayesfric.report.run_summary import Name, NotNegative, Pair, Part, read_as
+
+
+class Row(Part):
+    """How one parameter was sampled, and what stood against its prior."""
+
+    sd: NotNegative
+    prior: str = ""
+    prior_default: bool = False
+    prior_sd: NotNegative | None = None
+    rhat: FiniteFloat | None = None
+    ess: FiniteFloat | None = None
+    white_interval: Pair | None = None
+    white_sd: NotNegative | None = None
+    prior_sensitivity: FiniteFloat | None = None
+    likelihood_sensitivity: FiniteFloat | None = None
+    diagnosis: str = ""
+
+
+class NullDirection(Part):
+    """Parameters that change together without changing any predicted torque."""
+
+    parameters: dict[Name, FiniteFloat] = Field(default_factory=dict)
+    meaning: str
+
+
+class RemedyRow(Part):
+    """Something to do about an open direction."""
+
+    kind: str = ""
+    text: str
+    log_sd_after: NotNegative | None = None
+    open_after: int | None = None
+
+
+class OpenDirectionRow(Part):
+    """A null or weak direction, with why and what lifts it."""
+
+    kind: str = "null"
+    exponents: dict[Name, FiniteFloat] = Field(default_factory=dict)
+    meaning: str
+    reasons: list[str] = Field(default_factory=list)
+    remedies: list[RemedyRow] = Field(default_factory=list)
+
+
+class Identifiability(Part):
+    """What no recording of this kind can tell; ``directions`` is ``None`` in older runs."""
+
+    null_directions: list[NullDirection] = Field(default_factory=list)
+    directions: list[OpenDirectionRow] | None = None
+
+
+class Tried(Part):
+    """One order of the noise that was looked at."""
+
+    order: int
+    bic: FiniteFloat
+    innovation_share: FiniteFloat | None = None
+    p_value: FiniteFloat | None = None
+
+
+class Whiteness(Part):
+    """Whether what the noise model does not foretell passes as white."""
+
+    test: str = ""
+    p_value: FiniteFloat | None = None
+    white: bool
+
+
+class NoiseFacts(Part):
+    """Noise model and the evidence for it."""
+
+    model: str = "white"
+    residual_lag1: FiniteFloat | None = None
+    innovation_lag1: FiniteFloat | None = None
+    innovation_whiteness: Whiteness | None = None
+    order_chosen_from: list[Tried] = Field(default_factory=list)
+    autoregression: dict[Name, list[FiniteFloat]] = Field(default_factory=dict)
+
+
+class RecordingRow(Part):
+    """How one recording was processed, and what is left of it."""
+
+    residual_rms: NotNegative | None = None
+    residual_lag1: FiniteFloat | None = None
+    outputs: int | None = None
+    sampling_rate: FiniteFloat | None = None
+    lowpass: FiniteFloat | None = None
+    band: FiniteFloat | None = None
+    decimate: int | None = None
+    n_samples: int | None = None
+    n_segments: int | None = None
+    dropped_trim: int | None = None
+    dropped_excluded: int | None = None
+    dropped_dead_zone: int | None = None
+
+
+class FitFacts(Part):
+    """What the posterior leaves unexplained."""
+
+    residual_rms: NotNegative | None = None
+    unit: str = ""
+    quantity: str = "output"
+    recordings: dict[Name, RecordingRow] = Field(default_factory=dict)
+
+
+class SamplerFacts(Part):
+    """How the posterior was sampled."""
+
+    status: str = "reliable"
+    problems: list[str] = Field(default_factory=list)
+    draws: int | None = None
+    walkers: int | None = None
+    ensembles: int | None = None
+    warmup: int | None = None
+    steps: int | None = None
+    thin: int | None = None
+    tau: FiniteFloat | None = None
+    min_ess: FiniteFloat | None = None
+    max_rhat: FiniteFloat | None = None
+    acceptance: FiniteFloat | None = None
+    not_finite: int | None = None
+    coordinates: str = ""
+    seconds: FiniteFloat | None = None
+    seed: int | None = None
+
+
+class LikelihoodFacts(Part):
+    """What the posterior compares with the recording."""
+
+    method: str = "input-error"
+    evaluation: str = ""
+
+
+class Facts(Part):
+    """The part of a ``summary.json`` that only its page needs."""
+
+    bayesfric: str = ""
+    parameters: dict[Name, Row] = Field(default_factory=dict)
+    derived: dict[Name, Row] = Field(default_factory=dict)
+    identifiability: Identifiability = Field(default_factory=Identifiability)
+    noise: NoiseFacts = Field(default_factory=NoiseFacts)
+    fit: FitFacts = Field(default_factory=FitFacts)
+    sampler: SamplerFacts = Field(default_factory=SamplerFacts)
+    likelihood: LikelihoodFacts = Field(default_factory=LikelihoodFacts)
+    warnings: list[str] = Field(default_factory=list)
+
+
+def read_facts(summary: Mapping[str, Any], where: str) -> Facts:
+    """Check what a page needs of a ``summary.json``.
+
+    Raises
+    ------
+    BadInput
+        Naming the key, where something is of another type.
+    """
+    return read_as(Facts, summary, where)

@@ -1,0 +1,215 @@
+"""Figures of a page: title, caption, and the numbers they show in words for who cannot see them.
+
+A number that the data leave open is named as such, without its interval.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from markupsafe import Markup
+
+from bayesfric.report.comparison import Comparison
+from bayesfric.report.page.facts import Facts
+from bayesfric.report.page.values import interval_html, value_html, verdict_words
+from bayesfric.report.tables import ParameterRow, ParameterTable
+
+_CAPTION = re.compile(r"^\*\*(\w+)\*\*: (.+)$", re.MULTILINE)
+# Matplotlib's page width in points; narrower figures are of a column.
+_RAISED = str.maketrans("0123456789-\u2212", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁻")
+
+
+@dataclass(frozen=True)
+class Told:
+    """What words may draw on."""
+
+    facts: Facts
+    table: ParameterTable
+    methods: Comparison
+
+
+@dataclass(frozen=True)
+class FigureWords:
+    """Title, caption and text alternative of one figure."""
+
+    title: str
+    caption: str
+    alternative: str
+
+
+def written_captions(markdown: str) -> dict[str, str]:
+    """Read the captions of ``text/captions.md`` back, by figure."""
+    return dict(_CAPTION.findall(markdown))
+
+
+def figure_words(stem: str, told: Told, captions: Mapping[str, str]) -> FigureWords:
+    """Word one figure of a run.
+
+    Parameters
+    ----------
+    stem
+        Its file's name.
+    told
+        Of the run.
+    captions
+        From :func:`written_captions`; they come first.
+    """
+    title, caption, alternative = STEMS_IN_WORDS.get(stem, (stem, "", lambda _: ""))
+    return FigureWords(title, captions.get(stem, caption), f"{title}. {alternative(told)}".strip())
+
+
+def in_words(row: ParameterRow) -> str:
+    """Say one number without markup, with its verdict."""
+    name = f"{row.name}"
+    if row.cell.status == "undetermined":
+        return f"{name}: not determined by the data"
+    value = text_of(value_html(row))
+    ends = text_of(interval_html(row)) if row.cell.status == "determined" else ""
+    unit = f" {row.unit}" if row.unit else ""
+    said = f"{name}: {value}{f', interval {ends}' if ends and ends != '–' else ''}{unit}"
+    return f"{said}, determined by {verdict_words(row)}" if row.row is not None else said
+
+
+def text_of(markup: Markup) -> str:
+    """Take the markup off; a raised number stays raised."""
+    raised = re.sub(
+        r"×\u00a010<sup>([^<]*)</sup>", lambda m: "×\u00a010" + m[1].translate(_RAISED), markup
+    )
+    return Markup(re.sub(r"<[^>]*>", "", raised)).unescape()
+
+
+def _parameters(told: Told, groups: tuple[str, ...]) -> str:
+    return "; ".join(in_words(r) for r in told.table.rows if r.group in groups) + "."
+
+
+def _corner(told: Told) -> str:
+    return _parameters(told, ("parameter",))
+
+
+def _prior_posterior(told: Told) -> str:
+    parts = []
+    for row in told.table.rows:
+        facts = told.facts.parameters.get(row.name)
+        if facts is None or not facts.prior_sd or not facts.sd:
+            continue
+        ratio = f"posterior 1:{facts.prior_sd / facts.sd:.3g} as wide as its prior"
+        parts.append(f"{row.name}: {ratio}, determined by {verdict_words(row)}")
+    return "; ".join(parts).replace("determined by not determined", "not determined") + "."
+
+
+def _prediction(told: Told) -> str:
+    fit = told.facts.fit
+    said = f"Measured {fit.quantity} with predictive mean and 90 % band, and residuals below"
+    if fit.residual_rms is not None:
+        said += f"; residual rms {fit.residual_rms:.4g} {fit.unit}"
+    each = [
+        f"{name}: {row.outputs} outputs, rms {row.residual_rms:.4g} {fit.unit}"
+        for name, row in fit.recordings.items()
+        if row.outputs is not None and row.residual_rms is not None
+    ]
+    return ". ".join([said, *each]) + "."
+
+
+def _residual(told: Told) -> str:
+    noise = told.facts.noise
+    parts = [_prediction(told)]
+    if noise.residual_lag1 is not None:
+        parts.append(f"Lag-1 autocorrelation of the residuals: {noise.residual_lag1:.2f}.")
+    test = noise.innovation_whiteness
+    if test is not None and test.p_value is not None:
+        passes = "pass" if test.white else "do not pass"
+        parts.append(f"Innovations {passes} as white, p = {test.p_value:.2g}.")
+    return " ".join(parts)
+
+
+def _ridge(told: Told) -> str:
+    meanings = [one.meaning for one in told.facts.identifiability.null_directions]
+    if not meanings:
+        return "The data hold the scale between gearbox and leg; no null direction is left."
+    open_ = [r.name for r in told.table.rows if r.cell.status == "undetermined"]
+    return (
+        f"Null directions: {'; '.join(meanings)}. Not determined by the data: {', '.join(open_)}."
+    )
+
+
+def _trace(told: Told) -> str:
+    each = [
+        f"{name}: R-hat {row.rhat:.4f}, {row.ess:.0f} independent draws"
+        for name, row in told.facts.parameters.items()
+        if row.rhat is not None and row.ess is not None
+    ]
+    return f"Status {told.facts.sampler.status}. " + "; ".join(each) + "."
+
+
+def _friction(told: Told) -> str:
+    words = ("coulomb", "viscous", "load_", "quadratic", "stribeck", ".load")
+    rows = [r for r in told.table.rows if any(w in r.name for w in words) and r.group != "derived"]
+    return "Losses that the curves follow from: " + "; ".join(map(in_words, rows)) + "."
+
+
+def _efficiency(told: Told) -> str:
+    rows = [r for r in told.table.rows if "efficiency" in r.name or ".alpha_" in r.name]
+    return ("; ".join(map(in_words, rows)) or "See the table of derived quantities") + "."
+
+
+def _methods(told: Told) -> str:
+    return forest_words(told.methods)
+
+
+def forest_words(found: Comparison) -> str:
+    """Say what a forest figure shows: every quantity by every column, open ones as open."""
+    parts = []
+    for row in found.rows:
+        cells = []
+        for label, cell in row.cells.items():
+            if cell.status == "undetermined":
+                cells.append(f"{label} not determined")
+            elif cell.status == "limit":
+                cells.append(f"{label} {cell.remark}")
+            else:
+                sd = f" ± {cell.sd:.2g}" if cell.sd else ""
+                cells.append(f"{label} {cell.value:.5g}{sd}")
+        parts.append(f"{row.name}{f' in {row.unit}' if row.unit else ''}: {', '.join(cells)}")
+    return "; ".join(parts) + "."
+
+
+STEMS_IN_WORDS: dict[str, tuple[str, str, Callable[[Told], str]]] = {
+    "methods": (
+        "Estimates and posterior side by side",
+        "Every quantity by every method and by the posterior. Thick: 90 %, accounting for "
+        "correlated residuals; thin: taking them for uncorrelated; open symbols: not determined, "
+        "dotted what fits as well.",
+        _methods,
+    ),
+    "ridge": (
+        "The ridge: what can be scaled together without changing any torque",
+        "Draws of the posterior against the line along which no torque changes, between the ends "
+        "that a passive gearbox sets. Below: the torque at both ends of the line and in its "
+        "middle, and their difference.",
+        _ridge,
+    ),
+    "prediction": (
+        "Measured and predicted",
+        "What was measured and what the posterior predicts, noise included, with residuals below.",
+        _prediction,
+    ),
+    "residual": ("What is left unexplained", "", _residual),
+    "friction": ("Friction of the joint", "", _friction),
+    "efficiency": ("Efficiency against load", "", _efficiency),
+    "prior_posterior": ("Prior and posterior", "", _prior_posterior),
+    "corner": (
+        "Marginal and pairwise posteriors",
+        "Diagonal: posterior density, prior (dashed) and 90 % interval. Below: 50 % and 90 % of "
+        "the draws. A parameter that the data leave open has an interval here too: that of the "
+        "prior and of the bounds.",
+        _corner,
+    ),
+    "trace": (
+        "How the ensembles ran",
+        "Median and spread of the walkers of every ensemble along the steps kept, and the "
+        "autocorrelation of what the ensembles drew.",
+        _trace,
+    ),
+}

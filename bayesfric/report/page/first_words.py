@@ -1,0 +1,262 @@
+"""The first screen of a run's page: what is known, what is not and why, and what to do next."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from bayesfric.identifiability.words import factor
+from bayesfric.report.page.facts import Facts, OpenDirectionRow, RemedyRow
+from bayesfric.report.tables import ParameterRow, ParameterTable
+
+_COUNTS = ("none", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
+# Lines of the list of what is known; the rest is in the table.
+_MOST = 6
+
+
+@dataclass(frozen=True)
+class OpenGroup:
+    """Parameters that the data leave open for one reason.
+
+    ``why`` holds whole sentences.
+    """
+
+    names: tuple[str, ...]
+    why: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class NextStep:
+    """One thing to do, and what it was found to do."""
+
+    text: str
+    effect: str
+
+
+@dataclass(frozen=True)
+class FirstWords:
+    """Everything on the first screen.
+
+    Attributes
+    ----------
+    headline
+        Sentences on how much the data determined.
+    known
+        Rows the data determine, those of data and prior together among them.
+    more
+        Number of such rows that are left to the table.
+    limits
+        Rows that the data bound on one side.
+    open
+        What they leave open, by reason.
+    answer, trust
+        Whether the sampling can be trusted, and why.
+    problems
+        What the sampler complained of.
+    steps
+        What to do next, the best first; empty where nothing is known to help.
+    otherwise
+        A sentence in place of, or behind, the steps.
+    """
+
+    headline: tuple[str, ...]
+    known: tuple[ParameterRow, ...]
+    more: int
+    limits: tuple[ParameterRow, ...]
+    open: tuple[OpenGroup, ...]
+    answer: str
+    trust: str
+    problems: tuple[str, ...]
+    steps: tuple[NextStep, ...]
+    otherwise: str
+
+
+def first_words(table: ParameterTable, facts: Facts) -> FirstWords:
+    """Put a run's findings into plain words."""
+    joint = [r for r in table.rows if r.group == "parameter" and not _of_noise(r)]
+    combined = [r for r in table.rows if r.group == "free"]
+    known = [r for r in [*combined, *joint] if r.cell.status == "determined"]
+    # what data alone determine says more than what they share with the prior
+    known.sort(key=lambda r: r.row is not None and r.row.verdict != "data")
+    steps = tuple(_steps(facts.identifiability.directions or []))
+    return FirstWords(
+        tuple(_headline(joint, combined)),
+        tuple(known[:_MOST]),
+        max(0, len(known) - _MOST),
+        tuple(r for r in [*joint, *combined] if r.cell.status == "limit"),
+        tuple(_groups(joint, combined, facts)),
+        *_trust(facts),
+        tuple(facts.sampler.problems),
+        steps,
+        _otherwise(joint, facts, bool(steps)),
+    )
+
+
+def _of_noise(row: ParameterRow) -> bool:
+    return row.name.startswith("noise.")
+
+
+def _headline(joint: Sequence[ParameterRow], combined: Sequence[ParameterRow]) -> Iterator[str]:
+    n = len(joint)
+    each = [("data" if r.row and r.row.verdict == "data" else "weak", r) for r in joint]
+    sure = sum(k == "data" and r.cell.status == "determined" for k, r in each)
+    weak = sum(k == "weak" and r.cell.status == "determined" for k, r in each)
+    limits = sum(r.cell.status == "limit" for r in joint)
+    open_ = sum(r.cell.status == "undetermined" for r in joint)
+    if n and sure == n:
+        yield f"The data determine all {_count(n)} parameters of the joint."
+    elif n:
+        parts = [f"the data determine {_count(sure)} by themselves"]
+        parts += [f"{_count(weak)} together with the prior"] if weak else []
+        parts += [f"bound {_count(limits)} on one side only"] if limits else []
+        parts += [f"leave {_count(open_)} open"] if open_ else []
+        yield f"Of the joint's {_count(n)} sampled parameters, {_and(parts)}."
+    told = sum(r.cell.status == "determined" for r in combined)
+    if told and sure < n:
+        what = "combination" if told == 1 else "combinations"
+        yield (
+            f"They do determine {_count(told)} {what} of them: what the motor feels, whatever "
+            "the scale of leg and gearbox."
+        )
+
+
+def _groups(
+    joint: Sequence[ParameterRow], combined: Sequence[ParameterRow], facts: Facts
+) -> Iterator[OpenGroup]:
+    """Give each open parameter to the first direction that holds it."""
+    left = [r.name for r in [*joint, *combined] if r.cell.status == "undetermined"]
+    seen: list[tuple[dict[str, float], str, list[str]]] = []
+    if facts.identifiability.directions is not None:
+        for one in facts.identifiability.directions:
+            # a weak direction holds a little of everything; its words name what changes most
+            named = {
+                n: x for n, x in one.exponents.items() if one.kind == "null" or n in one.meaning
+            }
+            seen.append((named, one.meaning, one.reasons))
+    else:
+        for direction in facts.identifiability.null_directions:
+            seen.append((direction.parameters, direction.meaning, []))
+    for exponents, meaning, reasons in seen:
+        members = [name for name in left if name in exponents or _alpha(name) in exponents]
+        if members:
+            left = [name for name in left if name not in members]
+            why = (
+                _sentence(_without_names(meaning, exponents, members)),
+                *(_sentence(f"because {text}") for text in reasons),
+            )
+            yield OpenGroup(tuple(members), why)
+    if left:
+        yield OpenGroup(
+            tuple(left),
+            (
+                "The data alone would leave these more than twice as wide as they are: what is "
+                "shown of them is their prior, and the bounds that other parameters set.",
+            ),
+        )
+
+
+def _without_names(meaning: str, exponents: dict[str, float], members: list[str]) -> str:
+    """Take a leading list of the names off a meaning: they stand above it."""
+    listed = f"{', '.join(exponents)} "
+    if not meaning.startswith(listed):
+        return meaning
+    others = [name for name in exponents if name not in members]
+    start = f"together with {', '.join(others)} these " if others else "these "
+    return start + meaning.removeprefix(listed)
+
+
+def _alpha(name: str) -> str:
+    """Name the torque factor that a load loss sets: mu is open where alpha is."""
+    element, _, quantity = name.partition(".")
+    return f"{element}.alpha_{quantity.removeprefix('load_')}" if "load_" in quantity else name
+
+
+def _trust(facts: Facts) -> tuple[str, str]:
+    s = facts.sampler
+    if s.status == "tentative":
+        return (
+            "Not yet: it is tentative.",
+            "Treat every number here as provisional: the ensembles are too short, or do not "
+            "agree well enough. Fit again with more steps.",
+        )
+    if s.status != "reliable":
+        return (
+            f"No: it is {s.status}.",
+            "The ensembles disagree, or a parameter never moved: do not use these numbers.",
+        )
+    many = f"{_count(s.ensembles)} independent ensembles" if s.ensembles else "independent runs"
+    said = f"{_capital(many)} of walkers agree"
+    if s.max_rhat is not None and s.min_ess is not None:
+        said += (
+            f" (nested R-hat {s.max_rhat:.4f}, 1.01 allowed) and hold at least "
+            f"{spaced(s.min_ess)} independent draws of every parameter"
+        )
+    return "Yes, it is reliable.", said + "."
+
+
+def _steps(directions: Sequence[OpenDirectionRow]) -> Iterator[NextStep]:
+    """List remedies, those that leave fewest directions open first, each one once."""
+    found: dict[str, tuple[RemedyRow, list[int]]] = {}
+    for number, direction in enumerate(directions):
+        for remedy in direction.remedies:
+            found.setdefault(remedy.text, (remedy, []))[1].append(number)
+
+    def order(one: tuple[RemedyRow, list[int]]) -> tuple[int, int, int]:
+        remedy, lifted = one
+        after = len(directions) if remedy.open_after is None else remedy.open_after
+        # an experiment was simulated; a value from elsewhere has to be believed
+        return after, -len(lifted), remedy.kind == "known value"
+
+    for remedy, lifted in sorted(found.values(), key=order):
+        of = f"{_count(len(lifted))} of {_count(len(directions))} open directions"
+        effect = "lifts the open direction" if len(directions) == 1 else f"lifts {of}"
+        if remedy.log_sd_after is not None:
+            left = remedy.log_sd_after
+            size = f"{100 * left:.2g} %" if left < 0.3 else f"a factor {factor(left)}"
+            effect += f"; simulated beforehand, what is open would be known to {size}"
+        yield NextStep(_capital(remedy.text), _capital(effect) + ".")
+
+
+def _otherwise(joint: Sequence[ParameterRow], facts: Facts, steps: bool) -> str:
+    identify = "bayesfric identify CONFIG"
+    if steps:
+        return (
+            f"“{identify} --advise NAME” ranks experiments for one parameter and writes the best."
+        )
+    if all(r.cell.status == "determined" for r in joint):
+        return (
+            "Nothing is open. To know one parameter better, "
+            f"“{identify} --advise NAME” ranks what to record next."
+        )
+    if facts.identifiability.directions is None:
+        return (
+            f"“{identify}” tells why the open parameters are open and what would determine them; "
+            "with “--advise NAME” it ranks experiments for one of them."
+        )
+    return (
+        "Nothing that was tried lifts what is open by itself; "
+        f"“{identify} --advise NAME” searches for an experiment for one parameter."
+    )
+
+
+def _count(n: int) -> str:
+    return _COUNTS[n] if n < len(_COUNTS) else str(n)
+
+
+def spaced(x: float) -> str:
+    """Write a whole number with narrow spaces between thousands."""
+    return f"{x:,.0f}".replace(",", "\u202f")
+
+
+def _and(parts: Sequence[str]) -> str:
+    return f"{', '.join(parts[:-1])} and {parts[-1]}" if len(parts) > 1 else "".join(parts)
+
+
+def _capital(text: str) -> str:
+    # parameter names stay as they are written
+    first = text.split(" ", 1)[0].rstrip(",")
+    return text if "." in first or "_" in first else text[:1].upper() + text[1:]
+
+
+def _sentence(text: str) -> str:
+    return _capital(text).removesuffix(".") + "."

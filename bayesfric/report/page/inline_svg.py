@@ -1,0 +1,124 @@
+"""A figure's SVG made fit to stand inside a page: names of its own, nothing that acts."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+
+from markupsafe import Markup
+
+_SVG = "http://www.w3.org/2000/svg"
+_XLINK = "http://www.w3.org/1999/xlink"
+# What may stand in a drawing; everything else is left out, metadata and scripts among it.
+_DRAWN = {
+    "svg", "g", "defs", "path", "use", "text", "tspan", "rect", "circle", "ellipse", "line",
+    "polyline", "polygon", "clipPath", "pattern", "image", "linearGradient", "radialGradient",
+    "stop", "title", "desc",
+}  # fmt: skip
+_REFERENCE = re.compile(r"url\(\s*['\"]?([^)'\"]*)['\"]?\s*\)")
+_TARGET = re.compile(r"(?:url\(\s*['\"]?|href=\s*['\"])#([^)'\"]+)")
+_LONG = re.compile(r"(?<=\.\d\d)\d+")
+# Coordinates in points: a hundredth is finer than any printer, and halves the page.
+_COORDINATES = ("d", "x", "y")
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """An SVG ready to stand in a page.
+
+    Attributes
+    ----------
+    markup
+        The ``svg`` element, without names or references of others.
+    width, height
+        In points, of its view box.
+    """
+
+    markup: Markup
+    width: float
+    height: float
+
+
+def inline_svg(text: str, prefix: str, label: str) -> Drawing:
+    """Make an SVG fit to stand inside a page.
+
+    Matplotlib gives the same names (``figure_1``, clip paths) in every figure; two of
+    them in one page would clip each other.
+
+    Parameters
+    ----------
+    text
+        The file's contents, as :func:`bayesfric.report.style.save` wrote them.
+    prefix
+        Put before every ``id`` that is referred to; unique in the page.
+    label
+        What a screen reader says in its place.
+
+    Raises
+    ------
+    ValueError
+        If this is no SVG with a view box.
+    """
+    try:
+        root = ET.fromstring(text)
+        box = [float(v) for v in root.attrib["viewBox"].split()]
+        _, _, width, height = box
+    except (ET.ParseError, KeyError, ValueError) as error:
+        raise ValueError(f"no SVG with a view box: {error}") from None
+    referred = set(_TARGET.findall(text))
+    if root.tag != f"{{{_SVG}}}svg" or not (width > 0 and height > 0):
+        raise ValueError("no SVG with a view box")
+    # Matplotlib names groups, some of them twice; only what is referred to needs its name
+    for element in root.iter():
+        if element.attrib.get("id", "") not in referred:
+            element.attrib.pop("id", None)
+    out: list[str] = []
+    root.attrib.pop("width", None)
+    root.attrib.pop("height", None)
+    root.attrib.update({"role": "img", "aria-label": label})
+    _write(root, prefix, out)
+    return Drawing(Markup("".join(out)), width, height)
+
+
+def _write(element: ET.Element, prefix: str, out: list[str]) -> None:
+    tag = element.tag.removeprefix(f"{{{_SVG}}}") if isinstance(element.tag, str) else ""
+    if tag not in _DRAWN:
+        return
+    # an svg element of a page is in the right namespace already
+    out.append(f"<{tag}")
+    for key, value in element.attrib.items():
+        told = _attribute(key, value, prefix)
+        if told is not None:
+            out.append(f' {told[0]}="{_escaped(told[1])}"')
+    out.append(">")
+    out.append(_escaped((element.text or "").strip("\n")) if tag in ("text", "tspan") else "")
+    for child in element:
+        _write(child, prefix, out)
+        if tag in ("text", "tspan"):
+            out.append(_escaped((child.tail or "").strip("\n")))
+    out.append(f"</{tag}>")
+
+
+def _attribute(key: str, value: str, prefix: str) -> tuple[str, str] | None:
+    if key == "id":
+        return "id", prefix + value
+    if key in (f"{{{_XLINK}}}href", "href"):
+        if value.startswith("#"):
+            return "href", f"#{prefix}{value[1:]}"
+        return ("href", "".join(value.split())) if value.startswith("data:image/png;") else None
+    if key.startswith("{") or key.lower().startswith("on"):
+        return None
+    if "url" in value.lower():
+        outside = [at for at in _REFERENCE.findall(value) if not at.startswith("#")]
+        if outside or "url(" not in value:
+            return None
+        value = _REFERENCE.sub(lambda m: f"url(#{prefix}{m[1][1:]})", value)
+    if key in _COORDINATES:
+        value = _LONG.sub("", value.replace("\n", " ").strip())
+    return key, value
+
+
+def _escaped(text: str) -> str:
+    text = text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    return text.replace('"', "&quot;")

@@ -1,0 +1,84 @@
+"use strict";
+(() => {
+  // tables: a heading's button sorts by its column; numbers behind data-sort, open ones last
+  const key = (row, column) => {
+    const cell = row.cells[column];
+    const told = cell.dataset.sort;
+    if (told === undefined) {
+      const text = cell.textContent.trim();
+      return cell.classList.contains("number") ? null : text;
+    }
+    const number = Number(told);
+    return told !== "" && Number.isFinite(number) ? number : told;
+  };
+  const compare = (a, b) =>
+    typeof a === "number" && typeof b === "number" ? a - b : String(a).localeCompare(String(b), "en", { numeric: true });
+  for (const table of document.querySelectorAll("table.sortable")) {
+    const heads = [...table.tHead.rows[0].cells];
+    heads.forEach((head, column) => head.querySelector("button").addEventListener("click", () => {
+      const down = head.getAttribute("aria-sort") === "ascending";
+      for (const other of heads) other.removeAttribute("aria-sort");
+      head.setAttribute("aria-sort", down ? "descending" : "ascending");
+      const body = table.tBodies[0];
+      const rows = [...body.rows].map((row, index) => ({ row, index, key: key(row, column) }));
+      rows.sort((a, b) => {
+        if (a.key === null || b.key === null) return (a.key === null) - (b.key === null) || a.index - b.index;
+        return (down ? -1 : 1) * compare(a.key, b.key) || a.index - b.index;
+      });
+      body.append(...rows.map((one) => one.row));
+    }));
+  }
+
+  // figures: the drawing itself moves into the dialog, so that no name is there twice
+  const dialog = document.getElementById("enlarged");
+  const place = document.getElementById("enlarged-body");
+  const title = document.getElementById("enlarged-title");
+  let home = null;
+  const back = () => {
+    if (home) home.append(...place.children);
+    home = null;
+  };
+  document.getElementById("enlarged-close").addEventListener("click", () => dialog.close());
+  dialog.addEventListener("close", back);
+  dialog.addEventListener("click", (event) => { if (event.target === dialog) dialog.close(); });
+  const blob = (svg) => {
+    const copy = svg.cloneNode(true);
+    const { width, height } = svg.viewBox.baseVal;
+    copy.setAttribute("xmlns", "http://www.w3.org/2000/svg");
+    copy.setAttribute("width", `${width}pt`);
+    copy.setAttribute("height", `${height}pt`);
+    const style = document.createElementNS("http://www.w3.org/2000/svg", "style");
+    style.textContent = "*{stroke-linejoin:round;stroke-linecap:butt}";
+    copy.prepend(style);
+    const text = '<?xml version="1.0" encoding="utf-8"?>\n' + new XMLSerializer().serializeToString(copy);
+    return new Blob([text], { type: "image/svg+xml" });
+  };
+  for (const figure of document.querySelectorAll("figure")) {
+    const card = figure.querySelector(".card");
+    const enlarge = figure.querySelector(".enlarge");
+    const save = figure.querySelector(".save");
+    enlarge.hidden = save.hidden = false;
+    enlarge.addEventListener("click", () => {
+      title.textContent = card.getAttribute("aria-label");
+      home = card;
+      place.append(...card.children);
+      dialog.showModal();
+      place.focus();
+    });
+    save.addEventListener("click", () => {
+      const link = document.createElement("a");
+      link.href = URL.createObjectURL(blob(card.querySelector("svg")));
+      link.download = `${card.dataset.stem}.svg`;
+      link.click();
+      setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+    });
+  }
+
+  // on paper nothing can be opened
+  let closed = [];
+  addEventListener("beforeprint", () => {
+    closed = [...document.querySelectorAll("details:not([open])")];
+    for (const one of closed) one.open = true;
+  });
+  addEventListener("afterprint", () => { for (const one of closed) one.open = false; });
+})();

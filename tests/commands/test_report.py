@@ -1,0 +1,114 @@
+"""``bayesfric report`` as a user runs it."""
+
+import json
+
+import pytest
+
+from tests.report.made_summaries import knee, old
+
+from .bench import has
+
+
+@pytest.fixture
+def runs(bench):
+    (bench.folder / "knee").mkdir()
+    write(bench, json.dumps(knee(), ensure_ascii=False))
+    return bench
+
+
+def write(bench, text):
+    (bench.folder / "knee" / "summary.json").write_text(text, encoding="utf-8")
+
+
+def test_in_a_process_of_its_own(runs):
+    ended = runs.run_apart("report", "knee", "--json")
+    assert (ended.code, ended.err) == (0, ""), ended
+    found = json.loads(ended.out)
+    assert found["run"] == "knee"
+    assert "report.html" in found["written"]
+    for name in found["written"]:
+        assert (runs.folder / "knee" / name).stat().st_size, name
+    page = (runs.folder / "knee" / "report.html").read_text(encoding="utf-8")
+    assert "<h1>knee</h1>" in page
+    assert not list((runs.folder / "knee").glob(".*"))
+
+
+def test_again_gives_the_same_bytes(runs):
+    assert runs.run("report", "knee").code == 0
+    page = runs.folder / "knee" / "report.html"
+    first = page.read_bytes()
+    page.write_text("old")
+    ended = runs.run("report", "knee")
+    assert ended.code == 0
+    assert "report.html" in ended.out
+    assert page.read_bytes() == first
+
+
+def test_a_run_of_the_first_version(runs):
+    write(runs, json.dumps(old(), ensure_ascii=False))
+    assert runs.run("report", "knee").code == 0
+
+
+def test_no_such_folder(runs):
+    has(runs.refused("report", "nobody"), "nobody", "no such folder")
+
+
+def test_a_folder_without_a_run(runs):
+    (runs.folder / "empty").mkdir()
+    has(runs.refused("report", "empty"), "empty", "summary.json")
+
+
+def test_a_file(runs):
+    has(runs.refused("report", "knee/summary.json"), "is a file")
+
+
+@pytest.mark.parametrize("cut", [0, 1, 40, 900, -3])
+def test_a_truncated_summary(runs, cut):
+    write(runs, json.dumps(knee())[:cut])
+    has(runs.refused("report", "knee"), "summary.json", "JSON")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[]", "holds no table"),
+        ("{}", "parameters"),
+        ('{"parameters": {}, "derived": []}', "derived"),
+        ('{"parameters": {"a.b": {"unit": "N"}}}', "a.b"),
+    ],
+)
+def test_other_summaries(runs, text, said):
+    write(runs, text)
+    has(runs.refused("report", "knee"), said)
+
+
+def test_warnings_that_are_no_list(runs):
+    write(runs, json.dumps(knee() | {"warnings": 3}))
+    has(runs.refused("report", "knee"), "warnings")
+
+
+def test_sampler_of_another_kind(runs):
+    write(runs, json.dumps(knee() | {"sampler": {"status": "reliable", "ensembles": "four"}}))
+    has(runs.refused("report", "knee"), "ensembles")
+
+
+def test_a_page_that_cannot_be_replaced(runs):
+    (runs.folder / "knee" / "report.html").mkdir()
+    has(runs.refused("report", "knee"), "report.html", "is a folder")
+
+
+def test_a_summary_of_parameters_alone(runs):
+    write(runs, json.dumps({"parameters": knee()["parameters"]}))
+    assert runs.run("report", "knee").code == 0
+
+
+@pytest.mark.slow
+def test_the_page_of_the_demo(bench):
+    assert bench.run("demo", "-o", "demo").code == 0
+    page = bench.folder / "demo" / "report.html"
+    first = page.read_bytes()
+    assert len(first) < 3_000_000
+    assert first.count(b"<figure") == 9
+    assert b"known added mass" in first
+    assert bench.run("report", "demo").code == 0
+    assert page.read_bytes() == first

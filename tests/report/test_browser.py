@@ -1,0 +1,300 @@
+"""The pages in a real browser: drawn, quiet, alone, usable by keyboard, on a phone, on paper.
+
+``AXE_CORE`` names the file ``axe.min.js`` of the npm package axe-core.
+"""
+
+import base64
+import json
+import os
+import re
+import shutil
+import time
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+
+from bayesfric.commands.compare import compare
+
+from .made_summaries import knee, loaded
+
+webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
+from selenium.webdriver.chrome.service import Service  # noqa: E402
+from selenium.webdriver.common.by import By  # noqa: E402
+from selenium.webdriver.common.keys import Keys  # noqa: E402
+
+BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
+DRIVER = shutil.which("chromedriver")
+AXE = Path(os.environ.get("AXE_CORE", "no-such-file"))
+FLAGS = (
+    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+    "--disable-dev-shm-usage",
+)  # fmt: skip
+
+pytestmark = pytest.mark.skipif(
+    not (BROWSER and DRIVER), reason="needs Debian's chromium and chromium-driver"
+)
+
+
+@pytest.fixture(scope="module")
+def pages(written_run, tmp_path_factory):
+    """Copies of both pages in a folder that holds nothing else."""
+    alone = tmp_path_factory.mktemp("alone")
+    shutil.copyfile(written_run / "report.html", alone / "run.html")
+    made = tmp_path_factory.mktemp("runs")
+    for name, summary in (("knee", knee()), ("loaded", loaded())):
+        (made / name).mkdir()
+        (made / name / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
+    compare([made / "knee", made / "loaded"], made / "out")
+    shutil.copyfile(made / "out" / "report.html", alone / "compare.html")
+    return alone
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    options = webdriver.ChromeOptions()
+    options.binary_location = BROWSER
+    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = webdriver.Chrome(options=options, service=Service(DRIVER))
+    yield driver
+    driver.quit()
+
+
+@pytest.fixture(params=["run.html", "compare.html"])
+def page(request, browser, pages):
+    return show(browser, pages / request.param)
+
+
+@pytest.fixture
+def run(browser, pages):
+    return show(browser, pages / "run.html")
+
+
+def show(browser, path, *, dark=False, width=1280, height=900):
+    browser.get_log("browser")
+    browser.get_log("performance")
+    scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
+    size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    browser.get(path.as_uri())
+    # tests do not wait for a page to glide
+    browser.execute_script("document.documentElement.style.scrollBehavior = 'auto'")
+    return browser
+
+
+def until(true, seconds=10.0):
+    end = time.monotonic() + seconds
+    while not (found := true()):
+        assert time.monotonic() < end, "it never happened"
+        time.sleep(0.05)
+    return found
+
+
+def events(browser, method):
+    messages = [json.loads(one["message"])["message"] for one in browser.get_log("performance")]
+    return [one["params"] for one in messages if one["method"] == method]
+
+
+def test_it_is_quiet_and_alone(page):
+    page.execute_script("scrollTo(0, document.documentElement.scrollHeight)")
+    page.execute_script("for (const one of document.querySelectorAll('details')) one.open = true")
+    assert page.get_log("browser") == []
+    asked = [one["request"]["url"] for one in events(page, "Network.requestWillBeSent")]
+    assert [url for url in asked if not url.startswith("data:")] == [page.current_url]
+
+
+def test_its_policy_stops_what_it_does_not_name(run):
+    """The policy holds in fact: an image and a script put into the page are refused."""
+    run.execute_script(
+        "const a = document.createElement('script'); a.textContent = 'window.acted = 1';"
+        "document.body.append(a);"
+        "const b = document.createElement('img'); b.src = 'https://example.invalid/x.png';"
+        "document.body.append(b);"
+    )
+    assert run.execute_script("return window.acted") is None
+    failed = until(lambda: events(run, "Network.loadingFailed"))
+    assert [one["blockedReason"] for one in failed] == ["csp"]
+    until(lambda: "Content Security Policy" in str(run.get_log("browser")))
+
+
+def test_every_figure_is_drawn(page):
+    sizes = page.execute_script(
+        "return [...document.querySelectorAll('figure svg')].map(s => {"
+        "const b = s.getBoundingClientRect(), d = s.getBBox();"
+        "return [b.width, b.height, d.width, d.height, s.querySelectorAll('path').length]})"
+    )
+    assert len(sizes) == len(page.find_elements(By.TAG_NAME, "figure"))
+    assert sizes
+    for size in sizes:
+        assert min(size) > 0, sizes
+
+
+def test_clip_paths_are_each_figures_own(run):
+    clipped = run.execute_script(
+        "return [...document.querySelectorAll('figure svg [clip-path]')].map(e => {"
+        "const id = e.getAttribute('clip-path').slice(5, -1);"
+        "return e.closest('svg').querySelector('#' + CSS.escape(id)) !== null})"
+    )
+    assert len(clipped) > 10
+    assert all(clipped)
+
+
+SORT_ALL = """
+const found = [];
+for (const table of document.querySelectorAll("table.sortable")) {
+  const heads = [...table.tHead.rows[0].cells];
+  heads.forEach((head, column) => {
+    for (const way of ["ascending", "descending"]) {
+      head.querySelector("button").click();
+      const keys = [...table.tBodies[0].rows].map(r => {
+        const told = r.cells[column].dataset.sort; return told === undefined ? null : told});
+      found.push({way, said: heads.map(h => h.getAttribute("aria-sort")), column, keys});
+    }
+  });
+}
+return found;
+"""
+
+
+def test_every_column_of_every_table_sorts(page):
+    found = page.execute_script(SORT_ALL)
+    assert len({tuple(one["said"]) for one in found}) >= 10
+    numeric = 0
+    for one in found:
+        expected = [None] * len(one["said"])
+        expected[one["column"]] = one["way"]
+        assert one["said"] == expected
+        told = [key for key in one["keys"] if key is not None]
+        # what is open stands last, whichever way
+        assert not told or one["keys"][len(told) :] == [None] * (len(one["keys"]) - len(told))
+        try:
+            numbers = [float(key) for key in told]
+        except ValueError:
+            continue
+        numeric += len(numbers) > 1
+        assert numbers == sorted(numbers, reverse=one["way"] == "descending")
+    assert numeric > 10
+
+
+def test_tables_sort_by_keyboard_and_mouse(page):
+    head = page.find_element(By.CSS_SELECTOR, "table.sortable thead th")
+    button = head.find_element(By.TAG_NAME, "button")
+    button.send_keys(Keys.ENTER)
+    assert head.get_attribute("aria-sort") == "ascending"
+    button.send_keys(Keys.SPACE)
+    assert head.get_attribute("aria-sort") == "descending"
+    button.click()
+    assert head.get_attribute("aria-sort") == "ascending"
+
+
+def test_anchors_lead_to_their_sections(page):
+    links = page.find_elements(By.CSS_SELECTOR, "nav a")
+    assert len(links) >= 5
+    for link in links:
+        link.send_keys(Keys.ENTER)
+        target = link.get_attribute("href").partition("#")[2]
+        assert page.execute_script("return location.hash") == f"#{target}"
+        top, bottom, end = page.execute_script(
+            "const b = document.getElementById(arguments[0]).getBoundingClientRect();"
+            "return [b.top, b.bottom, innerHeight]",
+            target,
+        )
+        # at the top, or as far up as the page's end lets it
+        assert top < end
+        assert bottom > 0
+
+
+def test_the_skip_link_is_the_first_stop(run):
+    run.find_element(By.TAG_NAME, "body").send_keys(Keys.TAB)
+    first = run.switch_to.active_element
+    assert first.get_attribute("class") == "skip"
+    assert first.rect["x"] >= 0
+    first.send_keys(Keys.ENTER)
+    assert run.execute_script("return location.hash") == "#main"
+
+
+def test_figures_can_be_enlarged_and_put_back(run):
+    figure = run.find_element(By.ID, "figure-prediction")
+    before = figure.find_element(By.TAG_NAME, "svg").rect["width"]
+    button = figure.find_element(By.CLASS_NAME, "enlarge")
+    button.send_keys(Keys.ENTER)
+    dialog = run.find_element(By.ID, "enlarged")
+    assert dialog.get_attribute("open") is not None
+    assert dialog.find_element(By.TAG_NAME, "svg").rect["width"] > before
+    assert not figure.find_elements(By.TAG_NAME, "svg")
+    run.switch_to.active_element.send_keys(Keys.ESCAPE)
+    until(lambda: figure.find_elements(By.TAG_NAME, "svg"))
+    assert dialog.get_attribute("open") is None
+    assert run.switch_to.active_element == button
+
+
+def test_figures_can_be_saved(run, tmp_path):
+    place = {"behavior": "allow", "downloadPath": str(tmp_path)}
+    run.execute_cdp_cmd("Browser.setDownloadBehavior", place)
+    figure = run.find_element(By.ID, "figure-ridge")
+    figure.find_element(By.CLASS_NAME, "save").send_keys(Keys.ENTER)
+    saved = tmp_path / "ridge.svg"
+    until(lambda: saved.exists() and saved.read_text(encoding="utf-8").endswith("</svg>"))
+    root = ET.parse(saved).getroot()
+    assert root.tag == "{http://www.w3.org/2000/svg}svg"
+    assert root.attrib["width"].endswith("pt")
+    assert len(list(root.iter("{http://www.w3.org/2000/svg}path"))) > 20
+
+
+@pytest.mark.parametrize("name", ["run.html", "compare.html"])
+def test_a_phone_needs_no_sideways_scrolling(browser, pages, name):
+    show(browser, pages / name, width=380, height=800)
+    widest = browser.execute_script(
+        "return [document.documentElement.scrollWidth, document.body.scrollWidth]"
+    )
+    assert max(widest) <= 380
+    # what is wider scrolls by itself, also by keyboard
+    for box in browser.find_elements(By.CSS_SELECTOR, ".scroll, .card"):
+        assert box.get_attribute("tabindex") == "0"
+        assert box.rect["width"] <= 380
+
+
+@pytest.mark.parametrize(
+    ("name", "dark"), [("run.html", False), ("run.html", True), ("compare.html", False)]
+)
+@pytest.mark.skipif(not AXE.is_file(), reason="AXE_CORE does not name axe.min.js of axe-core")
+def test_nothing_keeps_anybody_out(browser, pages, name, dark):
+    show(browser, pages / name, dark=dark)
+    browser.execute_script(AXE.read_text(encoding="utf-8"))
+    browser.set_script_timeout(60)
+    found = browser.execute_async_script(
+        "const done = arguments[0]; axe.run(document, {resultTypes: ['violations']})"
+        ".then(r => done(r.violations), e => done([{impact: 'critical', id: String(e)}]))"
+    )
+    bad = [
+        (v["id"], v["help"], [n["target"] for n in v["nodes"]][:3])
+        for v in found
+        if v["impact"] in ("serious", "critical")
+    ]
+    assert bad == []
+
+
+def test_dark_and_light_differ_but_figures_stay_white(browser, pages):
+    def colours():
+        return browser.execute_script(
+            "return [document.body, document.querySelector('.card')]"
+            ".map(e => getComputedStyle(e).backgroundColor)"
+        )
+
+    show(browser, pages / "run.html")
+    light = colours()
+    show(browser, pages / "run.html", dark=True)
+    dark = colours()
+    assert light[0] != dark[0]
+    assert light[1] == dark[1] == "rgb(255, 255, 255)"
+
+
+def test_it_prints(page):
+    printed = page.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True})
+    pdf = base64.b64decode(printed["data"])
+    assert pdf.startswith(b"%PDF-")
+    assert len(re.findall(rb"/Type\s*/Page\b", pdf)) >= 2

@@ -1,0 +1,361 @@
+"""The page of a run: its numbers are the summary's, nothing open is bare, nothing is fetched."""
+
+import base64
+import copy
+import csv
+import hashlib
+import io
+import json
+import re
+import time
+
+import pytest
+from markupsafe import Markup
+
+from bayesfric.report import run_directory
+from bayesfric.report.comparison import comparison
+from bayesfric.report.comparison_table import number as plain_number
+from bayesfric.report.page.facts import read_facts
+from bayesfric.report.page.figure_words import STEMS_IN_WORDS, Told, figure_words, text_of
+from bayesfric.report.page.inline_svg import inline_svg
+from bayesfric.report.page.run_page import STEMS, run_page
+from bayesfric.report.page.symbol import html_symbol
+from bayesfric.report.tables import parameter_table, parameters_csv, parameters_latex
+
+from . import made_tables
+from .made_summaries import LEG, knee, loaded, old
+from .page_reader import number, read_page
+
+
+@pytest.fixture(scope="module")
+def run(written_run):
+    return written_run
+
+
+@pytest.fixture(scope="module")
+def summary(run):
+    return json.loads((run / "summary.json").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def text(run):
+    return (run / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def page(text):
+    return read_page(text)
+
+
+def lines(page):
+    """Cells of every line of the tables of parameters, by name."""
+    found = {}
+    for table in page.all("table"):
+        if "parameters" in table.attrs.get("class", ""):
+            for row in table.all("tr"):
+                if "data-name" in row.attrs:
+                    found[row.attrs["data-name"]] = row
+    return found
+
+
+def cells(row, kind):
+    (found,) = [td for td in row.all("td") if kind in td.attrs.get("class", "").split()]
+    return found
+
+
+def every_summary(summary):
+    skewed = copy.deepcopy(knee())
+    skewed["parameters"]["motor.viscous"]["interval"][1] *= 1.4
+    skewed["parameters"]["motor.inertia"] |= {
+        "at_bound": "lower",
+        "verdict": "weak",
+        "data_sd": 1e-9,
+    }
+    return {"fit": summary, "knee": knee(), "loaded": loaded(), "old": old(), "skewed": skewed}
+
+
+@pytest.mark.parametrize("which", ["fit", "knee", "loaded", "old", "skewed"])
+def test_numbers_are_those_of_summary_latex_and_csv(summary, tmp_path, which):
+    told = every_summary(summary)[which]
+    table = parameter_table(told)
+    rows = lines(read_page(run_page(tmp_path, told, which)))
+    assert set(rows) == {r.name for r in table.rows}
+    latex = dict(
+        zip([r.name for r in table.rows], made_tables.lines(parameters_latex(table)), strict=True)
+    )
+    written = {row["name"]: row for row in csv.DictReader(io.StringIO(parameters_csv(table)))}
+    for name, row in rows.items():
+        entry = told["parameters"].get(name) or told["derived"][name]
+        in_csv, (_, _, value, ends, _, _) = written[name], latex[name]
+        if in_csv["status"] == "undetermined":
+            assert "prior" in value
+            assert cells(row, "value").text == "not determined"
+            continue
+        shown, last = number(cells(row, "value").text)
+        if in_csv["status"] == "limit":
+            assert shown[0] == pytest.approx(float(in_csv["limit"]), rel=5e-3)
+            assert shown[0] == pytest.approx(made_tables.num(value.split("$ ")[-1])[0], rel=1e-9)
+        else:
+            low, high = number(cells(row, "interval").text)[0]
+            assert [low, high] == pytest.approx(made_tables.ends(ends)[:2], rel=1e-9)
+            assert [low, high] == pytest.approx(entry["interval"], abs=0.51 * last)
+            assert [low, high] == pytest.approx(
+                [float(in_csv["low"]), float(in_csv["high"])], abs=0.51 * last
+            )
+            assert shown[0] == pytest.approx(entry["median"], abs=0.51 * last)
+            assert shown[0] == pytest.approx(float(in_csv["median"]), abs=0.51 * last)
+            if len(shown) == 2:
+                assert shown == pytest.approx(made_tables.num(value)[:2], rel=1e-9)
+                assert shown[1] == pytest.approx(entry["sd"], abs=0.51 * last)
+                assert shown[1] == pytest.approx(float(in_csv["sd"]), abs=0.51 * last)
+            else:
+                assert shown == pytest.approx(
+                    [v * s for v, s in zip(made_tables.skewed(value)[:3], (1, 1, -1), strict=True)],
+                    rel=1e-9,
+                )
+
+
+def test_methods_are_those_of_the_comparison(summary, page):
+    found = comparison({"run": summary})
+    (table,) = [t for t in page.all("table") if "methods" in t.attrs.get("class", "")]
+    rows = {r.attrs["data-name"]: r for r in table.all("tr") if "data-name" in r.attrs}
+    assert set(rows) == {row.name for row in found.rows}
+    for row in found.rows:
+        shown = {
+            td.attrs["data-column"]: td
+            for td in rows[row.name].all("td")
+            if "data-column" in td.attrs
+        }
+        for label, cell in row.cells.items():
+            td = shown[label]
+            assert td.attrs["data-status"] == cell.status
+            if cell.status == "determined":
+                assert float(td.attrs["data-sort"]) == cell.value
+                # exactly the digits of the table in Markdown
+                said = td.text.replace("\u2212", "-").replace("\u00a0×\u00a010^", "e")
+                for part in plain_number(cell.value, cell.sd).split(" ± "):
+                    digits, _, power = part.partition("e")
+                    assert digits + (f"e{int(power)}" if power else "") in said
+
+
+def without_open(node):
+    """Texts of a page, tag by tag, with what the same line says."""
+    for child in node.every():
+        if child.tag in ("td", "li", "p", "dd", "figcaption"):
+            yield child.text
+        if "aria-label" in child.attrs:
+            yield child.attrs["aria-label"]
+
+
+@pytest.mark.parametrize("which", ["fit", "knee", "loaded", "old", "skewed"])
+def test_nothing_open_stands_bare(summary, tmp_path, which, run):
+    """Neither in its own line nor anywhere else is an open interval, or its ends, without words."""
+    told = every_summary(summary)[which]
+    table = parameter_table(told)
+    folder = run if which == "fit" else tmp_path
+    page = read_page(run_page(folder, told, which))
+    rows = lines(page)
+    open_ = [r for r in table.rows if r.cell.status == "undetermined"]
+    assert bool(open_) == (which != "loaded")
+    for r in open_:
+        line = rows[r.name]
+        for kind in ("value", "interval"):
+            assert not set("[±") & set(cells(line, kind).text), r.name
+        assert "not determined" in cells(line, "value").text
+        assert "prior and bounds leave" in cells(line, "interval").text
+        assert "not determined by the data" in cells(line, "verdict").text
+        assert line.attrs["data-verdict"] == "open"
+    bracket = re.compile(r"\[\s*(\S+?),\s*(\S+?)\]")
+    for said in without_open(page):
+        for low, high in bracket.findall(said.replace("\u2212", "-")):
+            for r in open_:
+                pair = tuple(f"{end:.3g}" for end in r.row.interval)
+                assert (low, high) != pair, (r.name, said)
+    # the words for who cannot see the figures name them as open, without a number
+    methods = comparison({which: told})
+    words = Told(read_facts(told, which), table, methods)
+    for stem in STEMS:
+        said = figure_words(stem, words, {}).alternative
+        for r in open_:
+            for match in re.finditer(rf"{re.escape(r.name)}: ([^;]*)", said):
+                if stem in ("corner", "friction", "efficiency"):
+                    assert match[1].rstrip(".") == "not determined by the data"
+                assert "[" not in match[1] or "±" in match[1]
+
+
+def test_every_figure_has_words_of_its_own():
+    assert set(STEMS) == set(STEMS_IN_WORDS)
+    assert {*run_directory.FIGURES, "methods"} == set(STEMS)
+
+
+def test_first_screen_names_what_is_open(page, summary):
+    (first,) = page.all("section", id="findings")
+    for name, row in summary["parameters"].items():
+        if row["verdict"] == "prior" and not row["at_bound"]:
+            assert name in first.text, name
+    assert "reliable" in first.text
+    assert "bayesfric identify" in first.text
+    assert "simulated" in first.text
+
+
+def test_remedies_come_first_where_they_are_known(tmp_path):
+    told = knee()
+    told["identifiability"] = {
+        "null_directions": [],
+        "directions": [
+            {
+                "kind": "null",
+                "exponents": dict.fromkeys(LEG, 1.0),
+                "meaning": f"{', '.join(LEG)} can all be multiplied by one factor: nothing changes",
+                "reasons": ["the torque holds only products"],
+                "remedies": [
+                    {"kind": "known value", "text": "fix load.inertia", "open_after": 0},
+                    {
+                        "kind": "known mass",
+                        "text": "bolt on 2 kg",
+                        "log_sd_after": 0.02,
+                        "open_after": 0,
+                    },
+                ],
+            }
+        ],
+    }
+    (first,) = read_page(run_page(tmp_path, told, "knee")).all("section", id="findings")
+    (steps,) = first.all("ol")
+    assert [step.text for step in steps.all("li")] == [
+        "Bolt on 2 kg. Lifts the open direction; simulated beforehand, what is open would be "
+        "known to 2 %.",
+        "Fix load.inertia. Lifts the open direction.",
+    ]
+    assert "These can all be multiplied by one factor: nothing changes. Because the torque" in (
+        first.text
+    )
+
+
+@pytest.mark.parametrize(("status", "words"), [("tentative", "Not yet"), ("unusable", "No:")])
+def test_a_bad_run_says_so_first(tmp_path, status, words):
+    told = knee()
+    told["sampler"] = {"status": status, "problems": ["R-hat 1.3"]}
+    (first,) = read_page(run_page(tmp_path, told, "knee")).all("section", id="findings")
+    assert words in first.text
+    assert "R-hat 1.3" in first.text
+
+
+def test_names_are_unique_and_targets_exist(page, text):
+    names = [node.attrs["id"] for node in page.every() if "id" in node.attrs]
+    assert len(names) == len(set(names))
+    for node in page.every():
+        if node.attrs.get("href", "").startswith("#"):
+            assert node.attrs["href"][1:] in names
+    assert set(re.findall(r"url\(#([^)]*)\)", text)) <= set(names)
+    assert len(list(page.all("svg"))) == 4
+    for svg in page.all("svg"):
+        assert len(svg.attrs["aria-label"]) > 60
+
+
+def test_nothing_is_fetched_and_only_its_own_script_may_run(page, text):
+    (policy,) = [m.attrs["content"] for m in page.all("meta") if "http-equiv" in m.attrs]
+    assert policy.startswith("default-src 'none'")
+    (script,) = page.all("script")
+    digest = base64.b64encode(hashlib.sha256("".join(script.children).encode()).digest()).decode()
+    assert f"script-src 'sha256-{digest}'" in policy
+    for node in page.every():
+        for key in ("src", "srcset", "action", "data", "poster"):
+            assert key not in node.attrs
+        assert not any(key.startswith("on") for key in node.attrs)
+        href = node.attrs.get("href", "#")
+        assert href.startswith(("#", "data:image/png;base64,"))
+    assert "@import" not in text
+    assert not list(page.all("link"))
+    (shown,) = page.all("pre")
+    assert "</script><b>" in shown.text
+
+
+def test_names_from_files_are_only_text(tmp_path):
+    told = knee()
+    bad = '"><script>alert(1)</script>'
+    told["parameters"][bad] = dict(told["parameters"]["motor.inertia"], symbol=bad)
+    told["warnings"] = [bad]
+    page = read_page(run_page(tmp_path, told, bad))
+    assert len(list(page.all("script"))) == 1
+    assert bad in lines(page)
+
+
+def test_a_drawing_loses_what_acts_or_reaches_out():
+    svg = (
+        '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
+        ' width="9pt" height="9pt" viewBox="0 0 9 9" onload="alert(1)"><script>alert(2)</script>'
+        "<style>*{color:red}</style><metadata>m</metadata>"
+        '<defs><clipPath id="p"><rect x="1.23456" y="2" width="3" height="4"/></clipPath></defs>'
+        '<g clip-path="url(#p)" style="fill:url(http://evil)"><use xlink:href="#p" y="-7.129999"/>'
+        '<use xlink:href="http://evil"/><image xlink:href="data:image/png;base64,\nAA\nBB"/>'
+        "<foreignObject><b/></foreignObject><text>a &lt; b<tspan>c</tspan>d</text></g></svg>"
+    )
+    found = inline_svg(svg, "k-", 'say "it"')
+    for foreign in ("evil", "alert", "color", "foreign", "metadata", "pt"):
+        assert foreign not in found.markup
+    assert (found.width, found.height) == (9.0, 9.0)
+    assert '<clipPath id="k-p"><rect x="1.23" y="2"' in found.markup
+    assert 'clip-path="url(#k-p)"' in found.markup
+    assert '<use href="#k-p" y="-7.12">' in found.markup
+    assert 'href="data:image/png;base64,AABB"' in found.markup
+    assert "<text>a &lt; b<tspan>c</tspan>d</text>" in found.markup
+    assert 'aria-label="say &quot;it&quot;"' in found.markup
+
+
+@pytest.mark.parametrize(
+    "bad", ["", "<svg/>", "no", '<b viewBox="0 0 1 1"/>', "<svg viewBox='0'/>"]
+)
+def test_what_is_no_drawing(bad):
+    with pytest.raises(ValueError, match="no SVG"):
+        inline_svg(bad, "k-", "")
+
+
+@pytest.mark.parametrize(
+    ("symbol", "shown"),
+    [
+        ("J_{m}", "<i>J</i><sub><i>m</i></sub>"),
+        (r"C_{t1}^{\mathrm{drive}}", "<i>C</i><sub><i>t</i>1</sub><sup>drive</sup>"),
+        (r"\lambda_1/\lambda_2", "λ<sub>1</sub>/λ<sub>2</sub>"),
+        ("f_{shoulder}", "<i>f</i><sub>shoulder</sub>"),
+        ("C_{<b>}", "<i>C</i><sub>&lt;<i>b</i>&gt;</sub>"),
+    ],
+)
+def test_symbols(symbol, shown):
+    assert html_symbol(symbol, "n") == f'<span class="sym">{shown}</span>'
+
+
+@pytest.mark.parametrize("symbol", ["", "{", r"\nosuch{a}", "a}"])
+def test_symbols_that_cannot_be_set(symbol):
+    assert html_symbol(symbol, "a<b") == "<code>a&lt;b</code>"
+
+
+def test_every_symbol_of_the_knee_can_be_set(summary):
+    for name, row in {**summary["parameters"], **summary["derived"]}.items():
+        assert html_symbol(row["symbol"], name).startswith("<span"), name
+
+
+def test_it_is_small_and_quick(run, summary):
+    run_page(run, summary, "run")
+    before = time.process_time()
+    page = run_page(run, summary, "run")
+    assert time.process_time() - before < 1.0
+    assert len(page.encode()) < 3_000_000
+
+
+def test_a_run_without_anything_but_its_summary(tmp_path):
+    page = read_page(run_page(tmp_path, knee(), "bare"))
+    assert not list(page.all("svg"))
+    assert "does not hold" in page.text
+
+
+def test_raised_numbers_stay_raised():
+    assert (
+        text_of(Markup("(4.6 ± 0.1)\u00a0×\u00a010<sup>\u22124</sup>"))
+        == "(4.6 ± 0.1)\u00a0×\u00a010⁻⁴"
+    )
+
+
+def test_no_number_is_a_nan(text):
+    shown = re.sub(r"<(style|script)>.*?</\1>", "", text, flags=re.DOTALL)
+    assert not re.search(r"\b(nan|inf|None)\b", shown)
