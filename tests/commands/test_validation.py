@@ -73,6 +73,14 @@ def test_what_is_held_out_is_predicted_and_changes_no_draw(three):
         "three": "last 20 %",
     }
     assert record["unit"] == "N m"
+    page = (three.folder / "run" / "report.html").read_text(encoding="utf-8")
+    section = page[page.index('<section id="held-out">') :]
+    section = section[: section.index("</section>")]
+    for part in (*record["parts"].values(), record["pooled"]):
+        for c in part["coverage"].values():
+            said = f"{100 * c['share']:.1f} ± {100 * c['standard_error']:.1f}"
+            assert said in section
+    assert "<svg" in section
     assert "noise scale" in record["predictive"]
     n = record["pooled"]["outputs"]
     for level, found in record["pooled"]["coverage"].items():

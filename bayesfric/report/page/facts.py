@@ -87,6 +87,34 @@ class NoiseFacts(Part):
     autoregression: dict[Name, list[FiniteFloat]] = Field(default_factory=dict)
 
 
+class CoverageFacts(Part):
+    """How much of what was held out lies in a predictive interval."""
+
+    share: FiniteFloat
+    standard_error: NotNegative
+
+
+class HeldOutFacts(Part):
+    """How well one held-out part, or all of them, was predicted."""
+
+    held_out: str = "all together"
+    outputs: int
+    verdict: str
+    says: str
+    coverage: dict[str, CoverageFacts]
+    residual_rms: NotNegative
+    predictive_sd: NotNegative | None = None
+
+
+class ValidationFacts(Part):
+    """What was predicted and not fitted."""
+
+    predictive: str
+    unit: str
+    parts: dict[Name, HeldOutFacts]
+    pooled: HeldOutFacts
+
+
 class RecordingRow(Part):
     """How one recording was processed, and what is left of it."""
 
@@ -152,6 +180,7 @@ class Facts(Part):
     fit: FitFacts = Field(default_factory=FitFacts)
     sampler: SamplerFacts = Field(default_factory=SamplerFacts)
     likelihood: LikelihoodFacts = Field(default_factory=LikelihoodFacts)
+    validation: ValidationFacts | None = None
     warnings: list[str] = Field(default_factory=list)
 
 

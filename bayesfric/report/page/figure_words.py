@@ -124,6 +124,20 @@ def _residual(told: Told) -> str:
     return " ".join(parts)
 
 
+def _validation(told: Told) -> str:
+    found = told.facts.validation
+    if found is None:
+        return ""
+    parts = []
+    for name, row in {**found.parts, "all together": found.pooled}.items():
+        shares = ", ".join(
+            f"{100 * c.share:.1f} % in {100 * float(level):g} % intervals"
+            for level, c in row.coverage.items()
+        )
+        parts.append(f"{name}: {row.verdict}, {row.outputs} outputs, {shares}")
+    return "; ".join(parts) + "."
+
+
 def _ridge(told: Told) -> str:
     meanings = [one.meaning for one in told.facts.identifiability.null_directions]
     if not meanings:
@@ -196,6 +210,7 @@ STEMS_IN_WORDS: dict[str, tuple[str, str, Callable[[Told], str]]] = {
         _prediction,
     ),
     "residual": ("What is left unexplained", "", _residual),
+    "validation": ("What was held out, predicted", "", _validation),
     "friction": ("Friction of the joint", "", _friction),
     "efficiency": ("Efficiency against load", "", _efficiency),
     "prior_posterior": ("Prior and posterior", "", _prior_posterior),

@@ -29,8 +29,8 @@ from bayesfric.report.tables import ParameterRow, ParameterTable, parameter_tabl
 
 # In the order of the page.
 STEMS = (
-    "methods", "ridge", "prediction", "residual", "friction", "efficiency", "prior_posterior",
-    "corner", "trace",
+    "methods", "ridge", "prediction", "residual", "validation", "friction", "efficiency",
+    "prior_posterior", "corner", "trace",
 )  # fmt: skip
 _GROUPS = {
     "free": (
