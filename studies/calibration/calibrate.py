@@ -4,8 +4,8 @@
 of each, samples its posterior exactly as ``fit`` does, and asks where the truth lies among the
 draws (Talts et al. 2018). Ranks must be uniform and 90 % intervals hold the truth in 90 % of the
 recordings. Two controls that are wrong on purpose, white noise on autoregressive data and
-emcee's biased snooker move, must fail the same check. Writes ``result.json`` and
-``figures/calibration``; ``--recordings N`` and ``--cases A B`` for less.
+emcee's biased snooker move, must fail the same check. Writes ``result.json``, which ``figures.py``
+draws and ``table.py`` prints; ``--recordings N`` and ``--cases A B`` for less.
 """
 
 from __future__ import annotations
@@ -165,6 +165,8 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
     rng = np.random.default_rng(seed)
     target, truth = recording(case, rng)
     settings = SETTINGS.model_copy(update={"seed": int(rng.integers(2**31))})
+    if case.made is None:  # every step simulates
+        settings = settings.model_copy(update={"walkers": 32})
     if case.move == "snooker":
         settings, own = settings.model_copy(update={"ensembles": 2}), sampling._Ensembles
         mix = [(emcee.moves.DEMove(), 0.2), (emcee.moves.DESnookerMove(), 0.8)]
