@@ -52,11 +52,14 @@ def _panel(ax: Any, name: str, case: dict[str, Any]) -> None:
             linewidth=0.6 if row["inside"] else 1.1,
             linestyle="solid" if row["inside"] else (0, (4.0, 1.5)),
         )
-    words = f"{name}, {case['recordings']} recordings\n"
-    words += f"{outside} of {len(case['quantities'])} quantities leave the 99 % band"
-    ax.text(0.03, 0.96, words, transform=ax.transAxes, va="top", fontsize=SMALL)
+    words = name.replace("control: ", "control:\n")
+    words += f"\n{case['recordings']} recordings, {outside} of {len(case['quantities'])} outside"
+    said = ax.text(0.03, 0.96, words, transform=ax.transAxes, va="top", fontsize=SMALL)
+    said.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 1.0})
+    said.set_in_layout(False)
     ax.set_xlim(0.0, 1.0)
-    ax.set_ylim(-0.22, 0.3)
+    # room for words above, and for controls that are far off
+    ax.set_ylim(-0.3, 0.5)
 
 
 def main() -> None:
