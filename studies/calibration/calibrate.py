@@ -168,7 +168,7 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
     if case.made is None:  # every step simulates
         settings = settings.model_copy(update={"walkers": 32})
     if case.move == "snooker":
-        settings, own = settings.model_copy(update={"ensembles": 2}), sampling._Ensembles
+        settings, own = settings.model_copy(update={"max_steps": 800}), sampling._Ensembles
         mix = [(emcee.moves.DEMove(), 0.2), (emcee.moves.DESnookerMove(), 0.8)]
         sampling._Ensembles = lambda t, _, *rest: own(t, mix, *rest)
         try:
