@@ -9,10 +9,15 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import parallel_filter
 from bayesfric.recordings.observation import Observation
+
+# a busy machine is no defect of what is tested
+settings.register_profile("untimed", deadline=None)
+settings.load_profile("untimed")
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 DATA = REPOSITORY.parent / "shared" / "data"

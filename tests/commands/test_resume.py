@@ -42,6 +42,17 @@ class Stop(Exception):
     pass
 
 
+@pytest.fixture(autouse=True)
+def ctrl_c_is_heard():
+    """Started in the background (nohup, a shell's ``&``), this process would ignore SIGINT.
+
+    So would its children; who starts the program like that does want it ignored.
+    """
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.fixture(scope="module", autouse=True)
 def plain():
     """No figures; save after every block, however fast."""

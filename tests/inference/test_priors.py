@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import integrate, stats
+from scipy import stats
 
 from bayesfric.errors import BadInput
 from bayesfric.inference.defaults import Scales, default_noise_prior, default_prior
@@ -65,13 +65,13 @@ def test_densities_are_scipys_up_to_the_cut(text, reference):
 def test_a_cut_prior_integrates_to_one_and_its_sd_is_its_own(loc, scale):
     prior = positive({"distribution": "norm", "loc": loc, "scale": scale})
 
+    # Gauss and Legendre: exact to rounding for a density that is smooth up to its cut
+    nodes, weights = np.polynomial.legendre.leggauss(200)
+    half = (loc + 12.0 * scale) / 2.0
+    density = half * weights * np.exp(prior.log_density(half * (1.0 + nodes)))
+
     def moment(power):
-        return integrate.quad(
-            lambda x: x**power * math.exp(prior.log_density(np.array([x]))[0]),
-            0.0,
-            loc + 12 * scale,
-            epsabs=1e-11,
-        )[0]
+        return float(density @ (half * (1.0 + nodes)) ** power)
 
     assert moment(0) == pytest.approx(1.0, abs=1e-7)
     assert prior.sd() == pytest.approx(math.sqrt(moment(2) - moment(1) ** 2), rel=1e-3)
