@@ -14,18 +14,8 @@ from matplotlib.patches import Patch
 
 from bayesfric.errors import BadInput, nearest
 from bayesfric.inference.fit import Fit
-from bayesfric.report.style import (
-    PAGE,
-    POSTERIOR,
-    PRIOR,
-    SMALL,
-    Array,
-    Quantity,
-    few_ticks,
-    not_shown,
-    paper_style,
-    quantities,
-)
+from bayesfric.report.quantity import Quantity, not_shown, quantities
+from bayesfric.report.style import PAGE, POSTERIOR, PRIOR, SMALL, Array, few_ticks, paper_style
 from bayesfric.report.summary import LEVEL
 
 # More panels than 8 by 8 cannot be read at the width of a page.

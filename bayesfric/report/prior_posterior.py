@@ -13,6 +13,7 @@ from matplotlib.patches import Patch
 
 from bayesfric.inference.fit import Fit
 from bayesfric.report.comparison_cell import posterior_cell
+from bayesfric.report.quantity import Quantity, not_shown, quantities
 from bayesfric.report.run_summary import PosteriorRow
 from bayesfric.report.style import (
     OPEN_HATCH,
@@ -21,11 +22,8 @@ from bayesfric.report.style import (
     PRIOR,
     SMALL,
     Array,
-    Quantity,
     few_ticks,
-    not_shown,
     paper_style,
-    quantities,
 )
 from bayesfric.report.summary import LEVEL
 

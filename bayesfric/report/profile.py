@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 
 from bayesfric.identifiability.profile import DROP_90, Profile, profiles
 from bayesfric.inference.fit import Fit
+from bayesfric.report.quantity import Quantity, quantities
 from bayesfric.report.style import (
     MEASURED,
     PAGE,
@@ -19,10 +20,8 @@ from bayesfric.report.style import (
     POSTERIOR,
     SMALL,
     Array,
-    Quantity,
     few_ticks,
     paper_style,
-    quantities,
 )
 from bayesfric.report.summary import LEVEL
 

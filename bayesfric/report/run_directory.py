@@ -25,6 +25,7 @@ from bayesfric.report.captions import captions
 from bayesfric.report.comparison import comparison
 from bayesfric.report.corner import corner_figure
 from bayesfric.report.efficiency import efficiency_figure
+from bayesfric.report.figure_files import two_at_once
 from bayesfric.report.forest import forest_figure
 from bayesfric.report.friction import friction_figure
 from bayesfric.report.methods_text import methods_text
@@ -33,7 +34,6 @@ from bayesfric.report.prediction import prediction_figure
 from bayesfric.report.prior_posterior import prior_posterior_figure
 from bayesfric.report.residual import residual_figure
 from bayesfric.report.ridge import ridge_figure
-from bayesfric.report.style import save
 from bayesfric.report.summary_texts import summary_texts
 from bayesfric.report.trace import trace_figure
 from bayesfric.report.validation_figure import validation_figure
@@ -181,11 +181,12 @@ def write_run(
         figures = beside / "figures"
         figures.mkdir()
         drawn = []
-        for stem, draw in FIGURES.items():
-            if (figure := draw(fit, summary)) is not None:
-                save(figure, figures, stem)
-                drawn.append(stem)
-        save(forest_figure(comparison({folder.name: summary})), figures, "methods")
+        with two_at_once(figures) as save:
+            for stem, draw in FIGURES.items():
+                if (figure := draw(fit, summary)) is not None:
+                    save(figure, stem)
+                    drawn.append(stem)
+            save(forest_figure(comparison({folder.name: summary})), "methods")
         said = methods_text(fit, summary)
         texts = summary_texts(summary, folder.name) | {
             "text/methods.txt": said.plain,

@@ -6,7 +6,6 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal
@@ -18,10 +17,6 @@ from matplotlib.figure import Figure
 from matplotlib.mathtext import MathTextParser
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from numpy.typing import NDArray
-
-from bayesfric.inference.fit import Fit
-from bayesfric.inference.priors import Prior
-from bayesfric.report.noise_summary import noise_unit
 
 Array = NDArray[np.float64]
 LineStyle = Literal["solid"] | tuple[float, Sequence[float]]
@@ -135,51 +130,6 @@ def line_style(k: int) -> tuple[str, LineStyle]:
     return PALETTE[k % colours], LINE_STYLES[(k + k // colours) % len(LINE_STYLES)]
 
 
-@dataclass(frozen=True)
-class Quantity:
-    """A sampled parameter as figures show it.
-
-    Attributes
-    ----------
-    name
-        As in ``posterior.names``.
-    symbol
-        With dollar signs, ready for Matplotlib.
-    unit
-        SI, empty where there is none.
-    draws
-        ``(ensembles, walkers, steps)`` in ``unit``.
-    prior
-        Of the parameter.
-    """
-
-    name: str
-    symbol: str
-    unit: str
-    draws: Array
-    prior: Prior
-
-    @property
-    def exponent(self) -> int:
-        """Power of ten that is taken out of the numbers on an axis."""
-        low, high = (float(v) for v in np.quantile(self.draws, [0.05, 0.95]))
-        return power_of_ten(low, high)
-
-    @property
-    def factor(self) -> float:
-        """What one on an axis stands for, in ``unit``."""
-        return float(10.0**self.exponent)
-
-    @property
-    def scaled_unit(self) -> str:
-        """Unit on an axis, with the power of ten; a dash where there is neither."""
-        return scaled_unit(self.exponent, self.unit)
-
-    def label(self, between: str = " ") -> str:
-        """Symbol and unit for an axis, with ``between`` between them."""
-        return f"{self.symbol}{between}({self.scaled_unit})"
-
-
 def power_of_ten(low: float, high: float) -> int:
     """Power of ten to take out of the numbers of an axis from ``low`` to ``high``."""
     largest = max(abs(low), abs(high))
@@ -195,20 +145,6 @@ def scaled_unit(exponent: int, unit: str) -> str:
     """Write the unit of an axis with its power of ten; a dash where there is neither."""
     power = f"10$^{{{exponent}}}$" if exponent else ""
     return " ".join(part for part in (power, unit) if part) or "–"
-
-
-def quantities(fit: Fit) -> list[Quantity]:
-    """List the sampled parameters of a fit, noise scales last."""
-    posterior, noise = fit.posterior, fit.target.noise
-    said = {p.name: (p.symbol, p.unit) for p in fit.chain.parameters}
-    said |= {
-        name: (symbol, noise_unit(fit, kind))
-        for name, symbol, kind in zip(noise.names, noise.symbols, noise.quantities, strict=True)
-    }
-    return [
-        Quantity(name, mathtext(said[name][0], name), said[name][1], posterior[name], prior)
-        for name, prior in zip(posterior.names, posterior.priors, strict=True)
-    ]
 
 
 @cache
@@ -264,10 +200,3 @@ def few_ticks(axis: Axis, most: int, *, inner: bool = False) -> None:
     formatter = ScalarFormatter(useOffset=False)
     formatter.set_scientific(False)
     axis.set_major_formatter(formatter)
-
-
-def not_shown(left_out: list[Quantity]) -> str:
-    """Name what a figure leaves out; empty if that is nothing."""
-    if not left_out:
-        return ""
-    return "not shown: " + ", ".join(q.symbol for q in left_out)

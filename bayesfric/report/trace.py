@@ -10,17 +10,8 @@ from numpy.typing import NDArray
 
 from bayesfric.inference.convergence import autocorrelation
 from bayesfric.inference.fit import Fit
-from bayesfric.report.style import (
-    PAGE,
-    SMALL,
-    Array,
-    Quantity,
-    few_ticks,
-    line_style,
-    not_shown,
-    paper_style,
-    quantities,
-)
+from bayesfric.report.quantity import Quantity, not_shown, quantities
+from bayesfric.report.style import PAGE, SMALL, Array, few_ticks, line_style, paper_style
 from bayesfric.report.summary import LEVEL
 
 _MOST = 14

@@ -5,7 +5,7 @@ import pytest
 
 from bayesfric.errors import BadInput
 from bayesfric.report.corner import corner_figure
-from bayesfric.report.style import quantities
+from bayesfric.report.quantity import quantities
 
 from .conftest import draw_fast
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from bayesfric.report.prior_posterior import prior_posterior_figure
-from bayesfric.report.style import PAGE, quantities
+from bayesfric.report.quantity import quantities
+from bayesfric.report.style import PAGE
 from bayesfric.report.summary import summarise
 
 from .conftest import draw_fast
