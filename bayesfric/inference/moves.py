@@ -20,6 +20,7 @@ from emcee.moves import Move
 from numpy.typing import NDArray
 
 from bayesfric.inference.proposal import Proposal
+from bayesfric.inference.surrogate import Surrogate
 
 Array = NDArray[np.float64]
 Chosen = NDArray[np.bool_]
@@ -101,3 +102,68 @@ class IndependenceMove(_VectorisedMove):
         factors = self.proposal.log_density(state.coords) - self.proposal.log_density(proposed)
         some = np.arange(state.coords.shape[0])
         return state, self._judge(model, state, some, proposed, factors)
+
+
+class LearningMove(Move):  # type: ignore[misc]
+    """Whatever a warm-up has learned so far; :attr:`move` may be replaced between blocks."""
+
+    def __init__(self, move: Move) -> None:
+        self.move = move
+
+    def propose(self, model: Any, state: Any) -> tuple[Any, Chosen]:
+        """Hand over to the move of the moment."""
+        moved: tuple[Any, Chosen] = self.move.propose(model, state)
+        return moved
+
+
+class SurrogateMove(_VectorisedMove):
+    """Walk on a surrogate for a while, and ask the posterior only about where that ends.
+
+    Every walker makes ``walk`` Metropolis steps that leave the surrogate invariant. The end is
+    accepted with the ratio of posterior over surrogate, there and at the beginning
+    (Liu 2001, section 9.4.3; Christen and Fox 2005). The posterior stays invariant
+    whatever the surrogate; one that follows it gives nearly independent draws, each for one
+    simulation. Steps are mixed at random from two reversible kinds, independent draws
+    and normal steps, which the walk as a whole needs to be reversible itself.
+
+    Parameters
+    ----------
+    surrogate, proposal
+        Fitted to the warm-up, then frozen.
+    walk
+        Steps on the surrogate.
+    """
+
+    def __init__(self, surrogate: Surrogate, proposal: Proposal, walk: int = 200) -> None:
+        self.surrogate, self.proposal = surrogate, proposal
+        # the wide component has the covariance of all draws
+        self._step = 2.38 / math.sqrt(proposal.dimension) * proposal.roots[-1]
+        self._walk = walk
+
+    def propose(self, model: Any, state: Any) -> tuple[Any, Chosen]:
+        """Move all walkers at once."""
+        random = model.random
+        begun = self.surrogate(state.coords)
+        where, height = state.coords.copy(), begun.copy()
+        suits = self.proposal.log_density(where)
+        n, d = where.shape
+        for _ in range(self._walk):
+            trial = self.proposal.draw(n, random)
+            near = random.rand(n) < 0.5
+            trial[near] = where[near] + random.randn(int(near.sum()), d) @ self._step.T
+            there, would_suit = self.surrogate(trial), self.proposal.log_density(trial)
+            gain = there - height
+            gain[~near] += (suits - would_suit)[~near]
+            taken = gain > np.log(random.rand(n))
+            where[taken], height[taken], suits[taken] = (
+                trial[taken],
+                there[taken],
+                would_suit[taken],
+            )
+        # a walker that never left is where it was: nothing to ask
+        moved = np.flatnonzero((where != state.coords).any(axis=1))
+        accepted = np.zeros(n, dtype=np.bool_)
+        accepted[moved] = self._judge(
+            model, state, moved, where[moved], begun[moved] - height[moved]
+        )
+        return state, accepted

@@ -20,10 +20,16 @@ from bayesfric.inference.convergence import (
     effective_sample_size,
     nested_rhat,
 )
-from bayesfric.inference.moves import DifferentialEvolutionMove, IndependenceMove
+from bayesfric.inference.moves import (
+    DifferentialEvolutionMove,
+    IndependenceMove,
+    LearningMove,
+    SurrogateMove,
+)
 from bayesfric.inference.posterior import Diagnostics, Posterior, Status
 from bayesfric.inference.proposal import Proposal
 from bayesfric.inference.start import Start
+from bayesfric.inference.surrogate import Surrogate
 from bayesfric.inference.target import Target
 
 Array = NDArray[np.float64]
@@ -32,6 +38,8 @@ Array = NDArray[np.float64]
 _UNUSABLE_RHAT = 1.1
 # Blocks of warm-up at least, so that the proposal has learned from what it proposed.
 _LEAST_BLOCKS = 3
+# Share of the steps that go where the walkers are, for what no proposal has learned.
+_OTHERWISE = 0.2
 # Draws kept in the result, over all walkers; more only makes the file larger.
 _KEPT_DRAWS = 20_000
 
@@ -138,7 +146,7 @@ def sample(
     block = min(block, max(settings.max_steps // 8, 10))
     # The normal at the mode to begin with, then whatever the walkers have found: until it is
     # frozen the proposal may learn, because none of these steps count.
-    learning = IndependenceMove(Proposal.normal(start.mode, start.covariance))
+    learning = LearningMove(IndependenceMove(Proposal.normal(start.mode, start.covariance)))
     search = DifferentialEvolutionMove(settings.ensembles)
     first_moves = [(learning, 0.5), (search, 0.5)]
     warm = _Ensembles(target, first_moves, positions, random, checkpoint, "warm-up")
@@ -154,12 +162,12 @@ def sample(
         )
         if settled or warm.steps >= settings.max_steps // 4:
             break
-        learning.proposal = Proposal.fitted(half.reshape(-1, d))
+        learning.move = _learned(target, warm)
     # Where the posterior really lies, a likelihood can be prepared best.
     target = target.prepared(_spread_out(half))
     moves = [
-        (IndependenceMove(Proposal.fitted(half.reshape(-1, d))), 0.8),
-        (DifferentialEvolutionMove(settings.ensembles), 0.2),
+        (_learned(target, warm), 1.0 - _OTHERWISE),
+        (DifferentialEvolutionMove(settings.ensembles), _OTHERWISE),
     ]
     main = _Ensembles(target, moves, warm.positions(), random, checkpoint, "sampling")
     while True:
@@ -330,6 +338,18 @@ class _Ensembles:
     def acceptance(self) -> Array:
         """Give the accepted share of each walker's proposals, ``(ensembles, walkers)``."""
         return np.asarray(self._sampler.acceptance_fraction).reshape(self._shape[:2])
+
+
+def _learned(target: Target, warm: _Ensembles) -> IndependenceMove | SurrogateMove:
+    """Make the best proposal that the second half of a warm-up allows."""
+    half = warm.chain()[:, :, warm.steps // 2 :].reshape(-1, target.dimension)
+    proposal = Proposal.fitted(half)
+    if target.likelihood.method != "input-error":
+        heights = warm.log_density()[:, :, warm.steps // 2 :].ravel()
+        surrogate = Surrogate.fitted(target.log_prior_in_coordinates, half, heights)
+        if surrogate is not None:
+            return SurrogateMove(surrogate, proposal)
+    return IndependenceMove(proposal)
 
 
 def _spread_out(chain: Array) -> Array:

@@ -126,13 +126,13 @@ class Target:
         scales = self.noise.scales(parameters[:, len(self.free) :])
         return self.likelihood.log_density(self.chain_values(parameters), scales)
 
+    def log_prior_in_coordinates(self, u: Array) -> Array:
+        """Log prior density in coordinates, ``(n, d)`` to ``(n,)``; nothing is simulated."""
+        return self._prior_and_parameters(u)[0]
+
     def __call__(self, u: Array) -> Array:
         """Log posterior density in coordinates, ``(n, d)`` to ``(n,)``."""
-        parameters, jacobian = self.to_parameters(u)
-        out = np.where(np.isfinite(jacobian), jacobian, -np.inf)
-        out[~np.isfinite(parameters).all(axis=1)] = -np.inf
-        possible = np.isfinite(out)
-        out[possible] += self.log_prior(parameters[possible])
+        out, parameters = self._prior_and_parameters(u)
         possible = np.isfinite(out)
         if possible.any():
             density = self.log_likelihood(parameters[possible])
@@ -140,3 +140,11 @@ class Target:
             self.not_finite += int(bad.sum())
             out[possible] += np.where(bad, -np.inf, density)
         return out
+
+    def _prior_and_parameters(self, u: Array) -> tuple[Array, Array]:
+        parameters, jacobian = self.to_parameters(u)
+        out = np.where(np.isfinite(jacobian), jacobian, -np.inf)
+        out[~np.isfinite(parameters).all(axis=1)] = -np.inf
+        possible = np.isfinite(out)
+        out[possible] += self.log_prior(parameters[possible])
+        return out, parameters

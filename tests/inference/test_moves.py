@@ -6,8 +6,14 @@ import pytest
 from scipy import stats
 
 from bayesfric.inference.convergence import autocorrelation_time
-from bayesfric.inference.moves import DifferentialEvolutionMove, IndependenceMove
+from bayesfric.inference.moves import (
+    DifferentialEvolutionMove,
+    IndependenceMove,
+    LearningMove,
+    SurrogateMove,
+)
 from bayesfric.inference.proposal import Proposal
+from bayesfric.inference.surrogate import Surrogate
 
 
 def run(log_density, starts, moves, steps, seed=0):
@@ -29,14 +35,30 @@ def make_moves(name, d):
     if name == "de":
         return [(DifferentialEvolutionMove(), 1.0)]
     # a proposal as wrong as a short warm-up makes it
-    independence = IndependenceMove(Proposal.normal(0.3 * np.ones(d) * 1e-2, 1.4 * covariance(d)))
+    proposal = Proposal.normal(0.3 * np.ones(d) * 1e-2, 1.4 * covariance(d))
+    independence = IndependenceMove(proposal)
+    if name == "surrogate":
+        # shifted, too narrow in all directions, and bent where the posterior is not
+        whiten = np.linalg.inv(np.linalg.cholesky(covariance(d))).T
+        third = np.zeros((d, d, d))
+        third[0, 0, 0] = 0.02
+        wrong = Surrogate(
+            lambda u: np.zeros(len(u)),
+            np.zeros(d),
+            whiten,
+            np.full(d, 0.1),
+            -0.55 * np.eye(d),
+            third,
+            4.0,
+        )
+        return [(LearningMove(SurrogateMove(wrong, proposal, walk=20)), 1.0)]
     if name == "independence":
         return [(independence, 1.0)]
     return [(independence, 0.7), (DifferentialEvolutionMove(), 0.3)]
 
 
 @pytest.mark.parametrize("d", [2, 6, 12, 20])
-@pytest.mark.parametrize("name", ["de", "independence", "mix"])
+@pytest.mark.parametrize("name", ["de", "independence", "mix", "surrogate"])
 def test_moves_sample_a_correlated_normal_exactly(name, d):
     sigma = covariance(d)
     precision = np.linalg.inv(sigma)
@@ -47,7 +69,7 @@ def test_moves_sample_a_correlated_normal_exactly(name, d):
 
     walkers = 4 * d + 20
     starts = np.random.default_rng(1).normal(size=(walkers, d)) @ root.T
-    steps = {"de": 4000, "independence": 2500, "mix": 2500}[name]
+    steps = {"de": 4000, "surrogate": 400}.get(name, 2500)
     chain = run(log_density, starts, make_moves(name, d), steps)
     white = chain @ np.linalg.inv(root).T
     tau = autocorrelation_time(white).max()
@@ -59,7 +81,7 @@ def test_moves_sample_a_correlated_normal_exactly(name, d):
     assert n > 2000.0
 
 
-@pytest.mark.parametrize("name", ["de", "mix"])
+@pytest.mark.parametrize("name", ["de", "mix", "surrogate"])
 def test_moves_keep_a_skewed_posterior_with_a_wall(name):
     """An exponential and a gamma: a wall at zero, no normal tails."""
     gamma = stats.gamma(3.0)
@@ -75,7 +97,14 @@ def test_moves_keep_a_skewed_posterior_with_a_wall(name):
     if name == "mix":
         proposal = IndependenceMove(Proposal.normal(np.array([1.0, 3.0]), np.diag([1.0, 3.0])))
         moves = [(proposal, 0.7), (DifferentialEvolutionMove(), 0.3)]
-    chain = run(log_density, starts, moves, 6000)[:, :, 500:]
+    if name == "surrogate":
+        known = np.random.default_rng(4).gamma(3.0, size=(400, 2))
+        wall = lambda x: np.where((x > 0.0).all(axis=1), 0.0, -np.inf)  # noqa: E731
+        surrogate = Surrogate.fitted(wall, known, log_density(known))
+        proposal = Proposal.normal(np.array([1.0, 3.0]), np.diag([1.0, 3.0]))
+        moves = [(SurrogateMove(surrogate, proposal, walk=10), 0.8), (moves[0][0], 0.2)]
+    steps = 1500 if name == "surrogate" else 6000
+    chain = run(log_density, starts, moves, steps)[:, :, 500:]
     n = chain[..., 0].size / autocorrelation_time(chain)
     flat = chain.reshape(-1, 2)
     assert abs(flat[:, 0].mean() - 1.0) < 5.0 / np.sqrt(n[0])

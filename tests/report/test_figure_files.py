@@ -103,14 +103,23 @@ def test_one_core_needs_no_second_process(tmp_path, monkeypatch, helpers):
 def test_a_folder_that_vanished_is_told_here(tmp_path, helpers):
     folder = tmp_path / "run"
     folder.mkdir()
-    with pytest.raises(FileNotFoundError), two_at_once(folder) as share:
-        folder.rmdir()
-        share(figure(0), "figure")
+
+    def draw():
+        with two_at_once(folder) as share:
+            folder.rmdir()
+            share(figure(0), "figure")
+
+    with pytest.raises(FileNotFoundError):
+        draw()
     assert helpers[0].returncode is not None
 
 
 def test_an_error_while_drawing_ends_the_second_process(tmp_path, helpers):
-    with pytest.raises(ZeroDivisionError), two_at_once(tmp_path) as share:
-        share(figure(0), "figure")
-        raise ZeroDivisionError
+    def draw():
+        with two_at_once(tmp_path) as share:
+            share(figure(0), "figure")
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        draw()
     assert helpers[0].returncode == -signal.SIGKILL
