@@ -131,14 +131,14 @@ class SurrogateMove(_VectorisedMove):
     surrogate, proposal
         Fitted to the warm-up, then frozen.
     walk
-        Steps on the surrogate.
+        Steps on the surrogate, 15 for every dimension if left out.
     """
 
-    def __init__(self, surrogate: Surrogate, proposal: Proposal, walk: int = 200) -> None:
+    def __init__(self, surrogate: Surrogate, proposal: Proposal, walk: int = 0) -> None:
         self.surrogate, self.proposal = surrogate, proposal
         # the wide component has the covariance of all draws
         self._step = 2.38 / math.sqrt(proposal.dimension) * proposal.roots[-1]
-        self._walk = walk
+        self._walk = walk or 15 * proposal.dimension
 
     def propose(self, model: Any, state: Any) -> tuple[Any, Chosen]:
         """Move all walkers at once."""

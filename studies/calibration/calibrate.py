@@ -166,7 +166,7 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
     target, truth = recording(case, rng)
     settings = SETTINGS.model_copy(update={"seed": int(rng.integers(2**31))})
     if case.made is None:  # every step simulates
-        settings = settings.model_copy(update={"walkers": 32})
+        settings = settings.model_copy(update={"walkers": 12})
     if case.move == "snooker":
         settings, own = settings.model_copy(update={"max_steps": 800}), sampling._Ensembles
         mix = [(emcee.moves.DEMove(), 0.2), (emcee.moves.DESnookerMove(), 0.8)]
