@@ -148,7 +148,9 @@ class FastMoments:
         work = distance.size * (m.matrices.shape[0] * size**2 + n2 * m.ratios.size // 4)
         threads = get_num_threads() if work > _WORTH_THREADS else 1
         run = _in_threads if threads > 1 else _in_line
-        found: Array = run(4 * threads, z, known.leg, known.lambda2, looked, self.order, *arrays)
+        # one layout: for another all would be compiled again
+        leg = np.ascontiguousarray(known.leg)
+        found: Array = run(4 * threads, z, leg, known.lambda2, looked, self.order, *arrays)
         return found
 
 

@@ -239,12 +239,19 @@ def _slopes(
         for m in range(first[i], last[i]):
             weight = weights[i, m - first[i]]
             if inner[m]:
-                out[i, 0] += 2.0 * weight * rows[m]
+                _add(out[i, 0], 2.0 * weight, rows[m])
             for h in range(1, out.shape[1]):
                 if age[m] >= h and (inner[m] or inner[m - h]):
-                    out[i, h] += weight * rows[m - h]
+                    _add(out[i, h], weight, rows[m - h])
                 if remaining[m] >= h and (inner[m] or inner[m + h]):
-                    out[i, h] += weight * rows[m + h]
+                    _add(out[i, h], weight, rows[m + h])
+
+
+@njit(cache=True)
+def _add(total: Array, weight: float, row: Array) -> None:
+    # in one statement this would compile for seconds, for the sake of its error message
+    for k in range(row.shape[0]):
+        total[k] += weight * row[k]
 
 
 class _Candidates:
