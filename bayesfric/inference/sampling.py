@@ -39,7 +39,7 @@ _UNUSABLE_RHAT = 1.1
 # Blocks of warm-up at least, so that the proposal has learned from what it proposed.
 _LEAST_BLOCKS = 3
 # Share of the steps that go where the walkers are, for what no proposal has learned.
-_OTHERWISE = 0.2
+_OTHERWISE = 0.1
 # Draws kept in the result, over all walkers; more only makes the file larger.
 _KEPT_DRAWS = 20_000
 
