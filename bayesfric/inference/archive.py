@@ -14,13 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-with warnings.catch_warnings():
-    # 0.23 announces its own refactoring once a day, on import
-    warnings.simplefilter("ignore", FutureWarning)
-    import arviz
-
-_OLD = int(arviz.__version__.partition(".")[0]) < 1
-
 # Bytes beside the numbers: tables, names, labels. And bytes that are written in one go.
 _TABLES = 2**18
 _PIECE = 2**20
@@ -59,13 +52,13 @@ def write_archive(
     """
     options = {"dims": dict(dims), "coords": dict(coords)}
     named = {group: dict(variables) for group, variables in groups.items()}
-    # Any: the two versions' signatures have nothing in common
-    from_dict: Any = arviz.from_dict
+    arviz = _arviz()
     with warnings.catch_warnings():
         # walkers are stored as chains, and there may well be more of them than kept draws
         warnings.filterwarnings("ignore", "More chains", UserWarning)
         warnings.filterwarnings("ignore", "Found chain dimension to be longer", UserWarning)
-        data = from_dict(**named, **options) if _OLD else from_dict(named, **options)
+        old = int(arviz.__version__.partition(".")[0]) < 1
+        data = arviz.from_dict(**named, **options) if old else arviz.from_dict(named, **options)
     for group in groups:
         # a time stamp would make two runs of one seed differ
         data[group].attrs.pop("created_at", None)
@@ -90,10 +83,21 @@ def _try_room(path: Path, size: int) -> None:
 
 def read_archive(path: Path) -> Any:
     """Read what :func:`write_archive` wrote; groups are addressed as ``data["posterior"]``."""
-    read: Any = arviz.from_netcdf
-    return read(str(path), engine="h5netcdf")
+    return _arviz().from_netcdf(str(path), engine="h5netcdf")
 
 
 def as_chains(draws: NDArray[np.float64]) -> NDArray[np.float64]:
     """Lay ensembles and walkers side by side: ``(e, w, s, ...)`` to ``(e * w, s, ...)``."""
     return draws.reshape(-1, *draws.shape[2:])
+
+
+def _arviz() -> Any:
+    """Import ArviZ, with xarray and pandas, where it is needed: it takes a second or more.
+
+    ``Any``: the two versions' signatures have nothing in common.
+    """
+    with warnings.catch_warnings():
+        # 0.23 announces its own refactoring once a day, on import
+        warnings.simplefilter("ignore", FutureWarning)
+        import arviz
+    return arviz

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import corner
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -178,6 +177,8 @@ def _pair(
 
 def _label(axes: dict[tuple[int, int], Axes], shown: list[Quantity], panel: float) -> None:
     """Label the outer panels, on two lines: a panel is hardly wider than a unit."""
+    import corner  # brings ArviZ along, which takes a second or more
+
     k = len(shown)
     said: dict[str, Any] = {"linespacing": 1.3, "fontsize": SMALL if k > 6 else 8.0}
     for (i, j), ax in axes.items():

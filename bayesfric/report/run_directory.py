@@ -177,16 +177,17 @@ def write_run(
             json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False) + "\n",
             encoding="utf-8",
         )
-        write_posterior(beside / "posterior.nc", fit, config_text, recordings)
         figures = beside / "figures"
         figures.mkdir()
         drawn = []
         with two_at_once(figures) as save:
+            # the largest first, and the draws while the second process saves it
+            save(forest_figure(comparison({folder.name: summary})), "methods")
+            write_posterior(beside / "posterior.nc", fit, config_text, recordings)
             for stem, draw in FIGURES.items():
                 if (figure := draw(fit, summary)) is not None:
                     save(figure, stem)
                     drawn.append(stem)
-            save(forest_figure(comparison({folder.name: summary})), "methods")
         said = methods_text(fit, summary)
         texts = summary_texts(summary, folder.name) | {
             "text/methods.txt": said.plain,
