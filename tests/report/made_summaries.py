@@ -167,3 +167,16 @@ def old():
     for name in TOTALS:
         del run["derived"][name]
     return run
+
+
+def every_kind():
+    """Return a run with every kind of number there is."""
+    run = copy.deepcopy(knee())
+    rows = run["parameters"]
+    rows["motor.coulomb_positive"] = posterior_row("N m", 0.02, 0.015, verdict="weak")
+    rows["motor.coulomb_positive"] |= {"median": 0.016, "interval": [0.002, 0.051]}
+    limit = {"at_bound": "lower", "data_sd": 0.01, "prior_sd": 1.0}
+    rows["motor.coulomb_negative"] = posterior_row("N m", 0.02, 0.015, verdict="prior", **limit)
+    rows["motor_50%.inertia"] = posterior_row("kg", 95123.0, 310.0)
+    run["fixed"] = {"offset": {"unit": "N m", "value": -0.0213}}
+    return run
