@@ -2,6 +2,9 @@
 
 import copy
 
+import h5py
+import numpy as np
+
 # name: unit, symbol, value, plain sd, sd for correlated residuals
 TOTALS = {
     "total.inertia": ("kg m²", "J_t", 4.62e-4, 4.1e-7, 1.3e-6),
@@ -152,6 +155,16 @@ def loaded():
         row["mean"] += 0.7 * row["sd"]
         row["interval"] = [end + 0.7 * row["sd"] for end in row["interval"]]
     return run
+
+
+def write_draws(path, summary):
+    """Write normal draws of every number, with its mean and sd, as a posterior.nc holds them."""
+    rng = np.random.default_rng(8)
+    with h5py.File(path, "w") as file:
+        for name, row in {**summary["derived"], **summary["parameters"]}.items():
+            middle = row["mean"] if row["median"] is None else row["median"]
+            draws = middle + row["sd"] * rng.standard_normal((40, 50))
+            file.create_dataset(f"posterior/{name}", data=draws)
 
 
 def old():
