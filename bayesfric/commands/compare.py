@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from bayesfric.errors import BadInput
+from bayesfric.mechanism.chain import Chain
 from bayesfric.report.comparison import Comparison, comparison
 from bayesfric.report.comparison_table import (
     comparison_csv,
@@ -32,7 +33,8 @@ def compare(
         Run directories; of a single one its methods are compared.
     output
         Folder to make: ``report.html``, ``comparison.csv``, ``.md`` and ``.json``,
-        ``figures/forest.pdf``, ``.svg`` and ``.png``, of several runs ``between-runs.csv``.
+        ``figures/forest.pdf``, ``.svg`` and ``.png``; of several runs ``between-runs.csv``
+        and, where two hold their draws, ``figures/overlay``.
     estimates
         Whether to show point estimates; if left out, of a single run only.
 
@@ -48,9 +50,11 @@ def compare(
     # these bring ArviZ and Matplotlib along, which the table alone does without
     from bayesfric.report.between_runs import between_runs, between_runs_csv
     from bayesfric.report.forest import forest_figure
+    from bayesfric.report.overlay import overlay, overlay_figure
     from bayesfric.report.page.compare_page import compare_page, shared_recordings
     from bayesfric.report.page.provenance import read_provenance
     from bayesfric.report.run_directory import check_free, made_beside
+    from bayesfric.report.run_draws import read_draws
     from bayesfric.report.style import save
 
     check_free(output, force=None)
@@ -62,6 +66,12 @@ def compare(
     pooled = [] if shared_recordings(provenance) else between_runs(checked)
     order = {row.name: k for k, row in enumerate(found.rows)}
     pooled.sort(key=lambda one: order[one.name])
+    draws = {
+        name: read_draws(run, checked[name], _chain)
+        for name, run in zip(summaries, runs, strict=True)
+        if len(runs) > 1
+    }
+    overlaid = overlay(found, checked, draws, pooled) if draws else None
     with made_beside(output) as beside:
         (beside / "comparison.csv").write_text(comparison_csv(found), encoding="utf-8")
         (beside / "comparison.md").write_text(comparison_markdown(found), encoding="utf-8")
@@ -72,11 +82,23 @@ def compare(
         )
         (beside / "figures").mkdir()
         save(figure, beside / "figures", "forest")
+        if overlaid and overlaid.panels:
+            save(overlay_figure(overlaid), beside / "figures", "overlay")
         if len(checked) > 1:
             (beside / "between-runs.csv").write_text(between_runs_csv(pooled), encoding="utf-8")
-        page = compare_page(beside, found, summaries, checked, pooled, provenance)
+        page = compare_page(beside, found, summaries, checked, pooled, provenance, overlaid)
         (beside / "report.html").write_text(page, encoding="utf-8")
     return found
+
+
+def _chain(config: str) -> Chain | None:
+    """Rebuild a run's chain from its configuration, where this version still reads that."""
+    from bayesfric.config import parse_config
+
+    try:
+        return parse_config(config, Path("config.toml")).tables.mechanism.chain()
+    except BadInput:
+        return None
 
 
 def read_summaries(runs: Sequence[Path]) -> dict[str, Mapping[str, Any]]:

@@ -1,4 +1,4 @@
-"""Captions of a run's figures: what is drawn, and what it says of this run in words."""
+"""Captions of all figures: what is drawn, and what it says of this run in words."""
 
 from __future__ import annotations
 
@@ -70,6 +70,38 @@ def validation_caption(fit: Fit) -> str:
     )
 
 
+_BARS = (
+    f"Thick: {_SHARE}, accounting for correlated residuals; thin: taking them for uncorrelated; "
+    "open symbols: not determined, dotted what fits as well."
+)
+# The same for every run. ``forest`` and ``overlay`` are of comparisons.
+FIXED: dict[str, str] = {
+    "methods": f"Every quantity by every method and by the posterior. {_BARS}",
+    "forest": _BARS,
+    "overlay": (
+        "Marginal posterior density of every run, the area below each curve being one: filled "
+        "where the data determine the quantity, not filled where the prior has a say or the data "
+        "tell from one side only, hatched where they leave it open: then it is prior and bounds "
+        "that are seen. What the data of no run determine is left out."
+    ),
+    "ridge": (
+        "Draws of the posterior against the line along which no torque changes, between the ends "
+        "that a passive gearbox sets. Below: the torque at both ends of the line and in its "
+        "middle, and their difference."
+    ),
+    "prediction": (
+        "What was measured and what the posterior predicts, noise included, with residuals below."
+    ),
+    "corner": (
+        f"Diagonal: posterior density, prior (dashed) and {_SHARE} interval. Below: 50 % and 90 % "
+        "of the draws. A parameter that the data leave open has an interval here too: that of the "
+        "prior and of the bounds."
+    ),
+    "trace": (
+        "Median and spread of the walkers of every ensemble along the steps kept, and the "
+        "autocorrelation of what the ensembles drew."
+    ),
+}
 CAPTIONS: dict[str, Callable[[Fit], str]] = {
     "friction": friction_caption,
     "efficiency": efficiency_caption,
@@ -81,4 +113,6 @@ CAPTIONS: dict[str, Callable[[Fit], str]] = {
 
 def captions(fit: Fit, stems: Sequence[str]) -> str:
     """Write the captions of the named figures, those that have one, as Markdown."""
-    return "\n".join(f"**{stem}**: {CAPTIONS[stem](fit)}\n" for stem in stems if stem in CAPTIONS)
+    written = {stem: CAPTIONS[stem](fit) for stem in stems if stem in CAPTIONS}
+    written |= {stem: FIXED[stem] for stem in stems if stem in FIXED}
+    return "\n".join(f"**{stem}**: {written[stem]}\n" for stem in stems if stem in written)

@@ -150,6 +150,8 @@ def _pair(
     x_limits: tuple[float, float],
     y_limits: tuple[float, float],
 ) -> None:
+    import corner  # brings ArviZ along, which takes a second or more
+
     if _moves(x) and _moves(y):
         corner.hist2d(
             x,
@@ -177,8 +179,6 @@ def _pair(
 
 def _label(axes: dict[tuple[int, int], Axes], shown: list[Quantity], panel: float) -> None:
     """Label the outer panels, on two lines: a panel is hardly wider than a unit."""
-    import corner  # brings ArviZ along, which takes a second or more
-
     k = len(shown)
     said: dict[str, Any] = {"linespacing": 1.3, "fontsize": SMALL if k > 6 else 8.0}
     for (i, j), ax in axes.items():

@@ -19,12 +19,12 @@ from bayesfric.report.style import (
     MEASURED,
     PAGE,
     PALETTE,
-    POSTERIOR,
     SMALL,
     few_ticks,
     mathtext,
     paper_style,
     power_of_ten,
+    run_style,
     scaled_unit,
 )
 
@@ -49,14 +49,7 @@ _ESTIMATES = {
     "input-error": ("^", "#5e5e5e"),
     "output-error": ("D", MEASURED),
 }
-_POSTERIORS = (
-    ("o", POSTERIOR),
-    ("v", PALETTE[0]),
-    ("P", PALETTE[3]),
-    ("X", PALETTE[1]),
-    ("<", PALETTE[0]),
-    (">", PALETTE[3]),
-)
+_POSTERIORS = ("o", "v", "P", "X", "<", ">")
 
 
 @dataclass(frozen=True)
@@ -157,7 +150,7 @@ def _styled(columns: list[Column]) -> list[_Line]:
         if column.method is not None:
             marker, colour = _ESTIMATES[column.method]
         else:
-            marker, colour = _POSTERIORS[posteriors % len(_POSTERIORS)]
+            marker, colour = _POSTERIORS[posteriors % len(_POSTERIORS)], run_style(posteriors)[0]
             posteriors += 1
         lines.append(_Line(column, float(len(columns) - 1 - k), marker, colour))
     return lines

@@ -117,8 +117,9 @@ def with_ends(value: float, low: float, high: float, sd: float) -> str:
         rounded(high, last) - rounded(value, last),
         rounded(value, last) - rounded(low, last),
     )
-    middle = digits(value, last, exponent)
-    ends = rf"^{{+{up.scaleb(-exponent):f}}}_{{-{down.scaleb(-exponent):f}}}"
+    middle = rf"\num{{{digits(value, last, exponent)}}}"
+    above, below = (f"{x.scaleb(-exponent):f}" for x in (up, down))
+    ends = rf"^{{+\num{{{above}}}}}_{{-\num{{{below}}}}}"
     if not exponent:
         return f"${middle}{ends}$"
     return rf"$({middle}{ends})\times 10^{{{exponent}}}$"
@@ -128,7 +129,8 @@ def interval(low: float, high: float, sd: float) -> str:
     """Write both ends to the digit that the sd sets."""
     last = last_digit(sd)
     exponent = shared_exponent(max(abs(low), abs(high)), last)
-    ends = ", ".join(digits(end, last, exponent) for end in (low, high))
+    # \num groups digits as it does in the value beside it
+    ends = ", ".join(rf"\num{{{digits(end, last, exponent)}}}" for end in (low, high))
     return f"$[{ends}]$" if not exponent else rf"$[{ends}]\times 10^{{{exponent}}}$"
 
 

@@ -75,8 +75,20 @@ def methods_text(fit: Fit, summary: Mapping[str, Any]) -> MethodsText:
         parts += [rf"~\cite{{{match[1].replace(';@', ',')}}}"]
         last = match.end()
     parts.append(latex.escaped(marked[last:]))
-    typeset = re.sub(r"(\d) (\\%|Hz|ms|s|kg|m|N)\b", r"\1~\2", "".join(parts))
+    typeset = _typeset("".join(parts))
     return MethodsText(_CITED.sub(words, marked) + "\n", typeset + "\n", bibliography(keys), keys)
+
+
+def _typeset(text: str) -> str:
+    """Keep numbers and their units on one line, and set what has a symbol as one."""
+    text = re.sub(r"(\d) (\\%|(?:Hz|rad/s|m/s|ms|s|kg|m|N)\b)", r"\1\\,\2", text)
+    text = text.replace("\\,N m", r"\,N\,m").replace("R-hat", r"$\widehat{R}$")
+    return re.sub(r"\bp = (\d\.?\d*)(?:e([+-]\d+))?", _p_value, text)
+
+
+def _p_value(found: re.Match[str]) -> str:
+    power = rf"\times 10^{{{int(found[2])}}}" if found[2] else ""
+    return f"$p = {found[1]}{power}$"
 
 
 def _model(fit: Fit, _: Mapping[str, Any]) -> Iterator[str]:

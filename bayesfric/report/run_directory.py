@@ -193,7 +193,7 @@ def write_run(
             "text/methods.txt": said.plain,
             "text/methods.tex": said.latex,
             "text/references.bib": said.bibtex,
-            "text/captions.md": captions(fit, drawn),
+            "text/captions.md": captions(fit, [*drawn, "methods"]),
         }
         for name, text in texts.items():
             (beside / name).parent.mkdir(exist_ok=True)

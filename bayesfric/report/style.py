@@ -42,6 +42,8 @@ MEASURED = "#3a3a3a"
 BAND = "#a9d3ec"
 PRIOR = PALETTE[2]
 POSTERIOR = PALETTE[1]
+# One run has the same colour in every figure of a comparison.
+RUN_COLOURS = (POSTERIOR, PALETTE[0], PALETTE[3])
 # What the data leave open is hatched, never a plain band.
 OPEN_HATCH = "//////"
 
@@ -128,6 +130,11 @@ def line_style(k: int) -> tuple[str, LineStyle]:
     """Colour and dashes of the ``k``-th of several lines; sixteen differ."""
     colours = len(PALETTE)
     return PALETTE[k % colours], LINE_STYLES[(k + k // colours) % len(LINE_STYLES)]
+
+
+def run_style(k: int) -> tuple[str, LineStyle]:
+    """Colour and dashes of the ``k``-th of several runs; twelve differ. Orange is a reference's."""
+    return RUN_COLOURS[k % len(RUN_COLOURS)], LINE_STYLES[k % len(LINE_STYLES)]
 
 
 def power_of_ten(low: float, high: float) -> int:

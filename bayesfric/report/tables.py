@@ -211,7 +211,7 @@ def _decimal(value: float, last: int) -> str:
 def parameters_latex(table: ParameterTable) -> str:
     r"""Lay the table out as a ``table*`` for two-column papers.
 
-    It takes ``\usepackage{booktabs}`` and ``\usepackage{siunitx}`` (version 3).
+    It takes the packages array, booktabs, siunitx (version 3) and tabularx.
     """
     body: list[str] = []
     group = ""
@@ -227,31 +227,38 @@ def parameters_latex(table: ParameterTable) -> str:
         body.append(" & ".join(cells) + r" \\")
     share = rf"\qty{{{100 * table.level:g}}}{{\percent}}"
     head = rf"Symbol & Quantity & Value & {share} interval & Unit & Determined by \\"
-    caption = "Parameters of the joint. " + _sentence(table.notes)
-    columns = r"@{}l>{\raggedright\arraybackslash}p{0.29\textwidth}llll@{}"
-    return _table(caption, "tab:parameters", columns, head, body[1:])
+    columns = r"@{}l>{\raggedright\arraybackslash}Xllll@{}"
+    return _table(
+        "Parameters of the joint", _sentence(table.notes), "tab:parameters", columns, head, body[1:]
+    )
 
 
 def _sentence(notes: tuple[str, ...]) -> str:
     return latex.escaped(". ".join(notes)).replace(r" \%", r"\,\%") + "."
 
 
-def _table(caption: str, label: str, columns: str, head: str, body: list[str]) -> str:
+def _table(caption: str, notes: str, label: str, columns: str, head: str, body: list[str]) -> str:
+    # IEEE sets captions of tables in small capitals: a title can be read so, notes cannot
+    kind, width = ("tabularx", r"{\textwidth}") if "X" in columns else ("tabular", "")
     lines = [
-        r"% needs \usepackage{array,booktabs,siunitx}, siunitx version 3",
+        r"% needs \usepackage{array,booktabs,siunitx,tabularx}, siunitx version 3",
         r"\begin{table*}",
         r"\centering",
         rf"\caption{{{caption}}}",
         rf"\label{{{label}}}",
         r"\footnotesize",
         r"\setlength{\tabcolsep}{4pt}",
-        rf"\begin{{tabular}}{{{columns}}}",
+        # superscripts of one line must not touch subscripts of that above
+        r"\renewcommand{\arraystretch}{1.25}",
+        rf"\begin{{{kind}}}{width}{{{columns}}}",
         r"\toprule",
         head,
         r"\midrule",
         *body,
         r"\bottomrule",
-        r"\end{tabular}",
+        rf"\end{{{kind}}}",
+        r"\par\medskip",
+        rf"\parbox{{\textwidth}}{{\raggedright {notes}}}",
         r"\end{table*}",
     ]
     return "\n".join(lines) + "\n"
@@ -299,9 +306,12 @@ def methods_latex(found: Comparison) -> str:
         notes.append("---: not determined by the data")
     if any(c.status == "bound" for c in cells_):
         notes.append("b: on its bound")
-    caption = "Estimates by method. " + _sentence(tuple(notes))
+    if any(column.label not in row.cells for row in found.rows for column in found.columns):
+        notes.append("Empty: the method does not tell it")
     columns = "@{}ll" + "l" * len(found.columns) + "@{}"
-    return _table(caption, "tab:methods", columns, head, body)
+    return _table(
+        "Estimates by method", _sentence(tuple(notes)), "tab:methods", columns, head, body
+    )
 
 
 def _cell(cell: Cell | None) -> str:

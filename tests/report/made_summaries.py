@@ -2,6 +2,9 @@
 
 import copy
 
+import h5py
+import numpy as np
+
 # name: unit, symbol, value, plain sd, sd for correlated residuals
 TOTALS = {
     "total.inertia": ("kg m²", "J_t", 4.62e-4, 4.1e-7, 1.3e-6),
@@ -154,6 +157,16 @@ def loaded():
     return run
 
 
+def write_draws(path, summary):
+    """Write normal draws of every number, with its mean and sd, as a posterior.nc holds them."""
+    rng = np.random.default_rng(8)
+    with h5py.File(path, "w") as file:
+        for name, row in {**summary["derived"], **summary["parameters"]}.items():
+            middle = row["mean"] if row["median"] is None else row["median"]
+            draws = middle + row["sd"] * rng.standard_normal((40, 50))
+            file.create_dataset(f"posterior/{name}", data=draws)
+
+
 def old():
     """Return what the first version wrote: least squares only, none of the newer keys."""
     run = copy.deepcopy(knee())
@@ -166,4 +179,17 @@ def old():
     run["noise"] = {"model": "white", "parameters": ["noise.sigma"], "residual_lag1": 0.3}
     for name in TOTALS:
         del run["derived"][name]
+    return run
+
+
+def every_kind():
+    """Return a run with every kind of number there is."""
+    run = copy.deepcopy(knee())
+    rows = run["parameters"]
+    rows["motor.coulomb_positive"] = posterior_row("N m", 0.02, 0.015, verdict="weak")
+    rows["motor.coulomb_positive"] |= {"median": 0.016, "interval": [0.002, 0.051]}
+    limit = {"at_bound": "lower", "data_sd": 0.01, "prior_sd": 1.0}
+    rows["motor.coulomb_negative"] = posterior_row("N m", 0.02, 0.015, verdict="prior", **limit)
+    rows["motor_50%.inertia"] = posterior_row("kg", 95123.0, 310.0)
+    run["fixed"] = {"offset": {"unit": "N m", "value": -0.0213}}
     return run

@@ -21,6 +21,7 @@ def num(text):
 
 
 def ends(text):
+    text = re.sub(r"\\num\{(-?[\d.]+)\}", r"\1", text)
     found = re.fullmatch(r"\$\[(-?[\d.]+), (-?[\d.]+)\](?:\\times 10\^\{(-?\d+)\})?\$", text)
     assert found, text
     power = 10.0 ** int(found[3] or 0)
@@ -29,6 +30,7 @@ def ends(text):
 
 
 def skewed(text):
+    text = re.sub(r"\\num\{(-?[\d.]+)\}", r"\1", text)
     found = re.fullmatch(
         r"\$\(?(-?[\d.]+)\^\{\+([\d.]+)\}_\{-([\d.]+)\}\)?(?:\\times 10\^\{(-?\d+)\})?\$", text
     )

@@ -16,7 +16,7 @@ import pytest
 
 from bayesfric.commands.compare import compare
 
-from .made_summaries import knee, loaded
+from .made_summaries import knee, loaded, write_draws
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
 from selenium.webdriver.chrome.service import Service  # noqa: E402
@@ -46,7 +46,9 @@ def pages(written_run, tmp_path_factory):
     for name, summary in (("knee", knee()), ("loaded", loaded())):
         (made / name).mkdir()
         (made / name / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
+        write_draws(made / name / "posterior.nc", summary)
     compare([made / "knee", made / "loaded"], made / "out")
+    assert (made / "out" / "figures" / "overlay.svg").exists()
     shutil.copyfile(made / "out" / "report.html", alone / "compare.html")
     return alone
 

@@ -14,7 +14,6 @@ from markupsafe import Markup
 
 from bayesfric.report import run_directory
 from bayesfric.report.comparison import comparison
-from bayesfric.report.comparison_table import number as plain_number
 from bayesfric.report.page.facts import read_facts
 from bayesfric.report.page.figure_words import STEMS_IN_WORDS, Told, figure_words, text_of
 from bayesfric.report.page.inline_svg import inline_svg
@@ -131,11 +130,12 @@ def test_methods_are_those_of_the_comparison(summary, page):
             assert td.attrs["data-status"] == cell.status
             if cell.status == "determined":
                 assert float(td.attrs["data-sort"]) == cell.value
-                # exactly the digits of the table in Markdown
-                said = td.text.replace("\u2212", "-").replace("\u00a0×\u00a010^", "e")
-                for part in plain_number(cell.value, cell.sd).split(" ± "):
-                    digits, _, power = part.partition("e")
-                    assert digits + (f"e{int(power)}" if power else "") in said
+                # one power of ten for a value and its sd
+                said = td.text.replace("\u2212", "-").replace("\u00a0", " ")
+                (text,) = re.findall(r"^\(?-?[\d.]+ ± [\d.]+\)?(?: × 10\^-?\d+)?", said)
+                (value, sd), last = number(text)
+                assert value == pytest.approx(cell.value, abs=0.5001 * last)
+                assert sd == pytest.approx(cell.sd, abs=0.5001 * last)
 
 
 def without_open(node):

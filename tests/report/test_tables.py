@@ -1,6 +1,5 @@
 """Tables for papers: the summary's numbers, read back; nothing open passes for a number."""
 
-import copy
 import csv
 import io
 import re
@@ -21,26 +20,10 @@ from bayesfric.report.tables import (
     parameters_markdown,
 )
 
-from .made_summaries import LEG, knee, loaded, posterior_row
+from .made_summaries import LEG, every_kind, knee, loaded
 from .made_tables import ends, lines, num, skewed
 
-CASES = {"open": knee, "loaded": loaded}
-
-
-def invented():
-    """Return a run with every kind of number there is."""
-    run = copy.deepcopy(knee())
-    rows = run["parameters"]
-    rows["motor.coulomb_positive"] = posterior_row("N m", 0.02, 0.015, verdict="weak")
-    rows["motor.coulomb_positive"] |= {"median": 0.016, "interval": [0.002, 0.051]}
-    limit = {"at_bound": "lower", "data_sd": 0.01, "prior_sd": 1.0}
-    rows["motor.coulomb_negative"] = posterior_row("N m", 0.02, 0.015, verdict="prior", **limit)
-    rows["motor_50%.inertia"] = posterior_row("kg", 95123.0, 310.0)
-    run["fixed"] = {"offset": {"unit": "N m", "value": -0.0213}}
-    return run
-
-
-CASES["invented"] = invented
+CASES = {"open": knee, "loaded": loaded, "invented": every_kind}
 
 
 @pytest.fixture(params=CASES)

@@ -11,8 +11,9 @@ from typing import Any
 from bayesfric.report.between_runs import PooledQuantity
 from bayesfric.report.comparison import Comparison
 from bayesfric.report.comparison_table import explained
+from bayesfric.report.overlay import Overlay
 from bayesfric.report.page.facts import Facts, read_facts
-from bayesfric.report.page.figure_words import FigureWords, forest_words
+from bayesfric.report.page.figure_words import forest_figure_words, overlay_words
 from bayesfric.report.page.figures import read_figures
 from bayesfric.report.page.provenance import Provenance
 from bayesfric.report.page.rendering import render
@@ -35,11 +36,12 @@ class RunFacts:
 
 def shared_recordings(provenance: Mapping[str, Provenance | None]) -> list[tuple[str, str]]:
     """Name the pairs of runs that saw the same recording, by its SHA-256."""
-    seen = {
-        run: set(told.recordings.values()) - {""} if told else set()
-        for run, told in provenance.items()
-    }
+    seen = {run: _hashes(told) for run, told in provenance.items()}
     return [(a, b) for a, b in combinations(seen, 2) if seen[a] & seen[b]]
+
+
+def _hashes(told: Provenance | None) -> set[str]:
+    return set(told.recordings.values()) - {""} if told else set()
 
 
 def compare_page(
@@ -49,6 +51,7 @@ def compare_page(
     runs: Mapping[str, RunSummary],
     pooled: Sequence[PooledQuantity],
     provenance: Mapping[str, Provenance | None],
+    overlaid: Overlay | None = None,
 ) -> str:
     """Write the page of a comparison.
 
@@ -64,20 +67,17 @@ def compare_page(
         From :func:`bayesfric.report.between_runs.between_runs`.
     provenance
         Of each run, where it is known.
+    overlaid
+        From :func:`bayesfric.report.overlay.overlay`, of several runs.
 
     Returns
     -------
     str
         HTML that fetches nothing.
     """
-    words = {
-        "forest": FigureWords(
-            "Every quantity by every column",
-            "Thick: 90 %, accounting for correlated residuals; thin: taking them for "
-            "uncorrelated; open symbols: not determined.",
-            f"Forest plot. {forest_words(found)}",
-        )
-    }
+    words = {"forest": forest_figure_words(found)}
+    if overlaid is not None and overlaid.panels:
+        words["overlay"] = overlay_words(overlaid)
     listed = [
         RunFacts(name, read_facts(summaries[name], name), _verdicts(run), provenance.get(name))
         for name, run in runs.items()
@@ -92,6 +92,9 @@ def compare_page(
         disagree=[one for one in pooled if not one.pool.agree],
         pool_ends={one.name: ends_html(one.pool.low, one.pool.high, one.pool.sd) for one in pooled},
         same=same,
+        unknown=[run for run, told in provenance.items() if not _hashes(told)],
+        level=next((f"{100 * row.level:g}" for one in pooled for row in one.runs.values()), ""),
+        without_draws=overlaid.left_out if overlaid is not None else {},
         methods=found,
         explained=list(explained(found)),
         figures=read_figures(folder / "figures", words),

@@ -11,13 +11,14 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
+from bayesfric.report.captions import FIXED
 from bayesfric.report.comparison import Comparison
+from bayesfric.report.overlay import Curve, Overlay
 from bayesfric.report.page.facts import Facts
 from bayesfric.report.page.values import interval_html, value_html, verdict_words
 from bayesfric.report.tables import ParameterRow, ParameterTable
 
 _CAPTION = re.compile(r"^\*\*(\w+)\*\*: (.+)$", re.MULTILINE)
-# Matplotlib's page width in points; narrower figures are of a column.
 _RAISED = str.maketrans("0123456789-\u2212", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁻")
 
 
@@ -56,8 +57,10 @@ def figure_words(stem: str, told: Told, captions: Mapping[str, str]) -> FigureWo
     captions
         From :func:`written_captions`; they come first.
     """
-    title, caption, alternative = STEMS_IN_WORDS.get(stem, (stem, "", lambda _: ""))
-    return FigureWords(title, captions.get(stem, caption), f"{title}. {alternative(told)}".strip())
+    title, alternative = STEMS_IN_WORDS.get(stem, (stem, lambda _: ""))
+    # older runs wrote only some captions down
+    caption = captions.get(stem, FIXED.get(stem, ""))
+    return FigureWords(title, caption, f"{title}. {alternative(told)}".strip())
 
 
 def in_words(row: ParameterRow) -> str:
@@ -189,42 +192,51 @@ def forest_words(found: Comparison) -> str:
     return "; ".join(parts) + "."
 
 
-STEMS_IN_WORDS: dict[str, tuple[str, str, Callable[[Told], str]]] = {
-    "methods": (
-        "Estimates and posterior side by side",
-        "Every quantity by every method and by the posterior. Thick: 90 %, accounting for "
-        "correlated residuals; thin: taking them for uncorrelated; open symbols: not determined, "
-        "dotted what fits as well.",
-        _methods,
-    ),
-    "ridge": (
-        "The ridge: what can be scaled together without changing any torque",
-        "Draws of the posterior against the line along which no torque changes, between the ends "
-        "that a passive gearbox sets. Below: the torque at both ends of the line and in its "
-        "middle, and their difference.",
-        _ridge,
-    ),
-    "prediction": (
-        "Measured and predicted",
-        "What was measured and what the posterior predicts, noise included, with residuals below.",
-        _prediction,
-    ),
-    "residual": ("What is left unexplained", "", _residual),
-    "validation": ("What was held out, predicted", "", _validation),
-    "friction": ("Friction of the joint", "", _friction),
-    "efficiency": ("Efficiency against load", "", _efficiency),
-    "prior_posterior": ("Prior and posterior", "", _prior_posterior),
-    "corner": (
-        "Marginal and pairwise posteriors",
-        "Diagonal: posterior density, prior (dashed) and 90 % interval. Below: 50 % and 90 % of "
-        "the draws. A parameter that the data leave open has an interval here too: that of the "
-        "prior and of the bounds.",
-        _corner,
-    ),
-    "trace": (
-        "How the ensembles ran",
-        "Median and spread of the walkers of every ensemble along the steps kept, and the "
-        "autocorrelation of what the ensembles drew.",
-        _trace,
-    ),
+def forest_figure_words(found: Comparison) -> FigureWords:
+    """Word the forest figure of a comparison."""
+    title = "Every quantity by every run and method"
+    return FigureWords(title, FIXED["forest"], f"Forest plot. {forest_words(found)}")
+
+
+def overlay_words(shown: Overlay) -> FigureWords:
+    """Word the overlaid posteriors of a comparison; what is open has no numbers."""
+    title = "Posteriors of the runs, overlaid"
+    caption = FIXED["overlay"]
+    if shown.without_draws:
+        names = ", ".join(shown.without_draws)
+        caption += f" In the table only, for no draws of them are kept: {names}."
+    for run, why in shown.left_out.items():
+        caption += f" Not shown: {run}, which {why}."
+    said = []
+    for panel in shown.panels:
+        unit = f" in {panel.row.unit}" if panel.row.unit else ""
+        each = ", ".join(map(_curve, panel.curves))
+        agree = {None: "", True: "; they agree", False: "; they differ"}[panel.agree]
+        said.append(f"{panel.row.name}{unit}: {each}{agree}")
+    return FigureWords(title, caption, f"{title}. {'. '.join(said)}.")
+
+
+def _curve(curve: Curve) -> str:
+    if curve.told == "open":
+        return f"{curve.run} not determined by the data"
+    if curve.cell.status == "limit":
+        return f"{curve.run} {curve.cell.remark}, as far as the data tell"
+    middle = curve.row.mean if curve.row.median is None else curve.row.median
+    low, high = curve.row.interval
+    by = "the data" if curve.told == "data" else "data and prior together"
+    share = f"{100 * curve.row.level:g} %"
+    return f"{curve.run} {middle:.4g}, {share} from {low:.4g} to {high:.4g}, determined by {by}"
+
+
+STEMS_IN_WORDS: dict[str, tuple[str, Callable[[Told], str]]] = {
+    "methods": ("Estimates and posterior side by side", _methods),
+    "ridge": ("The ridge: what can be scaled together without changing any torque", _ridge),
+    "prediction": ("Measured and predicted", _prediction),
+    "residual": ("What is left unexplained", _residual),
+    "validation": ("What was held out, predicted", _validation),
+    "friction": ("Friction of the joint", _friction),
+    "efficiency": ("Efficiency against load", _efficiency),
+    "prior_posterior": ("Prior and posterior", _prior_posterior),
+    "corner": ("Marginal and pairwise posteriors", _corner),
+    "trace": ("How the ensembles ran", _trace),
 }

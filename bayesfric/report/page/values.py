@@ -6,7 +6,6 @@ from markupsafe import Markup, escape
 
 from bayesfric.report import latex
 from bayesfric.report.comparison_cell import Cell
-from bayesfric.report.comparison_table import number
 from bayesfric.report.tables import ParameterRow
 
 NOT_DETERMINED = "not determined by the data"
@@ -97,13 +96,10 @@ def cell_html(cell: Cell | None) -> Markup:
         return Markup('<span class="quiet">–</span>')
     lines: list[Markup] = []
     if cell.status not in ("undetermined", "limit"):
-        value, _, sd = number(cell.value, cell.sd).partition(" ± ")
-        shown = plain(value)
-        if sd:
-            plain_sd = cell.status == "determined" and not cell.accounts
-            mark = Markup('<sup class="mark">†</sup>') if plain_sd else Markup()
-            shown = Markup("{} ± {}{}").format(shown, plain(sd), mark)
-        lines.append(shown)
+        plain_sd = cell.status == "determined" and not cell.accounts and cell.sd
+        mark = Markup('<sup class="mark">†</sup>') if plain_sd else Markup()
+        shown = number_html(cell.value, cell.sd) if cell.sd else plain(f"{cell.value:.5g}")
+        lines.append(shown + mark)
     if cell.interval is not None and cell.sd:
         lines.append(ends_html(*cell.interval, cell.sd))
     if cell.disagreement is not None:
