@@ -88,7 +88,7 @@ excitation = "multisine"
 amplitude = 1.2
 torque_noise = 0.01
 encoder_counts = 1048576
-duration = 20
+duration = 10
 seed = 14
 [simulation.parameters]
 "offset" = 0.0
@@ -107,7 +107,7 @@ seed = 14
 def case(request, tmp_path_factory):
     mechanism, side, rest, terms = CASES[request.param]
     folder = tmp_path_factory.mktemp("recovery")
-    text = mechanism + COLUMNS.format(side=side) + rest + "\n[sampling]\nmin_ess = 1500\n"
+    text = mechanism + COLUMNS.format(side=side) + rest + "\n[sampling]\nmin_ess = 600\n"
     config = parse_config(text, Path(folder) / "case.toml")
     truth = simulate(config, folder / "recording.csv")
     problem = read_problem(config)
