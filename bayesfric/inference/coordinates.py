@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit, log_expit, logit, ndtr, ndtri
+from scipy.special import log_expit, ndtr, ndtri
 
 from bayesfric.inference.priors import Prior
 from bayesfric.mechanism.chain import Chain
@@ -53,8 +53,9 @@ class BoundedCoordinates:
     the posterior lies several widths ``w`` above the bound, a logarithm next to it.
     A posterior that keeps away from the bound stays normal, one that leans on it
     needs no wall. (A plain logarithm would give the first a long left tail, in
-    which walkers get lost.) A parameter between two bounds that are not far apart
-    is a logit.
+    which walkers get lost.) Of a parameter between two bounds that are not far apart the
+    normal quantile of its place between them is sampled: next to a bound a posterior is flat,
+    and its quantile normal. (A logit would have a long tail there, in which walkers hang on.)
 
     Parameters
     ----------
@@ -69,7 +70,7 @@ class BoundedCoordinates:
         self, lower: Sequence[float], upper: Sequence[float], widths: Array | None = None
     ) -> None:
         self.description = (
-            "logarithm or logit of each parameter between its bounds"
+            "logarithm or normal quantile of each parameter between its bounds"
             if widths is None
             else "each parameter by itself, bent where it comes near a bound"
         )
@@ -97,9 +98,9 @@ class BoundedCoordinates:
         distance = self._widths * distance
         x = np.where(self._above, self._low + distance, u)
         x = np.where(self._below, self._high - distance, x)
-        x = np.where(self._between, self._low + self._span * expit(u), x)
+        x = np.where(self._between, self._low + self._span * ndtr(u), x)
         slope = np.where(self._above | self._below, np.log(self._widths) + log_slope, 0.0)
-        slope = np.where(self._between, np.log(self._span) + log_expit(u) + log_expit(-u), slope)
+        slope = np.where(self._between, np.log(self._span) + _log_normal(u), slope)
         return x, slope.sum(axis=1)
 
     def from_parameters(self, parameters: Array) -> Array:
@@ -109,7 +110,7 @@ class BoundedCoordinates:
             u = np.where(self._above, self._unbent(parameters - self._low), parameters)
             u = np.where(self._below, self._unbent(self._high - parameters), u)
             share = (parameters - self._low) / self._span
-            return np.where(self._between, logit(share), u)
+            return np.where(self._between, ndtri(share), u)
 
     def _unbent(self, distance: Array) -> Array:
         scaled = distance / self._widths
@@ -244,8 +245,7 @@ class TorqueFormCoordinates:
             return u[:, 10] - np.log(rho + 1.0), none
         low, high = -np.log(rho + 1.0), -np.log(rho - 1.0)
         place = u[:, 10]
-        log_slope = np.log(high - low) - 0.5 * place**2 - 0.5 * math.log(2.0 * math.pi)
-        return low + (high - low) * ndtr(place), log_slope
+        return low + (high - low) * ndtr(place), np.log(high - low) + _log_normal(place)
 
 
 # The same chain with one mu for both directions of power.
@@ -301,6 +301,11 @@ class SingleLossCoordinates:
         u[:, :4] += parameters[:, :4]
         u[:, 5:] = parameters[:, 4:5] * leg
         return u
+
+
+def _log_normal(u: Array) -> Array:
+    """Log density of a standard normal: the log slope of its distribution function."""
+    return -0.5 * u**2 - 0.5 * math.log(2.0 * math.pi)
 
 
 def _worth_at_motor(n: float, gravity: float) -> Array:

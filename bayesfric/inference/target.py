@@ -68,7 +68,9 @@ class Target:
             chain, priors, None if widths is None else widths[: len(self.free)]
         )
         self._noise_coordinates = BoundedCoordinates(
-            [p.lower for p in noise.priors], [p.upper for p in noise.priors]
+            [p.lower for p in noise.priors],
+            [p.upper for p in noise.priors],
+            None if widths is None else widths[len(self.free) :],
         )
 
     @cached_property
