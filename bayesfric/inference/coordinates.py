@@ -305,7 +305,8 @@ class SingleLossCoordinates:
 
 def _log_normal(u: Array) -> Array:
     """Log density of a standard normal: the log slope of its distribution function."""
-    return -0.5 * u**2 - 0.5 * math.log(2.0 * math.pi)
+    with np.errstate(over="ignore"):  # minus infinity is right then
+        return np.asarray(-0.5 * u**2 - 0.5 * math.log(2.0 * math.pi))
 
 
 def _worth_at_motor(n: float, gravity: float) -> Array:
