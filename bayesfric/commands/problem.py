@@ -55,7 +55,9 @@ class Problem:
     priors: dict[str, Prior]
     held_out: tuple[HeldOut, ...] = ()
 
-    def target(self, point: Mapping[str, float] | None = None) -> Target:
+    def target(
+        self, point: Mapping[str, float] | None = None, choice: Choice | None = None
+    ) -> Target:
         """Log-posterior of the problem.
 
         Parameters
@@ -64,6 +66,8 @@ class Problem:
             Values near the mode, where the output-error likelihood takes its derivatives,
             and whose residuals say which noise there is; without it noise that is to be
             chosen is white.
+        choice
+            What :meth:`noise_choice` gives at the point, where it was asked already.
         """
         tables = self.config.tables
         if tables.likelihood.method == "input-error":
@@ -72,7 +76,7 @@ class Problem:
                 self.observations,
                 self.priors,
                 tables.noise.scale,
-                self._noise(self.noise_choice(point)),
+                self._noise(choice or self.noise_choice(point)),
             )
         if point is None:
             raise ValueError("the output-error likelihood needs a point estimate")
