@@ -23,7 +23,7 @@ from bayesfric.inference.sampling import Progress, phase
 from bayesfric.inference.target import Target
 from bayesfric.report.noise_summary import add_white_intervals, noise_lines, white_alternative
 from bayesfric.report.run_directory import check_free, write_run
-from bayesfric.report.summary import summarise
+from bayesfric.report.summary import spreads, summarise
 from bayesfric.report.validation import validation_lines
 
 NOT_CONVERGED = 3
@@ -110,7 +110,7 @@ def _fit(
             white = fit_target(
                 problem.white_target(), quick, estimates=found, progress=progress, checkpoint=kept
             )
-        add_white_intervals(summary, summarise(white))
+        add_white_intervals(summary, spreads(white))
     progress(phase("identifiability"))
     with suppress(BadInput):  # a simulation that fails there takes no result away
         middle = np.median(result.posterior.flat(), axis=0)

@@ -106,7 +106,7 @@ def noise_record(
     return record
 
 
-def add_white_intervals(summary: dict[str, Any], white: Mapping[str, Any]) -> None:
+def add_white_intervals(summary: dict[str, Any], white: Mapping[str, Mapping[str, Any]]) -> None:
     """Put beside every interval of a summary the one that white noise would have given.
 
     Parameters
@@ -114,11 +114,11 @@ def add_white_intervals(summary: dict[str, Any], white: Mapping[str, Any]) -> No
     summary
         Changed: rows get ``white_interval`` and ``white_sd``.
     white
-        Summary of the same problem with white noise.
+        From :func:`bayesfric.report.summary.spreads`, of the same problem with white noise.
     """
     for group in ("parameters", "derived"):
         for name, row in summary[group].items():
-            other = white[group].get(name)
+            other = white.get(name)
             if other is not None and not name.startswith("noise."):
                 row["white_interval"], row["white_sd"] = other["interval"], other["sd"]
 
