@@ -84,9 +84,15 @@ class Posterior:
     diagnostics: Diagnostics
     seed: int
 
-    def flat(self) -> NDArray[np.float64]:
-        """All draws, ``(n, d)``; for quantiles, never for convergence checks."""
-        return self.draws.reshape(-1, self.draws.shape[-1])
+    def flat(self, most: int | None = None) -> NDArray[np.float64]:
+        """All draws, ``(n, d)``; for quantiles, never for convergence checks.
+
+        With ``most``, at most so many of them, evenly spread.
+        """
+        flat = self.draws.reshape(-1, self.draws.shape[-1])
+        if most is None or most >= len(flat):
+            return flat
+        return np.asarray(flat[np.linspace(0, len(flat) - 1, most).astype(int)])
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
         """Draws of one parameter, ``(ensembles, walkers, steps)``."""

@@ -77,9 +77,8 @@ def predictive(fit: Fit) -> list[Predictive]:
     fit
         A finished fit.
     """
-    flat = fit.posterior.flat()
-    n = min(_DRAWS, flat.shape[0])
-    flat = flat[np.linspace(0, flat.shape[0] - 1, n).astype(int)]
+    flat = fit.posterior.flat(_DRAWS)
+    n = len(flat)
     values = fit.target.chain_values(flat)
     scales = fit.target.noise.scales(flat[:, len(fit.target.free) :])
     windows = sum(o.measured.size * o.filter.taps.size for o in fit.observations)
