@@ -113,7 +113,7 @@ def _fit(
         add_white_intervals(summary, spreads(white))
     progress(phase("identifiability"))
     with suppress(BadInput):  # a simulation that fails there takes no result away
-        middle = np.median(result.posterior.flat(), axis=0)
+        middle = result.posterior.median
         summary["identifiability"]["directions"] = open_directions(target, middle)
     progress(phase("writing results"))
     summary["warnings"] += missing

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -93,6 +94,11 @@ class Posterior:
         if most is None or most >= len(flat):
             return flat
         return np.asarray(flat[np.linspace(0, len(flat) - 1, most).astype(int)])
+
+    @cached_property
+    def median(self) -> NDArray[np.float64]:
+        """Of every parameter by itself, ``(d,)``."""
+        return np.asarray(np.median(self.flat(), axis=0))
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
         """Draws of one parameter, ``(ensembles, walkers, steps)``."""

@@ -58,8 +58,7 @@ def summarise(
     """
     posterior = fit.posterior
     d = posterior.diagnostics
-    flat = posterior.flat()
-    median = np.median(flat, axis=0)
+    flat, median = posterior.flat(), posterior.median
     local = local_information(fit.target, median)
     residual = residuals(fit)
     outputs = fit.target.likelihood.outputs
@@ -142,7 +141,7 @@ def spreads(fit: Fit) -> dict[str, dict[str, Any]]:
     if wanted := _wanted_totals(fit, projection):
         draws = _total_draws(fit, projection)
         found |= {label: _spread(draws[:, i]) for i, _, label in wanted}
-    at_load = _at_load(fit, np.median(flat, axis=0))
+    at_load = _at_load(fit, fit.posterior.median)
     return found | {q.name: _spread(defined) for q, defined in _derived_draws(fit, at_load)}
 
 
