@@ -14,6 +14,7 @@ from hypothesis import settings
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import parallel_filter
 from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.recording import Recording
 
 # a busy machine is no defect of what is tested
 settings.register_profile("untimed", deadline=None)
@@ -21,6 +22,24 @@ settings.load_profile("untimed")
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 DATA = REPOSITORY.parent / "shared" / "data"
+
+
+def made_recording(time, position, torque, period, **more):
+    """Return a recording in one piece, unless ``more`` says something else."""
+    n = len(time)
+    given = {
+        "name": "made-up",
+        "path": Path("made-up.csv"),
+        "sha256": "0" * 64,
+        "velocity": None,
+        "segments": ((0, n),),
+        "excluded": np.zeros(n, dtype=bool),
+        "added_mass": 0.0,
+        "radius": 0.0,
+        "steps": (),
+        "warnings": (),
+    }
+    return Recording(time=time, position=position, torque=torque, period=period, **(given | more))
 
 
 @pytest.fixture

@@ -17,12 +17,13 @@ from bayesfric.commands.unfinished import Unfinished, unfinished
 from bayesfric.config import Config
 from bayesfric.errors import BadInput
 from bayesfric.inference.fit import fit as fit_target
+from bayesfric.inference.noise_choice import Choice
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.inference.sampling import Progress, phase
 from bayesfric.inference.target import Target
 from bayesfric.report.noise_summary import add_white_intervals, noise_lines, white_alternative
 from bayesfric.report.run_directory import check_free, write_run
-from bayesfric.report.summary import summarise
+from bayesfric.report.summary import spreads, summarise
 from bayesfric.report.validation import validation_lines
 
 NOT_CONVERGED = 3
@@ -93,15 +94,14 @@ def _fit(
         problem, lambda method: progress(phase(f"{method} estimate"))
     )
     points = [dict(e.point) for e in found if e.point]
-    target = _target(problem, points)
+    choice = problem.noise_choice(points[0])
+    target = _target(problem, points, choice)
     with config.named():
         result = fit_target(target, sampling, estimates=found, progress=progress, checkpoint=kept)
     if problem.held_out:
         held_out = predict_held_out(result.target, result.posterior, problem.held_out)
         result = replace(result, held_out=held_out)
-    summary = summarise(
-        result, problem.references(), problem.noise_choice(points[0] if points else None)
-    )
+    summary = summarise(result, problem.references(), choice)
     if white_alternative(result):
         progress(phase("the same with white noise"))
         quick = sampling.model_copy(update={"min_ess": min(sampling.min_ess, _WHITE_ESS)})
@@ -110,10 +110,10 @@ def _fit(
             white = fit_target(
                 problem.white_target(), quick, estimates=found, progress=progress, checkpoint=kept
             )
-        add_white_intervals(summary, summarise(white))
+        add_white_intervals(summary, spreads(white))
     progress(phase("identifiability"))
     with suppress(BadInput):  # a simulation that fails there takes no result away
-        middle = np.median(result.posterior.flat(), axis=0)
+        middle = result.posterior.median
         summary["identifiability"]["directions"] = open_directions(target, middle)
     progress(phase("writing results"))
     summary["warnings"] += missing
@@ -127,17 +127,19 @@ def _fit(
     return summary
 
 
-def _target(problem: Problem, points: Sequence[Mapping[str, float]]) -> Target:
+def _target(
+    problem: Problem, points: Sequence[Mapping[str, float]], choice: Choice | None
+) -> Target:
     """Make the log-posterior; where it simulates, near the first estimate that can be simulated.
 
     The simulation is linearised there first, and anew at every mode this leads to.
     """
     for point in points[:-1]:
         try:
-            return problem.target(point)
+            return problem.target(point, choice)
         except BadInput:
             continue
-    return problem.target(points[-1])
+    return problem.target(points[-1], choice)
 
 
 def fit_text(summary: dict[str, Any], folder: Path) -> Iterator[str]:

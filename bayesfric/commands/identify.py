@@ -23,7 +23,7 @@ from bayesfric.identifiability.known_quantities import speed_term
 from bayesfric.identifiability.local import LocalInformation, local_information
 from bayesfric.identifiability.plausible import Point, estimate_point, points_around
 from bayesfric.identifiability.remedies import HARDLY, WEAK
-from bayesfric.identifiability.words import factor
+from bayesfric.identifiability.words import capital, factor
 from bayesfric.inference.beforehand import beforehand
 from bayesfric.inference.target import Target
 from bayesfric.recordings.trajectory import trajectory
@@ -171,7 +171,7 @@ def identify_text(found: Identification, problem: Problem) -> Iterator[str]:
     yield _headline(len(null), len(weak), len(problem.recordings))
     for number, one in enumerate(found.directions, start=1):
         yield ""
-        yield f"{number}. {_capital(one.meaning)}."
+        yield f"{number}. {capital(one.meaning)}."
         for reason in one.reasons:
             yield f"   Why: {reason}."
         for remedy in one.remedies:
@@ -183,9 +183,9 @@ def identify_text(found: Identification, problem: Problem) -> Iterator[str]:
     texts = [*back_driving_text(found), mass_text(found), speed_text(found)]
     if any(texts):
         yield ""
-        yield from (f"{_capital(text)}." for text in texts if text)
+        yield from (f"{capital(text)}." for text in texts if text)
     for note in found.notes:
-        yield f"{_capital(note)}."
+        yield f"{capital(note)}."
     told = [one for one in found.combinations if one.data_sd < WEAK * abs(one.value)]
     if told:
         yield ""
@@ -329,13 +329,13 @@ def _estimate(problem: Problem, progress: Callable[[str], None]) -> dict[str, fl
 def _headline(null: int, weak: int, recordings: int) -> str:
     these = "this recording" if recordings == 1 else f"these {recordings} recordings together"
     if not null and not weak:
-        return f"{_capital(these)} can tell every parameter."
+        return f"{capital(these)} can tell every parameter."
     parts = []
     if null:
         parts.append(f"cannot tell {null} {'thing' if null == 1 else 'things'} at all")
     if weak:
         parts.append(f"can tell {weak} {'thing' if weak == 1 else 'things'} only weakly")
-    return f"{_capital(these)} {' and '.join(parts)}:"
+    return f"{capital(these)} {' and '.join(parts)}:"
 
 
 def _direction_record(one: OpenDirection) -> dict[str, Any]:
@@ -405,12 +405,6 @@ def _from_voltage(problem: Problem) -> Sequence[str]:
         if any("kt V/R" in step for step in r.steps):
             names.append(r.name)
     return names
-
-
-def _capital(text: str) -> str:
-    # parameter names stay as they are written
-    first = text.split(" ", 1)[0].rstrip(",")
-    return text if "." in first or "_" in first else text[:1].upper() + text[1:]
 
 
 def _number(x: float) -> float | None:

@@ -65,9 +65,7 @@ def _locked(folder: Path) -> IO[str]:
             continue  # its owner just left and removed the folder
         try:
             _take(file)
-        except BlockingIOError:
-            raise Taken(_owner(file)) from None
-        except PermissionError:  # as Windows tells the same
+        except (BlockingIOError, PermissionError):  # the second is how Windows tells it
             raise Taken(_owner(file)) from None
         except OSError:
             # a disk without locks: better one run without than none at all

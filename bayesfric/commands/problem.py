@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.config import Config
+from bayesfric.config import Config, NoiseOptions
 from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.torque import filtered_torque
@@ -55,7 +55,9 @@ class Problem:
     priors: dict[str, Prior]
     held_out: tuple[HeldOut, ...] = ()
 
-    def target(self, point: Mapping[str, float] | None = None) -> Target:
+    def target(
+        self, point: Mapping[str, float] | None = None, choice: Choice | None = None
+    ) -> Target:
         """Log-posterior of the problem.
 
         Parameters
@@ -64,6 +66,8 @@ class Problem:
             Values near the mode, where the output-error likelihood takes its derivatives,
             and whose residuals say which noise there is; without it noise that is to be
             chosen is white.
+        choice
+            What :meth:`noise_choice` gives at the point, where it was asked already.
         """
         tables = self.config.tables
         if tables.likelihood.method == "input-error":
@@ -72,7 +76,7 @@ class Problem:
                 self.observations,
                 self.priors,
                 tables.noise.scale,
-                self._noise(self.noise_choice(point)),
+                self._noise(choice or self.noise_choice(point)),
             )
         if point is None:
             raise ValueError("the output-error likelihood needs a point estimate")
@@ -107,13 +111,7 @@ class Problem:
         return choose_order(residuals, runs, noise.scale == "per-recording")
 
     def _noise(self, choice: Choice | None) -> ResidualNoise:
-        noise = self.config.tables.noise
-        if noise.model == "student-t":
-            return StudentT()
-        if noise.model == "white":
-            return Autoregressive()
-        order = noise.order or (choice.order if choice else 0)
-        return Autoregressive(order)
+        return _residual_noise(self.config.tables.noise, choice.order if choice else 0)
 
     def references(self) -> dict[str, dict[str, Any]]:
         """Values to compare with, by name of what they are of.
@@ -215,9 +213,14 @@ def _noise_quantities(config: Config) -> tuple[str, ...]:
     noise = tables.noise
     if noise.order is not None and noise.model in ("white", "student-t"):
         raise BadInput("noise.order", f"{noise.model} noise has none", "leave it out")
+    return _residual_noise(noise, MOST).quantities
+
+
+def _residual_noise(noise: NoiseOptions, chosen: int) -> ResidualNoise:
+    """Make the noise that a configuration asks for; of order ``chosen`` where it names none."""
     if noise.model == "student-t":
-        return StudentT().quantities
-    return Autoregressive(0 if noise.model == "white" else noise.order or MOST).quantities
+        return StudentT()
+    return Autoregressive(0 if noise.model == "white" else noise.order or chosen)
 
 
 def _read(config: Config, chain: Chain, source: Source, number: int) -> list[Recording]:

@@ -185,8 +185,8 @@ def _versions() -> Mapping[str, str]:
     }
 
 
-def _set_aside(place: Path) -> Path:
-    """Move the files of a checkpoint into a folder of their own; give its name."""
+def _set_aside(place: Path) -> None:
+    """Move the files of a checkpoint into a folder of their own."""
     k = 1
     while (old := place.with_name(f"{place.name}.old{k}")).exists():
         k += 1
@@ -195,4 +195,3 @@ def _set_aside(place: Path) -> Path:
     for path in sorted(place.iterdir(), key=lambda path: path.suffix == ".json"):
         if path.name != "lock":
             path.rename(old / path.name)
-    return old

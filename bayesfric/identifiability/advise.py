@@ -412,11 +412,8 @@ def _sds(
     k = len(target.free)
     rows, known = at.rows, None
     if added is not None and noise is not None:
-        columns = [chain.names.index(name) for name in target.free]
-        units = np.zeros(at.values.size)
-        units[columns] = at.local.units
-        jacobian = scaled_jacobian(chain, added, at.values, units, noise)[:, columns]
-        rows = np.concatenate([rows, jacobian])
+        more = scaled_jacobian(target, added, at.values, at.local.units, noise)
+        rows = np.concatenate([rows, more])
         fixed = {
             n: float(x) for n, x in zip(chain.names, at.values, strict=True) if n not in target.free
         }

@@ -76,9 +76,7 @@ def influence(fit: Fit) -> dict[str, Influence]:
     dict
         By name, in the order of ``fit.posterior.names``.
     """
-    draws = fit.posterior.flat()
-    if draws.shape[0] > _DRAWS:
-        draws = draws[np.linspace(0, draws.shape[0] - 1, _DRAWS).astype(int)]
+    draws = fit.posterior.flat(_DRAWS)
     log_prior, log_likelihood = fit.target.log_prior(draws), fit.target.log_likelihood(draws)
     # a draw that rounding put on a bound may have no density; it weighs nothing
     sound = np.isfinite(log_prior) & np.isfinite(log_likelihood)

@@ -190,13 +190,11 @@ def speed_term(target: Target, parameters: Array, recordings: Sequence[str]) -> 
 def _torque_jacobian(target: Target, parameters: Array) -> tuple[Array, list[TorqueNoise]]:
     """Jacobian of the torque over its noise, whatever the likelihood is of, and that noise."""
     likelihood = target.likelihood
-    units = np.zeros(len(likelihood.chain.names))
-    columns = [likelihood.chain.names.index(name) for name in target.free]
-    units[columns], _, _ = units_of(target, parameters[: len(target.free)])
+    units, _, _ = units_of(target, parameters[: len(target.free)])
     values = target.chain_values(parameters[None])[0]
     noise = [torque_noise(target, parameters, r) for r in range(len(likelihood.observations))]
     blocks = [
-        scaled_jacobian(likelihood.chain, o, values, units, one)[:, columns]
+        scaled_jacobian(target, o, values, units, one)
         for o, one in zip(likelihood.observations, noise, strict=True)
     ]
     return np.concatenate(blocks), noise

@@ -190,10 +190,9 @@ def _possible(target: Target, origin: Origin, values: Array, estimate: Point) ->
     return [Point(origin, parameters)]
 
 
-def _noise_of_residuals(target: Target, likelihood: TorqueLikelihood, values: Array) -> Array:
-    """Memory by Burg's method, and scales from what it leaves."""
+def _noise_of_residuals(target: Target, likelihood: TorqueLikelihood, chain: Array) -> Array:
+    """Memory by Burg's method, and scales from what it leaves; ``chain`` ``(1, n_parameters)``."""
     noise = target.noise
-    chain = target.chain_values(np.concatenate([values, np.ones(len(noise.names))])[None])
     residuals = [
         o.measured - p[0]
         for o, p in zip(likelihood.outputs, likelihood.predict(chain), strict=True)
@@ -220,12 +219,12 @@ def _noise_of_residuals(target: Target, likelihood: TorqueLikelihood, values: Ar
 def _likely_scales(target: Target, values: Array) -> Array:
     """Noise scales that make the measurements about most likely."""
     noise, likelihood = target.noise, target.likelihood
+    chain = target.chain_values(np.concatenate([values, np.ones(len(noise.names))])[None])
     if isinstance(likelihood, TorqueLikelihood):
-        return _noise_of_residuals(target, likelihood, values)
+        return _noise_of_residuals(target, likelihood, chain)
     # torque and position noise: a grid that gets finer
     kinds = tuple(dict.fromkeys(noise.quantities))
     sets = len(noise.names) // len(kinds)
-    chain = target.chain_values(np.concatenate([values, np.ones(len(noise.names))])[None])
     tiny = np.finfo(np.float64).tiny
     low = np.log(np.maximum([p.lower for p in noise.priors[: len(kinds)]], tiny))
     high = np.log(np.minimum([p.upper for p in noise.priors[: len(kinds)]], 1e12))
@@ -233,7 +232,7 @@ def _likely_scales(target: Target, values: Array) -> Array:
     best = np.empty((sets, len(kinds)))
     # each set of scales has a grid of its own
     lows, highs = np.tile(low, (sets, 1)), np.tile(high, (sets, 1))
-    for _ in range(_ROUNDS if len(kinds) > 1 else 3 * _ROUNDS):
+    for _ in range(_ROUNDS):
         axes = np.linspace(lows, highs, _GRID)  # (grid, sets, kinds)
         index = np.stack(
             np.meshgrid(*[np.arange(_GRID)] * len(kinds), indexing="ij"), axis=-1

@@ -14,7 +14,7 @@ from bayesfric.identifiability.recording_facts import RecordingFacts
 from bayesfric.identifiability.virtual_recording import (
     known_mass,
     pace,
-    torque_information,
+    scaled_jacobian,
     torque_noise,
     with_mass,
     with_torque,
@@ -124,9 +124,6 @@ def trials(
     longest = max(range(len(observations)), key=lambda r: facts[r].outputs)
     base = observations[longest]
     noise = torque_noise(target, parameters, longest)
-    columns = [chain.names.index(name) for name in target.free]
-    units = np.zeros(values.size)
-    units[columns] = local.units
 
     mass, radius = known_mass(chain, values)
     where = f" at {radius:g} m" if chain.load.motion == "rotary" else ""
@@ -176,9 +173,10 @@ def trials(
             recording = make()
         except ValueError:
             continue  # the joint cannot be simulated, or would stand still: nothing to propose
-        gained = torque_information(chain, recording, values, units, noise)
+        rows = scaled_jacobian(target, recording, values, local.units, noise)
+        gained = rows.T @ rows
         if np.isfinite(gained).all():
-            found.append(Trial(kind, text, gained[np.ix_(columns, columns)]))
+            found.append(Trial(kind, text, gained))
     return found
 
 

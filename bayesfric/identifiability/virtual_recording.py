@@ -165,26 +165,36 @@ def torque_noise(target: Target, parameters: Array, number: int) -> TorqueNoise:
     return TorqueNoise(Autoregressive(), scales[:1] * float(np.linalg.norm(taps)))
 
 
-def torque_information(
-    chain: Chain, observation: Observation, values: Array, units: Array, noise: TorqueNoise
-) -> Array:
-    """Fisher information of a recording's torque, ``(n_parameters, n_parameters)``, in units.
-
-    ``units`` is zero for parameters that are known; ``noise`` is that of the filtered
-    output.
-    """
-    jacobian = scaled_jacobian(chain, observation, values, units, noise)
-    return np.asarray(jacobian.T @ jacobian)
-
-
 def scaled_jacobian(
-    chain: Chain, observation: Observation, values: Array, units: Array, noise: TorqueNoise
+    target: Target, observation: Observation, values: Array, units: Array, noise: TorqueNoise
 ) -> Array:
-    """Differentiate a recording's filtered torque over its noise, ``(n_outputs, n_parameters)``.
+    """Differentiate a recording's filtered torque over its noise by the free parameters.
 
-    Parameters as for :func:`torque_information`, whose root it is.
+    Its square is the recording's Fisher information.
+
+    Parameters
+    ----------
+    target
+        Says which parameters are free.
+    observation
+        The recording; none of the target's, maybe.
+    values
+        ``(n_parameters,)`` in the order of the chain's names.
+    units
+        ``(k,)`` of the free parameters: what counts as a change of one.
+    noise
+        Of the filtered output.
+
+    Returns
+    -------
+    ndarray
+        ``(n_outputs, k)``, in units.
     """
-    jacobian = torque_jacobian(chain, [observation], values, 1e-6 * units) * units
+    chain = target.likelihood.chain
+    columns = [chain.names.index(name) for name in target.free]
+    steps = np.zeros(values.size)
+    steps[columns] = 1e-6 * units
+    jacobian = torque_jacobian(chain, [observation], values, steps)[:, columns] * units
     return noise.whitened(jacobian.T, observation).T
 
 

@@ -100,6 +100,12 @@ def factor(log_sd: float) -> str:
     return f"{np.exp(log_sd):.2g}" if log_sd > -np.log(1000.0) else "less than 0.001"
 
 
+def capital(text: str) -> str:
+    """Begin a sentence; names of parameters stay as they are written."""
+    first = text.split(" ", 1)[0].rstrip(",")
+    return text if "." in first or "_" in first else text[:1].upper() + text[1:]
+
+
 def why(
     local: LocalInformation,
     row: Array,

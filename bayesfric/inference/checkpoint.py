@@ -261,11 +261,11 @@ class Checkpoint:
             np.stack([s.log_density for s in pending]),
             np.stack([s.accepted for s in pending]),
         )
-        checksum = zlib.crc32(self._file.packed(steps), self._checksum)
         try:
-            self._file.append(steps, self.saved)
+            rows = self._file.append(steps, self.saved)
         except ValueError as error:
             raise OSError(5, f"{error}", str(self._steps_path)) from None
+        checksum = zlib.crc32(rows, self._checksum)
         _, key, position, has_gauss, cached = last.random_state
         manifest = Manifest(
             format=FORMAT,

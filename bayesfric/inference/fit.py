@@ -80,10 +80,7 @@ class Fit:
         ndarray
             ``(n, n_parameters)`` in the order of ``chain.names``.
         """
-        flat = self.posterior.flat()
-        if n is not None and n < flat.shape[0]:
-            flat = flat[np.linspace(0, flat.shape[0] - 1, n).astype(int)]
-        return self.target.chain_values(flat)
+        return self.target.chain_values(self.posterior.flat(n))
 
 
 def read_priors(

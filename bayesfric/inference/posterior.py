@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -84,9 +85,20 @@ class Posterior:
     diagnostics: Diagnostics
     seed: int
 
-    def flat(self) -> NDArray[np.float64]:
-        """All draws, ``(n, d)``; for quantiles, never for convergence checks."""
-        return self.draws.reshape(-1, self.draws.shape[-1])
+    def flat(self, most: int | None = None) -> NDArray[np.float64]:
+        """All draws, ``(n, d)``; for quantiles, never for convergence checks.
+
+        With ``most``, at most so many of them, evenly spread.
+        """
+        flat = self.draws.reshape(-1, self.draws.shape[-1])
+        if most is None or most >= len(flat):
+            return flat
+        return np.asarray(flat[np.linspace(0, len(flat) - 1, most).astype(int)])
+
+    @cached_property
+    def median(self) -> NDArray[np.float64]:
+        """Of every parameter by itself, ``(d,)``."""
+        return np.asarray(np.median(self.flat(), axis=0))
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
         """Draws of one parameter, ``(ensembles, walkers, steps)``."""

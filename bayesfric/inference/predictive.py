@@ -133,11 +133,11 @@ def predict_held_out(
     chain, noise = likelihood.chain, likelihood.noise
     names = [o.name for o in likelihood.observations]
     rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(6,)))
-    flat = posterior.flat()
     found = []
     for one in held_out:
-        n = min(_DRAWS, max(50, _BUDGET // one.observation.measured.size), flat.shape[0])
-        draws = flat[np.linspace(0, flat.shape[0] - 1, n).astype(int)]
+        outputs = one.observation.measured.size
+        draws = posterior.flat(min(_DRAWS, max(50, _BUDGET // outputs)))
+        n = len(draws)
         values = target.chain_values(draws)
         scales = target.noise.scales(draws[:, len(target.free) :])
         if one.name in names:
@@ -147,7 +147,7 @@ def predict_held_out(
             apart = np.ptp(target.noise.places, axis=0).any()
             borrowed = ["noise scale"] if apart else []
             borrowed += ["offset"] if chain.own_offsets else []
-        torque = np.empty((n, one.observation.measured.size))
+        torque = np.empty((n, outputs))
         for r in np.unique(like):
             # a recording's offset goes by its name
             named = replace(one.observation, name=names[r])

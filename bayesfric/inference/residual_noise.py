@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numba import njit
@@ -25,7 +25,7 @@ from bayesfric.inference.autoregression import (
     variances,
     whitened,
 )
-from bayesfric.inference.residual_moments import Moments
+from bayesfric.inference.residual_moments import Moments, PlainMoments, ResidualMoments
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -49,6 +49,27 @@ class ResidualNoise(Protocol):
     @property
     def description(self) -> str:
         """In words, for the record."""
+        ...
+
+    @property
+    def gaussian(self) -> bool:
+        """Whether lagged products of residuals are all that the density asks for."""
+        ...
+
+    def log_density_of(
+        self, plain: PlainMoments, moments: ResidualMoments, values: Array, scales: Array
+    ) -> Array:
+        """Log density of all residuals of parameter vectors, ``(n,)``.
+
+        Parameters
+        ----------
+        plain, moments
+            What goes through every sample, and what computes the same moments faster.
+        values
+            ``(n, n_parameters)``
+        scales
+            ``(n, R, Q)``
+        """
         ...
 
     def standard(self, residual: Array, follows: Flags, scales: Array) -> tuple[Array, Array]:
@@ -96,6 +117,7 @@ class Autoregressive:
     """
 
     order: int = 0
+    gaussian: ClassVar[bool] = True
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -106,6 +128,12 @@ class Autoregressive:
     def description(self) -> str:
         """In words, for the record."""
         return f"AR({self.order})" if self.order else "white"
+
+    def log_density_of(
+        self, plain: PlainMoments, moments: ResidualMoments, values: Array, scales: Array
+    ) -> Array:
+        """See :class:`ResidualNoise`."""
+        return self.log_density(moments.at(values), plain.counts, plain.head_counts, scales)
 
     def log_density(
         self,
@@ -200,11 +228,22 @@ class StudentT:
 
     quantities: tuple[str, ...] = ("sigma", "dof")
     order: int = 0
+    gaussian: ClassVar[bool] = False
 
     @property
     def description(self) -> str:
         """In words, for the record."""
         return "Student-t"
+
+    def log_density_of(
+        self,
+        plain: PlainMoments,
+        moments: ResidualMoments,  # noqa: ARG002
+        values: Array,
+        scales: Array,
+    ) -> Array:
+        """See :class:`ResidualNoise`; outliers have no moments to sum."""
+        return self.log_density(plain.student_terms(values, scales), plain.counts, scales)
 
     def log_density(self, terms: Array, sizes: NDArray[np.int64], scales: Array) -> Array:
         """Log density of all residuals, ``(n,)``.

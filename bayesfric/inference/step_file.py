@@ -77,19 +77,25 @@ class StepFile:
         )
         self._step_size = walkers * self._kind.itemsize
 
-    def append(self, steps: Steps, first: int) -> None:
-        """Put steps behind the first ``first`` ones: rows, then the count, then to the disk."""
+    def append(self, steps: Steps, first: int) -> bytes:
+        """Put steps behind the first ``first`` ones: rows, then the count, then to the disk.
+
+        Gives the rows, as :meth:`packed` does.
+        """
         end = first + len(steps)
         if not self.path.exists():
             self._remake(0, max(_ROOM // self._step_size, end))
-        if end > self._place()[0]:
-            self._remake(first, max(2 * self._place()[0], end))
-        _, place, counter = self._place()
+        room, place, counter = self._place()
+        if end > room:
+            self._remake(first, max(2 * room, end))
+            _, place, counter = self._place()
+        rows = self.packed(steps)
         with self.path.open("r+b") as file:
             file.seek(place + first * self._step_size)
-            file.write(self.packed(steps))
+            file.write(rows)
             file.flush()
             self._count(file, counter, end)
+        return rows
 
     def packed(self, steps: Steps) -> bytes:
         """Give steps as they are in the file: one walker's coordinates, density, flag; the next."""

@@ -16,7 +16,7 @@ from bayesfric.estimates.torque import filtered_torque
 from bayesfric.inference.fast_moments import FastMoments, fast_moments
 from bayesfric.inference.likelihood import LikelihoodMethod, Outputs
 from bayesfric.inference.residual_moments import PlainMoments, ResidualMoments, follows
-from bayesfric.inference.residual_noise import Autoregressive, ResidualNoise, StudentT
+from bayesfric.inference.residual_noise import Autoregressive, ResidualNoise
 from bayesfric.mechanism.chain import Chain
 from bayesfric.recordings.observation import Observation
 
@@ -101,8 +101,8 @@ class TorqueLikelihood:
         TorqueLikelihood
             Itself for a chain whose torque has no such form; :attr:`evaluation` tells.
         """
-        if isinstance(self.noise, StudentT):
-            return self  # outliers have no moments to sum
+        if not self.noise.gaussian:
+            return self
         moments = fast_moments(
             self.chain, self.observations, draws, self.noise.order, plain=self._plain
         )
@@ -150,12 +150,7 @@ class TorqueLikelihood:
         ndarray
             ``(n,)``
         """
-        if isinstance(self.noise, StudentT):
-            terms = self._plain.student_terms(values, scales)
-            return self.noise.log_density(terms, self.sizes, scales)
-        assert isinstance(self.noise, Autoregressive)
-        moments, plain = self.moments.at(values), self._plain
-        return self.noise.log_density(moments, plain.counts, plain.head_counts, scales)
+        return self.noise.log_density_of(self._plain, self.moments, values, scales)
 
     def pointwise(self, values: Array, scales: Array) -> list[Array]:
         """See :class:`bayesfric.inference.likelihood.Likelihood`."""

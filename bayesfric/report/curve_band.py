@@ -63,7 +63,7 @@ class CurveJudge:
 
     def __init__(self, fit: Fit) -> None:
         posterior, target = fit.posterior, fit.target
-        sampled = np.median(posterior.flat(), axis=0)
+        sampled = posterior.median
         self._fit = fit
         self.local: LocalInformation = local_information(target, sampled)
         self.median: Array = target.chain_values(sampled[None])[0]

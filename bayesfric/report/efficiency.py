@@ -146,7 +146,7 @@ def efficiency_figure(fit: Fit, summary: Mapping[str, Any]) -> Figure | None:
         return None
     panels = [curves[i : i + 2] for i in range(0, len(curves), 2)][:_MOST]
     width = COLUMN if len(panels) == 1 else PAGE
-    median = fit.target.chain_values(np.median(fit.posterior.flat(), axis=0)[None])[0]
+    median = fit.target.chain_values(fit.posterior.median[None])[0]
     stated = typical_load(fit.chain, fit.observations, median)
     references = summary.get("references", {})
     with paper_style():

@@ -93,7 +93,7 @@ def _p_value(found: re.Match[str]) -> str:
 
 def _model(fit: Fit, _: Mapping[str, Any]) -> Iterator[str]:
     chain = fit.chain
-    names = _and([_element(e) for e in chain.elements])
+    names = listed([_element(e) for e in chain.elements])
     moved = [
         words
         for on, words in (
@@ -103,7 +103,7 @@ def _model(fit: Fit, _: Mapping[str, Any]) -> Iterator[str]:
         )
         if on
     ]
-    load = f" and moves a load with {_and(moved)}" if moved else ""
+    load = f" and moves a load with {listed(moved)}" if moved else ""
     yield (
         f"The joint was modelled after the friction model of the biped robot Rabbit's knee "
         f"[@rabbit2005] as a chain of {len(chain.elements)} "
@@ -120,7 +120,7 @@ def _model(fit: Fit, _: Mapping[str, Any]) -> Iterator[str]:
         if on
     ]
     if extras:
-        yield f"The model has {_and(extras)}."
+        yield f"The model has {listed(extras)}."
 
 
 def _element(e: Element) -> str:
@@ -139,7 +139,7 @@ def _element(e: Element) -> str:
         if on
     ]
     ratio = f", ratio {e.ratio:g}" if e.ratio != 1.0 else ""
-    return f"{e.name} ({_and(parts) or 'no loss'}{ratio})"
+    return f"{e.name} ({listed(parts) or 'no loss'}{ratio})"
 
 
 def _data(fit: Fit, summary: Mapping[str, Any]) -> Iterator[str]:
@@ -151,7 +151,7 @@ def _data(fit: Fit, summary: Mapping[str, Any]) -> Iterator[str]:
     yield f"{count} of {samples} samples in all, at {rates} Hz, {was} used."
     masses = [o for o in seen if o.added_mass]
     if masses:
-        told = _and(
+        told = listed(
             [
                 f"{o.added_mass:g} kg" + (f" at {o.radius:g} m" if o.radius else "")
                 for o in {(o.added_mass, o.radius): o for o in masses}.values()
@@ -304,7 +304,8 @@ def _software(_: Fit, __: Mapping[str, Any]) -> Iterator[str]:
     )
 
 
-def _and(parts: Sequence[str]) -> str:
+def listed(parts: Sequence[str]) -> str:
+    """Join words: ``a, b and c``."""
     if len(parts) < 2:
         return "".join(parts)
     return f"{', '.join(parts[:-1])} and {parts[-1]}"

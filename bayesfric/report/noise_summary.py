@@ -12,7 +12,6 @@ from bayesfric.estimates.information import CORRELATED, lag_one
 from bayesfric.inference.autoregression import ljung_box, predictors
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.noise_choice import Choice
-from bayesfric.inference.residual_noise import Autoregressive
 from bayesfric.inference.torque_likelihood import TorqueLikelihood
 
 Array = NDArray[np.float64]
@@ -74,7 +73,7 @@ def noise_record(
     if not isinstance(likelihood, TorqueLikelihood):
         return record
     noise = likelihood.noise
-    median = np.median(fit.posterior.flat(), axis=0)
+    median = fit.posterior.median
     scales = fit.target.noise.scales(median[None, len(fit.target.free) :])[0]
     left = likelihood.innovations(residuals, scales)
     runs = [o.follows for o in likelihood.outputs]
@@ -106,7 +105,7 @@ def noise_record(
     return record
 
 
-def add_white_intervals(summary: dict[str, Any], white: Mapping[str, Any]) -> None:
+def add_white_intervals(summary: dict[str, Any], white: Mapping[str, Mapping[str, Any]]) -> None:
     """Put beside every interval of a summary the one that white noise would have given.
 
     Parameters
@@ -114,11 +113,11 @@ def add_white_intervals(summary: dict[str, Any], white: Mapping[str, Any]) -> No
     summary
         Changed: rows get ``white_interval`` and ``white_sd``.
     white
-        Summary of the same problem with white noise.
+        From :func:`bayesfric.report.summary.spreads`, of the same problem with white noise.
     """
     for group in ("parameters", "derived"):
         for name, row in summary[group].items():
-            other = white[group].get(name)
+            other = white.get(name)
             if other is not None and not name.startswith("noise."):
                 row["white_interval"], row["white_sd"] = other["interval"], other["sd"]
 
@@ -159,9 +158,7 @@ def correlation_warnings(fit: Fit, record: Mapping[str, Any]) -> Iterator[str]:
 def white_alternative(fit: Fit) -> bool:
     """Whether the noise has a memory, so that white noise would have given other intervals."""
     likelihood = fit.target.likelihood
-    if not isinstance(likelihood, TorqueLikelihood):
-        return False
-    return isinstance(likelihood.noise, Autoregressive) and likelihood.noise.order > 0
+    return isinstance(likelihood, TorqueLikelihood) and likelihood.noise.order > 0
 
 
 def mean_lag(lags: list[float], residuals: list[Array]) -> float | None:

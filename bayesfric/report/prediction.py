@@ -7,15 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.likelihood import Outputs
-from bayesfric.recordings.observation import Observation
+from bayesfric.report.over_time import as_pixels, broken, draw_band, draw_measured, shortened
 from bayesfric.report.style import (
-    BAND,
-    MEASURED,
     PAGE,
     PALETTE,
     SMALL,
@@ -33,8 +30,6 @@ _DRAWS = 200
 _BUDGET = 20_000_000
 # Above so many outputs an inch, dots would hide the lines.
 _MOST_DOTS = 150.0
-# Lines of more points are drawn as pixels; as paths they would make a slow and huge PDF.
-_MOST_POINTS = 5000
 
 _HEIGHT = 3.4
 _LEFT, _RIGHT, _BOTTOM, _TOP = 0.62, 0.14, 0.36, 0.36
@@ -77,9 +72,8 @@ def predictive(fit: Fit) -> list[Predictive]:
     fit
         A finished fit.
     """
-    flat = fit.posterior.flat()
-    n = min(_DRAWS, flat.shape[0])
-    flat = flat[np.linspace(0, flat.shape[0] - 1, n).astype(int)]
+    flat = fit.posterior.flat(_DRAWS)
+    n = len(flat)
     values = fit.target.chain_values(flat)
     scales = fit.target.noise.scales(flat[:, len(fit.target.free) :])
     windows = sum(o.measured.size * o.filter.taps.size for o in fit.observations)
@@ -160,57 +154,43 @@ def prediction_figure(fit: Fit) -> Figure:
 
 
 def _torque(ax: Axes, o: Outputs, p: Predictive) -> None:
-    low, high = p.band(LEVEL)
-    time, measured, mean, low, high = broken(o, o.measured, p.mean, low, high)
-    pixels = o.time.size > _MOST_POINTS
-    ax.fill_between(
-        time,
-        low,
-        high,
-        color=BAND,
-        linewidth=0.0,
-        label=f"{100 * LEVEL:.0f} % predictive band",
-        rasterized=pixels,
-        gid="band",
-    )
+    draw_band(ax, o, *p.band(LEVEL), label=f"{100 * LEVEL:.0f} % predictive band", gid="band")
+    time, measured, mean = broken(o, o.measured, p.mean)
     # wide below and thin above, so that both are seen where they agree
     ax.plot(
         time,
         mean,
         color=PALETTE[2],
-        linewidth=1.0 if pixels else 1.5,
+        linewidth=1.0 if as_pixels(o) else 1.5,
         label="predictive mean",
-        rasterized=pixels,
+        rasterized=as_pixels(o),
         gid="mean",
     )
-    ax.plot(
+    draw_measured(
+        ax,
         time,
         measured,
-        color=MEASURED,
         linewidth=0.5,
+        pixels=as_pixels(o),
         marker=".",
-        markersize=1.5,
         markevery=_dots(ax, measured),
         label="measured",
-        rasterized=pixels,
         gid="measured",
     )
 
 
 def _residual(ax: Axes, o: Outputs, p: Predictive) -> None:
-    low, high = p.band(LEVEL)
-    time, residual, low, high = broken(o, o.measured - p.mean, low - p.mean, high - p.mean)
     # once more, for on the scale of the torque a good fit's band is a hairline
-    ax.fill_between(time, low, high, color=BAND, linewidth=0.0, rasterized=time.size > _MOST_POINTS)
-    ax.plot(
+    draw_band(ax, o, *(end - p.mean for end in p.band(LEVEL)))
+    time, residual = broken(o, o.measured - p.mean)
+    draw_measured(
+        ax,
         time,
         residual,
-        color=MEASURED,
         linewidth=0.4,
+        pixels=as_pixels(o),
         marker=".",
-        markersize=1.5,
         markevery=_dots(ax, residual),
-        rasterized=o.time.size > _MOST_POINTS,
         gid="residual",
     )
     for side in (-2.0, 2.0):
@@ -226,18 +206,6 @@ def _residual(ax: Axes, o: Outputs, p: Predictive) -> None:
         )
 
 
-def broken(o: Outputs | Observation, *values: Array) -> list[Array]:
-    """Give time and values with a break wherever outputs are missing."""
-    gaps = (np.diff(o.time) > 1.5 * o.period) | (np.diff(o.segment_of) != 0)
-    at: NDArray[np.intp] = np.flatnonzero(gaps) + 1
-    # a time inside the gap keeps the order; the values there are none
-    between = 0.5 * (o.time[at - 1] + o.time[at])
-    return [
-        np.insert(o.time, at, between),
-        *(np.insert(np.asarray(v, dtype=np.float64), at, np.nan) for v in values),
-    ]
-
-
 def _dots(ax: Axes, broken: Array) -> list[int]:
     """Which points to mark: all where there is room, else those no line reaches."""
     present = np.isfinite(broken)
@@ -246,12 +214,6 @@ def _dots(ax: Axes, broken: Array) -> list[int]:
         padded = np.concatenate([[False], present, [False]])
         present &= ~padded[:-2] & ~padded[2:]
     return [int(i) for i in np.flatnonzero(present)]
-
-
-def shortened(name: str, most: int = 36) -> str:
-    """Cut a recording's name to what a title has room for."""
-    shown = name if len(name) <= most else f"{name[: most - 1]}…"
-    return shown.replace("$", r"\$")
 
 
 def _legend(figure: Figure, axes: AxesGrid, n: int) -> None:

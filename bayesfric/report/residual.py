@@ -149,7 +149,7 @@ def _innovations(fit: Fit, left: list[Array]) -> list[Array] | None:
     likelihood = fit.target.likelihood
     if not isinstance(likelihood, TorqueLikelihood) or not likelihood.noise.order:
         return None
-    median = np.median(fit.posterior.flat(), axis=0)
+    median = fit.posterior.median
     scales = fit.target.noise.scales(median[None, len(fit.target.free) :])[0]
     return likelihood.innovations(left, scales)
 
@@ -192,7 +192,7 @@ def _autocorrelation(outputs: tuple[Outputs, ...], left: list[Array]) -> tuple[A
 
 def _abscissae(fit: Fit, outputs: tuple[Outputs, ...]) -> list[tuple[str, str, list[Array]]]:
     """Speed, load torque and angle at every output."""
-    median = fit.target.chain_values(np.median(fit.posterior.flat(), axis=0)[None])[0]
+    median = fit.target.chain_values(fit.posterior.median[None])[0]
     speed, load, angle = [], [], []
     for o, seen in zip(outputs, fit.observations, strict=True):
         at = seen.filter.centres

@@ -19,6 +19,7 @@ from bayesfric.estimates.torque import filtered_torque
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.priors import Prior, fixed
 from bayesfric.mechanism.scaling import Scaling, scalings
+from bayesfric.report.over_time import shortened
 from bayesfric.report.style import (
     PAGE,
     PALETTE,
@@ -390,7 +391,7 @@ def _torque(left: Axes, right: Axes, fit: Fit, found: Ridge) -> None:
     left.set_ylim(float(torque.min()) - 0.08 * span, float(torque.max()) + 0.35 * span)
     left.legend(loc="upper left", ncols=3, handlelength=2.2, columnspacing=1.2, borderaxespad=0.2)
     lines = [
-        f"{_shortened(one.name)}: at most {difference:.2g} {unit}"
+        f"{shortened(one.name, 24)}: at most {difference:.2g} {unit}"
         for one, difference in zip(fit.observations, differences, strict=True)
     ]
     if len(lines) > _MOST_NAMED:
@@ -405,11 +406,6 @@ def _torque(left: Axes, right: Axes, fit: Fit, found: Ridge) -> None:
         fontsize=SMALL,
         gid="largest",
     )
-
-
-def _shortened(name: str, most: int = 24) -> str:
-    shown = name if len(name) <= most else f"{name[: most - 1]}…"
-    return shown.replace("$", r"\$")
 
 
 def _legend(figure: Figure, found: Ridge) -> None:

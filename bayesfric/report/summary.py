@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from bayesfric.inference.fit import Fit
 from bayesfric.inference.likelihood import Likelihood
 from bayesfric.inference.noise_choice import Choice
 from bayesfric.inference.position_likelihood import PositionLikelihood
-from bayesfric.mechanism.derived import derive
+from bayesfric.mechanism.derived import Derived, derive
 from bayesfric.report.noise_summary import (
     correlation_warnings,
     noise_meaning,
@@ -58,8 +58,7 @@ def summarise(
     """
     posterior = fit.posterior
     d = posterior.diagnostics
-    flat = posterior.flat()
-    median = np.median(flat, axis=0)
+    flat, median = posterior.flat(), posterior.median
     local = local_information(fit.target, median)
     residual = residuals(fit)
     outputs = fit.target.likelihood.outputs
@@ -132,6 +131,18 @@ def summarise(
             "seed": posterior.seed,
         },
     }
+
+
+def spreads(fit: Fit) -> dict[str, dict[str, Any]]:
+    """Mean, sd, median and interval of all that :func:`summarise` gives an interval, by name."""
+    flat = fit.posterior.flat()
+    found = {name: _spread(flat[:, j]) for j, name in enumerate(fit.posterior.names)}
+    projection = TotalsProjection(fit.chain, fit.observations)
+    if wanted := _wanted_totals(fit, projection):
+        draws = _total_draws(fit, projection)
+        found |= {label: _spread(draws[:, i]) for i, _, label in wanted}
+    at_load = _at_load(fit, fit.posterior.median)
+    return found | {q.name: _spread(defined) for q, defined in _derived_draws(fit, at_load)}
 
 
 def summary_table(summary: Mapping[str, Any]) -> str:
@@ -234,22 +245,11 @@ def _parameters(fit: Fit, flat: Array, local: LocalInformation) -> dict[str, Any
 
 
 def _derived(fit: Fit, median: Array, local: LocalInformation) -> dict[str, Any]:
-    draws = fit.chain_draws()
-    middle = fit.target.chain_values(median[None])[0]
-    at_load = typical_load(fit.chain, fit.observations, middle)
-    found = derive(fit.chain, draws, at_load)
+    at_load = _at_load(fit, median)
     prior = _prior_sds(fit, at_load)
     gradients = _gradients(fit, median, at_load)
-    # what no scaling changes comes first: it is what the torque tells
-    rows = {}
-    for q in sorted(found, key=lambda q: not q.gauge_free):
-        defined = q.values[np.isfinite(q.values)]
-        # what only fixed parameters make up is known, and what most draws do not
-        # have has no interval
-        known = defined.size == q.values.size and np.ptp(defined) <= 1e-12 * np.abs(defined).max()
-        if known or defined.size < 0.5 * q.values.size:
-            continue
-        rows[q.name] = {
+    return {
+        q.name: {
             "unit": q.unit,
             "symbol": q.symbol,
             "meaning": q.meaning,
@@ -262,22 +262,35 @@ def _derived(fit: Fit, median: Array, local: LocalInformation) -> dict[str, Any]
             "undefined_share": 1.0 - defined.size / q.values.size,
             "gauge_free": q.gauge_free,
         }
-    return rows
+        for q, defined in _derived_draws(fit, at_load)
+    }
+
+
+def _at_load(fit: Fit, median: Array) -> float:
+    """Give the load at which efficiencies are stated."""
+    middle = fit.target.chain_values(median[None])[0]
+    return typical_load(fit.chain, fit.observations, middle)
+
+
+def _derived_draws(fit: Fit, at_load: float) -> Iterator[tuple[Derived, Array]]:
+    """Give every derived quantity that has an interval, with the draws where it is defined."""
+    # what no scaling changes comes first: it is what the torque tells
+    for q in sorted(derive(fit.chain, fit.chain_draws(), at_load), key=lambda q: not q.gauge_free):
+        defined = q.values[np.isfinite(q.values)]
+        # what only fixed parameters make up is known, and what most draws do not
+        # have has no interval
+        known = defined.size == q.values.size and np.ptp(defined) <= 1e-12 * np.abs(defined).max()
+        if not known and defined.size >= 0.5 * q.values.size:
+            yield q, defined
 
 
 def _totals(fit: Fit, median: Array, local: LocalInformation) -> dict[str, Any]:
     """State what least squares, eq. (11), would find in each draw's torque."""
     projection = TotalsProjection(fit.chain, fit.observations)
-    wanted = [
-        (i, name, label)
-        for i, (name, label) in enumerate(zip(projection.names, projection.labels, strict=True))
-        if label not in fit.chain.names and not projection.open[i]
-    ]
+    wanted = _wanted_totals(fit, projection)
     if not wanted:
         return {}
-    samples = sum(o.q.size for o in fit.observations)
-    values = fit.chain_draws(max(400, _TOTALS_BUDGET // samples))
-    draws = projection.solve(_stacked(fit, values)).T
+    draws = _total_draws(fit, projection)
     rng = np.random.default_rng(np.random.SeedSequence(fit.posterior.seed, spawn_key=(3,)))
     drawn = np.stack([prior.draw(300, rng) for prior in fit.posterior.priors], axis=1)
     prior = projection.solve(_stacked(fit, fit.target.chain_values(drawn))).T
@@ -303,6 +316,22 @@ def _totals(fit: Fit, median: Array, local: LocalInformation) -> dict[str, Any]:
             "gauge_free": True,
         }
     return rows
+
+
+def _wanted_totals(fit: Fit, projection: TotalsProjection) -> list[tuple[int, str, str]]:
+    """List number, name and label of the totals that are determined and no parameter."""
+    return [
+        (i, name, label)
+        for i, (name, label) in enumerate(zip(projection.names, projection.labels, strict=True))
+        if label not in fit.chain.names and not projection.open[i]
+    ]
+
+
+def _total_draws(fit: Fit, projection: TotalsProjection) -> Array:
+    """Find all totals in the torque of each draw, ``(n, totals)``."""
+    samples = sum(o.q.size for o in fit.observations)
+    values = fit.chain_draws(max(400, _TOTALS_BUDGET // samples))
+    return projection.solve(_stacked(fit, values)).T
 
 
 def _stacked(fit: Fit, values: Array) -> Array:

@@ -11,11 +11,10 @@ from matplotlib.figure import Figure
 
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.predictive import Prediction
-from bayesfric.report.prediction import broken, shortened
+from bayesfric.report.over_time import as_pixels, broken, draw_band, draw_measured, shortened
 from bayesfric.report.style import (
     BAND,
     COLUMN,
-    MEASURED,
     PALETTE,
     SMALL,
     Array,
@@ -26,8 +25,6 @@ from bayesfric.report.validation import covered
 
 _LEVEL = 0.9
 _BINS = 10
-# Lines of more points are drawn as pixels.
-_MOST_POINTS = 5000
 _HEIGHT = 4.6
 
 
@@ -95,28 +92,18 @@ def _torque(above: Axes, beneath: Axes, p: Prediction) -> None:
     """Draw the torque, and what is left of it, for its own scale hides a good fit's band."""
     o, mean = p.held_out.observation, p.mean
     ends = [p.quantile(0.5 - _LEVEL / 2.0), p.quantile(0.5 + _LEVEL / 2.0)]
-    pixels = o.time.size > _MOST_POINTS
     for ax, less in ((above, 0.0), (beneath, mean)):
-        time, measured, low, high = broken(o, *(x - less for x in (p.measured, *ends)))
-        ax.fill_between(
-            time,
-            low,
-            high,
-            color=BAND,
-            linewidth=0.0,
-            label=f"predicted, {100 * _LEVEL:.0f} % band",
-            rasterized=pixels,
-            gid="band",
-        )
-        ax.plot(
+        low, high = (end - less for end in ends)
+        draw_band(ax, o, low, high, label=f"predicted, {100 * _LEVEL:.0f} % band", gid="band")
+        time, measured = broken(o, p.measured - less)
+        draw_measured(
+            ax,
             time,
             measured,
-            color=MEASURED,
             linewidth=0.6,
+            pixels=as_pixels(o),
             marker="." if time.size < 400 else None,
-            markersize=1.5,
             label="measured, held out",
-            rasterized=pixels,
             gid="measured",
         )
         ax.set_xlim(float(o.time.min()), float(o.time.max()))

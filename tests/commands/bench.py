@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from bayesfric import cli
+from bayesfric.commands.simulate import simulate
+from bayesfric.config import read_config
 
 CONFIG = """\
 [mechanism]
@@ -35,6 +37,29 @@ seed = 1
 """
 RECORDING = CONFIG[CONFIG.index("[[recordings]]") : CONFIG.index("[processing]")]
 PRIOR = '"motor.coulomb" = [0.0, 1.0]'
+
+
+JOINT = '[mechanism]\npreset = "motor-axis"\n'
+
+
+def recorded(name="small"):
+    """Table of a recording that ``simulate`` wrote."""
+    return f"""
+[[recordings]]
+file = "{name}.csv"
+time = {{ column = "time", unit = "s" }}
+position = {{ column = "position", unit = "rad" }}
+torque = {{ column = "torque", unit = "N m" }}
+"""
+
+
+SMALL = JOINT + recorded()
+
+
+def simulated(path, text, name="small", seed=None):
+    """Write a configuration and, beside it, the recording that it says to simulate."""
+    path.write_text(text, encoding="utf-8")
+    simulate(read_config(path), path.with_name(f"{name}.csv"), seed=seed)
 
 
 def swing(n=400):
@@ -69,6 +94,9 @@ class Bench:
 
     def config(self, text=CONFIG, encoding="utf-8"):
         (self.folder / "c.toml").write_bytes(text.encode(encoding))
+
+    def simulated(self, text, name="small", seed=None):
+        simulated(self.folder / "c.toml", text, name, seed)
 
     def edit(self, old, new):
         assert old in CONFIG

@@ -7,8 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayesfric.commands.simulate import simulate
-from bayesfric.config import read_config
 from bayesfric.recordings.options import Processing, Source
 from bayesfric.recordings.read import read_recordings
 
@@ -25,8 +23,7 @@ SHORT = "\n[advice]\nduration = 1.0\n"
 
 @pytest.fixture
 def axis(bench):
-    bench.config(AXIS + SHORT)
-    simulate(read_config(bench.folder / "c.toml"), bench.folder / "small.csv")
+    bench.simulated(AXIS + SHORT)
     return bench
 
 

@@ -6,24 +6,14 @@ import re
 import pytest
 
 from bayesfric.commands.problem import read_problem
-from bayesfric.commands.simulate import simulate
 from bayesfric.config import read_config
 from bayesfric.errors import BadInput
 
-from .bench import cases, has
+from .bench import SMALL, cases, has
 
-CONFIG = """\
-[mechanism]
-preset = "motor-axis"
-
-[[recordings]]
-file = "small.csv"
-time = { column = "time", unit = "s" }
-position = { column = "position", unit = "rad" }
-torque = { column = "torque", unit = "N m" }
-
+CONFIG = f"""{SMALL}
 [references]
-"motor.inertia" = { value = 0.0101, sd = 2e-4, source = "data sheet" }
+"motor.inertia" = {{ value = 0.0101, sd = 2e-4, source = "data sheet" }}
 motor.viscous = 0.05
 
 [simulation]
@@ -39,8 +29,7 @@ METHODS = ["least-squares", "input-error", "output-error"]
 
 @pytest.fixture
 def small(bench):
-    bench.config(CONFIG)
-    simulate(read_config(bench.folder / "c.toml"), bench.folder / "small.csv")
+    bench.simulated(CONFIG)
     return bench
 
 
@@ -77,8 +66,7 @@ def test_text_has_both_deviations_units_and_references(small):
 
 def test_nothing_undetermined_gets_a_deviation(bench):
     """The packaged knee alone leaves the scale open: no number there has an sd."""
-    bench.config(KNEE)
-    simulate(read_config(bench.folder / "c.toml"), bench.folder / "knee.csv")
+    bench.simulated(KNEE, "knee")
     ended = bench.run("estimate", "c.toml", "--method", "input-error")
     assert ended.code == 0, ended.err
     for name in ("load.first_moment", "gearbox.load_drive", "joint.viscous"):
@@ -124,8 +112,7 @@ excitation = "square-multisine"
 )
 def test_bad_references(bench, old, new, words):
     assert old in CONFIG
-    bench.config(CONFIG)
-    simulate(read_config(bench.folder / "c.toml"), bench.folder / "small.csv")
+    bench.simulated(CONFIG)
     bench.config(CONFIG.replace(old, new))
     has(bench.refused("estimate", "c.toml"), *words)
 

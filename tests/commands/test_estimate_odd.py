@@ -5,21 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from bayesfric.commands.simulate import simulate
-from bayesfric.config import read_config
+from .bench import SMALL, cases, has
 
-from .bench import cases, has
-
-PENDULUM = """\
-[mechanism]
-preset = "servo-pendulum"
-
-[[recordings]]
-file = "pend.csv"
-time = { column = "time", unit = "s" }
-position = { column = "position", unit = "rad" }
-torque = { column = "torque", unit = "N m" }
-
+PENDULUM = f"""{SMALL.replace("motor-axis", "servo-pendulum")}
 [simulation]
 duration = 6.0
 rate = 200
@@ -31,8 +19,7 @@ torque_noise = 0.005
 
 @pytest.fixture
 def pendulum(bench):
-    bench.config(PENDULUM)
-    simulate(read_config(bench.folder / "c.toml"), bench.folder / "pend.csv")
+    bench.simulated(PENDULUM)
     return bench
 
 
@@ -79,14 +66,14 @@ def test_segments_too_short_to_simulate(pendulum, segment, words):
 
 def test_rest_leaves_no_certainty_of_its_own(pendulum):
     """Most of the time at rest: the robust scale of the residuals is zero there."""
-    table = np.loadtxt(pendulum.folder / "pend.csv", delimiter=",", skiprows=1)
+    table = np.loadtxt(pendulum.folder / "small.csv", delimiter=",", skiprows=1)
     still = table[-1].copy()
     rest = np.tile(still, (2 * len(table), 1))
     rest[:, 0] += 0.005 * np.arange(1, len(rest) + 1)
     rest[:, 2] = 0.0
     rows = np.concatenate([table, rest])
     lines = ["time,position,torque", *(",".join(map(repr, row)) for row in rows.tolist())]
-    (pendulum.folder / "pend.csv").write_text("\n".join(lines) + "\n")
+    (pendulum.folder / "small.csv").write_text("\n".join(lines) + "\n")
     pendulum.config(PENDULUM + '\n[estimation]\nloss = "huber"\nsegment = 1.0\n')
     found = estimates(pendulum, "--method", "output-error")["output-error"]
     sds = [row["sd"] for row in found["parameters"].values() if row["sd"] is not None]
@@ -94,8 +81,8 @@ def test_rest_leaves_no_certainty_of_its_own(pendulum):
 
 
 def test_torque_of_no_joint(pendulum):
-    table = np.loadtxt(pendulum.folder / "pend.csv", delimiter=",", skiprows=1)
+    table = np.loadtxt(pendulum.folder / "small.csv", delimiter=",", skiprows=1)
     table[:, 2] *= 1e-200
     lines = ["time,position,torque", *(",".join(map(repr, row)) for row in table.tolist())]
-    (pendulum.folder / "pend.csv").write_text("\n".join(lines) + "\n")
-    has(pendulum.refused("estimate", "c.toml"), "pend.csv", "torque", "unit")
+    (pendulum.folder / "small.csv").write_text("\n".join(lines) + "\n")
+    has(pendulum.refused("estimate", "c.toml"), "small.csv", "torque", "unit")

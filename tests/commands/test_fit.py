@@ -11,21 +11,13 @@ import pytest
 from bayesfric.commands.demo import demo_config
 from bayesfric.commands.fit import fit, fit_text
 from bayesfric.commands.problem import read_problem
-from bayesfric.commands.simulate import simulate
 from bayesfric.config import read_config
 from bayesfric.inference.archive import read_archive
 from bayesfric.report import run_directory
 
-CONFIG = """\
-[mechanism]
-preset = "motor-axis"
+from .bench import SMALL, simulated
 
-[[recordings]]
-file = "small.csv"
-time = { column = "time", unit = "s" }
-position = { column = "position", unit = "rad" }
-torque = { column = "torque", unit = "N m" }
-
+CONFIG = f"""{SMALL}
 [sampling]
 min_ess = 500
 seed = 3
@@ -51,8 +43,7 @@ FEW = CONFIG.replace(
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("small")
-    (folder / "small.toml").write_text(CONFIG, encoding="utf-8")
-    simulate(read_config(folder / "small.toml"), folder / "small.csv")
+    simulated(folder / "small.toml", CONFIG)
     return folder
 
 

@@ -9,11 +9,10 @@ import pytest
 
 from bayesfric.commands.identify import identification, identify_record, identify_text
 from bayesfric.commands.problem import read_problem
-from bayesfric.commands.simulate import simulate
 from bayesfric.config import read_config
 
 from ..conftest import DATA, REPOSITORY
-from .bench import has
+from .bench import SMALL, has
 
 FOLDER = Path(str(files("bayesfric") / "examples"))
 UR10E = REPOSITORY / "studies" / "ur10e" / "ur10e-joint2.toml"
@@ -27,16 +26,7 @@ SCALED = {
     "load.inertia",
     "load.first_moment",
 }
-AXIS = """\
-[mechanism]
-preset = "motor-axis"
-
-[[recordings]]
-file = "small.csv"
-time = { column = "time", unit = "s" }
-position = { column = "position", unit = "rad" }
-torque = { column = "torque", unit = "N m" }
-
+AXIS = f"""{SMALL}
 [simulation]
 duration = 2.0
 rate = 500
@@ -105,18 +95,15 @@ def test_the_known_mass_determines_everything(bench):
 
 def test_a_sine_never_shows_back_driving(bench):
     text = (FOLDER / "knee.toml").read_text()
-    bench.config(
-        text.replace("knee.csv", "sine.csv").replace('excitation = "square"', 'excitation = "sine"')
-    )
-    simulate(read_config(bench.folder / "c.toml"), bench.folder / "sine.csv")
+    text = text.replace("knee.csv", "sine.csv")
+    bench.simulated(text.replace('excitation = "square"', 'excitation = "sine"'), "sine")
     ended = bench.run("identify", "c.toml")
     assert ended.code == 0, ended.err
     has(ended.out, "Back-driving of gearbox is never seen", "gearbox.load_back rests on its prior")
 
 
 def test_what_is_determined_is_said_to_be(bench):
-    bench.config(AXIS)
-    simulate(read_config(bench.folder / "c.toml"), bench.folder / "small.csv")
+    bench.simulated(AXIS)
     ended = bench.run("identify", "c.toml")
     assert ended.out.splitlines()[0] == "This recording can tell every parameter."
     found = identified(bench, "c.toml")
@@ -126,8 +113,7 @@ def test_what_is_determined_is_said_to_be(bench):
 
 
 def test_the_likelihood_of_the_position(bench):
-    bench.config(AXIS + '\n[likelihood]\nmethod = "output-error"\nsegment = 0.25\n')
-    simulate(read_config(bench.folder / "c.toml"), bench.folder / "small.csv")
+    bench.simulated(AXIS + '\n[likelihood]\nmethod = "output-error"\nsegment = 0.25\n')
     found = identified(bench, "c.toml")
     assert found["method"] == "output-error"
     assert null(found) == []

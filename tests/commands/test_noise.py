@@ -5,22 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from bayesfric.commands.simulate import simulate
-from bayesfric.config import read_config
 from bayesfric.inference.autoregression import simulated
 
-from .bench import has
+from .bench import SMALL, has
 
-CONFIG = """\
-[mechanism]
-preset = "motor-axis"
-
-[[recordings]]
-file = "small.csv"
-time = { column = "time", unit = "s" }
-position = { column = "position", unit = "rad" }
-torque = { column = "torque", unit = "N m" }
-
+CONFIG = f"""{SMALL}
 [processing]
 lowpass = "100 Hz"
 decimate = 1
@@ -41,9 +30,8 @@ RHO = 0.8
 
 def with_noise(bench, make):
     """Simulate without noise, then add it to the torque that the file tells."""
-    bench.config(CONFIG)
+    bench.simulated(CONFIG)
     path = bench.folder / "small.csv"
-    simulate(read_config(bench.folder / "c.toml"), path)
     table = np.loadtxt(path, delimiter=",", skiprows=1)
     table[:, 2] += make(len(table))
     head = path.read_text().split("\n", 1)[0]

@@ -5,16 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from bayesfric.commands.simulate import simulate
-from bayesfric.config import read_config
+from .bench import JOINT, recorded
 
-RECORDING = """
-[[recordings]]
-file = "{name}.csv"
-time = {{ column = "time", unit = "s" }}
-position = {{ column = "position", unit = "rad" }}
-torque = {{ column = "torque", unit = "N m" }}
-"""
 SIMULATION = """
 [simulation]
 duration = 4.0
@@ -25,7 +17,6 @@ torque_noise = 0.01
 seed = {seed}
 parameters = {{ offset = {offset} }}
 """
-JOINT = '[mechanism]\npreset = "motor-axis"\n'
 OFFSETS = {"one": 0.08, "two": -0.05}
 SHORT = "\n[sampling]\nwalkers = 32\nmax_steps = 400\nmin_ess = 200\n"
 
@@ -33,11 +24,9 @@ SHORT = "\n[sampling]\nwalkers = 32\nmax_steps = 400\nmin_ess = 200\n"
 @pytest.fixture
 def two(bench):
     for seed, (name, offset) in enumerate(OFFSETS.items(), start=1):
-        bench.config(
-            JOINT + RECORDING.format(name=name) + SIMULATION.format(seed=seed, offset=offset)
-        )
-        simulate(read_config(bench.folder / "c.toml"), bench.folder / f"{name}.csv")
-    both = "".join(RECORDING.format(name=name) for name in OFFSETS)
+        simulation = SIMULATION.format(seed=seed, offset=offset)
+        bench.simulated(JOINT + recorded(name) + simulation, name)
+    both = "".join(map(recorded, OFFSETS))
     bench.config(JOINT + 'offset = "per-recording"\n' + both + SHORT)
     return bench
 

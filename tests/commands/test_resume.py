@@ -18,7 +18,6 @@ import pytest
 from bayesfric.commands import unfinished as module
 from bayesfric.commands.fit import fit
 from bayesfric.commands.lock import Taken, alone_in
-from bayesfric.commands.simulate import simulate
 from bayesfric.config import read_config
 from bayesfric.errors import BadInput, Interrupted
 from bayesfric.inference import checkpoint, step_file
@@ -26,7 +25,7 @@ from bayesfric.inference.archive import read_archive
 from bayesfric.report import run_directory
 from tests.conftest import REPOSITORY
 
-from .bench import has
+from .bench import has, simulated
 from .test_fit import CONFIG, draws, without_seconds
 
 # Few steps: what is tested is the bytes, not what they say. The noise remembers, so that there is
@@ -68,8 +67,7 @@ def plain():
 @pytest.fixture(scope="module")
 def measured(tmp_path_factory):
     folder = tmp_path_factory.mktemp("measured")
-    (folder / "few.toml").write_text(FEW, encoding="utf-8")
-    simulate(read_config(folder / "few.toml"), folder / "small.csv")
+    simulated(folder / "few.toml", FEW)
     return folder
 
 

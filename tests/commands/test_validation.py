@@ -5,20 +5,12 @@ import json
 import numpy as np
 import pytest
 
-from bayesfric.commands.simulate import simulate
 from bayesfric.config import read_config
 from bayesfric.inference.archive import read_archive
 from bayesfric.report import run_directory
 
-from .bench import has
+from .bench import JOINT, has, recorded
 
-RECORDING = """
-[[recordings]]
-file = "{name}.csv"
-time = {{ column = "time", unit = "s" }}
-position = {{ column = "position", unit = "rad" }}
-torque = {{ column = "torque", unit = "N m" }}
-"""
 SIMULATION = """
 [simulation]
 duration = 3.0
@@ -27,19 +19,17 @@ excitation = "multisine"
 encoder_counts = 0
 torque_noise = 0.01
 """
-JOINT = '[mechanism]\npreset = "motor-axis"\n'
 NAMES = ("one", "two", "three")
 SHORT = "\n[sampling]\nwalkers = 32\nmax_steps = 400\nmin_ess = 200\n"
 PROCESSING = '\n[processing]\nlowpass = "100 Hz"\ndecimate = 1\n'
-CONFIG = JOINT + "".join(RECORDING.format(name=name) for name in NAMES) + PROCESSING + SHORT
+CONFIG = JOINT + "".join(map(recorded, NAMES)) + PROCESSING + SHORT
 HELD_OUT = '\n[validation]\nrecordings = ["two"]\nhold_out = 0.2\n'
 
 
 @pytest.fixture
 def three(bench, monkeypatch):
     for seed, name in enumerate(NAMES, start=1):
-        bench.config(JOINT + RECORDING.format(name=name) + SIMULATION)
-        simulate(read_config(bench.folder / "c.toml"), bench.folder / f"{name}.csv", seed=seed)
+        bench.simulated(JOINT + recorded(name) + SIMULATION, name, seed)
     bench.config(CONFIG + HELD_OUT)
     kept = {"validation": run_directory.FIGURES["validation"]}
     monkeypatch.setattr(run_directory, "FIGURES", kept)
@@ -121,7 +111,7 @@ def test_check_shows_what_is_held_out(three):
 
 
 def test_no_validation_no_entry(three):
-    three.config(JOINT + RECORDING.format(name="one") + PROCESSING + SHORT)
+    three.config(JOINT + recorded("one") + PROCESSING + SHORT)
     summary, _, out, _ = fitted(three)
     assert "validation" not in summary
     assert "Held out" not in out

@@ -1,15 +1,13 @@
 """Recordings simulated without a file, for tests of the output error."""
 
-from pathlib import Path
-
 import numpy as np
 
 from bayesfric.mechanism.excitation import multisine, square
 from bayesfric.mechanism.forward import simulate
 from bayesfric.recordings.observation import observe
 from bayesfric.recordings.options import Processing
-from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.trajectory import trajectory
+from tests.conftest import made_recording
 
 PERIOD = 2e-3
 
@@ -27,22 +25,9 @@ def move(chain, values, torque, **load):
 
 
 def prepare(position, torque, length=np.inf, name="made-up", added_mass=0.0, radius=0.0):
-    n = position.size
-    recording = Recording(
-        name=name,
-        path=Path(name),
-        sha256="",
-        time=np.arange(n) * PERIOD,
-        position=position,
-        velocity=None,
-        torque=torque,
-        segments=((0, n),),
-        period=PERIOD,
-        excluded=np.zeros(n, dtype=bool),
-        added_mass=added_mass,
-        radius=radius,
-        steps=(),
-        warnings=(),
+    time = np.arange(position.size) * PERIOD
+    recording = made_recording(
+        time, position, torque, PERIOD, name=name, added_mass=added_mass, radius=radius
     )
     observation = observe(recording, Processing())
     return trajectory(recording, observation, length), observation

@@ -4,7 +4,6 @@ Simulated knee, Table 3 of the paper, and a plain axis whose torque is linear.
 """
 
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -24,7 +23,7 @@ from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.observation import observe
 from bayesfric.recordings.options import Processing
-from bayesfric.recordings.recording import Recording
+from tests.conftest import made_recording
 
 KNEE, AXIS = PRESETS["rabbit-knee"], PRESETS["motor-axis"]
 CHAIN = KNEE.chain()
@@ -37,26 +36,10 @@ def recorded(torque, *, added_mass=0.0, radius=0.0, name="made-up"):
     motion = simulate(
         CHAIN, VALUES, torque, PERIOD, added_mass=added_mass, radius=radius, substeps=4
     )
-    n = torque.size
-    return observe(
-        Recording(
-            name=name,
-            path=Path("made-up.csv"),
-            sha256="",
-            time=motion.time,
-            position=motion.q,
-            torque=torque,
-            period=PERIOD,
-            segments=((0, n),),
-            excluded=np.zeros(n, dtype=bool),
-            velocity=None,
-            added_mass=added_mass,
-            radius=radius,
-            steps=(),
-            warnings=(),
-        ),
-        Processing(),
+    played = made_recording(
+        motion.time, motion.q, torque, PERIOD, name=name, added_mass=added_mass, radius=radius
     )
+    return observe(played, Processing())
 
 
 def lagged(amplitude=0.8, hertz=1.0):

@@ -1,7 +1,6 @@
 """What is held out of a fit: which samples, how far from the others, and what is refused."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ from bayesfric.errors import BadInput
 from bayesfric.recordings.held_out import Validation, divide
 from bayesfric.recordings.observation import observe
 from bayesfric.recordings.options import Processing
-from bayesfric.recordings.recording import Recording
+from tests.conftest import made_recording
 
 PROCESSING = Processing(lowpass=20.0, decimate=5)
 N, PERIOD = 4000, 0.002
@@ -20,22 +19,8 @@ def recording(name="run", n=N, segments=None, moves=slice(None)):
     time = PERIOD * np.arange(n)
     position = np.zeros(n)
     position[moves] = np.sin(2 * np.pi * 0.9 * time[moves])
-    return Recording(
-        name=name,
-        path=Path(name),
-        sha256="",
-        time=time,
-        position=position,
-        velocity=None,
-        torque=np.random.default_rng(n).standard_normal(n),
-        segments=segments or ((0, n),),
-        period=PERIOD,
-        excluded=np.zeros(n, dtype=bool),
-        added_mass=0.0,
-        radius=0.0,
-        steps=(),
-        warnings=(),
-    )
+    torque = np.random.default_rng(n).standard_normal(n)
+    return made_recording(time, position, torque, PERIOD, name=name, segments=segments or ((0, n),))
 
 
 def touched(o):

@@ -1,7 +1,6 @@
 """From a recording to what a model is compared with."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,12 +10,12 @@ from bayesfric.recordings import (
     Channel,
     Position,
     Processing,
-    Recording,
     Source,
     Torque,
     observe,
     read_recordings,
 )
+from tests.conftest import made_recording
 
 W = 2 * np.pi * 0.5
 
@@ -25,21 +24,12 @@ def recording(n=4000, period=0.002, **changes):
     t = period * np.arange(n)
     given = {
         "name": "swing",
-        "path": Path("swing.csv"),
-        "sha256": "0" * 64,
         "time": t,
         "position": np.sin(W * t),
-        "velocity": None,
         "torque": 2 * -(W**2) * np.sin(W * t) + 3 * W * np.cos(W * t) + 0.5,
-        "segments": ((0, n),),
         "period": period,
-        "excluded": np.zeros(n, dtype=bool),
-        "added_mass": 0.0,
-        "radius": 0.0,
-        "steps": (),
-        "warnings": (),
     }
-    return Recording(**(given | changes))
+    return made_recording(**(given | changes))
 
 
 def test_parameters_of_a_made_up_joint_come_back():
@@ -170,22 +160,8 @@ def test_a_glitch_in_an_excluded_span_stays_in_it():
     excluded[1990:2011] = True
 
     def outputs(q):
-        recording = Recording(
-            name="r",
-            path=Path("r.csv"),
-            sha256="",
-            time=time,
-            position=q,
-            velocity=None,
-            torque=np.cos(2 * np.pi * time),
-            segments=((0, n),),
-            period=period,
-            excluded=excluded,
-            added_mass=0.0,
-            radius=0.0,
-            steps=(),
-            warnings=(),
-        )
+        torque = np.cos(2 * np.pi * time)
+        recording = made_recording(time, q, torque, period, excluded=excluded)
         # 50 samples of trim: 2.5 periods of the cut-off on either side
         return observe(recording, Processing(lowpass=50.0, decimate=1, trim=0.05, dead_zone=0.0))
 

@@ -1,15 +1,13 @@
 """Cutting recordings into segments for the output error."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from bayesfric.errors import BadInput
 from bayesfric.recordings.observation import observe
 from bayesfric.recordings.options import Processing
-from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.trajectory import divided, trajectory
+from tests.conftest import made_recording
 
 
 def made(n=1000, segments=None, excluded=(), period=0.01):
@@ -17,21 +15,15 @@ def made(n=1000, segments=None, excluded=(), period=0.01):
     for a, b in excluded:
         flags[a:b] = True
     time = np.arange(n) * period
-    return Recording(
-        name="made",
-        path=Path("made"),
-        sha256="",
-        time=time,
-        position=np.sin(time),
-        velocity=None,
-        torque=np.cos(time),
+    return made_recording(
+        time,
+        np.sin(time),
+        np.cos(time),
+        period,
         segments=segments or ((0, n),),
-        period=period,
         excluded=flags,
         added_mass=2.0,
         radius=0.5,
-        steps=(),
-        warnings=(),
     )
 
 

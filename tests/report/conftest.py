@@ -1,7 +1,6 @@
 """Made-up fits: the truth with a little spread around it, no sampling."""
 
 import io
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,9 +15,9 @@ from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.observation import observe
 from bayesfric.recordings.options import Processing
-from bayesfric.recordings.recording import Recording
 from bayesfric.report import run_directory
 from bayesfric.report.summary import summarise
+from tests.conftest import made_recording
 
 NOISE = 0.02
 SLIDE = Chain(
@@ -40,22 +39,8 @@ def recording(chain, values, name, samples, seed):
     torque = inverse_torque(chain, values, q, qd, qdd) + NOISE * rng.standard_normal(samples)
     half = samples // 2
     time[half:] += 1.0
-    return Recording(
-        name=name,
-        path=Path(name),
-        sha256="",
-        time=time,
-        position=q,
-        velocity=qd,
-        torque=torque,
-        segments=((0, half), (half, samples)),
-        period=1e-3,
-        excluded=np.zeros(samples, dtype=bool),
-        added_mass=0.0,
-        radius=0.0,
-        steps=(),
-        warnings=(),
-    )
+    segments = ((0, half), (half, samples))
+    return made_recording(time, q, torque, 1e-3, name=name, velocity=qd, segments=segments)
 
 
 def build(

@@ -8,19 +8,17 @@ import pytest
 
 from bayesfric.commands.problem import read_problem
 from bayesfric.config import read_config
-from bayesfric.inference.fit import fit
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.report.validation import validation_record
 from tests.conftest import DATA, REPOSITORY
+
+from .test_real_recordings import run
 
 pytestmark = pytest.mark.usefixtures("real_data")
 
 
 def predicted(name):
-    config = read_config(REPOSITORY / "studies" / name)
-    problem = read_problem(config)
-    result = fit(problem.target(), config.tables.sampling)
-    assert result.posterior.diagnostics.status == "reliable"
+    problem, result = run(name)
     found = predict_held_out(result.target, result.posterior, problem.held_out)
     return problem, result, validation_record(replace(result, held_out=found))
 

@@ -7,7 +7,17 @@ from typing import Any
 
 from pydantic import Field, FiniteFloat
 
-from bayesfric.report.run_summary import Name, NotNegative, Pair, Part, read_as
+from bayesfric.report.run_summary import (
+    Likelihood,
+    Name,
+    Noise,
+    NotNegative,
+    Pair,
+    Part,
+    Residual,
+    Sampler,
+    read_as,
+)
 
 
 class Row(Part):
@@ -76,11 +86,9 @@ class Whiteness(Part):
     white: bool
 
 
-class NoiseFacts(Part):
+class NoiseFacts(Noise):
     """Noise model and the evidence for it."""
 
-    model: str = "white"
-    residual_lag1: FiniteFloat | None = None
     innovation_lag1: FiniteFloat | None = None
     innovation_whiteness: Whiteness | None = None
     order_chosen_from: list[Tried] = Field(default_factory=list)
@@ -132,19 +140,16 @@ class RecordingRow(Part):
     dropped_dead_zone: int | None = None
 
 
-class FitFacts(Part):
-    """What the posterior leaves unexplained."""
+class FitFacts(Residual):
+    """What the posterior leaves unexplained, recording by recording."""
 
-    residual_rms: NotNegative | None = None
-    unit: str = ""
     quantity: str = "output"
     recordings: dict[Name, RecordingRow] = Field(default_factory=dict)
 
 
-class SamplerFacts(Part):
+class SamplerFacts(Sampler):
     """How the posterior was sampled."""
 
-    status: str = "reliable"
     problems: list[str] = Field(default_factory=list)
     draws: int | None = None
     walkers: int | None = None
@@ -162,10 +167,9 @@ class SamplerFacts(Part):
     seed: int | None = None
 
 
-class LikelihoodFacts(Part):
-    """What the posterior compares with the recording."""
+class LikelihoodFacts(Likelihood):
+    """What the posterior compares with the recording, and how."""
 
-    method: str = "input-error"
     evaluation: str = ""
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from bayesfric.identifiability.words import factor
+from bayesfric.identifiability.words import capital, factor
+from bayesfric.report.methods_text import listed
 from bayesfric.report.page.facts import Facts, OpenDirectionRow, RemedyRow
 from bayesfric.report.tables import ParameterRow, ParameterTable
 
@@ -110,7 +111,7 @@ def _headline(joint: Sequence[ParameterRow], combined: Sequence[ParameterRow]) -
         parts += [f"{_count(weak)} together with the prior"] if weak else []
         parts += [f"bound {_count(limits)} on one side only"] if limits else []
         parts += [f"leave {_count(open_)} open"] if open_ else []
-        yield f"Of the joint's {_count(n)} sampled parameters, {_and(parts)}."
+        yield f"Of the joint's {_count(n)} sampled parameters, {listed(parts)}."
     told = sum(r.cell.status == "determined" for r in combined)
     if told and sure < n:
         what = "combination" if told == 1 else "combinations"
@@ -185,7 +186,7 @@ def _trust(facts: Facts) -> tuple[str, str]:
             "The ensembles disagree, or a parameter never moved: do not use these numbers.",
         )
     many = f"{_count(s.ensembles)} independent ensembles" if s.ensembles else "independent runs"
-    said = f"{_capital(many)} of walkers agree"
+    said = f"{capital(many)} of walkers agree"
     if s.max_rhat is not None and s.min_ess is not None:
         said += (
             f" (nested R-hat {s.max_rhat:.4f}, 1.01 allowed) and hold at least "
@@ -214,7 +215,7 @@ def _steps(directions: Sequence[OpenDirectionRow]) -> Iterator[NextStep]:
             left = remedy.log_sd_after
             size = f"{100 * left:.2g} %" if left < 0.3 else f"a factor {factor(left)}"
             effect += f"; simulated beforehand, what is open would be known to {size}"
-        yield NextStep(_capital(remedy.text), _capital(effect) + ".")
+        yield NextStep(capital(remedy.text), capital(effect) + ".")
 
 
 def _otherwise(joint: Sequence[ParameterRow], facts: Facts, steps: bool) -> str:
@@ -248,15 +249,5 @@ def spaced(x: float) -> str:
     return f"{x:,.0f}".replace(",", "\u202f")
 
 
-def _and(parts: Sequence[str]) -> str:
-    return f"{', '.join(parts[:-1])} and {parts[-1]}" if len(parts) > 1 else "".join(parts)
-
-
-def _capital(text: str) -> str:
-    # parameter names stay as they are written
-    first = text.split(" ", 1)[0].rstrip(",")
-    return text if "." in first or "_" in first else text[:1].upper() + text[1:]
-
-
 def _sentence(text: str) -> str:
-    return _capital(text).removesuffix(".") + "."
+    return capital(text).removesuffix(".") + "."

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
+from xml.sax.saxutils import escape
 
 from markupsafe import Markup
 
@@ -19,6 +20,7 @@ _DRAWN = {
 _REFERENCE = re.compile(r"url\(\s*['\"]?([^)'\"]*)['\"]?\s*\)")
 _TARGET = re.compile(r"(?:url\(\s*['\"]?|href=\s*['\"])#([^)'\"]+)")
 _LONG = re.compile(r"(?<=\.\d\d)\d+")
+_QUOTE = {'"': "&quot;"}
 # Coordinates in points: a hundredth is finer than any printer, and halves the page.
 _COORDINATES = ("d", "x", "y")
 
@@ -90,13 +92,13 @@ def _write(element: ET.Element, prefix: str, out: list[str]) -> None:
     for key, value in element.attrib.items():
         told = _attribute(key, value, prefix)
         if told is not None:
-            out.append(f' {told[0]}="{_escaped(told[1])}"')
+            out.append(f' {told[0]}="{escape(told[1], _QUOTE)}"')
     out.append(">")
-    out.append(_escaped((element.text or "").strip("\n")) if tag in ("text", "tspan") else "")
+    out.append(escape((element.text or "").strip("\n"), _QUOTE) if tag in ("text", "tspan") else "")
     for child in element:
         _write(child, prefix, out)
         if tag in ("text", "tspan"):
-            out.append(_escaped((child.tail or "").strip("\n")))
+            out.append(escape((child.tail or "").strip("\n"), _QUOTE))
     out.append(f"</{tag}>")
 
 
@@ -117,8 +119,3 @@ def _attribute(key: str, value: str, prefix: str) -> tuple[str, str] | None:
     if key in _COORDINATES:
         value = _LONG.sub("", value.replace("\n", " ").strip())
     return key, value
-
-
-def _escaped(text: str) -> str:
-    text = text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
-    return text.replace('"', "&quot;")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -115,14 +115,15 @@ def run_page(folder: Path, summary: Mapping[str, Any], name: str) -> str:
     told = Told(facts, table, methods)
     captions = written_captions(_text(folder / "text" / "captions.md"))
     words = {stem: figure_words(stem, told, captions) for stem in STEMS}
+    lines = _lines(table, facts)
     config = _text(folder / "config.toml")
     return render(
         "run.html.j2",
         title=name,
         facts=facts,
         first=first_words(table, facts),
-        shown={line.row.name: line for line in _lines(table, facts)},
-        groups=_groups(table, facts),
+        shown={line.row.name: line for line in lines},
+        groups=_groups(lines),
         level=table.level,
         notes=table.notes,
         methods=methods,
@@ -160,8 +161,7 @@ def _white(row: ParameterRow, facts: Row | None) -> Markup | None:
     return ends_html(low, high, sd) if sd else None
 
 
-def _groups(table: ParameterTable, facts: Facts) -> list[Group]:
-    lines = _lines(table, facts)
+def _groups(lines: Sequence[Line]) -> list[Group]:
     found = []
     for key, (title, words) in _GROUPS.items():
         if mine := tuple(line for line in lines if line.row.group == key):
