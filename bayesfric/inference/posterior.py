@@ -34,9 +34,14 @@ class Diagnostics:
     thin
         Every ``thin``-th step is kept in the draws.
     not_finite
-        Likelihood evaluations that came out as no number.
+        Likelihood evaluations that came out as no number, those of warm-up included.
     seconds
         Wall-clock time of sampling.
+    not_finite_share
+        Share of places beside the posterior where the likelihood is no number; see
+        :mod:`bayesfric.inference.no_number`.
+    warnings
+        What to know of a sample that has converged, with the mend.
     """
 
     status: Status
@@ -52,6 +57,8 @@ class Diagnostics:
     thin: int
     not_finite: int
     seconds: float
+    not_finite_share: float = 0.0
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -85,8 +92,14 @@ class Posterior:
     seed: int
 
     def flat(self) -> NDArray[np.float64]:
-        """All draws, ``(n, d)``; for quantiles, never for convergence checks."""
-        return self.draws.reshape(-1, self.draws.shape[-1])
+        """All draws, ``(n, d)``; for quantiles, never for convergence checks.
+
+        Walkers that never moved are left out, unless none did: what they repeat is where they
+        were put.
+        """
+        moved = self.diagnostics.acceptance > 0.0
+        draws = self.draws if moved.all() or not moved.any() else self.draws[moved]
+        return draws.reshape(-1, self.draws.shape[-1])
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
         """Draws of one parameter, ``(ensembles, walkers, steps)``."""
