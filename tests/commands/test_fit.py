@@ -167,18 +167,6 @@ def test_too_few_steps_end_with_3_and_are_marked(bench, folder, monkeypatch):
     }
 
 
-def test_an_unusable_run_prints_no_interval(done, folder):
-    summary = json.loads(done.stdout)
-    assert any(line.startswith("  motor.inertia") for line in fit_text(summary, folder))
-    problem = "the ensembles disagree on motor.inertia: raise sampling.max_steps"
-    summary["sampler"] |= {"status": "unusable", "problems": [problem]}
-    text = list(fit_text(summary, folder))
-    assert text[1].strip() == problem
-    assert any(line.startswith("No intervals") for line in text)
-    for name in [*summary["parameters"], *summary["derived"]]:
-        assert not any(line.strip().startswith(f"{name} ") for line in text), name
-
-
 def test_force_keeps_the_old_run(bench, folder, monkeypatch):
     monkeypatch.setattr(run_directory, "FIGURES", {})
     few(bench, folder)

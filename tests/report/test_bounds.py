@@ -96,3 +96,19 @@ def test_the_page_and_the_table_tell_it_beside_the_number(tmp_path, verdict):
     del row["bound"], row["bound_physical"]
     assert parameter_table(told).rows
     assert "widen" not in run_page(tmp_path, told, "knee")
+
+
+def test_an_unusable_run_prints_no_interval(summaries):
+    summary = copy.deepcopy(summaries["wide"])
+    names = [*summary["parameters"], *summary["derived"]]
+
+    def shown(text):
+        return {name for name in names for line in text if line.strip().startswith(f"{name} ")}
+
+    assert shown(list(fit_text(summary, "run"))) == set(names)
+    problem = "the ensembles disagree on motor.inertia: raise sampling.max_steps"
+    summary["sampler"] |= {"status": "unusable", "problems": [problem]}
+    text = list(fit_text(summary, "run"))
+    assert text[1].strip() == problem
+    assert any(line.startswith("No intervals") for line in text)
+    assert shown(text) == set()
