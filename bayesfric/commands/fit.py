@@ -8,8 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from bayesfric.commands.estimate import estimates_where_possible
 from bayesfric.commands.identify import open_directions
 from bayesfric.commands.problem import Problem, read_problem
@@ -21,8 +19,10 @@ from bayesfric.inference.noise_choice import Choice
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.inference.sampling import Progress, phase
 from bayesfric.inference.target import Target
+from bayesfric.report.bounds import bound_mend, told_by_data
 from bayesfric.report.noise_summary import add_white_intervals, noise_lines, white_alternative
 from bayesfric.report.run_directory import check_free, write_run
+from bayesfric.report.run_summary import PosteriorRow
 from bayesfric.report.summary import spreads, summarise
 from bayesfric.report.validation import validation_lines
 
@@ -155,14 +155,17 @@ def fit_text(summary: dict[str, Any], folder: Path) -> Iterator[str]:
         yield f"  {problem}"
     yield ""
     combined = {name: row for name, row in summary["derived"].items() if row["gauge_free"]}
-    if combined:
-        yield "What the motor feels, whatever the scale (90 % intervals)"
-        for name, row in combined.items():
-            yield _row(name, row)
-        yield ""
-    yield "Parameters (90 % intervals)"
-    for name, row in summary["parameters"].items():
-        yield _row(name, row)
+    if sampler["status"] == "unusable":
+        yield "No intervals: what ensembles make that disagree, or stand still, is no posterior."
+    else:
+        if combined:
+            yield "What the motor feels, whatever the scale (90 % intervals)"
+            for name, row in combined.items():
+                yield from _row(name, row)
+            yield ""
+        yield "Parameters (90 % intervals)"
+        for name, row in summary["parameters"].items():
+            yield from _row(name, row)
     for direction in summary["identifiability"]["null_directions"]:
         yield ""
         yield f"No recording of this kind can tell: {direction['meaning']}."
@@ -176,10 +179,10 @@ def fit_text(summary: dict[str, Any], folder: Path) -> Iterator[str]:
     yield f"Written to {folder}"
 
 
-def _remark(row: dict[str, Any]) -> str:
+def _remark(row: dict[str, Any], read: PosteriorRow) -> str:
     """Say beside an interval what made it."""
-    bound = row.get("at_bound")
-    if bound and row["verdict"] != "data" and (row["data_sd"] or np.inf) < 0.5 * row["prior_sd"]:
+    bound = read.at_bound
+    if bound and read.verdict != "data" and told_by_data(read):
         limit = row["interval"][1 if bound == "lower" else 0]
         kind = "upper" if bound == "lower" else "lower"
         return f"the data push it against its {bound} bound: read it as {kind} limit {limit:.3g}"
@@ -193,11 +196,15 @@ def _remark(row: dict[str, Any]) -> str:
     return words.removeprefix("; ") + (f"; leans on its {bound} bound" if bound and words else "")
 
 
-def _row(name: str, row: dict[str, Any]) -> str:
+def _row(name: str, row: dict[str, Any]) -> Iterator[str]:
+    """Write one number, and below it what to do about a bound that holds it."""
     low, high = row["interval"]
-    remark = _remark(row)
+    read = PosteriorRow.model_validate(row)
+    remark = _remark(row, read)
     text = f"  {name:<30} {row['median']:>11.5g}  [{low:.5g}, {high:.5g}] {row['unit']}"
     if row.get("white_interval") and row["verdict"] == "data":
         low, high = row["white_interval"]
         text += f"   (white noise: [{low:.5g}, {high:.5g}])"
-    return text + (f"   {remark}" if remark else "")
+    yield text + (f"   {remark}" if remark else "")
+    if mend := bound_mend(name, read):
+        yield f"      {mend}"

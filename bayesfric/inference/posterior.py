@@ -35,9 +35,14 @@ class Diagnostics:
     thin
         Every ``thin``-th step is kept in the draws.
     not_finite
-        Likelihood evaluations that came out as no number.
+        Likelihood evaluations that came out as no number, those of warm-up included.
     seconds
         Wall-clock time of sampling.
+    not_finite_share
+        Share of places beside the posterior where the likelihood is no number; see
+        :mod:`bayesfric.inference.no_number`.
+    warnings
+        What to know of a sample that has converged, with the mend.
     """
 
     status: Status
@@ -53,6 +58,8 @@ class Diagnostics:
     thin: int
     not_finite: int
     seconds: float
+    not_finite_share: float = 0.0
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -88,9 +95,12 @@ class Posterior:
     def flat(self, most: int | None = None) -> NDArray[np.float64]:
         """All draws, ``(n, d)``; for quantiles, never for convergence checks.
 
-        With ``most``, at most so many of them, evenly spread.
+        With ``most``, at most so many of them, evenly spread. Walkers that never moved are
+        left out, unless none did: what they repeat is where they were put.
         """
-        flat = self.draws.reshape(-1, self.draws.shape[-1])
+        moved = self.diagnostics.acceptance > 0.0
+        draws = self.draws if moved.all() or not moved.any() else self.draws[moved]
+        flat = draws.reshape(-1, self.draws.shape[-1])
         if most is None or most >= len(flat):
             return flat
         return np.asarray(flat[np.linspace(0, len(flat) - 1, most).astype(int)])

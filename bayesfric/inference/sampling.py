@@ -26,6 +26,7 @@ from bayesfric.inference.moves import (
     LearningMove,
     SurrogateMove,
 )
+from bayesfric.inference.no_number import beside_posterior, complaint
 from bayesfric.inference.posterior import Diagnostics, Posterior, Status
 from bayesfric.inference.proposal import Proposal
 from bayesfric.inference.start import Start
@@ -165,8 +166,9 @@ def sample(
         learning.move = _learned(target, warm)
     # Where the posterior really lies, a likelihood can be prepared best.
     target = target.prepared(_spread_out(half))
+    frozen = _learned(target, warm)
     moves = [
-        (_learned(target, warm), 1.0 - _OTHERWISE),
+        (frozen, 1.0 - _OTHERWISE),
         (DifferentialEvolutionMove(settings.ensembles), _OTHERWISE),
     ]
     main = _Ensembles(target, moves, warm.positions(), random, checkpoint, "sampling")
@@ -190,7 +192,7 @@ def sample(
     kept = chain[:, :, thin - 1 :: thin]
     parameters, _ = target.to_parameters(kept.reshape(-1, d))
     draws = parameters.reshape(*kept.shape)
-    problems = list(_problems(target, settings, rhats, tau, ess, main))
+    problems = list(_problems(target, settings, rhats, tau, ess, main, draws))
     if not settled:
         problems.append(
             "warm-up was still moving when it was cut off: raise sampling.max_steps, or give "
@@ -200,6 +202,13 @@ def sample(
     if problems:
         usable = rhats.max() < _UNUSABLE_RHAT and np.isfinite(ess).all() and ess.min() > 100.0
         status = "tentative" if usable else "unusable"
+    # counted up to here: what follows looks at places that were never proposed
+    not_finite, share, lost = target.not_finite, 0.0, None
+    if not_finite:
+        places = beside_posterior(
+            target, frozen.proposal, settings.seed, settings.ensembles * walkers
+        )
+        share, lost = float(places[:, -1].mean()), complaint(target.names, places)
     return Posterior(
         names=target.names,
         priors=target.priors,
@@ -218,8 +227,10 @@ def sample(
             warmup=warm.steps,
             steps=main.steps,
             thin=thin,
-            not_finite=target.not_finite,
+            not_finite=not_finite,
             seconds=time.perf_counter() - began,
+            not_finite_share=share,
+            warnings=(lost,) if lost else (),
         ),
         seed=settings.seed,
     )
@@ -365,16 +376,39 @@ def _problems(
     tau: Array,
     ess: Array,
     main: _Ensembles,
+    draws: Array,
 ) -> Iterator[str]:
     names = np.array(target.names)
+    moved = main.acceptance()
+    never, hardly = int((moved == 0.0).sum()), int(((moved > 0.0) & (moved < 0.01)).sum())
+    if never == moved.size:
+        yield (
+            "no walker ever moved: not one proposal was accepted, and there is nothing to make an "
+            "interval of; check the recording's units, or give wider priors"
+        )
+        return
+    if never:
+        yield (
+            f"{_count(never, 'walker')} of {moved.size} never moved, and left out of every "
+            "interval: look at the trace; try another sampling.seed, or narrower priors"
+        )
+    if hardly:
+        yield (
+            f"{_count(hardly, 'walker')} of {moved.size} hardly ever moved: look at the trace; "
+            "raise sampling.max_steps, or give narrower priors"
+        )
     apart = names[rhat > settings.max_rhat]
     if apart.size:
+        worst = int(rhat.argmax())
+        medians = ", ".join(f"{x:.4g}" for x in np.median(draws[..., worst], axis=(1, 2)))
         yield (
-            f"the ensembles disagree on {', '.join(apart)} (nested R-hat up to {rhat.max():.3f}): "
-            "raise sampling.max_steps, or give these parameters narrower priors"
+            f"the ensembles disagree on {', '.join(apart)} (nested R-hat up to {rhat.max():.3f}; "
+            f"their medians of {names[worst]}: {medians}): raise sampling.max_steps, or give "
+            "these parameters narrower priors"
         )
     few = names[ess < settings.min_ess]
-    if few.size:
+    # a walker that never moves leaves no draws to count, and more steps do not mend that
+    if few.size and not never:
         yield (
             f"only {ess.min():.0f} independent draws of {names[int(ess.argmin())]} where "
             f"{settings.min_ess:.0f} were wanted: raise sampling.max_steps"
@@ -384,14 +418,10 @@ def _problems(
             f"the run is only {main.steps / tau.max():.0f} autocorrelation times long, 50 are "
             "needed to trust them: raise sampling.max_steps"
         )
-    stuck = int((main.acceptance() < 0.01).sum())
-    if not main.acceptance().any():
-        yield (
-            "no walker ever moved: not one proposal was accepted; check the recording's units, or "
-            "give wider priors"
-        )
-    elif stuck:
-        yield f"{stuck} walkers hardly ever moved: look at the trace; narrower priors may help"
+
+
+def _count(n: int, what: str) -> str:
+    return f"{n} {what}{'s' if n > 1 else ''}"
 
 
 @contextmanager

@@ -41,7 +41,8 @@ class Target:
         Theirs.
     not_finite
         How often the likelihood came out as no number; such points count as
-        impossible.
+        impossible. So does the edge of a prior that is infinitely dense there: a walker
+        that rounding put on it would never leave.
     """
 
     def __init__(
@@ -134,14 +135,25 @@ class Target:
 
     def __call__(self, u: Array) -> Array:
         """Log posterior density in coordinates, ``(n, d)`` to ``(n,)``."""
+        density, bad = self._density(u)
+        self.not_finite += int(bad.sum())
+        return density
+
+    def no_number(self, u: Array) -> NDArray[np.bool_]:
+        """Say where, in coordinates ``(n, d)``, only the likelihood is no number; not counted."""
+        return self._density(u)[1]
+
+    def _density(self, u: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Log posterior density, and where priors allow what the likelihood cannot tell."""
         out, parameters = self._prior_and_parameters(u)
         possible = np.isfinite(out)
+        out[~possible] = -np.inf
+        bad = np.zeros(out.size, dtype=np.bool_)
         if possible.any():
             density = self.log_likelihood(parameters[possible])
-            bad = ~np.isfinite(density)
-            self.not_finite += int(bad.sum())
-            out[possible] += np.where(bad, -np.inf, density)
-        return out
+            bad[possible] = ~np.isfinite(density)
+            out[possible] += np.where(np.isfinite(density), density, -np.inf)
+        return out, bad
 
     def _prior_and_parameters(self, u: Array) -> tuple[Array, Array]:
         parameters, jacobian = self.to_parameters(u)

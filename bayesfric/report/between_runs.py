@@ -136,14 +136,18 @@ def between_runs(runs: Mapping[str, RunSummary]) -> list[PooledQuantity]:
     """Pool every quantity that the data of every run determine.
 
     What any run's prior has a say in is left out: pooled, it would count one prior
-    several times.
+    several times. So is a run whose ensembles disagree or stand still: it has no posterior.
 
     Parameters
     ----------
     runs
         Checked summaries by name, of recordings of their own.
     """
-    tables = {name: {**run.derived, **run.parameters} for name, run in runs.items()}
+    tables = {
+        name: {**run.derived, **run.parameters}
+        for name, run in runs.items()
+        if run.sampler.status != "unusable"
+    }
     if len(tables) < 2:
         return []
     first = next(iter(tables.values()))

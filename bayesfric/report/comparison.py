@@ -271,7 +271,7 @@ def _cells(column: Column, summary: RunSummary) -> Iterator[tuple[str, Cell]]:
     if column.kind == "posterior":
         accounts = summary.noise.model != "white"
         for name, row in {**summary.derived, **summary.parameters}.items():
-            yield name, posterior_cell(row, accounts)
+            yield name, posterior_cell(row, accounts, summary.sampler.status)
         for name, known in summary.fixed.items():
             yield name, Cell(known.value, "known", remark="taken as known")
         return
@@ -283,7 +283,9 @@ def _cells(column: Column, summary: RunSummary) -> Iterator[tuple[str, Cell]]:
 def _withhold(cells: dict[str, Cell], labels: list[str]) -> None:
     """Show a number that a scaling changes only where no column of the run leaves it open."""
     mine = {label: cells[label] for label in labels if label in cells}
-    first = next((label for label, cell in mine.items() if cell.status == "undetermined"), None)
+    # of a posterior that is none, nothing follows for the others
+    open_ = (label for label, c in mine.items() if c.status == "undetermined" and c.converged)
+    first = next(open_, None)
     for label, cell in mine.items():
         if first is not None and cell.status not in ("undetermined", "known"):
             cells[label] = left_open(cell.value, None, f" (see {first})")

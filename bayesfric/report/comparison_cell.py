@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Literal
 
+from bayesfric.report.bounds import told_by_data
 from bayesfric.report.run_summary import EstimatedRow, PosteriorRow
 
 Status = Literal["determined", "undetermined", "bound", "limit", "known"]
 _NOT_DETERMINED = "not determined"
+NOT_CONVERGED = "the sampling has not converged"
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,8 @@ class Cell:
     disagreement
         Difference to the first posterior in standard deviations; see
         :func:`comparison`.
+    converged
+        Whether there is a posterior at all; ``undetermined`` where not.
     """
 
     value: float
@@ -56,6 +59,7 @@ class Cell:
     limit: float | None = None
     remark: str = ""
     disagreement: float | None = None
+    converged: bool = True
 
 
 def estimate_cell(row: EstimatedRow) -> Cell:
@@ -80,12 +84,23 @@ def left_open(value: float, span: list[float] | None, why: str = "") -> Cell:
     return Cell(value, "undetermined", span=(low, high), remark=remark)
 
 
-def posterior_cell(row: PosteriorRow, accounts: bool) -> Cell:
-    """Judge one number of a posterior; ``accounts`` for correlated residuals or not."""
+def posterior_cell(row: PosteriorRow, accounts: bool, status: str = "reliable") -> Cell:
+    """Judge one number of a posterior.
+
+    Parameters
+    ----------
+    row
+        The number.
+    accounts
+        Whether the noise model accounts for correlated residuals.
+    status
+        Of the sampling. What ensembles that disagree make together is no posterior.
+    """
     low, high = row.interval
+    if status == "unusable":
+        return Cell(row.mean, "undetermined", remark=NOT_CONVERGED, converged=False)
     # as in the words of ``bayesfric fit``: the data say how far from the bound it may be
-    told = row.data_sd is not None and row.data_sd < 0.5 * (row.prior_sd or math.inf)
-    if row.at_bound is not None and row.verdict != "data" and told:
+    if row.at_bound is not None and row.verdict != "data" and told_by_data(row):
         limit = high if row.at_bound == "lower" else low
         words = f"{'at most' if row.at_bound == 'lower' else 'at least'} {limit:.3g}"
         return Cell(row.mean, "limit", level=row.level, limit=limit, remark=words)

@@ -261,11 +261,12 @@ def _priors(_: Fit, summary: Mapping[str, Any]) -> Iterator[str]:
         ]
         yield f"Taken as known: {'; '.join(fixed)}."
     verdicts = [row["verdict"] for name, row in rows.items() if not name.startswith("noise.")]
-    yield (
-        f"Parameters of the joint, {len(verdicts)} in all: determined by the data "
-        f"{verdicts.count('data')}, by data and prior together {verdicts.count('weak')}, not "
-        f"determined by the data {verdicts.count('prior')}."
-    )
+    if summary["sampler"]["status"] != "unusable":
+        yield (
+            f"Parameters of the joint, {len(verdicts)} in all: determined by the data "
+            f"{verdicts.count('data')}, by data and prior together {verdicts.count('weak')}, not "
+            f"determined by the data {verdicts.count('prior')}."
+        )
     found = summary["identifiability"]["null_directions"]
     for direction in found:
         yield f"No recording of this kind can tell: {direction['meaning']}."
@@ -290,6 +291,8 @@ def _sampling(fit: Fit, summary: Mapping[str, Any]) -> Iterator[str]:
         )
     else:
         yield f"A parameter never moved; the run is {sampler['status']}."
+    if stuck := sampler["stuck_walkers"]:
+        yield f"{stuck} walkers never moved and are in no interval."
     level = next(iter(summary["parameters"].values()))["level"]
     yield f"Intervals are central and hold {100 * level:g} % of the posterior."
 

@@ -111,10 +111,16 @@ def add_white_intervals(summary: dict[str, Any], white: Mapping[str, Mapping[str
     Parameters
     ----------
     summary
-        Changed: rows get ``white_interval`` and ``white_sd``.
+        Changed: rows get ``white_interval`` and ``white_sd``, or ``warnings`` says why not.
     white
         From :func:`bayesfric.report.summary.spreads`, of the same problem with white noise.
     """
+    if white["sampler"]["status"] == "unusable":
+        summary["warnings"].append(
+            "the sampling with white noise, for comparison only, did not converge, and its "
+            "intervals are left out: raise sampling.max_steps"
+        )
+        return
     for group in ("parameters", "derived"):
         for name, row in summary[group].items():
             other = white.get(name)

@@ -69,6 +69,8 @@ class PosteriorRow(Part):
     data_sd: NotNegative | None = None
     prior_sd: NotNegative | None = None
     at_bound: Bound | None = None
+    bound: FiniteFloat | None = None
+    bound_physical: bool | None = None
     undefined_share: Annotated[FiniteFloat, Field(ge=0.0, le=1.0)] | None = None
 
 

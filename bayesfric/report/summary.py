@@ -19,15 +19,18 @@ from bayesfric.identifiability.influence import influence
 from bayesfric.identifiability.local import LocalInformation, local_information, verdict
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.likelihood import Likelihood
+from bayesfric.inference.noise import support
 from bayesfric.inference.noise_choice import Choice
 from bayesfric.inference.position_likelihood import PositionLikelihood
 from bayesfric.mechanism.derived import Derived, derive
+from bayesfric.report.bounds import bound_warning
 from bayesfric.report.noise_summary import (
     correlation_warnings,
     noise_meaning,
     noise_record,
     noise_unit,
 )
+from bayesfric.report.run_summary import PosteriorRow
 from bayesfric.report.validation import validation_record
 
 Array = NDArray[np.float64]
@@ -64,9 +67,10 @@ def summarise(
     outputs = fit.target.likelihood.outputs
     lags = [lag_one(r, o.follows) for o, r in zip(outputs, residual, strict=True)]
     noise = noise_record(fit, residual, lags, choice)
+    parameters = _parameters(fit, flat, local)
     return {
         "bayesfric": bayesfric.__version__,
-        "parameters": _parameters(fit, flat, local),
+        "parameters": parameters,
         "fixed": {
             p.name: {"unit": p.unit, "value": float(value)}
             for p, value in zip(fit.chain.parameters, fit.chain_draws(1)[0], strict=True)
@@ -105,6 +109,8 @@ def summarise(
         },
         **({"validation": validation_record(fit)} if fit.held_out else {}),
         "warnings": [
+            *d.warnings,
+            *(_bound_warnings(parameters) if d.status != "unusable" else ()),
             *correlation_warnings(fit, noise),
             *(
                 f"{o.name}: {text}"
@@ -125,7 +131,9 @@ def summarise(
             "min_ess": _number(d.ess.min()),
             "max_rhat": _number(d.rhat.max()),
             "acceptance": _number(d.acceptance.mean()),
+            "stuck_walkers": int((d.acceptance == 0.0).sum()),
             "not_finite": d.not_finite,
+            "not_finite_share": d.not_finite_share,
             "coordinates": posterior.coordinates,
             "seconds": round(d.seconds, 3),
             "seed": posterior.seed,
@@ -213,9 +221,11 @@ def estimate_summary(estimate: Estimate) -> dict[str, Any]:
 def _parameters(fit: Fit, flat: Array, local: LocalInformation) -> dict[str, Any]:
     d = fit.posterior.diagnostics
     described = {p.name: (p.unit, p.symbol, p.meaning) for p in fit.chain.parameters}
+    possible = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
     noise = fit.target.noise
     for name, symbol, quantity in zip(noise.names, noise.symbols, noise.quantities, strict=True):
         described[name] = (noise_unit(fit, quantity), symbol, noise_meaning(fit, quantity))
+        possible[name] = support(quantity)
     rows = {}
     moved_by = influence(fit)
     for j, (name, prior) in enumerate(zip(fit.posterior.names, fit.posterior.priors, strict=True)):
@@ -236,7 +246,7 @@ def _parameters(fit: Fit, flat: Array, local: LocalInformation) -> dict[str, Any
             "contraction": _number(1.0 - (sd / prior_sd) ** 2),
             "data_sd": _number(data_sd),
             "verdict": verdict(sd, prior_sd, data_sd),
-            "at_bound": _at_bound(flat[:, j], prior.lower, prior.upper),
+            **_at_bound(flat[:, j], (prior.lower, prior.upper), possible[name]),
             "prior_sensitivity": _number(moved_by[name].prior),
             "likelihood_sensitivity": _number(moved_by[name].likelihood),
             "diagnosis": moved_by[name].diagnosis,
@@ -388,13 +398,33 @@ def _spread(x: Array) -> dict[str, Any]:
     }
 
 
-def _at_bound(x: Array, lower: float, upper: float) -> str | None:
-    """Say on which bound a posterior leans: 5 % of it within a fifth of an sd of the bound."""
+def _at_bound(
+    x: Array, prior: tuple[float, float], possible: tuple[float, float]
+) -> dict[str, Any]:
+    """Say on which bound a posterior leans: 5 % of it within a fifth of an sd of the bound.
+
+    A bound of the prior is physical where the parameter can go no further.
+    """
     low, high = np.quantile(x, [0.05, 0.95])
     near = 0.2 * x.std()
-    if low - lower < near:
-        return "lower"
-    return "upper" if upper - high < near else None
+    if low - prior[0] < near:
+        side = 0
+    elif prior[1] - high < near:
+        side = 1
+    else:
+        return {"at_bound": None}
+    return {
+        "at_bound": ("lower", "upper")[side],
+        "bound": prior[side],
+        "bound_physical": prior[side] == possible[side],
+    }
+
+
+def _bound_warnings(parameters: Mapping[str, Any]) -> list[str]:
+    found = (
+        bound_warning(name, PosteriorRow.model_validate(row)) for name, row in parameters.items()
+    )
+    return [text for text in found if text]
 
 
 def _rms(x: Array) -> float:

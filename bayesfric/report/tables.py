@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from bayesfric.report import latex
+from bayesfric.report.bounds import bound_mend
 from bayesfric.report.comparison import Comparison
 from bayesfric.report.comparison_cell import Cell, posterior_cell
 from bayesfric.report.comparison_table import number as plain_number
@@ -69,7 +70,14 @@ class ParameterRow:
     @property
     def verdict(self) -> str:
         """What determined it, in words."""
+        if not self.cell.converged:
+            return "not converged"
         return _VERDICTS[self.row.verdict] if self.row is not None else "known"
+
+    @property
+    def mend(self) -> str:
+        """What to do about a bound that holds it."""
+        return bound_mend(self.name, self.row) if self.row and self.cell.converged else ""
 
 
 @dataclass(frozen=True)
@@ -111,7 +119,13 @@ def parameter_table(summary: Mapping[str, Any], run: str = "summary.json") -> Pa
     accounts = read.noise.model != "white"
     rows = [
         ParameterRow(
-            group, name, row.symbol, row.meaning, row.unit, row, posterior_cell(row, accounts)
+            group,
+            name,
+            row.symbol,
+            row.meaning,
+            row.unit,
+            row,
+            posterior_cell(row, accounts, read.sampler.status),
         )
         for group, members in groups
         for name, row in members
@@ -137,7 +151,7 @@ def _notes(
             "Skewed posteriors have no standard deviation: their distances to the ends of the "
             "interval are given, or the interval alone"
         )
-    if any(row.cell.status == "undetermined" for row in rows):
+    if any(row.cell.status == "undetermined" and row.cell.converged for row in rows):
         yield "(prior): not determined by the data; the posterior is that of prior and bounds"
     if any(row.cell.status == "limit" for row in rows):
         side = f"{100 * (1.0 + level) / 2:g} %"
@@ -159,7 +173,7 @@ def parameters_csv(table: ParameterTable) -> str:
         told: dict[str, Any] = dict.fromkeys(COLUMNS)
         told |= {"group": r.group, "name": r.name, "symbol": r.symbol, "meaning": r.meaning}
         told |= {"unit": r.unit, "status": r.cell.status, "verdict": r.verdict}
-        told["remark"] = r.cell.remark
+        told["remark"] = "; ".join(text for text in (r.cell.remark, r.mend) if text)
         if r.row is None:
             told["median"] = r.cell.value
         elif r.cell.status == "limit":
@@ -195,7 +209,7 @@ def _plain(r: ParameterRow) -> tuple[str, str]:
         assert r.cell.limit is not None
         return f"{'≤' if r.row.at_bound == 'lower' else '≥'} {r.cell.limit:.3g}", "–"
     if r.cell.status == "undetermined" or r.row.median is None or not r.row.sd:
-        return "– (prior)", "–"
+        return f"– ({'prior' if r.cell.converged else 'not converged'})", "–"
     last = latex.last_digit(r.row.sd)
     low, high = (_decimal(end, last) for end in r.row.interval)
     if r.skewed:
@@ -272,7 +286,7 @@ def _latex(r: ParameterRow) -> tuple[str, str]:
         sign = r"\leq" if r.row.at_bound == "lower" else r"\geq"
         return rf"${sign}$ {latex.number(float(f'{r.cell.limit:.3g}'))}", "---"
     if r.cell.status == "undetermined" or r.row.median is None or not r.row.sd:
-        return "--- (prior)", "---"
+        return f"--- ({'prior' if r.cell.converged else 'not converged'})", "---"
     low, high = r.row.interval
     ends = latex.interval(low, high, r.row.sd)
     if r.skewed:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bayesfric.inference.autoregression import simulated
+from bayesfric.report.noise_summary import add_white_intervals
 
 from .bench import SMALL, has
 
@@ -98,3 +99,15 @@ def test_outliers_are_for_student_t(bench):
 def test_an_order_belongs_to_autoregressive_noise(bench, model):
     bench.edit('scale = "shared"', f'scale = "shared"\nmodel = "{model}"\norder = 2')
     has(bench.refused("check", "c.toml"), "noise.order", model)
+
+
+@pytest.mark.parametrize("status", ["reliable", "unusable"])
+def test_white_noise_that_did_not_converge_stands_beside_nothing(status):
+    row = {"interval": [0.9, 1.1], "sd": 0.06}
+    white = {"parameters": {"a.b": row}, "derived": {}, "sampler": {"status": status}}
+    summary = {"parameters": {"a.b": {}}, "derived": {}, "warnings": []}
+    add_white_intervals(summary, white)
+    assert ("white_interval" in summary["parameters"]["a.b"]) == (status == "reliable")
+    assert [("max_steps" in text) for text in summary["warnings"]] == [True] * (
+        status == "unusable"
+    )

@@ -367,7 +367,7 @@ def test_limits_hold_in_little_memory(tmp_path):
         capture_output=True,
         text=True,
         check=False,
-        timeout=120,
+        timeout=600,
     )
     assert (done.returncode, done.stdout) == (0, "None\n"), done.stderr
 

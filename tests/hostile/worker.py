@@ -15,7 +15,7 @@ from pathlib import Path
 
 from tests.hostile.cases import case
 from tests.hostile.good import config, content
-from tests.hostile.rule import Outcome, broken_rule, check
+from tests.hostile.rule import PATIENCE, SECONDS, Outcome, broken_rule, check
 
 MEMORY = 2**30
 
@@ -55,7 +55,7 @@ def main():
                 options.at.write_text(str(index))
             made = case(options.seed, index)
             # what hangs where no signal comes through ends here, with a trace
-            faulthandler.dump_traceback_later(60, exit=True)
+            faulthandler.dump_traceback_later(2 * PATIENCE * SECONDS, exit=True)
             outcomes: list[Outcome] = []
             broken = broken_rule(made.write(folder), *made.named, told=outcomes)
             faulthandler.cancel_dump_traceback_later()

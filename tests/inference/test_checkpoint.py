@@ -50,7 +50,16 @@ def same(found, expected):
         np.testing.assert_array_equal(
             getattr(found.diagnostics, name), getattr(expected.diagnostics, name)
         )
-    for name in ("status", "problems", "warmup", "steps", "thin", "not_finite"):
+    for name in (
+        "status",
+        "problems",
+        "warmup",
+        "steps",
+        "thin",
+        "not_finite",
+        "not_finite_share",
+        "warnings",
+    ):
         assert getattr(found.diagnostics, name) == getattr(expected.diagnostics, name), name
 
 

@@ -93,6 +93,25 @@ def test_what_is_no_number_counts_as_impossible_and_is_counted(knee):
     assert target.not_finite == 1
 
 
+def test_the_edge_of_a_prior_that_is_infinite_there_is_impossible(make_observation):
+    """Rounding puts a walker on the edge, where no other place could ever be better."""
+    axis = PRESETS["motor-axis"]
+    chain = axis.chain()
+    observations = [make_observation(chain, axis.values, n=300)]
+    pole = {"distribution": "gamma", "a": 0.1, "loc": 0.01, "scale": 0.1}
+    priors = read_priors(chain, {"motor.coulomb": pole}, observations)
+    target = make_target(chain, observations, priors, "shared")
+    j = target.names.index("motor.coulomb")
+    u = np.tile(target.from_parameters(np.append(chain.vector(axis.values), 0.02)[None]), (2, 1))
+    u[1, j] = -50.0
+    assert target.to_parameters(u)[0][1, j] == 0.01
+    assert np.isposinf(target.log_prior(target.to_parameters(u)[0])[1])
+    values = target(u)
+    assert np.isfinite(values[0])
+    assert np.isneginf(values[1])
+    assert target.not_finite == 0
+
+
 def test_coordinates_do_not_change_the_posterior(knee):
     """Density over Jacobian is the same in every coordinates."""
     chain, observations = knee

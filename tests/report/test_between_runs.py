@@ -104,6 +104,18 @@ def test_only_what_every_runs_data_determine_is_pooled():
         assert row["agree"] == str(found[row["name"]].pool.agree)
 
 
+def test_a_run_whose_ensembles_disagree_is_not_averaged_in():
+    failed = copy.deepcopy(loaded())
+    for row in failed["derived"].values():
+        row["mean"] *= 100.0
+    failed["sampler"] = {"status": "unusable", "problems": ["the ensembles disagree"]}
+    both = checked(a=knee(), b=loaded())
+    alone, three = between_runs(both), between_runs(both | checked(c=failed))
+    assert [one.pool for one in three] == [one.pool for one in alone]
+    assert all(set(one.runs) == {"a", "b"} for one in three)
+    assert between_runs(checked(a=knee(), c=failed)) == []
+
+
 def test_runs_of_one_recording_are_found():
     one, two = Provenance(recordings={"r": "ab"}), Provenance(recordings={"x": "ab", "y": "cd"})
     other, unknown = Provenance(recordings={"z": "ef"}), Provenance(recordings={"q": ""})

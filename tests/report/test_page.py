@@ -19,7 +19,12 @@ from bayesfric.report.page.figure_words import STEMS_IN_WORDS, Told, figure_word
 from bayesfric.report.page.inline_svg import inline_svg
 from bayesfric.report.page.run_page import STEMS, run_page
 from bayesfric.report.page.symbol import html_symbol
-from bayesfric.report.tables import parameter_table, parameters_csv, parameters_latex
+from bayesfric.report.tables import (
+    parameter_table,
+    parameters_csv,
+    parameters_latex,
+    parameters_markdown,
+)
 
 from . import made_tables
 from .made_summaries import LEG, knee, loaded, old
@@ -239,6 +244,42 @@ def test_a_bad_run_says_so_first(tmp_path, status, words):
     (first,) = read_page(run_page(tmp_path, told, "knee")).all("section", id="findings")
     assert words in first.text
     assert "R-hat 1.3" in first.text
+
+
+def test_what_ensembles_make_that_disagree_is_nowhere_shown_as_a_result(tmp_path):
+    """Every number of an unusable run is one that the same run shows when it is reliable."""
+    told = knee()
+    sound = read_page(run_page(tmp_path, told, "knee"))
+    told["sampler"] = {"status": "unusable", "problems": ["R-hat 1.3: raise max_steps"]}
+    failed = read_page(run_page(tmp_path, told, "knee"))
+    (first,) = failed.all("section", id="findings")
+    assert "says nothing of the parameters" in first.text
+    assert "raise max_steps" in first.text
+    assert "determine" not in first.text.partition("The next experiment")[0].partition("What")[0]
+    was = lines(sound)
+    for name, row in lines(failed).items():
+        for kind in ("value", "interval"):
+            assert not re.search(r"\d", cells(row, kind).text), name
+        assert "not converged" in cells(row, "verdict").text
+        assert re.search(r"\d", cells(was[name], "interval").text), name
+    table = parameter_table(told)
+    for line in csv.DictReader(io.StringIO(parameters_csv(table))):
+        assert not any(line[key] for key in ("median", "mean", "sd", "low", "high", "limit"))
+        assert line["verdict"] == "not converged"
+    for text in (parameters_latex(table), parameters_markdown(table)):
+        assert text.count("(not converged)") == len(table.rows)
+    found = comparison({"knee": told})
+    for row in found.rows:
+        cell = row.cells.get("posterior")
+        if cell is not None:
+            assert (cell.status, cell.interval) == ("undetermined", None)
+    # what the estimates said of what no scaling changes stands as it did
+    before = {row.name: row.cells for row in comparison({"knee": knee()}).rows if row.gauge_free}
+    estimates = {column.label for column in found.columns if column.kind == "estimate"}
+    assert estimates
+    for row in found.rows:
+        for label in estimates & set(row.cells) if row.name in before else ():
+            assert row.cells[label].status == before[row.name][label].status
 
 
 def test_names_are_unique_and_targets_exist(page, text):

@@ -161,7 +161,9 @@ class SamplerFacts(Sampler):
     min_ess: FiniteFloat | None = None
     max_rhat: FiniteFloat | None = None
     acceptance: FiniteFloat | None = None
+    stuck_walkers: int | None = None
     not_finite: int | None = None
+    not_finite_share: FiniteFloat | None = None
     coordinates: str = ""
     seconds: FiniteFloat | None = None
     seed: int | None = None

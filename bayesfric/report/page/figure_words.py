@@ -67,7 +67,7 @@ def in_words(row: ParameterRow) -> str:
     """Say one number without markup, with its verdict."""
     name = f"{row.name}"
     if row.cell.status == "undetermined":
-        return f"{name}: not determined by the data"
+        return f"{name}: {verdict_words(row)}"
     value = text_of(value_html(row))
     ends = text_of(interval_html(row)) if row.cell.status == "determined" else ""
     unit = f" {row.unit}" if row.unit else ""
@@ -145,7 +145,11 @@ def _ridge(told: Told) -> str:
     meanings = [one.meaning for one in told.facts.identifiability.null_directions]
     if not meanings:
         return "The data hold the scale between gearbox and leg; no null direction is left."
-    open_ = [r.name for r in told.table.rows if r.cell.status == "undetermined"]
+    open_ = [
+        r.name for r in told.table.rows if r.cell.status == "undetermined" and r.cell.converged
+    ]
+    if not open_:
+        return f"Null directions: {'; '.join(meanings)}."
     return (
         f"Null directions: {'; '.join(meanings)}. Not determined by the data: {', '.join(open_)}."
     )
@@ -182,7 +186,7 @@ def forest_words(found: Comparison) -> str:
         cells = []
         for label, cell in row.cells.items():
             if cell.status == "undetermined":
-                cells.append(f"{label} not determined")
+                cells.append(f"{label} {'not determined' if cell.converged else cell.remark}")
             elif cell.status == "limit":
                 cells.append(f"{label} {cell.remark}")
             else:

@@ -98,6 +98,9 @@ def _of_noise(row: ParameterRow) -> bool:
 
 
 def _headline(joint: Sequence[ParameterRow], combined: Sequence[ParameterRow]) -> Iterator[str]:
+    if not all(r.cell.converged for r in joint):
+        yield "The sampling failed: this run says nothing of the parameters."
+        return
     n = len(joint)
     each = [("data" if r.row and r.row.verdict == "data" else "weak", r) for r in joint]
     sure = sum(k == "data" and r.cell.status == "determined" for k, r in each)
@@ -126,6 +129,15 @@ def _groups(
 ) -> Iterator[OpenGroup]:
     """Give each open parameter to the first direction that holds it."""
     left = [r.name for r in [*joint, *combined] if r.cell.status == "undetermined"]
+    if not all(r.cell.converged for r in joint):
+        yield OpenGroup(
+            tuple(left),
+            (
+                "The ensembles disagree, or stand still: what they make together is no posterior. "
+                "What the recording can tell of these is not known before they agree.",
+            ),
+        )
+        return
     seen: list[tuple[dict[str, float], str, list[str]]] = []
     if facts.identifiability.directions is not None:
         for one in facts.identifiability.directions:

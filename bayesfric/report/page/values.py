@@ -5,7 +5,7 @@ from __future__ import annotations
 from markupsafe import Markup, escape
 
 from bayesfric.report import latex
-from bayesfric.report.comparison_cell import Cell
+from bayesfric.report.comparison_cell import NOT_CONVERGED, Cell
 from bayesfric.report.tables import ParameterRow
 
 NOT_DETERMINED = "not determined by the data"
@@ -21,6 +21,8 @@ _VERDICTS = {
 
 def verdict_words(row: ParameterRow) -> str:
     """Say what determined a number, in words that stand in its line."""
+    if not row.cell.converged:
+        return NOT_CONVERGED
     status: str = row.cell.status
     if status == "determined" and row.row is not None:
         status += f" {row.row.verdict}"
@@ -42,7 +44,8 @@ def value_html(row: ParameterRow) -> Markup:
         sign = "≤" if row.row.at_bound == "lower" else "≥"
         return Markup("{}\u00a0{}").format(sign, plain(f"{row.cell.limit:.3g}"))
     if row.cell.status == "undetermined":
-        return Markup('<span class="open">not determined</span>')
+        words = "not determined" if row.cell.converged else "not converged"
+        return Markup('<span class="open">{}</span>').format(words)
     if row.row.median is None or not row.row.sd:
         return plain(f"{row.row.mean:.5g}")
     middle, sd = row.row.median, row.row.sd
@@ -72,6 +75,8 @@ def interval_html(row: ParameterRow) -> Markup:
     """Write an interval; of an open number in words that say so."""
     if row.row is None or row.cell.status == "limit":
         return Markup("–")
+    if not row.cell.converged:
+        return Markup('<span class="open">none: the ensembles disagree, or stand still</span>')
     low, high = row.row.interval
     if row.cell.status == "undetermined":
         return Markup('<span class="open">prior and bounds leave {} to {}</span>').format(

@@ -1,0 +1,193 @@
+"""Numerical trouble: counted, told with the mend, and never averaged in.
+
+The sampler is the real one; the densities are made up, so that what goes wrong is known.
+"""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from bayesfric.inference.no_number import TROUBLE
+from bayesfric.inference.sampling import Sampling, sample
+from bayesfric.inference.start import Start
+
+NORMAL = Start(np.zeros(2), np.eye(2))
+SHORT = Sampling(seed=5, min_ess=300, max_steps=400, block=10, walkers=12, ensembles=2)
+ENOUGH = SHORT.model_copy(update={"min_ess": 4000, "max_steps": 4000, "walkers": 24})
+
+
+class Normal:
+    """A standard normal in coordinates that are the parameters."""
+
+    names = ("x", "y")
+    priors = ()
+    likelihood = SimpleNamespace(cheap=False)
+    coordinates = SimpleNamespace(description="as they are")
+
+    def __init__(self):
+        self.not_finite = 0
+
+    @property
+    def dimension(self):
+        return len(self.names)
+
+    def prepared(self, u):  # noqa: ARG002
+        return self
+
+    def to_parameters(self, u):
+        return u, np.zeros(len(u))
+
+    def no_number(self, u):
+        return np.zeros(len(u), dtype=bool)
+
+    def height(self, u):
+        return -0.5 * np.sum(u**2, axis=1)
+
+    def __call__(self, u):
+        bad = self.no_number(u)
+        self.not_finite += int(bad.sum())
+        return np.where(bad, -np.inf, self.height(u))
+
+
+class NoNumberAbove(Normal):
+    """The likelihood is no number where y is above an edge."""
+
+    def __init__(self, edge):
+        super().__init__()
+        self.edge = edge
+
+    def no_number(self, u):
+        return u[:, 1] > self.edge
+
+
+def test_a_place_without_a_number_has_no_probability():
+    """What is left is a normal cut at the edge, exactly."""
+    result = sample(NoNumberAbove(0.5), NORMAL, ENOUGH)
+    d = result.diagnostics
+    y = result["y"].ravel()
+    assert y.max() <= 0.5
+    n = min(d.ess[1], y.size)
+    cut = stats.truncnorm(-np.inf, 0.5)
+    for p in (0.05, 0.5, 0.95):
+        assert abs((y < cut.ppf(p)).mean() - p) < 5.0 * np.sqrt(p * (1 - p) / n), p
+    assert d.not_finite > 0
+
+
+def test_much_of_it_beside_the_posterior_is_told_with_place_and_mend():
+    d = sample(NoNumberAbove(0.5), NORMAL, ENOUGH).diagnostics
+    assert d.not_finite_share > TROUBLE
+    (told,) = d.warnings
+    share, edge = float(told.split()[1]), float(told.partition("y is above ")[2].split(":")[0])
+    assert share / 100 == pytest.approx(d.not_finite_share, rel=0.05)
+    assert 0.5 <= edge < 0.6
+    assert "priors.y" in told
+    assert "check units" in told
+
+
+def test_a_few_far_proposals_are_counted_and_nothing_more():
+    """Four sds out a normal has 3e-5, and the wide part of the proposal about 3e-4."""
+    d = sample(NoNumberAbove(4.0), NORMAL, ENOUGH).diagnostics
+    assert 0 < d.not_finite < 0.01 * (d.warmup + d.steps) * d.walkers * d.ensembles
+    assert d.not_finite_share < TROUBLE
+    assert d.warnings == ()
+    assert d.status == "reliable", d.problems
+
+
+def test_without_any_there_is_nothing_to_tell():
+    d = sample(Normal(), NORMAL, ENOUGH).diagnostics
+    assert (d.not_finite, d.not_finite_share, d.warnings) == (0, 0.0, ())
+
+
+class NoNumberAnywhere(Normal):
+    """No number at one place in five, wherever: as from an overflow."""
+
+    def no_number(self, u):
+        return np.modf(np.abs(u[:, 0]) * 1e6)[0] < 0.2
+
+
+def test_no_number_in_no_one_direction_is_told_too():
+    d = sample(NoNumberAnywhere(), NORMAL, ENOUGH).diagnostics
+    assert d.not_finite_share == pytest.approx(0.2, abs=5.0 * np.sqrt(0.16 / 2000))
+    (told,) = d.warnings
+    assert "no one direction" in told
+    assert "do not trust the intervals" in told
+
+
+class OneSpike(Normal):
+    """The first walker's start is a spike that no proposal beats: it stays there for ever."""
+
+    spike = np.full(2, np.nan)
+
+    def height(self, u):
+        if len(u) == SHORT.walkers and np.isnan(self.spike).all():
+            self.spike = u[0].copy()
+        return np.where((u == self.spike).all(axis=1), 20.0, super().height(u))
+
+
+def test_a_stuck_walker_is_told_and_left_out_of_every_interval():
+    target = OneSpike()
+    result = sample(target, NORMAL, SHORT)
+    d = result.diagnostics
+    assert (d.acceptance == 0.0).sum() == 1
+    assert d.status == "unusable"
+    (told,) = [text for text in d.problems if "never moved" in text]
+    assert told.startswith("1 walker of 24 never moved, and left out of every interval")
+    assert "sampling.seed" in told
+    assert not any("independent draws" in text for text in d.problems)
+    # it is kept where it can be looked at, and nowhere else
+    assert (result.draws == target.spike).all(axis=(-1, -2)).sum() == 1
+    flat = result.flat()
+    assert flat.shape == (23 * result.draws.shape[2], 2)
+    assert not (flat == target.spike).all(axis=1).any()
+
+
+class Frozen(Normal):
+    """Nothing but the starts is possible: not one proposal can be accepted."""
+
+    def __init__(self, calls):
+        super().__init__()
+        self.calls, self.starts = calls, set()
+
+    def height(self, u):
+        if self.calls:
+            self.calls -= 1
+            self.starts |= {x.tobytes() for x in u}
+        return np.array([0.0 if x.tobytes() in self.starts else -np.inf for x in u])
+
+
+def test_all_zero_acceptance_is_told_and_unusable():
+    # the ensembles' centres in one call, the walkers of each in one
+    result = sample(Frozen(calls=1 + SHORT.ensembles), NORMAL, SHORT)
+    d = result.diagnostics
+    assert not d.acceptance.any()
+    assert d.status == "unusable"
+    assert (d.ess == 0.0).all()
+    assert d.problems[0].startswith("no walker ever moved")
+    assert "units" in d.problems[0]
+    assert d.steps + d.warmup >= SHORT.max_steps
+
+
+class Islands(Normal):
+    """A dozen narrow peaks far apart in eight dimensions, more than a proposal has parts."""
+
+    names = tuple("abcdefgh")
+    peaks = np.random.default_rng(3).normal(scale=20.0, size=(12, 8))
+
+    def height(self, u):
+        return -0.5 * ((u[:, None] - self.peaks) ** 2).sum(axis=2).min(axis=1)
+
+
+def test_ensembles_that_disagree_are_told_each_by_itself():
+    wide = Start(np.zeros(8), 400.0 * np.eye(8))
+    more = {"ensembles": 4, "block": 60, "max_steps": 600}
+    result = sample(Islands(), wide, SHORT.model_copy(update=more))
+    d = result.diagnostics
+    assert d.rhat.max() > 1.1
+    assert d.status == "unusable"
+    (told,) = [text for text in d.problems if "disagree" in text]
+    worst = result.names[int(d.rhat.argmax())]
+    medians = ", ".join(f"{x:.4g}" for x in np.median(result[worst], axis=(1, 2)))
+    assert f"their medians of {worst}: {medians})" in told
+    assert "sampling.max_steps" in told

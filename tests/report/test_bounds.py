@@ -1,0 +1,114 @@
+"""A posterior that a bound holds: told with the mend, and the mend mends it."""
+
+import copy
+
+import pytest
+
+from bayesfric.commands.fit import fit_text
+from bayesfric.inference.fit import fit, make_target, read_priors
+from bayesfric.inference.sampling import Sampling
+from bayesfric.mechanism.presets import PRESETS
+from bayesfric.report.bounds import bound_mend, bound_warning
+from bayesfric.report.page.run_page import run_page
+from bayesfric.report.run_summary import PosteriorRow
+from bayesfric.report.summary import summarise
+from bayesfric.report.tables import parameter_table
+
+from .made_summaries import knee, posterior_row
+from .page_reader import read_page
+
+AXIS = PRESETS["motor-axis"]
+VISCOUS = AXIS.values["motor.viscous"]
+
+
+@pytest.fixture(scope="module")
+def summaries(make_observation):
+    """Return the same axis with a range that ends below the truth, and with one that does not."""
+    chain = AXIS.chain()
+    values = AXIS.values | {"motor.coulomb": 0.0}
+    # of this noise the least-squares value of the loss that is not there is about zero
+    observation = make_observation(chain, values, sigma=0.05, n=2000, seed=5)
+
+    def summary(upper):
+        told = {"motor.viscous": [0.0, upper], "motor.coulomb": [0.0, 20.0]}
+        priors = read_priors(chain, told, [observation])
+        target = make_target(chain, [observation], priors, "shared")
+        return summarise(fit(target, Sampling(seed=2, min_ess=400, walkers=24, ensembles=2)))
+
+    return {"narrow": summary(0.7 * VISCOUS), "wide": summary(10.0 * VISCOUS)}
+
+
+def test_a_bound_that_was_set_is_warned_of_and_widening_it_helps(summaries):
+    narrow, wide = summaries["narrow"], summaries["wide"]
+    row = narrow["parameters"]["motor.viscous"]
+    assert row["at_bound"] == "upper"
+    assert row["bound"] == pytest.approx(0.7 * VISCOUS)
+    assert row["bound_physical"] is False
+    (told,) = [text for text in narrow["warnings"] if text.startswith("motor.viscous is held")]
+    assert f"widen priors.motor.viscous beyond {0.7 * VISCOUS:.4g} {row['unit']}" in told
+    lines = list(fit_text(narrow, "run"))
+    assert f"WARNING: {told}" in lines
+    mended = wide["parameters"]["motor.viscous"]
+    assert mended["at_bound"] is None
+    # the constant loss that is not there pulls at it from its own bound
+    assert abs(mended["mean"] - VISCOUS) < 4.0 * mended["sd"]
+    assert row["interval"][1] < VISCOUS
+    assert not any("is held by" in text for text in wide["warnings"])
+
+
+def test_a_physical_bound_is_explained_and_not_warned_of(summaries):
+    for summary in summaries.values():
+        row = summary["parameters"]["motor.coulomb"]
+        if summary is summaries["wide"]:
+            assert (row["at_bound"], row["bound"], row["bound_physical"]) == ("lower", 0.0, True)
+            lines = list(fit_text(summary, "run"))
+            place = next(i for i, x in enumerate(lines) if x.startswith("  motor.coulomb "))
+            assert lines[place + 1].strip().startswith("0 N m is the end of what is possible")
+        assert not any("motor.coulomb is held" in text for text in summary["warnings"])
+
+
+HELD = {"at_bound": "upper", "bound": 0.05, "data_sd": 0.01, "prior_sd": 1.0}
+
+
+def test_what_the_prior_alone_makes_needs_no_other_bound():
+    """A flat prior that the data say nothing to leans on both of its ends."""
+    open_ = posterior_row("N m", 0.5, 0.29, verdict="prior", at_bound="upper", bound=1.0)
+    open_ |= {"data_sd": None, "prior_sd": 0.29, "bound_physical": False}
+    assert bound_mend("motor.coulomb", PosteriorRow.model_validate(open_)) == ""
+    assert bound_warning("motor.coulomb", PosteriorRow.model_validate(open_)) is None
+    pushed = posterior_row("N m", 0.04, 0.01, verdict="prior", **HELD, bound_physical=False)
+    assert "widen" in bound_mend("motor.coulomb", PosteriorRow.model_validate(pushed))
+
+
+@pytest.mark.parametrize("verdict", ["data", "weak", "prior"])
+def test_the_page_and_the_table_tell_it_beside_the_number(tmp_path, verdict):
+    told = copy.deepcopy(knee())
+    row = posterior_row("N m", 0.04, 0.01, verdict=verdict, **HELD, bound_physical=False)
+    told["parameters"]["motor.coulomb"] = row
+    mend = "widen priors.motor.coulomb beyond 0.05 N m, unless that bound is physical"
+    (line,) = [r for r in parameter_table(told).rows if r.name == "motor.coulomb"]
+    assert line.mend == mend
+    page = read_page(run_page(tmp_path, told, "knee"))
+    shown = [r for r in page.all("tr") if r.attrs.get("data-name") == "motor.coulomb"]
+    # the comparison of methods has a line of that name too
+    assert [mend in r.text for r in shown] == [True, False]
+    # a run of an older version does not tell where the bound is
+    del row["bound"], row["bound_physical"]
+    assert parameter_table(told).rows
+    assert "widen" not in run_page(tmp_path, told, "knee")
+
+
+def test_an_unusable_run_prints_no_interval(summaries):
+    summary = copy.deepcopy(summaries["wide"])
+    names = [*summary["parameters"], *summary["derived"]]
+
+    def shown(text):
+        return {name for name in names for line in text if line.strip().startswith(f"{name} ")}
+
+    assert shown(list(fit_text(summary, "run"))) == set(names)
+    problem = "the ensembles disagree on motor.inertia: raise sampling.max_steps"
+    summary["sampler"] |= {"status": "unusable", "problems": [problem]}
+    text = list(fit_text(summary, "run"))
+    assert text[1].strip() == problem
+    assert any(line.startswith("No intervals") for line in text)
+    assert shown(text) == set()
