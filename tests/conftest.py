@@ -4,8 +4,10 @@ import os
 from pathlib import Path
 
 # Tests run side by side already; threads of one would only wait for those of another.
-if "PYTEST_XDIST_WORKER" in os.environ:
-    os.environ.setdefault("NUMBA_NUM_THREADS", "1")
+ALONE = "PYTEST_XDIST_WORKER" not in os.environ
+if not ALONE:
+    for variable in ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
 
 import numpy as np
 import pytest
@@ -40,6 +42,13 @@ def made_recording(time, position, torque, period, **more):
         "warnings": (),
     }
     return Recording(time=time, position=position, torque=torque, period=period, **(given | more))
+
+
+@pytest.fixture(autouse=True)
+def one_core(monkeypatch):
+    """For the same reason no second process saves figures, but where that is what is tested."""
+    if not ALONE:
+        monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0}, raising=False)
 
 
 @pytest.fixture

@@ -110,7 +110,8 @@ def _fit(
             white = fit_target(
                 problem.white_target(), quick, estimates=found, progress=progress, checkpoint=kept
             )
-        add_white_intervals(summary, spreads(white))
+        usable = white.posterior.diagnostics.status != "unusable"
+        add_white_intervals(summary, spreads(white) if usable else None)
     progress(phase("identifiability"))
     with suppress(BadInput):  # a simulation that fails there takes no result away
         middle = result.posterior.median

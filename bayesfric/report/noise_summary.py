@@ -105,7 +105,9 @@ def noise_record(
     return record
 
 
-def add_white_intervals(summary: dict[str, Any], white: Mapping[str, Mapping[str, Any]]) -> None:
+def add_white_intervals(
+    summary: dict[str, Any], white: Mapping[str, Mapping[str, Any]] | None
+) -> None:
     """Put beside every interval of a summary the one that white noise would have given.
 
     Parameters
@@ -113,9 +115,10 @@ def add_white_intervals(summary: dict[str, Any], white: Mapping[str, Mapping[str
     summary
         Changed: rows get ``white_interval`` and ``white_sd``, or ``warnings`` says why not.
     white
-        From :func:`bayesfric.report.summary.spreads`, of the same problem with white noise.
+        From :func:`bayesfric.report.summary.spreads`, of the same problem with white noise;
+        ``None`` if its sampling is unusable.
     """
-    if white["sampler"]["status"] == "unusable":
+    if white is None:
         summary["warnings"].append(
             "the sampling with white noise, for comparison only, did not converge, and its "
             "intervals are left out: raise sampling.max_steps"

@@ -23,7 +23,7 @@ class Normal:
 
     names = ("x", "y")
     priors = ()
-    likelihood = SimpleNamespace(cheap=False)
+    likelihood = SimpleNamespace(cheap=False, method="input-error")
     coordinates = SimpleNamespace(description="as they are")
 
     def __init__(self):

@@ -31,7 +31,7 @@ class TwoValleys:
     dimension = 3
     names = ("x", "y", "z")
     priors = ()
-    likelihood = SimpleNamespace(cheap=False)
+    likelihood = SimpleNamespace(cheap=False, method="input-error")
     coordinates = SimpleNamespace(description="as they are")
 
     def __init__(self, pause=0.0, scale=1.0):

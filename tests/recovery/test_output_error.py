@@ -25,6 +25,7 @@ method = "output-error"
 
 [sampling]
 min_ess = 800
+walkers = 16
 seed = 4
 
 [simulation]
