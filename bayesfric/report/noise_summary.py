@@ -146,6 +146,22 @@ def noise_lines(record: Mapping[str, Any]) -> Iterator[str]:
         yield f"  innovations {said} (Ljung-Box p = {test['p_value']:.2g})"
 
 
+# A log-likelihood this uncertain moves an interval by about a standard deviation.
+_LINEAR = 1.0
+
+
+def linearisation_warnings(fit: Fit) -> Iterator[str]:
+    """Warn where the output-error likelihood is another one at every draw."""
+    if fit.linearisation is None or fit.linearisation < _LINEAR:
+        return
+    yield (
+        "how torque noise moves the joint is linearised at the posterior's mode, and elsewhere in "
+        f"the posterior that changes the log-likelihood by {fit.linearisation:.2g} (below "
+        f"{_LINEAR:g} it would not matter): do not trust these intervals; take likelihood.method = "
+        '"input-error", or a motion that sticks and reverses less often'
+    )
+
+
 def correlation_warnings(fit: Fit, record: Mapping[str, Any]) -> Iterator[str]:
     """Warn where residuals that count as independent are not, and by how much it matters."""
     likelihood = fit.target.likelihood

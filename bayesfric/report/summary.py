@@ -26,6 +26,7 @@ from bayesfric.mechanism.derived import Derived, derive
 from bayesfric.report.bounds import bound_warning
 from bayesfric.report.noise_summary import (
     correlation_warnings,
+    linearisation_warnings,
     noise_meaning,
     noise_record,
     noise_unit,
@@ -82,6 +83,7 @@ def summarise(
         "likelihood": {
             "method": fit.target.likelihood.method,
             "evaluation": fit.target.likelihood.evaluation,
+            **({} if fit.linearisation is None else {"linearisation": _number(fit.linearisation)}),
         },
         "identifiability": {
             "null_directions": [
@@ -112,6 +114,7 @@ def summarise(
             *d.warnings,
             *(_bound_warnings(parameters) if d.status != "unusable" else ()),
             *correlation_warnings(fit, noise),
+            *linearisation_warnings(fit),
             *(
                 f"{o.name}: {text}"
                 for o in (*fit.observations, *(p.held_out.observation for p in fit.held_out))

@@ -86,3 +86,10 @@ def test_methods_stand_side_by_side(run):
     for method in ("least-squares", "input-error", "output-error", "posterior"):
         assert method in table
     assert json.loads((folder / "summary.json").read_text(encoding="utf-8"))["estimates"]
+
+
+def test_an_axis_that_often_sticks_is_told(run):
+    """No linearisation describes an axis between sticking and moving."""
+    _, summary = run
+    assert summary["likelihood"]["linearisation"] > 1.0
+    assert any("linearised" in text for text in summary["warnings"])
