@@ -27,7 +27,7 @@ _UNITS = {
     "offset": ("N m", "N", r"\Delta C_t", "constant torque, half the difference of the losses"),
     "gravity": ("N m", "N", r"ml\,g/(\alpha_m N)", "gravity torque seen by the motor, sine part"),
     "gravity_cosine": ("N m", "N", r"ml\,g\sin q_g/(\alpha_m N)", "gravity torque, cosine part"),
-    "added_load": ("", "", r"1/\alpha_m", "share of the known added load's torque"),
+    "added_load": ("", "", r"1/\alpha_m", "motor torque per torque of the known added load"),
 }
 
 

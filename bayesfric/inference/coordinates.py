@@ -101,7 +101,9 @@ class BoundedCoordinates:
         x = np.where(self._between, self._low + self._span * ndtr(u), x)
         slope = np.where(self._above | self._below, np.log(self._widths) + log_slope, 0.0)
         slope = np.where(self._between, np.log(self._span) + _log_normal(u), slope)
-        return x, slope.sum(axis=1)
+        # so far out that rounding puts a parameter on its bound, where a noise model may end
+        on_bound = (x <= self.lower) | (x >= self.upper)
+        return x, np.where(on_bound.any(axis=1), -np.inf, slope.sum(axis=1))
 
     def from_parameters(self, parameters: Array) -> Array:
         """See :class:`Coordinates`."""

@@ -163,7 +163,7 @@ def _coefficients(chain: Chain, at: dict[str, Array], load_torque: float) -> Ite
             f"{name}.alpha_drive",
             "",
             r"\alpha_1",
-            "torque passed on when the motor drives",
+            "load torque over motor torque when the motor drives",
             1.0 / (1.0 + mu_drive),
             gauge_free=not two,
         )
@@ -171,7 +171,7 @@ def _coefficients(chain: Chain, at: dict[str, Array], load_torque: float) -> Ite
             f"{name}.alpha_back",
             "",
             r"\alpha_2",
-            "torque passed on when the load drives",
+            "load torque over motor torque when the load drives",
             1.0 / back,
             gauge_free=not two,
         )

@@ -32,8 +32,8 @@ def bound_mend(name: str, row: PosteriorRow) -> str:
     bound = f"{row.bound:.4g}{f' {row.unit}' if row.unit else ''}"
     if row.bound_physical:
         return (
-            f"{bound} is the end of what is possible, so there is nothing to widen: "
-            "the data cannot tell it from that"
+            f"it cannot be beyond {bound}, and the data cannot tell it from that: there is nothing "
+            "to widen"
         )
     return f"widen priors.{name} beyond {bound}, unless that bound is physical"
 

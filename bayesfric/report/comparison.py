@@ -227,6 +227,8 @@ def _gather(facts: dict[str, _Facts], run: str, summary: RunSummary) -> None:
                 continue
             fact = tell(name, row, _kind(name, summary), row.gauge_free)
             fact.meanings[run] = row.meaning
+            # the joint's own symbol before that of what least squares sees
+            fact.symbol = row.symbol or fact.symbol
             # the data alone leave what a scaling changes without any sd
             fact.guessed.append(group is summary.derived or row.data_sd is not None)
     for name, known in summary.fixed.items():

@@ -184,3 +184,12 @@ def test_a_uniform_share_between_two_bounds_is_a_standard_normal_coordinate():
     x, jacobian = coordinates.to_parameters(u)
     density = jacobian + stats.uniform(-0.6, 1.2).logpdf(np.clip(x[:, 0], -0.6, 0.6))
     np.testing.assert_allclose(density, stats.norm.logpdf(u[:, 0]), rtol=1e-12)
+
+
+@pytest.mark.parametrize("given_widths", [None, np.array([0.02])])
+def test_what_rounding_puts_on_a_bound_is_impossible(given_widths):
+    """A partial autocorrelation of one has no density to divide by."""
+    coordinates = BoundedCoordinates([-1.0], [1.0], given_widths)
+    x, jacobian = coordinates.to_parameters(np.array([[-800.0], [0.0], [800.0]]))
+    assert (np.abs(x[np.isfinite(jacobian)]) < 1.0).all()
+    assert np.isfinite(jacobian).tolist() == [False, True, False]

@@ -63,7 +63,7 @@ def test_a_physical_bound_is_explained_and_not_warned_of(summaries):
             assert (row["at_bound"], row["bound"], row["bound_physical"]) == ("lower", 0.0, True)
             lines = list(fit_text(summary, "run"))
             place = next(i for i, x in enumerate(lines) if x.startswith("  motor.coulomb "))
-            assert lines[place + 1].strip().startswith("0 N m is the end of what is possible")
+            assert lines[place + 1].strip().startswith("it cannot be beyond 0 N m")
         assert not any("motor.coulomb is held" in text for text in summary["warnings"])
 
 

@@ -12,7 +12,7 @@ from bayesfric.report.tables import ParameterRow, ParameterTable
 
 _COUNTS = ("none", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 # Lines of the list of what is known; the rest is in the table.
-_MOST = 6
+_MOST = 8
 
 
 @dataclass(frozen=True)
@@ -77,9 +77,12 @@ def first_words(table: ParameterTable, facts: Facts) -> FirstWords:
     joint = [r for r in table.rows if r.group == "parameter" and not _of_noise(r)]
     combined = [r for r in table.rows if r.group == "free"]
     known = [r for r in [*combined, *joint] if r.cell.status == "determined"]
-    # what data alone determine says more than what they share with the prior
-    known.sort(key=lambda r: r.row is not None and r.row.verdict != "data")
-    steps = tuple(_steps(facts.identifiability.directions or []))
+    if any(r.cell.status == "undetermined" for r in joint):
+        # what data alone determine says more than what they share with the prior
+        known.sort(key=lambda r: r.row is not None and r.row.verdict != "data")
+    else:  # then the joint's own parameters are what is asked for
+        known.sort(key=lambda r: r.group != "parameter")
+    steps = (*_without_recording(facts), *_steps(facts.identifiability.directions or []))
     return FirstWords(
         tuple(_headline(joint, combined)),
         tuple(known[:_MOST]),
@@ -115,7 +118,10 @@ def _headline(joint: Sequence[ParameterRow], combined: Sequence[ParameterRow]) -
         parts += [f"bound {_count(limits)} on one side only"] if limits else []
         parts += [f"leave {_count(open_)} open"] if open_ else []
         yield f"Of the joint's {_count(n)} sampled parameters, {listed(parts)}."
-    told = sum(r.cell.status == "determined" for r in combined)
+    told = sum(
+        r.cell.status == "determined" and r.row is not None and r.row.verdict == "data"
+        for r in combined
+    )
     if told and sure < n:
         what = "combination" if told == 1 else "combinations"
         yield (
@@ -207,6 +213,16 @@ def _trust(facts: Facts) -> tuple[str, str]:
     return "Yes, it is reliable.", said + "."
 
 
+def _without_recording(facts: Facts) -> Iterator[NextStep]:
+    """Name what can be done before anything is recorded."""
+    white = facts.noise.innovation_whiteness
+    if facts.noise.model == "white" and white is not None and not white.white:
+        yield NextStep(
+            'Fit again with model = "auto" under [noise]',
+            "Needs no recording; the intervals then account for residuals that have a memory.",
+        )
+
+
 def _steps(directions: Sequence[OpenDirectionRow]) -> Iterator[NextStep]:
     """List remedies, those that leave fewest directions open first, each one once."""
     found: dict[str, tuple[RemedyRow, list[int]]] = {}
@@ -236,7 +252,7 @@ def _otherwise(joint: Sequence[ParameterRow], facts: Facts, steps: bool) -> str:
         return (
             f"“{identify} --advise NAME” ranks experiments for one parameter and writes the best."
         )
-    if all(r.cell.status == "determined" for r in joint):
+    if all(r.cell.status in ("determined", "limit") for r in joint):
         return (
             "Nothing is open. To know one parameter better, "
             f"“{identify} --advise NAME” ranks what to record next."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -32,6 +33,8 @@ STEMS = (
     "methods", "ridge", "prediction", "residual", "validation", "friction", "efficiency",
     "prior_posterior", "corner", "trace",
 )  # fmt: skip
+# What the caption of the residual figure says the model lacks, and by how much.
+_LACKS = re.compile(r"residuals' mean depends on ([\w ]+): it holds ([\d.]+) %")
 _GROUPS = {
     "free": (
         "What the motor feels",
@@ -121,6 +124,8 @@ def run_page(folder: Path, summary: Mapping[str, Any], name: str) -> str:
         "run.html.j2",
         title=name,
         facts=facts,
+        warnings=_gathered(facts),
+        lacks=_LACKS.findall(captions.get("residual", "")),
         first=first_words(table, facts),
         shown={line.row.name: line for line in lines},
         groups=_groups(lines),
@@ -134,6 +139,19 @@ def run_page(folder: Path, summary: Mapping[str, Any], name: str) -> str:
         simulated=_simulated(config),
         methods_text=_text(folder / "text" / "methods.txt").strip(),
     )
+
+
+def _gathered(facts: Facts) -> list[str]:
+    """Warnings, one line for what is told of several recordings alike."""
+    recordings = facts.fit.recordings
+    told: dict[str, list[str]] = {}
+    for text in facts.warnings:
+        name, colon, rest = text.partition(": ")
+        told.setdefault(rest if colon and name in recordings else text, []).append(text)
+    return [
+        lines[0] if len(lines) == 1 else f"{rest} ({len(lines)} of {len(recordings)} recordings)"
+        for rest, lines in told.items()
+    ]
 
 
 def _lines(table: ParameterTable, facts: Facts) -> list[Line]:

@@ -15,6 +15,7 @@ _GREEK = {
     "rho": "ρ", "sigma": "σ", "tau": "τ", "chi": "χ", "psi": "ψ", "omega": "ω",
     "Delta": "Δ", "Gamma": "Γ", "Lambda": "Λ", "Omega": "Ω", "Phi": "Φ", "Sigma": "Σ",
     "Theta": "Θ", "dot": "", "cdot": "·", "times": "×",
+    "sin": "\u2009sin\u2009", "cos": "\u2009cos\u2009",
 }  # fmt: skip
 _UPRIGHT = ("mathrm", "text", "mathit", "operatorname")
 _TOKEN = re.compile(r"\\([A-Za-z]+|.)|([{}_^])|([^\\{}_^]+)", re.DOTALL)
