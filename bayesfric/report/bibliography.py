@@ -69,6 +69,16 @@ ENTRIES: dict[str, Entry] = {
         pages="239--249",
         doi="10.1007/s11222-006-8769-1",
     ),
+    "christen2005": _article(
+        "Christen and Fox 2005",
+        "Christen, J. Andr{\\'e}s and Fox, Colin",
+        "{Markov} chain {Monte Carlo} using an approximation",
+        "Journal of Computational and Graphical Statistics",
+        2005,
+        volume="14",
+        number="4",
+        pages="795--810",
+    ),
     "margossian2024": _article(
         "Margossian et al. 2024",
         "Margossian, Charles C. and Hoffman, Matthew D. and Sountsov, Pavel and Riou-Durand, "

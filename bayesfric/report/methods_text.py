@@ -279,9 +279,14 @@ def _sampling(fit: Fit, summary: Mapping[str, Any]) -> Iterator[str]:
         f"ensembles of {d.walkers} walkers, {d.warmup} steps of warm-up and {d.steps} steps, "
         f"seed {sampler['seed']}; coordinates: {sampler['coordinates']}."
     )
+    learned = "independent draws from a mixture of normals with a Student-t around it, fitted"
+    if summary["likelihood"]["method"] == "output-error":
+        learned = (
+            "the ends of walks on a polynomial in place of the likelihood [@christen2005], learned"
+        )
     yield (
-        "Proposals were differential evolution [@terbraak2006] and independent draws from a "
-        "Student-t fitted to the warm-up and then frozen."
+        f"Proposals were differential evolution [@terbraak2006] and {learned} in the warm-up and "
+        "then frozen."
     )
     if sampler["max_rhat"] is not None and sampler["min_ess"] is not None:
         yield (

@@ -58,7 +58,7 @@ def test_all_that_is_cited_is_listed_and_nothing_else(said):
     cited = re.findall(r"\\cite\{([^}]+)\}", said.latex)
     listed = re.findall(r"^@\w+\{(\w+),", said.bibtex, re.MULTILINE)
     assert tuple(cited) == tuple(listed) == said.keys
-    assert set(listed) == set(ENTRIES) - {"barndorff1973", "juarez2010"}
+    assert set(listed) == set(ENTRIES) - {"barndorff1973", "juarez2010", "christen2005"}
     for key in listed:
         assert ENTRIES[key].short in said.plain
     assert "[@" not in said.plain + said.latex
@@ -71,6 +71,14 @@ def test_autoregressive_noise_cites_its_coordinates(knee):
     found = methods_text(replace(knee, target=target), summarise(knee))
     assert "barndorff1973" in found.keys
     assert "juarez2010" not in found.keys
+
+
+def test_a_simulating_likelihood_cites_its_surrogate(knee):
+    summary = summarise(knee)
+    found = methods_text(knee, summary)
+    assert "mixture of normals" in found.plain
+    simulated = summary | {"likelihood": summary["likelihood"] | {"method": "output-error"}}
+    assert "christen2005" in methods_text(knee, simulated).keys
 
 
 def test_the_papers_authors_are_not_made_up(said):
