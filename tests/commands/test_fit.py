@@ -13,9 +13,9 @@ from bayesfric.commands.fit import fit, fit_text
 from bayesfric.commands.problem import read_problem
 from bayesfric.config import read_config
 from bayesfric.inference.archive import read_archive
-from bayesfric.report import run_directory
 
 from .bench import SMALL, simulated
+from .conftest import without_figures
 
 CONFIG = f"""{SMALL}
 [sampling]
@@ -63,7 +63,7 @@ def done(folder):
 @pytest.fixture
 def again(folder, tmp_path, monkeypatch):
     """Fit once more in this process, without drawing; give summary and draws."""
-    monkeypatch.setattr(run_directory, "FIGURES", {})
+    without_figures(monkeypatch)
 
     def run(**options):
         summary = fit(read_config(folder / "small.toml"), tmp_path / "again", **options)
@@ -121,8 +121,8 @@ def test_another_seed_gives_other_draws_of_the_same(done, folder, again, tmp_pat
         assert abs(row["mean"] - summary["parameters"][name]["mean"]) < 0.2 * row["sd"], name
 
 
-def test_seed_of_the_command_line_comes_first(bench, folder, monkeypatch):
-    monkeypatch.setattr(run_directory, "FIGURES", {})
+@pytest.mark.usefixtures("no_figures")
+def test_seed_of_the_command_line_comes_first(bench, folder):
     config = folder / "small.toml"
     ended = bench.run("fit", config, "--seed", "41", "--json")
     assert ended.code == 0, ended
@@ -137,8 +137,8 @@ def few(bench, folder, text=FEW):
     (bench.folder / "small.csv").write_bytes((folder / "small.csv").read_bytes())
 
 
-def test_too_few_steps_end_with_3_and_are_marked(bench, folder, monkeypatch):
-    monkeypatch.setattr(run_directory, "FIGURES", {})
+@pytest.mark.usefixtures("no_figures")
+def test_too_few_steps_end_with_3_and_are_marked(bench, folder):
     few(bench, folder)
     ended = bench.run("fit", "few.toml", "-o", "run")
     assert ended.code == 3
@@ -158,8 +158,8 @@ def test_too_few_steps_end_with_3_and_are_marked(bench, folder, monkeypatch):
     }
 
 
-def test_force_keeps_the_old_run(bench, folder, monkeypatch):
-    monkeypatch.setattr(run_directory, "FIGURES", {})
+@pytest.mark.usefixtures("no_figures")
+def test_force_keeps_the_old_run(bench, folder):
     few(bench, folder)
     assert bench.run("fit", "few.toml", "-o", "run").code == 3
     first = (bench.folder / "run" / "summary.json").read_bytes()
@@ -190,19 +190,19 @@ def recording_called(name, folder, bench):
     return bench.run("fit", "few.toml", "-o", "run", "--json")
 
 
+@pytest.mark.usefixtures("no_figures")
 @pytest.mark.parametrize("name", ["Knie rechts, 2 kg", "posterior"])
-def test_recordings_may_have_odd_names(bench, folder, monkeypatch, name):
-    monkeypatch.setattr(run_directory, "FIGURES", {})
+def test_recordings_may_have_odd_names(bench, folder, name):
     ended = recording_called(name, folder, bench)
     assert ended.code == 3, ended
     data = read_archive(bench.folder / "run" / "posterior.nc")
     assert list(data["observed_data"].data_vars) == [name]
 
 
+@pytest.mark.usefixtures("no_figures")
 @pytest.mark.parametrize("name", ["chain", "draw", "a/b", "offset"])
-def test_a_name_that_cannot_be_stored_is_refused_or_stored(bench, folder, monkeypatch, name):
+def test_a_name_that_cannot_be_stored_is_refused_or_stored(bench, folder, name):
     """Either is fine; a traceback after all the sampling is not."""
-    monkeypatch.setattr(run_directory, "FIGURES", {})
     assert recording_called(name, folder, bench).code in (2, 3)
 
 

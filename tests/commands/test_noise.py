@@ -47,6 +47,7 @@ def fitted(bench, *more):
     return json.loads((bench.folder / "run" / "summary.json").read_text()), ended.out
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_memory_is_found_and_the_white_interval_stands_beside(bench):
     follows = np.ones(2999, dtype=bool)
     rng = np.random.default_rng(6)

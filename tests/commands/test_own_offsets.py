@@ -57,6 +57,7 @@ def test_one_offset_for_both_is_their_mean_and_leaves_the_rest_in_the_residual(t
     assert 0.9 * missing < gained <= missing
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_the_posterior_has_each_and_one_prior_stands_for_all(two):
     text = (two.folder / "c.toml").read_text()
     two.config(text + '\n[priors]\noffset = {distribution = "norm", loc = 0.0, scale = 0.3}\n')

@@ -11,7 +11,6 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -27,6 +26,7 @@ from bayesfric.report import run_directory
 from tests.conftest import REPOSITORY
 
 from .bench import has, simulated
+from .conftest import without_figures
 from .test_fit import CONFIG, draws, without_seconds
 
 # Few steps: what is tested is the bytes, not what they say. The noise remembers, so that there is
@@ -57,9 +57,7 @@ def ctrl_c_is_heard():
 def plain():
     """No figures; save after every block, however fast."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run_directory, "FIGURES", {})
-        patch.setattr(run_directory, "forest_figure", lambda _: None)
-        patch.setattr(run_directory, "two_at_once", lambda _: nullcontext(lambda *_: None))
+        without_figures(patch)
         patch.setattr(checkpoint, "_SHARE", 1e9)
         patch.setattr(step_file, "_ROOM", 2**16)
         yield
