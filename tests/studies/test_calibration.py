@@ -11,7 +11,7 @@ from scipy import stats
 from tests.conftest import REPOSITORY
 
 FOLDER = REPOSITORY / "studies" / "calibration"
-CONTROLS = ("control: white noise on AR(1) data",)
+CONTROLS = ("control: white noise on AR(1) data", "control: snooker move")
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def study():
         sys.path.remove(str(FOLDER))
 
 
-@pytest.mark.parametrize("case", ["white", "AR(1)", "output error"])
+@pytest.mark.parametrize("case", ["white", "AR(1)", "AR(2)", "output error"])
 def test_ranks_stay_inside_their_band_and_coverage_near_its_level(result, case):
     found = result[case]
     assert found["recordings"] >= (200 if case == "output error" else 500)
