@@ -163,10 +163,10 @@ def sample(
         )
         if settled or warm.steps >= settings.max_steps // 4:
             break
-        learning.move = _learned(target, warm)
+        learning.move = _learned(target, half, warm)
     # Where the posterior really lies, a likelihood can be prepared best.
     target = target.prepared(_spread_out(half))
-    frozen = _learned(target, warm)
+    frozen = _learned(target, half, warm)
     moves = [
         (frozen, 1.0 - _OTHERWISE),
         (DifferentialEvolutionMove(settings.ensembles), _OTHERWISE),
@@ -351,13 +351,13 @@ class _Ensembles:
         return np.asarray(self._sampler.acceptance_fraction).reshape(self._shape[:2])
 
 
-def _learned(target: Target, warm: _Ensembles) -> IndependenceMove | SurrogateMove:
-    """Make the best proposal that the second half of a warm-up allows."""
-    half = warm.chain()[:, :, warm.steps // 2 :].reshape(-1, target.dimension)
-    proposal = Proposal.fitted(half)
+def _learned(target: Target, half: Array, warm: _Ensembles) -> IndependenceMove | SurrogateMove:
+    """Make the best proposal that the second half of a warm-up's steps allows."""
+    states = half.reshape(-1, target.dimension)
+    proposal = Proposal.fitted(states)
     if target.likelihood.method != "input-error":
-        heights = warm.log_density()[:, :, warm.steps // 2 :].ravel()
-        surrogate = Surrogate.fitted(target.log_prior_in_coordinates, half, heights)
+        heights = warm.log_density()[:, :, -half.shape[2] :].ravel()
+        surrogate = Surrogate.fitted(target.log_prior_in_coordinates, states, heights)
         if surrogate is not None:
             return SurrogateMove(surrogate, proposal)
     return IndependenceMove(proposal)

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
 
 from matplotlib.figure import Figure
 
@@ -87,14 +86,13 @@ def _hand_over(helper: subprocess.Popen[bytes], figure: Figure, path: Path) -> b
         return False
 
 
-def help_saving(given: BinaryIO | None = None, told: BinaryIO | None = None) -> None:
+def help_saving() -> None:
     """Save the figures that come in, until no more come; the second process runs this."""
-    given, told = given or sys.stdin.buffer, told or sys.stdout.buffer
     while True:
         try:
-            figure, path = pickle.load(given)
+            figure, path = pickle.load(sys.stdin.buffer)
         except EOFError:
             return
         save(figure, path.parent, path.name)
-        told.write(_DONE)
-        told.flush()
+        sys.stdout.buffer.write(_DONE)
+        sys.stdout.flush()

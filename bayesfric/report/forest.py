@@ -26,6 +26,7 @@ from bayesfric.report.style import (
     power_of_ten,
     run_style,
     scaled_unit,
+    shortened,
 )
 
 # Half width of a 90 % interval of a normal distribution, in standard deviations.
@@ -363,9 +364,7 @@ def _range(row: Row) -> tuple[float, float]:
 
 
 def _shortened(label: str, inches: float) -> str:
-    most = max(6, int((inches - 0.1) / _LETTER))
-    shown = label if len(label) <= most else f"{label[: most - 1]}…"
-    return shown.replace("$", r"\$")
+    return shortened(label, max(6, int((inches - 0.1) / _LETTER)))
 
 
 def _legend(figure: Figure, rows: list[Row], columns: list[Column]) -> None:

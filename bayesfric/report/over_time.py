@@ -52,9 +52,3 @@ def draw_measured(
         rasterized=pixels,
         **named,
     )
-
-
-def shortened(name: str, most: int = 36) -> str:
-    """Cut a recording's name to what a title has room for."""
-    shown = name if len(name) <= most else f"{name[: most - 1]}…"
-    return shown.replace("$", r"\$")

@@ -30,6 +30,7 @@ from bayesfric.report.style import (
     power_of_ten,
     run_style,
     scaled_unit,
+    shortened,
 )
 
 Array = NDArray[np.float64]
@@ -288,8 +289,7 @@ def _remarks(shown: Overlay) -> list[str]:
 
 
 def _shortened(run: str, most: int = _NAME) -> str:
-    shown = run if len(run) <= most else f"…{run[1 - most :]}"
-    return shown.replace("$", r"\$")
+    return shortened(run, most, keep_end=True)
 
 
 def _panel(ax: Axes, panel: OverlayPanel, width: float) -> None:

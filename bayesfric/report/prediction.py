@@ -11,7 +11,7 @@ from scipy.special import ndtri
 
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.likelihood import Outputs
-from bayesfric.report.over_time import as_pixels, broken, draw_band, draw_measured, shortened
+from bayesfric.report.over_time import as_pixels, broken, draw_band, draw_measured
 from bayesfric.report.style import (
     PAGE,
     PALETTE,
@@ -20,6 +20,7 @@ from bayesfric.report.style import (
     AxesGrid,
     few_ticks,
     paper_style,
+    shortened,
 )
 from bayesfric.report.summary import LEVEL
 

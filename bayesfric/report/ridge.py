@@ -19,7 +19,6 @@ from bayesfric.estimates.torque import filtered_torque
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.priors import Prior, fixed
 from bayesfric.mechanism.scaling import Scaling, scalings
-from bayesfric.report.over_time import shortened
 from bayesfric.report.style import (
     PAGE,
     PALETTE,
@@ -33,6 +32,7 @@ from bayesfric.report.style import (
     paper_style,
     power_of_ten,
     scaled_unit,
+    shortened,
 )
 
 # What stands beside alpha_1, as long as the chain has it; the first two.

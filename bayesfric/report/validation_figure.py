@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.predictive import Prediction
-from bayesfric.report.over_time import as_pixels, broken, draw_band, draw_measured, shortened
+from bayesfric.report.over_time import as_pixels, broken, draw_band, draw_measured
 from bayesfric.report.style import (
     BAND,
     COLUMN,
@@ -20,6 +20,7 @@ from bayesfric.report.style import (
     Array,
     few_ticks,
     paper_style,
+    shortened,
 )
 from bayesfric.report.validation import covered
 

@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 from bayesfric import cli
 from bayesfric.commands.simulate import simulate
 from bayesfric.config import read_config
+from bayesfric.report import run_directory
 
 CONFIG = """\
 [mechanism]
@@ -160,3 +162,10 @@ def below_a_file(folder: Path):
     """A place nobody can write to, whatever their rights."""
     (folder / "plain").write_text("a file, not a folder")
     return "plain"
+
+
+def without_figures(patch):
+    """Write runs without drawing: that takes longer than small samplings."""
+    patch.setattr(run_directory, "FIGURES", {})
+    patch.setattr(run_directory, "forest_figure", lambda _: None)
+    patch.setattr(run_directory, "two_at_once", lambda _: nullcontext(lambda *_: None))

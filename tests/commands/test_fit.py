@@ -14,8 +14,7 @@ from bayesfric.commands.problem import read_problem
 from bayesfric.config import read_config
 from bayesfric.inference.archive import read_archive
 
-from .bench import SMALL, simulated
-from .conftest import without_figures
+from .bench import SMALL, simulated, without_figures
 
 CONFIG = f"""{SMALL}
 [sampling]

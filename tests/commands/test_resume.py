@@ -25,8 +25,7 @@ from bayesfric.inference.archive import read_archive
 from bayesfric.report import run_directory
 from tests.conftest import REPOSITORY
 
-from .bench import has, simulated
-from .conftest import without_figures
+from .bench import has, simulated, without_figures
 from .test_fit import CONFIG, draws, without_seconds
 
 # Few steps: what is tested is the bytes, not what they say. The noise remembers, so that there is
