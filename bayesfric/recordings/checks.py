@@ -73,7 +73,7 @@ def check_size(values: NDArray[np.float64], where: str, what: str) -> None:
 
 
 def clipped(values: NDArray[np.float64], what: str) -> list[str]:
-    """Warn if a signal rests at its largest or smallest value.
+    """Warn if a signal stays at its largest or smallest value.
 
     Parameters
     ----------
@@ -94,8 +94,8 @@ def clipped(values: NDArray[np.float64], what: str) -> list[str]:
         share = _in_runs(values == limit) / len(values)
         if share >= _CLIPPED_SHARE:
             warnings.append(
-                f"{what}: rests at its {word} {limit:.6g} (raw) for {100 * share:.2g} % of the "
-                "samples; is it saturated there?"
+                f"{what}: stays at {limit:.6g} (raw), its {word} in this recording, for "
+                f"{100 * share:.2g} % of the samples; does the drive or sensor saturate there?"
             )
     return warnings
 

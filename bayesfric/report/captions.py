@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from bayesfric.inference.fit import Fit
 from bayesfric.report.curve_band import CurveJudge
-from bayesfric.report.residual import residual_words
+from bayesfric.report.residual_analysis import residual_words
 from bayesfric.report.summary import LEVEL
 
 _SHARE = f"{100 * LEVEL:.0f} %"

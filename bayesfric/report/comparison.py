@@ -18,6 +18,8 @@ from bayesfric.report.comparison_cell import Cell, estimate_cell, left_open, pos
 from bayesfric.report.run_summary import ReferenceRow, RunSummary, read_summary
 
 REFERENCE = "reference"
+# Standard deviations of the posterior beyond which an estimate is another one.
+_FAR = 3.0
 
 
 @dataclass(frozen=True)
@@ -145,7 +147,7 @@ def comparison(
 
     Notes
     -----
-    Disagreement is ``(value - mean)/sd`` with mean and sd of the first posterior. The
+    Disagreement is ``(value - median)/sd`` with both of the first posterior. The
     variance of another posterior, and of a reference that has one, is added to that
     of the first; runs on the same recording are not independent, and disagree more
     than that says. An estimate's own variance is not added: it saw the same data.
@@ -187,6 +189,7 @@ def comparison(
         if fact.found
     ]
     rows.sort(key=_order)  # keeps the order of the files within each group
+    notes += _apart(rows, columns)
     return Comparison(
         tuple(columns), tuple(rows), baseline.label if baseline else None, tuple(notes)
     )
@@ -329,6 +332,25 @@ def _meanings(facts: Mapping[str, _Facts]) -> Iterator[str]:
         if len(set(said.values())) > 1:
             each = ", ".join(f"{words!r} in {run}" for run, words in said.items())
             yield f"{name} is not the same everywhere: {each}."
+
+
+def _apart(rows: list[Row], columns: list[Column]) -> Iterator[str]:
+    """Say which estimates of determined numbers the first posterior does not agree with."""
+    for column in columns:
+        far = [
+            row.name
+            for row in rows
+            if column.kind == "estimate"
+            and (cell := row.cells.get(column.label)) is not None
+            and cell.status == "determined"
+            and abs(cell.disagreement or 0.0) > _FAR
+        ]
+        if far:
+            yield (
+                f"{column.label} differs from the posterior by more than {_FAR:g} of its sds in "
+                f"{', '.join(far)}: the two take different things for granted, and of one of them "
+                "they do not hold."
+            )
 
 
 def _add_references(

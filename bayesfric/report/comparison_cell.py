@@ -20,7 +20,7 @@ class Cell:
     Attributes
     ----------
     value
-        Estimate, posterior mean or known value; where ``status`` is
+        Estimate, posterior median or known value; where ``status`` is
         ``undetermined`` one of many that fit as well.
     status
         ``determined``; ``undetermined``: the data leave it open; ``bound``: an
@@ -98,21 +98,21 @@ def posterior_cell(row: PosteriorRow, accounts: bool, status: str = "reliable") 
     """
     low, high = row.interval
     if status == "unusable":
-        return Cell(row.mean, "undetermined", remark=NOT_CONVERGED, converged=False)
+        return Cell(row.middle, "undetermined", remark=NOT_CONVERGED, converged=False)
     # as in the words of ``bayesfric fit``: the data say how far from the bound it may be
     if row.at_bound is not None and row.verdict != "data" and told_by_data(row):
         limit = high if row.at_bound == "lower" else low
         words = f"{'at most' if row.at_bound == 'lower' else 'at least'} {limit:.3g}"
-        return Cell(row.mean, "limit", level=row.level, limit=limit, remark=words)
+        return Cell(row.middle, "limit", level=row.level, limit=limit, remark=words)
     if row.verdict == "prior":
-        return left_open(row.mean, None, ": prior and bounds")
+        return left_open(row.middle, None, ": prior and bounds")
     remarks = ["prior and data both matter"] if row.verdict == "weak" else []
     if row.at_bound is not None:
         remarks.append(f"leans on its {row.at_bound} bound")
     if row.undefined_share:
         remarks.append(f"undefined in {100 * row.undefined_share:.0f} % of the draws")
     return Cell(
-        row.mean,
+        row.middle,
         "determined",
         sd=row.sd,
         sd_plain=None if accounts else row.sd,

@@ -201,6 +201,8 @@ def _lines(
 def explained(found: Comparison) -> Iterator[str]:
     """Say what the numbers are and what they take for granted."""
     yield "± is one standard deviation, accounting for correlated residuals."
+    if any(column.kind == "posterior" for column in found.columns):
+        yield "Of a posterior the median is given."
     cells = [cell for row in found.rows for cell in row.cells.values()]
     if any(cell.status == "determined" and not cell.accounts for cell in cells):
         yield f"{_PLAIN} takes residuals for uncorrelated: too small where they are correlated."
@@ -212,7 +214,10 @@ def explained(found: Comparison) -> Iterator[str]:
         kinds = [c.kind for c in found.columns]
         added = ["another posterior's"] if kinds.count("posterior") > 1 else []
         added += ["a reference's"] if "reference" in kinds else []
-        yield words + (f"; {' and '.join(added)} own is added to it." if added else ".")
+        words += f"; {' and '.join(added)} own is added to it" if added else ""
+        # two estimates from one recording share its noise: their variances do not add
+        words += "; an estimate's own is not, it saw the same data" if "estimate" in kinds else ""
+        yield words + "."
     for column in found.columns:
         parts = [column.told] if column.told else []
         if column.residual_rms is not None:

@@ -19,6 +19,7 @@ from bayesfric.mechanism.element import Element
 from bayesfric.recordings.observation import Observation
 from bayesfric.report import latex
 from bayesfric.report.bibliography import ENTRIES, bibliography
+from bayesfric.report.tables import counts, parameter_table
 
 _CITED = re.compile(r"\s*\[@([\w;@]+)\]")
 _VERSIONS = ("numpy", "scipy", "emcee", "arviz", "numba")
@@ -260,12 +261,18 @@ def _priors(_: Fit, summary: Mapping[str, Any]) -> Iterator[str]:
             for name, row in summary["fixed"].items()
         ]
         yield f"Taken as known: {'; '.join(fixed)}."
-    verdicts = [row["verdict"] for name, row in rows.items() if not name.startswith("noise.")]
+    joint = [
+        row
+        for row in parameter_table(summary).rows
+        if row.group == "parameter" and not row.name.startswith("noise.")
+    ]
     if summary["sampler"]["status"] != "unusable":
+        n = counts(joint)
+        limits = f"limited by the data on one side {n.limits}, " if n.limits else ""
         yield (
-            f"Parameters of the joint, {len(verdicts)} in all: determined by the data "
-            f"{verdicts.count('data')}, by data and prior together {verdicts.count('weak')}, not "
-            f"determined by the data {verdicts.count('prior')}."
+            f"Parameters of the joint, {len(joint)} in all: determined by the data {n.data}, by "
+            f"data, prior and bounds together {n.together}, {limits}not determined by the data "
+            f"{n.open}."
         )
     found = summary["identifiability"]["null_directions"]
     for direction in found:

@@ -73,6 +73,11 @@ class PosteriorRow(Part):
     bound_physical: bool | None = None
     undefined_share: Annotated[FiniteFloat, Field(ge=0.0, le=1.0)] | None = None
 
+    @property
+    def middle(self) -> float:
+        """The number to print: the median, or of files that lack it the mean."""
+        return self.mean if self.median is None else self.median
+
 
 class KnownRow(Part):
     """A parameter that was taken as known."""

@@ -31,6 +31,7 @@ from bayesfric.report.noise_summary import (
     noise_record,
     noise_unit,
 )
+from bayesfric.report.residual_analysis import lacking, residuals
 from bayesfric.report.run_summary import PosteriorRow
 from bayesfric.report.validation import validation_record
 
@@ -96,6 +97,7 @@ def summarise(
             "residual_rms": _rms(np.concatenate(residual)),
             "unit": outputs[0].unit,
             "quantity": outputs[0].quantity,
+            "lacks": list(lacking(fit)),
             **_discretisation(fit.target.likelihood),
             "recordings": {
                 o.name: {
@@ -172,17 +174,6 @@ def summary_table(summary: Mapping[str, Any]) -> str:
             ends = {"low": low, "high": high, "white_low": white_low, "white_high": white_high}
             writer.writerow({"name": name, **row, **ends})
     return out.getvalue()
-
-
-def residuals(fit: Fit) -> list[Array]:
-    """Measured minus posterior mean output of each recording."""
-    likelihood = fit.target.likelihood
-    return [
-        o.measured - predicted.mean(axis=0)
-        for o, predicted in zip(
-            likelihood.outputs, likelihood.predict(fit.chain_draws(200)), strict=True
-        )
-    ]
 
 
 def _discretisation(likelihood: Likelihood) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -81,6 +81,20 @@ class ParameterRow:
 
 
 @dataclass(frozen=True)
+class Counts:
+    """How many of some numbers are determined, and by what.
+
+    ``data``: by the data; ``together``: by data, prior and bounds; ``limits``: by the data,
+    on one side; ``open``: not by the data.
+    """
+
+    data: int
+    together: int
+    limits: int
+    open: int
+
+
+@dataclass(frozen=True)
 class ParameterTable:
     """Lines in the order to print them, and what to know besides."""
 
@@ -138,6 +152,21 @@ def parameter_table(summary: Mapping[str, Any], run: str = "summary.json") -> Pa
     level = levels.pop() if levels else 0.9
     return ParameterTable(
         tuple(rows), level, tuple(_notes(rows, read, level, list(summary.get("warnings", ()))))
+    )
+
+
+def counts(rows: Sequence[ParameterRow]) -> Counts:
+    """Count what is determined, and by what."""
+    status = [r.cell.status for r in rows]
+    data = sum(
+        r.cell.status == "determined" and r.row is not None and r.row.verdict == "data"
+        for r in rows
+    )
+    return Counts(
+        data,
+        status.count("determined") - data,
+        status.count("limit"),
+        status.count("undetermined"),
     )
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from bayesfric.inference.autoregression import simulated
-from bayesfric.report.noise_summary import add_white_intervals
 
 from .bench import SMALL, has
 
@@ -100,12 +99,3 @@ def test_outliers_are_for_student_t(bench):
 def test_an_order_belongs_to_autoregressive_noise(bench, model):
     bench.edit('scale = "shared"', f'scale = "shared"\nmodel = "{model}"\norder = 2')
     has(bench.refused("check", "c.toml"), "noise.order", model)
-
-
-@pytest.mark.parametrize("usable", [True, False])
-def test_white_noise_that_did_not_converge_stands_beside_nothing(usable):
-    white = {"a.b": {"interval": [0.9, 1.1], "sd": 0.06}} if usable else None
-    summary = {"parameters": {"a.b": {}}, "derived": {}, "warnings": []}
-    add_white_intervals(summary, white)
-    assert ("white_interval" in summary["parameters"]["a.b"]) == usable
-    assert ["max_steps" in text for text in summary["warnings"]] == [True] * (not usable)

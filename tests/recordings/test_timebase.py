@@ -168,8 +168,8 @@ def test_saturation_and_quantisation_warn(tmp_path):
     step = 2 * np.pi / 64
     save(tmp_path, t, np.round(q / step) * step, np.clip(tau, -0.2, 0.2))
     warnings = " ".join(read(tmp_path, from_npz())[0].warnings)
-    assert "torque: rests at its maximum 0.2" in warnings
-    assert "torque: rests at its minimum -0.2" in warnings
+    assert "torque: stays at 0.2 (raw), its maximum" in warnings
+    assert "torque: stays at -0.2 (raw), its minimum" in warnings
     assert "step of 0.0982 rad" in warnings
     save(tmp_path, t, q, tau)
     assert not read(tmp_path, from_npz())[0].warnings

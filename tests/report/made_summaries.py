@@ -153,6 +153,7 @@ def loaded():
             rows[name] |= {"determined": True, "span": None, "sd": 0.4 * sd, "sd_robust": sd}
     for row in run["derived"].values():
         row["mean"] += 0.7 * row["sd"]
+        row["median"] = row["mean"]
         row["interval"] = [end + 0.7 * row["sd"] for end in row["interval"]]
     return run
 

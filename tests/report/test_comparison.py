@@ -62,6 +62,25 @@ def test_disagreement_of_references_and_runs_adds_their_variance():
         assert cell.disagreement == pytest.approx(0.7 / math.sqrt(2), rel=1e-6)
 
 
+def test_estimates_that_disagree_are_named():
+    run = knee()
+    assert not [note for note in comparison({"knee": run}).notes if "differs" in note]
+    row = run["estimates"]["least-squares"]["parameters"]["total.inertia"]
+    row["value"] += 4.0 * TOTALS["total.inertia"][4]
+    # 1.4 - 4 sds: 2.6, and then 3.6
+    assert not [note for note in comparison({"knee": run}).notes if "differs" in note]
+    row["value"] += 1.0 * TOTALS["total.inertia"][4]
+    (note,) = [note for note in comparison({"knee": run}).notes if "differs" in note]
+    assert note.startswith("least-squares differs from the posterior by more than 3 of its sds in")
+    assert "total.inertia:" in note
+
+
+def test_a_posterior_is_shown_by_its_median():
+    run = knee()
+    run["derived"]["total.inertia"]["median"] = 4.5e-4
+    assert comparison({"knee": run})["total.inertia"].cells["posterior"].value == 4.5e-4
+
+
 def test_a_reference_without_sd_is_measured_in_the_posteriors():
     run = loaded()
     found = comparison({"b": run})

@@ -10,6 +10,7 @@ import bayesfric
 from bayesfric.report.bibliography import ENTRIES
 from bayesfric.report.methods_text import methods_text
 from bayesfric.report.summary import summarise
+from bayesfric.report.tables import parameter_table
 
 
 @pytest.fixture(scope="module")
@@ -50,8 +51,12 @@ def test_what_is_open_and_what_is_wrong_is_said(knee):
     assert "The residuals are correlated (lag 1: 0.67)" in text
     assert "something else" not in text
     assert "No recording of this kind can tell: gearbox.alpha_drive" in text
-    verdicts = [r["verdict"] for n, r in summary["parameters"].items() if n != "noise.sigma"]
-    assert f"not determined by the data {verdicts.count('prior')}." in text
+    table = parameter_table(summary)
+    shown = [r.cell.status for r in table.rows if r.group == "parameter"]
+    assert shown.count("limit") + shown.count("undetermined") > 0
+    assert f"not determined by the data {shown.count('undetermined')}." in text
+    if shown.count("limit"):
+        assert f"on one side {shown.count('limit')}," in text
 
 
 def test_all_that_is_cited_is_listed_and_nothing_else(said):

@@ -237,6 +237,31 @@ def test_remedies_come_first_where_they_are_known(tmp_path):
     )
 
 
+def test_what_the_model_lacks_stands_on_the_first_screen(tmp_path):
+    told = knee()
+    told["fit"]["lacks"] = [{"on": "joint speed", "share": 0.123, "p_value": 1e-9}]
+    (first,) = read_page(run_page(tmp_path, told, "knee")).all("section", id="findings")
+    assert "joint speed explains 12 % of what it leaves" in first.text
+
+
+@pytest.mark.parametrize("tried", [0, 3])
+def test_another_noise_model_is_proposed_where_none_was_tried(tmp_path, tried):
+    told = knee()
+    told["noise"] = {"model": "white", "innovation_whiteness": {"white": False}}
+    told["noise"]["order_chosen_from"] = [{"order": k, "bic": float(k)} for k in range(tried)]
+    (first,) = read_page(run_page(tmp_path, told, "knee")).all("section", id="findings")
+    assert ('model = "auto"' in first.text) == (not tried)
+
+
+def test_advice_is_asked_for_what_is_open_and_else_for_what_is_known_least(tmp_path):
+    (first,) = read_page(run_page(tmp_path, knee(), "knee")).all("section", id="findings")
+    assert f"identify YOUR-CONFIGURATION.toml --advise {next(iter(LEG))}" in first.text
+    told = loaded()
+    told["parameters"]["load.inertia"]["sd"] *= 30.0
+    (first,) = read_page(run_page(tmp_path, told, "knee")).all("section", id="findings")
+    assert "--advise load.inertia" in first.text
+
+
 @pytest.mark.parametrize(("status", "words"), [("tentative", "Not yet"), ("unusable", "No:")])
 def test_a_bad_run_says_so_first(tmp_path, status, words):
     told = knee()

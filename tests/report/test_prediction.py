@@ -8,8 +8,8 @@ import pytest
 import bayesfric.report.prediction as module
 from bayesfric.recordings.options import Processing
 from bayesfric.report.prediction import prediction_figure, predictive
+from bayesfric.report.residual_analysis import residuals
 from bayesfric.report.style import save
-from bayesfric.report.summary import residuals
 
 
 def by_gid(ax, gid):

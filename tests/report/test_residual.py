@@ -8,9 +8,9 @@ from scipy.signal import lfilter
 
 from bayesfric.inference.fit import read_priors, target_of
 from bayesfric.inference.residual_noise import Autoregressive
-from bayesfric.report.residual import residual_analysis, residual_figure, residual_words
+from bayesfric.report.residual import residual_figure
+from bayesfric.report.residual_analysis import lacking, residual_analysis, residual_words, residuals
 from bayesfric.report.style import PAGE
-from bayesfric.report.summary import residuals
 
 from .conftest import draw_fast
 
@@ -82,6 +82,9 @@ def test_what_the_model_lacks_shows_where_it_acts(knee, name, change):
     (binned,) = [b for b in residual_analysis(fit).against if b.what.startswith(name)]
     assert binned.p_value < 1e-6
     assert any(f"depends on {name}" in words for words in residual_words(fit))
+    (told,) = [one for one in lacking(fit) if one["on"] == name]
+    assert told["share"] == binned.explained
+    assert name not in [one["on"] for one in lacking(knee)]
 
 
 def test_binned_means_are_the_bins(knee):

@@ -140,10 +140,18 @@ class RecordingRow(Part):
     dropped_dead_zone: int | None = None
 
 
+class Lack(Part):
+    """What the residuals' mean depends on by more than chance."""
+
+    on: str
+    share: NotNegative
+
+
 class FitFacts(Residual):
     """What the posterior leaves unexplained, recording by recording."""
 
     quantity: str = "output"
+    lacks: list[Lack] = Field(default_factory=list)
     recordings: dict[Name, RecordingRow] = Field(default_factory=dict)
 
 

@@ -225,9 +225,9 @@ def _curve(curve: Curve) -> str:
         return f"{curve.run} not determined by the data"
     if curve.cell.status == "limit":
         return f"{curve.run} {curve.cell.remark}, as far as the data tell"
-    middle = curve.row.mean if curve.row.median is None else curve.row.median
+    middle = curve.row.middle
     low, high = curve.row.interval
-    by = "the data" if curve.told == "data" else "data and prior together"
+    by = "the data" if curve.told == "data" else "data, prior and bounds together"
     share = f"{100 * curve.row.level:g} %"
     return f"{curve.run} {middle:.4g}, {share} from {low:.4g} to {high:.4g}, determined by {by}"
 

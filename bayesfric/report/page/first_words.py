@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from bayesfric.identifiability.words import capital, factor
 from bayesfric.report.methods_text import listed
 from bayesfric.report.page.facts import Facts, OpenDirectionRow, RemedyRow
-from bayesfric.report.tables import ParameterRow, ParameterTable
+from bayesfric.report.tables import ParameterRow, ParameterTable, counts
 
 _COUNTS = ("none", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 # Lines of the list of what is known; the rest is in the table.
@@ -43,7 +43,7 @@ class FirstWords:
     headline
         Sentences on how much the data determined.
     known
-        Rows the data determine, those of data and prior together among them.
+        Rows the data determine, those of data, prior and bounds together among them.
     more
         Number of such rows that are left to the table.
     limits
@@ -58,6 +58,8 @@ class FirstWords:
         What to do next, the best first; empty where nothing is known to help.
     otherwise
         A sentence in place of, or behind, the steps.
+    command
+        What it tells to run; empty where nothing was sampled of the joint.
     """
 
     headline: tuple[str, ...]
@@ -70,6 +72,7 @@ class FirstWords:
     problems: tuple[str, ...]
     steps: tuple[NextStep, ...]
     otherwise: str
+    command: str
 
 
 def first_words(table: ParameterTable, facts: Facts) -> FirstWords:
@@ -92,7 +95,8 @@ def first_words(table: ParameterTable, facts: Facts) -> FirstWords:
         *_trust(facts),
         tuple(facts.sampler.problems),
         steps,
-        _otherwise(joint, facts, bool(steps)),
+        _otherwise(joint, facts, bool(steps)) if joint else "",
+        _command(joint) if joint else "",
     )
 
 
@@ -104,25 +108,20 @@ def _headline(joint: Sequence[ParameterRow], combined: Sequence[ParameterRow]) -
     if not all(r.cell.converged for r in joint):
         yield "The sampling failed: this run says nothing of the parameters."
         return
-    n = len(joint)
-    each = [("data" if r.row and r.row.verdict == "data" else "weak", r) for r in joint]
-    sure = sum(k == "data" and r.cell.status == "determined" for k, r in each)
-    weak = sum(k == "weak" and r.cell.status == "determined" for k, r in each)
-    limits = sum(r.cell.status == "limit" for r in joint)
-    open_ = sum(r.cell.status == "undetermined" for r in joint)
-    if n and sure == n:
+    n, found = len(joint), counts(joint)
+    if n and found.data == n:
         yield f"The data determine all {_count(n)} parameters of the joint."
     elif n:
-        parts = [f"the data determine {_count(sure)} by themselves"]
-        parts += [f"{_count(weak)} together with the prior"] if weak else []
-        parts += [f"bound {_count(limits)} on one side only"] if limits else []
-        parts += [f"leave {_count(open_)} open"] if open_ else []
+        parts = [f"the data determine {_count(found.data)} by themselves"]
+        if found.together:
+            parts.append(f"{_count(found.together)} together with priors and bounds")
+        if found.limits:
+            parts.append(f"bound {_count(found.limits)} on one side only")
+        if found.open:
+            parts.append(f"leave {_count(found.open)} open")
         yield f"Of the joint's {_count(n)} sampled parameters, {listed(parts)}."
-    told = sum(
-        r.cell.status == "determined" and r.row is not None and r.row.verdict == "data"
-        for r in combined
-    )
-    if told and sure < n:
+    told = counts(combined).data
+    if told and found.data < n:
         what = "combination" if told == 1 else "combinations"
         yield (
             f"They do determine {_count(told)} {what} of them: what the motor feels, whatever "
@@ -216,7 +215,9 @@ def _trust(facts: Facts) -> tuple[str, str]:
 def _without_recording(facts: Facts) -> Iterator[NextStep]:
     """Name what can be done before anything is recorded."""
     white = facts.noise.innovation_whiteness
-    if facts.noise.model == "white" and white is not None and not white.white:
+    # where the order was chosen, auto itself found that no memory helps
+    chosen = facts.noise.order_chosen_from
+    if facts.noise.model == "white" and white is not None and not white.white and not chosen:
         yield NextStep(
             'Fit again with model = "auto" under [noise]',
             "Needs no recording; the intervals then account for residuals that have a memory.",
@@ -247,25 +248,28 @@ def _steps(directions: Sequence[OpenDirectionRow]) -> Iterator[NextStep]:
 
 
 def _otherwise(joint: Sequence[ParameterRow], facts: Facts, steps: bool) -> str:
-    identify = "bayesfric identify CONFIG"
+    command = "the command below"
+    best = "ranks experiments for one parameter and writes the best as a file to play"
     if steps:
-        return (
-            f"“{identify} --advise NAME” ranks experiments for one parameter and writes the best."
-        )
+        return f"For one parameter of your choice: {command} {best}."
     if all(r.cell.status in ("determined", "limit") for r in joint):
-        return (
-            "Nothing is open. To know one parameter better, "
-            f"“{identify} --advise NAME” ranks what to record next."
-        )
+        return f"Nothing is open. To know one parameter better, {command} {best}."
     if facts.identifiability.directions is None:
         return (
-            f"“{identify}” tells why the open parameters are open and what would determine them; "
-            "with “--advise NAME” it ranks experiments for one of them."
+            f"Which experiments would determine what is open was not looked for: {command} {best}."
         )
-    return (
-        "Nothing that was tried lifts what is open by itself; "
-        f"“{identify} --advise NAME” searches for an experiment for one parameter."
-    )
+    return f"Nothing that was tried lifts what is open by itself: {command} {best}."
+
+
+def _command(joint: Sequence[ParameterRow]) -> str:
+    """Ask for advice on what is open, or else on what is known least."""
+
+    def known(row: ParameterRow) -> tuple[bool, float]:
+        spread = row.row.sd / abs(row.row.mean) if row.row and row.row.mean else 0.0
+        return row.cell.status != "undetermined", -spread
+
+    name = min(joint, key=known).name
+    return f"bayesfric identify YOUR-CONFIGURATION.toml --advise {name}"
 
 
 def _count(n: int) -> str:

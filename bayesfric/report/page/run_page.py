@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -33,8 +32,6 @@ STEMS = (
     "methods", "ridge", "prediction", "residual", "validation", "friction", "efficiency",
     "prior_posterior", "corner", "trace",
 )  # fmt: skip
-# What the caption of the residual figure says the model lacks, and by how much.
-_LACKS = re.compile(r"residuals' mean depends on ([\w ]+): it holds ([\d.]+) %")
 _GROUPS = {
     "free": (
         "What the motor feels",
@@ -125,7 +122,6 @@ def run_page(folder: Path, summary: Mapping[str, Any], name: str) -> str:
         title=name,
         facts=facts,
         warnings=_gathered(facts),
-        lacks=_LACKS.findall(captions.get("residual", "")),
         first=first_words(table, facts),
         shown={line.row.name: line for line in lines},
         groups=_groups(lines),

@@ -11,8 +11,8 @@ from bayesfric.report.tables import ParameterRow
 NOT_DETERMINED = "not determined by the data"
 _VERDICTS = {
     "determined data": "data",
-    "determined weak": "data and prior together",
-    "determined prior": "data and prior together",
+    "determined weak": "data, prior and bounds together",
+    "determined prior": "data, prior and bounds together",
     "limit": "data, on one side only",
     "undetermined": NOT_DETERMINED,
     "known": "taken as known",

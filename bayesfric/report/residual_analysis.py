@@ -1,0 +1,335 @@
+"""What the posterior leaves unexplained: is it noise, or is it friction that the model lacks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from bayesfric.inference.fit import Fit
+from bayesfric.inference.likelihood import Outputs
+from bayesfric.inference.torque_likelihood import TorqueLikelihood
+from bayesfric.mechanism.inverse import load_torque
+
+Array = NDArray[np.float64]
+
+_LAGS = 40
+_BINS = 16
+# Outputs a bin needs, or its mean says nothing.
+_LEAST = 5
+# Points that are shown of the quantiles; more lie on top of each other.
+_POINTS = 200
+_WHITE = float(stats.norm.ppf(0.975))
+# A dependence is told where one as large comes by chance in one of a thousand recordings.
+_BY_CHANCE = 1e-3
+# Excess kurtosis worth a word.
+_TAILS = 0.5
+
+
+def residuals(fit: Fit) -> list[Array]:
+    """Measured minus posterior mean output of each recording."""
+    likelihood = fit.target.likelihood
+    return [
+        o.measured - predicted.mean(axis=0)
+        for o, predicted in zip(
+            likelihood.outputs, likelihood.predict(fit.chain_draws(200)), strict=True
+        )
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class Binned:
+    """Residuals against one quantity, in bins of equally many outputs.
+
+    Attributes
+    ----------
+    what, unit
+        Of the quantity.
+    centre, mean, sd, error
+        ``(bins,)``; ``error`` is the sd of the mean, wider where residuals are correlated.
+    explained
+        Share of the residuals' variance that the bins' means hold.
+    p_value
+        Probability that independent bins explain as much.
+    """
+
+    what: str
+    unit: str
+    centre: Array
+    mean: Array
+    sd: Array
+    error: Array
+    explained: float
+    p_value: float
+
+    @property
+    def name(self) -> str:
+        """The quantity without its symbol."""
+        return self.what.partition(" $")[0]
+
+    @property
+    def by_chance(self) -> bool:
+        """Whether chance explains that the bins' means differ."""
+        return self.p_value >= _BY_CHANCE
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualAnalysis:
+    """Residuals of all recordings, looked at from several sides.
+
+    Attributes
+    ----------
+    unit
+        Of the residuals.
+    lags, correlation, white
+        ``(L,)`` lags in outputs, autocorrelation over all runs without a gap, and the half
+        width of the 95 % band that white residuals keep to.
+    innovations
+        ``(L,)`` autocorrelation of what the noise's memory does not foretell; ``None``
+        where the noise model has no memory.
+    normal, quantiles
+        ``(K,)`` quantiles of a standard normal, and of the residuals (innovations, where
+        there are any) over their rms.
+    kurtosis
+        Excess of theirs over a normal's.
+    against
+        Speed, load and joint angle, where they vary.
+    """
+
+    unit: str
+    lags: Array
+    correlation: Array
+    white: Array
+    innovations: Array | None
+    normal: Array
+    quantiles: Array
+    kurtosis: float
+    against: tuple[Binned, ...]
+
+
+def residual_analysis(fit: Fit) -> ResidualAnalysis:
+    """Look at what the posterior mean leaves of the measurements.
+
+    Parameters
+    ----------
+    fit
+        A finished fit.
+    """
+    outputs, left = fit.target.likelihood.outputs, residuals(fit)
+    lags, correlation, white = _autocorrelation(outputs, left)
+    inner = _innovations(fit, left)
+    # each recording over its own rms: they may differ in noise
+    scaled = np.concatenate([r / max(_rms(r), 1e-300) for r in inner or left])
+    n = scaled.size
+    shares = (np.arange(n) + 0.5) / n
+    shown = np.unique(np.linspace(0, n - 1, min(n, _POINTS)).astype(int))
+    # the tails tell most: all of their points
+    shown = np.unique(np.concatenate([shown, np.arange(min(20, n)), np.arange(max(n - 20, 0), n)]))
+    against = [
+        _binned(words, unit, np.concatenate(x), outputs, left)
+        for words, unit, x in _abscissae(fit, outputs)
+        if np.ptp(np.concatenate(x)) > 0.0
+    ]
+    return ResidualAnalysis(
+        outputs[0].unit,
+        lags,
+        correlation,
+        white,
+        _autocorrelation(outputs, inner)[1] if inner else None,
+        np.asarray(stats.norm.ppf(shares[shown])),
+        np.sort(scaled)[shown],
+        float(stats.kurtosis(scaled)),
+        tuple(b for b in against if b.centre.size > 1),
+    )
+
+
+def _innovations(fit: Fit, left: list[Array]) -> list[Array] | None:
+    """Take from residuals what the noise model foretells, where it foretells anything."""
+    likelihood = fit.target.likelihood
+    if not isinstance(likelihood, TorqueLikelihood) or not likelihood.noise.order:
+        return None
+    median = fit.posterior.median
+    scales = fit.target.noise.scales(median[None, len(fit.target.free) :])[0]
+    return likelihood.innovations(left, scales)
+
+
+def _rms(x: Array) -> float:
+    return math.sqrt(float(np.mean(x**2)))
+
+
+def _autocorrelation(outputs: tuple[Outputs, ...], left: list[Array]) -> tuple[Array, Array, Array]:
+    """Correlate residuals at even distances in time, gaps left out."""
+    longest = max(r.size for r in left)
+    lags = np.arange(1, min(_LAGS, max(longest // 4, 1)) + 1)
+    products, pairs, power = np.zeros(lags.size), np.zeros(lags.size), 0.0
+    total = 0
+    for o, r in zip(outputs, left, strict=True):
+        rms = _rms(r)
+        if not rms > 0.0:
+            continue
+        scaled = (r - r.mean()) / rms
+        power += float(scaled @ scaled)
+        total += r.size
+        # place on an even grid of time; segments are not in step with each other
+        begin = o.time[np.searchsorted(o.segment_of, o.segment_of)]
+        place = np.rint((begin - o.time[0]) / o.period) + np.rint((o.time - begin) / o.period)
+        place = place.astype(np.int64) + o.segment_of * (lags.size + 1)
+        grid = np.full(int(place.max()) + 1 + lags.size, np.nan)
+        grid[place] = scaled
+        for k, lag in enumerate(lags):
+            both = grid[place + lag] * scaled
+            here = np.isfinite(both)
+            products[k] += both[here].sum()
+            pairs[k] += int(here.sum())
+    seen = pairs > 0
+    if not power > 0.0:
+        seen[:] = False
+    correlation = (products[seen] / pairs[seen]) / (power / total if power > 0.0 else 1.0)
+    white = _WHITE / np.sqrt(pairs[seen])
+    return lags[seen].astype(np.float64), correlation, np.asarray(white)
+
+
+def _abscissae(fit: Fit, outputs: tuple[Outputs, ...]) -> list[tuple[str, str, list[Array]]]:
+    """Speed, load torque and angle at every output."""
+    median = fit.target.chain_values(fit.posterior.median[None])[0]
+    speed, load, angle = [], [], []
+    for o, seen in zip(outputs, fit.observations, strict=True):
+        at = seen.filter.centres
+        gamma = load_torque(
+            fit.chain,
+            median,
+            seen.q[at],
+            seen.qdd[at],
+            added_mass=seen.added_mass,
+            radius=seen.radius,
+        )
+
+        def now(x: Array, times: Array = seen.time, o: Outputs = o) -> Array:
+            # outputs of a simulation are at other times than those of the filter
+            same = times.size == o.time.size and np.array_equal(times, o.time)
+            return x if same else np.interp(o.time, times, x)
+
+        speed.append(now(seen.speed))
+        load.append(now(gamma))
+        angle.append(now(seen.q[at]))
+    rotary = fit.chain.load.motion == "rotary"
+    return [
+        (r"joint speed $\dot q$", "rad/s" if rotary else "m/s", speed),
+        (r"load $\Gamma$", "N m" if rotary else "N", load),
+        ("joint angle $q$" if rotary else "position $q$", "rad" if rotary else "m", angle),
+    ]
+
+
+def _binned(
+    what: str, unit: str, x: Array, outputs: tuple[Outputs, ...], left: list[Array]
+) -> Binned:
+    """Mean and spread in bins, and whether the means are more than chance.
+
+    Residuals that repeat what the ones before them said count once. That is measured with
+    the bins' means taken off, or a dependence on ``x`` would pass for memory and hide itself.
+    """
+    r = np.concatenate(left)
+    order = np.argsort(x, kind="stable")
+    bins = max(1, min(_BINS, r.size // _LEAST))
+    parts = np.array_split(order, bins)
+    centre = np.array([x[p].mean() for p in parts])
+    mean = np.array([r[p].mean() for p in parts])
+    sd = np.array([r[p].std() for p in parts])
+    sizes = np.array([p.size for p in parts])
+    inside = r.copy()
+    for part, middle in zip(parts, mean, strict=True):
+        inside[part] -= middle
+    ends = np.cumsum([one.size for one in left])[:-1]
+    _, correlation, white = _autocorrelation(outputs, np.split(inside, ends))
+    # up to the first that chance explains
+    few = int(np.argmin(np.append(correlation > white, False)))
+    independent = 1.0 + 2.0 * float(correlation[:few].sum())
+    error = sd * np.sqrt(independent / sizes)
+    total = float(((r - r.mean()) ** 2).sum())
+    between = float((sizes * (mean - r.mean()) ** 2).sum())
+    explained = between / total if total > 0.0 else 0.0
+    freedom = r.size / independent - bins
+    if bins < 2 or freedom <= 0.0 or explained >= 1.0:
+        return Binned(what, unit, centre, mean, sd, error, explained, 1.0)
+    ratio = (explained / (bins - 1)) / ((1.0 - explained) / freedom)
+    return Binned(
+        what, unit, centre, mean, sd, error, explained, float(stats.f.sf(ratio, bins - 1, freedom))
+    )
+
+
+def lacking(fit: Fit) -> Iterator[dict[str, Any]]:
+    """Name what the residuals' mean depends on by more than chance: the model lacks it.
+
+    Parameters
+    ----------
+    fit
+        A finished fit.
+
+    Yields
+    ------
+    dict
+        ``on``, a quantity, ``share`` of the residuals' variance that it holds, ``p_value``.
+    """
+    for b in residual_analysis(fit).against:
+        if not b.by_chance:
+            yield {"on": b.name, "share": b.explained, "p_value": b.p_value}
+
+
+def residual_words(fit: Fit) -> tuple[str, ...]:
+    """Say what the residual figure shows, one sentence each.
+
+    Parameters
+    ----------
+    fit
+        A finished fit.
+    """
+    found = residual_analysis(fit)
+    said = []
+    if found.lags.size:
+        first, some = _correlated("residuals", found.correlation, found.white)
+        if some and fit.target.likelihood.method == "output-error":
+            first += "; simulated positions drift, and correlate by that"
+        said.append(first + ".")
+    what = "Residuals"
+    if found.innovations is not None:
+        what = "Innovations"
+        second, some = _correlated("innovations", found.innovations, found.white)
+        said.append(second + ("; the noise model misses some." if some else "."))
+    if abs(found.kurtosis) > _TAILS:
+        tails = "heavier" if found.kurtosis > 0.0 else "lighter"
+        said.append(
+            f"{what} have {tails} tails than a normal (excess kurtosis {found.kurtosis:.1f})."
+        )
+    else:
+        said.append(f"{what} are close to normal.")
+    for b in found.against:
+        if not b.by_chance:
+            said.append(
+                f"The residuals' mean depends on {b.name}: it holds {100 * b.explained:.2g} % of "
+                "their variance, more than chance explains. There is something the model lacks."
+            )
+    if found.against and all(b.by_chance for b in found.against):
+        names = ", ".join(b.name for b in found.against)
+        said.append(f"The residuals' mean depends on none of {names} by more than chance.")
+    return tuple(said)
+
+
+def _correlated(what: str, correlation: Array, white: Array) -> tuple[str, bool]:
+    """Count the lags outside the white band, and tell whether they are too many for chance."""
+    outside = int((np.abs(correlation) > white).sum())
+    # too many, or one that is too large for the largest of so many
+    largest = float((np.abs(correlation) / white).max()) * _WHITE
+    some = bool(
+        stats.binom.sf(outside - 1, white.size, 0.05) < _BY_CHANCE
+        or 2.0 * white.size * stats.norm.sf(largest) < _BY_CHANCE
+    )
+    words = (
+        f"The lag-1 autocorrelation of the {what} is {correlation[0]:.2f}; {outside} of "
+        f"{white.size} lags lie outside the band that holds 95 % of those of white noise"
+    )
+    return words + ("" if some else ", as many as chance allows"), some

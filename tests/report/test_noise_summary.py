@@ -1,0 +1,48 @@
+"""What is said of noise that is not what the likelihood takes it for."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from bayesfric.estimates.estimate import Estimate, EstimatedValue
+from bayesfric.report.noise_summary import add_white_intervals, correlation_warnings
+from tests.report.made_summaries import posterior_row
+
+
+def value(name, sd, sd_robust):
+    return EstimatedValue(name, "", "", "", 1.0, sd, sd_robust)
+
+
+def test_each_interval_is_too_narrow_by_its_own_factor(knee):
+    """By the robust standard deviations, not by a factor that only a constant would have."""
+    values = (value("a", 0.1, 0.1), value("b", 0.1, 0.33), value("c", math.inf, 9.0))
+    told = Estimate("input-error", values, 0.01, 100, "")
+    (text,) = correlation_warnings(replace(knee, estimates=(told,)), {"innovation_lag1": 0.8})
+    assert "robust sds are 1 to 3.3 times the plain ones" in text
+    # without them that of a constant among first-order noise: sqrt(1.8/0.2) = 3
+    (text,) = correlation_warnings(replace(knee, estimates=()), {"innovation_lag1": 0.8})
+    assert "about 3.0 times too narrow" in text
+    assert not list(correlation_warnings(knee, {"innovation_lag1": 0.02}))
+
+
+@pytest.mark.parametrize("usable", [True, False])
+def test_white_noise_that_did_not_converge_stands_beside_nothing(usable):
+    white = {"a.b": {"interval": [0.9, 1.1], "sd": 0.06}} if usable else None
+    summary = {
+        "parameters": {"a.b": posterior_row("", 1.0, 0.1)}, "derived": {}, "warnings": [],
+    }  # fmt: skip
+    add_white_intervals(summary, white)
+    assert ("white_interval" in summary["parameters"]["a.b"]) == usable
+    assert ["max_steps" in text for text in summary["warnings"]] == [True] * (not usable)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "ends", "told"),
+    [("data", [1.2, 1.3], True), ("data", [1.05, 1.3], False), ("prior", [1.2, 1.3], False)],
+)
+def test_a_number_that_moves_with_the_noise_model_is_named(verdict, ends, told):
+    row = posterior_row("", 1.0, 0.1, verdict=verdict) | {"interval": [0.9, 1.1]}
+    summary = {"parameters": {"a.b": row}, "derived": {}, "warnings": []}
+    add_white_intervals(summary, {"a.b": {"interval": ends, "sd": 0.05}})
+    assert ["a.b" in text for text in summary["warnings"]] == [True] * told
