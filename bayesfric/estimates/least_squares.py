@@ -13,6 +13,7 @@ from bayesfric.estimates.information import Information
 from bayesfric.estimates.torque import places
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.inverse import added_load
+from bayesfric.mechanism.parameter import effort_words
 from bayesfric.recordings.observation import Observation
 
 # Relative size below which a singular value of the regressors is rounding.
@@ -136,7 +137,6 @@ class TotalsProjection:
         self.names, self.regressors = _regressors(chain, observations)
         self.labels = [total_label(chain, name) for name in self.names]
         self._chain = chain
-        self._motion = 0 if chain.motor_motion == "rotary" else 1
         scale = np.linalg.norm(self.regressors, axis=0) if self.names else np.empty(0)
         self.scale = np.where(scale == 0.0, 1.0, scale)
         self.open = np.zeros(len(self.names), dtype=np.bool_)
@@ -155,11 +155,13 @@ class TotalsProjection:
     def describe(self, name: str) -> tuple[str, str, str]:
         """Give unit, LaTeX symbol and meaning of a total."""
         kind, _, recording = name.partition(".")
-        units = _UNITS[kind]
+        rotary, linear, symbol, meaning = _UNITS[kind]
+        motion = self._chain.motor_motion
+        unit, meaning = rotary if motion == "rotary" else linear, effort_words(meaning, motion)
         if not recording:
-            return units[self._motion], units[2], units[3]
+            return unit, symbol, meaning
         symbol = rf"\Delta C_{{t,{self._chain.own_offsets.index(recording) + 1}}}"
-        return units[self._motion], symbol, f"{units[3]}, {recording}"
+        return unit, symbol, f"{meaning}, {recording}"
 
 
 def total_label(chain: Chain, name: str) -> str:

@@ -269,7 +269,7 @@ class OutputError:
             f"simulated anew in {n} segments of {length:.3g} s ({self._why(others)})"
             if n > len(self.trajectories)
             else f"simulated without restart, {length:.3g} s ({self._why(others)})",
-            f"{shooting.substeps} integration steps a sample: discretisation error "
+            f"integration steps a sample: {shooting.substeps}, discretisation error "
             f"{fit.error:.1e} {unit}, position resolution {finest:.1e} {unit}",
         ]
         if n < LEAST_GROUPS * self.columns.size:

@@ -6,10 +6,13 @@ figures, bounds of priors) is looked up here and nowhere else.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Literal
 
 Motion = Literal["rotary", "linear"]
+# The word alone, not as a part of a name such as noise.torque or torque_constant.
+_TORQUE = re.compile(r"(?<![\w.])torque(s?)(?!\w)")
 
 
 @dataclass(frozen=True)
@@ -132,6 +135,19 @@ def parameter(element: str, quantity: str, motion: Motion, subscript: str) -> Pa
         symbol=entry.symbol.format(subscript),
         lower=entry.lower,
         upper=entry.upper,
-        meaning=entry.meaning,
+        meaning=effort_words(entry.meaning, motion),
         default=entry.default,
     )
+
+
+def effort_words(words: str, motion: Motion) -> str:
+    """Say force in place of torque of what slides.
+
+    Parameters
+    ----------
+    words
+        Worded for what turns.
+    motion
+        Of what is spoken of.
+    """
+    return words if motion == "rotary" else _TORQUE.sub(r"force\1", words)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from bayesfric.inference.fit import Fit
+from bayesfric.mechanism.parameter import effort_words
 from bayesfric.report.curve_band import CurveJudge
 from bayesfric.report.residual_analysis import residual_words
 from bayesfric.report.summary import LEVEL
@@ -115,4 +116,5 @@ def captions(fit: Fit, stems: Sequence[str]) -> str:
     """Write the captions of the named figures, those that have one, as Markdown."""
     written = {stem: CAPTIONS[stem](fit) for stem in stems if stem in CAPTIONS}
     written |= {stem: FIXED[stem] for stem in stems if stem in FIXED}
-    return "\n".join(f"**{stem}**: {written[stem]}\n" for stem in stems if stem in written)
+    lines = (f"**{stem}**: {written[stem]}\n" for stem in stems if stem in written)
+    return effort_words("\n".join(lines), fit.chain.motor_motion)

@@ -16,9 +16,11 @@ from typing import Any
 import bayesfric
 from bayesfric.inference.fit import Fit
 from bayesfric.mechanism.element import Element
+from bayesfric.mechanism.parameter import effort_words
 from bayesfric.recordings.observation import Observation
 from bayesfric.report import latex
 from bayesfric.report.bibliography import ENTRIES, bibliography
+from bayesfric.report.noise_summary import p_words
 from bayesfric.report.tables import counts, parameter_table
 
 _CITED = re.compile(r"\s*\[@([\w;@]+)\]")
@@ -61,7 +63,7 @@ def methods_text(fit: Fit, summary: Mapping[str, Any]) -> MethodsText:
         " ".join(part(fit, summary))
         for part in (_model, _data, _likelihood, _priors, _sampling, _software)
     ]
-    marked = "\n\n".join(paragraphs)
+    marked = effort_words("\n\n".join(paragraphs), fit.chain.motor_motion)
     keys = tuple(
         dict.fromkeys(key for found in _CITED.findall(marked) for key in found.split(";@"))
     )
@@ -84,12 +86,12 @@ def _typeset(text: str) -> str:
     """Keep numbers and their units on one line, and set what has a symbol as one."""
     text = re.sub(r"(\d) (\\%|(?:Hz|rad/s|m/s|ms|s|kg|m|N)\b)", r"\1\\,\2", text)
     text = text.replace("\\,N m", r"\,N\,m").replace("R-hat", r"$\widehat{R}$")
-    return re.sub(r"\bp = (\d\.?\d*)(?:e([+-]\d+))?", _p_value, text)
+    return re.sub(r"\bp (=|<) (\d\.?\d*)(?:e([+-]\d+))?", _p_value, text)
 
 
 def _p_value(found: re.Match[str]) -> str:
-    power = rf"\times 10^{{{int(found[2])}}}" if found[2] else ""
-    return f"$p = {found[1]}{power}$"
+    power = rf"\times 10^{{{int(found[3])}}}" if found[3] else ""
+    return f"$p {found[1]} {found[2]}{power}$"
 
 
 def _model(fit: Fit, _: Mapping[str, Any]) -> Iterator[str]:
@@ -233,7 +235,7 @@ def _likelihood(fit: Fit, summary: Mapping[str, Any]) -> Iterator[str]:
         passes = "passes" if test["white"] else "does NOT pass"
         yield (
             f"What the noise model does not foretell {passes} as white noise ({test['test']}, "
-            f"p = {test['p_value']:.2g})."
+            f"{p_words(test['p_value'])})."
         )
     yield from (
         f"{text[0].upper()}{text[1:]}."

@@ -13,6 +13,7 @@ from bayesfric.inference.autoregression import ljung_box, predictors
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.noise_choice import Choice
 from bayesfric.inference.torque_likelihood import TorqueLikelihood
+from bayesfric.mechanism.parameter import effort_words
 
 Array = NDArray[np.float64]
 
@@ -45,7 +46,7 @@ def noise_meaning(fit: Fit, quantity: str) -> str:
     likelihood = fit.target.likelihood
     if quantity == "sigma" and isinstance(likelihood, TorqueLikelihood) and likelihood.noise.order:
         return "sd of the noise's innovations, what its memory does not foretell"
-    return _MEANINGS[quantity]
+    return effort_words(_MEANINGS[quantity], fit.chain.motor_motion)
 
 
 def noise_record(
@@ -66,7 +67,7 @@ def noise_record(
     """
     likelihood = fit.target.likelihood
     record: dict[str, Any] = {
-        "model": _SIMULATED,
+        "model": effort_words(_SIMULATED, fit.chain.motor_motion),
         "parameters": list(fit.target.noise.names),
         "residual_lag1": mean_lag(lags, residuals),
     }
@@ -153,7 +154,12 @@ def noise_lines(record: Mapping[str, Any]) -> Iterator[str]:
     test = record.get("innovation_whiteness")
     if test is not None:
         said = "pass as white" if test["white"] else "are NOT white: intervals may be too narrow"
-        yield f"  innovations {said} (Ljung-Box p = {test['p_value']:.2g})"
+        yield f"  innovations {said} (Ljung-Box {p_words(test['p_value'])})"
+
+
+def p_words(p_value: float) -> str:
+    """Write a p-value; one too small for a floating-point number is not zero."""
+    return f"p = {p_value:.2g}" if p_value > 0.0 else "p < 1e-300"
 
 
 # A log-likelihood this uncertain moves an interval by about a standard deviation.

@@ -249,11 +249,11 @@ def _steps(directions: Sequence[OpenDirectionRow]) -> Iterator[NextStep]:
 
 def _otherwise(joint: Sequence[ParameterRow], facts: Facts, steps: bool) -> str:
     command = "the command below"
-    best = "ranks experiments for one parameter and writes the best as a file to play"
+    best = "ranks experiments and writes the best as a file to play"
     if steps:
-        return f"For one parameter of your choice: {command} {best}."
+        return f"For a parameter of your choice, {command} {best}."
     if all(r.cell.status in ("determined", "limit") for r in joint):
-        return f"Nothing is open. To know one parameter better, {command} {best}."
+        return f"Nothing is open. To know a parameter better, {command} {best}."
     if facts.identifiability.directions is None:
         return (
             f"Which experiments would determine what is open was not looked for: {command} {best}."
@@ -268,7 +268,9 @@ def _command(joint: Sequence[ParameterRow]) -> str:
         spread = row.row.sd / abs(row.row.mean) if row.row and row.row.mean else 0.0
         return row.cell.status != "undetermined", -spread
 
-    name = min(joint, key=known).name
+    # a constant in the measurement is asked for last
+    asked = [row for row in joint if row.name.partition(".")[0] != "offset"] or joint
+    name = min(asked, key=known).name
     return f"bayesfric identify YOUR-CONFIGURATION.toml --advise {name}"
 
 

@@ -36,7 +36,7 @@ _GROUPS = {
     "free": (
         "What the motor feels",
         "Combinations of parameters that no scaling of leg and gearbox changes. These are what "
-        "the torque tells first.",
+        "the measurement tells first.",
     ),
     "parameter": ("Parameters", "Each at its element's own input shaft, and the noise."),
     "derived": (
