@@ -94,9 +94,9 @@ FIXED: dict[str, str] = {
         "What was measured and what the posterior predicts, noise included, with residuals below."
     ),
     "corner": (
-        f"Diagonal: posterior density, prior (dashed) and {_SHARE} interval. Below: 50 % and 90 % "
-        "of the draws. A parameter that the data leave open has an interval here too: that of the "
-        "prior and of the bounds."
+        f"Diagonal: posterior density with {_SHARE} interval, dashed the prior of parameters. "
+        "Below: 50 % and 90 % of the draws. What the data leave open is hatched, has no interval "
+        "and is not filled in its pairs: there prior and bounds are seen."
     ),
     "trace": (
         "Median and spread of the walkers of every ensemble along the steps kept, and the "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,10 +13,23 @@ from matplotlib.patches import Patch
 
 from bayesfric.errors import BadInput, nearest
 from bayesfric.inference.fit import Fit
-from bayesfric.report.quantity import Quantity, not_shown, quantities
-from bayesfric.report.style import PAGE, POSTERIOR, PRIOR, SMALL, Array, few_ticks, paper_style
+from bayesfric.report.comparison_cell import Status, posterior_cell
+from bayesfric.report.quantity import Quantity, combinations, not_shown, quantities
+from bayesfric.report.run_summary import PosteriorRow
+from bayesfric.report.style import (
+    OPEN_HATCH,
+    PAGE,
+    POSTERIOR,
+    PRIOR,
+    SMALL,
+    Array,
+    few_ticks,
+    paper_style,
+)
 from bayesfric.report.summary import LEVEL
 
+# Combinations that come first; parameters want to be seen too.
+_COMBINATIONS = 5
 # More panels than 8 by 8 cannot be read at the width of a page.
 _MOST = 8
 # Share of the draws inside the contours.
@@ -31,20 +44,27 @@ _WIDEST = 6
 _LEFT, _RIGHT, _BOTTOM, _TOP, _BETWEEN = 0.72, 0.06, 0.66, 0.06, 0.05
 
 
-def corner_figure(fit: Fit, chosen: Sequence[str] | None = None) -> Figure:
+def corner_figure(
+    fit: Fit, summary: Mapping[str, Any], chosen: Sequence[str] | None = None
+) -> Figure:
     """Draw marginal and pairwise posteriors.
 
-    On the diagonal the posterior density is a histogram with the prior density
-    dashed on the same scale and the 90 % interval marked; below it contours hold
-    50 % and 90 % of the draws.
+    On the diagonal the posterior density is a histogram with the prior density of
+    parameters dashed on the same scale and the 90 % interval marked; below it contours
+    hold 50 % and 90 % of the draws. What the data leave open is hatched, without an
+    interval, and its pairs are not filled.
 
     Parameters
     ----------
     fit
         A finished fit.
+    summary
+        From :func:`bayesfric.report.summary.summarise`, for what the data determine.
     chosen
-        Names of the parameters to show, in this order. If left out, the first
-        eight of the sampled ones, the chain's before the noise scales.
+        Names of the sampled parameters and of combinations that no scaling changes, in
+        the order to show them. If left out, eight: where the data leave parameters
+        open, first combinations that they determine, then what they determine of the
+        parameters; else the parameters as sampled.
 
     Returns
     -------
@@ -54,11 +74,11 @@ def corner_figure(fit: Fit, chosen: Sequence[str] | None = None) -> Figure:
     Raises
     ------
     BadInput
-        If a name is not among the sampled parameters, or none is given.
+        If a name is not among them, or none is given.
     """
-    everything = quantities(fit)
-    shown = everything[:_MOST] if chosen is None else _pick(everything, chosen)
-    left_out = [q for q in everything if q not in shown]
+    status = _statuses(summary)
+    shown = _choice(fit, status) if chosen is None else _pick(fit, chosen)
+    left_out = [q for q in quantities(fit) if q.name not in {one.name for one in shown}]
     with paper_style():
         k = len(shown)
         panel = (PAGE - _LEFT - _RIGHT - (k - 1) * _BETWEEN) / k
@@ -74,30 +94,58 @@ def corner_figure(fit: Fit, chosen: Sequence[str] | None = None) -> Figure:
             hspace=_BETWEEN / panel,
         )
         axes = {(i, j): figure.add_subplot(grid[i, j]) for i in range(k) for j in range(i + 1)}
-        draws = [q.draws.ravel() / q.factor for q in shown]
+        draws = [q.draws / q.factor for q in shown]
         ranges = [_range(q, x) for q, x in zip(shown, draws, strict=True)]
+        open_ = [status[q.name] == "undetermined" for q in shown]
         for (i, j), ax in axes.items():
             if i == j:
-                _marginal(ax, shown[i], draws[i], ranges[i])
+                _marginal(ax, shown[i], draws[i], ranges[i], open_=open_[i])
             else:
-                _pair(ax, draws[j], draws[i], ranges[j], ranges[i])
+                filled = not (open_[i] or open_[j])
+                _pair(ax, draws[j], draws[i], ranges[j], ranges[i], filled=filled)
                 ax.set_ylim(ranges[i])
                 few_ticks(ax.yaxis, 3, inner=True)
             ax.set_xlim(ranges[j])
             few_ticks(ax.xaxis, 3, inner=True)
         _label(axes, shown, panel)
-        _legend(figure, left_out, k)
+        _legend(figure, left_out, k, open_=any(open_))
     return figure
 
 
-def _pick(everything: list[Quantity], chosen: Sequence[str]) -> list[Quantity]:
-    known = {q.name: q for q in everything}
+def _statuses(summary: Mapping[str, Any]) -> dict[str, Status]:
+    """Tell of every quantity whether the data determine it."""
+    rows = {**summary["derived"], **summary["parameters"]}
+    sampling = summary["sampler"]["status"]
+    return {
+        name: posterior_cell(PosteriorRow.model_validate(row), True, sampling).status
+        for name, row in rows.items()
+    }
+
+
+def _choice(fit: Fit, status: Mapping[str, Status]) -> list[Quantity]:
+    """Choose what to show: what the data tell before what they leave open."""
+    noise = fit.target.noise.names
+    everything = quantities(fit)
+    joint = [q for q in everything if q.name not in noise]
+    open_ = [q for q in joint if status[q.name] == "undetermined"]
+    if not open_:
+        return everything[:_MOST]
+    told = [q for q in combinations(fit) if status.get(q.name) == "determined"]
+    known = [q for q in joint if status[q.name] != "undetermined"]
+    rest = [q for q in everything if q.name in noise]
+    return [*told[:_COMBINATIONS], *known, *open_, *rest][:_MOST]
+
+
+def _pick(fit: Fit, chosen: Sequence[str]) -> list[Quantity]:
+    known = {q.name: q for q in [*combinations(fit), *quantities(fit)]}
     if not chosen:
         raise BadInput("corner", "no parameter chosen", f"choose from {', '.join(known)}")
     for name in chosen:
         if name not in known:
             raise BadInput(
-                "corner", f"{name} is not a sampled parameter", nearest(name, list(known))
+                "corner",
+                f"{name} is neither sampled nor a combination that no scaling changes",
+                nearest(name, list(known)),
             )
     return [known[name] for name in dict.fromkeys(chosen)]
 
@@ -109,6 +157,8 @@ def _range(q: Quantity, x: Array) -> tuple[float, float]:
         margin = 0.05 * abs(low) or 1.0
         return low - margin, low + margin
     margin = 0.06 * (high - low) or 0.5 * float(np.ptp(x))
+    if q.prior is None:
+        return low - margin, high + margin
     return (
         max(low - margin, min(q.prior.lower / q.factor, low)),
         min(high + margin, max(q.prior.upper / q.factor, high)),
@@ -120,27 +170,34 @@ def _moves(x: Array) -> bool:
     return bool(np.ptp(x) > 1e-12 * np.abs(x).max())
 
 
-def _marginal(ax: Axes, q: Quantity, x: Array, limits: tuple[float, float]) -> None:
+def _marginal(ax: Axes, q: Quantity, x: Array, limits: tuple[float, float], *, open_: bool) -> None:
     ax.set_yticks([])
     grid = np.linspace(*limits, 201)
-    # a density in one over the unit of the axis, as the histogram is
-    prior = np.exp(q.prior.log_density(grid * q.factor)) * q.factor
-    if _moves(x):
-        height, edges = np.histogram(x, bins=_BINS, range=limits)
-        density = height / (x.size * np.diff(edges))
-        low, high = np.quantile(x, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2])
-        ax.stairs(density, edges, color=POSTERIOR, alpha=0.3, fill=True, gid="posterior")
-        ax.stairs(density, edges, color=POSTERIOR, linewidth=0.8)
-        for bound in (low, high):
-            ax.axvline(bound, color=POSTERIOR, linewidth=0.7, linestyle=(0, (1.0, 1.0)))
-        top = float(density.max())
-        # a prior may have a pole at its bound; it must not flatten the posterior
-        top = max(top, min(2.0 * top, float(prior[np.isfinite(prior)].max(initial=0.0))))
-        ax.set_ylim(0.0, 1.12 * top)
-    else:
+    prior = np.zeros(0)
+    if q.prior is not None:
+        # a density in one over the unit of the axis, as the histogram is
+        prior = np.exp(q.prior.log_density(grid * q.factor)) * q.factor
+        ax.plot(grid, prior, color=PRIOR, linestyle=(0, (4.0, 1.5)), gid="prior")
+    highest = float(prior[np.isfinite(prior)].max(initial=0.0))
+    if not _moves(x):
         ax.axvline(float(x[0]), color=POSTERIOR)
-        ax.set_ylim(0.0, 1.12 * float(prior[np.isfinite(prior)].max(initial=0.0)) or 1.0)
-    ax.plot(grid, prior, color=PRIOR, linestyle=(0, (4.0, 1.5)), gid="prior")
+        ax.set_ylim(0.0, 1.12 * highest or 1.0)
+        return
+    height, edges = np.histogram(x, bins=_BINS, range=limits)
+    density = height / (x.size * np.diff(edges))
+    if open_:
+        ax.stairs(
+            density, edges, fill=True, facecolor="none", edgecolor=POSTERIOR, hatch=OPEN_HATCH,
+            linewidth=0.0, gid="open",
+        )  # fmt: skip
+    else:
+        ax.stairs(density, edges, color=POSTERIOR, alpha=0.3, fill=True, gid="posterior")
+        for bound in np.quantile(x, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2]):
+            ax.axvline(bound, color=POSTERIOR, linewidth=0.7, linestyle=(0, (1.0, 1.0)))
+    ax.stairs(density, edges, color=POSTERIOR, linewidth=0.8)
+    top = float(density.max())
+    # a prior may have a pole at its bound; it must not flatten the posterior
+    ax.set_ylim(0.0, 1.12 * max(top, min(2.0 * top, highest)))
 
 
 def _pair(
@@ -149,6 +206,8 @@ def _pair(
     y: Array,
     x_limits: tuple[float, float],
     y_limits: tuple[float, float],
+    *,
+    filled: bool,
 ) -> None:
     import corner  # brings ArviZ along, which takes a second or more
 
@@ -164,7 +223,7 @@ def _pair(
             color=POSTERIOR,
             plot_datapoints=False,
             plot_density=False,
-            fill_contours=True,
+            fill_contours=filled,
             contour_kwargs={"linewidths": (0.6, 0.9)},
             quiet=True,
         )
@@ -200,7 +259,7 @@ def _label(axes: dict[tuple[int, int], Axes], shown: list[Quantity], panel: floa
                 ax.tick_params(axis="y", labelrotation=45)
 
 
-def _legend(figure: Figure, left_out: list[Quantity], k: int) -> None:
+def _legend(figure: Figure, left_out: list[Quantity], k: int, *, open_: bool) -> None:
     share = " and ".join(f"{100 * mass:.0f}" for mass in MASSES)
     handles = [
         Patch(facecolor=POSTERIOR, alpha=0.3, label="posterior density"),
@@ -214,6 +273,17 @@ def _legend(figure: Figure, left_out: list[Quantity], k: int) -> None:
             label=f"{100 * LEVEL:.0f} % interval",
         ),
     ]
+    if open_:
+        handles.insert(
+            1,
+            Patch(
+                facecolor="none",
+                edgecolor=POSTERIOR,
+                hatch=OPEN_HATCH,
+                linewidth=0.0,
+                label="the data leave it open: prior and bounds",
+            ),
+        )
     if k > 1:
         handles.append(
             Line2D([], [], color=POSTERIOR, label=f"contours around {share} % of the draws")
@@ -222,4 +292,5 @@ def _legend(figure: Figure, left_out: list[Quantity], k: int) -> None:
     figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.99, 0.985))
     remark = not_shown(left_out)
     if remark and k > 1:
-        figure.text(0.98, 0.985 - 0.75 / PAGE, remark, ha="right", va="top", fontsize=SMALL)
+        below = 0.985 - 0.16 * (len(handles) + 1) / PAGE
+        figure.text(0.98, below, remark, ha="right", va="top", fontsize=SMALL)

@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from bayesfric.inference.fit import Fit
+from bayesfric.inference.priors import Prior
 from bayesfric.report.comparison_cell import posterior_cell
 from bayesfric.report.quantity import Quantity, not_shown, quantities
 from bayesfric.report.run_summary import PosteriorRow
@@ -89,10 +90,12 @@ def _panel(ax: Axes, q: Quantity, row: Mapping[str, Any]) -> None:
     # what the data push against a bound they do determine: from the other side
     open_ = cell.status == "undetermined"
     words = cell.remark if cell.status == "limit" else _WORDS[row["verdict"]]
-    draws = q.draws.ravel() / q.factor
-    low, high = _range(q, draws)
+    draws = q.draws / q.factor
+    prior_of = q.prior
+    assert prior_of is not None  # a sampled parameter has one
+    low, high = _range(prior_of, q.factor, draws)
     grid = np.linspace(low, high, _GRID)
-    prior = np.exp(q.prior.log_density(grid * q.factor)) * q.factor
+    prior = np.exp(prior_of.log_density(grid * q.factor)) * q.factor
     prior = np.where(np.isfinite(prior), prior, np.nan)
     top = float(np.nanmax(prior, initial=0.0))
     if np.ptp(draws) > 1e-12 * np.abs(draws).max():
@@ -134,15 +137,15 @@ def _two_digits(x: float) -> str:
     return f"{float(f'{x:.2g}'):.0f}" if x < 1e4 else rf"$10^{{{round(np.log10(x))}}}$"
 
 
-def _range(q: Quantity, draws: Array) -> tuple[float, float]:
+def _range(prior: Prior, factor: float, draws: Array) -> tuple[float, float]:
     """All of the posterior, and of the prior as much as leaves that half of the width or so."""
     low, high = (float(x) for x in np.quantile(draws, [0.001, 0.999]))
     margin = 0.08 * (high - low) or 0.05 * abs(low) or 1.0
     low, high = low - margin, high + margin
     # a bound is part of the prior, and the density beyond it is none
-    bounds = (q.prior.lower / q.factor, q.prior.upper / q.factor)
+    bounds = (prior.lower / factor, prior.upper / factor)
     low, high = max(low, bounds[0]), min(high, bounds[1])
-    drawn = q.prior.draw(1000, np.random.default_rng(np.random.SeedSequence(0))) / q.factor
+    drawn = prior.draw(1000, np.random.default_rng(np.random.SeedSequence(0))) / factor
     first, last = (float(x) for x in np.quantile(drawn, [0.01, 0.99]))
     if last - first < _WIDEST * (high - low):
         low, high = min(low, first), max(high, last)

@@ -1,4 +1,4 @@
-"""A sampled parameter as figures show it: symbol, unit, draws and prior."""
+"""A sampled parameter, or a combination of them, as figures show it."""
 
 from __future__ import annotations
 
@@ -8,33 +8,34 @@ import numpy as np
 
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.priors import Prior
+from bayesfric.mechanism.derived import derive
 from bayesfric.report.noise_summary import noise_unit
 from bayesfric.report.style import Array, mathtext, power_of_ten, scaled_unit
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A sampled parameter as figures show it.
+    """A sampled parameter, or a combination of them, as figures show it.
 
     Attributes
     ----------
     name
-        As in ``posterior.names``.
+        As in ``posterior.names``, or of the derived quantity.
     symbol
         With dollar signs, ready for Matplotlib.
     unit
         SI, empty where there is none.
     draws
-        ``(ensembles, walkers, steps)`` in ``unit``.
+        ``(n,)`` in ``unit``; walkers that never moved are left out.
     prior
-        Of the parameter.
+        Of the parameter; ``None`` of a combination.
     """
 
     name: str
     symbol: str
     unit: str
     draws: Array
-    prior: Prior
+    prior: Prior | None
 
     @property
     def exponent(self) -> int:
@@ -66,8 +67,20 @@ def quantities(fit: Fit) -> list[Quantity]:
         for name, symbol, kind in zip(noise.names, noise.symbols, noise.quantities, strict=True)
     }
     return [
-        Quantity(name, mathtext(said[name][0], name), said[name][1], posterior[name], prior)
-        for name, prior in zip(posterior.names, posterior.priors, strict=True)
+        Quantity(name, mathtext(said[name][0], name), said[name][1], draws, prior)
+        for name, draws, prior in zip(
+            posterior.names, posterior.flat().T, posterior.priors, strict=True
+        )
+    ]
+
+
+def combinations(fit: Fit) -> list[Quantity]:
+    """List what no scaling of leg parameters and alpha changes, where every draw has it."""
+    # without a load no efficiency is stated
+    return [
+        Quantity(d.name, mathtext(d.symbol, d.name), d.unit, d.values, None)
+        for d in derive(fit.chain, fit.chain_draws(), 0.0)
+        if d.gauge_free and np.isfinite(d.values).all()
     ]
 
 

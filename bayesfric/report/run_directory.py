@@ -51,7 +51,7 @@ def _of_fit(draw: Callable[[Fit], Figure | None]) -> Draw:
 
 
 FIGURES: dict[str, Draw] = {
-    "corner": _of_fit(corner_figure),
+    "corner": corner_figure,
     "prediction": _of_fit(prediction_figure),
     "ridge": _of_fit(ridge_figure),
     "trace": _of_fit(trace_figure),

@@ -61,8 +61,9 @@ def trace_figure(fit: Fit) -> Figure:
         )
         longest = _longest_lag(fit)
         for (left, right), q, tau in zip(axes, shown, diagnostics.tau, strict=False):
-            _trace(left, q, diagnostics.thin)
-            _forgetting(right, q, diagnostics.thin, float(tau), longest)
+            ensembles = fit.posterior[q.name]
+            _trace(left, q, ensembles / q.factor, diagnostics.thin)
+            _forgetting(right, ensembles, diagnostics.thin, float(tau), longest)
         axes[-1, 0].set_xlabel("step after warm-up")
         axes[-1, 1].set_xlabel("lag (steps)")
         axes[-1, 0].set_xlim(0, max(diagnostics.thin * fit.posterior.draws.shape[2], 1))
@@ -74,8 +75,7 @@ def trace_figure(fit: Fit) -> Figure:
     return figure
 
 
-def _trace(ax: Axes, q: Quantity, thin: int) -> None:
-    draws = q.draws / q.factor
+def _trace(ax: Axes, q: Quantity, draws: Array, thin: int) -> None:
     # the first kept draw is the one at the end of the first `thin` steps
     steps = thin * np.arange(1, draws.shape[2] + 1)
     for k, ensemble in enumerate(draws):
@@ -89,9 +89,9 @@ def _trace(ax: Axes, q: Quantity, thin: int) -> None:
     few_ticks(ax.yaxis, 3, inner=True)
 
 
-def _forgetting(ax: Axes, q: Quantity, thin: int, tau: float, longest: float) -> None:
+def _forgetting(ax: Axes, ensembles: Array, thin: int, tau: float, longest: float) -> None:
     ax.axhline(0.0, color="0.6", linewidth=0.5)
-    for k, ensemble in enumerate(q.draws):
+    for k, ensemble in enumerate(ensembles):
         moving = _moving(ensemble)
         if moving.shape[0] == 0:
             continue

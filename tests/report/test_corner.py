@@ -5,7 +5,9 @@ import pytest
 
 from bayesfric.errors import BadInput
 from bayesfric.report.corner import corner_figure
-from bayesfric.report.quantity import quantities
+from bayesfric.report.quantity import combinations, quantities
+from bayesfric.report.summary import summarise
+from bayesfric.report.tables import parameter_table
 
 from .conftest import draw_fast
 
@@ -24,9 +26,16 @@ def by_gid(ax, gid):
     return artist
 
 
+def drawn(fit, *chosen):
+    return corner_figure(fit, summarise(fit), *chosen)
+
+
 def test_prior_is_drawn_in_the_posteriors_density_unit(knee):
-    figure = corner_figure(knee)
     shown = quantities(knee)[:8]
+    summary = summarise(knee)
+    for row in summary["parameters"].values():
+        row["verdict"] = "data"
+    figure = corner_figure(knee, summary, [q.name for q in shown])
     for i, q in enumerate(shown):
         ax = panels(figure)[i, i]
         x, y = by_gid(ax, "prior").get_data()
@@ -40,23 +49,59 @@ def test_prior_is_drawn_in_the_posteriors_density_unit(knee):
 
 
 def test_eight_by_default_and_the_rest_named(knee, many):
-    for fit, missing in ((knee, r"not shown: $C_{c2}$, $J_{c}$, $ml$, $\sigma$"), (many, "")):
-        figure = corner_figure(fit)
+    for fit in (knee, many):
+        figure = drawn(fit)
         assert max(panels(figure))[0] == 7
-        assert any(text.get_text().startswith(missing or "not shown") for text in figure.texts)
+        assert any(text.get_text().startswith("not shown") for text in figure.texts)
+
+
+def test_what_the_data_tell_comes_first(knee):
+    """Combinations that no scaling changes, then parameters; what is open has no interval."""
+    summary = summarise(knee)
+    figure = corner_figure(knee, summary)
+    table = {row.name: row for row in parameter_table(summary).rows}
+    symbols = [panels(figure)[7, j].get_xlabel().split("\n")[0] for j in range(8)]
+    free = [q.symbol for q in combinations(knee) if table[q.name].cell.status == "determined"]
+    n = min(5, len(free))
+    assert n > 0
+    assert symbols[:n] == free[:n]
+    status = {q.symbol: table[q.name].cell.status for q in quantities(knee)}
+    joint = [status[symbol] for symbol in symbols[n:]]
+    assert "undetermined" in joint
+    assert joint == sorted(joint, key=lambda s: s == "undetermined")
+    for k, one in enumerate(joint, start=n):
+        ax = panels(figure)[k, k]
+        gids = {a.get_gid() for a in ax.get_children()}
+        dotted = [line for line in ax.lines if line.get_gid() is None]
+        if one == "undetermined":
+            assert "open" in gids
+            assert "posterior" not in gids
+            assert not dotted
+        else:
+            assert "posterior" in gids
+            assert len(dotted) == 2
+
+
+def test_nothing_open_shows_the_parameters_as_sampled(knee):
+    summary = summarise(knee)
+    for row in summary["parameters"].values():
+        row["verdict"] = "data"
+    figure = corner_figure(knee, summary)
+    symbols = [panels(figure)[7, j].get_xlabel().split("\n")[0] for j in range(8)]
+    assert symbols == [q.symbol for q in quantities(knee)[:8]]
 
 
 def test_choice_of_the_caller(knee):
-    figure = corner_figure(knee, ["noise.sigma", "motor.inertia"])
+    figure = drawn(knee, ["noise.sigma", "motor.inertia"])
     found = panels(figure)
     assert set(found) == {(0, 0), (1, 0), (1, 1)}
     assert found[1, 0].get_xlabel().startswith(r"$\sigma$")
     assert found[1, 0].get_ylabel() == "$J_{m}$\n(10$^{-4}$ kg m²)"
-    draw_fast(corner_figure(knee, ["load.inertia"]))
+    draw_fast(drawn(knee, ["load.inertia"]))
     with pytest.raises(BadInput, match=r"motor\.inertia"):
-        corner_figure(knee, ["motor.inerta"])
+        drawn(knee, ["motor.inerta"])
     with pytest.raises(BadInput, match="no parameter chosen"):
-        corner_figure(knee, [])
+        drawn(knee, [])
 
 
 def test_scales_of_axes(knee):
@@ -71,27 +116,27 @@ def test_scales_of_axes(knee):
 def test_constant_draws(make_fit, constant):
     fit = make_fit(constant=constant)
     chosen = fit.posterior.names[:3] + fit.posterior.names[6:7]
-    figure = corner_figure(fit, chosen)
+    figure = drawn(fit, chosen)
     draw_fast(figure)
     j = chosen.index(constant[0])
     (line,) = [
         a for a in panels(figure)[j, j].lines if a.get_gid() is None and len(a.get_xdata()) == 2
     ]
     q = quantities(fit)[j]
-    assert line.get_xdata()[0] == pytest.approx(q.draws[0, 0, 0] / q.factor)
+    assert line.get_xdata()[0] == pytest.approx(q.draws[0] / q.factor)
 
 
 def test_all_draws_constant_but_the_noise(make_fit):
     fit = make_fit(spread=0.0)
-    draw_fast(corner_figure(fit))
+    draw_fast(drawn(fit))
 
 
 def test_contours_hold_the_stated_mass(make_fit):
     from matplotlib.path import Path
 
     fit = make_fit(spread=1e-2)
-    figure = corner_figure(fit, ["motor.inertia", "motor.viscous"])
-    first, second = (q.draws.ravel() / q.factor for q in quantities(fit)[:2])
+    figure = drawn(fit, ["motor.inertia", "motor.viscous"])
+    first, second = (q.draws / q.factor for q in quantities(fit)[:2])
     points = np.stack([first, second], axis=1)
     lines = [a for a in panels(figure)[1, 0].collections if not getattr(a, "filled", True)]
     shares = []

@@ -88,7 +88,7 @@ def _parameters(told: Told, groups: tuple[str, ...]) -> str:
 
 
 def _corner(told: Told) -> str:
-    return _parameters(told, ("parameter",))
+    return _parameters(told, ("free", "parameter"))
 
 
 def _prior_posterior(told: Told) -> str:
