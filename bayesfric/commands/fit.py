@@ -118,6 +118,8 @@ def _fit(
         summary["identifiability"]["directions"] = open_directions(target, middle)
     progress(phase("writing results"))
     summary["warnings"] += missing
+    # nothing in a file of samples tells; the configuration may
+    summary["may_be_simulated"] = config.tables.simulation is not None
     recordings = [*problem.recordings, *(one.recording for one in problem.held_out)]
     try:
         write_run(folder, result, summary, config.text, recordings)

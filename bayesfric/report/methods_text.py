@@ -152,6 +152,11 @@ def _data(fit: Fit, summary: Mapping[str, Any]) -> Iterator[str]:
     rates = _each(seen, "sampling_rate")
     was = "was" if len(seen) == 1 else "were"
     yield f"{count} of {samples} samples in all, at {rates} Hz, {was} used."
+    if summary.get("may_be_simulated"):
+        yield (
+            "The configuration tells how to simulate its recordings: where that was done, they "
+            "are simulated, not measured."
+        )
     masses = [o for o in seen if o.added_mass]
     if masses:
         told = listed(

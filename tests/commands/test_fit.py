@@ -90,6 +90,7 @@ def test_a_process_of_its_own_ends_well(done, folder):
     written = json.loads((folder / "run" / "summary.json").read_text(encoding="utf-8"))
     assert json.loads(done.stdout) == written
     assert written["sampler"]["status"] == "reliable"
+    assert written["may_be_simulated"]
     drawn = {path.name for path in (folder / "run" / "figures").iterdir()}
     assert {
         f"{stem}.{kind}" for stem in ("corner", "prediction", "trace") for kind in KINDS

@@ -43,6 +43,13 @@ def test_the_noise_model_is_the_summarys(knee):
     assert "Noise model: autoregressive of order 2, Student-t;" in methods_text(knee, summary).plain
 
 
+def test_a_paper_must_not_take_simulated_for_measured(knee):
+    summary = summarise(knee)
+    assert "simulated, not measured" not in methods_text(knee, summary).plain
+    told = methods_text(knee, summary | {"may_be_simulated": True}).plain
+    assert "they are simulated, not measured" in told
+
+
 def test_what_is_open_and_what_is_wrong_is_said(knee):
     summary = summarise(knee)
     warning = "the residuals are correlated (lag 1: 0.67) but are taken for independent: wrong"

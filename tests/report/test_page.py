@@ -200,7 +200,7 @@ def test_first_screen_names_what_is_open(page, summary):
             assert name in first.text, name
     assert "reliable" in first.text
     assert "bayesfric identify" in first.text
-    assert "simulated" in first.text
+    assert "may be simulated" in first.text
 
 
 def test_remedies_come_first_where_they_are_known(tmp_path):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -132,7 +131,6 @@ def run_page(folder: Path, summary: Mapping[str, Any], name: str) -> str:
         figures=read_figures(folder / "figures", words),
         provenance=read_provenance(folder),
         config=config,
-        simulated=_simulated(config),
         methods_text=_text(folder / "text" / "methods.txt").strip(),
     )
 
@@ -189,11 +187,3 @@ def _text(path: Path) -> str:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
         return ""
-
-
-def _simulated(config: str) -> bool:
-    """Whether the configuration says how to simulate its recordings."""
-    try:
-        return "simulation" in tomllib.loads(config)
-    except tomllib.TOMLDecodeError:
-        return False
