@@ -9,23 +9,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from bayesfric.errors import BadInput, nearest
 from bayesfric.inference.fit import Fit
 from bayesfric.report.comparison_cell import Status, posterior_cell
+from bayesfric.report.marginal import draw_marginal, marginal_handles, moves
 from bayesfric.report.quantity import Quantity, combinations, not_shown, quantities
 from bayesfric.report.run_summary import PosteriorRow
-from bayesfric.report.style import (
-    OPEN_HATCH,
-    PAGE,
-    POSTERIOR,
-    PRIOR,
-    SMALL,
-    Array,
-    few_ticks,
-    paper_style,
-)
+from bayesfric.report.style import PAGE, POSTERIOR, SMALL, Array, few_ticks, paper_style
 from bayesfric.report.summary import LEVEL
 
 # Combinations that come first; parameters want to be seen too.
@@ -99,7 +90,7 @@ def corner_figure(
         open_ = [status[q.name] == "undetermined" for q in shown]
         for (i, j), ax in axes.items():
             if i == j:
-                _marginal(ax, shown[i], draws[i], ranges[i], open_=open_[i])
+                draw_marginal(ax, shown[i], ranges[i], open_=open_[i], headroom=1.12)
             else:
                 filled = not (open_[i] or open_[j])
                 _pair(ax, draws[j], draws[i], ranges[j], ranges[i], filled=filled)
@@ -153,7 +144,7 @@ def _pick(fit: Fit, chosen: Sequence[str]) -> list[Quantity]:
 def _range(q: Quantity, x: Array) -> tuple[float, float]:
     """Nearly all draws and a margin, but nothing beyond the prior's support."""
     low, high = (float(v) for v in np.quantile(x, [0.001, 0.999]))
-    if not _moves(x):
+    if not moves(x):
         margin = 0.05 * abs(low) or 1.0
         return low - margin, low + margin
     margin = 0.06 * (high - low) or 0.5 * float(np.ptp(x))
@@ -163,41 +154,6 @@ def _range(q: Quantity, x: Array) -> tuple[float, float]:
         max(low - margin, min(q.prior.lower / q.factor, low)),
         min(high + margin, max(q.prior.upper / q.factor, high)),
     )
-
-
-def _moves(x: Array) -> bool:
-    # draws that differ in rounding only leave no room for a histogram
-    return bool(np.ptp(x) > 1e-12 * np.abs(x).max())
-
-
-def _marginal(ax: Axes, q: Quantity, x: Array, limits: tuple[float, float], *, open_: bool) -> None:
-    ax.set_yticks([])
-    grid = np.linspace(*limits, 201)
-    prior = np.zeros(0)
-    if q.prior is not None:
-        # a density in one over the unit of the axis, as the histogram is
-        prior = np.exp(q.prior.log_density(grid * q.factor)) * q.factor
-        ax.plot(grid, prior, color=PRIOR, linestyle=(0, (4.0, 1.5)), gid="prior")
-    highest = float(prior[np.isfinite(prior)].max(initial=0.0))
-    if not _moves(x):
-        ax.axvline(float(x[0]), color=POSTERIOR)
-        ax.set_ylim(0.0, 1.12 * highest or 1.0)
-        return
-    height, edges = np.histogram(x, bins=_BINS, range=limits)
-    density = height / (x.size * np.diff(edges))
-    if open_:
-        ax.stairs(
-            density, edges, fill=True, facecolor="none", edgecolor=POSTERIOR, hatch=OPEN_HATCH,
-            linewidth=0.0, gid="open",
-        )  # fmt: skip
-    else:
-        ax.stairs(density, edges, color=POSTERIOR, alpha=0.3, fill=True, gid="posterior")
-        for bound in np.quantile(x, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2]):
-            ax.axvline(bound, color=POSTERIOR, linewidth=0.7, linestyle=(0, (1.0, 1.0)))
-    ax.stairs(density, edges, color=POSTERIOR, linewidth=0.8)
-    top = float(density.max())
-    # a prior may have a pole at its bound; it must not flatten the posterior
-    ax.set_ylim(0.0, 1.12 * max(top, min(2.0 * top, highest)))
 
 
 def _pair(
@@ -211,7 +167,7 @@ def _pair(
 ) -> None:
     import corner  # brings ArviZ along, which takes a second or more
 
-    if _moves(x) and _moves(y):
+    if moves(x) and moves(y):
         corner.hist2d(
             x,
             y,
@@ -230,7 +186,7 @@ def _pair(
         return
     # a parameter that never changes: the interval of the other one, or a point
     ends = [
-        np.quantile(v, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2]) if _moves(v) else np.repeat(v[0], 2)
+        np.quantile(v, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2]) if moves(v) else np.repeat(v[0], 2)
         for v in (x, y)
     ]
     ax.plot(*ends, color=POSTERIOR, marker=".", markersize=3.0)
@@ -261,29 +217,7 @@ def _label(axes: dict[tuple[int, int], Axes], shown: list[Quantity], panel: floa
 
 def _legend(figure: Figure, left_out: list[Quantity], k: int, *, open_: bool) -> None:
     share = " and ".join(f"{100 * mass:.0f}" for mass in MASSES)
-    handles = [
-        Patch(facecolor=POSTERIOR, alpha=0.3, label="posterior density"),
-        Line2D([], [], color=PRIOR, linestyle=(0, (4.0, 1.5)), label="prior density"),
-        Line2D(
-            [],
-            [],
-            color=POSTERIOR,
-            linewidth=0.7,
-            linestyle=(0, (1.0, 1.0)),
-            label=f"{100 * LEVEL:.0f} % interval",
-        ),
-    ]
-    if open_:
-        handles.insert(
-            1,
-            Patch(
-                facecolor="none",
-                edgecolor=POSTERIOR,
-                hatch=OPEN_HATCH,
-                linewidth=0.0,
-                label="the data leave it open: prior and bounds",
-            ),
-        )
+    handles = marginal_handles(open_=open_)
     if k > 1:
         handles.append(
             Line2D([], [], color=POSTERIOR, label=f"contours around {share} % of the draws")

@@ -9,29 +9,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from bayesfric.inference.fit import Fit
-from bayesfric.inference.priors import Prior
 from bayesfric.report.comparison_cell import posterior_cell
+from bayesfric.report.marginal import draw_marginal, marginal_handles
 from bayesfric.report.quantity import Quantity, not_shown, quantities
 from bayesfric.report.run_summary import PosteriorRow
-from bayesfric.report.style import (
-    OPEN_HATCH,
-    PAGE,
-    POSTERIOR,
-    PRIOR,
-    SMALL,
-    Array,
-    few_ticks,
-    paper_style,
-)
-from bayesfric.report.summary import LEVEL
+from bayesfric.report.style import PAGE, SMALL, few_ticks, paper_style
 
 _COLUMNS = 4
 _MOST = 24
-_BINS = 40
-_GRID = 301
 # A prior this many times as wide as the posterior would leave it no room.
 _WIDEST = 6.0
 
@@ -90,40 +77,8 @@ def _panel(ax: Axes, q: Quantity, row: Mapping[str, Any]) -> None:
     # what the data push against a bound they do determine: from the other side
     open_ = cell.status == "undetermined"
     words = cell.remark if cell.status == "limit" else _WORDS[row["verdict"]]
-    draws = q.draws / q.factor
-    prior_of = q.prior
-    assert prior_of is not None  # a sampled parameter has one
-    low, high = _range(prior_of, q.factor, draws)
-    grid = np.linspace(low, high, _GRID)
-    prior = np.exp(prior_of.log_density(grid * q.factor)) * q.factor
-    prior = np.where(np.isfinite(prior), prior, np.nan)
-    top = float(np.nanmax(prior, initial=0.0))
-    if np.ptp(draws) > 1e-12 * np.abs(draws).max():
-        density, edges = np.histogram(draws, bins=_BINS, range=(low, high), density=True)
-        peak = float(density.max())
-        # a prior may have a pole at its bound; it must not flatten the posterior
-        top = max(peak, min(2.0 * peak, top))
-        ax.stairs(
-            density,
-            edges,
-            fill=True,
-            facecolor="none" if open_ else POSTERIOR,
-            edgecolor=POSTERIOR if open_ else "none",
-            alpha=1.0 if open_ else 0.3,
-            hatch=OPEN_HATCH if open_ else None,
-            linewidth=0.0,
-            gid="open" if open_ else "posterior",
-        )
-        ax.stairs(density, edges, color=POSTERIOR, linewidth=0.8)
-        for bound in np.quantile(draws, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2]):
-            ax.axvline(bound, ymax=0.8, color=POSTERIOR, linewidth=0.7, linestyle=(0, (1.0, 1.0)))
-    else:
-        ax.axvline(float(draws[0]), color=POSTERIOR)
-    ax.plot(grid, prior, color=PRIOR, linestyle=(0, (4.0, 1.5)), gid="prior")
     # room for the verdict
-    ax.set_ylim(0.0, 1.35 * top or 1.0)
-    ax.set_xlim(low, high)
-    ax.set_yticks([])
+    draw_marginal(ax, q, _range(q), open_=open_, headroom=1.35)
     few_ticks(ax.xaxis, 3, inner=True)
     ax.set_xlabel(q.label())
     said: dict[str, Any] = {"va": "top", "fontsize": SMALL, "transform": ax.transAxes}
@@ -137,15 +92,17 @@ def _two_digits(x: float) -> str:
     return f"{float(f'{x:.2g}'):.0f}" if x < 1e4 else rf"$10^{{{round(np.log10(x))}}}$"
 
 
-def _range(prior: Prior, factor: float, draws: Array) -> tuple[float, float]:
+def _range(q: Quantity) -> tuple[float, float]:
     """All of the posterior, and of the prior as much as leaves that half of the width or so."""
+    prior, draws = q.prior, q.draws / q.factor
+    assert prior is not None  # a sampled parameter has one
     low, high = (float(x) for x in np.quantile(draws, [0.001, 0.999]))
     margin = 0.08 * (high - low) or 0.05 * abs(low) or 1.0
     low, high = low - margin, high + margin
     # a bound is part of the prior, and the density beyond it is none
-    bounds = (prior.lower / factor, prior.upper / factor)
+    bounds = (prior.lower / q.factor, prior.upper / q.factor)
     low, high = max(low, bounds[0]), min(high, bounds[1])
-    drawn = prior.draw(1000, np.random.default_rng(np.random.SeedSequence(0))) / factor
+    drawn = prior.draw(1000, np.random.default_rng(np.random.SeedSequence(0))) / q.factor
     first, last = (float(x) for x in np.quantile(drawn, [0.01, 0.99]))
     if last - first < _WIDEST * (high - low):
         low, high = min(low, first), max(high, last)
@@ -153,28 +110,9 @@ def _range(prior: Prior, factor: float, draws: Array) -> tuple[float, float]:
 
 
 def _legend(figure: Figure, remark: str) -> None:
-    dotted = (0, (1.0, 1.0))
+    ratio = Line2D([], [], linestyle="none", label="1:n  sd of posterior to prior")
     figure.legend(
-        handles=[
-            Patch(facecolor=POSTERIOR, alpha=0.3, label="posterior"),
-            Patch(
-                facecolor="none",
-                edgecolor=POSTERIOR,
-                hatch=OPEN_HATCH,
-                linewidth=0.0,
-                label="posterior that the data leave open",
-            ),
-            Line2D([], [], color=PRIOR, linestyle=(0, (4.0, 1.5)), label="prior"),
-            Line2D(
-                [],
-                [],
-                color=POSTERIOR,
-                linewidth=0.7,
-                linestyle=dotted,
-                label=f"{100 * LEVEL:.0f} % interval",
-            ),
-            Line2D([], [], linestyle="none", label="1:n  sd of posterior to prior"),
-        ],
+        handles=[*marginal_handles(open_=True), ratio],
         loc="upper left",
         ncols=5,
         bbox_to_anchor=(_LEFT / PAGE, 1.0),
