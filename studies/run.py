@@ -14,10 +14,10 @@ from pathlib import Path
 
 from bayesfric.commands.fit import fit, fit_text
 from bayesfric.config import read_config
-from bayesfric.report.comparison import comparison
-from bayesfric.report.comparison_table import comparison_text
-from bayesfric.report.forest import forest_figure
-from bayesfric.report.style import save
+from bayesfric.report.comparison.comparison import comparison
+from bayesfric.report.comparison.table import comparison_text
+from bayesfric.report.figures.forest import forest_figure
+from bayesfric.report.figures.style import save
 
 ROOT = Path(__file__).resolve().parents[1]
 KEPT = ("corner", "prediction", "methods")

@@ -10,13 +10,13 @@ from typing import Any
 
 from bayesfric.errors import BadInput
 from bayesfric.mechanism.chain import Chain
-from bayesfric.report.comparison import Comparison, comparison
-from bayesfric.report.comparison_table import (
+from bayesfric.report.comparison.comparison import Comparison, comparison
+from bayesfric.report.comparison.table import (
     comparison_csv,
     comparison_dict,
     comparison_markdown,
 )
-from bayesfric.report.run_summary import read_summary
+from bayesfric.report.summary.read_back import read_summary
 
 # A summary is a page or two of numbers; anything larger is some other file.
 _LARGEST = 20_000_000
@@ -48,14 +48,14 @@ def compare(
         return comparison(summaries, estimates=estimates)
 
     # these bring ArviZ and Matplotlib along, which the table alone does without
-    from bayesfric.report.between_runs import between_runs, between_runs_csv
-    from bayesfric.report.forest import forest_figure
-    from bayesfric.report.overlay import overlay, overlay_figure
+    from bayesfric.report.comparison.between_runs import between_runs, between_runs_csv
+    from bayesfric.report.figures.forest import forest_figure
+    from bayesfric.report.figures.overlay import overlay, overlay_figure
+    from bayesfric.report.figures.run_draws import read_draws
+    from bayesfric.report.figures.style import save
     from bayesfric.report.page.compare_page import compare_page, shared_recordings
     from bayesfric.report.page.provenance import read_provenance
     from bayesfric.report.run_directory import check_free, made_beside
-    from bayesfric.report.run_draws import read_draws
-    from bayesfric.report.style import save
 
     check_free(output, force=None)
     found = comparison(summaries, estimates=estimates)

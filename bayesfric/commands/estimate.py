@@ -15,7 +15,7 @@ from bayesfric.estimates.least_squares import least_squares
 from bayesfric.estimates.output_error import output_error
 from bayesfric.inference.beforehand import beforehand
 from bayesfric.recordings.trajectory import trajectory
-from bayesfric.report.summary import estimate_summary
+from bayesfric.report.summary.summary import estimate_summary
 
 
 def estimates(

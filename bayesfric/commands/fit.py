@@ -19,12 +19,12 @@ from bayesfric.inference.noise_choice import Choice
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.inference.sampling import Progress, phase
 from bayesfric.inference.target import Target
-from bayesfric.report.bounds import bound_mend, told_by_data
-from bayesfric.report.noise_summary import add_white_intervals, noise_lines, white_alternative
 from bayesfric.report.run_directory import check_free, write_run
-from bayesfric.report.run_summary import PosteriorRow
-from bayesfric.report.summary import spreads, summarise
-from bayesfric.report.validation import validation_lines
+from bayesfric.report.summary.bounds import bound_mend, told_by_data
+from bayesfric.report.summary.noise import add_white_intervals, noise_lines, white_alternative
+from bayesfric.report.summary.read_back import PosteriorRow
+from bayesfric.report.summary.summary import spreads, summarise
+from bayesfric.report.summary.validation import validation_lines
 
 NOT_CONVERGED = 3
 # Independent draws that are enough for an interval that only stands beside another.

@@ -21,22 +21,22 @@ from bayesfric.errors import BadInput
 from bayesfric.inference.archive import as_chains, write_archive
 from bayesfric.inference.fit import Fit
 from bayesfric.recordings.recording import Recording
-from bayesfric.report.captions import captions
-from bayesfric.report.comparison import comparison
-from bayesfric.report.corner import corner_figure
-from bayesfric.report.efficiency import efficiency_figure
-from bayesfric.report.figure_files import two_at_once
-from bayesfric.report.forest import forest_figure
-from bayesfric.report.friction import friction_figure
-from bayesfric.report.methods_text import methods_text
+from bayesfric.report.comparison.comparison import comparison
+from bayesfric.report.figures.captions import captions
+from bayesfric.report.figures.corner import corner_figure
+from bayesfric.report.figures.efficiency import efficiency_figure
+from bayesfric.report.figures.files import two_at_once
+from bayesfric.report.figures.forest import forest_figure
+from bayesfric.report.figures.friction import friction_figure
+from bayesfric.report.figures.prediction import prediction_figure
+from bayesfric.report.figures.prior_posterior import prior_posterior_figure
+from bayesfric.report.figures.residual import residual_figure
+from bayesfric.report.figures.ridge import ridge_figure
+from bayesfric.report.figures.trace import trace_figure
+from bayesfric.report.figures.validation import validation_figure
 from bayesfric.report.page.run_page import run_page
-from bayesfric.report.prediction import prediction_figure
-from bayesfric.report.prior_posterior import prior_posterior_figure
-from bayesfric.report.residual import residual_figure
-from bayesfric.report.ridge import ridge_figure
-from bayesfric.report.summary_texts import summary_texts
-from bayesfric.report.trace import trace_figure
-from bayesfric.report.validation_figure import validation_figure
+from bayesfric.report.paper.methods_text import methods_text
+from bayesfric.report.paper.summary_texts import summary_texts
 
 # Draws kept of the groups that hold a number for every draw and every output.
 _POINTWISE_DRAWS = 400
@@ -165,7 +165,7 @@ def write_run(
     fit
         The finished fit.
     summary
-        From :func:`bayesfric.report.summary.summarise`.
+        From :func:`bayesfric.report.summary.summary.summarise`.
     config_text
         The configuration as read.
     recordings

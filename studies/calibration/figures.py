@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from bayesfric.report.style import BAND, PAGE, PALETTE, SMALL, paper_style, save
+from bayesfric.report.figures.style import BAND, PAGE, PALETTE, SMALL, paper_style, save
 
 HERE = Path(__file__).resolve().parent
 FOLDER = HERE.parents[1] / "figures" / "calibration"

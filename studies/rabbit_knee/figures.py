@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from bayesfric.commands.problem import Problem
 from bayesfric.estimates.estimate import Estimate
 from bayesfric.mechanism.forward import simulate
-from bayesfric.report.comparison import comparison
-from bayesfric.report.forest import forest_figure
-from bayesfric.report.style import (
+from bayesfric.report.comparison.comparison import comparison
+from bayesfric.report.figures.forest import forest_figure
+from bayesfric.report.figures.style import (
     COLUMN,
     MEASURED,
     PAGE,

@@ -23,7 +23,7 @@ from bayesfric.estimates.estimate import METHODS, Estimate
 from bayesfric.inference.archive import read_archive
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.report.style import save
+from bayesfric.report.figures.style import save
 from figures import cutoff_figure, fit_figure, forest
 
 HERE = Path(__file__).resolve().parent

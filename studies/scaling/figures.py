@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from bayesfric.report.style import COLUMN, PALETTE, paper_style
+from bayesfric.report.figures.style import COLUMN, PALETTE, paper_style
 
 LABELS = {
     "gearbox.alpha_drive": r"$\alpha_1$",

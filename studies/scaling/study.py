@@ -24,10 +24,10 @@ from bayesfric.inference.fit import Fit, fit
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
-from bayesfric.report.profile import profile_figure
-from bayesfric.report.ridge import ridge, ridge_figure
-from bayesfric.report.style import save
-from bayesfric.report.summary import summarise
+from bayesfric.report.figures.profile import profile_figure
+from bayesfric.report.figures.ridge import ridge, ridge_figure
+from bayesfric.report.figures.style import save
+from bayesfric.report.summary.summary import summarise
 from figures import interval_figure, lifted_figure
 
 HERE = Path(__file__).resolve().parent

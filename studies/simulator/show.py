@@ -9,7 +9,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from bayesfric.report.style import COLUMN, LINE_STYLES, PALETTE, paper_style, save
+from bayesfric.report.figures.style import COLUMN, LINE_STYLES, PALETTE, paper_style, save
 
 METHODS = ("RK45", "DOP853", "LSODA", "Radau")
 

@@ -15,7 +15,7 @@ from bayesfric.commands.problem import read_problem
 from bayesfric.config import parse_config
 from bayesfric.inference.fit import fit
 from bayesfric.inference.predictive import predict_held_out
-from bayesfric.report.validation import validation_record
+from bayesfric.report.summary.validation import validation_record
 
 PATH = Path(__file__).with_name("xl330-held-out.toml")
 GAINS = {

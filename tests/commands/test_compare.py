@@ -7,7 +7,7 @@ import re
 import h5py
 import pytest
 
-from bayesfric.report import style
+from bayesfric.report.figures import style
 from tests.report.made_summaries import LEG, TOTALS, knee, loaded, old
 from tests.report.page_reader import number, read_page
 

@@ -12,8 +12,8 @@ from bayesfric.inference.fit import fit, make_target, read_priors
 from bayesfric.inference.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
-from bayesfric.report.profile import profile_figure
-from bayesfric.report.style import PAGE, save
+from bayesfric.report.figures.profile import profile_figure
+from bayesfric.report.figures.style import PAGE, save
 
 AXIS, KNEE = PRESETS["motor-axis"], PRESETS["rabbit-knee"]
 

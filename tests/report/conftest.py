@@ -16,7 +16,7 @@ from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.observation import observe
 from bayesfric.recordings.options import Processing
 from bayesfric.report import run_directory
-from bayesfric.report.summary import summarise
+from bayesfric.report.summary.summary import summarise
 from tests.conftest import made_recording
 
 NOISE = 0.02

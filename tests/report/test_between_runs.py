@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayesfric.report.between_runs import between_runs, between_runs_csv, pool
+from bayesfric.report.comparison.between_runs import between_runs, between_runs_csv, pool
 from bayesfric.report.page.compare_page import shared_recordings
 from bayesfric.report.page.provenance import Provenance
-from bayesfric.report.run_summary import read_summary
+from bayesfric.report.summary.read_back import read_summary
 
 from .made_summaries import LEG, knee, loaded
 

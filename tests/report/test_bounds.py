@@ -8,11 +8,11 @@ from bayesfric.commands.fit import fit_text
 from bayesfric.inference.fit import fit, make_target, read_priors
 from bayesfric.inference.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.report.bounds import bound_mend, bound_warning
 from bayesfric.report.page.run_page import run_page
-from bayesfric.report.run_summary import PosteriorRow
-from bayesfric.report.summary import summarise
-from bayesfric.report.tables import parameter_table
+from bayesfric.report.paper.tables import parameter_table
+from bayesfric.report.summary.bounds import bound_mend, bound_warning
+from bayesfric.report.summary.read_back import PosteriorRow
+from bayesfric.report.summary.summary import summarise
 
 from .made_summaries import knee, posterior_row
 from .page_reader import read_page

@@ -10,8 +10,8 @@ import re
 import pytest
 
 from bayesfric.errors import BadInput
-from bayesfric.report.comparison import comparison
-from bayesfric.report.comparison_table import (
+from bayesfric.report.comparison.comparison import comparison
+from bayesfric.report.comparison.table import (
     comparison_csv,
     comparison_dict,
     comparison_markdown,

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from bayesfric.errors import BadInput
-from bayesfric.report.corner import corner_figure
-from bayesfric.report.quantity import combinations, quantities
-from bayesfric.report.summary import summarise
-from bayesfric.report.tables import parameter_table
+from bayesfric.report.figures.corner import corner_figure
+from bayesfric.report.figures.quantity import combinations, quantities
+from bayesfric.report.paper.tables import parameter_table
+from bayesfric.report.summary.summary import summarise
 
 from .conftest import draw_fast
 

@@ -7,9 +7,9 @@ import pytest
 
 from bayesfric.mechanism.derived import derive, efficiencies
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.report.efficiency import efficiency_curves, efficiency_figure
-from bayesfric.report.style import COLUMN
-from bayesfric.report.summary import summarise
+from bayesfric.report.figures.efficiency import efficiency_curves, efficiency_figure
+from bayesfric.report.figures.style import COLUMN
+from bayesfric.report.summary.summary import summarise
 
 from .conftest import draw_fast
 

@@ -8,9 +8,9 @@ import sys
 import numpy as np
 import pytest
 
-from bayesfric.report import figure_files
-from bayesfric.report.figure_files import two_at_once
-from bayesfric.report.style import COLUMN, paper_style, save
+from bayesfric.report.figures import files as figure_files
+from bayesfric.report.figures.files import two_at_once
+from bayesfric.report.figures.style import COLUMN, paper_style, save
 
 
 @pytest.fixture(autouse=True)

@@ -8,13 +8,13 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
 
-from bayesfric.report.corner import corner_figure
-from bayesfric.report.efficiency import efficiency_figure
-from bayesfric.report.friction import friction_figure
-from bayesfric.report.prediction import prediction_figure
-from bayesfric.report.prior_posterior import prior_posterior_figure
-from bayesfric.report.residual import residual_figure
-from bayesfric.report.style import (
+from bayesfric.report.figures.corner import corner_figure
+from bayesfric.report.figures.efficiency import efficiency_figure
+from bayesfric.report.figures.friction import friction_figure
+from bayesfric.report.figures.prediction import prediction_figure
+from bayesfric.report.figures.prior_posterior import prior_posterior_figure
+from bayesfric.report.figures.residual import residual_figure
+from bayesfric.report.figures.style import (
     COLUMN,
     PAGE,
     PALETTE,
@@ -23,8 +23,8 @@ from bayesfric.report.style import (
     paper_style,
     save,
 )
-from bayesfric.report.summary import summarise
-from bayesfric.report.trace import trace_figure
+from bayesfric.report.figures.trace import trace_figure
+from bayesfric.report.summary.summary import summarise
 
 
 def draw_corner(fit):

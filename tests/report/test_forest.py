@@ -9,9 +9,9 @@ import pytest
 from matplotlib.text import Annotation
 
 from bayesfric.errors import BadInput
-from bayesfric.report.comparison import comparison
-from bayesfric.report.forest import forest_figure
-from bayesfric.report.style import COLUMN, PAGE, save
+from bayesfric.report.comparison.comparison import comparison
+from bayesfric.report.figures.forest import forest_figure
+from bayesfric.report.figures.style import COLUMN, PAGE, save
 
 from .made_summaries import LEG, MOTOR, TOTALS, knee, loaded, old
 from .test_figures import drawn_ticks, shown_texts

@@ -7,13 +7,13 @@ import subprocess
 
 import pytest
 
-from bayesfric.report.comparison import comparison
-from bayesfric.report.friction import friction_figure
-from bayesfric.report.methods_text import methods_text
-from bayesfric.report.residual import residual_figure
-from bayesfric.report.style import save
-from bayesfric.report.summary import summarise
-from bayesfric.report.tables import methods_latex, parameter_table, parameters_latex
+from bayesfric.report.comparison.comparison import comparison
+from bayesfric.report.figures.friction import friction_figure
+from bayesfric.report.figures.residual import residual_figure
+from bayesfric.report.figures.style import save
+from bayesfric.report.paper.methods_text import methods_text
+from bayesfric.report.paper.tables import methods_latex, parameter_table, parameters_latex
+from bayesfric.report.summary.summary import summarise
 
 from .made_summaries import every_kind
 

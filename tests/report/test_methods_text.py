@@ -7,10 +7,10 @@ from importlib.metadata import version
 import pytest
 
 import bayesfric
-from bayesfric.report.bibliography import ENTRIES
-from bayesfric.report.methods_text import methods_text
-from bayesfric.report.summary import summarise
-from bayesfric.report.tables import parameter_table
+from bayesfric.report.paper.bibliography import ENTRIES
+from bayesfric.report.paper.methods_text import methods_text
+from bayesfric.report.paper.tables import parameter_table
+from bayesfric.report.summary.summary import summarise
 
 
 @pytest.fixture(scope="module")

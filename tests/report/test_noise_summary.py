@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from bayesfric.estimates.estimate import Estimate, EstimatedValue
-from bayesfric.report.noise_summary import add_white_intervals, correlation_warnings
+from bayesfric.report.summary.noise import add_white_intervals, correlation_warnings
 from tests.report.made_summaries import posterior_row
 
 

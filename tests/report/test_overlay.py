@@ -13,14 +13,14 @@ from scipy import stats
 
 from bayesfric.commands.compare import compare
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.report import style
-from bayesfric.report.between_runs import between_runs
-from bayesfric.report.comparison import comparison
-from bayesfric.report.overlay import density, overlay, overlay_figure
+from bayesfric.report.comparison.between_runs import between_runs
+from bayesfric.report.comparison.comparison import comparison
+from bayesfric.report.figures import style
+from bayesfric.report.figures.overlay import density, overlay, overlay_figure
+from bayesfric.report.figures.run_draws import RunDraws, read_draws
+from bayesfric.report.figures.style import PAGE, run_style, save
 from bayesfric.report.page.figure_words import overlay_words
-from bayesfric.report.run_draws import RunDraws, read_draws
-from bayesfric.report.run_summary import read_summary
-from bayesfric.report.style import PAGE, run_style, save
+from bayesfric.report.summary.read_back import read_summary
 
 from .made_summaries import LEG, knee, loaded, posterior_row
 from .page_reader import read_page

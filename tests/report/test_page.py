@@ -13,13 +13,13 @@ import pytest
 from markupsafe import Markup
 
 from bayesfric.report import run_directory
-from bayesfric.report.comparison import comparison
+from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.page.facts import read_facts
 from bayesfric.report.page.figure_words import STEMS_IN_WORDS, Told, figure_words, text_of
 from bayesfric.report.page.inline_svg import inline_svg
 from bayesfric.report.page.run_page import STEMS, run_page
 from bayesfric.report.page.symbol import html_symbol
-from bayesfric.report.tables import (
+from bayesfric.report.paper.tables import (
     parameter_table,
     parameters_csv,
     parameters_latex,

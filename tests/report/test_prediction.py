@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-import bayesfric.report.prediction as module
+import bayesfric.report.figures.prediction as module
 from bayesfric.recordings.options import Processing
-from bayesfric.report.prediction import prediction_figure, predictive
-from bayesfric.report.residual_analysis import residuals
-from bayesfric.report.style import save
+from bayesfric.report.figures.prediction import prediction_figure, predictive
+from bayesfric.report.figures.style import save
+from bayesfric.report.summary.residual_analysis import residuals
 
 
 def by_gid(ax, gid):

@@ -5,10 +5,10 @@ import copy
 import numpy as np
 import pytest
 
-from bayesfric.report.prior_posterior import prior_posterior_figure
-from bayesfric.report.quantity import quantities
-from bayesfric.report.style import PAGE
-from bayesfric.report.summary import summarise
+from bayesfric.report.figures.prior_posterior import prior_posterior_figure
+from bayesfric.report.figures.quantity import quantities
+from bayesfric.report.figures.style import PAGE
+from bayesfric.report.summary.summary import summarise
 
 from .conftest import draw_fast
 

@@ -8,9 +8,14 @@ from scipy.signal import lfilter
 
 from bayesfric.inference.fit import read_priors, target_of
 from bayesfric.inference.residual_noise import Autoregressive
-from bayesfric.report.residual import residual_figure
-from bayesfric.report.residual_analysis import lacking, residual_analysis, residual_words, residuals
-from bayesfric.report.style import PAGE
+from bayesfric.report.figures.residual import residual_figure
+from bayesfric.report.figures.style import PAGE
+from bayesfric.report.summary.residual_analysis import (
+    lacking,
+    residual_analysis,
+    residual_words,
+    residuals,
+)
 
 from .conftest import draw_fast
 

@@ -10,8 +10,8 @@ from scipy import stats
 from bayesfric.inference.fit import fit, make_target, read_priors
 from bayesfric.inference.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.report.ridge import ridge, ridge_figure
-from bayesfric.report.style import PAGE, save
+from bayesfric.report.figures.ridge import ridge, ridge_figure
+from bayesfric.report.figures.style import PAGE, save
 
 from .conftest import draw_fast
 from .test_figures import drawn_ticks, has_unit, shown_texts

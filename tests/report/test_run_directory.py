@@ -20,16 +20,16 @@ from bayesfric.config import parse_config, read_config
 from bayesfric.errors import BadInput
 from bayesfric.inference.archive import read_archive
 from bayesfric.report import run_directory
-from bayesfric.report.comparison import comparison
-from bayesfric.report.run_directory import check_free, write_run
-from bayesfric.report.summary import summarise, summary_table
-from bayesfric.report.tables import (
+from bayesfric.report.comparison.comparison import comparison
+from bayesfric.report.paper.tables import (
     methods_latex,
     parameter_table,
     parameters_csv,
     parameters_latex,
     parameters_markdown,
 )
+from bayesfric.report.run_directory import check_free, write_run
+from bayesfric.report.summary.summary import summarise, summary_table
 
 from .page_reader import read_page
 

@@ -14,8 +14,8 @@ from bayesfric.inference.fit import fit, make_target, read_priors
 from bayesfric.inference.sampling import Sampling
 from bayesfric.mechanism.options import MechanismOptions
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.report.residual_analysis import residuals
-from bayesfric.report.summary import summarise, summary_table
+from bayesfric.report.summary.residual_analysis import residuals
+from bayesfric.report.summary.summary import summarise, summary_table
 
 KNEE, AXIS = PRESETS["rabbit-knee"], PRESETS["motor-axis"]
 ROTARY_UNITS = {

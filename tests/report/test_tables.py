@@ -9,16 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesfric.report import latex
-from bayesfric.report.comparison import comparison
-from bayesfric.report.summary import summarise
-from bayesfric.report.tables import (
+from bayesfric.report.comparison.comparison import comparison
+from bayesfric.report.paper import latex
+from bayesfric.report.paper.tables import (
     methods_latex,
     parameter_table,
     parameters_csv,
     parameters_latex,
     parameters_markdown,
 )
+from bayesfric.report.summary.summary import summarise
 
 from .made_summaries import LEG, every_kind, knee, loaded
 from .made_tables import ends, lines, num, skewed

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesfric.report.trace import trace_figure
+from bayesfric.report.figures.trace import trace_figure
 
 from .conftest import SLIDE, draw_fast
 

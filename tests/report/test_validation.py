@@ -13,9 +13,9 @@ from bayesfric.inference.residual_noise import StudentT
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.held_out import Validation, divide
 from bayesfric.recordings.options import Processing
-from bayesfric.report.style import COLUMN, save
-from bayesfric.report.validation import share_of, validation_lines, validation_record
-from bayesfric.report.validation_figure import validation_figure
+from bayesfric.report.figures.style import COLUMN, save
+from bayesfric.report.figures.validation import validation_figure
+from bayesfric.report.summary.validation import share_of, validation_lines, validation_record
 
 from .conftest import NOISE, recording
 

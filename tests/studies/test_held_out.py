@@ -9,7 +9,7 @@ import pytest
 from bayesfric.commands.problem import read_problem
 from bayesfric.config import read_config
 from bayesfric.inference.predictive import predict_held_out
-from bayesfric.report.validation import validation_record
+from bayesfric.report.summary.validation import validation_record
 from tests.conftest import DATA, REPOSITORY
 
 from .test_real_recordings import run

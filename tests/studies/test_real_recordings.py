@@ -8,7 +8,7 @@ import pytest
 from bayesfric.commands.problem import read_problem
 from bayesfric.config import read_config
 from bayesfric.inference.fit import fit
-from bayesfric.report.residual_analysis import residuals
+from bayesfric.report.summary.residual_analysis import residuals
 from tests.conftest import REPOSITORY
 
 pytestmark = pytest.mark.usefixtures("real_data")

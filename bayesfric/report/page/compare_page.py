@@ -8,17 +8,17 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-from bayesfric.report.between_runs import PooledQuantity
-from bayesfric.report.comparison import Comparison
-from bayesfric.report.comparison_table import explained
-from bayesfric.report.overlay import Overlay
+from bayesfric.report.comparison.between_runs import PooledQuantity
+from bayesfric.report.comparison.comparison import Comparison
+from bayesfric.report.comparison.table import explained
+from bayesfric.report.figures.overlay import Overlay
 from bayesfric.report.page.facts import Facts, read_facts
 from bayesfric.report.page.figure_words import forest_figure_words, overlay_words
 from bayesfric.report.page.figures import read_figures
 from bayesfric.report.page.provenance import Provenance
 from bayesfric.report.page.rendering import render
 from bayesfric.report.page.values import ends_html
-from bayesfric.report.run_summary import RunSummary
+from bayesfric.report.summary.read_back import RunSummary
 
 
 @dataclass(frozen=True)
@@ -64,11 +64,11 @@ def compare_page(
     summaries, runs
         What each ``summary.json`` holds, as read and checked.
     pooled
-        From :func:`bayesfric.report.between_runs.between_runs`.
+        From :func:`bayesfric.report.comparison.between_runs.between_runs`.
     provenance
         Of each run, where it is known.
     overlaid
-        From :func:`bayesfric.report.overlay.overlay`, of several runs.
+        From :func:`bayesfric.report.figures.overlay.overlay`, of several runs.
 
     Returns
     -------

@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import Field, FiniteFloat
 
-from bayesfric.report.run_summary import (
+from bayesfric.report.summary.read_back import (
     Likelihood,
     Name,
     Noise,

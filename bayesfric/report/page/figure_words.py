@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from bayesfric.report.captions import FIXED
-from bayesfric.report.comparison import Comparison
-from bayesfric.report.overlay import Curve, Overlay
+from bayesfric.report.comparison.comparison import Comparison
+from bayesfric.report.figures.captions import FIXED
+from bayesfric.report.figures.overlay import Curve, Overlay
 from bayesfric.report.page.facts import Facts
 from bayesfric.report.page.values import interval_html, value_html, verdict_words
-from bayesfric.report.tables import ParameterRow, ParameterTable
+from bayesfric.report.paper.tables import ParameterRow, ParameterTable
 
 _CAPTION = re.compile(r"^\*\*(\w+)\*\*: (.+)$", re.MULTILINE)
 _RAISED = str.maketrans("0123456789-\u2212", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁻")

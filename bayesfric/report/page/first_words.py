@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from bayesfric.identifiability.words import capital, factor
-from bayesfric.report.methods_text import listed
 from bayesfric.report.page.facts import Facts, OpenDirectionRow, RemedyRow
-from bayesfric.report.tables import ParameterRow, ParameterTable, counts
+from bayesfric.report.paper.methods_text import listed
+from bayesfric.report.paper.tables import ParameterRow, ParameterTable, counts
 
 _COUNTS = ("none", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 # Lines of the list of what is known; the rest is in the table.

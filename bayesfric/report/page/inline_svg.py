@@ -51,7 +51,7 @@ def inline_svg(text: str, prefix: str, label: str) -> Drawing:
     Parameters
     ----------
     text
-        The file's contents, as :func:`bayesfric.report.style.save` wrote them.
+        The file's contents, as :func:`bayesfric.report.figures.style.save` wrote them.
     prefix
         Put before every ``id`` that is referred to; unique in the page.
     label

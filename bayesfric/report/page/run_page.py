@@ -9,8 +9,8 @@ from typing import Any
 
 from markupsafe import Markup
 
-from bayesfric.report.comparison import comparison
-from bayesfric.report.comparison_table import explained
+from bayesfric.report.comparison.comparison import comparison
+from bayesfric.report.comparison.table import explained
 from bayesfric.report.page.facts import Facts, Row, read_facts
 from bayesfric.report.page.figure_words import Told, figure_words, written_captions
 from bayesfric.report.page.figures import read_figures
@@ -24,7 +24,7 @@ from bayesfric.report.page.values import (
     verdict_kind,
     verdict_words,
 )
-from bayesfric.report.tables import ParameterRow, ParameterTable, parameter_table
+from bayesfric.report.paper.tables import ParameterRow, ParameterTable, parameter_table
 
 # In the order of the page.
 STEMS = (

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from markupsafe import Markup, escape
 
-from bayesfric.report import latex
-from bayesfric.report.comparison_cell import NOT_CONVERGED, Cell
-from bayesfric.report.tables import ParameterRow
+from bayesfric.report.comparison.cell import NOT_CONVERGED, Cell
+from bayesfric.report.paper import latex
+from bayesfric.report.paper.tables import ParameterRow
 
 NOT_DETERMINED = "not determined by the data"
 _VERDICTS = {

@@ -1,0 +1,1 @@
+"""Methods, posteriors and runs side by side."""

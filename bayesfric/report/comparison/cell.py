@@ -1,0 +1,123 @@
+"""One number as one column of a comparison tells it, and whether it is determined at all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from bayesfric.report.summary.bounds import told_by_data
+from bayesfric.report.summary.read_back import EstimatedRow, PosteriorRow
+
+Status = Literal["determined", "undetermined", "bound", "limit", "known"]
+_NOT_DETERMINED = "not determined"
+NOT_CONVERGED = "the sampling has not converged"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One number as one column tells it.
+
+    Attributes
+    ----------
+    value
+        Estimate, posterior median or known value; where ``status`` is
+        ``undetermined`` one of many that fit as well.
+    status
+        ``determined``; ``undetermined``: the data leave it open; ``bound``: an
+        estimate that stands on a bound; ``limit``: a posterior that the data push
+        against a bound; ``known``: taken as known, or a reference.
+    sd
+        Standard deviation, accounting for correlated residuals where the column
+        does; ``None`` where there is none.
+    sd_plain
+        The one for uncorrelated residuals, where the column has both or only that.
+    accounts
+        Whether ``sd`` accounts for correlated residuals.
+    interval, level
+        Of a posterior.
+    span
+        What fits as well, where the number is open and that is known.
+    limit
+        End of the interval away from the bound, where ``status`` is ``limit``.
+    remark
+        What else to know, in a few words.
+    disagreement
+        Difference to the first posterior in standard deviations; see
+        :func:`comparison`.
+    converged
+        Whether there is a posterior at all; ``undetermined`` where not.
+    """
+
+    value: float
+    status: Status
+    sd: float | None = None
+    sd_plain: float | None = None
+    accounts: bool = False
+    interval: tuple[float, float] | None = None
+    level: float | None = None
+    span: tuple[float, float] | None = None
+    limit: float | None = None
+    remark: str = ""
+    disagreement: float | None = None
+    converged: bool = True
+
+
+def estimate_cell(row: EstimatedRow) -> Cell:
+    """Judge one number of a point estimate."""
+    if row.sd is None or row.determined is False or row.at_bound is not None:
+        # a scaling does not move a zero away from its bound
+        span = row.span if row.span is not None and row.span[0] < row.span[1] else None
+        if row.at_bound is not None and span is None:
+            return Cell(row.value, "bound", remark=f"on its {row.at_bound} bound")
+        return left_open(row.value, span)
+    if row.sd_robust is None:
+        return Cell(row.value, "determined", sd=row.sd, sd_plain=row.sd)
+    return Cell(row.value, "determined", sd=row.sd_robust, sd_plain=row.sd, accounts=True)
+
+
+def left_open(value: float, span: list[float] | None, why: str = "") -> Cell:
+    """Say that the data leave a number open, with what fits as well or ``why``."""
+    if span is None:
+        return Cell(value, "undetermined", remark=_NOT_DETERMINED + why)
+    low, high = span
+    remark = f"{_NOT_DETERMINED}: {low:.3g} to {high:.3g} fit as well"
+    return Cell(value, "undetermined", span=(low, high), remark=remark)
+
+
+def posterior_cell(row: PosteriorRow, accounts: bool, status: str = "reliable") -> Cell:
+    """Judge one number of a posterior.
+
+    Parameters
+    ----------
+    row
+        The number.
+    accounts
+        Whether the noise model accounts for correlated residuals.
+    status
+        Of the sampling. What ensembles that disagree make together is no posterior.
+    """
+    low, high = row.interval
+    if status == "unusable":
+        return Cell(row.middle, "undetermined", remark=NOT_CONVERGED, converged=False)
+    # as in the words of ``bayesfric fit``: the data say how far from the bound it may be
+    if row.at_bound is not None and row.verdict != "data" and told_by_data(row):
+        limit = high if row.at_bound == "lower" else low
+        words = f"{'at most' if row.at_bound == 'lower' else 'at least'} {limit:.3g}"
+        return Cell(row.middle, "limit", level=row.level, limit=limit, remark=words)
+    if row.verdict == "prior":
+        return left_open(row.middle, None, ": prior and bounds")
+    remarks = ["prior and data both matter"] if row.verdict == "weak" else []
+    if row.at_bound is not None:
+        remarks.append(f"leans on its {row.at_bound} bound")
+    if row.undefined_share:
+        remarks.append(f"undefined in {100 * row.undefined_share:.0f} % of the draws")
+    return Cell(
+        row.middle,
+        "determined",
+        sd=row.sd,
+        sd_plain=None if accounts else row.sd,
+        accounts=accounts,
+        interval=(low, high),
+        level=row.level,
+        remark="; ".join(remarks),
+    )

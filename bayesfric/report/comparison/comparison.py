@@ -1,0 +1,402 @@
+"""Side by side: every method, every run's posterior and what is known from elsewhere.
+
+A number that the data leave open has no standard deviation and no interval here,
+whatever a file says: it says so in words. Nor is it measured against anything.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from typing import Any, Literal
+
+from bayesfric.errors import BadInput
+from bayesfric.estimates.estimate import METHODS, Kind, Method
+from bayesfric.report.comparison.cell import Cell, estimate_cell, left_open, posterior_cell
+from bayesfric.report.summary.read_back import ReferenceRow, RunSummary, read_summary
+
+REFERENCE = "reference"
+# Standard deviations of the posterior beyond which an estimate is another one.
+_FAR = 3.0
+
+
+@dataclass(frozen=True)
+class Column:
+    """A method, a posterior, or values from elsewhere.
+
+    Attributes
+    ----------
+    label
+        As printed, unique.
+    kind
+        ``estimate``, ``posterior`` or ``reference``.
+    run
+        Name of the run; empty for references.
+    method
+        Of an estimate.
+    told
+        What its numbers take for granted.
+    residual_rms, residual_unit
+        Of measured minus modelled; ``None`` where it is not known.
+    """
+
+    label: str
+    kind: Literal["estimate", "posterior", "reference"]
+    run: str
+    method: Method | None = None
+    told: str = ""
+    residual_rms: float | None = None
+    residual_unit: str = ""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One quantity; ``cells`` by column label, those that have it.
+
+    ``symbol`` is LaTeX without dollar signs, empty where no file tells it.
+    ``gauge_free`` is whether scaling leg parameters and alpha together leaves it.
+    """
+
+    name: str
+    unit: str
+    symbol: str
+    meaning: str
+    kind: Kind
+    gauge_free: bool
+    cells: Mapping[str, Cell]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Quantities by columns.
+
+    Attributes
+    ----------
+    columns, rows
+        In the order to print them.
+    baseline
+        Label of the posterior that disagreement is measured against, if any.
+    notes
+        What a reader must know besides, one sentence each.
+    """
+
+    columns: tuple[Column, ...]
+    rows: tuple[Row, ...]
+    baseline: str | None
+    notes: tuple[str, ...]
+
+    def __getitem__(self, name: str) -> Row:
+        for row in self.rows:
+            if row.name == name:
+                return row
+        raise KeyError(name)
+
+
+@dataclass
+class _Facts:
+    """What is gathered about one quantity."""
+
+    unit: str
+    told_by: str
+    kind: Kind
+    symbol: str = ""
+    meaning: str = ""
+    # whether no scaling changes it: as files say, and as may be guessed where none does
+    said: list[bool] = field(default_factory=list)
+    guessed: list[bool] = field(default_factory=list)
+    cells: dict[str, Cell] = field(default_factory=dict)
+    # words of each run's posterior, which state for example the load of an efficiency
+    meanings: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def gauge_free(self) -> bool:
+        return all(self.said or self.guessed)
+
+    @property
+    def found(self) -> bool:
+        """Whether any column holds more than what was taken as known."""
+        return any(cell.status != "known" for cell in self.cells.values())
+
+
+def comparison(
+    summaries: Mapping[str, Mapping[str, Any]], *, estimates: bool | None = None
+) -> Comparison:
+    """Put the results of one or several runs side by side.
+
+    Parameters
+    ----------
+    summaries
+        What each ``summary.json`` holds, by name of the run.
+    estimates
+        Whether to show the runs' point estimates; if left out, of a single run only.
+
+    Returns
+    -------
+    Comparison
+        Totals first, then what no scaling of leg parameters and alpha changes, then
+        the rest. A run shows one of the rest only where all of its columns that have
+        it determine it: otherwise their scales differ and the numbers compare nothing.
+
+    Raises
+    ------
+    BadInput
+        Where a summary lacks something or holds something else, where units differ,
+        or where a run has no quantity in common with any other.
+
+    Notes
+    -----
+    Disagreement is ``(value - median)/sd`` with both of the first posterior. The
+    variance of another posterior, and of a reference that has one, is added to that
+    of the first; runs on the same recording are not independent, and disagree more
+    than that says. An estimate's own variance is not added: it saw the same data.
+    """
+    runs = {name: read_summary(summary, name) for name, summary in summaries.items()}
+    shown = len(runs) == 1 if estimates is None else estimates
+    facts: dict[str, _Facts] = {}
+    columns: list[Column] = []
+    for name, run in runs.items():
+        _gather(facts, name, run)
+    for name, run in runs.items():
+        mine = list(_columns(name, run, alone=len(runs) == 1, estimates=shown))
+        columns += mine
+        for column in mine:
+            for quantity, cell in _cells(column, run):
+                if not quantity.startswith("noise."):
+                    facts[quantity].cells[column.label] = cell
+        labels = [column.label for column in mine]
+        for fact in facts.values():
+            if not fact.gauge_free:
+                _withhold(fact.cells, labels)
+    _check_common(facts, runs, columns)
+    notes = [*_reliability(runs), *_meanings(facts)]
+    reference = _add_references(facts, runs, notes)
+    if reference is not None:
+        columns.append(reference)
+    baseline = next((c for c in columns if c.kind == "posterior"), None)
+    rows = [
+        Row(
+            name=name,
+            unit=fact.unit,
+            symbol=fact.symbol,
+            meaning=fact.meaning,
+            kind=fact.kind,
+            gauge_free=fact.gauge_free,
+            cells=_measured(fact.cells, columns, baseline),
+        )
+        for name, fact in facts.items()
+        if fact.found
+    ]
+    rows.sort(key=_order)  # keeps the order of the files within each group
+    notes += _apart(rows, columns)
+    return Comparison(
+        tuple(columns), tuple(rows), baseline.label if baseline else None, tuple(notes)
+    )
+
+
+def _order(row: Row) -> int:
+    if row.kind == "total":
+        return 0
+    if row.gauge_free:
+        return 1 if row.kind == "derived" else 2
+    return 3 if row.kind == "parameter" else 4
+
+
+def _gather(facts: dict[str, _Facts], run: str, summary: RunSummary) -> None:
+    """Collect what each quantity is, also from estimates that are not shown."""
+
+    def tell(name: str, row: Any, kind: Kind, gauge_free: bool | None) -> _Facts:
+        fact = facts.setdefault(name, _Facts(row.unit, run, kind))
+        if row.unit != fact.unit:
+            raise BadInput(
+                f"{run}: {name}",
+                f"is in {row.unit or 'no unit'!r}, but in {fact.unit or 'no unit'!r} in "
+                f"{fact.told_by}",
+                "compare runs of the same kind of joint",
+            )
+        fact.symbol = fact.symbol or getattr(row, "symbol", "")
+        fact.meaning = fact.meaning or getattr(row, "meaning", "")
+        if gauge_free is not None:
+            fact.said.append(gauge_free)
+        return fact
+
+    for method in sorted(summary.estimates, key=METHODS.index):
+        for name, value in summary.estimates[method].parameters.items():
+            tell(name, value, value.kind or _kind(name, summary), value.gauge_free)
+    for group in (summary.derived, summary.parameters):
+        for name, row in group.items():
+            if name.startswith("noise."):
+                continue
+            fact = tell(name, row, _kind(name, summary), row.gauge_free)
+            fact.meanings[run] = row.meaning
+            # the joint's own symbol before that of what least squares sees
+            fact.symbol = row.symbol or fact.symbol
+            # the data alone leave what a scaling changes without any sd
+            fact.guessed.append(group is summary.derived or row.data_sd is not None)
+    for name, known in summary.fixed.items():
+        tell(name, known, "parameter", None)
+
+
+def _kind(name: str, summary: RunSummary) -> Kind:
+    if name.startswith("total."):
+        return "total"
+    return "parameter" if name in summary.parameters else "derived"
+
+
+def _columns(run: str, summary: RunSummary, *, alone: bool, estimates: bool) -> Iterator[Column]:
+    before = "" if alone else f"{run}: "
+    for method in METHODS:
+        if estimates and method in summary.estimates:
+            told = summary.estimates[method]
+            yield Column(
+                f"{before}{method}",
+                "estimate",
+                run,
+                method,
+                "; ".join(filter(None, [told.assumption, *told.notes])),
+                told.residual_rms,
+                told.residual_unit,
+            )
+    if summary.parameters or summary.derived:
+        lag = summary.noise.residual_lag1
+        yield Column(
+            f"{before}posterior",
+            "posterior",
+            run,
+            None,
+            f"{summary.likelihood.method}; noise {summary.noise.model}"
+            + (f"; its residuals' lag-1 correlation is {lag:.2f}" if lag is not None else ""),
+            summary.fit.residual_rms,
+            summary.fit.unit,
+        )
+
+
+def _cells(column: Column, summary: RunSummary) -> Iterator[tuple[str, Cell]]:
+    if column.kind == "posterior":
+        accounts = summary.noise.model != "white"
+        for name, row in {**summary.derived, **summary.parameters}.items():
+            yield name, posterior_cell(row, accounts, summary.sampler.status)
+        for name, known in summary.fixed.items():
+            yield name, Cell(known.value, "known", remark="taken as known")
+        return
+    if column.method is not None:
+        for name, value in summary.estimates[column.method].parameters.items():
+            yield name, estimate_cell(value)
+
+
+def _withhold(cells: dict[str, Cell], labels: list[str]) -> None:
+    """Show a number that a scaling changes only where no column of the run leaves it open."""
+    mine = {label: cells[label] for label in labels if label in cells}
+    # of a posterior that is none, nothing follows for the others
+    open_ = (label for label, c in mine.items() if c.status == "undetermined" and c.converged)
+    first = next(open_, None)
+    for label, cell in mine.items():
+        if first is not None and cell.status not in ("undetermined", "known"):
+            cells[label] = left_open(cell.value, None, f" (see {first})")
+
+
+def _check_common(
+    facts: Mapping[str, _Facts], runs: Mapping[str, RunSummary], columns: list[Column]
+) -> None:
+    has: dict[str, set[str]] = {run: set() for run in runs}
+    for column in columns:
+        has[column.run] |= {
+            name
+            for name, fact in facts.items()
+            if column.label in fact.cells and fact.cells[column.label].status != "known"
+        }
+    for run, names in has.items():
+        if not names:
+            raise BadInput(run, "holds no result to compare", "name a finished run")
+    shared = {run for a, b in combinations(has, 2) if has[a] & has[b] for run in (a, b)}
+    # of two, the second is the one out of place
+    for run in reversed(has):
+        if len(has) > 1 and run not in shared:
+            raise BadInput(
+                run,
+                "has no quantity in common with the other runs",
+                "compare runs whose mechanisms share elements",
+            )
+
+
+def _reliability(runs: Mapping[str, RunSummary]) -> Iterator[str]:
+    for name, run in runs.items():
+        if run.sampler.status != "reliable":
+            yield f"The posterior of {name} is {run.sampler.status}: it has not converged."
+
+
+def _meanings(facts: Mapping[str, _Facts]) -> Iterator[str]:
+    for name, fact in facts.items():
+        said = {run: words for run, words in fact.meanings.items() if words}
+        if len(set(said.values())) > 1:
+            each = ", ".join(f"{words!r} in {run}" for run, words in said.items())
+            yield f"{name} is not the same everywhere: {each}."
+
+
+def _apart(rows: list[Row], columns: list[Column]) -> Iterator[str]:
+    """Say which estimates of determined numbers the first posterior does not agree with."""
+    for column in columns:
+        far = [
+            row.name
+            for row in rows
+            if column.kind == "estimate"
+            and (cell := row.cells.get(column.label)) is not None
+            and cell.status == "determined"
+            and abs(cell.disagreement or 0.0) > _FAR
+        ]
+        if far:
+            yield (
+                f"{column.label} differs from the posterior by more than {_FAR:g} of its sds in "
+                f"{', '.join(far)}: the two take different things for granted, and of one of them "
+                "they do not hold."
+            )
+
+
+def _add_references(
+    facts: Mapping[str, _Facts], runs: Mapping[str, RunSummary], notes: list[str]
+) -> Column | None:
+    """Add the column of values from elsewhere, where they concern anything that is shown."""
+    found: dict[str, tuple[str, ReferenceRow]] = {}
+    for run, summary in runs.items():
+        for name, row in summary.references.items():
+            if name not in facts or not facts[name].found:
+                notes.append(f"{row.source} gives {name}, which no run estimates.")
+                continue
+            if row.unit != facts[name].unit:
+                raise BadInput(
+                    f"{run}: references.{name}",
+                    f"is in {row.unit or 'no unit'!r}, but in "
+                    f"{facts[name].unit or 'no unit'!r} in {facts[name].told_by}",
+                    "give it in the quantity's unit",
+                )
+            first, told = found.setdefault(name, (run, row))
+            if told != row:
+                notes.append(
+                    f"{name} is {told.value:.5g} ({told.source}) in {first}, which is shown, but "
+                    f"{row.value:.5g} ({row.source}) in {run}."
+                )
+    for name, (_, row) in found.items():
+        facts[name].cells[REFERENCE] = Cell(row.value, "known", sd=row.sd, remark=row.source)
+    sources = dict.fromkeys(row.source for _, row in found.values())
+    return Column(REFERENCE, "reference", "", None, ", ".join(sources)) if found else None
+
+
+def _measured(
+    cells: Mapping[str, Cell], columns: list[Column], baseline: Column | None
+) -> dict[str, Cell]:
+    """Put the cells into the columns' order and measure them against the first posterior."""
+    ordered = {c.label: cells[c.label] for c in columns if c.label in cells}
+    base = ordered.get(baseline.label) if baseline else None
+    if base is None or base.status != "determined" or not base.sd:
+        return ordered
+    for column in columns:
+        cell = ordered.get(column.label)
+        if cell is None or column is baseline:
+            continue
+        # what a run took as known is no finding, and what is open agrees with anything
+        if cell.status in ("determined", "bound") or column.kind == "reference":
+            own = cell.sd or 0.0 if column.kind != "estimate" else 0.0
+            apart = (cell.value - base.value) / math.hypot(base.sd, own)
+            ordered[column.label] = replace(cell, disagreement=apart)
+    return ordered

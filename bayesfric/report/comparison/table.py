@@ -1,0 +1,231 @@
+"""A comparison as a table: for a terminal, in Markdown, as CSV and as JSON."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import textwrap
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from bayesfric.report.comparison.cell import Cell
+from bayesfric.report.comparison.comparison import Comparison
+
+_WIDTH = 120
+# Characters of a cell's line: at least [0.00046688, 0.00046933], and words on few lines.
+_NARROWEST, _WIDEST = 24, 30
+_BETWEEN = "  "
+_PLAIN = "†"
+
+
+def comparison_text(found: Comparison, width: int = _WIDTH) -> Iterator[str]:
+    """Lay a comparison out for a terminal, line by line.
+
+    Parameters
+    ----------
+    found
+        From :func:`bayesfric.report.comparison.comparison.comparison`.
+    width
+        Characters a line may have; columns that do not fit come in further blocks.
+    """
+    names = [[row.name, *([f"  {row.unit}"] if row.unit else [])] for row in found.rows]
+    left = max((len(line) for lines in names for line in lines), default=0)
+    each = max(1, (width - left) // (_NARROWEST + len(_BETWEEN)))
+    for k, first in enumerate(range(0, len(found.columns), each)):
+        if k:
+            yield ""
+        columns = found.columns[first : first + each]
+        cell = min(_WIDEST, (width - left) // len(columns) - len(_BETWEEN))
+        head = [textwrap.wrap(column.label, cell) for column in columns]
+        yield from _lines([""], head, left, cell, bottom=True)
+        yield "-" * (left + len(columns) * (cell + len(_BETWEEN)))
+        group = None
+        for row, name in zip(found.rows, names, strict=True):
+            cells = [
+                [
+                    line
+                    for part in _cell_parts(row.cells.get(column.label))
+                    for line in textwrap.wrap(part, cell)
+                ]
+                for column in columns
+            ]
+            if not any(cells):
+                continue
+            if group is not None and group != (row.kind, row.gauge_free):
+                yield ""
+            group = (row.kind, row.gauge_free)
+            yield from _lines(name, cells, left, cell)
+    yield ""
+    for line in explained(found):
+        yield from textwrap.wrap(line, width, subsequent_indent="  ")
+
+
+def comparison_markdown(found: Comparison) -> str:
+    """Lay a comparison out as one Markdown table with what to know below it."""
+    head = ["quantity", "unit", *(column.label for column in found.columns)]
+    lines = [_piped(head), _piped(["---", "---", *("---:" for _ in found.columns)], escape=False)]
+    for row in found.rows:
+        cells = []
+        for column in found.columns:
+            told = _cell_parts(row.cells.get(column.label))
+            cells.append("<br>".join(part.replace("<", "&lt;") for part in told) or "–")
+        lines.append(_piped([f"`{row.name}`", row.unit or "–", *cells]))
+    return "\n".join([*lines, "", *(f"- {line}" for line in explained(found))]) + "\n"
+
+
+def comparison_csv(found: Comparison) -> str:
+    """Lay a comparison out as CSV text, one line for each quantity and column."""
+    out = io.StringIO()
+    columns = ["name", "unit", "symbol", "meaning", "kind", "gauge_free"]
+    columns += ["column", "run", "column_kind", "status", "value", "sd", "sd_uncorrelated"]
+    columns += ["accounts_for_correlation", "low", "high", "level", "span_low", "span_high"]
+    columns += ["limit", "disagreement", "remark"]
+    writer = csv.DictWriter(out, columns, lineterminator="\n")
+    writer.writeheader()
+    for row in found.rows:
+        for column in found.columns:
+            cell = row.cells.get(column.label)
+            if cell is None:
+                continue
+            low, high = cell.interval or (None, None)
+            span_low, span_high = cell.span or (None, None)
+            writer.writerow(
+                {
+                    **{key: getattr(row, key) for key in columns[:6]},
+                    "column": column.label,
+                    "run": column.run,
+                    "column_kind": column.kind,
+                    "status": cell.status,
+                    "value": cell.value,
+                    "sd": cell.sd,
+                    "sd_uncorrelated": cell.sd_plain,
+                    "accounts_for_correlation": cell.accounts,
+                    "low": low,
+                    "high": high,
+                    "level": cell.level,
+                    "span_low": span_low,
+                    "span_high": span_high,
+                    "limit": cell.limit,
+                    "disagreement": cell.disagreement,
+                    "remark": cell.remark,
+                }
+            )
+    return out.getvalue()
+
+
+def comparison_dict(found: Comparison) -> dict[str, Any]:
+    """Put a comparison into strings, numbers, lists and dicts, ready for JSON."""
+    return {
+        "baseline": found.baseline,
+        "columns": [asdict(column) for column in found.columns],
+        "quantities": {
+            row.name: {
+                "unit": row.unit,
+                "symbol": row.symbol,
+                "meaning": row.meaning,
+                "kind": row.kind,
+                "gauge_free": row.gauge_free,
+                "columns": {label: _cell_dict(cell) for label, cell in row.cells.items()},
+            }
+            for row in found.rows
+        },
+        "notes": list(found.notes),
+    }
+
+
+def _cell_dict(cell: Cell) -> dict[str, Any]:
+    return {
+        key: list(value) if isinstance(value, tuple) else value
+        for key, value in asdict(cell).items()
+    }
+
+
+def _cell_parts(cell: Cell | None) -> list[str]:
+    """Word a cell; an open one in words only."""
+    if cell is None:
+        return []
+    parts = []
+    if cell.status not in ("undetermined", "limit"):
+        plain = cell.status == "determined" and not cell.accounts
+        parts.append(number(cell.value, cell.sd) + (_PLAIN if plain else ""))
+    if cell.interval is not None:
+        low, high = (_rounded(end, cell.sd) for end in cell.interval)
+        parts.append(f"[{low}, {high}]")
+    if cell.disagreement is not None:
+        # no -0.0
+        parts.append(f"{round(cell.disagreement, 1) + 0.0:+.1f} sd")
+    return [*parts, *([cell.remark] if cell.remark else [])]
+
+
+def number(value: float, sd: float | None) -> str:
+    """Print a value to the second digit of its standard deviation, and that with two."""
+    if not sd:
+        return f"{value:.5g}"
+    return f"{_rounded(value, sd)} ± {_rounded(sd, sd)}"
+
+
+def _rounded(value: float, sd: float | None) -> str:
+    if not sd or not value:
+        return f"{value:.5g}"
+    before, last = math.floor(math.log10(abs(value))), math.floor(math.log10(sd)) - 1
+    digits = before - last + 1
+    if digits < 1:
+        return f"{round(value, -last) + 0.0:.1g}"
+    if 0 <= before < 6:  # no 1.2e+02
+        digits = max(digits, before + 1)
+    return f"{value:#.{min(digits, 9)}g}".removesuffix(".")
+
+
+def _lines(
+    name: Sequence[str],
+    cells: Sequence[Sequence[str]],
+    left: int,
+    wide: int,
+    *,
+    bottom: bool = False,
+) -> Iterator[str]:
+    """Set a name and cells of several lines side by side."""
+    high = max(len(part) for part in (name, *cells))
+    for i in range(high):
+        parts = [
+            part[j] if 0 <= (j := i - (high - len(part) if bottom else 0)) < len(part) else ""
+            for part in cells
+        ]
+        start = name[i] if i < len(name) else ""
+        line = "".join(f"{_BETWEEN}{part:<{wide}}" for part in parts)
+        yield f"{start:<{left}}{line}".rstrip()
+
+
+def explained(found: Comparison) -> Iterator[str]:
+    """Say what the numbers are and what they take for granted."""
+    yield "± is one standard deviation, accounting for correlated residuals."
+    if any(column.kind == "posterior" for column in found.columns):
+        yield "Of a posterior the median is given."
+    cells = [cell for row in found.rows for cell in row.cells.values()]
+    if any(cell.status == "determined" and not cell.accounts for cell in cells):
+        yield f"{_PLAIN} takes residuals for uncorrelated: too small where they are correlated."
+    if levels := {cell.level for cell in cells if cell.interval is not None and cell.level}:
+        share = " or ".join(f"{100 * level:g}" for level in sorted(levels))
+        yield f"[ ] holds {share} % of the posterior."
+    if found.baseline is not None and len(found.columns) > 1:
+        words = f"'sd' counts the distance to {found.baseline} in its standard deviations"
+        kinds = [c.kind for c in found.columns]
+        added = ["another posterior's"] if kinds.count("posterior") > 1 else []
+        added += ["a reference's"] if "reference" in kinds else []
+        words += f"; {' and '.join(added)} own is added to it" if added else ""
+        # two estimates from one recording share its noise: their variances do not add
+        words += "; an estimate's own is not, it saw the same data" if "estimate" in kinds else ""
+        yield words + "."
+    for column in found.columns:
+        parts = [column.told] if column.told else []
+        if column.residual_rms is not None:
+            parts.append(f"residual rms {column.residual_rms:.4g} {column.residual_unit}".strip())
+        if parts:
+            yield f"{column.label}: {'; '.join(parts)}."
+    yield from found.notes
+
+
+def _piped(parts: Sequence[str], *, escape: bool = True) -> str:
+    return "| " + " | ".join(p.replace("|", "\\|") if escape else p for p in parts) + " |"

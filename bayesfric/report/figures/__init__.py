@@ -1,0 +1,1 @@
+"""Figures for papers, their captions and their files."""

@@ -1,0 +1,146 @@
+"""A curve of the posterior: median, 90 % band, and where the data determine it at all."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.identifiability.local import LocalInformation, local_information, verdict
+from bayesfric.inference.fit import Fit
+from bayesfric.report.figures.style import Array
+from bayesfric.report.summary.summary import LEVEL
+
+Flags = NDArray[np.bool_]
+# Chain parameters (n, n_parameters) to the curve's points (n, N)
+Curve = Callable[[Array], Array]
+
+# A quantile of so many draws is known to a fortieth of the band's width.
+_DRAWS = 1000
+_PRIOR_DRAWS = 500
+
+
+@dataclass(frozen=True, eq=False)
+class CurveBand:
+    """A function of the parameters at ``N`` places.
+
+    Attributes
+    ----------
+    median, low, high
+        ``(N,)`` of the posterior; the ends of its central 90 % interval. Over the draws
+        that have a value; ``nan`` where fewer than half of them do.
+    determined
+        ``(N,)`` whether the data had a say: false where the verdict is ``prior``.
+    undefined_share
+        ``(N,)`` share of the draws without a value.
+    """
+
+    median: Array
+    low: Array
+    high: Array
+    determined: Flags
+    undefined_share: Array
+
+
+class CurveJudge:
+    """What is needed to judge any number of curves of one fit.
+
+    Parameters
+    ----------
+    fit
+        A finished fit.
+
+    Attributes
+    ----------
+    local
+        What the data alone determine at the posterior median.
+    median
+        ``(n_parameters,)`` chain parameters at the posterior median.
+    """
+
+    def __init__(self, fit: Fit) -> None:
+        posterior, target = fit.posterior, fit.target
+        sampled = posterior.median
+        self._fit = fit
+        self.local: LocalInformation = local_information(target, sampled)
+        self.median: Array = target.chain_values(sampled[None])[0]
+        k = len(target.free)
+        self._steps = 1e-5 * np.maximum(np.abs(sampled[:k]), 1e-9)
+        self._moved = target.chain_values(_both_ways(sampled, self._steps))
+        rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(4,)))
+        drawn = np.stack([p.draw(_PRIOR_DRAWS, rng) for p in posterior.priors], axis=1)
+        self._prior = target.chain_values(drawn)
+
+    @property
+    def open_scale(self) -> bool:
+        """Whether theory leaves a scale between leg and alpha open."""
+        return self.local.from_theory > 0
+
+    def band(self, curve: Curve, *, gauge_free: bool, draws: int = _DRAWS) -> CurveBand:
+        """Evaluate a curve over the posterior and judge every point of it.
+
+        Points are judged as single quantities are in ``summary.json``: by the posterior's
+        sd against the prior's and the one that the data alone would leave.
+
+        Parameters
+        ----------
+        curve
+            Chain parameters ``(n, n_parameters)`` to values ``(n, N)``; ``nan`` where a
+            draw has none.
+        gauge_free
+            Whether theory says that no scaling of leg and alpha changes it.
+        draws
+            At most so many of the posterior are used.
+        """
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            # points that no draw has are nan, and say so by that
+            warnings.simplefilter("ignore", RuntimeWarning)
+            values = _finite(curve(self._fit.chain_draws(draws)))
+            prior = _finite(curve(self._prior))
+            moved = curve(self._moved)
+            sd, prior_sd = _robust_sd(values), _robust_sd(prior)
+            ends = [0.5 - LEVEL / 2, 0.5, 0.5 + LEVEL / 2]
+            low, middle, high = np.nanquantile(values, ends, axis=0)
+        k = self._steps.size
+        gradients = (moved[:k] - moved[k:]) / (2.0 * self._steps[:, None])
+        undefined = np.isnan(values).mean(axis=0)
+        for part in (low, middle, high):
+            part[undefined > 0.5] = np.nan
+        determined = [
+            bool(np.isfinite(gradient).all())
+            and verdict(one, before, self.local.data_sd_of(gradient, gauge_free=gauge_free))
+            != "prior"
+            for one, before, gradient in zip(sd, prior_sd, gradients.T, strict=True)
+        ]
+        return CurveBand(middle, low, high, np.array(determined, dtype=np.bool_), undefined)
+
+
+def joined(flags: Flags, within: Flags) -> Flags:
+    """Grow by one neighbour, so that parts of a band meet."""
+    grown = flags.copy()
+    grown[1:] |= flags[:-1]
+    grown[:-1] |= flags[1:]
+    return grown & within
+
+
+def _both_ways(centre: Array, steps: Array) -> Array:
+    """Vectors a step to either side in each free parameter, ``(2k, d)``."""
+    k = steps.size
+    moved = np.tile(centre, (2 * k, 1))
+    index = np.arange(k)
+    moved[index, index] += steps
+    moved[k + index, index] -= steps
+    return moved
+
+
+def _finite(x: Array) -> Array:
+    return np.where(np.isfinite(x), x, np.nan)
+
+
+def _robust_sd(x: Array) -> Array:
+    """Sds from quartiles: what divides by 1 - mu_2 has no finite one under many priors."""
+    low, high = np.nanquantile(x, [0.25, 0.75], axis=0)
+    return np.asarray((high - low) / 1.349)

@@ -1,0 +1,417 @@
+"""Friction of the whole joint at the motor: over speed, over load, and over both."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.contour import ContourSet
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from bayesfric.inference.fit import Fit
+from bayesfric.report.figures.curve_band import CurveBand, CurveJudge, Flags, joined
+from bayesfric.report.figures.friction_curve import Covered, covered, friction_torque
+from bayesfric.report.figures.style import (
+    COLUMN,
+    OPEN_HATCH,
+    PAGE,
+    PALETTE,
+    SMALL,
+    Array,
+    few_ticks,
+    paper_style,
+)
+from bayesfric.report.summary.summary import LEVEL
+
+_POINTS = 121
+# Map: places a side, and draws at each.
+_CELLS, _MAP_DRAWS = 31, 200
+_OUTSIDE = (0, (3.0, 2.0))
+_HEIGHT, _TOP, _BOTTOM = 2.4, 0.24, 0.38
+_LEFT, _RIGHT = 0.50, 0.66
+_MARKS = ("o", "s", "^")
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionCurve:
+    """Friction along a line in the plane of speed and load.
+
+    Attributes
+    ----------
+    speed, load
+        ``(N,)`` of the motor, and the loss-free torque of the load there; see
+        :mod:`bayesfric.report.figures.friction_curve` for what that is.
+    band
+        Of the friction torque that resists the motion, N m or N.
+    covered
+        ``(N,)`` whether recordings were near.
+    """
+
+    speed: Array
+    load: Array
+    band: CurveBand
+    covered: Flags
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionCurves:
+    """Everything the friction figure shows.
+
+    Attributes
+    ----------
+    open_scale
+        Whether loads are the mean of what driving and back-driving feel, for the scale
+        between leg and alpha is open.
+    over_speed
+        At no load, at a driven and at a driving load; the first alone where friction
+        cannot depend on load.
+    over_load
+        At a low and a high speed; empty where friction cannot depend on load.
+    """
+
+    open_scale: bool
+    over_speed: tuple[FrictionCurve, ...]
+    over_load: tuple[FrictionCurve, ...]
+    place: Covered
+
+
+def friction_curves(fit: Fit) -> FrictionCurves:
+    """Evaluate the friction curves of a fit where its recordings ran.
+
+    Parameters
+    ----------
+    fit
+        A finished fit.
+    """
+    return _curves(fit, CurveJudge(fit))
+
+
+def _curves(fit: Fit, judge: CurveJudge) -> FrictionCurves:
+    place = covered(fit, judge.median, open_scale=judge.open_scale)
+    lossy = _load_matters(fit, place)
+
+    def along(speed: Array, load: Array) -> FrictionCurve:
+        band = judge.band(
+            lambda x: friction_torque(fit.chain, x, speed, load, open_scale=judge.open_scale),
+            gauge_free=judge.open_scale,
+        )
+        return FrictionCurve(speed, load, band, place.near(speed, load if lossy else None))
+
+    low, high = (float(x) for x in (place.speed.min(), place.speed.max()))
+    # friction jumps at rest: no point there
+    least = 1e-3 * max(-low, high)
+    speeds = np.concatenate(
+        [np.linspace(low, -least, _POINTS // 2), np.linspace(least, high, _POINTS // 2)]
+        if low < 0.0 < high
+        else [np.linspace(low, high, _POINTS)]
+    )
+    loads = [0.0]
+    if lossy:
+        loads += [load for side in (1.0, -1.0) if (load := _stated(place, speeds, side))]
+    over_speed = [along(speeds, np.full_like(speeds, load)) for load in loads]
+    over_load = []
+    if lossy:
+        grid = np.linspace(*_inner(place.load), _POINTS)
+        top = float(np.quantile(np.abs(place.speed), 0.95))
+        way = 1.0 if high > 0.0 else -1.0
+        over_load = [
+            along(np.full_like(grid, way * _round(share * top)), grid) for share in (0.25, 0.75)
+        ]
+    return FrictionCurves(judge.open_scale, tuple(over_speed), tuple(over_load), place)
+
+
+def _load_matters(fit: Fit, place: Covered) -> bool:
+    lossy = any(element.load_loss != "none" for element in fit.chain.elements)
+    return lossy and float(np.ptp(place.load)) > 0.0
+
+
+def _stated(place: Covered, speeds: Array, side: float) -> float:
+    """Find the round load of one direction of power that was met at most speeds."""
+    mine = side * place.load[side * place.load > 0.0]
+    if not mine.size:
+        return 0.0
+    choices = {_round(float(x)) for x in np.quantile(mine, [0.95, 0.9, 0.75, 0.5, 0.25])}
+    # the largest of those that are as good as any, for there the load shows most
+    seen = {x: place.near(speeds, np.full_like(speeds, side * x)).mean() for x in choices}
+    return side * max(x for x in choices if seen[x] >= 0.8 * max(seen.values()))
+
+
+def _round(x: float) -> float:
+    """Round to one digit."""
+    return round(x, -math.floor(math.log10(x))) if x > 0.0 else x
+
+
+def friction_figure(fit: Fit) -> Figure:
+    """Draw friction over speed, over load, and a map over both.
+
+    All at the motor, with the posterior median and its 90 % band. Loads left of zero drive
+    the motor (back-driving). Beyond what the recordings covered the median goes on dashed,
+    without a band; where the data do not determine the curve the band is hatched.
+
+    Parameters
+    ----------
+    fit
+        A finished fit.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        A page wide; a column wide, with the curve over speed alone, where no element has
+        a loss that depends on load.
+    """
+    judge = CurveJudge(fit)
+    found = _curves(fit, judge)
+    alone = not found.over_load
+    width = COLUMN if alone else PAGE
+    with paper_style():
+        figure = Figure(figsize=(width, _HEIGHT))
+        axes = figure.subplots(
+            1,
+            1 if alone else 3,
+            squeeze=False,
+            gridspec_kw={
+                "left": _LEFT / width,
+                "right": 1.0 - (0.08 if alone else _RIGHT) / width,
+                "bottom": _BOTTOM / _HEIGHT,
+                "top": 1.0 - _TOP / _HEIGHT,
+                "wspace": 0.34,
+            },
+        )[0]
+        _over_speed(axes[0], fit, found)
+        if not alone:
+            _over_load(axes[1], fit, found)
+            _map(figure, axes[2], fit, judge, found)
+        _legend(figure, [*found.over_speed, *found.over_load], width)
+    return figure
+
+
+def _over_speed(ax: Axes, fit: Fit, found: FrictionCurves) -> None:
+    for k, curve in enumerate(found.over_speed):
+        load = float(curve.load[0])
+        words = "no load" if load == 0.0 else _signed(load, _torque(fit))
+        label = words if len(found.over_speed) > 1 else None
+        for side in (-1.0, 1.0):
+            mine = np.sign(curve.speed) == side
+            if mine.any():
+                _draw(ax, curve, curve.speed, mine, k, side, label)
+                label = None
+    ax.axhline(0.0, color="0.6", linewidth=0.5, zorder=0.5)
+    ax.set_xlabel(_speed_label(fit))
+    ax.set_ylabel(_friction_label(fit))
+    few_ticks(ax.xaxis, 6)
+    few_ticks(ax.yaxis, 6)
+    if len(found.over_speed) > 1:
+        _inside(ax, "at load")
+
+
+def _over_load(ax: Axes, fit: Fit, found: FrictionCurves) -> None:
+    for k, curve in enumerate(found.over_load):
+        speed = float(curve.speed[0])
+        words = _signed(speed, _speed_unit(fit))
+        _draw(ax, curve, curve.load, np.ones(curve.load.size, dtype=np.bool_), k, 1.0, words)
+    ax.axvline(0.0, color="0.6", linewidth=0.5, zorder=0.5)
+    low, high = ax.get_ylim()
+    low = min(low, 0.0)
+    # room for the words above and below
+    ax.set_ylim(low - 0.02 * (high - low), high + 0.38 * (high - low))
+    for x, words, way in ((0.03, "load helps", "left"), (0.97, "load resists", "right")):
+        said: dict[str, Any] = {"fontsize": SMALL, "color": "0.35", "transform": ax.transAxes}
+        ax.text(x, 0.03, words, ha=way, va="bottom", **said)
+    ax.set_xlabel(_load_label(fit, found))
+    ax.set_ylabel(_friction_label(fit))
+    few_ticks(ax.xaxis, 5)
+    few_ticks(ax.yaxis, 6)
+    _inside(ax, "at motor speed")
+
+
+def _draw(
+    ax: Axes, curve: FrictionCurve, x: Array, mine: Flags, k: int, side: float, label: str | None
+) -> None:
+    colour = PALETTE[k]
+    b = curve.band
+    seen = mine & curve.covered
+    for open_, hatch in ((False, None), (True, OPEN_HATCH)):
+        where = seen & (b.determined != open_)
+        if where.any():
+            ax.fill_between(
+                x,
+                side * b.low,
+                side * b.high,
+                where=joined(where, seen).tolist(),
+                facecolor="none" if open_ else colour,
+                edgecolor=colour if open_ else "none",
+                alpha=1.0 if open_ else 0.3,
+                hatch=hatch,
+                linewidth=0.0,
+                gid="open" if open_ else "band",
+            )
+    middle = side * b.median
+    inside = np.where(joined(seen, mine), middle, np.nan)
+    ax.plot(
+        x[mine],
+        middle[mine],
+        color=colour,
+        linestyle=_OUTSIDE,
+        linewidth=0.6,
+        gid="outside",
+    )
+    every = max(1, int(mine.sum()) // 6)
+    ax.plot(
+        x[mine],
+        inside[mine],
+        color=colour,
+        marker=_MARKS[k],
+        markersize=2.6,
+        markevery=(every // 2 - k * every // 4, every),
+        label=label,
+        gid="median",
+    )
+
+
+def _map(figure: Figure, ax: Axes, fit: Fit, judge: CurveJudge, found: FrictionCurves) -> None:
+    """Draw contours of the median over shades of the band's half width."""
+    place = found.place
+    x = np.linspace(place.speed.min(), place.speed.max(), _CELLS)
+    y = np.linspace(*_inner(place.load), _CELLS)
+    speed, load = (grid.ravel() for grid in np.meshgrid(x, y))
+    speed = np.where(speed == 0.0, 1e-9, speed)
+    band = judge.band(
+        lambda values: friction_torque(fit.chain, values, speed, load, open_scale=judge.open_scale),
+        gauge_free=judge.open_scale,
+        draws=_MAP_DRAWS,
+    )
+    near = place.near(speed, load)
+    shape = (_CELLS, _CELLS)
+
+    def shown(values: Array, where: Flags) -> np.ma.MaskedArray:
+        return np.ma.masked_where(~where.reshape(shape), values.reshape(shape))
+
+    half = 0.5 * (band.high - band.low)
+    shades = ax.pcolormesh(
+        x, y, shown(half, near), cmap="Blues", vmin=0.0, shading="nearest", rasterized=True
+    )
+    lines = ax.contour(
+        x,
+        y,
+        shown(band.median, near & band.determined),
+        levels=4,
+        colors=PALETTE[0],
+        linewidths=0.7,
+    )
+    _name_contours(ax, lines)
+    open_ = near & ~band.determined
+    if open_.any():
+        ax.contourf(
+            x, y, open_.reshape(shape).astype(float), levels=[0.5, 1.5], colors="none",
+            hatches=[OPEN_HATCH],
+        )  # fmt: skip
+    ax.axhline(0.0, color="0.6", linewidth=0.5)
+    ax.set_xlabel(_speed_label(fit))
+    ax.set_ylabel(_load_label(fit, found))
+    few_ticks(ax.xaxis, 5)
+    few_ticks(ax.yaxis, 6)
+    bar = figure.colorbar(shades, ax=ax, fraction=0.06, pad=0.04)
+    bar.set_label(f"half width of the {100 * LEVEL:.0f} % band ({_torque(fit)})", fontsize=SMALL)
+    few_ticks(bar.ax.yaxis, 5)
+    bar.outline.set_linewidth(0.5)
+
+
+def _name_contours(ax: Axes, lines: ContourSet) -> None:
+    """Write levels beside their lines, upright, where there is room."""
+    taken: list[Array] = []
+    for text in ax.clabel(lines, fontsize=SMALL, inline=False):
+        at = ax.transAxes.inverted().transform(ax.transData.transform(text.get_position()))
+        crowded = any((np.abs(at - other) < (0.22, 0.09)).all() for other in taken)
+        if crowded or not (0.1 < at[0] < 0.9 and 0.04 < at[1] < 0.96):
+            text.remove()
+            continue
+        taken.append(at)
+        text.set_rotation(0.0)
+        # nobody can read it over the shades
+        text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.4, "alpha": 0.8})
+
+
+def _inside(ax: Axes, head: str) -> None:
+    ax.legend(
+        loc="upper left",
+        title=head,
+        title_fontsize=SMALL,
+        alignment="left",
+        handlelength=1.8,
+        borderpad=0.2,
+        labelspacing=0.25,
+    )
+
+
+def _inner(x: Array) -> tuple[float, float]:
+    """Nearly all of the values: single jerks would leave the rest no room."""
+    return float(np.quantile(x, 0.005)), float(np.quantile(x, 0.995))
+
+
+def _signed(x: float, unit: str) -> str:
+    return f"{x:+.3g} {unit}".replace("-", "\N{MINUS SIGN}")
+
+
+def _torque(fit: Fit) -> str:
+    return "N m" if fit.chain.motor_motion == "rotary" else "N"
+
+
+def _speed_unit(fit: Fit) -> str:
+    return "rad/s" if fit.chain.motor_motion == "rotary" else "m/s"
+
+
+def _speed_label(fit: Fit) -> str:
+    return rf"motor speed $\dot q_m$ ({_speed_unit(fit)})"
+
+
+def _friction_label(fit: Fit) -> str:
+    kind = "torque" if fit.chain.motor_motion == "rotary" else "force"
+    return f"friction {kind} $F$ ({_torque(fit)})"
+
+
+def load_symbol(fit: Fit, *, open_scale: bool) -> str:
+    """Symbol of the loss-free torque of the load at the motor, ready for Matplotlib."""
+    if not open_scale:
+        return r"$\Gamma/N$"
+    two = [element for element in fit.chain.elements if element.load_loss == "two"]
+    return r"$\lambda_1\Gamma/N$" if len(two) == 1 else r"$\overline{\Gamma/\alpha N}$"
+
+
+def _load_label(fit: Fit, found: FrictionCurves) -> str:
+    return f"load {load_symbol(fit, open_scale=found.open_scale)} ({_torque(fit)})"
+
+
+def _legend(figure: Figure, curves: Sequence[FrictionCurve], width: float) -> None:
+    handles: list[Line2D | Patch] = [
+        Line2D([], [], color=PALETTE[0], label="posterior median"),
+        Patch(facecolor=PALETTE[0], alpha=0.3, label=f"{100 * LEVEL:.0f} % band"),
+    ]
+    if any(not c.covered.all() for c in curves):
+        outside = {"linestyle": _OUTSIDE, "linewidth": 0.6, "label": "not recorded there"}
+        handles.append(Line2D([], [], color=PALETTE[0], **outside))  # type: ignore[arg-type]
+    if any((c.covered & ~c.band.determined).any() for c in curves):
+        handles.append(
+            Patch(
+                facecolor="none",
+                edgecolor=PALETTE[0],
+                hatch=OPEN_HATCH,
+                linewidth=0.0,
+                label="NOT determined by the data",
+            )
+        )
+    figure.legend(
+        handles=handles,
+        loc="upper left",
+        ncols=len(handles),
+        bbox_to_anchor=(0.02 / width, 1.0),
+        borderaxespad=0.2,
+        borderpad=0.2,
+        columnspacing=1.2,
+        handlelength=1.8,
+    )

@@ -1,0 +1,166 @@
+"""The joint's friction as the motor feels it, and where the recordings saw it.
+
+The joint runs at constant speed against a constant load. With ``T`` the measured motor
+torque (without its constant offset) and ``L`` the loss-free torque of the load, both at the
+motor, friction is ``F = T - L``.
+
+``L`` is where care is due. A recording tells ``Gamma/N``, the torque of the leg over the
+ratio, only up to the scaling of leg parameters and ``alpha_1, alpha_2`` that changes no
+torque. ``(1 + mu_1) Gamma/N`` and ``(1 - mu_2) Gamma/N``, what the motor feels of the load
+while it drives and while it is driven, are known all the same, and so is their mean,
+``lambda_1 Gamma/N`` of eq. (13). Where the scale is open this mean therefore stands for the
+load: ``F(speed, L)`` then is the same for all members of the ridge. It is what an
+experiment finds that lifts and lowers the load at one speed, calls half the sum of the two
+torques load and half their difference friction. Where something fixes the scale (a known
+mass, a known parameter of the leg, ``mu_1 = mu_2``), ``L`` is ``Gamma/N`` itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from bayesfric.inference.fit import Fit
+from bayesfric.mechanism import kernels
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.inverse import load_torque
+from bayesfric.report.figures.curve_band import Flags
+from bayesfric.report.figures.style import Array
+
+# A place counts as covered by this many outputs within this share of the recorded span.
+_NEIGHBOURS = 3
+_NEAR = 0.08
+
+
+def load_reach(chain: Chain, values: Array, *, open_scale: bool) -> Array:
+    """Factor from the load's torque at the joint to its loss-free torque at the motor.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    values
+        ``(n, n_parameters)`` in the order of ``chain.names``.
+    open_scale
+        Whether the scale between leg and alpha is open; see the module.
+
+    Returns
+    -------
+    ndarray
+        ``(n,)``, ``1/N`` or ``lambda_1/N``; over ``drive.gain`` where that is a parameter, as
+        the torque itself is.
+    """
+    elements, load = chain.tables(values)
+    gain = load[:, kernels.GAIN]
+    if not open_scale:
+        return np.asarray(1.0 / (chain.ratio * gain))
+    drive = np.prod(1.0 + elements[:, :, kernels.LOAD_DRIVE], axis=1)
+    back = np.prod(1.0 - elements[:, :, kernels.LOAD_BACK], axis=1)
+    return np.asarray(0.5 * (drive + back) / (chain.ratio * gain))
+
+
+def friction_torque(
+    chain: Chain, values: Array, speed: Array, load: Array, *, open_scale: bool
+) -> Array:
+    """Friction of the whole joint at constant speed, seen at the motor.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    values
+        ``(n, n_parameters)`` in the order of ``chain.names``.
+    speed
+        ``(N,)`` of the motor, rad/s or m/s; not zero, where friction has no one value.
+    load
+        ``(N,)`` loss-free torque of the load at the motor, N m or N; positive where it
+        resists the motion, negative where it helps it.
+    open_scale
+        What that torque is; see the module.
+
+    Returns
+    -------
+    ndarray
+        ``(n, N)``, N m or N; positive where it resists the motion. At no load this is the
+        constant and viscous loss that ``total_drive.*`` of
+        :func:`bayesfric.mechanism.derived.derive` sums up.
+    """
+    sign = np.sign(speed)
+    elements, table = chain.tables(values)
+    gain = table[:, kernels.GAIN].copy()
+    # a load that weighs what is asked for, and nothing else: the same kernel as everywhere
+    table[:] = 0.0
+    table[:, kernels.GAIN] = gain
+    table[:, kernels.GRAVITY] = 1.0
+    with np.errstate(divide="ignore"):
+        table[:, kernels.FIRST_MOMENT] = 1.0 / load_reach(chain, values, open_scale=open_scale)
+    torque = kernels.inverse_many(
+        elements,
+        table,
+        0.0,
+        0.0,
+        np.ascontiguousarray(sign * load),
+        np.zeros_like(load),
+        np.ascontiguousarray(speed / chain.ratio),
+        np.zeros_like(load),
+    )
+    return np.asarray(sign * torque - load)
+
+
+@dataclass(frozen=True, eq=False)
+class Covered:
+    """Where the recordings were.
+
+    Attributes
+    ----------
+    speed
+        ``(M,)`` of the motor at every output, rad/s or m/s.
+    load
+        ``(M,)`` loss-free torque of the load at the motor at the posterior median, its
+        inertia included; positive where it resists the motion.
+    """
+
+    speed: Array
+    load: Array
+
+    def near(self, speed: Array, load: Array | None) -> Flags:
+        """Tell which places ``(N,)`` some outputs are near; all loads count if ``None``."""
+        mine, places = [self.speed], [speed]
+        if load is not None:
+            mine.append(self.load)
+            places.append(load)
+        spans = np.array([max(float(np.ptp(x)), 1e-300) for x in mine])
+        # nine tenths of the outputs, or one jerk would stretch what counts as near
+        inner = np.array([float(np.subtract(*np.quantile(x, [0.95, 0.05]))) for x in mine])
+        spans = np.where(inner > 0.0, inner / 0.9, spans)
+        tree = cKDTree(np.stack(mine, axis=1) / spans)
+        distance, _ = tree.query(
+            np.stack(places, axis=1) / spans, k=min(_NEIGHBOURS, self.speed.size), p=np.inf
+        )
+        return np.asarray(np.reshape(distance, (speed.size, -1))[:, -1] <= _NEAR)
+
+
+def covered(fit: Fit, median: Array, *, open_scale: bool) -> Covered:
+    """Collect speeds and loads of all outputs.
+
+    Parameters
+    ----------
+    fit
+        A finished fit.
+    median
+        ``(n_parameters,)`` chain parameters at which loads are computed.
+    open_scale
+        What the loss-free torque of the load is; see the module.
+    """
+    reach = float(load_reach(fit.chain, median[None], open_scale=open_scale)[0])
+    speeds, loads = [], []
+    for o in fit.observations:
+        at = o.filter.centres
+        gamma = load_torque(
+            fit.chain, median, o.q[at], o.qdd[at], added_mass=o.added_mass, radius=o.radius
+        )
+        speeds.append(fit.chain.ratio * o.speed)
+        loads.append(reach * gamma * np.sign(o.speed))
+    return Covered(np.concatenate(speeds), np.concatenate(loads))

@@ -1,0 +1,91 @@
+"""A sampled parameter, or a combination of them, as figures show it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesfric.inference.fit import Fit
+from bayesfric.inference.priors import Prior
+from bayesfric.mechanism.derived import derive
+from bayesfric.report.figures.style import Array, mathtext, power_of_ten, scaled_unit
+from bayesfric.report.summary.noise import noise_unit
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A sampled parameter, or a combination of them, as figures show it.
+
+    Attributes
+    ----------
+    name
+        As in ``posterior.names``, or of the derived quantity.
+    symbol
+        With dollar signs, ready for Matplotlib.
+    unit
+        SI, empty where there is none.
+    draws
+        ``(n,)`` in ``unit``; walkers that never moved are left out.
+    prior
+        Of the parameter; ``None`` of a combination.
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    draws: Array
+    prior: Prior | None
+
+    @property
+    def exponent(self) -> int:
+        """Power of ten that is taken out of the numbers on an axis."""
+        low, high = (float(v) for v in np.quantile(self.draws, [0.05, 0.95]))
+        return power_of_ten(low, high)
+
+    @property
+    def factor(self) -> float:
+        """What one on an axis stands for, in ``unit``."""
+        return float(10.0**self.exponent)
+
+    @property
+    def scaled_unit(self) -> str:
+        """Unit on an axis, with the power of ten; a dash where there is neither."""
+        return scaled_unit(self.exponent, self.unit)
+
+    def label(self, between: str = " ") -> str:
+        """Symbol and unit for an axis, with ``between`` between them."""
+        return f"{self.symbol}{between}({self.scaled_unit})"
+
+
+def quantities(fit: Fit) -> list[Quantity]:
+    """List the sampled parameters of a fit, noise scales last."""
+    posterior, noise = fit.posterior, fit.target.noise
+    said = {p.name: (p.symbol, p.unit) for p in fit.chain.parameters}
+    said |= {
+        name: (symbol, noise_unit(fit, kind))
+        for name, symbol, kind in zip(noise.names, noise.symbols, noise.quantities, strict=True)
+    }
+    return [
+        Quantity(name, mathtext(said[name][0], name), said[name][1], draws, prior)
+        for name, draws, prior in zip(
+            posterior.names, posterior.flat().T, posterior.priors, strict=True
+        )
+    ]
+
+
+def combinations(fit: Fit) -> list[Quantity]:
+    """List what no scaling of leg parameters and alpha changes, where every draw has it."""
+    # without a load no efficiency is stated
+    return [
+        Quantity(d.name, mathtext(d.symbol, d.name), d.unit, d.values, None)
+        for d in derive(fit.chain, fit.chain_draws(), 0.0)
+        if d.gauge_free and np.isfinite(d.values).all()
+    ]
+
+
+def not_shown(left_out: list[Quantity]) -> str:
+    """Name what a figure leaves out; empty if that is nothing."""
+    if not left_out:
+        return ""
+    return "not shown: " + ", ".join(q.symbol for q in left_out)

@@ -1,0 +1,140 @@
+"""The figure of residuals: autocorrelation, quantiles, and against speed, load and angle."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy import stats
+
+from bayesfric.inference.fit import Fit
+from bayesfric.report.figures.style import (
+    BAND,
+    MEASURED,
+    PAGE,
+    PALETTE,
+    SMALL,
+    few_ticks,
+    paper_style,
+    power_of_ten,
+    scaled_unit,
+)
+from bayesfric.report.summary.residual_analysis import Binned, ResidualAnalysis, residual_analysis
+
+_HEIGHT, _LEFT, _RIGHT, _TOP, _BOTTOM = 3.6, 0.55, 0.08, 0.08, 0.38
+# Half width of a normal's 95 % interval, in sds.
+_HALF = float(stats.norm.ppf(0.975))
+
+
+def residual_figure(fit: Fit) -> Figure:
+    """Draw autocorrelation, quantiles, and residuals against speed, load and angle.
+
+    Parameters
+    ----------
+    fit
+        A finished fit.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        A page wide, two rows. Bars hold one sd of the residuals either way, thick ones the
+        95 % interval of their mean.
+    """
+    found = residual_analysis(fit)
+    with paper_style():
+        figure = Figure(figsize=(PAGE, _HEIGHT))
+        grid = figure.add_gridspec(
+            2,
+            6,
+            left=_LEFT / PAGE,
+            right=1.0 - _RIGHT / PAGE,
+            bottom=_BOTTOM / _HEIGHT,
+            top=1.0 - _TOP / _HEIGHT,
+            wspace=1.1,
+            hspace=0.34,
+        )
+        _draw_correlation(figure.add_subplot(grid[0, :4]), fit, found)
+        _draw_quantiles(figure.add_subplot(grid[0, 4:]), found)
+        reach = max((float((abs(b.mean) + b.sd).max()) for b in found.against), default=1.0)
+        exponent = power_of_ten(-reach, reach)
+        first: Axes | None = None
+        for k, binned in enumerate(found.against):
+            ax = figure.add_subplot(grid[1, 2 * k : 2 * k + 2], sharey=first)
+            _draw_binned(ax, binned, 10.0**exponent)
+            ax.set_ylim(-1.15 * reach / 10.0**exponent, 1.45 * reach / 10.0**exponent)
+            if first is None:
+                ax.set_ylabel(f"residual ({scaled_unit(exponent, found.unit)})")
+                few_ticks(ax.yaxis, 5)
+            else:
+                ax.tick_params(labelleft=False)
+            first = first or ax
+    return figure
+
+
+def _draw_correlation(ax: Axes, fit: Fit, found: ResidualAnalysis) -> None:
+    period = fit.target.likelihood.outputs[0].period
+    ax.axhline(0.0, color="0.6", linewidth=0.5)
+    ax.fill_between(
+        found.lags, -found.white, found.white, color=BAND, linewidth=0.0, gid="white",
+        label="95 % of white residuals",
+    )  # fmt: skip
+    ax.vlines(found.lags, 0.0, found.correlation, color=PALETTE[0], linewidth=0.8)
+    ax.plot(
+        found.lags, found.correlation, color=PALETTE[0], linestyle="none", marker="o",
+        markersize=2.2, gid="correlation",
+    )  # fmt: skip
+    if found.innovations is not None:
+        ax.plot(
+            found.lags + 0.3,
+            found.innovations,
+            color=PALETTE[2],
+            linestyle="none",
+            marker="s",
+            markersize=2.2,
+            markerfacecolor="white",
+            label="innovations: what the noise model leaves",
+            gid="innovations",
+        )
+    inner = found.correlation if found.innovations is None else found.innovations
+    every = np.concatenate([found.correlation, inner])
+    low, high = float(every.min(initial=0.0)), float(every.max(initial=0.0))
+    ax.set_ylim(min(-0.2, 1.2 * low), max(0.3, 1.2 * high))
+    ax.set_xlim(0.0, float(found.lags.max(initial=1.0)) + 1.0)
+    ax.set_xlabel(f"lag (outputs, {1e3 * period:.3g} ms each)")
+    ax.set_ylabel("autocorrelation (–)")
+    few_ticks(ax.xaxis, 8)
+    few_ticks(ax.yaxis, 5)
+    ax.legend(loc="upper right", handlelength=1.6, borderpad=0.2)
+
+
+def _draw_quantiles(ax: Axes, found: ResidualAnalysis) -> None:
+    reach = 1.08 * float(np.abs(found.normal).max(initial=1.0))
+    ax.plot([-reach, reach], [-reach, reach], color=PALETTE[2], linestyle=(0, (4.0, 1.5)))
+    ax.plot(
+        found.normal, found.quantiles, color=MEASURED, linestyle="none", marker=".",
+        markersize=2.2, gid="quantiles",
+    )  # fmt: skip
+    ax.set_xlim(-reach, reach)
+    ax.set_xlabel("quantile of a normal (sd)")
+    ax.set_ylabel(f"of {'residuals' if found.innovations is None else 'innovations'} (rms)")
+    few_ticks(ax.xaxis, 5)
+    few_ticks(ax.yaxis, 5)
+
+
+def _draw_binned(ax: Axes, b: Binned, factor: float) -> None:
+    ax.axhline(0.0, color="0.6", linewidth=0.5)
+    ax.errorbar(
+        b.centre, b.mean / factor, yerr=b.sd / factor, color=PALETTE[3], linestyle="none",
+        elinewidth=0.8, gid="spread",
+    )  # fmt: skip
+    ax.errorbar(
+        b.centre, b.mean / factor, yerr=_HALF * b.error / factor, color=PALETTE[0],
+        linestyle="none", marker="o", markersize=2.4, elinewidth=1.6, gid="mean",
+    )  # fmt: skip
+    ax.set_xlabel(f"{b.what} ({b.unit})")
+    few_ticks(ax.xaxis, 5)
+    strange = "" if b.by_chance else ", NOT chance"
+    ax.text(
+        0.03, 0.96, f"{100 * b.explained:.2g} % of variance{strange}", ha="left", va="top",
+        fontsize=SMALL, transform=ax.transAxes,
+    )  # fmt: skip

@@ -1,0 +1,119 @@
+"""The draws of a finished run, read back from ``posterior.nc`` and checked against its summary."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.derived import derive
+from bayesfric.report.summary.read_back import PosteriorRow, RunSummary
+
+Array = NDArray[np.float64]
+
+# More draws change no curve that could be seen.
+_MOST = 200_000
+# Medians of the same draws are the same; other draws of the same posterior are closer than this.
+_NEAR = 0.1  # sds
+
+
+@dataclass(frozen=True)
+class RunDraws:
+    """What a run drew.
+
+    Attributes
+    ----------
+    values
+        ``(n,)`` draws in the quantity's unit, by its name: the sampled parameters and the
+        derived quantities that no scaling of leg parameters and alpha changes.
+    missing
+        Why there are none, in words that follow the run's name; empty if there are.
+    """
+
+    values: Mapping[str, Array] = field(default_factory=dict)
+    missing: str = ""
+
+
+def read_draws(run: Path, summary: RunSummary, rebuild: Callable[[str], Chain | None]) -> RunDraws:
+    """Read the draws of what a summary tells.
+
+    Draws that do not have the summary's medians are not its own, and left out. Totals as
+    least squares would see them need the recordings and are never among them.
+
+    Parameters
+    ----------
+    run
+        A run directory.
+    summary
+        Its summary, checked.
+    rebuild
+        Makes the chain from the text of the run's configuration, ``None`` where it cannot;
+        derived quantities are left out then.
+    """
+    path = run / "posterior.nc"
+    if not path.is_file():
+        return RunDraws(missing="has no posterior.nc")
+    try:
+        with h5py.File(path) as file:
+            group = file["posterior"]
+            known = {**summary.derived, **summary.parameters}
+            found = {name: _flat(group[name]) for name in known if name in group}
+            config = str(file.attrs.get("config", ""))
+    except (OSError, KeyError, TypeError, ValueError, AttributeError):
+        return RunDraws(missing="has a posterior.nc that cannot be read")
+    sampled = {name: x for name, x in found.items() if name in summary.parameters}
+    if not sampled:
+        return RunDraws(missing="has a posterior.nc that holds none of its parameters")
+    if not all(_same(x, summary.parameters[name]) for name, x in sampled.items()):
+        return RunDraws(missing="has a posterior.nc of other draws than its summary.json")
+    for name, x in _derived(rebuild(config), sampled, summary).items():
+        found.setdefault(name, x)
+    rows = {**summary.derived, **summary.parameters}
+    return RunDraws({name: x for name, x in found.items() if _same(x, rows[name])})
+
+
+def _flat(stored: Any) -> Array:
+    """Lay chains and draws of a data set out in a row, evenly thinned where there are many."""
+    x = np.asarray(stored[()], dtype=np.float64).ravel()
+    if x.size == 0:
+        raise ValueError("no draws")
+    return x[:: -(-x.size // _MOST)]
+
+
+def _same(x: Array, row: PosteriorRow) -> bool:
+    """Whether draws may be those that a row sums up."""
+    x = x[np.isfinite(x)]
+    if x.size == 0:
+        return False
+    # the mean of a ratio may not settle, its median does
+    told, found = (row.mean, x.mean()) if row.median is None else (row.median, np.median(x))
+    return bool(abs(found - told) <= _NEAR * row.sd + 1e-9 * abs(told))
+
+
+def _derived(
+    chain: Chain | None, sampled: Mapping[str, Array], summary: RunSummary
+) -> dict[str, Array]:
+    """Derive what no scaling changes, draw by draw."""
+    if chain is None:
+        return {}
+    known = {name: row.value for name, row in summary.fixed.items()}
+    # recordings with an offset each are named by the draws, not by the configuration
+    own = [name.partition(".")[2] for name in (*sampled, *known) if name.startswith("offset.")]
+    if own:
+        chain = replace(chain, own_offsets=tuple(own))
+    n = {x.size for x in sampled.values()}
+    if len(n) != 1 or not all(name in sampled or name in known for name in chain.names):
+        return {}
+    columns = [
+        sampled[name] if name in sampled else np.full(max(n), known[name]) for name in chain.names
+    ]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # at no load: efficiencies change with the scale anyway
+        found = derive(chain, np.stack(columns, axis=1), 0.0)
+    return {q.name: q.values for q in found if q.gauge_free and q.name in summary.derived}

@@ -1,0 +1,150 @@
+"""Held-out torque in its predicted band, and whether bands cover what they say."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from bayesfric.inference.fit import Fit
+from bayesfric.inference.predictive import Prediction
+from bayesfric.report.figures.over_time import as_pixels, broken, draw_band, draw_measured
+from bayesfric.report.figures.style import (
+    BAND,
+    COLUMN,
+    PALETTE,
+    SMALL,
+    Array,
+    few_ticks,
+    paper_style,
+    shortened,
+)
+from bayesfric.report.summary.validation import covered
+
+_LEVEL = 0.9
+_BINS = 10
+_HEIGHT = 4.6
+
+
+def validation_figure(fit: Fit, summary: Mapping[str, Any]) -> Figure | None:
+    """Draw how well what was held out is predicted.
+
+    Above, over time, the measured torque of the part whose 90 % bands cover the share furthest
+    from 90 %, that band, and the residual. Below, of all parts together: the probability integral
+    transform, whose bars are level where predictions are right and heap up at both ends where
+    they are too narrow; and the share of outputs inside intervals of every level, with two
+    standard errors at three of them.
+
+    Parameters
+    ----------
+    fit
+        A finished fit.
+    summary
+        From :func:`bayesfric.report.summary.summary.summarise`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure or None
+        A column wide; ``None`` where nothing was held out.
+    """
+    if not fit.held_out:
+        return None
+    pits = [p.pit for p in fit.held_out]
+    off = [abs(covered(pit, _LEVEL).mean() - _LEVEL) for pit in pits]
+    worst = fit.held_out[int(np.argmax(off))]
+    outputs = fit.target.likelihood.outputs[0]
+    with paper_style():
+        figure = Figure(figsize=(COLUMN, _HEIGHT))
+        grid = figure.add_gridspec(
+            2, 1, left=0.16, right=0.97, bottom=0.08, top=0.925, hspace=0.2, height_ratios=(1.9, 1)
+        )
+        upper = grid[0].subgridspec(2, 1, hspace=0.08, height_ratios=(1.5, 1.0))
+        above = figure.add_subplot(upper[0])
+        beneath = figure.add_subplot(upper[1], sharex=above)
+        _torque(above, beneath, worst)
+        above.set_ylabel(f"{outputs.quantity} ({outputs.unit})")
+        beneath.set_ylabel(f"residual ({outputs.unit})")
+        beneath.set_xlabel("time (s)")
+        above.tick_params(labelbottom=False)
+        figure.align_ylabels([above, beneath])
+        figure.legend(
+            *above.get_legend_handles_labels(),
+            loc="upper left",
+            bbox_to_anchor=(0.14, 1.0),
+            ncols=2,
+            borderaxespad=0.2,
+            borderpad=0.2,
+        )
+        words = f"{shortened(worst.held_out.name)}, {worst.held_out.part}"
+        if len(fit.held_out) > 1:
+            words += f" (furthest off of {len(fit.held_out)})"
+        above.set_title(words, fontsize=SMALL, pad=2.5)
+        lower = grid[1].subgridspec(1, 2, wspace=0.42)
+        every = np.concatenate(pits)
+        _transform(figure.add_subplot(lower[0]), every)
+        _coverage(figure.add_subplot(lower[1]), summary["validation"]["pooled"], every)
+    return figure
+
+
+def _torque(above: Axes, beneath: Axes, p: Prediction) -> None:
+    """Draw the torque, and what is left of it, for its own scale hides a good fit's band."""
+    o, mean = p.held_out.observation, p.mean
+    ends = [p.quantile(0.5 - _LEVEL / 2.0), p.quantile(0.5 + _LEVEL / 2.0)]
+    for ax, less in ((above, 0.0), (beneath, mean)):
+        low, high = (end - less for end in ends)
+        draw_band(ax, o, low, high, label=f"predicted, {100 * _LEVEL:.0f} % band", gid="band")
+        time, measured = broken(o, p.measured - less)
+        draw_measured(
+            ax,
+            time,
+            measured,
+            linewidth=0.6,
+            pixels=as_pixels(o),
+            marker="." if time.size < 400 else None,
+            label="measured, held out",
+            gid="measured",
+        )
+        ax.set_xlim(float(o.time.min()), float(o.time.max()))
+        few_ticks(ax.yaxis, 5)
+    few_ticks(above.xaxis, 6)
+
+
+def _transform(ax: Axes, pit: Array) -> None:
+    counts, edges = np.histogram(pit, bins=_BINS, range=(0.0, 1.0))
+    ax.stairs(
+        counts * _BINS / pit.size, edges, fill=True, color=BAND, edgecolor=PALETTE[1], gid="pit"
+    )
+    ax.axhline(1.0, color=PALETTE[2], linewidth=0.9, linestyle=(0, (4.0, 1.5)))
+    ax.set_xlim(0.0, 1.0)
+    ax.set_xlabel("predicted probability of less")
+    ax.set_ylabel("density")
+    ax.set_xticks([0.0, 0.5, 1.0], labels=["0", "0.5", "1"])
+    few_ticks(ax.yaxis, 4)
+
+
+def _coverage(ax: Axes, pooled: Mapping[str, Any], pit: Array) -> None:
+    levels = np.linspace(0.0, 1.0, 101)
+    # an interval of probability one covers everything
+    shares = [100.0 * covered(pit, level).mean() for level in levels]
+    ax.plot([0.0, 100.0], [0.0, 100.0], color=PALETTE[2], linewidth=0.9, linestyle=(0, (4.0, 1.5)))
+    ax.plot(100.0 * levels, shares, color=PALETTE[1], gid="coverage")
+    for level, one in pooled["coverage"].items():
+        ax.errorbar(
+            100.0 * float(level),
+            100.0 * one["share"],
+            yerr=200.0 * one["standard_error"],
+            color=PALETTE[0],
+            linewidth=0.8,
+            marker="o",
+            markersize=2.5,
+            capsize=1.5,
+        )
+    ax.set_xlim(0.0, 103.0)
+    ax.set_ylim(0.0, 105.0)
+    ax.set_xlabel("predicted (%)")
+    ax.set_ylabel("inside (%)")
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_ticks([0.0, 50.0, 100.0])

@@ -1,0 +1,230 @@
+"""How well a posterior predicts what its likelihood did not see, in numbers and words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from bayesfric.estimates.information import lag_one, long_run_variance
+from bayesfric.estimates.torque import places
+from bayesfric.inference.fit import Fit
+from bayesfric.inference.likelihood import Outputs
+from bayesfric.inference.predictive import Prediction
+from bayesfric.inference.residual_moments import follows
+from bayesfric.report.summary.noise import mean_lag
+
+Array = NDArray[np.float64]
+
+LEVELS = (0.5, 0.9, 0.99)
+# Coverage of the 90 % intervals that passes.
+_JUDGED, _PASSES = 0.9, (0.85, 0.95)
+# Standard errors beyond those limits that make a verdict.
+_SURE = 2.0
+# Level of the interval of the discrepancy.
+_LEVEL = 0.9
+
+
+@dataclass(frozen=True)
+class Share:
+    """A share of correlated outputs.
+
+    Attributes
+    ----------
+    value
+        The share.
+    error
+        Its standard error.
+    effective
+        Number of independent outputs that would tell as much.
+    """
+
+    value: float
+    error: float
+    effective: float
+
+
+def share_of(inside: NDArray[np.bool_], at: NDArray[np.int64], fallback: Array) -> Share:
+    """Count a share, with a standard error that knows that neighbours go together.
+
+    The variance of the sum comes from the autocorrelation of the indicator (Andrews,
+    Econometrica 59, 1991), never less than for independent outputs. The error is that of
+    Agresti and Coull (The American Statistician 52, 1998) for the effective number,
+    which does not vanish where all outputs or none are inside.
+
+    Parameters
+    ----------
+    inside
+        ``(M,)``
+    at
+        ``(M,)`` place of each on an even grid of time.
+    fallback
+        ``(M,)`` of mean zero, whose correlation counts where the indicator never changes.
+    """
+    n = inside.size
+    share = float(inside.mean())
+    series: Array = inside.astype(np.float64) - share if 0.0 < share < 1.0 else fallback
+    power = float(series @ series)
+    inflation = long_run_variance(series, at) / power if power > 0.0 else 1.0
+    effective = n / max(inflation, 1.0)
+    middle = (share * effective + 2.0) / (effective + 4.0)
+    return Share(share, math.sqrt(middle * (1.0 - middle) / (effective + 4.0)), effective)
+
+
+def covered(pit: Array, level: float) -> NDArray[np.bool_]:
+    """Tell which outputs lie in their central interval of probability ``level``."""
+    return np.asarray(np.abs(pit - 0.5) <= level / 2.0)
+
+
+def validation_record(fit: Fit) -> dict[str, Any]:
+    """Put predictions of what was held out beside what was measured, for ``summary.json``.
+
+    Parameters
+    ----------
+    fit
+        With something held out.
+
+    Returns
+    -------
+    dict
+        Numbers of each held-out part, by recording in ``parts``, and of all, in ``pooled``.
+    """
+    outputs = fit.target.likelihood.outputs[0]
+    borrowed = sorted({what for p in fit.held_out for what in p.borrowed})
+    how = (
+        "each output by itself: every draw's inverse model along the measured motion, and one "
+        "residual of its noise, whose memory of neighbouring outputs is not used"
+    )
+    if borrowed:
+        how += (
+            f"; the {' and the '.join(borrowed)} of a recording held out whole is that of a "
+            "fitted one, picked at random for each draw"
+        )
+    return {
+        "predictive": how,
+        "quantity": outputs.quantity,
+        "unit": outputs.unit,
+        "parts": {
+            p.held_out.name: {
+                "held_out": p.held_out.part,
+                "from": float(p.held_out.observation.time[0]),
+                "to": float(p.held_out.observation.time[-1]),
+                **_numbers([p], outputs),
+            }
+            for p in fit.held_out
+        },
+        "pooled": _numbers(fit.held_out, outputs),
+    }
+
+
+def _numbers(predictions: Sequence[Prediction], outputs: Outputs) -> dict[str, Any]:
+    observations = [p.held_out.observation for p in predictions]
+    at = places(observations)
+    pit = np.concatenate([p.pit for p in predictions])
+    residuals = [p.measured - p.mean for p in predictions]
+    residual = np.concatenate(residuals)
+    variance = np.concatenate([p.variance for p in predictions])
+    # a Student-t may have no variance
+    finite = bool(np.isfinite(variance).all())
+    standard = residual / np.sqrt(variance) if finite else residual / _rms(residual)
+    centred = standard - standard.mean()
+    shares = {level: share_of(covered(pit, level), at, centred) for level in LEVELS}
+    lags = [lag_one(r, follows(o)) for r, o in zip(residuals, observations, strict=True)]
+    numbers: dict[str, Any] = {
+        "outputs": residual.size,
+        "coverage": {
+            f"{level:g}": {
+                "share": s.value,
+                "standard_error": s.error,
+                "effective_outputs": s.effective,
+            }
+            for level, s in shares.items()
+        },
+        "residual_rms": _rms(residual),
+        "predictive_sd": math.sqrt(float(variance.mean())) if finite else None,
+        "mean_standardised": float(standard.mean()) if finite else None,
+        "mean_standardised_error": (
+            math.sqrt(long_run_variance(centred, at)) / residual.size if finite else None
+        ),
+        "residual_lag1": mean_lag(lags, residuals),
+        "log_score": float(np.mean(np.concatenate([p.log_score for p in predictions]))),
+        "discrepancy": _discrepancy(residual**2 - variance, at) if finite else None,
+    }
+    numbers["verdict"], numbers["says"] = _verdict(numbers, shares[_JUDGED], outputs)
+    return numbers
+
+
+def _discrepancy(excess: Array, at: NDArray[np.int64]) -> dict[str, Any]:
+    """Root of the mean squared residual beyond the predictive variance, with its interval."""
+    mean = float(excess.mean())
+    error = math.sqrt(long_run_variance(excess - mean, at)) / excess.size
+    reach = float(ndtri(0.5 + _LEVEL / 2.0)) * error
+    low, value, high = (math.sqrt(max(x, 0.0)) for x in (mean - reach, mean, mean + reach))
+    return {"value": value, "interval": [low, high], "level": _LEVEL}
+
+
+def _verdict(numbers: Mapping[str, Any], share: Share, outputs: Outputs) -> tuple[str, str]:
+    said = f"90 % intervals cover {_percent(share)} of the held-out {outputs.quantity}"
+    low, high = _PASSES
+    if low <= share.value <= high:
+        return "covered", said
+    reach = _SURE * share.error
+    if low <= share.value + reach and share.value - reach <= high:
+        return "undecided", (
+            f"{said}: these {numbers['outputs']} outputs tell as much as "
+            f"{share.effective:.0f} independent ones, too few to call that off"
+        )
+    rms, sd, unit = numbers["residual_rms"], numbers["predictive_sd"], outputs.unit
+    if share.value > high:
+        beside = f" (rms {rms:.3g} against {sd:.3g} {unit})" if sd is not None else ""
+        return "too wide", f"{said}: it scatters less than predicted{beside}"
+    beyond = numbers["discrepancy"]
+    if beyond is not None and beyond["interval"][0] > 0.0:
+        first, last = beyond["interval"]
+        return "model discrepancy", (
+            f"{said}: it is off by {beyond['value']:.3g} {unit} [{first:.3g}, {last:.3g}] more "
+            "than noise and posterior explain"
+        )
+    return "model discrepancy", (
+        f"{said}: not that it is off by more than predicted in the mean, but by much at some "
+        "times and little at others, as no noise of one size is"
+    )
+
+
+def validation_lines(record: Mapping[str, Any]) -> Iterator[str]:
+    """Word what was held out and how well it was predicted, for a person."""
+    parts, pooled = record["parts"], record["pooled"]
+    whole = sum(part["held_out"] == "whole recording" for part in parts.values())
+    kinds = [f"{whole} whole recording{'s' if whole != 1 else ''}"] if whole else []
+    if ends := len(parts) - whole:
+        share = next(p["held_out"] for p in parts.values() if p["held_out"] != "whole recording")
+        kinds.append(f"the {share} of {ends} recording{'s' if ends != 1 else ''}")
+    yield f"Held out: {' and '.join(kinds)}, {pooled['outputs']} outputs"
+    yield f"  {pooled['verdict']}: {pooled['says']}"
+    others = [
+        f"{100 * float(level):g} %: {_percent(Share(c['share'], c['standard_error'], 0.0))}"
+        for level, c in pooled["coverage"].items()
+        if float(level) != _JUDGED
+    ]
+    yield f"  coverage of others: {', '.join(others)}"
+    if pooled["predictive_sd"] is not None:
+        yield (
+            f"  residual rms {pooled['residual_rms']:.4g} {record['unit']}, predicted "
+            f"{pooled['predictive_sd']:.4g} {record['unit']}"
+        )
+    for name, part in parts.items():
+        if len(parts) > 1 and part["verdict"] not in ("covered", "undecided"):
+            yield f"  {name}: {part['verdict']}, {part['says']}"
+
+
+def _percent(share: Share) -> str:
+    return f"{100 * share.value:.1f} ± {100 * share.error:.1f} %"
+
+
+def _rms(x: Array) -> float:
+    return math.sqrt(float(np.mean(x**2)))
