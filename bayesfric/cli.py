@@ -18,7 +18,7 @@ import bayesfric
 from bayesfric.errors import BadInput, Interrupted
 
 if TYPE_CHECKING:
-    from bayesfric.inference.sampling import Progress
+    from bayesfric.inference.sampling.sampling import Progress
 
 # Commands import what they need when they run, so that --help answers at once.
 app = typer.Typer(
@@ -122,7 +122,7 @@ def estimate(
     from bayesfric.commands.problem import read_problem
     from bayesfric.config import read_config
     from bayesfric.estimates.estimate import METHODS
-    from bayesfric.inference.sampling import phase
+    from bayesfric.inference.sampling.sampling import phase
 
     problem = read_problem(read_config(config))
     wanted = [name for name in METHODS if method in (MethodChoice.all, name)]
@@ -153,7 +153,7 @@ def identify(
     from bayesfric.commands.identify import identification, identify_record, identify_text
     from bayesfric.commands.problem import read_problem
     from bayesfric.config import read_config
-    from bayesfric.inference.sampling import phase
+    from bayesfric.inference.sampling.sampling import phase
 
     if advise is not None:
         _advise(config, advise, output, force, as_json)
@@ -180,7 +180,7 @@ def _advise(config: Path, name: str, output: Path | None, force: bool, as_json: 
     )
     from bayesfric.commands.problem import read_problem
     from bayesfric.config import read_config
-    from bayesfric.inference.sampling import phase
+    from bayesfric.inference.sampling.sampling import phase
 
     problem = read_problem(read_config(config))
     path = advice_file(name, output, force=force)

@@ -17,11 +17,11 @@ from bayesfric.complaints import complaint, complaint_of
 from bayesfric.errors import BadInput
 from bayesfric.estimates.options import Estimation, Reference
 from bayesfric.identifiability.options import AdviceOptions
-from bayesfric.inference.likelihood import LikelihoodMethod
-from bayesfric.inference.noise import NoiseScale
-from bayesfric.inference.noise_choice import MOST
-from bayesfric.inference.priors import PriorText
-from bayesfric.inference.sampling import Sampling
+from bayesfric.inference.likelihood.likelihood import LikelihoodMethod
+from bayesfric.inference.likelihood.noise_choice import MOST
+from bayesfric.inference.prior.noise import NoiseScale
+from bayesfric.inference.prior.priors import PriorText
+from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.options import MechanismOptions
 from bayesfric.recordings.held_out import Validation

@@ -15,9 +15,9 @@ from bayesfric.commands.unfinished import Unfinished, unfinished
 from bayesfric.config import Config
 from bayesfric.errors import BadInput
 from bayesfric.inference.fit import fit as fit_target
-from bayesfric.inference.noise_choice import Choice
+from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.inference.predictive import predict_held_out
-from bayesfric.inference.sampling import Progress, phase
+from bayesfric.inference.sampling.sampling import Progress, phase
 from bayesfric.inference.target import Target
 from bayesfric.report.run_directory import check_free, write_run
 from bayesfric.report.summary.bounds import bound_mend, told_by_data

@@ -13,7 +13,7 @@ from bayesfric.config import LikelihoodOptions, NoiseOptions
 from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.options import Estimation
 from bayesfric.identifiability.options import AdviceOptions
-from bayesfric.inference.sampling import Sampling
+from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.presets import PRESETS

@@ -14,11 +14,11 @@ from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.inference.fit import make_target, read_priors, target_of
-from bayesfric.inference.noise_choice import MOST, Choice, choose_order
-from bayesfric.inference.position_likelihood import PositionLikelihood
-from bayesfric.inference.priors import Prior
-from bayesfric.inference.residual_moments import follows
-from bayesfric.inference.residual_noise import Autoregressive, ResidualNoise, StudentT
+from bayesfric.inference.likelihood.noise_choice import MOST, Choice, choose_order
+from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
+from bayesfric.inference.likelihood.residual_noise import Autoregressive, ResidualNoise, StudentT
+from bayesfric.inference.moments.residual_moments import follows
+from bayesfric.inference.prior.priors import Prior
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.derived import derive

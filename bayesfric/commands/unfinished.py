@@ -16,8 +16,8 @@ from bayesfric.commands.lock import Taken, alone_in
 from bayesfric.commands.problem import Problem
 from bayesfric.commands.signals import Asked, asked_to_stop
 from bayesfric.errors import BadInput, Interrupted
-from bayesfric.inference.checkpoint import Checkpoint
-from bayesfric.inference.sampling import Sampling
+from bayesfric.inference.sampling.checkpoint import Checkpoint
+from bayesfric.inference.sampling.sampling import Sampling
 
 
 class Unfinished:

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.identifiability.local import LocalInformation, jacobian_of, units_of
-from bayesfric.inference.autoregression import burg
+from bayesfric.inference.likelihood.autoregression import burg
+from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.target import Target
-from bayesfric.inference.torque_likelihood import TorqueLikelihood
 
 Array = NDArray[np.float64]
 Origin = Literal["estimate", "data and prior", "prior"]

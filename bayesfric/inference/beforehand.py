@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from bayesfric.estimates.knowledge import Knowledge
-from bayesfric.inference.priors import Prior
+from bayesfric.inference.prior.priors import Prior
 from bayesfric.mechanism.chain import Chain
 
 # Distributions that state no value, only a range.

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_expit, ndtr, ndtri
 
-from bayesfric.inference.priors import Prior
+from bayesfric.inference.prior.priors import Prior
 from bayesfric.mechanism.chain import Chain
 
 Array = NDArray[np.float64]

@@ -11,18 +11,18 @@ from numpy.typing import NDArray
 from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.estimate import Estimate
 from bayesfric.estimates.least_squares import least_squares, starting_values
-from bayesfric.inference.checkpoint import Checkpoint
-from bayesfric.inference.defaults import default_noise_prior, default_prior, measured_scales
-from bayesfric.inference.likelihood import Likelihood
-from bayesfric.inference.noise import NoiseScale, noise_model, support
+from bayesfric.inference.likelihood.likelihood import Likelihood
+from bayesfric.inference.likelihood.residual_noise import ResidualNoise
+from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.predictive import Prediction
-from bayesfric.inference.priors import Prior, PriorText, read_prior
-from bayesfric.inference.residual_noise import ResidualNoise
-from bayesfric.inference.sampling import Progress, Sampling, sample
-from bayesfric.inference.start import CLIMBS, Start, climb, gauss_newton
+from bayesfric.inference.prior.defaults import default_noise_prior, default_prior, measured_scales
+from bayesfric.inference.prior.noise import NoiseScale, noise_model, support
+from bayesfric.inference.prior.priors import Prior, PriorText, read_prior
+from bayesfric.inference.sampling.checkpoint import Checkpoint
+from bayesfric.inference.sampling.sampling import Progress, Sampling, sample
+from bayesfric.inference.sampling.start import CLIMBS, Start, climb, gauss_newton
 from bayesfric.inference.target import Target
-from bayesfric.inference.torque_likelihood import TorqueLikelihood
 from bayesfric.mechanism.chain import Chain
 from bayesfric.recordings.observation import Observation
 
@@ -194,7 +194,7 @@ def fit(
     progress
         Called as sampling goes on.
     checkpoint
-        See :func:`bayesfric.inference.sampling.sample`.
+        See :func:`bayesfric.inference.sampling.sampling.sample`.
 
     Raises
     ------

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.inference.priors import Prior
+from bayesfric.inference.prior.priors import Prior
 
 Status = Literal["reliable", "tentative", "unusable"]
 
@@ -40,7 +40,7 @@ class Diagnostics:
         Wall-clock time of sampling.
     not_finite_share
         Share of places beside the posterior where the likelihood is no number; see
-        :mod:`bayesfric.inference.no_number`.
+        :mod:`bayesfric.inference.sampling.no_number`.
     warnings
         What to know of a sample that has converged, with the mend.
     """

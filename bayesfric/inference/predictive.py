@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from bayesfric.estimates.torque import filtered_torque
+from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.target import Target
-from bayesfric.inference.torque_likelihood import TorqueLikelihood
 from bayesfric.recordings.held_out import HeldOut
 
 Array = NDArray[np.float64]

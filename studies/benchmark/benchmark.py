@@ -30,11 +30,11 @@ from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import least_squares
 from bayesfric.estimates.options import Estimation
-from bayesfric.inference.fast_moments import fast_moments
 from bayesfric.inference.fit import fit, target_of
-from bayesfric.inference.priors import read_prior
-from bayesfric.inference.residual_noise import Autoregressive
-from bayesfric.inference.sampling import Progress, Sampling
+from bayesfric.inference.likelihood.residual_noise import Autoregressive
+from bayesfric.inference.moments.fast_moments import fast_moments
+from bayesfric.inference.prior.priors import read_prior
+from bayesfric.inference.sampling.sampling import Progress, Sampling
 from bayesfric.inference.target import Target
 
 # any first moment: it sets the scale that no torque tells, and where the search begins

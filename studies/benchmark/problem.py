@@ -26,8 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.inference.fit import make_target
-from bayesfric.inference.priors import Prior, read_prior
-from bayesfric.inference.start import climb, gauss_newton
+from bayesfric.inference.prior.priors import Prior, read_prior
+from bayesfric.inference.sampling.start import climb, gauss_newton
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.experiment import Simulation, record

@@ -32,11 +32,11 @@ from numpy.typing import NDArray
 from ranks import summary_of
 
 from bayesfric.estimates.torque import filtered_torque
-from bayesfric.inference import sampling
 from bayesfric.inference.fit import fit, make_target
-from bayesfric.inference.priors import Prior, read_prior
-from bayesfric.inference.residual_noise import Autoregressive, ResidualNoise, StudentT
-from bayesfric.inference.sampling import Sampling
+from bayesfric.inference.likelihood.residual_noise import Autoregressive, ResidualNoise, StudentT
+from bayesfric.inference.prior.priors import Prior, read_prior
+from bayesfric.inference.sampling import sampling
+from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.experiment import Simulation, record

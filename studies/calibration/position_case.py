@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.inference.fit import target_of
-from bayesfric.inference.position_likelihood import PositionLikelihood
-from bayesfric.inference.priors import Prior, read_prior
+from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
+from bayesfric.inference.prior.priors import Prior, read_prior
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.experiment import Simulation, record

@@ -13,8 +13,8 @@ import numpy as np
 from bayesfric.commands.problem import read_problem
 from bayesfric.config import parse_config
 from bayesfric.estimates.least_squares import TotalsProjection
-from bayesfric.inference.autoregression import burg, ljung_box, whitened
-from bayesfric.inference.residual_moments import follows
+from bayesfric.inference.likelihood.autoregression import burg, ljung_box, whitened
+from bayesfric.inference.moments.residual_moments import follows
 
 CONFIG = Path(__file__).resolve().parent / "emps-white.toml"
 CHOICES = ((10, 100), (20, 100), (25, 100), (40, 100), (40, 25), (100, 100))

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from bayesfric.inference.autoregression import simulated
+from bayesfric.inference.likelihood.autoregression import simulated
 
 from .bench import SMALL, has
 

@@ -20,8 +20,8 @@ from bayesfric.commands.fit import fit
 from bayesfric.commands.lock import Taken, alone_in
 from bayesfric.config import read_config
 from bayesfric.errors import BadInput, Interrupted
-from bayesfric.inference import checkpoint, step_file
 from bayesfric.inference.archive import read_archive
+from bayesfric.inference.sampling import checkpoint, step_file
 from bayesfric.report import run_directory
 from tests.conftest import REPOSITORY
 
@@ -177,7 +177,7 @@ def test_what_is_refused(here, whole):
 
 def test_other_code_is_refused(here, whole, monkeypatch):
     stopped(here.folder, blocks(whole)[6])
-    from bayesfric.inference.joint_prior import JointPrior
+    from bayesfric.inference.prior.joint_prior import JointPrior
 
     original = JointPrior.log_density
     monkeypatch.setattr(JointPrior, "log_density", lambda self, x: original(self, x) + 1e-3)

@@ -13,7 +13,7 @@ from bayesfric.identifiability.influence import (
     sensitivity,
 )
 from bayesfric.inference.fit import fit, make_target, read_priors
-from bayesfric.inference.sampling import Sampling
+from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
 
 AXIS = PRESETS["motor-axis"]

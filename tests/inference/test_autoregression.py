@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import linalg, stats
 
-from bayesfric.inference.autoregression import (
+from bayesfric.inference.likelihood.autoregression import (
     autocovariance,
     burg,
     ljung_box,
@@ -17,8 +17,8 @@ from bayesfric.inference.autoregression import (
     variances,
     whitened,
 )
-from bayesfric.inference.residual_moments import Moments
-from bayesfric.inference.residual_noise import Autoregressive, StudentT
+from bayesfric.inference.likelihood.residual_noise import Autoregressive, StudentT
+from bayesfric.inference.moments.residual_moments import Moments
 
 partials = st.lists(st.floats(-0.95, 0.95), min_size=0, max_size=4).map(np.array)
 

@@ -6,7 +6,7 @@ import pytest
 
 from bayesfric.inference.beforehand import beforehand
 from bayesfric.inference.fit import read_priors
-from bayesfric.inference.priors import read_prior
+from bayesfric.inference.prior.priors import read_prior
 from bayesfric.mechanism.presets import PRESETS
 
 AXIS = PRESETS["motor-axis"]

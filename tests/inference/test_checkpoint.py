@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 
 from bayesfric.errors import BadInput
-from bayesfric.inference import checkpoint as module
-from bayesfric.inference import sampling, step_file
-from bayesfric.inference.checkpoint import Checkpoint
-from bayesfric.inference.sampling import Progress
-from bayesfric.inference.step_file import StepFile, Steps
+from bayesfric.inference.sampling import checkpoint as module
+from bayesfric.inference.sampling import sampling, step_file
+from bayesfric.inference.sampling.checkpoint import Checkpoint
+from bayesfric.inference.sampling.sampling import Progress
+from bayesfric.inference.sampling.step_file import StepFile, Steps
 from tests.conftest import REPOSITORY
 from tests.inference.two_valleys import FACTS, SETTINGS, TwoValleys, run
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from bayesfric.inference.convergence import (
+from bayesfric.inference.sampling.convergence import (
     autocorrelation,
     autocorrelation_time,
     effective_sample_size,

@@ -15,7 +15,7 @@ from bayesfric.inference.coordinates import (
     TorqueFormCoordinates,
     choose_coordinates,
 )
-from bayesfric.inference.priors import read_prior
+from bayesfric.inference.prior.priors import read_prior
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.options import ElementOptions, MechanismOptions
 from bayesfric.mechanism.presets import PRESETS

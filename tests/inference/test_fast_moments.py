@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian
 from bayesfric.estimates.torque_form import torque_form
-from bayesfric.inference.fast_moments import fast_moments
-from bayesfric.inference.linear_torque import linear_torque
-from bayesfric.inference.residual_moments import PlainMoments
-from bayesfric.inference.sign_region import SignRegion
-from bayesfric.inference.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.moments.fast_moments import fast_moments
+from bayesfric.inference.moments.linear_torque import linear_torque
+from bayesfric.inference.moments.residual_moments import PlainMoments
+from bayesfric.inference.moments.sign_region import SignRegion
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.presets import PRESETS
@@ -312,7 +312,7 @@ def test_many_vectors_in_threads_are_each_by_itself(cases):
 
 
 def test_too_many_uncertain_samples_make_the_region_smaller(make_observation, monkeypatch):
-    from bayesfric.inference import moment_matrices
+    from bayesfric.inference.moments import moment_matrices
 
     chain = KNEE.chain()
     o = make_observation(chain, KNEE.values, n=3000)
@@ -332,7 +332,7 @@ def test_too_many_uncertain_samples_make_the_region_smaller(make_observation, mo
 @pytest.mark.parametrize("factor", [1, 4])
 @pytest.mark.parametrize("order", [0, 2])
 def test_borders_of_chunks_show_nowhere(make_observation, monkeypatch, factor, order):
-    from bayesfric.inference import moment_matrices
+    from bayesfric.inference.moments import moment_matrices
 
     observations = knee_observations(make_observation, factor)
     monkeypatch.setattr(moment_matrices, "_CHUNK", 50)

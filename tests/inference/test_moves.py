@@ -5,15 +5,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayesfric.inference.convergence import autocorrelation_time
-from bayesfric.inference.moves import (
+from bayesfric.inference.sampling.convergence import autocorrelation_time
+from bayesfric.inference.sampling.moves import (
     DifferentialEvolutionMove,
     IndependenceMove,
     LearningMove,
     SurrogateMove,
 )
-from bayesfric.inference.proposal import Proposal
-from bayesfric.inference.surrogate import Surrogate
+from bayesfric.inference.sampling.proposal import Proposal
+from bayesfric.inference.sampling.surrogate import Surrogate
 
 
 def run(log_density, starts, moves, steps, seed=0):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from bayesfric.inference.autoregression import simulated
-from bayesfric.inference.noise_choice import choose_order
+from bayesfric.inference.likelihood.autoregression import simulated
+from bayesfric.inference.likelihood.noise_choice import choose_order
 
 FOLLOWS = np.ones(2999, dtype=bool)
 FOLLOWS[[500, 501, 1700]] = False

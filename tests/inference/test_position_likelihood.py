@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 from scipy.linalg import null_space
 
-from bayesfric.inference.position_likelihood import PositionLikelihood
+from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.experiment import Simulation, record

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayesfric.inference.autoregression import autocovariance
+from bayesfric.inference.likelihood.autoregression import autocovariance
+from bayesfric.inference.likelihood.residual_noise import Autoregressive, StudentT
 from bayesfric.inference.predictive import Prediction, predict_held_out
-from bayesfric.inference.residual_noise import Autoregressive, StudentT
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.held_out import HeldOut
 from tests.report.conftest import NOISE, build

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from bayesfric.errors import BadInput
-from bayesfric.inference.defaults import Scales, default_noise_prior, default_prior
-from bayesfric.inference.priors import read_prior
+from bayesfric.inference.prior.defaults import Scales, default_noise_prior, default_prior
+from bayesfric.inference.prior.priors import read_prior
 from bayesfric.mechanism.presets import PRESETS
 
 INF = math.inf

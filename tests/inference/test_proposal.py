@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayesfric.inference.proposal import Proposal
+from bayesfric.inference.sampling.proposal import Proposal
 
 WIDE = 0.1  # share of the t, 5 degrees of freedom
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayesfric.estimates.torque import filtered_torque
-from bayesfric.inference.residual_moments import PlainMoments, Runs, follows
+from bayesfric.inference.moments.residual_moments import PlainMoments, Runs, follows
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.filters import ParallelFilter
 

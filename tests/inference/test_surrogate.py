@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayesfric.inference.surrogate import Surrogate
+from bayesfric.inference.sampling.surrogate import Surrogate
 
 
 def flat(u):

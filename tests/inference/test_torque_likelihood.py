@@ -6,7 +6,7 @@ from scipy import stats
 
 from bayesfric.errors import BadInput
 from bayesfric.inference.fit import make_target, read_priors
-from bayesfric.inference.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS
 

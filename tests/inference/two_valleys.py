@@ -11,9 +11,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from bayesfric.inference.checkpoint import Checkpoint
-from bayesfric.inference.sampling import Sampling, sample
-from bayesfric.inference.start import Start
+from bayesfric.inference.sampling.checkpoint import Checkpoint
+from bayesfric.inference.sampling.sampling import Sampling, sample
+from bayesfric.inference.sampling.start import Start
 
 SETTINGS = Sampling(seed=11, min_ess=1e6, max_steps=110, block=10, walkers=12, ensembles=2)
 FACTS = {"version": {"bayesfric": "0"}, "configuration": {"priors": {"x": [0.0, 1.0]}}}

@@ -14,8 +14,8 @@ from bayesfric.commands.problem import read_problem
 from bayesfric.commands.simulate import simulate
 from bayesfric.config import parse_config
 from bayesfric.inference.fit import fit, make_target
-from bayesfric.inference.priors import fixed
-from bayesfric.inference.start import climb
+from bayesfric.inference.prior.priors import fixed
+from bayesfric.inference.sampling.start import climb
 
 COLUMNS = """
 [[recordings]]

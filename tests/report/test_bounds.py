@@ -6,7 +6,7 @@ import pytest
 
 from bayesfric.commands.fit import fit_text
 from bayesfric.inference.fit import fit, make_target, read_priors
-from bayesfric.inference.sampling import Sampling
+from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.tables import parameter_table

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from bayesfric.inference.fit import fit, make_target, read_priors
-from bayesfric.inference.sampling import Sampling
+from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.figures.ridge import ridge, ridge_figure
 from bayesfric.report.figures.style import PAGE, save

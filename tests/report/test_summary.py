@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bayesfric.inference.fit import fit, make_target, read_priors
-from bayesfric.inference.sampling import Sampling
+from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.options import MechanismOptions
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.summary.residual_analysis import residuals

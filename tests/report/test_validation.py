@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesfric.inference.autoregression import autocovariance, simulated
 from bayesfric.inference.fit import make_target, read_priors
+from bayesfric.inference.likelihood.autoregression import autocovariance, simulated
+from bayesfric.inference.likelihood.residual_noise import StudentT
 from bayesfric.inference.predictive import predict_held_out
-from bayesfric.inference.residual_noise import StudentT
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.held_out import Validation, divide
 from bayesfric.recordings.options import Processing

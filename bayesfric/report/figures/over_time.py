@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from bayesfric.inference.likelihood import Outputs
+from bayesfric.inference.likelihood.likelihood import Outputs
 from bayesfric.recordings.observation import Observation
 from bayesfric.report.figures.style import BAND, MEASURED, Array
 

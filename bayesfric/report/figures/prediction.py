@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from scipy.special import ndtri
 
 from bayesfric.inference.fit import Fit
-from bayesfric.inference.likelihood import Outputs
+from bayesfric.inference.likelihood.likelihood import Outputs
 from bayesfric.report.figures.over_time import as_pixels, broken, draw_band, draw_measured
 from bayesfric.report.figures.style import (
     PAGE,

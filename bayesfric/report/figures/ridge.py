@@ -17,7 +17,7 @@ from matplotlib.patches import Patch
 
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.inference.fit import Fit
-from bayesfric.inference.priors import Prior, fixed
+from bayesfric.inference.prior.priors import Prior, fixed
 from bayesfric.mechanism.scaling import Scaling, scalings
 from bayesfric.report.figures.style import (
     PAGE,

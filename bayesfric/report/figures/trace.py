@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from bayesfric.inference.convergence import autocorrelation
 from bayesfric.inference.fit import Fit
+from bayesfric.inference.sampling.convergence import autocorrelation
 from bayesfric.report.figures.quantity import Quantity, not_shown, quantities
 from bayesfric.report.figures.style import PAGE, SMALL, Array, few_ticks, line_style, paper_style
 from bayesfric.report.summary.summary import LEVEL

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.estimates.information import CORRELATED, lag_one
-from bayesfric.inference.autoregression import ljung_box, predictors
 from bayesfric.inference.fit import Fit
-from bayesfric.inference.noise_choice import Choice
-from bayesfric.inference.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.likelihood.autoregression import ljung_box, predictors
+from bayesfric.inference.likelihood.noise_choice import Choice
+from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.mechanism.parameter import effort_words
 
 Array = NDArray[np.float64]

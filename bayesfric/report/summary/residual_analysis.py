@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from bayesfric.inference.fit import Fit
-from bayesfric.inference.likelihood import Outputs
-from bayesfric.inference.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.likelihood.likelihood import Outputs
+from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.mechanism.inverse import load_torque
 
 Array = NDArray[np.float64]

@@ -18,10 +18,10 @@ from bayesfric.estimates.torque import filtered_torque, typical_load
 from bayesfric.identifiability.influence import influence
 from bayesfric.identifiability.local import LocalInformation, local_information, verdict
 from bayesfric.inference.fit import Fit
-from bayesfric.inference.likelihood import Likelihood
-from bayesfric.inference.noise import support
-from bayesfric.inference.noise_choice import Choice
-from bayesfric.inference.position_likelihood import PositionLikelihood
+from bayesfric.inference.likelihood.likelihood import Likelihood
+from bayesfric.inference.likelihood.noise_choice import Choice
+from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
+from bayesfric.inference.prior.noise import support
 from bayesfric.mechanism.derived import Derived, derive
 from bayesfric.report.summary.bounds import bound_warning
 from bayesfric.report.summary.noise import (

@@ -14,9 +14,9 @@ from scipy.special import ndtri
 from bayesfric.estimates.information import lag_one, long_run_variance
 from bayesfric.estimates.torque import places
 from bayesfric.inference.fit import Fit
-from bayesfric.inference.likelihood import Outputs
+from bayesfric.inference.likelihood.likelihood import Outputs
+from bayesfric.inference.moments.residual_moments import follows
 from bayesfric.inference.predictive import Prediction
-from bayesfric.inference.residual_moments import follows
 from bayesfric.report.summary.noise import mean_lag
 
 Array = NDArray[np.float64]

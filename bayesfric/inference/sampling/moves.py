@@ -19,8 +19,8 @@ import numpy as np
 from emcee.moves import Move
 from numpy.typing import NDArray
 
-from bayesfric.inference.proposal import Proposal
-from bayesfric.inference.surrogate import Surrogate
+from bayesfric.inference.sampling.proposal import Proposal
+from bayesfric.inference.sampling.surrogate import Surrogate
 
 Array = NDArray[np.float64]
 Chosen = NDArray[np.bool_]

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.estimates.torque import filtered_torque
-from bayesfric.inference.fast_moments import FastMoments, fast_moments
-from bayesfric.inference.likelihood import LikelihoodMethod, Outputs
-from bayesfric.inference.residual_moments import PlainMoments, ResidualMoments, follows
-from bayesfric.inference.residual_noise import Autoregressive, ResidualNoise
+from bayesfric.inference.likelihood.likelihood import LikelihoodMethod, Outputs
+from bayesfric.inference.likelihood.residual_noise import Autoregressive, ResidualNoise
+from bayesfric.inference.moments.fast_moments import FastMoments, fast_moments
+from bayesfric.inference.moments.residual_moments import PlainMoments, ResidualMoments, follows
 from bayesfric.mechanism.chain import Chain
 from bayesfric.recordings.observation import Observation
 
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 class TorqueLikelihood:
     """How probable the measured torques are, given the joint's parameters.
 
-    See :class:`bayesfric.inference.likelihood.Likelihood`.
+    See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ class TorqueLikelihood:
 
     @property
     def outside(self) -> int:
-        """See :class:`bayesfric.inference.likelihood.Likelihood`."""
+        """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
         return self.moments.outside if isinstance(self.moments, FastMoments) else 0
 
     @property
@@ -88,7 +88,7 @@ class TorqueLikelihood:
         """Make the same likelihood at a cost that does not grow with the recordings.
 
         Its values are the same everywhere, up to rounding; see
-        :mod:`bayesfric.inference.fast_moments`.
+        :mod:`bayesfric.inference.moments.fast_moments`.
 
         Parameters
         ----------
@@ -153,7 +153,7 @@ class TorqueLikelihood:
         return self.noise.log_density_of(self._plain, self.moments, values, scales)
 
     def pointwise(self, values: Array, scales: Array) -> list[Array]:
-        """See :class:`bayesfric.inference.likelihood.Likelihood`."""
+        """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
         return [
             np.stack(
                 [
@@ -169,7 +169,7 @@ class TorqueLikelihood:
         return [filtered_torque(self.chain, o, values) for o in self.observations]
 
     def standardised(self, values: Array, scales: Array) -> list[Array]:
-        """See :class:`bayesfric.inference.likelihood.Likelihood`."""
+        """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
         return [
             self.noise.standard(torque, o.follows, s)[0]
             for o, torque, s in zip(self.outputs, self.predict(values), scales, strict=True)
@@ -186,15 +186,15 @@ class TorqueLikelihood:
         ]
 
     def noise_information(self, scales: Array) -> Array:
-        """See :class:`bayesfric.inference.likelihood.Likelihood`."""
+        """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
         return np.stack(
             [self.noise.information(s, int(n)) for s, n in zip(scales, self.sizes, strict=True)]
         )
 
     def noise_sd(self, scales: Array) -> list[Array]:
-        """See :class:`bayesfric.inference.likelihood.Likelihood`."""
+        """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
         return [np.full(n, self.noise.sd(s)) for n, s in zip(self.sizes, scales, strict=True)]
 
     def draw_noise(self, scales: Array, rng: np.random.Generator) -> list[Array]:
-        """See :class:`bayesfric.inference.likelihood.Likelihood`."""
+        """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
         return [self.noise.draw(o.follows, scales[:, r], rng) for r, o in enumerate(self.outputs)]

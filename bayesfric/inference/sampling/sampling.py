@@ -14,23 +14,23 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from scipy import stats
 
-from bayesfric.inference.checkpoint import Checkpoint
-from bayesfric.inference.convergence import (
+from bayesfric.inference.posterior import Diagnostics, Posterior, Status
+from bayesfric.inference.sampling.checkpoint import Checkpoint
+from bayesfric.inference.sampling.convergence import (
     autocorrelation_time,
     effective_sample_size,
     nested_rhat,
 )
-from bayesfric.inference.moves import (
+from bayesfric.inference.sampling.moves import (
     DifferentialEvolutionMove,
     IndependenceMove,
     LearningMove,
     SurrogateMove,
 )
-from bayesfric.inference.no_number import beside_posterior, complaint
-from bayesfric.inference.posterior import Diagnostics, Posterior, Status
-from bayesfric.inference.proposal import Proposal
-from bayesfric.inference.start import Start
-from bayesfric.inference.surrogate import Surrogate
+from bayesfric.inference.sampling.no_number import beside_posterior, complaint
+from bayesfric.inference.sampling.proposal import Proposal
+from bayesfric.inference.sampling.start import Start
+from bayesfric.inference.sampling.surrogate import Surrogate
 from bayesfric.inference.target import Target
 
 Array = NDArray[np.float64]

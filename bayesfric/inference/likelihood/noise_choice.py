@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.inference.autoregression import burg, ljung_box, variances, whitened
+from bayesfric.inference.likelihood.autoregression import burg, ljung_box, variances, whitened
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

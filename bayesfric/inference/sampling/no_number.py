@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from bayesfric.inference.proposal import Proposal
+from bayesfric.inference.sampling.proposal import Proposal
 
 Array = NDArray[np.float64]
 

@@ -16,9 +16,9 @@ import numpy as np
 from numba import get_num_threads, njit, prange
 from numpy.typing import NDArray
 
-from bayesfric.inference.linear_torque import Coefficients, LinearTorque, linear_torque
-from bayesfric.inference.moment_matrices import Index, MomentMatrices, moment_matrices
-from bayesfric.inference.residual_moments import (
+from bayesfric.inference.moments.linear_torque import Coefficients, LinearTorque, linear_torque
+from bayesfric.inference.moments.moment_matrices import Index, MomentMatrices, moment_matrices
+from bayesfric.inference.moments.residual_moments import (
     Moments,
     PlainMoments,
     Short,
@@ -27,7 +27,7 @@ from bayesfric.inference.residual_moments import (
     product_sum,
     unpacked,
 )
-from bayesfric.inference.sign_region import SignRegion
+from bayesfric.inference.moments.sign_region import SignRegion
 from bayesfric.mechanism.chain import Chain
 from bayesfric.recordings.observation import Observation
 
@@ -49,13 +49,13 @@ _CELL = 8
 class FastMoments:
     """Moments from matrices, with the exact correction where a sample's sign differs.
 
-    See :class:`bayesfric.inference.residual_moments.ResidualMoments`; made by
+    See :class:`bayesfric.inference.moments.residual_moments.ResidualMoments`; made by
     :func:`fast_moments`.
 
     Parameters
     ----------
     linear
-        From :func:`bayesfric.inference.linear_torque.linear_torque`, same observations.
+        From :func:`bayesfric.inference.moments.linear_torque.linear_torque`, same observations.
     region
         About where the posterior is.
     plain
@@ -110,7 +110,7 @@ class FastMoments:
         )
 
     def at(self, values: Array) -> Moments:
-        """See :class:`bayesfric.inference.residual_moments.ResidualMoments`."""
+        """See :class:`bayesfric.inference.moments.residual_moments.ResidualMoments`."""
         n = values.shape[0]
         flat = np.empty((n, len(self._recordings), n_entries(self.order)))
         with np.errstate(all="ignore"):

@@ -2,8 +2,8 @@
 
 With the signs of ``psi2 l`` at a centre, the filtered residuals are ``E c``: rows
 ``[y, psi1, sign(qd) sigma psi2]`` and the coefficients of
-:class:`bayesfric.inference.linear_torque.LinearTorque`. Every moment is then ``c' Q c``. Where
-the sign differs from the centre's, a sample changes the outputs it takes part in; samples for
+:class:`bayesfric.inference.moments.linear_torque.LinearTorque`. Every moment is then ``c' Q c``.
+Where the sign differs from the centre's, a sample changes the outputs it takes part in; samples for
 which it can, within the region, are kept.
 
 Rounding. ``c' Q c`` would lose the digits that measured and modelled torque have in common
@@ -23,9 +23,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from bayesfric.inference.linear_torque import LinearTorque
-from bayesfric.inference.residual_moments import Runs, product_sum
-from bayesfric.inference.sign_region import SignRegion
+from bayesfric.inference.moments.linear_torque import LinearTorque
+from bayesfric.inference.moments.residual_moments import Runs, product_sum
+from bayesfric.inference.moments.sign_region import SignRegion
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
@@ -49,7 +49,7 @@ class MomentMatrices:
         ``(K, K)`` ``A'``: coefficients ``(n, K)`` times this are ``z``.
     matrices
         ``(entries, K, K)`` symmetric: each moment is ``z' Q z``, laid out as in
-        :func:`bayesfric.inference.residual_moments.unpacked`.
+        :func:`bayesfric.inference.moments.residual_moments.unpacked`.
     ratios
         ``(U,)`` of the kept samples, rising: at a distance below it a sample has the
         centre's sign.

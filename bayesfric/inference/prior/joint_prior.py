@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.inference.priors import Prior
+from bayesfric.inference.prior.priors import Prior
 
 Array = NDArray[np.float64]
 Columns = NDArray[np.int64]

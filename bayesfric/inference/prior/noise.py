@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.inference.priors import Prior
+from bayesfric.inference.prior.priors import Prior
 
 Array = NDArray[np.float64]
 NoiseScale = Literal["shared", "per-recording"]

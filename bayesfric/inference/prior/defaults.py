@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesfric.inference.noise import support
-from bayesfric.inference.priors import Prior, PriorText, read_prior
+from bayesfric.inference.prior.noise import support
+from bayesfric.inference.prior.priors import Prior, PriorText, read_prior
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.parameter import Parameter
 from bayesfric.recordings.observation import Observation

@@ -1,7 +1,7 @@
 """What residuals of the motor torque are: white, autoregressive, or white with outliers.
 
-Each model has scales, ``(n, R, Q)`` as :class:`bayesfric.inference.likelihood.Likelihood`
-hands them over, ``sigma`` first.
+Each model has scales, ``(n, R, Q)``, ``sigma`` first, as
+:class:`bayesfric.inference.likelihood.likelihood.Likelihood` hands them over.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from scipy import stats
 from scipy.linalg import toeplitz
 from scipy.special import gammaln, polygamma
 
-from bayesfric.inference.autoregression import (
+from bayesfric.inference.likelihood.autoregression import (
     ages,
     autocovariance,
     predictors,
@@ -25,7 +25,7 @@ from bayesfric.inference.autoregression import (
     variances,
     whitened,
 )
-from bayesfric.inference.residual_moments import Moments, PlainMoments, ResidualMoments
+from bayesfric.inference.moments.residual_moments import Moments, PlainMoments, ResidualMoments
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -149,7 +149,7 @@ class Autoregressive:
         moments
             Of ``n`` vectors and R recordings.
         counts, head_counts
-            As :class:`bayesfric.inference.residual_moments.ResidualMoments` has them.
+            As :class:`bayesfric.inference.moments.residual_moments.ResidualMoments` has them.
         scales
             ``(n, R, Q)``.
 

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from bayesfric.errors import BadInput
-from bayesfric.inference.step_file import StepFile, Steps
+from bayesfric.inference.sampling.step_file import StepFile, Steps
 
 Array = NDArray[np.float64]
 # As numpy.random.RandomState gives and takes it.

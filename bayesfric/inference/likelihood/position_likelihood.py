@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
-from bayesfric.inference.likelihood import LikelihoodMethod, Outputs, normal_terms
+from bayesfric.inference.likelihood.likelihood import LikelihoodMethod, Outputs, normal_terms
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.recordings.observation import Observation
@@ -76,7 +76,7 @@ class _Segment:
 class PositionLikelihood:
     """How probable the measured positions are, given the joint's parameters and torques.
 
-    See :class:`bayesfric.inference.likelihood.Likelihood`.
+    See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ class PositionLikelihood:
 
     @property
     def outside(self) -> int:
-        """See :class:`bayesfric.inference.likelihood.Likelihood`."""
+        """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
         return 0
 
     @property
@@ -168,7 +168,7 @@ class PositionLikelihood:
         return np.where(np.isnan(total), -np.inf, total)
 
     def pointwise(self, values: Array, scales: Array) -> list[Array]:
-        """See :class:`bayesfric.inference.likelihood.Likelihood`."""
+        """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
         sds = [np.sqrt(run.variances(scales[:, r])) for r, run in enumerate(self._runs)]
         z = [run.terms(values) / sd for run, sd in zip(self._runs, sds, strict=True)]
         return normal_terms(z, sds)
@@ -178,14 +178,14 @@ class PositionLikelihood:
         return [run.predict(values) for run in self._runs]
 
     def standardised(self, values: Array, scales: Array) -> list[Array]:
-        """See :class:`bayesfric.inference.likelihood.Likelihood`."""
+        """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
         return [
             -run.terms(values) / np.sqrt(run.variances(scales[None, r]))
             for r, run in enumerate(self._runs)
         ]
 
     def noise_information(self, scales: Array) -> Array:
-        """See :class:`bayesfric.inference.likelihood.Likelihood`."""
+        """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
         found = np.empty((len(self._runs), 2, 2))
         for r, run in enumerate(self._runs):
             torque, position = run.parts(scales[None, r])
@@ -196,14 +196,14 @@ class PositionLikelihood:
         return found
 
     def noise_sd(self, scales: Array) -> list[Array]:
-        """See :class:`bayesfric.inference.likelihood.Likelihood`."""
+        """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
         return [
             np.sqrt(np.concatenate([np.diag(c) for c in run.covariances(scales[r])]))
             for r, run in enumerate(self._runs)
         ]
 
     def draw_noise(self, scales: Array, rng: np.random.Generator) -> list[Array]:
-        """See :class:`bayesfric.inference.likelihood.Likelihood`."""
+        """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
         found = []
         for r, run in enumerate(self._runs):
             # shapes differ little over the draws: one factor, at the mean scales

@@ -1,0 +1,1 @@
+"""What the recordings say of parameters: likelihoods of torque and of position, and noise."""

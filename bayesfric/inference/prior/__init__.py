@@ -1,0 +1,1 @@
+"""What is known beforehand: priors, their defaults and those of the noise."""
