@@ -137,6 +137,22 @@ def test_climbing_finds_the_peak_of_a_normal():
     assert np.abs(np.linalg.solve(root, mode - mean)).max() < 0.05
 
 
+def test_a_wall_beside_the_peak_costs_no_search_at_every_step():
+    """Steps that reach the wall are too wide, half of them too narrow: no width is just right."""
+    asked = []
+
+    def log_density(x):
+        asked.append(len(x))
+        inside = x[:, 0] > 0.0
+        return np.where(inside, -0.01 * x[:, 0] - 0.5 * (x[:, 1] - 3.0) ** 2, -np.inf)
+
+    mode = climb(log_density, np.array([[1e-6, 0.0]]), max_steps=30)
+    assert 0.0 < mode[0] < 1e-3
+    assert abs(mode[1] - 3.0) < 1e-3
+    # one step is a search, differences and trials; twenty widths at each would be over 100
+    assert len(asked) < 60
+
+
 def test_the_starting_normal_of_a_linear_model_is_its_posterior(axis_target):
     solution, sd, _, _ = exact(axis_target.likelihood.observations[0])
     parameters = np.append(solution, 0.02)

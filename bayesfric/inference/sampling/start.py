@@ -217,12 +217,16 @@ def _climb(
 def _difference_steps(log_density: LogDensity, x: Array, height: float, steps: Array) -> Array:
     """Widths over which the density changes by about half a unit, ``(d,)``."""
     steps = steps.copy()
+    # a wall close by: a step that was too wide once is not widened to it again
+    too_wide = np.zeros(x.size, dtype=bool)
     for _ in range(20):
         trials = np.concatenate([x + np.diag(steps), x - np.diag(steps)])
         fall = np.abs(log_density(trials) - height).reshape(2, -1).max(axis=0)
         narrow, wide = fall < 0.2 * _ONE_SD, ~(fall < 8.0 * _ONE_SD)
         # nothing moves the density at all: leave a unit step rather than grow for ever
         narrow &= steps < 1e3 * (np.abs(x) + 1.0)
+        too_wide |= wide
+        narrow &= ~too_wide
         if not (narrow | wide).any():
             break
         steps[narrow] *= 2.0
