@@ -84,7 +84,7 @@ def described(
     terms = [
         f"{label} {x * log_sd:+.2g} {shifted[label]}".rstrip()
         if label in shifted
-        else f"{label} times {factor(x * log_sd)}" + (f" (k^{x:.2g})" if len(named) > 1 else "")
+        else f"{label} times {factor(x * log_sd)}"
         for label, x in exponents.items()
     ]
     whole = "all within" if len(terms) > 1 else "within"
