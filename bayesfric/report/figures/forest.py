@@ -112,11 +112,11 @@ def forest_figure(found: Comparison) -> Figure:
             ax.set_ylim(-_MARGIN, rooms[i] / _LINE - _MARGIN)
             ax.set_gid(row.name)
             _panel(ax, row, lines, (each, rooms[i]))
-            ax.set_yticks(
-                [line.y for line in lines],
-                [_shortened(name, left) for name in names] if j == 0 else [],
-            )
-            ax.tick_params(axis="y", length=0.0)
+            # a tick costs time to draw, also where it has neither length nor label
+            ax.set_yticks([])
+            if j == 0:
+                ax.set_yticks([line.y for line in lines], [_shortened(name, left) for name in names])
+                ax.tick_params(axis="y", length=0.0)
         _legend(figure, shown, columns)
         if len(rows) > len(shown):
             figure.text(
