@@ -115,7 +115,9 @@ def forest_figure(found: Comparison) -> Figure:
             # a tick costs time to draw, also where it has neither length nor label
             ax.set_yticks([])
             if j == 0:
-                ax.set_yticks([line.y for line in lines], [_shortened(name, left) for name in names])
+                ax.set_yticks(
+                    [line.y for line in lines], [_shortened(name, left) for name in names]
+                )
                 ax.tick_params(axis="y", length=0.0)
         _legend(figure, shown, columns)
         if len(rows) > len(shown):
