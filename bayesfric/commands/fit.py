@@ -191,7 +191,7 @@ def _remark(row: dict[str, Any], read: PosteriorRow) -> str:
         return f"the data push it against its {bound} bound: read it as {kind} limit {limit:.3g}"
     words = {
         "data": "",
-        "weak": "weakly determined: prior and data both matter",
+        "weak": "weakly determined: data, prior and bounds together",
         "prior": "NOT determined by the data: this is the prior and the bounds",
     }[row["verdict"]]
     if row.get("undefined_share"):

@@ -106,7 +106,7 @@ def posterior_cell(row: PosteriorRow, accounts: bool, status: str = "reliable") 
         return Cell(row.middle, "limit", level=row.level, limit=limit, remark=words)
     if row.verdict == "prior":
         return left_open(row.middle, None, ": prior and bounds")
-    remarks = ["prior and data both matter"] if row.verdict == "weak" else []
+    remarks = ["data, prior and bounds together"] if row.verdict == "weak" else []
     if row.at_bound is not None:
         remarks.append(f"leans on its {row.at_bound} bound")
     if row.undefined_share:
