@@ -3,11 +3,15 @@
 import os
 from pathlib import Path
 
-# Tests run side by side already; threads of one would only wait for those of another.
-ALONE = "PYTEST_XDIST_WORKER" not in os.environ
-if not ALONE:
+WORKER = os.environ.get("PYTEST_XDIST_WORKER", "").removeprefix("gw")
+if WORKER:
+    # Tests run side by side already: threads of one, and second processes, would only wait for
+    # those of another. So each keeps to a core, and what it starts does too.
     for variable in ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
+    if hasattr(os, "sched_setaffinity"):
+        cores = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {cores[int(WORKER) % len(cores)]})
 
 import numpy as np
 import pytest
@@ -17,6 +21,8 @@ from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import parallel_filter
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.recording import Recording
+
+from .kernels import compile_likelihood, compile_simulation
 
 # a busy machine is no defect of what is tested
 settings.register_profile("untimed", deadline=None)
@@ -44,11 +50,13 @@ def made_recording(time, position, torque, period, **more):
     return Recording(time=time, position=position, torque=torque, period=period, **(given | more))
 
 
-@pytest.fixture(autouse=True)
-def one_core(monkeypatch):
-    """For the same reason no second process saves figures, but where that is what is tested."""
-    if not ALONE:
-        monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0}, raising=False)
+@pytest.fixture(scope="session", autouse=True)
+def kernels(make_observation):
+    """Compile the half of the kernels that the worker beside does not; its half is then cached."""
+    if WORKER == "0":
+        compile_simulation()
+    elif WORKER == "1":
+        compile_likelihood(make_observation)
 
 
 @pytest.fixture

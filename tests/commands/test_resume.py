@@ -116,7 +116,7 @@ def blocks(whole):
 
 @pytest.mark.parametrize(
     "every",
-    [pytest.param(1, marks=pytest.mark.slow, id="every"), pytest.param(12, id="every-12th")],
+    [pytest.param(1, marks=pytest.mark.slow, id="every"), pytest.param(20, id="every-20th")],
 )
 def test_interrupted_after_a_block_and_resumed(here, whole, every):
     """The quick form of every single one is in ``tests/inference/test_checkpoint.py``."""
