@@ -39,15 +39,19 @@ def text(found):
 # -- arithmetic
 
 
-def test_disagreement_of_an_estimate_is_in_sds_of_the_posterior():
+def test_disagreement_of_an_estimate_is_in_the_larger_sd():
     found = comparison({"knee": knee()})
     assert found.baseline == "posterior"
     for name in (*TOTALS, *DERIVED, *MOTOR):
         cells = found[name].cells
-        # made so: 0.6 sds below, 0.8 above; the estimate's own sd does not enter
+        # made so: 0.6 sds below, 0.8 above; both sds are the same
         assert cells["input-error"].disagreement == pytest.approx(-0.6, abs=1e-9)
         assert cells["output-error"].disagreement == pytest.approx(0.8, abs=1e-9)
         assert cells["posterior"].disagreement is None
+    run = knee()
+    run["estimates"]["output-error"]["parameters"]["motor.inertia"]["sd_robust"] *= 4.0
+    cell = comparison({"knee": run})["motor.inertia"].cells["output-error"]
+    assert cell.disagreement == pytest.approx(0.2, abs=1e-9)
 
 
 def test_disagreement_of_references_and_runs_adds_their_variance():
@@ -71,7 +75,7 @@ def test_estimates_that_disagree_are_named():
     assert not [note for note in comparison({"knee": run}).notes if "differs" in note]
     row["value"] += 1.0 * TOTALS["total.inertia"][4]
     (note,) = [note for note in comparison({"knee": run}).notes if "differs" in note]
-    assert note.startswith("least-squares differs from the posterior by more than 3 of its sds in")
+    assert note.startswith("least-squares differs from the posterior by more than 3 sd in")
     assert "total.inertia:" in note
 
 

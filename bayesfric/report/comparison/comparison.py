@@ -150,7 +150,8 @@ def comparison(
     Disagreement is ``(value - median)/sd`` with both of the first posterior. The
     variance of another posterior, and of a reference that has one, is added to that
     of the first; runs on the same recording are not independent, and disagree more
-    than that says. An estimate's own variance is not added: it saw the same data.
+    than that says. An estimate saw the same data, so variances do not add: the larger of the two
+    standard deviations counts.
     """
     runs = {name: read_summary(summary, name) for name, summary in summaries.items()}
     shown = len(runs) == 1 if estimates is None else estimates
@@ -347,7 +348,7 @@ def _apart(rows: list[Row], columns: list[Column]) -> Iterator[str]:
         ]
         if far:
             yield (
-                f"{column.label} differs from the posterior by more than {_FAR:g} of its sds in "
+                f"{column.label} differs from the posterior by more than {_FAR:g} sd in "
                 f"{', '.join(far)}: the two take different things for granted, and of one of them "
                 "they do not hold."
             )
@@ -396,7 +397,9 @@ def _measured(
             continue
         # what a run took as known is no finding, and what is open agrees with anything
         if cell.status in ("determined", "bound") or column.kind == "reference":
-            own = cell.sd or 0.0 if column.kind != "estimate" else 0.0
-            apart = (cell.value - base.value) / math.hypot(base.sd, own)
+            own = cell.sd or 0.0
+            # two estimates from one recording share its noise: their variances do not add
+            scale = max(base.sd, own) if column.kind == "estimate" else math.hypot(base.sd, own)
+            apart = (cell.value - base.value) / scale
             ordered[column.label] = replace(cell, disagreement=apart)
     return ordered

@@ -210,14 +210,14 @@ def explained(found: Comparison) -> Iterator[str]:
         share = " or ".join(f"{100 * level:g}" for level in sorted(levels))
         yield f"[ ] holds {share} % of the posterior."
     if found.baseline is not None and len(found.columns) > 1:
-        words = f"'sd' counts the distance to {found.baseline} in its standard deviations"
+        words = f"'sd' counts the distance to {found.baseline} in standard deviations"
         kinds = [c.kind for c in found.columns]
-        added = ["another posterior's"] if kinds.count("posterior") > 1 else []
-        added += ["a reference's"] if "reference" in kinds else []
-        words += f"; {' and '.join(added)} own is added to it" if added else ""
-        # two estimates from one recording share its noise: their variances do not add
-        words += "; an estimate's own is not, it saw the same data" if "estimate" in kinds else ""
-        yield words + "."
+        added = ["another posterior"] if kinds.count("posterior") > 1 else []
+        added += ["a reference"] if "reference" in kinds else []
+        parts = ["in the larger of the two of an estimate, which saw the same data"]
+        parts = parts if "estimate" in kinds else []
+        parts += [f"in both together of {' and '.join(added)}"] if added else []
+        yield "; ".join([words, *parts]) + "."
     for column in found.columns:
         parts = [column.told] if column.told else []
         if column.residual_rms is not None:

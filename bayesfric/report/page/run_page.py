@@ -40,7 +40,7 @@ _GROUPS = {
     "parameter": ("Parameters", "Each at its element's own input shaft, and the noise."),
     "derived": (
         "Derived quantities",
-        "They follow from the parameters and change with the scale of leg and gearbox.",
+        "They follow from the parameters; where the scale of leg and gearbox is open, so are they.",
     ),
     "known": ("Taken as known", "Fixed in the configuration; nothing here was estimated."),
 }
