@@ -75,7 +75,10 @@ def _helper() -> subprocess.Popen[bytes] | None:
 
 
 def _hand_over(helper: subprocess.Popen[bytes], figure: Figure, path: Path) -> bool:
-    """Send a figure, and tell whether its files were written."""
+    """Send a figure, and tell whether its files were written.
+
+    Pickled, but only from this process to the one it started: no file is ever unpickled.
+    """
     assert helper.stdin is not None
     assert helper.stdout is not None
     try:
