@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.mechanism.chain import Chain
-from bayesfric.mechanism.parameter import Parameter, parameter
+from bayesfric.mechanism.parameter import Parameter, effort_words, parameter
 
 Array = NDArray[np.float64]
 
@@ -163,7 +163,7 @@ def _coefficients(chain: Chain, at: dict[str, Array], load_torque: float) -> Ite
             f"{name}.alpha_drive",
             "",
             r"\alpha_1",
-            "load torque over motor torque when the motor drives",
+            effort_words("load torque over motor torque when the motor drives", element.motion),
             1.0 / (1.0 + mu_drive),
             gauge_free=not two,
         )
@@ -171,7 +171,7 @@ def _coefficients(chain: Chain, at: dict[str, Array], load_torque: float) -> Ite
             f"{name}.alpha_back",
             "",
             r"\alpha_2",
-            "load torque over motor torque when the load drives",
+            effort_words("load torque over motor torque when the load drives", element.motion),
             1.0 / back,
             gauge_free=not two,
         )
@@ -260,5 +260,6 @@ def _described(chain: Chain, key: str) -> Parameter:
         return parameter("total", key, chain.motor_motion, "t")
     torque = parameter("total", "coulomb", chain.motor_motion, "t")
     return Parameter(
-        "total.gravity", "gravity", torque.unit, r"G_{t}", 0.0, float("inf"), "gravity torque"
-    )
+        "total.gravity", "gravity", torque.unit, r"G_{t}", 0.0, float("inf"),
+        effort_words("gravity torque", chain.motor_motion),
+    )  # fmt: skip

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 Motion = Literal["rotary", "linear"]
-# The word alone, not as a part of a name such as noise.torque or torque_constant.
-_TORQUE = re.compile(r"(?<![\w.])torque(s?)(?!\w)")
+# The word alone, not as a part of a name such as noise.torque, torque_constant or torque-steps.
+_TORQUE = re.compile(r"(?<![\w.-])torque(s?)(?![\w]|[.-]\w)")
 
 
 @dataclass(frozen=True)

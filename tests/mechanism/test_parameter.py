@@ -15,8 +15,8 @@ def test_what_slides_has_forces(quantity):
 
 
 def test_names_stay_names():
-    words = "noise.torque and torque_constant are names, torques and a torque are not"
+    words = "noise.torque, torque-steps and torque_constant are names, torques and a torque are not"
     assert effort_words(words, "rotary") == words
     assert effort_words(words, "linear") == (
-        "noise.torque and torque_constant are names, forces and a force are not"
+        "noise.torque, torque-steps and torque_constant are names, forces and a force are not"
     )

@@ -79,6 +79,18 @@ def test_estimates_that_disagree_are_named():
     assert "total.inertia:" in note
 
 
+def test_estimates_of_another_run_saw_other_data():
+    """The other run is another posterior's matter: its estimates are not told to be wrong."""
+    other = loaded()
+    rows = other["estimates"]["input-error"]["parameters"]
+    rows["total.inertia"]["value"] *= 1.2
+    found = comparison({"a": knee(), "b": other}, estimates=True)
+    assert not [note for note in found.notes if "differs" in note]
+    base, cell = (found["total.inertia"].cells[c] for c in ("a: posterior", "b: input-error"))
+    expected = (cell.value - base.value) / math.hypot(base.sd, cell.sd)
+    assert cell.disagreement == pytest.approx(expected, rel=1e-12)
+
+
 def test_a_posterior_is_shown_by_its_median():
     run = knee()
     run["derived"]["total.inertia"]["median"] = 4.5e-4

@@ -79,7 +79,29 @@ def test_what_the_data_tell_comes_first(knee):
             assert not dotted
         else:
             assert "posterior" in gids
-            assert len(dotted) == 2
+            assert len(dotted) == (1 if one == "limit" else 2)
+
+
+def test_a_limit_has_one_end(knee):
+    summary = summarise(knee)
+    row = summary["parameters"]["motor.viscous"]
+    row |= {"verdict": "prior", "at_bound": "lower", "data_sd": 1e-9, "prior_sd": 1.0}
+    figure = corner_figure(knee, summary, ["motor.viscous"])
+    (end,) = [line for line in panels(figure)[0, 0].lines if line.get_gid() is None]
+    (q,) = [q for q in quantities(knee) if q.name == "motor.viscous"]
+    assert end.get_xdata()[0] == pytest.approx(row["interval"][1] / q.factor)
+
+
+def test_ensembles_that_disagree_determine_nothing(knee):
+    summary = summarise(knee)
+    summary["sampler"]["status"] = "unusable"
+    figure = corner_figure(knee, summary)
+    for k in range(8):
+        assert "posterior" not in {a.get_gid() for a in panels(figure)[k, k].get_children()}
+    (legend,) = figure.legends
+    words = [text.get_text() for text in legend.get_texts()]
+    assert "draws of ensembles that disagree" in words
+    assert not any("interval" in text for text in words)
 
 
 def test_nothing_open_shows_the_parameters_as_sampled(knee):

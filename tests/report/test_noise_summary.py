@@ -19,7 +19,11 @@ def test_each_interval_is_too_narrow_by_its_own_factor(knee):
     values = (value("a", 0.1, 0.1), value("b", 0.1, 0.33), value("c", math.inf, 9.0))
     told = Estimate("input-error", values, 0.01, 100, "")
     (text,) = correlation_warnings(replace(knee, estimates=(told,)), {"innovation_lag1": 0.8})
-    assert "robust sds are 1 to 3.3 times the plain ones" in text
+    assert "these intervals are up to 3.3 times too narrow" in text
+    # noise that swings can leave a number better known than white noise would have it
+    better = replace(told, values=(value("a", 0.1, 0.05),))
+    (text,) = correlation_warnings(replace(knee, estimates=(better,)), {"innovation_lag1": 0.8})
+    assert "about 3.0 times too narrow" in text
     # without them that of a constant among first-order noise: sqrt(1.8/0.2) = 3
     (text,) = correlation_warnings(replace(knee, estimates=()), {"innovation_lag1": 0.8})
     assert "about 3.0 times too narrow" in text
@@ -31,6 +35,7 @@ def test_white_noise_that_did_not_converge_stands_beside_nothing(usable):
     white = {"a.b": {"interval": [0.9, 1.1], "sd": 0.06}} if usable else None
     summary = {
         "parameters": {"a.b": posterior_row("", 1.0, 0.1)}, "derived": {}, "warnings": [],
+        "sampler": {"status": "reliable"},
     }  # fmt: skip
     add_white_intervals(summary, white)
     assert ("white_interval" in summary["parameters"]["a.b"]) == usable
@@ -38,11 +43,17 @@ def test_white_noise_that_did_not_converge_stands_beside_nothing(usable):
 
 
 @pytest.mark.parametrize(
-    ("verdict", "ends", "told"),
-    [("data", [1.2, 1.3], True), ("data", [1.05, 1.3], False), ("prior", [1.2, 1.3], False)],
+    ("verdict", "ends", "status", "told"),
+    [
+        ("data", [1.2, 1.3], "reliable", True),
+        ("data", [1.05, 1.3], "reliable", False),
+        ("prior", [1.2, 1.3], "reliable", False),
+        ("data", [1.2, 1.3], "unusable", False),
+    ],
 )
-def test_a_number_that_moves_with_the_noise_model_is_named(verdict, ends, told):
+def test_a_number_that_moves_with_the_noise_model_is_named(verdict, ends, status, told):
     row = posterior_row("", 1.0, 0.1, verdict=verdict) | {"interval": [0.9, 1.1]}
     summary = {"parameters": {"a.b": row}, "derived": {}, "warnings": []}
+    summary["sampler"] = {"status": status}
     add_white_intervals(summary, {"a.b": {"interval": ends, "sd": 0.05}})
     assert ["a.b" in text for text in summary["warnings"]] == [True] * told

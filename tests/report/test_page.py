@@ -274,12 +274,17 @@ def test_a_bad_run_says_so_first(tmp_path, status, words):
 def test_what_ensembles_make_that_disagree_is_nowhere_shown_as_a_result(tmp_path):
     """Every number of an unusable run is one that the same run shows when it is reliable."""
     told = knee()
+    told["fit"]["lacks"] = [{"on": "joint speed", "share": 0.4, "p_value": 1e-9}]
+    told["noise"]["innovation_whiteness"] = {"white": False}
     sound = read_page(run_page(tmp_path, told, "knee"))
     told["sampler"] = {"status": "unusable", "problems": ["R-hat 1.3: raise max_steps"]}
     failed = read_page(run_page(tmp_path, told, "knee"))
     (first,) = failed.all("section", id="findings")
     assert "says nothing of the parameters" in first.text
     assert "raise max_steps" in first.text
+    assert "before the sampling agrees" in first.text
+    for wrong in ("--advise", "lacks something", "not white noise"):
+        assert wrong not in first.text
     assert "determine" not in first.text.partition("The next experiment")[0].partition("What")[0]
     was = lines(sound)
     for name, row in lines(failed).items():

@@ -73,3 +73,12 @@ def test_a_limit_is_told_as_one(drawn):
 def test_a_constant_parameter(make_fit):
     fit = make_fit(constant=("motor.viscous",), samples=400)
     draw_fast(prior_posterior_figure(fit, summarise(fit)))
+
+
+def test_ensembles_that_disagree_determine_nothing(drawn):
+    fit, summary, _ = drawn
+    other = summary | {"sampler": summary["sampler"] | {"status": "unusable"}}
+    figure = prior_posterior_figure(fit, other)
+    for ax in figure.axes:
+        assert text(ax, "verdict") == ["NOT converged"]
+        assert [p.get_gid() for p in ax.patches if p.get_hatch()] == ["open"]

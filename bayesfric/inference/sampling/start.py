@@ -215,7 +215,7 @@ def _climb(
 
 
 def _difference_steps(log_density: LogDensity, x: Array, height: float, steps: Array) -> Array:
-    """Widths over which the density changes by about half a unit, ``(d,)``."""
+    """Widths over which the density changes by half a unit, or that end at a wall, ``(d,)``."""
     steps = steps.copy()
     # a wall close by: a step that was too wide once is not widened to it again
     too_wide = np.zeros(x.size, dtype=bool)

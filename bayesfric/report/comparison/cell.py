@@ -10,6 +10,7 @@ from bayesfric.report.summary.read_back import EstimatedRow, PosteriorRow
 
 Status = Literal["determined", "undetermined", "bound", "limit", "known"]
 _NOT_DETERMINED = "not determined"
+TOGETHER = "data, prior and bounds together"
 NOT_CONVERGED = "the sampling has not converged"
 
 
@@ -106,7 +107,7 @@ def posterior_cell(row: PosteriorRow, accounts: bool, status: str = "reliable") 
         return Cell(row.middle, "limit", level=row.level, limit=limit, remark=words)
     if row.verdict == "prior":
         return left_open(row.middle, None, ": prior and bounds")
-    remarks = ["data, prior and bounds together"] if row.verdict == "weak" else []
+    remarks = [TOGETHER] if row.verdict == "weak" else []
     if row.at_bound is not None:
         remarks.append(f"leans on its {row.at_bound} bound")
     if row.undefined_share:

@@ -150,8 +150,8 @@ def comparison(
     Disagreement is ``(value - median)/sd`` with both of the first posterior. The
     variance of another posterior, and of a reference that has one, is added to that
     of the first; runs on the same recording are not independent, and disagree more
-    than that says. An estimate saw the same data, so variances do not add: the larger of the two
-    standard deviations counts.
+    than that says. An estimate of the same run saw the same data, so variances do not
+    add: the larger of the two standard deviations counts.
     """
     runs = {name: read_summary(summary, name) for name, summary in summaries.items()}
     shown = len(runs) == 1 if estimates is None else estimates
@@ -190,7 +190,8 @@ def comparison(
         if fact.found
     ]
     rows.sort(key=_order)  # keeps the order of the files within each group
-    notes += _apart(rows, columns)
+    if baseline is not None:
+        notes += _apart(rows, [c for c in columns if c.run == baseline.run])
     return Comparison(
         tuple(columns), tuple(rows), baseline.label if baseline else None, tuple(notes)
     )
@@ -389,7 +390,7 @@ def _measured(
     """Put the cells into the columns' order and measure them against the first posterior."""
     ordered = {c.label: cells[c.label] for c in columns if c.label in cells}
     base = ordered.get(baseline.label) if baseline else None
-    if base is None or base.status != "determined" or not base.sd:
+    if baseline is None or base is None or base.status != "determined" or not base.sd:
         return ordered
     for column in columns:
         cell = ordered.get(column.label)
@@ -399,7 +400,8 @@ def _measured(
         if cell.status in ("determined", "bound") or column.kind == "reference":
             own = cell.sd or 0.0
             # two estimates from one recording share its noise: their variances do not add
-            scale = max(base.sd, own) if column.kind == "estimate" else math.hypot(base.sd, own)
+            same = column.kind == "estimate" and column.run == baseline.run
+            scale = max(base.sd, own) if same else math.hypot(base.sd, own)
             apart = (cell.value - base.value) / scale
             ordered[column.label] = replace(cell, disagreement=apart)
     return ordered

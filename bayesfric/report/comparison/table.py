@@ -212,7 +212,7 @@ def explained(found: Comparison) -> Iterator[str]:
     if found.baseline is not None and len(found.columns) > 1:
         words = f"'sd' counts the distance to {found.baseline} in standard deviations"
         kinds = [c.kind for c in found.columns]
-        added = ["another posterior"] if kinds.count("posterior") > 1 else []
+        added = ["another run"] if kinds.count("posterior") > 1 else []
         added += ["a reference"] if "reference" in kinds else []
         parts = ["in the larger of the two of an estimate, which saw the same data"]
         parts = parts if "estimate" in kinds else []

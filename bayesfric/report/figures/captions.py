@@ -96,7 +96,8 @@ FIXED: dict[str, str] = {
     "corner": (
         f"Diagonal: posterior density with {_SHARE} interval, dashed the prior of parameters. "
         "Below: 50 % and 90 % of the draws. What the data leave open is hatched, has no interval "
-        "and is not filled in its pairs: there prior and bounds are seen."
+        "and is not filled in its pairs: there prior and bounds are seen. So is everything where "
+        "the sampling has not converged. A limit has one dotted end."
     ),
     "trace": (
         "Median and spread of the walkers of every ensemble along the steps kept, and the "

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 
 from bayesfric.errors import BadInput, nearest
 from bayesfric.inference.fit import Fit
-from bayesfric.report.comparison.cell import Status, posterior_cell
+from bayesfric.report.comparison.cell import Cell, posterior_cell
 from bayesfric.report.figures.marginal import draw_marginal, marginal_handles, moves
 from bayesfric.report.figures.quantity import Quantity, combinations, not_shown, quantities
 from bayesfric.report.figures.style import PAGE, POSTERIOR, SMALL, Array, few_ticks, paper_style
@@ -67,8 +67,8 @@ def corner_figure(
     BadInput
         If a name is not among them, or none is given.
     """
-    status = _statuses(summary)
-    shown = _choice(fit, status) if chosen is None else _pick(fit, chosen)
+    cells = _cells(summary)
+    shown = _choice(fit, cells) if chosen is None else _pick(fit, cells, chosen)
     left_out = [q for q in quantities(fit) if q.name not in {one.name for one in shown}]
     with paper_style():
         k = len(shown)
@@ -87,10 +87,10 @@ def corner_figure(
         axes = {(i, j): figure.add_subplot(grid[i, j]) for i in range(k) for j in range(i + 1)}
         draws = [q.draws / q.factor for q in shown]
         ranges = [_range(q, x) for q, x in zip(shown, draws, strict=True)]
-        open_ = [status[q.name] == "undetermined" for q in shown]
+        open_ = [cells[q.name].status == "undetermined" for q in shown]
         for (i, j), ax in axes.items():
             if i == j:
-                draw_marginal(ax, shown[i], ranges[i], open_=open_[i], headroom=1.12)
+                draw_marginal(ax, shown[i], ranges[i], cell=cells[shown[i].name], headroom=1.12)
             else:
                 filled = not (open_[i] or open_[j])
                 _pair(ax, draws[j], draws[i], ranges[j], ranges[i], filled=filled)
@@ -99,36 +99,39 @@ def corner_figure(
             ax.set_xlim(ranges[j])
             few_ticks(ax.xaxis, 3, inner=True)
         _label(axes, shown, panel)
-        _legend(figure, left_out, k, open_=any(open_))
+        _legend(figure, left_out, [cells[q.name] for q in shown])
     return figure
 
 
-def _statuses(summary: Mapping[str, Any]) -> dict[str, Status]:
-    """Tell of every quantity whether the data determine it."""
+def _cells(summary: Mapping[str, Any]) -> dict[str, Cell]:
+    """Tell of every quantity what the data say of it."""
     rows = {**summary["derived"], **summary["parameters"]}
     sampling = summary["sampler"]["status"]
     return {
-        name: posterior_cell(PosteriorRow.model_validate(row), True, sampling).status
+        name: posterior_cell(PosteriorRow.model_validate(row), True, sampling)
         for name, row in rows.items()
     }
 
 
-def _choice(fit: Fit, status: Mapping[str, Status]) -> list[Quantity]:
+def _choice(fit: Fit, cells: Mapping[str, Cell]) -> list[Quantity]:
     """Choose what to show: what the data tell before what they leave open."""
     noise = fit.target.noise.names
     everything = quantities(fit)
     joint = [q for q in everything if q.name not in noise]
-    open_ = [q for q in joint if status[q.name] == "undetermined"]
+    open_ = [q for q in joint if cells[q.name].status == "undetermined"]
     if not open_:
         return everything[:_MOST]
-    told = [q for q in combinations(fit) if status.get(q.name) == "determined"]
-    known = [q for q in joint if status[q.name] != "undetermined"]
+    told = [
+        q for q in combinations(fit) if q.name in cells and cells[q.name].status == "determined"
+    ]
+    known = [q for q in joint if cells[q.name].status != "undetermined"]
     rest = [q for q in everything if q.name in noise]
     return [*told[:_COMBINATIONS], *known, *open_, *rest][:_MOST]
 
 
-def _pick(fit: Fit, chosen: Sequence[str]) -> list[Quantity]:
-    known = {q.name: q for q in [*combinations(fit), *quantities(fit)]}
+def _pick(fit: Fit, cells: Mapping[str, Cell], chosen: Sequence[str]) -> list[Quantity]:
+    # what fixed parameters make up is known, and has no posterior
+    known = {q.name: q for q in [*combinations(fit), *quantities(fit)] if q.name in cells}
     if not chosen:
         raise BadInput("corner", "no parameter chosen", f"choose from {', '.join(known)}")
     for name in chosen:
@@ -215,9 +218,9 @@ def _label(axes: dict[tuple[int, int], Axes], shown: list[Quantity], panel: floa
                 ax.tick_params(axis="y", labelrotation=45)
 
 
-def _legend(figure: Figure, left_out: list[Quantity], k: int, *, open_: bool) -> None:
+def _legend(figure: Figure, left_out: list[Quantity], cells: Sequence[Cell]) -> None:
     share = " and ".join(f"{100 * mass:.0f}" for mass in MASSES)
-    handles = marginal_handles(open_=open_)
+    k, handles = len(cells), marginal_handles(cells)
     if k > 1:
         handles.append(
             Line2D([], [], color=POSTERIOR, label=f"contours around {share} % of the draws")

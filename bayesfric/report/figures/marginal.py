@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from bayesfric.report.comparison.cell import Cell
 from bayesfric.report.figures.quantity import Quantity
 from bayesfric.report.figures.style import OPEN_HATCH, POSTERIOR, PRIOR, Array
 from bayesfric.report.summary.summary import LEVEL
@@ -21,7 +23,7 @@ _DOTTED = (0, (1.0, 1.0))
 
 
 def draw_marginal(
-    ax: Axes, q: Quantity, limits: tuple[float, float], *, open_: bool, headroom: float
+    ax: Axes, q: Quantity, limits: tuple[float, float], *, cell: Cell, headroom: float
 ) -> None:
     """Draw the densities of a quantity, both in one over the unit of the axis.
 
@@ -33,12 +35,13 @@ def draw_marginal(
         The quantity; its draws are a histogram, its prior a line.
     limits
         Of the axis, in scaled units.
-    open_
-        Whether the data leave it open: then it has no interval.
+    cell
+        What the data tell of it: what they leave open has no interval, and a limit one end.
     headroom
         Height of the panel over that of the highest density.
     """
     draws = q.draws / q.factor
+    open_ = cell.status == "undetermined"
     highest = 0.0
     if q.prior is not None:
         grid = np.linspace(*limits, _GRID)
@@ -61,9 +64,8 @@ def draw_marginal(
             gid="open" if open_ else "posterior",
         )
         ax.stairs(density, edges, color=POSTERIOR, linewidth=0.8)
-        if not open_:
-            for bound in np.quantile(draws, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2]):
-                ax.axvline(bound, ymax=0.8, color=POSTERIOR, linewidth=0.7, linestyle=_DOTTED)
+        for end in _ends(cell, draws, q.factor):
+            ax.axvline(end, ymax=0.8, color=POSTERIOR, linewidth=0.7, linestyle=_DOTTED)
         peak = float(density.max())
         # a prior may have a pole at its bound; it must not flatten the posterior
         highest = max(peak, min(2.0 * peak, highest))
@@ -74,21 +76,34 @@ def draw_marginal(
     ax.set_yticks([])
 
 
+def _ends(cell: Cell, draws: Array, factor: float) -> list[float]:
+    """List what may be marked of an interval: of a limit the end away from the bound."""
+    if cell.status == "undetermined":
+        return []
+    if cell.limit is not None:
+        return [cell.limit / factor]
+    return [float(end) for end in np.quantile(draws, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2])]
+
+
 def moves(draws: Array) -> bool:
     """Whether draws differ by more than rounding, which leaves no room for a histogram."""
     return bool(np.ptp(draws) > 1e-12 * np.abs(draws).max())
 
 
-def marginal_handles(*, open_: bool) -> list[Artist]:
-    """List what a legend explains; with ``open_`` also the hatched ones."""
-    handles: list[Artist] = [Patch(facecolor=POSTERIOR, alpha=0.3, label="posterior")]
+def marginal_handles(cells: Sequence[Cell]) -> list[Artist]:
+    """List what a legend explains of panels with these cells."""
+    open_ = [cell for cell in cells if cell.status == "undetermined"]
+    handles: list[Artist] = []
+    if len(open_) < len(cells):
+        handles.append(Patch(facecolor=POSTERIOR, alpha=0.3, label="posterior"))
     if open_:
         look: dict[str, Any] = {"facecolor": "none", "edgecolor": POSTERIOR, "linewidth": 0.0}
         label = "posterior that the data leave open"
+        label = label if open_[0].converged else "draws of ensembles that disagree"
         handles.append(Patch(hatch=OPEN_HATCH, label=label, **look))
-    share = f"{100 * LEVEL:.0f} % interval"
-    return [
-        *handles,
-        Line2D([], [], color=PRIOR, linestyle=_DASHED, label="prior"),
-        Line2D([], [], color=POSTERIOR, linewidth=0.7, linestyle=_DOTTED, label=share),
-    ]
+    handles.append(Line2D([], [], color=PRIOR, linestyle=_DASHED, label="prior"))
+    if len(open_) < len(cells):
+        share = f"{100 * LEVEL:.0f} % interval"
+        look = {"color": POSTERIOR, "linewidth": 0.7, "linestyle": _DOTTED}
+        handles.append(Line2D([], [], label=share, **look))
+    return handles

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from bayesfric.inference.fit import Fit
-from bayesfric.report.comparison.cell import posterior_cell
+from bayesfric.report.comparison.cell import Cell, posterior_cell
 from bayesfric.report.figures.marginal import draw_marginal, marginal_handles
 from bayesfric.report.figures.quantity import Quantity, not_shown, quantities
 from bayesfric.report.figures.style import PAGE, SMALL, few_ticks, paper_style
@@ -52,6 +52,14 @@ def prior_posterior_figure(fit: Fit, summary: Mapping[str, Any]) -> Figure:
     """
     everything = quantities(fit)
     shown, left_out = everything[:_MOST], everything[_MOST:]
+    cells = [
+        posterior_cell(
+            PosteriorRow.model_validate(summary["parameters"][q.name]),
+            accounts=True,
+            status=summary["sampler"]["status"],
+        )
+        for q in shown
+    ]
     rows = -(-len(shown) // _COLUMNS)
     height = _TOP + rows * (_PANEL + _BELOW)
     width = (PAGE - _LEFT - _RIGHT - (_COLUMNS - 1) * _BETWEEN) / _COLUMNS
@@ -67,18 +75,17 @@ def prior_posterior_figure(fit: Fit, summary: Mapping[str, Any]) -> Figure:
                     _PANEL / height,
                 )
             )
-            _panel(ax, q, summary["parameters"][q.name])
-        _legend(figure, not_shown(left_out))
+            _panel(ax, q, summary["parameters"][q.name], cells[k])
+        _legend(figure, cells, not_shown(left_out))
     return figure
 
 
-def _panel(ax: Axes, q: Quantity, row: Mapping[str, Any]) -> None:
-    cell = posterior_cell(PosteriorRow.model_validate(row), accounts=True)
+def _panel(ax: Axes, q: Quantity, row: Mapping[str, Any], cell: Cell) -> None:
+    words = _WORDS[row["verdict"]] if cell.converged else "NOT converged"
     # what the data push against a bound they do determine: from the other side
-    open_ = cell.status == "undetermined"
-    words = cell.remark if cell.status == "limit" else _WORDS[row["verdict"]]
+    words = cell.remark if cell.status == "limit" else words
     # room for the verdict
-    draw_marginal(ax, q, _range(q), open_=open_, headroom=1.35)
+    draw_marginal(ax, q, _range(q), cell=cell, headroom=1.35)
     few_ticks(ax.xaxis, 3, inner=True)
     ax.set_xlabel(q.label())
     said: dict[str, Any] = {"va": "top", "fontsize": SMALL, "transform": ax.transAxes}
@@ -109,10 +116,10 @@ def _range(q: Quantity) -> tuple[float, float]:
     return low, high
 
 
-def _legend(figure: Figure, remark: str) -> None:
+def _legend(figure: Figure, cells: Sequence[Cell], remark: str) -> None:
     ratio = Line2D([], [], linestyle="none", label="1:n  sd of posterior to prior")
     figure.legend(
-        handles=[*marginal_handles(open_=True), ratio],
+        handles=[*marginal_handles(cells), ratio],
         loc="upper left",
         ncols=5,
         bbox_to_anchor=(_LEFT / PAGE, 1.0),

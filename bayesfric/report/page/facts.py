@@ -187,7 +187,7 @@ class Facts(Part):
     """The part of a ``summary.json`` that only its page needs."""
 
     bayesfric: str = ""
-    may_be_simulated: bool = False
+    may_be_simulated: bool | None = None
     parameters: dict[Name, Row] = Field(default_factory=dict)
     derived: dict[Name, Row] = Field(default_factory=dict)
     identifiability: Identifiability = Field(default_factory=Identifiability)

@@ -11,12 +11,14 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
+from bayesfric.report.comparison.cell import TOGETHER
 from bayesfric.report.comparison.comparison import Comparison
 from bayesfric.report.figures.captions import FIXED
 from bayesfric.report.figures.overlay import Curve, Overlay
 from bayesfric.report.page.facts import Facts
 from bayesfric.report.page.values import interval_html, value_html, verdict_words
 from bayesfric.report.paper.tables import ParameterRow, ParameterTable
+from bayesfric.report.summary.noise import p_words
 
 _CAPTION = re.compile(r"^\*\*(\w+)\*\*: (.+)$", re.MULTILINE)
 _RAISED = str.maketrans("0123456789-\u2212", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁻")
@@ -123,7 +125,7 @@ def _residual(told: Told) -> str:
     test = noise.innovation_whiteness
     if test is not None and test.p_value is not None:
         passes = "pass" if test.white else "do not pass"
-        parts.append(f"Innovations {passes} as white, p = {test.p_value:.2g}.")
+        parts.append(f"Innovations {passes} as white, {p_words(test.p_value)}.")
     return " ".join(parts)
 
 
@@ -227,7 +229,7 @@ def _curve(curve: Curve) -> str:
         return f"{curve.run} {curve.cell.remark}, as far as the data tell"
     middle = curve.row.middle
     low, high = curve.row.interval
-    by = "the data" if curve.told == "data" else "data, prior and bounds together"
+    by = "the data" if curve.told == "data" else TOGETHER
     share = f"{100 * curve.row.level:g} %"
     return f"{curve.run} {middle:.4g}, {share} from {low:.4g} to {high:.4g}, determined by {by}"
 

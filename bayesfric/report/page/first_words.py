@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -59,7 +60,9 @@ class FirstWords:
     otherwise
         A sentence in place of, or behind, the steps.
     command
-        What it tells to run; empty where nothing was sampled of the joint.
+        What it tells to run; empty where there is nothing to run.
+    judged
+        Whether there is a posterior to judge the model by.
     """
 
     headline: tuple[str, ...]
@@ -73,6 +76,7 @@ class FirstWords:
     steps: tuple[NextStep, ...]
     otherwise: str
     command: str
+    judged: bool
 
 
 def first_words(table: ParameterTable, facts: Facts) -> FirstWords:
@@ -85,7 +89,16 @@ def first_words(table: ParameterTable, facts: Facts) -> FirstWords:
         known.sort(key=lambda r: r.row is not None and r.row.verdict != "data")
     else:  # then the joint's own parameters are what is asked for
         known.sort(key=lambda r: r.group != "parameter")
+    judged = all(r.cell.converged for r in joint)
     steps = (*_without_recording(facts), *_steps(facts.identifiability.directions or []))
+    if not joint:
+        otherwise, command = "", ""
+    elif not judged:
+        steps = ()
+        otherwise = "None before the sampling agrees with itself: mend what is said of it above."
+        command = ""
+    else:
+        otherwise, command = _otherwise(joint, facts, bool(steps)), _command(joint)
     return FirstWords(
         tuple(_headline(joint, combined)),
         tuple(known[:_MOST]),
@@ -95,8 +108,9 @@ def first_words(table: ParameterTable, facts: Facts) -> FirstWords:
         *_trust(facts),
         tuple(facts.sampler.problems),
         steps,
-        _otherwise(joint, facts, bool(steps)) if joint else "",
-        _command(joint) if joint else "",
+        otherwise,
+        command,
+        judged,
     )
 
 
@@ -271,7 +285,7 @@ def _command(joint: Sequence[ParameterRow]) -> str:
     # a constant in the measurement is asked for last
     asked = [row for row in joint if row.name.partition(".")[0] != "offset"] or joint
     name = min(asked, key=known).name
-    return f"bayesfric identify YOUR-CONFIGURATION.toml --advise {name}"
+    return f"bayesfric identify YOUR-CONFIGURATION.toml --advise {shlex.quote(name)}"
 
 
 def _count(n: int) -> str:

@@ -13,7 +13,7 @@ from markupsafe import Markup
 
 from bayesfric.report.page.first_words import spaced
 from bayesfric.report.page.symbol import html_symbol
-from bayesfric.report.page.values import cell_html, number_html, plain, unit_html
+from bayesfric.report.page.values import cell_html, number_html, p_html, plain, unit_html
 
 
 def render(template: str, **told: Any) -> str:
@@ -60,6 +60,7 @@ def _environment() -> Environment:
         "spaced": spaced,
         "unit": unit_html,
         "cell": cell_html,
+        "p": p_html,
         "sig": lambda x, digits=4: plain(f"{x:.{digits}g}"),
     }
     environment.globals |= {"symbol": html_symbol, "number": number_html}

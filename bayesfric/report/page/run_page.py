@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -120,6 +121,7 @@ def run_page(folder: Path, summary: Mapping[str, Any], name: str) -> str:
         "run.html.j2",
         title=name,
         facts=facts,
+        simulated=_simulated(config) if facts.may_be_simulated is None else facts.may_be_simulated,
         warnings=_gathered(facts),
         first=first_words(table, facts),
         shown={line.row.name: line for line in lines},
@@ -187,3 +189,11 @@ def _text(path: Path) -> str:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
         return ""
+
+
+def _simulated(config: str) -> bool:
+    """Whether the configuration says how to simulate its recordings; for older summaries."""
+    try:
+        return "simulation" in tomllib.loads(config)
+    except tomllib.TOMLDecodeError:
+        return False

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from markupsafe import Markup, escape
 
-from bayesfric.report.comparison.cell import NOT_CONVERGED, Cell
+from bayesfric.report.comparison.cell import NOT_CONVERGED, TOGETHER, Cell
 from bayesfric.report.paper import latex
 from bayesfric.report.paper.tables import ParameterRow
+from bayesfric.report.summary.noise import p_parts
 
 NOT_DETERMINED = "not determined by the data"
 _VERDICTS = {
     "determined data": "data",
-    "determined weak": "data, prior and bounds together",
-    "determined prior": "data, prior and bounds together",
+    "determined weak": TOGETHER,
+    "determined prior": TOGETHER,
     "limit": "data, on one side only",
     "undetermined": NOT_DETERMINED,
     "known": "taken as known",
@@ -138,3 +139,9 @@ def _scaled(shown: Markup, exponent: int, *, brackets: bool = True) -> Markup:
         return shown
     power = Markup("\u00a0×\u00a010<sup>{}</sup>").format(_signed(str(exponent)))
     return (Markup("({})").format(shown) if brackets else shown) + power
+
+
+def p_html(p_value: float) -> Markup:
+    """Write a p-value with its sign; one too small for a floating-point number is not zero."""
+    sign, number = p_parts(p_value)
+    return Markup("{} {}").format(sign, plain(number))

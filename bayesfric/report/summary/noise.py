@@ -125,6 +125,7 @@ def add_white_intervals(
             "intervals are left out: raise sampling.max_steps"
         )
         return
+    judged = summary["sampler"]["status"] != "unusable"
     apart = []
     for group in ("parameters", "derived"):
         for name, row in summary[group].items():
@@ -132,13 +133,12 @@ def add_white_intervals(
             if other is not None and not name.startswith("noise."):
                 row["white_interval"], row["white_sd"] = other["interval"], other["sd"]
                 (low, high), (other_low, other_high) = row["interval"], other["interval"]
-                if row["verdict"] == "data" and (other_high < low or high < other_low):
+                if judged and row["verdict"] == "data" and (other_high < low or high < other_low):
                     apart.append(name)
     if apart:
         summary["warnings"].append(
-            f"with white noise the intervals of {', '.join(apart)} would lie elsewhere, not only "
-            "be narrower: these numbers depend on what the noise is taken for, so the model "
-            "lacks something"
+            f"with white noise the intervals of {', '.join(apart)} would lie beside these, not "
+            "inside: these numbers depend on what the noise is taken for"
         )
 
 
@@ -159,7 +159,12 @@ def noise_lines(record: Mapping[str, Any]) -> Iterator[str]:
 
 def p_words(p_value: float) -> str:
     """Write a p-value; one too small for a floating-point number is not zero."""
-    return f"p = {p_value:.2g}" if p_value > 0.0 else "p < 1e-300"
+    return " ".join(("p", *p_parts(p_value)))
+
+
+def p_parts(p_value: float) -> tuple[str, str]:
+    """Give sign and number of a p-value."""
+    return ("=", f"{p_value:.2g}") if p_value > 0.0 else ("<", "1e-300")
 
 
 # A log-likelihood this uncertain moves an interval by about a standard deviation.
@@ -205,10 +210,10 @@ def _too_narrow(fit: Fit, lag: float) -> str:
         for v in e.values
         if v.determined and v.sd > 0.0 and np.isfinite(v.sd_robust)
     ]
-    if ratios and not likelihood.noise.order:
+    if max(ratios, default=0.0) > 1.0 and not likelihood.noise.order:
         return (
-            f"by the input-error estimate, whose robust sds are {min(ratios):.2g} to "
-            f"{max(ratios):.2g} times the plain ones, these intervals are too narrow by as much"
+            f"these intervals are up to {max(ratios):.2g} times too narrow, as the input-error "
+            "estimate's robust sds over its plain ones say"
         )
     # the factor of a first-order autoregression
     factor = np.sqrt((1.0 + lag) / (1.0 - min(lag, 0.99)))
