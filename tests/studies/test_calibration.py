@@ -66,7 +66,7 @@ def test_the_band_holds_uniform_ranks_as_often_as_it_says(study):
 def test_a_few_recordings_again(study, case, honest):
     n = 24
     rows = [study.one((case, i)) for i in range(n)]
-    j = rows[0]["names"].index("noise.sigma" if not honest else "total.inertia")
+    j = rows[0]["names"].index("total_drive.inertia" if honest else "noise.sigma")
     covered = sum(row["covered"][j] for row in rows)
     if honest:
         # a right interval is missed this often once in a hundred thousand times
