@@ -157,13 +157,14 @@ def _coefficients(chain: Chain, at: dict[str, Array], load_torque: float) -> Ite
         assert mu_drive is not None
         assert mu_back is not None
         two = element.load_loss == "two"
+        passed = "load torque over motor torque when the"
         # eq. (6); an irreversible gearbox, mu_2 >= 1, passes nothing back
         back = np.where(mu_back < 1.0, 1.0 - mu_back, np.nan)
         yield Derived(
             f"{name}.alpha_drive",
             "",
             r"\alpha_1",
-            effort_words("load torque over motor torque when the motor drives", element.motion),
+            effort_words(f"{passed} motor drives, 1/(1 + mu{'_1' * two})", element.motion),
             1.0 / (1.0 + mu_drive),
             gauge_free=not two,
         )
@@ -171,7 +172,7 @@ def _coefficients(chain: Chain, at: dict[str, Array], load_torque: float) -> Ite
             f"{name}.alpha_back",
             "",
             r"\alpha_2",
-            effort_words("load torque over motor torque when the load drives", element.motion),
+            effort_words(f"{passed} load drives, 1/(1 - mu{'_2' * two})", element.motion),
             1.0 / back,
             gauge_free=not two,
         )
@@ -194,7 +195,7 @@ def _coefficients(chain: Chain, at: dict[str, Array], load_torque: float) -> Ite
                 f"{name}.lambda_ratio",
                 "",
                 r"\lambda_1/\lambda_2",
-                "theta5/theta10 of eq. (13)",
+                "mean of 1/alpha over half their difference, theta5/theta10 of eq. (13)",
                 lambda_1 / lambda_2,
                 gauge_free=True,
             )

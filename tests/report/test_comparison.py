@@ -77,6 +77,7 @@ def test_estimates_that_disagree_are_named():
     (note,) = [note for note in comparison({"knee": run}).notes if "differs" in note]
     assert note.startswith("least-squares differs from the posterior by more than 3 sd in")
     assert "total.inertia:" in note
+    assert comparison({"knee": run}).contested == ("total.inertia",)
 
 
 def test_estimates_of_another_run_saw_other_data():

@@ -242,6 +242,18 @@ def test_what_the_model_lacks_stands_on_the_first_screen(tmp_path):
     told["fit"]["lacks"] = [{"on": "joint speed", "share": 0.123, "p_value": 1e-9}]
     (first,) = read_page(run_page(tmp_path, told, "knee")).all("section", id="findings")
     assert "joint speed explains 12 % of what it leaves" in first.text
+    (steps,) = first.all("ol")
+    assert next(steps.all("li")).text.startswith("Look for what the model lacks")
+
+
+def test_methods_that_disagree_stand_on_the_first_screen(tmp_path):
+    told = knee()
+    (first,) = read_page(run_page(tmp_path, told, "knee")).all("section", id="findings")
+    assert "Other methods" not in first.text
+    row = told["estimates"]["least-squares"]["parameters"]["total.inertia"]
+    row["value"] *= 1.1
+    (first,) = read_page(run_page(tmp_path, told, "knee")).all("section", id="findings")
+    assert "other values than the posterior for total.inertia (comparison)" in first.text
 
 
 @pytest.mark.parametrize("tried", [0, 3])

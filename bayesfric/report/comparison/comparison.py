@@ -80,12 +80,15 @@ class Comparison:
         Label of the posterior that disagreement is measured against, if any.
     notes
         What a reader must know besides, one sentence each.
+    contested
+        Names of the rows in which an estimate of the first posterior's run is far from it.
     """
 
     columns: tuple[Column, ...]
     rows: tuple[Row, ...]
     baseline: str | None
     notes: tuple[str, ...]
+    contested: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> Row:
         for row in self.rows:
@@ -190,10 +193,20 @@ def comparison(
         if fact.found
     ]
     rows.sort(key=_order)  # keeps the order of the files within each group
-    if baseline is not None:
-        notes += _apart(rows, [c for c in columns if c.run == baseline.run])
+    mine = [c for c in columns if baseline is not None and c.run == baseline.run]
+    apart = {column.label: _apart(rows, column) for column in mine if column.kind == "estimate"}
+    notes += [
+        f"{label} differs from the posterior by more than {_FAR:g} sd in {', '.join(names)}: the "
+        "two take different things for granted, and of one of them they do not hold."
+        for label, names in apart.items()
+        if names
+    ]
     return Comparison(
-        tuple(columns), tuple(rows), baseline.label if baseline else None, tuple(notes)
+        tuple(columns),
+        tuple(rows),
+        baseline.label if baseline else None,
+        tuple(notes),
+        tuple(row.name for row in rows if any(row.name in names for names in apart.values())),
     )
 
 
@@ -336,23 +349,15 @@ def _meanings(facts: Mapping[str, _Facts]) -> Iterator[str]:
             yield f"{name} is not the same everywhere: {each}."
 
 
-def _apart(rows: list[Row], columns: list[Column]) -> Iterator[str]:
-    """Say which estimates of determined numbers the first posterior does not agree with."""
-    for column in columns:
-        far = [
-            row.name
-            for row in rows
-            if column.kind == "estimate"
-            and (cell := row.cells.get(column.label)) is not None
-            and cell.status == "determined"
-            and abs(cell.disagreement or 0.0) > _FAR
-        ]
-        if far:
-            yield (
-                f"{column.label} differs from the posterior by more than {_FAR:g} sd in "
-                f"{', '.join(far)}: the two take different things for granted, and of one of them "
-                "they do not hold."
-            )
+def _apart(rows: list[Row], column: Column) -> list[str]:
+    """Name the determined numbers in which an estimate is far from the first posterior."""
+    return [
+        row.name
+        for row in rows
+        if (cell := row.cells.get(column.label)) is not None
+        and cell.status == "determined"
+        and abs(cell.disagreement or 0.0) > _FAR
+    ]
 
 
 def _add_references(

@@ -200,7 +200,7 @@ def _lines(
 
 def explained(found: Comparison) -> Iterator[str]:
     """Say what the numbers are and what they take for granted."""
-    yield "± is one standard deviation, accounting for correlated residuals."
+    yield "± is one standard deviation, accounting for correlated residuals (sd_robust)."
     if any(column.kind == "posterior" for column in found.columns):
         yield "Of a posterior the median is given."
     cells = [cell for row in found.rows for cell in row.cells.values()]

@@ -228,6 +228,13 @@ def _trust(facts: Facts) -> tuple[str, str]:
 
 def _without_recording(facts: Facts) -> Iterator[NextStep]:
     """Name what can be done before anything is recorded."""
+    if on := [lack.on for lack in facts.fit.lacks]:
+        yield NextStep(
+            f"Look for what the model lacks: what it leaves depends on {listed(on)}",
+            "Needs no recording: the figure of residuals shows where. It may be a quadratic or "
+            "Stribeck loss, losses by direction or by load, or gravity. Neither more data nor "
+            "another noise model mends it.",
+        )
     white = facts.noise.innovation_whiteness
     # where the order was chosen, auto itself found that no memory helps
     chosen = facts.noise.order_chosen_from

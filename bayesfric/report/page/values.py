@@ -14,7 +14,7 @@ _VERDICTS = {
     "determined data": "data",
     "determined weak": TOGETHER,
     "determined prior": TOGETHER,
-    "limit": "data, on one side only",
+    "limit": "data, prior and bounds, on one side only",
     "undetermined": NOT_DETERMINED,
     "known": "taken as known",
 }

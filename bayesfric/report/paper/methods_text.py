@@ -275,7 +275,7 @@ def _priors(_: Fit, summary: Mapping[str, Any]) -> Iterator[str]:
     ]
     if summary["sampler"]["status"] != "unusable":
         n = counts(joint)
-        limits = f"limited by the data on one side {n.limits}, " if n.limits else ""
+        limits = f"limited on one side {n.limits}, " if n.limits else ""
         yield (
             f"Parameters of the joint, {len(joint)} in all: determined by the data {n.data}, by "
             f"data, prior and bounds together {n.together}, {limits}not determined by the data "

@@ -33,7 +33,7 @@ def bound_mend(name: str, row: PosteriorRow) -> str:
     if row.bound_physical:
         return (
             f"it cannot be beyond {bound}, and the data cannot tell it from that: there is nothing "
-            "to widen"
+            "to widen, but where it cannot be that small, the model puts its effect elsewhere"
         )
     return f"widen priors.{name} beyond {bound}, unless that bound is physical"
 

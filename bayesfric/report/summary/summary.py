@@ -309,7 +309,7 @@ def _totals(fit: Fit, median: Array, local: LocalInformation) -> dict[str, Any]:
         rows[label] = {
             "unit": unit,
             "symbol": symbol,
-            "meaning": f"{meaning}, as least squares would see it",
+            "meaning": f"{meaning}, as a fit without load losses would find it",
             **_spread(draws[:, i]),
             "verdict": verdict(
                 _robust_sd(draws[:, i]),
