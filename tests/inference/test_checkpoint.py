@@ -340,7 +340,7 @@ def killed(folder, kills, moments):
     return saved
 
 
-@pytest.mark.parametrize("kills", [3, pytest.param(50, marks=pytest.mark.slow)], ids=["3", "50"])
+@pytest.mark.parametrize("kills", [2, pytest.param(50, marks=pytest.mark.slow)], ids=["2", "50"])
 def test_killed_at_random_moments(whole, tmp_path, kills):
     moments = random.Random(6)
     for _ in range(-(-kills // 3)):

@@ -88,7 +88,7 @@ excitation = "multisine"
 amplitude = 1.2
 torque_noise = 0.01
 encoder_counts = 1048576
-duration = 10
+duration = 6
 seed = 14
 [simulation.parameters]
 "offset" = 0.0

@@ -115,6 +115,7 @@ def test_same_seed_same_problem(problem, written, tmp_path):
             np.testing.assert_array_equal(first[name], second[name])
 
 
+@pytest.mark.slow
 def test_a_rival_runs_and_reports(written):
     """Plain emcee is also in this environment; a second of it shows the way there and back."""
     runner = load(FOLDER / "run_rivals.py")
