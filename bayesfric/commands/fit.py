@@ -19,6 +19,7 @@ from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.inference.sampling.sampling import Progress, phase
 from bayesfric.inference.target import Target
+from bayesfric.report.comparison.cell import TOGETHER
 from bayesfric.report.run_directory import check_free, write_run
 from bayesfric.report.summary.bounds import bound_mend, told_by_data
 from bayesfric.report.summary.noise import add_white_intervals, noise_lines, white_alternative
@@ -191,7 +192,7 @@ def _remark(row: dict[str, Any], read: PosteriorRow) -> str:
         return f"the data push it against its {bound} bound: read it as {kind} limit {limit:.3g}"
     words = {
         "data": "",
-        "weak": "weakly determined: data, prior and bounds together",
+        "weak": f"weakly determined: {TOGETHER}",
         "prior": "NOT determined by the data: this is the prior and the bounds",
     }[row["verdict"]]
     if row.get("undefined_share"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +75,17 @@ class Fit:
     def observations(self) -> tuple[Observation, ...]:
         """The prepared recordings."""
         return self.target.likelihood.observations
+
+    @cached_property
+    def residuals(self) -> list[NDArray[np.float64]]:
+        """Measured minus posterior mean output of each recording."""
+        likelihood = self.target.likelihood
+        return [
+            o.measured - predicted.mean(axis=0)
+            for o, predicted in zip(
+                likelihood.outputs, likelihood.predict(self.chain_draws(200)), strict=True
+            )
+        ]
 
     def chain_draws(self, n: int | None = None) -> NDArray[np.float64]:
         """Draws of all chain parameters, fixed ones included.

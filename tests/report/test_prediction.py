@@ -9,7 +9,6 @@ import bayesfric.report.figures.prediction as module
 from bayesfric.recordings.options import Processing
 from bayesfric.report.figures.prediction import prediction_figure, predictive
 from bayesfric.report.figures.style import save
-from bayesfric.report.summary.residual_analysis import residuals
 
 
 def by_gid(ax, gid):
@@ -47,7 +46,7 @@ def test_band_is_that_of_simulated_draws(make_fit):
 def test_mean_is_the_one_of_the_summary(knee, monkeypatch):
     (p,) = predictive(knee)
     np.testing.assert_allclose(
-        knee.observations[0].measured - p.mean, residuals(knee)[0], atol=1e-12
+        knee.observations[0].measured - p.mean, knee.residuals[0], atol=1e-12
     )
     # in one piece or draw by draw
     monkeypatch.setattr(module, "_BUDGET", 1)

@@ -14,7 +14,6 @@ from bayesfric.report.summary.residual_analysis import (
     lacking,
     residual_analysis,
     residual_words,
-    residuals,
 )
 
 from .conftest import draw_fast
@@ -93,7 +92,7 @@ def test_what_the_model_lacks_shows_where_it_acts(knee, name, change):
 
 
 def test_binned_means_are_the_bins(knee):
-    (left,) = residuals(knee)
+    (left,) = knee.residuals
     (o,) = knee.observations
     (binned,) = [b for b in residual_analysis(knee).against if b.what.startswith("joint speed")]
     order = np.argsort(o.speed, kind="stable")

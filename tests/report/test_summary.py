@@ -14,7 +14,6 @@ from bayesfric.inference.fit import fit, make_target, read_priors
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.options import MechanismOptions
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.report.summary.residual_analysis import residuals
 from bayesfric.report.summary.summary import summarise, summary_table
 
 KNEE, AXIS = PRESETS["rabbit-knee"], PRESETS["motor-axis"]
@@ -222,7 +221,7 @@ def test_a_given_prior_is_told(emps):
 def test_residual_rms_is_of_measured_minus_predicted(case):
     """It is the noise that was put in, to the 2 % that 1500 samples of it allow."""
     result, summary = case
-    left = np.concatenate(residuals(result))
+    left = np.concatenate(result.residuals)
     assert summary["fit"]["residual_rms"] == pytest.approx(np.sqrt(np.mean(left**2)), rel=1e-9)
     sigma = 5.0 if summary["fit"]["unit"] == "N" else 0.01
     assert summary["fit"]["residual_rms"] == pytest.approx(sigma, rel=0.06)

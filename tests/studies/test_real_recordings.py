@@ -8,7 +8,6 @@ import pytest
 from bayesfric.commands.problem import read_problem
 from bayesfric.config import read_config
 from bayesfric.inference.fit import fit
-from bayesfric.report.summary.residual_analysis import residuals
 from tests.conftest import REPOSITORY
 
 pytestmark = pytest.mark.usefixtures("real_data")
@@ -41,7 +40,7 @@ def test_ur10e_needs_load_friction():
     """A strain-wave gear; the residual falls by more than 60 % with mu|Gamma|."""
     _, plain = run("ur10e/ur10e-joint2-no-load-friction.toml")
     _, full = run("ur10e/ur10e-joint2.toml")
-    rms = [np.sqrt(np.mean(residuals(f)[0] ** 2)) for f in (plain, full)]
+    rms = [np.sqrt(np.mean(f.residuals[0] ** 2)) for f in (plain, full)]
     assert rms[1] < 0.4 * rms[0]
     # in amperes, as measured: 0.24 and 0.064 A (data README)
     assert rms[0] / 10.6956 == pytest.approx(0.24, abs=0.01)

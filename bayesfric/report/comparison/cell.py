@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from bayesfric.report.summary.bounds import told_by_data
 from bayesfric.report.summary.read_back import EstimatedRow, PosteriorRow
@@ -122,3 +123,12 @@ def posterior_cell(row: PosteriorRow, accounts: bool, status: str = "reliable") 
         level=row.level,
         remark="; ".join(remarks),
     )
+
+
+def posterior_cells(summary: Mapping[str, Any]) -> dict[str, Cell]:
+    """Judge every parameter and derived quantity of a summary, noise as accounted for."""
+    status = summary["sampler"]["status"]
+    return {
+        name: posterior_cell(PosteriorRow.model_validate(row), accounts=True, status=status)
+        for name, row in {**summary["derived"], **summary["parameters"]}.items()
+    }

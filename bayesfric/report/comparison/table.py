@@ -214,10 +214,11 @@ def explained(found: Comparison) -> Iterator[str]:
         kinds = [c.kind for c in found.columns]
         added = ["another run"] if kinds.count("posterior") > 1 else []
         added += ["a reference"] if "reference" in kinds else []
-        parts = ["in the larger of the two of an estimate, which saw the same data"]
-        parts = parts if "estimate" in kinds else []
-        parts += [f"in both together of {' and '.join(added)}"] if added else []
-        yield "; ".join([words, *parts]) + "."
+        if "estimate" in kinds:
+            words += "; in the larger of the two of an estimate, which saw the same data"
+        if added:
+            words += f"; in both together of {' and '.join(added)}"
+        yield words + "."
     for column in found.columns:
         parts = [column.told] if column.told else []
         if column.residual_rms is not None:

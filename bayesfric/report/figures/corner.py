@@ -12,11 +12,18 @@ from matplotlib.lines import Line2D
 
 from bayesfric.errors import BadInput, nearest
 from bayesfric.inference.fit import Fit
-from bayesfric.report.comparison.cell import Cell, posterior_cell
+from bayesfric.report.comparison.cell import Cell, posterior_cells
 from bayesfric.report.figures.marginal import draw_marginal, marginal_handles, moves
 from bayesfric.report.figures.quantity import Quantity, combinations, not_shown, quantities
-from bayesfric.report.figures.style import PAGE, POSTERIOR, SMALL, Array, few_ticks, paper_style
-from bayesfric.report.summary.read_back import PosteriorRow
+from bayesfric.report.figures.style import (
+    PAGE,
+    POSTERIOR,
+    SMALL,
+    Array,
+    few_ticks,
+    margins,
+    paper_style,
+)
 from bayesfric.report.summary.summary import LEVEL
 
 # Combinations that come first; parameters want to be seen too.
@@ -67,9 +74,15 @@ def corner_figure(
     BadInput
         If a name is not among them, or none is given.
     """
-    cells = _cells(summary)
-    shown = _choice(fit, cells) if chosen is None else _pick(fit, cells, chosen)
-    left_out = [q for q in quantities(fit) if q.name not in {one.name for one in shown}]
+    cells = posterior_cells(summary)
+    sampled = quantities(fit)
+    # what fixed parameters make up is known, and has no posterior
+    combined = [q for q in combinations(fit) if q.name in cells]
+    if chosen is None:
+        shown = _choice(sampled, combined, cells, fit.target.noise.names)
+    else:
+        shown = _pick([*combined, *sampled], chosen)
+    left_out = [q for q in sampled if q not in shown]
     with paper_style():
         k = len(shown)
         panel = (PAGE - _LEFT - _RIGHT - (k - 1) * _BETWEEN) / k
@@ -77,10 +90,7 @@ def corner_figure(
         grid = figure.add_gridspec(
             k,
             k,
-            left=_LEFT / PAGE,
-            right=1.0 - _RIGHT / PAGE,
-            bottom=_BOTTOM / figure.get_figheight(),
-            top=1.0 - _TOP / figure.get_figheight(),
+            **margins(figure, left=_LEFT, right=_RIGHT, bottom=_BOTTOM, top=_TOP),
             wspace=_BETWEEN / panel,
             hspace=_BETWEEN / panel,
         )
@@ -103,35 +113,25 @@ def corner_figure(
     return figure
 
 
-def _cells(summary: Mapping[str, Any]) -> dict[str, Cell]:
-    """Tell of every quantity what the data say of it."""
-    rows = {**summary["derived"], **summary["parameters"]}
-    sampling = summary["sampler"]["status"]
-    return {
-        name: posterior_cell(PosteriorRow.model_validate(row), True, sampling)
-        for name, row in rows.items()
-    }
-
-
-def _choice(fit: Fit, cells: Mapping[str, Cell]) -> list[Quantity]:
+def _choice(
+    sampled: list[Quantity],
+    combined: list[Quantity],
+    cells: Mapping[str, Cell],
+    noise: Sequence[str],
+) -> list[Quantity]:
     """Choose what to show: what the data tell before what they leave open."""
-    noise = fit.target.noise.names
-    everything = quantities(fit)
-    joint = [q for q in everything if q.name not in noise]
+    joint = [q for q in sampled if q.name not in noise]
     open_ = [q for q in joint if cells[q.name].status == "undetermined"]
     if not open_:
-        return everything[:_MOST]
-    told = [
-        q for q in combinations(fit) if q.name in cells and cells[q.name].status == "determined"
-    ]
-    known = [q for q in joint if cells[q.name].status != "undetermined"]
-    rest = [q for q in everything if q.name in noise]
+        return sampled[:_MOST]
+    told = [q for q in combined if cells[q.name].status == "determined"]
+    known = [q for q in joint if q not in open_]
+    rest = [q for q in sampled if q.name in noise]
     return [*told[:_COMBINATIONS], *known, *open_, *rest][:_MOST]
 
 
-def _pick(fit: Fit, cells: Mapping[str, Cell], chosen: Sequence[str]) -> list[Quantity]:
-    # what fixed parameters make up is known, and has no posterior
-    known = {q.name: q for q in [*combinations(fit), *quantities(fit)] if q.name in cells}
+def _pick(everything: list[Quantity], chosen: Sequence[str]) -> list[Quantity]:
+    known = {q.name: q for q in everything}
     if not chosen:
         raise BadInput("corner", "no parameter chosen", f"choose from {', '.join(known)}")
     for name in chosen:

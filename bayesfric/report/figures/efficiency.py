@@ -25,6 +25,7 @@ from bayesfric.report.figures.style import (
     PALETTE,
     Array,
     few_ticks,
+    margins,
     paper_style,
 )
 from bayesfric.report.summary.summary import LEVEL
@@ -159,10 +160,7 @@ def efficiency_figure(fit: Fit, summary: Mapping[str, Any]) -> Figure | None:
             len(panels),
             squeeze=False,
             gridspec_kw={
-                "left": _LEFT / width,
-                "right": 1.0 - _RIGHT / width,
-                "bottom": _BOTTOM / _HEIGHT,
-                "top": 1.0 - above / _HEIGHT,
+                **margins(figure, left=_LEFT, right=_RIGHT, bottom=_BOTTOM, top=above),
                 "wspace": 0.18,
             },
         )[0]

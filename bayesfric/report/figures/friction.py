@@ -25,6 +25,7 @@ from bayesfric.report.figures.style import (
     SMALL,
     Array,
     few_ticks,
+    margins,
     paper_style,
 )
 from bayesfric.report.summary.summary import LEVEL
@@ -176,10 +177,9 @@ def friction_figure(fit: Fit) -> Figure:
             1 if alone else 3,
             squeeze=False,
             gridspec_kw={
-                "left": _LEFT / width,
-                "right": 1.0 - (0.08 if alone else _RIGHT) / width,
-                "bottom": _BOTTOM / _HEIGHT,
-                "top": 1.0 - _TOP / _HEIGHT,
+                **margins(
+                    figure, left=_LEFT, right=0.08 if alone else _RIGHT, bottom=_BOTTOM, top=_TOP
+                ),
                 "wspace": 0.34,
             },
         )[0]

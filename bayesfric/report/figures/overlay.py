@@ -23,6 +23,7 @@ from bayesfric.report.figures.run_draws import RunDraws
 from bayesfric.report.figures.style import (
     PAGE,
     SMALL,
+    add_panels,
     few_ticks,
     mathtext,
     paper_style,
@@ -255,18 +256,13 @@ def overlay_figure(shown: Overlay) -> Figure:
     width = (PAGE - _LEFT - _RIGHT - (_COLUMNS - 1) * _BETWEEN) / _COLUMNS
     with paper_style():
         figure = Figure(figsize=(PAGE, height))
-        for k, panel in enumerate(panels):
-            i, j = divmod(k, _COLUMNS)
-            ax = figure.add_axes(
-                (
-                    (_LEFT + j * (width + _BETWEEN)) / PAGE,
-                    1.0 - (top + i * (_PANEL + _BELOW) + _PANEL) / height,
-                    width / PAGE,
-                    _PANEL / height,
-                )
-            )
+        every = add_panels(
+            figure, len(panels), _COLUMNS, left=_LEFT, right=_RIGHT, top=top, between=_BETWEEN,
+            panel=_PANEL, below=_BELOW,
+        )  # fmt: skip
+        for k, (ax, panel) in enumerate(zip(every, panels, strict=True)):
             _panel(ax, panel, width)
-            if j == 0:
+            if k % _COLUMNS == 0:
                 ax.set_ylabel("density (1/unit)", fontsize=SMALL)
         _legend(figure, panels, curves, names, across)
         for k, remark in enumerate(reversed(remarks)):

@@ -19,6 +19,7 @@ from bayesfric.report.figures.style import (
     Array,
     AxesGrid,
     few_ticks,
+    margins,
     paper_style,
     shortened,
 )
@@ -129,10 +130,7 @@ def prediction_figure(fit: Fit) -> Figure:
             sharex="col",
             sharey="row",
             gridspec_kw={
-                "left": _LEFT / PAGE,
-                "right": 1.0 - _RIGHT / PAGE,
-                "bottom": _BOTTOM / _HEIGHT,
-                "top": 1.0 - _TOP / _HEIGHT,
+                **margins(figure, left=_LEFT, right=_RIGHT, bottom=_BOTTOM, top=_TOP),
                 "wspace": 0.06,
                 "hspace": 0.08,
                 "height_ratios": (1.8, 1.0),

@@ -11,11 +11,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from bayesfric.inference.fit import Fit
-from bayesfric.report.comparison.cell import Cell, posterior_cell
+from bayesfric.report.comparison.cell import Cell, posterior_cells
 from bayesfric.report.figures.marginal import draw_marginal, marginal_handles
 from bayesfric.report.figures.quantity import Quantity, not_shown, quantities
-from bayesfric.report.figures.style import PAGE, SMALL, few_ticks, paper_style
-from bayesfric.report.summary.read_back import PosteriorRow
+from bayesfric.report.figures.style import PAGE, SMALL, add_panels, few_ticks, paper_style
 
 _COLUMNS = 4
 _MOST = 24
@@ -52,30 +51,18 @@ def prior_posterior_figure(fit: Fit, summary: Mapping[str, Any]) -> Figure:
     """
     everything = quantities(fit)
     shown, left_out = everything[:_MOST], everything[_MOST:]
-    cells = [
-        posterior_cell(
-            PosteriorRow.model_validate(summary["parameters"][q.name]),
-            accounts=True,
-            status=summary["sampler"]["status"],
-        )
-        for q in shown
-    ]
+    judged = posterior_cells(summary)
+    cells = [judged[q.name] for q in shown]
     rows = -(-len(shown) // _COLUMNS)
     height = _TOP + rows * (_PANEL + _BELOW)
-    width = (PAGE - _LEFT - _RIGHT - (_COLUMNS - 1) * _BETWEEN) / _COLUMNS
     with paper_style():
         figure = Figure(figsize=(PAGE, height))
-        for k, q in enumerate(shown):
-            row, column = divmod(k, _COLUMNS)
-            ax = figure.add_axes(
-                (
-                    (_LEFT + column * (width + _BETWEEN)) / PAGE,
-                    1.0 - (_TOP + row * (_PANEL + _BELOW) + _PANEL) / height,
-                    width / PAGE,
-                    _PANEL / height,
-                )
-            )
-            _panel(ax, q, summary["parameters"][q.name], cells[k])
+        panels = add_panels(
+            figure, len(shown), _COLUMNS, left=_LEFT, right=_RIGHT, top=_TOP, between=_BETWEEN,
+            panel=_PANEL, below=_BELOW,
+        )  # fmt: skip
+        for ax, q, cell in zip(panels, shown, cells, strict=True):
+            _panel(ax, q, summary["parameters"][q.name], cell)
         _legend(figure, cells, not_shown(left_out))
     return figure
 

@@ -21,6 +21,7 @@ from bayesfric.report.figures.style import (
     SMALL,
     Array,
     few_ticks,
+    margins,
     paper_style,
 )
 from bayesfric.report.summary.summary import LEVEL
@@ -64,10 +65,7 @@ def profile_figure(fit: Fit, found: Sequence[Profile] | None = None) -> Figure:
         grid = figure.add_gridspec(
             rows,
             across,
-            left=_LEFT / PAGE,
-            right=1.0 - _RIGHT / PAGE,
-            bottom=_BOTTOM / height,
-            top=1.0 - _TOP / height,
+            **margins(figure, left=_LEFT, right=_RIGHT, bottom=_BOTTOM, top=_TOP),
             wspace=0.08,
             hspace=_BOTTOM / _PANEL,
         )

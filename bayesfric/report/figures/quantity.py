@@ -13,7 +13,7 @@ from bayesfric.report.figures.style import Array, mathtext, power_of_ten, scaled
 from bayesfric.report.summary.noise import noise_unit
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Quantity:
     """A sampled parameter, or a combination of them, as figures show it.
 

@@ -15,6 +15,7 @@ from bayesfric.report.figures.style import (
     PALETTE,
     SMALL,
     few_ticks,
+    margins,
     paper_style,
     power_of_ten,
     scaled_unit,
@@ -46,10 +47,7 @@ def residual_figure(fit: Fit) -> Figure:
         grid = figure.add_gridspec(
             2,
             6,
-            left=_LEFT / PAGE,
-            right=1.0 - _RIGHT / PAGE,
-            bottom=_BOTTOM / _HEIGHT,
-            top=1.0 - _TOP / _HEIGHT,
+            **margins(figure, left=_LEFT, right=_RIGHT, bottom=_BOTTOM, top=_TOP),
             wspace=1.1,
             hspace=0.34,
         )

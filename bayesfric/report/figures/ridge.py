@@ -28,6 +28,7 @@ from bayesfric.report.figures.style import (
     Array,
     LineStyle,
     few_ticks,
+    margins,
     mathtext,
     paper_style,
     power_of_ten,
@@ -143,10 +144,7 @@ def ridge_figure(fit: Fit) -> Figure | None:
         halves = figure.add_gridspec(
             2,
             1,
-            left=_LEFT / PAGE,
-            right=1.0 - _RIGHT / PAGE,
-            bottom=_BOTTOM / _HEIGHT,
-            top=1.0 - _TOP / _HEIGHT,
+            **margins(figure, left=_LEFT, right=_RIGHT, bottom=_BOTTOM, top=_TOP),
             hspace=0.30,
             height_ratios=(1.35, 1.0),
         )

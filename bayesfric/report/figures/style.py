@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.mathtext import MathTextParser
@@ -194,6 +195,61 @@ def shortened(name: str, most: int = 36, *, keep_end: bool = False) -> str:
     if len(name) > most:
         name = f"…{name[1 - most :]}" if keep_end else f"{name[: most - 1]}…"
     return name.replace("$", r"\$")
+
+
+def margins(
+    figure: Figure, *, left: float, right: float, bottom: float, top: float
+) -> dict[str, float]:
+    """Turn margins in inches into what a grid of axes takes."""
+    width, height = figure.get_size_inches()
+    return {
+        "left": left / width,
+        "right": 1.0 - right / width,
+        "bottom": bottom / height,
+        "top": 1.0 - top / height,
+    }
+
+
+def add_panels(
+    figure: Figure,
+    count: int,
+    columns: int,
+    *,
+    left: float,
+    right: float,
+    top: float,
+    between: float,
+    panel: float,
+    below: float,
+) -> list[Axes]:
+    """Fill a figure with panels of equal size, row by row; lengths in inches.
+
+    Parameters
+    ----------
+    figure
+        Its size leaves room for them.
+    count, columns
+        How many panels, and how many to a row.
+    left, right, top
+        Margins.
+    between
+        Of two panels in a row.
+    panel, below
+        Height of a panel, and of what stands below it.
+    """
+    total, height = figure.get_size_inches()
+    width = (total - left - right - (columns - 1) * between) / columns
+    return [
+        figure.add_axes(
+            (
+                (left + column * (width + between)) / total,
+                1.0 - (top + row * (panel + below) + panel) / height,
+                width / total,
+                panel / height,
+            )
+        )
+        for row, column in (divmod(k, columns) for k in range(count))
+    ]
 
 
 class _InnerLocator(MaxNLocator):

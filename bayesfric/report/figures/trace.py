@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.sampling.convergence import autocorrelation
 from bayesfric.report.figures.quantity import Quantity, not_shown, quantities
-from bayesfric.report.figures.style import PAGE, SMALL, Array, few_ticks, line_style, paper_style
+from bayesfric.report.figures.style import (
+    PAGE,
+    SMALL,
+    Array,
+    few_ticks,
+    line_style,
+    margins,
+    paper_style,
+)
 from bayesfric.report.summary.summary import LEVEL
 
 _MOST = 14
@@ -50,10 +58,7 @@ def trace_figure(fit: Fit) -> Figure:
             squeeze=False,
             sharex="col",
             gridspec_kw={
-                "left": _LEFT / PAGE,
-                "right": 1.0 - _RIGHT / PAGE,
-                "bottom": _BOTTOM / height,
-                "top": 1.0 - _TOP / height,
+                **margins(figure, left=_LEFT, right=_RIGHT, bottom=_BOTTOM, top=_TOP),
                 "wspace": 0.17,
                 "hspace": 0.12,
                 "width_ratios": (2.0, 1.0),

@@ -81,7 +81,7 @@ class FirstWords:
 
 def first_words(table: ParameterTable, facts: Facts) -> FirstWords:
     """Put a run's findings into plain words."""
-    joint = [r for r in table.rows if r.group == "parameter" and not _of_noise(r)]
+    joint = table.joint
     combined = [r for r in table.rows if r.group == "free"]
     known = [r for r in [*combined, *joint] if r.cell.status == "determined"]
     if any(r.cell.status == "undetermined" for r in joint):
@@ -112,10 +112,6 @@ def first_words(table: ParameterTable, facts: Facts) -> FirstWords:
         command,
         judged,
     )
-
-
-def _of_noise(row: ParameterRow) -> bool:
-    return row.name.startswith("noise.")
 
 
 def _headline(joint: Sequence[ParameterRow], combined: Sequence[ParameterRow]) -> Iterator[str]:

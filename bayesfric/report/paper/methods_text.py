@@ -18,6 +18,7 @@ from bayesfric.inference.fit import Fit
 from bayesfric.mechanism.element import Element
 from bayesfric.mechanism.parameter import effort_words
 from bayesfric.recordings.observation import Observation
+from bayesfric.report.comparison.cell import TOGETHER
 from bayesfric.report.paper import latex
 from bayesfric.report.paper.bibliography import ENTRIES, bibliography
 from bayesfric.report.paper.tables import counts, parameter_table
@@ -268,17 +269,13 @@ def _priors(_: Fit, summary: Mapping[str, Any]) -> Iterator[str]:
             for name, row in summary["fixed"].items()
         ]
         yield f"Taken as known: {'; '.join(fixed)}."
-    joint = [
-        row
-        for row in parameter_table(summary).rows
-        if row.group == "parameter" and not row.name.startswith("noise.")
-    ]
+    joint = parameter_table(summary).joint
     if summary["sampler"]["status"] != "unusable":
         n = counts(joint)
         limits = f"limited on one side {n.limits}, " if n.limits else ""
         yield (
             f"Parameters of the joint, {len(joint)} in all: determined by the data {n.data}, by "
-            f"data, prior and bounds together {n.together}, {limits}not determined by the data "
+            f"{TOGETHER} {n.together}, {limits}not determined by the data "
             f"{n.open}."
         )
     found = summary["identifiability"]["null_directions"]

@@ -102,6 +102,15 @@ class ParameterTable:
     level: float
     notes: tuple[str, ...]
 
+    @property
+    def joint(self) -> list[ParameterRow]:
+        """Sampled parameters of the joint: without those of the noise."""
+        return [
+            row
+            for row in self.rows
+            if row.group == "parameter" and not row.name.startswith("noise.")
+        ]
+
 
 def parameter_table(summary: Mapping[str, Any], run: str = "summary.json") -> ParameterTable:
     """Judge every number of a summary for the table of parameters.

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesfric.estimates.estimate import Estimate
 from bayesfric.estimates.information import CORRELATED, lag_one
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.likelihood.autoregression import ljung_box, predictors
@@ -195,22 +196,20 @@ def correlation_warnings(fit: Fit, record: Mapping[str, Any]) -> Iterator[str]:
     what = "innovations" if likelihood.noise.order else "residuals"
     yield (
         f"the {what} are correlated (lag 1: {lag:.2f}) but are taken for independent: "
-        f"{_too_narrow(fit, lag)}"
+        f"{_too_narrow(() if likelihood.noise.order else fit.estimates, lag)}"
     )
 
 
-def _too_narrow(fit: Fit, lag: float) -> str:
-    """Say by how much intervals are too narrow: of each parameter its own, where that is known."""
-    likelihood = fit.target.likelihood
-    assert isinstance(likelihood, TorqueLikelihood)
-    same = [e for e in fit.estimates if e.method == "input-error"]
+def _too_narrow(estimates: Sequence[Estimate], lag: float) -> str:
+    """Say by how much intervals are too narrow, by estimates of the same kind where there are."""
     ratios = [
         v.sd_robust / v.sd
-        for e in same
+        for e in estimates
+        if e.method == "input-error"
         for v in e.values
         if v.determined and v.sd > 0.0 and np.isfinite(v.sd_robust)
     ]
-    if max(ratios, default=0.0) > 1.0 and not likelihood.noise.order:
+    if max(ratios, default=0.0) > 1.0:
         return (
             f"these intervals are up to {max(ratios):.2g} times too narrow, as the input-error "
             "estimate's robust sds over its plain ones say"

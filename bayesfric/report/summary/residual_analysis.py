@@ -31,17 +31,6 @@ _BY_CHANCE = 1e-3
 _TAILS = 0.5
 
 
-def residuals(fit: Fit) -> list[Array]:
-    """Measured minus posterior mean output of each recording."""
-    likelihood = fit.target.likelihood
-    return [
-        o.measured - predicted.mean(axis=0)
-        for o, predicted in zip(
-            likelihood.outputs, likelihood.predict(fit.chain_draws(200)), strict=True
-        )
-    ]
-
-
 @dataclass(frozen=True, eq=False)
 class Binned:
     """Residuals against one quantity, in bins of equally many outputs.
@@ -120,7 +109,7 @@ def residual_analysis(fit: Fit) -> ResidualAnalysis:
     fit
         A finished fit.
     """
-    outputs, left = fit.target.likelihood.outputs, residuals(fit)
+    outputs, left = fit.target.likelihood.outputs, fit.residuals
     lags, correlation, white = _autocorrelation(outputs, left)
     inner = _innovations(fit, left)
     # each recording over its own rms: they may differ in noise

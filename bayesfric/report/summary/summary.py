@@ -32,7 +32,7 @@ from bayesfric.report.summary.noise import (
     noise_unit,
 )
 from bayesfric.report.summary.read_back import PosteriorRow
-from bayesfric.report.summary.residual_analysis import lacking, residuals
+from bayesfric.report.summary.residual_analysis import lacking
 from bayesfric.report.summary.validation import validation_record
 
 Array = NDArray[np.float64]
@@ -65,7 +65,7 @@ def summarise(
     d = posterior.diagnostics
     flat, median = posterior.flat(), posterior.median
     local = local_information(fit.target, median)
-    residual = residuals(fit)
+    residual = fit.residuals
     outputs = fit.target.likelihood.outputs
     lags = [lag_one(r, o.follows) for o, r in zip(outputs, residual, strict=True)]
     noise = noise_record(fit, residual, lags, choice)
