@@ -1,7 +1,8 @@
-"""Filters: zero-phase low-pass, central differences, and the parallel filter."""
+"""Filters: zero-phase low-pass, differentiation, and the parallel filter."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,8 +13,13 @@ from bayesfric.errors import BadInput
 
 # A cut-off this small a share of the sampling rate leaves nothing but rounding.
 _LOWEST_CUTOFF = 1e-6
-# Largest share of a window's weight that may lie on samples that are not usable
-_LARGEST_SHARE = 0.02
+# Largest share of a window's weight that may lie on samples that are not usable: they count
+# for nothing, in measurement and model alike, and the rest for that much more.
+_LARGEST_SHARE = 1 / 3
+# What differentiation may take from, or add to, the highest frequency that the low-pass lets pass.
+_GAIN_ERROR = 1e-4
+# Neighbours on either side that a derivative is made of: at least, and at most.
+_REACH = (4, 24)
 
 
 def check_cutoff(cutoff: float, fs: float, where: str) -> None:
@@ -95,10 +101,64 @@ def lowpass(
     return result
 
 
+def differentiator(reach: int) -> NDArray[np.float64]:
+    """Weights of the derivative that is exact for polynomials of degree ``2 reach``.
+
+    Of all odd kernels of that length it is flattest at low frequencies: at ``w`` rad a sample
+    its gain lacks ``(reach!)^2 / (2 reach + 1)! (2 sin(w/2))^(2 reach)`` or so of ``w`` (Fornberg,
+    Math. Comp. 51, 1988). Central differences are ``reach = 1``, and lack ``w^2/6``.
+
+    Parameters
+    ----------
+    reach
+        Neighbours on either side.
+
+    Returns
+    -------
+    numpy.ndarray
+        Shape (2 reach + 1,), for a period of one.
+    """
+    weights = np.zeros(2 * reach + 1)
+    for k in range(1, reach + 1):
+        # (-1)^(k+1) (reach!)^2 / (k (reach-k)! (reach+k)!)
+        share = math.comb(2 * reach, reach - k) / math.comb(2 * reach, reach)
+        weights[reach + k] = -((-1) ** k) * share / k
+        weights[reach - k] = -weights[reach + k]
+    return weights
+
+
+def exact_reach(cutoff: float, fs: float) -> int:
+    """Neighbours that a derivative needs so that its gain is right up to a frequency.
+
+    Parameters
+    ----------
+    cutoff
+        In Hz; 0 for a signal without low-pass, of which nothing is known.
+    fs
+        Sampling rate in Hz.
+
+    Returns
+    -------
+    int
+        From 4 to 24: the gain is right within 1e-4 up to the cut-off, where 24 suffice.
+    """
+    least, most = _REACH
+    w = 2.0 * np.pi * cutoff / fs
+    angles = np.arange(1, most + 1)
+    for reach in range(least, most):
+        gain = 2.0 * differentiator(reach)[reach + 1 :] @ np.sin(angles[:reach] * w)
+        if abs(gain - w) <= _GAIN_ERROR * w:
+            return reach
+    return most if cutoff else least
+
+
 def derivative(
-    values: NDArray[np.float64], segments: Sequence[tuple[int, int]], period: float
+    values: NDArray[np.float64],
+    segments: Sequence[tuple[int, int]],
+    period: float,
+    reach: int = 1,
 ) -> NDArray[np.float64]:
-    """Differentiate a signal by central differences in every segment.
+    """Differentiate a signal in every segment.
 
     Parameters
     ----------
@@ -108,17 +168,28 @@ def derivative(
         Half-open ranges of at least three samples; outside, the result is 0.
     period
         Sampling period in s.
+    reach
+        Neighbours on either side, see :func:`differentiator`; 1 for central differences.
 
     Returns
     -------
     numpy.ndarray
-        Shape (n,): (x[i+1] - x[i-1]) / (2 period), and the one-sided formula of the same order
-        at a segment's two ends.
+        Shape (n,). Nearer to a segment's end than ``reach`` as many neighbours count as there
+        are, and at the end itself the one-sided formula of second order.
     """
     result = np.zeros_like(values)
     for a, b in segments:
-        if b - a >= 3:
-            result[a:b] = np.gradient(values[a:b], period, edge_order=2)
+        if b - a < 3:
+            continue
+        part, out = values[a:b], result[a:b]
+        out[:] = np.gradient(part, period, edge_order=2)
+        for k in range(2, min(reach, (b - a - 1) // 2) + 1):
+            weights = differentiator(k) / period
+            if k < reach:  # one sample at either end
+                out[k] = weights @ part[: 2 * k + 1]
+                out[-1 - k] = weights @ part[-1 - 2 * k :]
+            else:
+                out[k : b - a - k] = np.correlate(part, weights, mode="valid")
     return result
 
 
@@ -131,11 +202,24 @@ class ParallelFilter:
     taps
         Symmetric weights that sum to 1, shape (L,).
     starts
-        First sample of every window, shape (M,): output m is ``taps @ x[starts[m]:starts[m]+L]``.
+        First sample of every window, shape (M,).
+    used
+        1 for samples that count and 0 for others, shape (N,).
+    gains
+        Shape (M,): output m is ``gains[m] * taps @ (used * x)[starts[m]:starts[m]+L]``. One where
+        all of a window counts, and else what makes up for the samples that do not: a constant
+        stays what it is.
     """
 
     taps: NDArray[np.float64]
     starts: NDArray[np.int64]
+    used: NDArray[np.float64]
+    gains: NDArray[np.float64]
+
+    @classmethod
+    def every_sample(cls, n: int) -> ParallelFilter:
+        """Make the filter whose outputs are the ``n`` samples."""
+        return cls(np.ones(1), np.arange(n, dtype=np.int64), np.ones(n), np.ones(n))
 
     @property
     def n_outputs(self) -> int:
@@ -162,15 +246,22 @@ class ParallelFilter:
         """
         x = np.asarray(x, dtype=np.float64)
         if len(self.taps) == 1:
-            return np.asarray(x[..., self.starts] * self.taps[0])
+            return np.asarray(x[..., self.starts] * (self.taps[0] * self.gains))
         if self.n_outputs == 0:
             return np.empty((*x.shape[:-1], 0))
         out = np.empty((*x.shape[:-1], self.n_outputs))
         # one signal at a time: the windows of one are already len(taps)/factor times its size
         for index in np.ndindex(x.shape[:-1]):
-            windows = np.lib.stride_tricks.sliding_window_view(x[index], len(self.taps))
-            out[index] = windows[self.starts] @ self.taps
+            out[index] = _windowed(x[index] * self.used, self.taps, self.starts) * self.gains
         return out
+
+
+def _windowed(
+    x: NDArray[np.float64], taps: NDArray[np.float64], starts: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Weigh the windows of a signal ``(N,)`` that begin at ``starts``."""
+    windows = np.lib.stride_tricks.sliding_window_view(x, len(taps))
+    return np.asarray(windows[starts] @ taps)
 
 
 def parallel_length(factor: int, band: float | None, fs: float) -> int:
@@ -241,8 +332,8 @@ def parallel_filter(
     fs
         Sampling rate in Hz.
     usable
-        Samples that may be used, shape (N,). Windows with more than 2 % of their weight on
-        others are left out.
+        Samples that may be used, shape (N,). Others count for nothing, and windows with more
+        than a third of their weight on such samples are left out.
 
     Returns
     -------
@@ -267,8 +358,11 @@ def lay_windows(
     length = len(taps)
     parts = [np.arange(a, b - length + 1, factor, dtype=np.int64) for a, b in segments]
     starts = np.concatenate(parts) if parts else np.empty(0, dtype=np.int64)
+    used, gains = usable.astype(np.float64), np.ones(len(starts))
     if len(starts) and not usable.all():
-        weights = np.abs(taps) / np.abs(taps).sum()
-        share = ParallelFilter(weights, starts).apply((~usable).astype(np.float64))
-        starts = starts[share <= _LARGEST_SHARE]
-    return ParallelFilter(taps, starts)
+        sizes = np.abs(taps) / np.abs(taps).sum()
+        kept = _windowed(1.0 - used, sizes, starts) <= _LARGEST_SHARE
+        starts = starts[kept]
+        # divided by nothing near zero: two thirds of the absolute weight are there
+        gains = 1.0 / _windowed(used, taps, starts)
+    return ParallelFilter(taps, starts, used, gains)

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from bayesfric.errors import BadInput, nearest
-from bayesfric.recordings.observation import Observation, observe, window
+from bayesfric.recordings.observation import Observation, observe, settled, window
 from bayesfric.recordings.options import Processing
 from bayesfric.recordings.recording import Recording
 
@@ -136,9 +136,13 @@ def _without_end(
 ) -> tuple[Recording, Observation, HeldOut]:
     """Hold out the last share of the samples, with a gap before it."""
     where = "validation.hold_out"
-    length, step = window(recording, processing)
     n = recording.time.size
     begin = n - round(share * n)
+    if begin > processing.min_samples:
+        # the band is chosen by what is fitted alone
+        first = _piece(recording, 0, begin, processing.min_samples)
+        processing = settled(first, processing)
+    length, step = window(recording, processing)
     last = begin - length - _MEMORY * step
     part = f"last {100 * share:.3g} %"
     whose = f"the {part} of recording {recording.name!r}"

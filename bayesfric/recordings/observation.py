@@ -13,6 +13,7 @@ from bayesfric.recordings.filters import (
     ParallelFilter,
     check_cutoff,
     derivative,
+    exact_reach,
     lay_windows,
     lowpass,
     parallel_length,
@@ -20,9 +21,15 @@ from bayesfric.recordings.filters import (
 )
 from bayesfric.recordings.options import Processing
 from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.resolution import WIDEST, Resolution, lowpass_above, resolve
 
 _DEAD_SHARE = 0.01
 _TRIM_SAMPLES = 10
+# Windows and trims that should fit into the longest segment where the band is chosen.
+_FITTING = 20
+# Root mean square of acceleration over its noise below which a user is warned: an inertia then
+# comes out too small by about the inverse of its square.
+LEAST_RATIO = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +95,8 @@ class _Numbers:
     band: float | None
     trim: float
     trim_samples: int
+    reach: int
+    resolution: Resolution
 
 
 def observe(recording: Recording, processing: Processing) -> Observation:
@@ -98,7 +107,7 @@ def observe(recording: Recording, processing: Processing) -> Observation:
     recording
         What was measured.
     processing
-        How to process it; None is settled from the sampling rate.
+        How to process it; what is None is settled from the recording.
 
     Returns
     -------
@@ -115,10 +124,10 @@ def observe(recording: Recording, processing: Processing) -> Observation:
     warnings = list(recording.warnings)
     q = lowpass(recording.position, segments, numbers.fs, numbers.cutoff, processing.order)
     if recording.velocity is None:
-        qd = derivative(q, segments, period)
+        qd = derivative(q, segments, period, numbers.reach)
     else:
         qd = lowpass(recording.velocity, segments, numbers.fs, numbers.cutoff, processing.order)
-    qdd = derivative(qd, segments, period)
+    qdd = derivative(qd, segments, period, numbers.reach)
 
     kept = tuple(
         (a + numbers.trim_samples, max(b - numbers.trim_samples, a + numbers.trim_samples))
@@ -143,6 +152,7 @@ def observe(recording: Recording, processing: Processing) -> Observation:
             f"Hz), so neighbouring outputs share noise and intervals come out too narrow; "
             f"decimate = {fitting} would fit"
         )
+    warnings += _resolution_warnings(numbers, recording)
     borders = np.array([a for a, _ in segments], dtype=np.int64)
     centres = chosen.centres
     settings: dict[str, float | int | str] = {
@@ -151,6 +161,9 @@ def observe(recording: Recording, processing: Processing) -> Observation:
         "order": processing.order,
         "decimate": numbers.factor,
         "band": _band(numbers),
+        "differentiation": processing.differentiation,
+        "reach": numbers.reach,
+        **_resolved(numbers.resolution),
         "dead_zone": dead_zone,
         "trim": numbers.trim,
         "trim_samples": numbers.trim_samples,
@@ -184,6 +197,18 @@ def observe(recording: Recording, processing: Processing) -> Observation:
     )
 
 
+def settled(recording: Recording, processing: Processing) -> Processing:
+    """Write down what a recording's filters are, so that another part is treated alike.
+
+    Raises
+    ------
+    BadInput
+        For a cut-off the sampling rate cannot carry.
+    """
+    numbers = _settle(recording, processing)
+    return processing.model_copy(update={"lowpass": numbers.cutoff, "decimate": numbers.factor})
+
+
 def window(recording: Recording, processing: Processing) -> tuple[int, int]:
     """Count the samples that one output is made of, and from one output to the next.
 
@@ -198,21 +223,58 @@ def window(recording: Recording, processing: Processing) -> tuple[int, int]:
 
 def _settle(recording: Recording, processing: Processing) -> _Numbers:
     fs = 1 / recording.period
-    cutoff = fs / 10 if processing.lowpass is None else processing.lowpass
+    where = f"recording '{recording.name}'"
+    cutoff, factor, band = processing.lowpass, processing.decimate, processing.band
+    if band is not None:
+        check_cutoff(band, fs, f"{where}, band")
+    if cutoff is None and factor is None:
+        # one number settles the others: the band that is compared
+        resolution = resolve(recording, band)
+        longest = max(b - a for a, b in recording.segments)
+        most = max(round(0.5 / WIDEST), longest // _FITTING)
+        factor = int(np.clip(round(fs / (2.0 * resolution.band)), 1, most))
+        cutoff = lowpass_above(resolution.band if band else fs / (2 * factor), fs)
+    else:
+        cutoff = fs / 10 if cutoff is None else cutoff
+        if factor is None:
+            factor = max(1, round(fs / cutoff)) if cutoff else 1
+        half = fs / (2 * factor) if factor > 1 else cutoff or fs / 2
+        resolution = resolve(recording, half if band is None else band)
     if cutoff:
-        check_cutoff(cutoff, fs, f"recording '{recording.name}', lowpass")
-    factor = processing.decimate
-    if factor is None:
-        factor = max(1, round(fs / cutoff)) if cutoff else 1
+        check_cutoff(cutoff, fs, f"{where}, lowpass")
     factor = min(factor, len(recording.time))  # larger ones leave no output either
-    if processing.band is not None:
-        check_cutoff(processing.band, fs, f"recording '{recording.name}', band")
+    reach = 1 if processing.differentiation == "central" else exact_reach(cutoff, fs)
     if processing.trim is None:
-        samples = max(_TRIM_SAMPLES, int(np.ceil(fs / cutoff - 1e-9)) if cutoff else 0)
+        samples = max(_TRIM_SAMPLES, 2 * reach, int(np.ceil(fs / cutoff - 1e-9)) if cutoff else 0)
     else:
         # more than there are would only cost memory
         samples = int(np.ceil(min(processing.trim * fs, len(recording.time)) - 1e-9))
-    return _Numbers(fs, cutoff, factor, processing.band, samples * recording.period, samples)
+    trim = samples * recording.period
+    return _Numbers(fs, cutoff, factor, band, trim, samples, reach, resolution)
+
+
+def _resolved(found: Resolution) -> dict[str, float | int | str]:
+    """Give what is a number of what a recording resolves."""
+    told: dict[str, float | int | str] = {"band_by": found.reason, "noise_seen": found.noise}
+    # no noise seen is no number
+    if np.isfinite(found.speed_ratio):
+        told["speed_ratio"] = found.speed_ratio
+    if np.isfinite(found.acceleration_ratio):
+        told["acceleration_ratio"] = found.acceleration_ratio
+    return told
+
+
+def _resolution_warnings(numbers: _Numbers, recording: Recording) -> list[str]:
+    found = numbers.resolution
+    if found.acceleration_ratio >= LEAST_RATIO:
+        return []
+    what = "position" if recording.velocity is None else "velocity"
+    return [
+        f"{what}: its noise or steps ({found.noise:.2g}, one sd) make the acceleration in the band "
+        f"to {found.band:.3g} Hz only {found.acceleration_ratio:.2g} times as large as its own "
+        f"noise, at least {LEAST_RATIO:g} are wanted: inertia comes out too small; lower band, "
+        "or record a faster motion or a finer position"
+    ]
 
 
 def _dead_zone(processing: Processing, qd: NDArray[np.float64]) -> float:
@@ -319,7 +381,24 @@ def _told(
     else:
         steps.append("low-pass: none")
     used = "differentiated position" if recording.velocity is None else "measured velocity"
-    steps.append(f"velocity: {used}; acceleration: its central difference")
+    steps.append(
+        f"velocity: {used}; acceleration: differentiated "
+        + ("by central differences" if numbers.reach == 1 else f"by {2 * numbers.reach + 1} points")
+    )
+    found = numbers.resolution
+    ratios = [
+        f"{what} {ratio:.3g}"
+        for what, ratio in (
+            ("speed", found.speed_ratio),
+            ("acceleration", found.acceleration_ratio),
+        )
+        if np.isfinite(ratio)
+    ]
+    if ratios:
+        steps.append(
+            f"signal to noise in the band to {found.band:.3g} Hz (rms): {', '.join(ratios)}; noise "
+            f"of a sample {found.noise:.2g}"
+        )
     steps.append(f"trim: {numbers.trim_samples} samples off both ends of every segment")
     if settings["taps"] == 1:
         steps.append("parallel filter: none, every sample is an output")

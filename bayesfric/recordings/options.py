@@ -242,19 +242,28 @@ class Processing(_Options):
 
     lowpass: HertzOrOff | None = Field(
         default=None,
-        description="Cut-off of the zero-phase Butterworth low-pass of the position, in Hz; "
-        "a tenth of the sampling rate if left out; 'off' or 0 for none.",
+        description="Cut-off of the zero-phase Butterworth low-pass of the position, in Hz; if "
+        "left out twice the band, at most a tenth of the sampling rate; 'off' or 0 for none.",
     )
     order: int = Field(default=4, ge=1, le=12, description="Order of the Butterworth filter.")
     decimate: int | None = Field(
         default=None,
         ge=1,
-        description="Keep one output in this many samples; sampling rate / low-pass if left out.",
+        description="Keep one output in this many samples; if left out what the band, or else "
+        "the low-pass, takes.",
     )
     band: Hertz | None = Field(
         default=None,
-        description="Cut-off in Hz of the filter that torque and model pass alike; half the "
-        "decimated rate if left out.",
+        description="Cut-off in Hz of the filter that torque and model pass alike. If left out "
+        "half the decimated rate where low-pass or decimate are given, and else as far as the "
+        "position resolves the acceleration and the torque has power, at most a twentieth of "
+        "the sampling rate.",
+    )
+    differentiation: Literal["exact", "central"] = Field(
+        default="exact",
+        description="'exact': its gain is right within 1e-4 in all that the low-pass lets pass; "
+        "'central': differences of the two neighbours, whose gain falls with frequency, as in "
+        "published analyses.",
     )
     dead_zone: float | str | None = Field(
         default=None,

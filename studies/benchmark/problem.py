@@ -111,7 +111,7 @@ def observation(n_samples: int = SAMPLES, seed: int = SEED) -> Observation:
         qdd=motion.qdd[moving],
         torque=torque,
         # no filter: every sample is an output
-        filter=ParallelFilter(np.ones(1), np.arange(n_samples, dtype=np.int64)),
+        filter=ParallelFilter.every_sample(n_samples),
         time=motion.time[moving],
         measured=torque,
         speed=motion.qd[moving],

@@ -100,7 +100,7 @@ def motions() -> tuple[Observation, Observation]:
                 qd=motion.qd[moving],
                 qdd=motion.qdd[moving],
                 torque=motion.torque[moving],
-                filter=ParallelFilter(np.ones(1), np.arange(moving.size, dtype=np.int64)),
+                filter=ParallelFilter.every_sample(moving.size),
                 time=motion.time[moving],
                 measured=motion.torque[moving],
                 speed=motion.qd[moving],

@@ -109,7 +109,7 @@ def recording(rng: np.random.Generator) -> tuple[Target, Array]:
         qd=qd,
         qdd=qdd,
         torque=torque,
-        filter=ParallelFilter(np.ones(1), np.arange(n, dtype=np.int64)),
+        filter=ParallelFilter.every_sample(n),
         time=trajectory.time,
         measured=torque,
         speed=qd,

@@ -39,8 +39,9 @@ def test_parameters_of_a_made_up_joint_come_back():
     np.testing.assert_allclose(found, [2, 3, 0.5], rtol=1e-4)
 
 
-def test_defaults_follow_the_sampling_rate():
-    seen = observe(recording(), Processing())
+def test_defaults_follow_the_sampling_rate_where_position_and_torque_allow():
+    square = np.sign(np.sin(W * 0.002 * np.arange(4000)))
+    seen = observe(recording(torque=square), Processing())
     used = seen.settings
     assert used["sampling_rate"] == pytest.approx(500)
     assert used["lowpass"] == pytest.approx(50)
@@ -50,6 +51,7 @@ def test_defaults_follow_the_sampling_rate():
     assert used["dead_zone"] == pytest.approx(0.01 * W, rel=1e-3)
     assert used["n_outputs"] == len(seen.measured) == len(seen.time) == len(seen.speed)
     assert seen.period == pytest.approx(0.02)
+    assert used["band_by"] == "sampling"
     np.testing.assert_allclose(seen.speed, W * np.cos(W * seen.time), atol=1e-3)
     json.dumps(used, allow_nan=False)
 
@@ -98,7 +100,7 @@ def test_segments_are_told_apart():
 
 def test_measured_velocity_is_used():
     t = 0.002 * np.arange(4000)
-    seen = observe(recording(velocity=np.full(4000, 2.0) + 0.1 * t), Processing())
+    seen = observe(recording(velocity=np.full(4000, 2.0) + 0.1 * t), Processing(lowpass=50.0))
     np.testing.assert_allclose(seen.qd, 2 + 0.1 * t, atol=1e-6)
     np.testing.assert_allclose(seen.qdd[20:-20], 0.1, atol=1e-4)
 

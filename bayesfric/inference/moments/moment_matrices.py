@@ -161,7 +161,8 @@ def moment_matrices(
     weights = np.zeros((kept.size, int((high - low).max(initial=1))))
     for i in range(weights.shape[1]):
         has = np.flatnonzero(low + i < high)
-        weights[has, i] = o.filter.taps[kept[has] - starts[low[has] + i]]
+        output = low[has] + i
+        weights[has, i] = o.filter.taps[kept[has] - starts[output]] * o.filter.gains[output]
     age, remaining = runs.age[outputs], runs.remaining[outputs]
     inner = (age == order) & (remaining == order)
     slopes = np.zeros((kept.size, order + 1, padded))
@@ -206,12 +207,14 @@ def _chunks(linear: LinearTorque, o: Observation, region: SignRegion) -> Iterato
         np.multiply(np.where(level >= 0.0, sign, -sign), psi2, out=raw[k1 : k1 + n2])
         if linear.rest:
             np.multiply(sign == 0.0, psi2, out=raw[k1 + n2 :])
+        raw *= o.filter.used[a:b]
         rows = np.empty((linear.size, end - begin))
         rows[0] = o.measured[begin:end]
         if taps.size == 1:
             rows[1:] = taps[0] * (raw if b - a == end - begin else raw[:, starts[begin:end] - a])
         else:
             _filter(raw, taps, starts[begin:end] - a, rows[1:])
+        rows[1:] *= o.filter.gains[begin:end]
         yield _Chunk(slice(begin, end), slice(a, b), psi2, level, rows)
         begin = end
 
@@ -269,8 +272,9 @@ class _Candidates:
         a, b = max(self._done, chunk.samples.start), chunk.samples.stop
         length = self._o.filter.taps.size
         ratio = region.ratios(chunk.psi2[:, a - chunk.samples.start :])
-        # at rest there is no loss to have a direction
-        near = a + np.flatnonzero((ratio <= self.radius) & (self._o.qd[a:b] != 0.0))
+        # at rest there is no loss to have a direction, and what is not used has no say
+        counts = (self._o.qd[a:b] != 0.0) & (self._o.filter.used[a:b] != 0.0)
+        near = a + np.flatnonzero((ratio <= self.radius) & counts)
         starts = self._o.filter.starts[chunk.outputs]
         at = np.searchsorted(starts, near, side="right") - 1
         near = near[(at >= 0) & (near - starts[at] < length)]

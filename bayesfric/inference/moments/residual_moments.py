@@ -192,6 +192,8 @@ class PlainMoments:
                 np.ascontiguousarray(o.qdd),
                 o.filter.taps,
                 o.filter.starts,
+                o.filter.used,
+                o.filter.gains,
                 np.ascontiguousarray(o.measured),
                 _blocks(o.filter.starts, o.filter.taps.size),
                 r.age,
@@ -326,6 +328,8 @@ def _block(
     acceleration: Array,
     taps: Array,
     starts: NDArray[np.int64],
+    used: Array,
+    gains: Array,
     measured: Array,
 ) -> None:
     """Write ``n`` residuals from output ``first`` on into ``now``."""
@@ -344,13 +348,17 @@ def _block(
     )
     # slices, since an index that might be negative keeps the compiler from vectorising
     windows, target = starts[first : first + n], measured[first : first + n]
+    gain = gains[first : first + n]
+    counted = used[begin:end]
+    for i in range(end - begin):
+        torque[i] *= counted[i]
     if length == 1:
         for i in range(n):
-            now[i] = target[i] - taps[0] * torque[windows[i] - begin]
+            now[i] = target[i] - gain[i] * (taps[0] * torque[windows[i] - begin])
     else:
         for i in range(n):
             at = windows[i] - begin
-            now[i] = target[i] - product_sum(taps, torque[at : at + length])
+            now[i] = target[i] - gain[i] * product_sum(taps, torque[at : at + length])
 
 
 @njit(cache=True)
@@ -367,6 +375,8 @@ def _one_vector(
     acceleration: Array,
     taps: Array,
     starts: NDArray[np.int64],
+    used: Array,
+    gains: Array,
     measured: Array,
     borders: NDArray[np.int64],
     age: Short,
@@ -392,6 +402,8 @@ def _one_vector(
             acceleration,
             taps,
             starts,
+            used,
+            gains,
             measured,
         )
         _accumulate(order, residual, n, age, head, first, out)
@@ -413,6 +425,8 @@ def _student(
     acceleration: Array,
     taps: Array,
     starts: NDArray[np.int64],
+    used: Array,
+    gains: Array,
     measured: Array,
     borders: NDArray[np.int64],
     age: Short,  # noqa: ARG001  (one set of arrays for all)
@@ -442,6 +456,8 @@ def _student(
                 acceleration,
                 taps,
                 starts,
+                used,
+                gains,
                 measured,
             )
             for i in range(n):

@@ -1,0 +1,200 @@
+"""What a position resolves, where a torque has power, and the band in which to compare them.
+
+Differentiating twice multiplies what the position does not resolve, its steps and its noise, by
+the square of frequency. Where that is not far below the motion, the acceleration a model is given
+is noise, and least squares then finds too small an inertia (errors in variables).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.recordings.recording import Recording
+
+Array = NDArray[np.float64]
+Reason = Literal["sampling", "position", "torque", "length"]
+
+# The motion's power over its noise's, up to the band's end at each frequency and over the whole
+# band: the first bounds what a noise model can do that weighs the end of the band most, the
+# second is about the share of an inertia that white noise in the position takes away.
+_LOCAL, _WHOLE = 10.0, 300.0
+# Over the whole band beyond which no weighing makes the noise matter.
+_HARMLESS = 1e7
+# The band ends where this share of the torque's power lies below.
+_POWER = 0.999
+# Widest band over the sampling rate; the low-pass of the position lies this much above the band.
+WIDEST, _ABOVE = 0.05, 2.0
+# Outputs that a recording should have at least: the band is not made narrower than that takes.
+_OUTPUTS = 60.0
+# Share of the sampling rate above which a position is taken to hold no motion.
+_QUIET = 0.3
+# Fewer samples show no spectrum.
+_LEAST = 64
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """What a recording resolves.
+
+    Attributes
+    ----------
+    band
+        Hz up to which measured and modelled torque can be compared.
+    reason
+        What ends it: the ``sampling`` rate, the ``position``'s noise, that the ``torque`` has no
+        power beyond, or the ``length`` of the recording, below which there were too few outputs.
+    noise
+        Standard deviation of what a position sample does not resolve, rad or m (of a speed
+        sample, where speed is measured).
+    speed_ratio, acceleration_ratio
+        Root mean square of the motion over that of the noise, in the band; infinite where no
+        noise is seen.
+    """
+
+    band: float
+    reason: Reason
+    noise: float
+    speed_ratio: float
+    acceleration_ratio: float
+
+
+@dataclass(frozen=True)
+class _Spectra:
+    """Power densities at frequencies ``(K,)``, averaged over neighbours.
+
+    ``motion`` is the acceleration's. ``noise`` is what a white series of variance one in the
+    measured position (or speed) would give it; ``torque`` is the torque's.
+    """
+
+    frequency: Array
+    width: Array
+    motion: Array
+    noise: Array
+    torque: Array
+
+
+def resolve(recording: Recording, band: float | None = None) -> Resolution:
+    """Look at the spectra of a recording.
+
+    Parameters
+    ----------
+    recording
+        As read.
+    band
+        Hz; chosen if left out.
+
+    Returns
+    -------
+    Resolution
+        Of that band.
+    """
+    fs = 1.0 / recording.period
+    seen = _spectra(recording)
+    if seen is None:
+        chosen = WIDEST * fs if band is None else band
+        return Resolution(chosen, "sampling", 0.0, math.inf, math.inf)
+    variance = max(_floor(seen, fs), _steps(recording))
+    reason: Reason = "sampling"
+    if band is None:
+        band, reason = _choose(recording, seen, variance)
+    inside = seen.frequency <= band
+    inside[0] = True
+    # in the position's band, not that of its derivatives
+    square = (2.0 * np.pi * np.maximum(seen.frequency, 0.5 * seen.frequency[1])) ** 2
+    ratios = []
+    for weight in (1.0 / square, np.ones_like(square)):
+        noise = float((weight * seen.noise * seen.width)[inside].sum()) * variance
+        motion = float((weight * seen.motion * seen.width)[inside].sum()) - noise
+        ratios.append(math.sqrt(max(motion, 0.0) / noise) if noise > 0.0 else math.inf)
+    return Resolution(float(band), reason, math.sqrt(variance), *ratios)
+
+
+def lowpass_above(band: float, fs: float) -> float:
+    """Give the cut-off in Hz of a position's low-pass that leaves a band as it is."""
+    return min(_ABOVE * band, 2.0 * WIDEST * fs)
+
+
+def _choose(recording: Recording, seen: _Spectra, variance: float) -> tuple[float, Reason]:
+    """Take the widest band that position, torque and sampling allow."""
+    fs, f = 1.0 / recording.period, seen.frequency
+    ends: list[tuple[float, Reason]] = [(WIDEST * fs, "sampling")]
+    noise = seen.noise * variance
+    if variance > 0.0:
+        # from the frequency of the largest speeds on: below there is little to resolve
+        peak = int(np.argmax(seen.motion / f**2))
+        ratio = np.cumsum(seen.motion * seen.width) / np.cumsum(noise * seen.width) - 1.0
+        poor = (seen.motion < (1.0 + _LOCAL) * noise) & (ratio < _HARMLESS)
+        ended = np.flatnonzero((poor | (ratio < _WHOLE))[peak + 1 :])
+        if ended.size:
+            ends.append((float(f[peak + ended[0]]), "position"))
+    power = np.cumsum(seen.torque * seen.width)
+    last = min(int(np.searchsorted(power, _POWER * power[-1])), f.size - 1)
+    ends.append((float(f[last]), "torque"))
+    band, reason = min(ends)
+    used = recording.time.size - int(recording.excluded.sum())
+    least = min(0.5 * _OUTPUTS * fs / max(used, 1), WIDEST * fs)
+    return (band, reason) if band >= least else (least, "length")
+
+
+def _steps(recording: Recording) -> float:
+    """Variance of the rounding of a position that is read in steps; 0 where none is seen."""
+    levels = np.unique(recording.position if recording.velocity is None else recording.velocity)
+    if not 3 <= levels.size <= recording.time.size / 3:
+        return 0.0
+    return float(np.min(np.diff(levels))) ** 2 / 12.0
+
+
+def _floor(seen: _Spectra, fs: float) -> float:
+    """Variance of the noise that a position shows where no joint moves."""
+    quiet = seen.frequency >= _QUIET * fs
+    return float(np.median(seen.motion[quiet] / seen.noise[quiet])) if quiet.any() else 0.0
+
+
+def _spectra(recording: Recording) -> _Spectra | None:
+    from scipy.signal import welch
+
+    fs = 1.0 / recording.period
+    moved, order = (
+        (recording.position, 2) if recording.velocity is None else (recording.velocity, 1)
+    )
+    parts = [
+        slice(a, b)
+        for a, b in recording.segments
+        if b - a >= _LEAST and not recording.excluded[a:b].all()
+    ]
+    if not parts:
+        return None
+    longest = max(p.stop - p.start for p in parts)
+    size = int(np.clip(longest // 4, _LEAST // 2, 4.0 * fs)) if longest // 4 > _LEAST // 2 else 32
+    f = np.fft.rfftfreq(size, recording.period).astype(np.float64)
+    total, motion, torque = 0.0, np.zeros_like(f), np.zeros_like(f)
+    for part in parts:
+        weight = float(part.stop - part.start)
+        # differences have no leakage from slow motion to speak of, unlike the position itself
+        steps = np.diff(moved[part], order) * fs**order
+        _, one = welch(steps, fs, nperseg=min(size, steps.size), nfft=size)
+        _, other = welch(recording.torque[part], fs, nperseg=min(size, steps.size), nfft=size)
+        total, motion, torque = total + weight, motion + weight * one, torque + weight * other
+    # differences of white noise of variance one: (2 sin(w/2))^2 each
+    noise: Array = 2.0 / fs * (2.0 * fs * np.sin(np.pi * f / fs)) ** (2 * order)
+    return _averaged(f, motion / total, noise, torque / total)
+
+
+def _averaged(f: Array, motion: Array, noise: Array, torque: Array) -> _Spectra:
+    """Average neighbours, more of them the higher they are."""
+    edges = [1]
+    while edges[-1] < f.size:
+        edges.append(max(edges[-1] + 1, int(edges[-1] * 1.15)))
+    edges[-1] = f.size
+    starts = np.array(edges[:-1])
+    counts = np.diff(edges)
+
+    def mean(x: Array) -> Array:
+        return np.add.reduceat(x, starts) / counts
+
+    return _Spectra(mean(f), counts * (f[1] - f[0]), mean(motion), mean(noise), mean(torque))

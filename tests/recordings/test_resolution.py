@@ -1,0 +1,113 @@
+"""What a position resolves, where a torque has power: recordings whose spectra are known."""
+
+import numpy as np
+import pytest
+
+from bayesfric.recordings import Processing, observe
+from bayesfric.recordings.resolution import WIDEST, resolve
+from tests.conftest import made_recording
+
+FS, N = 500.0, 10_000
+
+
+def swing(fs=FS, seconds=20.0, noise=0.0, step=0.0, torque=None, frequency=0.8, seed=1):
+    t = np.arange(round(fs * seconds)) / fs
+    q = np.sin(2 * np.pi * frequency * t) + np.random.default_rng(seed).normal(0.0, noise, t.size)
+    if step:
+        q = np.round(q / step) * step
+    if torque is None:  # power at all frequencies
+        torque = np.random.default_rng(seed + 1).normal(size=t.size)
+    return made_recording(t, q, torque, 1.0 / fs)
+
+
+@pytest.mark.parametrize("noise", [1e-5, 1e-3])
+def test_noise_of_a_position_is_seen(noise):
+    found = resolve(swing(noise=noise))
+    # some two thousand independent periodogram values above 0.3 fs, averaged by half dozens
+    assert found.noise == pytest.approx(noise, rel=0.1)
+
+
+def test_rounding_of_a_position_is_seen():
+    step = 2e-3
+    assert resolve(swing(step=step)).noise >= step / np.sqrt(12.0) * (1 - 1e-9)
+    assert resolve(swing()).noise < 1e-9
+
+
+def test_ratios_are_those_of_motion_and_noise_in_the_band():
+    """White noise of sd s has a derivative of s^2 (2/fs) (2 pi)^2 B^3/3 in a band B."""
+    noise, band, w = 1e-3, 10.0, 2 * np.pi * 0.8
+    found = resolve(swing(noise=noise), band)
+    density = noise**2 * 2 / FS
+    speed = np.sqrt(w**2 / 2 / (density * (2 * np.pi) ** 2 * band**3 / 3))
+    acceleration = np.sqrt(w**4 / 2 / (density * (2 * np.pi) ** 4 * band**5 / 5))
+    # the band ends between two averaged frequencies, 15 % apart, to the power 2.5; the noise
+    # is known to a tenth
+    assert found.speed_ratio == pytest.approx(speed, rel=0.35)
+    assert found.acceleration_ratio == pytest.approx(acceleration, rel=0.5)
+
+
+def test_the_band_ends_where_the_position_resolves_no_acceleration():
+    found = resolve(swing(noise=1e-3))
+    assert found.reason == "position"
+    assert 0.8 < found.band < 6.0
+    # ten times less noise, more band; none, all that the sampling rate allows
+    assert found.band < resolve(swing(noise=1e-4)).band
+    free = resolve(swing())
+    assert (free.band, free.reason) == (WIDEST * FS, "sampling")
+
+
+def test_the_band_ends_where_the_torque_has_no_power():
+    t = np.arange(N) / FS
+    found = resolve(swing(torque=np.sin(2 * np.pi * 0.8 * t) + 0.2 * np.sin(2 * np.pi * 4.0 * t)))
+    assert found.reason == "torque"
+    assert 4.0 <= found.band < 5.0
+
+
+def test_rates_of_50_and_500_hz_get_the_same_band_in_hz():
+    # the density of the noise is the same: ten times the rate, ten times the variance
+    slow = resolve(swing(fs=100.0, noise=2e-3, seconds=40.0))
+    fast = resolve(swing(fs=1000.0, noise=2e-3 * np.sqrt(10), seconds=40.0))
+    assert slow.reason == fast.reason == "position"
+    assert slow.band == pytest.approx(fast.band, rel=0.35)
+
+
+def test_a_short_recording_keeps_enough_outputs():
+    t = np.arange(1500) / FS
+    slow = swing(seconds=3.0, torque=np.sin(2 * np.pi * 0.8 * t), noise=1e-3)
+    seen = observe(slow, Processing(dead_zone=0, trim=0))
+    assert seen.settings["band_by"] == "length"
+    assert seen.measured.size >= 50
+
+
+def test_an_acceleration_that_is_noise_is_warned_of():
+    noisy, fine = swing(noise=3e-3), swing(noise=1e-5)
+    wide = Processing(lowpass=50.0)
+    (said,) = observe(noisy, wide).warnings
+    assert "noise" in said
+    assert "acceleration" in said
+    assert observe(fine, wide).warnings == ()
+    # the band that is chosen needs none
+    assert observe(noisy, Processing()).warnings == ()
+    told = " ".join(observe(noisy, wide).steps)
+    assert f"{observe(noisy, wide).settings['acceleration_ratio']:.3g}" in told
+
+
+def test_an_inertia_is_not_lost_in_the_noise_of_its_acceleration():
+    """0.1.0 compared up to a twentieth of the sampling rate whatever the position resolved."""
+    rng = np.random.default_rng(3)
+    t = np.arange(N) / FS
+    q, a = np.zeros(N), np.zeros(N)
+    for f, phase in zip((0.3, 0.8, 1.1), rng.uniform(0, 2 * np.pi, 3), strict=True):
+        w = 2 * np.pi * f
+        q += np.sin(w * t + phase)
+        a -= w**2 * np.sin(w * t + phase)
+    measured = made_recording(t, q + rng.normal(0, 2e-3, N), 0.5 * a, 1.0 / FS)
+
+    def inertia(processing):
+        seen = observe(measured, processing)
+        column = seen.filter.apply(seen.qdd)
+        return float(column @ seen.measured / (column @ column))
+
+    # 312 B^5 (2 sigma^2/fs) = 48 against 1300 rad2/s4 of motion: 4 % less at 25 Hz
+    assert inertia(Processing(lowpass=50.0, dead_zone=0)) < 0.5 * 0.98
+    assert inertia(Processing(dead_zone=0)) == pytest.approx(0.5, rel=5e-3)
