@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesfric.config import Config, NoiseOptions
 from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.least_squares import TotalsProjection
-from bayesfric.estimates.torque import filtered_torque
+from bayesfric.estimates.torque import filtered_torque, torque_jacobian
 from bayesfric.inference.fit import make_target, read_priors, target_of
 from bayesfric.inference.likelihood.noise_choice import MOST, Choice, choose_order
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
@@ -108,7 +109,24 @@ class Problem:
             o.measured - filtered_torque(self.chain, o, values)[0] for o in self.observations
         ]
         runs = [follows(o) for o in self.observations]
-        return choose_order(residuals, runs, noise.scale == "per-recording")
+        effects = torque_jacobian(self.chain, self.observations, values[0], self._steps(values[0]))
+        ends = np.cumsum([r.size for r in residuals])[:-1]
+        return choose_order(
+            residuals,
+            runs,
+            noise.scale == "per-recording",
+            effects=np.split(effects * self._sds(), ends),
+        )
+
+    def _sds(self) -> NDArray[np.float64]:
+        """Prior sds of the chain's parameters, 0 of fixed ones; 1 of those without any."""
+        sds = np.array([self.priors[name].sd() for name in self.chain.names])
+        return np.where(np.isfinite(sds), sds, 1.0)
+
+    def _steps(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Give steps of differences by the chain's free parameters."""
+        sds = self._sds()
+        return np.where(sds > 0.0, 1e-6 * np.maximum(np.abs(values), 1e-3 * sds), 0.0)
 
     def _noise(self, choice: Choice | None) -> ResidualNoise:
         return _residual_noise(self.config.tables.noise, choice.order if choice else 0)

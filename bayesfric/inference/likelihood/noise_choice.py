@@ -1,4 +1,11 @@
-"""Which noise model the residuals of an estimate ask for, and the evidence."""
+"""Which noise model the residuals of an estimate ask for, and the evidence.
+
+A memory weighs frequencies: near one, it takes slow residuals for noise, and what it then believes
+is the end of the band, where an acceleration may be noise itself. Then it does not widen intervals
+but moves estimates, to any fit however bad. So an order counts only as long as weighted least
+squares with it stays where plain least squares is, within what plain least squares knows (the idea
+of Hausman's test, Econometrica 46, 1978), and leaves residuals as small.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesfric.estimates.information import long_run_variance
 from bayesfric.inference.likelihood.autoregression import burg, ljung_box, variances, whitened
+from bayesfric.inference.prior.noise import MEMORY
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -18,6 +27,12 @@ Flags = NDArray[np.bool_]
 MOST = 4
 # Correlations that the test of what is left looks at, beyond those fitted.
 _LAGS = 10
+# Shift of an estimate, in its sd, and rise of the residuals from which on a memory does harm.
+_SHIFT, _RISE = 3.0, 1.1
+# Singular value, in prior sds over residuals, above which data alone tell a direction.
+_TOLD = 3.0
+# Places between runs, so that no kernel spans them.
+_APART = 50
 
 
 @dataclass(frozen=True)
@@ -34,12 +49,24 @@ class Evidence:
         Root mean square of the innovations over that of the residuals.
     p_value
         Of the Ljung-Box test that the innovations are white.
+    shift
+        By how much this order moves the estimate, over its robust standard deviation, in the
+        direction where that is most.
+    rise
+        Root mean square of the residuals that it then has, over that of least squares.
     """
 
     order: int
     bic: float
     innovations: float
     p_value: float
+    shift: float = 0.0
+    rise: float = 1.0
+
+    @property
+    def harmless(self) -> bool:
+        """Whether the estimate stays where it was."""
+        return self.shift <= _SHIFT and self.rise <= _RISE
 
 
 @dataclass(frozen=True)
@@ -50,13 +77,22 @@ class Choice:
     tried: tuple[Evidence, ...]
 
     @property
+    def refused(self) -> bool:
+        """Whether the residuals ask for another order, which would move the estimates."""
+        return min(self.tried, key=lambda one: one.bic).order != self.order
+
+    @property
     def white(self) -> bool:
         """Whether the innovations of the chosen order pass as white, at 1 %."""
         return self.tried[self.order].p_value > 0.01
 
 
 def choose_order(
-    residuals: Sequence[Array], follows: Sequence[Flags], own_scales: bool, most: int = MOST
+    residuals: Sequence[Array],
+    follows: Sequence[Flags],
+    own_scales: bool,
+    most: int = MOST,
+    effects: Sequence[Array] | None = None,
 ) -> Choice:
     """Choose the order of autoregressive noise by the Bayesian information criterion.
 
@@ -70,6 +106,9 @@ def choose_order(
         Whether every recording has a scale of its own.
     most
         Largest order tried.
+    effects
+        ``(M, k)`` each: what a change of every parameter by its prior's sd does to the outputs.
+        Only orders that leave the estimate alone are chosen; any where left out.
 
     Returns
     -------
@@ -82,9 +121,14 @@ def choose_order(
         return Choice(0, (Evidence(0, 0.0, 1.0, 1.0),))
     sizes = [_size([r]) if own_scales else _size(residuals) for r in residuals]
     scaled = [r / size if size > 0.0 else r for r, size in zip(residuals, sizes, strict=True)]
+    plain = None
+    if effects is not None:
+        pairs = zip(effects, sizes, strict=True)
+        plain = _Plain(scaled, follows, [e / size if size > 0.0 else e for e, size in pairs])
     tried: list[Evidence] = []
     for order in range(most + 1):
-        partial = burg(scaled, follows, order)
+        # beyond, the prior ends too
+        partial = np.clip(burg(scaled, follows, order), -MEMORY, MEMORY)
         left = [whitened(r, partial, f) for r, f in zip(scaled, follows, strict=True)]
         # the first of a run are divided by their own, larger sds
         deviance = 2.0 * sum(float(_log_sds(partial, f).sum()) for f in follows)
@@ -99,12 +143,49 @@ def choose_order(
                 deviance + order * math.log(n) - (tried[0].bic if tried else 0.0),
                 math.sqrt(power / whole),
                 ljung_box(normal, follows, _LAGS + order, order),
+                *(plain.compared(partial) if plain is not None and order else (0.0, 1.0)),
             )
         )
     first = tried[0]
     tried[0] = Evidence(0, 0.0, first.innovations, first.p_value)
-    best = min(tried, key=lambda one: one.bic)
+    best = min((one for one in tried if one.harmless), key=lambda one: one.bic)
     return Choice(best.order, tuple(tried))
+
+
+class _Plain:
+    """Least squares without memory, to compare others with.
+
+    Parameters are as in :func:`choose_order`, everything over the size of the residuals.
+    """
+
+    def __init__(
+        self, residuals: Sequence[Array], follows: Sequence[Flags], effects: Sequence[Array]
+    ) -> None:
+        self._follows = follows
+        self._ends = np.cumsum([r.size for r in residuals])[:-1]
+        self._residual = np.concatenate(residuals)
+        basis, singular, _ = np.linalg.svd(np.concatenate(effects), full_matrices=False)
+        self._basis = basis[:, singular > _TOLD]
+        steps = [np.concatenate([[_APART], np.where(f, 1, _APART)]) for f in follows]
+        places = np.cumsum(np.concatenate(steps))
+        scores = self._basis.T * self._residual
+        # never less than uncorrelated residuals would give
+        variance = float(np.mean(self._residual**2))
+        self._sds = np.sqrt([max(long_run_variance(s, places), variance) for s in scores])
+
+    def compared(self, partial: Array) -> tuple[float, float]:
+        """Give :attr:`Evidence.shift` and :attr:`Evidence.rise` of a memory ``(p,)``."""
+        if not self._sds.size:
+            return 0.0, 1.0
+        rows = np.vstack([self._residual, self._basis.T])
+        pieces = zip(np.split(rows, self._ends, axis=1), self._follows, strict=True)
+        weighted = np.concatenate([whitened(part, partial, f) for part, f in pieces], axis=1)
+        step = np.linalg.lstsq(weighted[1:].T, weighted[0], rcond=None)[0]
+        apart = step - self._basis.T @ self._residual
+        left = self._residual - self._basis @ step
+        least = self._residual - self._basis @ (self._basis.T @ self._residual)
+        rise = math.sqrt(float(left @ left) / max(float(least @ least), 1e-300))
+        return float(np.max(np.abs(apart) / self._sds)), rise
 
 
 def _log_sds(partial: Array, follows: Flags) -> Array:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesfric.inference.prior.noise import support
+from bayesfric.inference.prior.noise import MEMORY, support
 from bayesfric.inference.prior.priors import Prior, PriorText, read_prior
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.parameter import Parameter
@@ -81,14 +81,14 @@ def default_prior(chain: Chain, p: Parameter, scales: Scales) -> Prior:
 def default_noise_prior(name: str, scales: Scales) -> Prior:
     """Spread a noise scale evenly in its logarithm, up to the largest torque or motion.
 
-    Partial autocorrelations are anything that is stationary; degrees of freedom of a
+    Partial autocorrelations are anything up to ``MEMORY``; degrees of freedom of a
     Student-t follow Juárez and Steel (J. Bus. Econ. Stat. 28, 2010).
 
     ``name`` is ``noise.`` and a quantity such as ``sigma``.
     """
     low, high = support(name.removeprefix("noise."))
     if name.startswith("noise.pacf_"):
-        return read_prior(name, [low, high], lower=low, upper=high, default=True)
+        return read_prior(name, [-MEMORY, MEMORY], lower=low, upper=high, default=True)
     if name == "noise.dof":
         gamma = {"distribution": "gamma", "a": 2.0, "scale": 10.0}
         return read_prior(name, gamma, lower=low, upper=high, default=True)

@@ -25,6 +25,12 @@ _SYMBOLS = {
 }
 
 
+# Largest partial autocorrelation that the package takes for noise by itself. What remembers more
+# in a band that the motion fills is no noise but something the model lacks: a memory beyond
+# would take all that is slow for noise, the motion's own effects among it.
+MEMORY = 0.95
+
+
 def support(quantity: str) -> tuple[float, float]:
     """Give the lowest and highest value a scale may have."""
     if quantity.startswith("pacf_"):
