@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
 from bayesfric.recordings import units
+from bayesfric.recordings.checks import unwrapped
 from bayesfric.recordings.options import Channel, Position, Source, Velocity
 from bayesfric.recordings.tables import Table
 
@@ -155,10 +156,15 @@ def joint_signal(
         If the side is needed but not given, or a column or unit cannot be used.
     """
     key, kinds = ("position", POSITION) if isinstance(channel, Position) else ("velocity", VELOCITY)
-    if _side(channel, table, key, drive):
-        values = scaled(channel, table, kinds[drive.motor_motion], key)
-        return values / drive.ratio, f"{key}: of the motor, divided by {drive.ratio:g}"
-    return scaled(channel, table, kinds[drive.motion], key), f"{key}: of the joint"
+    motor = _side(channel, table, key, drive)
+    motion = drive.motor_motion if motor else drive.motion
+    values = scaled(channel, table, kinds[motion], key)
+    step = f"{key}: of the motor, divided by {drive.ratio:g}" if motor else f"{key}: of the joint"
+    if isinstance(channel, Position) and motion == "rotary":
+        values, jumps = unwrapped(values)
+        if jumps:
+            step += f"; jumps by a turn at {jumps} places, unwrapped"
+    return values / drive.ratio if motor else values, step
 
 
 def drive_signal(
@@ -207,6 +213,31 @@ def _constant(channel: Channel, table: Table, drive: Drive) -> float:
     text = str(getattr(channel, "torque_constant", ""))
     kind = CONSTANT[drive.motor_motion]
     return units.parse(text, kind, f"{table.label(channel.column)}, torque_constant")
+
+
+def check_columns(source: Source, table: Table) -> None:
+    """Refuse one column as two signals.
+
+    Raises
+    ------
+    BadInput
+        Naming both channels.
+    """
+    channels = {
+        key: channel
+        for key in ("time", "position", "velocity", "torque", "current", "voltage")
+        if (channel := getattr(source, key)) is not None
+    }
+    seen: dict[str, str] = {}
+    for key, channel in channels.items():
+        label = table.label(channel.column)
+        if label in seen:
+            raise BadInput(
+                label,
+                f"is taken both for {seen[label]} and for {key}",
+                f"name another column for {key}",
+            )
+        seen[label] = key
 
 
 def same_length(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +13,16 @@ from bayesfric.errors import BadInput
 _RUN = 4
 _CLIPPED_SHARE = 0.01
 _HUGE = 1e15
+# Correlation of a measured velocity with the differentiated position from which on they are
+# taken for the same, and below which for strangers; and by how much their factor may differ from 1.
+_ALIKE, _STRANGERS, _FACTOR = 0.9, 0.3, 0.1
+# A torque of two levels: their width, and the share of samples on them and in step with speed.
+_LEVEL, _MOSTLY = 0.05, 0.9
+# Share of a torque's variance that position and speed explain where a controller makes it of them.
+_FOLLOWS = 0.98
+_LEAST_SEEN = 50
+
+Feedback = Literal["sign of speed", "position error"]
 
 
 def check_moves(values: NDArray[np.float64], where: str, what: str) -> None:
@@ -120,6 +132,109 @@ def quantisation(values: NDArray[np.float64]) -> float | None:
     step = float(gaps.min())
     multiples = gaps / step
     return step if bool(np.all(np.abs(multiples - np.round(multiples)) < 0.05)) else None
+
+
+def unwrapped(angle: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
+    """Undo the jumps of an angle that is told within one turn.
+
+    Parameters
+    ----------
+    angle
+        Of the shaft the encoder is on, rad, shape (n,).
+
+    Returns
+    -------
+    values : numpy.ndarray
+        The angle without jumps, beginning where it began; the same array where it has none.
+    jumps : int
+        How many there were.
+    """
+    steps = np.diff(angle)
+    jumps = np.abs(steps) > np.pi
+    # an angle that covers more than a turn is counted through already
+    if not jumps.any() or np.ptp(angle) > 2.0 * np.pi * (1.0 + 1e-6):
+        return angle, 0
+    # what stays after a jump is undone must be a motion: as small as the other steps
+    turns = np.round(steps / (2.0 * np.pi))
+    usual = float(np.abs(steps[~jumps]).max(initial=0.0))
+    if np.abs(steps - 2.0 * np.pi * turns)[jumps].max() > 2.0 * usual:
+        return angle, 0
+    values = angle.copy()
+    values[1:] -= 2.0 * np.pi * np.cumsum(turns)
+    return values, int(np.count_nonzero(jumps))
+
+
+def speed_mismatch(
+    velocity: NDArray[np.float64], differentiated: NDArray[np.float64], usable: NDArray[np.bool_]
+) -> float | None:
+    """Compare a measured velocity with the differentiated position.
+
+    Parameters
+    ----------
+    velocity, differentiated
+        Shape (n,), filtered alike.
+    usable
+        Samples to compare, shape (n,).
+
+    Returns
+    -------
+    float or None
+        Factor between them where it is no factor of one: beyond 10 %, and more than the two
+        series' own scatter explains. 0 where they have nothing to do with each other.
+    """
+    v, d = velocity[usable], differentiated[usable]
+    power, other = float(v @ v), float(d @ d)
+    if not power > 0.0 or not other > 0.0:
+        return None
+    alike = float(v @ d) / np.sqrt(power * other)
+    if abs(alike) < _ALIKE:
+        return 0.0 if abs(alike) < _STRANGERS else None
+    factor = float(v @ d) / other
+    return factor if abs(factor - 1.0) > _FACTOR else None
+
+
+def feedback(
+    torque: NDArray[np.float64],
+    position: NDArray[np.float64],
+    velocity: NDArray[np.float64],
+    usable: NDArray[np.bool_],
+) -> tuple[Feedback, float] | None:
+    """Look for a torque that a controller makes of the motion by a simple law.
+
+    Such a law and the joint's own cannot be told apart: a torque that is a constant times the
+    sign of speed looks like Coulomb friction, one that falls with position like negative gravity.
+
+    Parameters
+    ----------
+    torque
+        As measured, shape (n,).
+    position, velocity
+        Of the joint, shape (n,).
+    usable
+        Samples to look at, shape (n,).
+
+    Returns
+    -------
+    law : Feedback
+        What the torque follows.
+    share : float
+        Of the samples, or of the torque's variance, that it explains.
+    """
+    t, q, v = torque[usable], position[usable], velocity[usable]
+    if t.size < _LEAST_SEEN or not np.ptp(t) > 0.0:
+        return None
+    size = float(np.median(np.abs(t)))
+    two_levels = float(np.mean(np.abs(np.abs(t) - size) < _LEVEL * size))
+    same = float(np.mean(np.sign(t) == np.sign(v)))
+    if min(two_levels, same) > _MOSTLY:
+        return "sign of speed", same
+    columns = np.column_stack([np.ones_like(t), q, v])
+    found = np.linalg.lstsq(columns, t, rcond=None)[0]
+    left = t - columns @ found
+    share = 1.0 - float(np.var(left) / np.var(t))
+    if share > _FOLLOWS and found[1] < 0.0 and np.var(found[1] * q) > 0.5 * np.var(t):
+        return "position error", share
+    return None
 
 
 def _in_runs(flags: NDArray[np.bool_]) -> int:

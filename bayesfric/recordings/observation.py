@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
-from bayesfric.recordings import units
+from bayesfric.recordings import checks, units
 from bayesfric.recordings.filters import (
     ParallelFilter,
     check_cutoff,
@@ -25,6 +25,8 @@ from bayesfric.recordings.resolution import WIDEST, Resolution, lowpass_above, r
 
 _DEAD_SHARE = 0.01
 _TRIM_SAMPLES = 10
+# Samples beside a rest that are not used, at least; and of a rest.
+_GUARD = 10
 # Windows and trims that should fit into the longest segment where the band is chosen.
 _FITTING = 20
 # Root mean square of acceleration over its noise below which a user is warned: an inertia then
@@ -96,6 +98,7 @@ class _Numbers:
     trim: float
     trim_samples: int
     reach: int
+    guard: int
     resolution: Resolution
 
 
@@ -138,6 +141,8 @@ def observe(recording: Recording, processing: Processing) -> Observation:
         inside[a:b] = True
     dead_zone = _dead_zone(processing, qd[inside])
     moving = np.abs(qd) >= dead_zone
+    # the low-pass carries a rest's torque and speed a little way past its ends
+    moving &= ~_near(_rests(~moving, segments, numbers.guard), numbers.guard)
     chosen, counts = _windows(recording, numbers, kept, moving)
     decimated = numbers.fs / numbers.factor
     if numbers.band is not None and numbers.band > decimated / 2:
@@ -153,6 +158,16 @@ def observe(recording: Recording, processing: Processing) -> Observation:
             f"decimate = {fitting} would fit"
         )
     warnings += _resolution_warnings(numbers, recording)
+    compared = inside & moving & ~recording.excluded
+    if recording.velocity is not None:
+        warnings += _velocity_warnings(qd, derivative(q, segments, period, numbers.reach), compared)
+    law = checks.feedback(recording.torque, q, qd, compared)
+    if law is not None:
+        warnings.append(
+            f"torque: follows the {law[0]} of the joint ({100 * law[1]:.3g} %), as if a controller "
+            "made it so: then friction, gravity and inertia cannot be told from the controller's "
+            "law; move the joint along a path that depends on neither"
+        )
     borders = np.array([a for a, _ in segments], dtype=np.int64)
     centres = chosen.centres
     settings: dict[str, float | int | str] = {
@@ -164,6 +179,7 @@ def observe(recording: Recording, processing: Processing) -> Observation:
         "differentiation": processing.differentiation,
         "reach": numbers.reach,
         **_resolved(numbers.resolution),
+        **({} if law is None else {"feedback": law[0]}),
         "dead_zone": dead_zone,
         "trim": numbers.trim,
         "trim_samples": numbers.trim_samples,
@@ -250,7 +266,8 @@ def _settle(recording: Recording, processing: Processing) -> _Numbers:
         # more than there are would only cost memory
         samples = int(np.ceil(min(processing.trim * fs, len(recording.time)) - 1e-9))
     trim = samples * recording.period
-    return _Numbers(fs, cutoff, factor, band, trim, samples, reach, resolution)
+    guard = max(_GUARD, int(np.ceil(fs / cutoff - 1e-9)) if cutoff else 0)
+    return _Numbers(fs, cutoff, factor, band, trim, samples, reach, guard, resolution)
 
 
 def _resolved(found: Resolution) -> dict[str, float | int | str]:
@@ -262,6 +279,25 @@ def _resolved(found: Resolution) -> dict[str, float | int | str]:
     if np.isfinite(found.acceleration_ratio):
         told["acceleration_ratio"] = found.acceleration_ratio
     return told
+
+
+def _velocity_warnings(
+    velocity: NDArray[np.float64],
+    differentiated: NDArray[np.float64],
+    compared: NDArray[np.bool_],
+) -> list[str]:
+    factor = checks.speed_mismatch(velocity, differentiated, compared)
+    if factor is None:
+        return []
+    if factor == 0.0:
+        said = "has nothing to do with the differentiated position: is it the right column"
+    else:
+        said = (
+            f"is {factor:.3g} times the differentiated position: are its unit, sign and side right"
+        )
+        if abs(abs(factor) * np.pi / 180.0 - 1.0) < 0.05:
+            said = f"is {factor:.3g} times the differentiated position: is it in deg/s"
+    return [f"velocity: {said}? Inertia and speed losses come out wrong by such a factor"]
 
 
 def _resolution_warnings(numbers: _Numbers, recording: Recording) -> list[str]:
@@ -335,6 +371,16 @@ def _windows(
         "dropped_excluded": trimmed - included,
         "dropped_dead_zone": included - final.n_outputs,
     }
+
+
+def _rests(
+    slow: NDArray[np.bool_], segments: tuple[tuple[int, int], ...], least: int
+) -> NDArray[np.bool_]:
+    """Flag slow samples that ``least`` or more of follow each other: a rest, no reversal."""
+    found = np.zeros_like(slow)
+    for a, b in without_excluded(segments, ~slow):
+        found[a:b] = b - a >= least
+    return found
 
 
 def _near(flags: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:

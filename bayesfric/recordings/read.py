@@ -18,6 +18,7 @@ from bayesfric.recordings.channels import (
     VELOCITY,
     Drive,
     Motion,
+    check_columns,
     drive_signal,
     joint_signal,
     lengths,
@@ -99,6 +100,7 @@ def read_recordings(
 @np.errstate(all="ignore")
 def _read(source: Source, path: Path, name: str, drive: Drive, processing: Processing) -> Recording:
     table = read_table(path, source)
+    check_columns(source, table)
     steps = list(table.notes)
     position, step = joint_signal(source.position, table, drive)
     steps.append(step)

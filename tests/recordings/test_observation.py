@@ -44,10 +44,11 @@ def test_defaults_follow_the_sampling_rate_where_position_and_torque_allow():
     seen = observe(recording(torque=square), Processing())
     used = seen.settings
     assert used["sampling_rate"] == pytest.approx(500)
-    assert used["lowpass"] == pytest.approx(50)
+    # four times the band: a low-pass of the position alone must not touch what is compared
+    assert used["lowpass"] == pytest.approx(100)
     assert used["decimate"] == 10
     assert used["band"] == pytest.approx(25)
-    assert used["trim_samples"] == 10
+    assert used["trim_samples"] == 2 * used["reach"] > 10
     assert used["dead_zone"] == pytest.approx(0.01 * W, rel=1e-3)
     assert used["n_outputs"] == len(seen.measured) == len(seen.time) == len(seen.speed)
     assert seen.period == pytest.approx(0.02)
@@ -85,6 +86,35 @@ def test_dead_zone_leaves_slow_windows_out():
     assert seen.settings["dead_zone"] == 1.0
     assert np.abs(seen.speed).min() >= 1.0
     assert seen.settings["dropped_dead_zone"] > 0
+
+
+def test_windows_beside_a_reversal_stay_without_its_samples():
+    """0.1.0 dropped every window that touched one: in a 5 Hz band nothing was left."""
+    whole = observe(recording(), Processing(band=5.0, dead_zone=0))
+    seen = observe(recording(), Processing(band=5.0))
+    assert seen.measured.size == whole.measured.size
+    slow = np.abs(seen.qd) < seen.settings["dead_zone"]
+    assert 0 < slow.sum() < 40
+    assert not seen.filter.used[slow].any()
+    # what is measured there, and what a model says there, has no say
+    poisoned = recording()
+    poisoned.torque[slow] = 1e3
+    again = observe(poisoned, Processing(band=5.0))
+    np.testing.assert_allclose(again.filter.apply(poisoned.torque), seen.measured, atol=1e-9)
+    design = np.array([seen.qdd, seen.qd, np.ones_like(seen.q)])
+    found = np.linalg.lstsq(seen.filter.apply(design).T, seen.measured, rcond=None)[0]
+    np.testing.assert_allclose(found, [2, 3, 0.5], rtol=1e-4)
+
+
+def test_samples_beside_a_rest_are_not_used_those_beside_a_reversal_are():
+    t = 0.002 * np.arange(4000)
+    position = np.where(t < 4.5, np.sin(W * t), 1.0)  # at rest from 4.5 s on
+    seen = observe(recording(position=position), Processing(lowpass=50.0, dead_zone="0.05 rad/s"))
+    rests = np.flatnonzero(np.abs(seen.qd) < 0.05)
+    reversal = round(0.5 / W * np.pi / 0.002)
+    assert seen.filter.used[reversal - 15] == seen.filter.used[reversal + 15] == 1.0
+    end = rests[rests > 2200][0]
+    assert not seen.filter.used[end - 10 : end].any()
 
 
 def test_segments_are_told_apart():
