@@ -228,16 +228,15 @@ def check_columns(source: Source, table: Table) -> None:
         for key in ("time", "position", "velocity", "torque", "current", "voltage")
         if (channel := getattr(source, key)) is not None
     }
-    seen: dict[str, str] = {}
+    seen: dict[int, str] = {}
     for key, channel in channels.items():
-        label = table.label(channel.column)
-        if label in seen:
+        before = seen.setdefault(table.place(channel.column), key)
+        if before != key:
             raise BadInput(
-                label,
-                f"is taken both for {seen[label]} and for {key}",
+                table.label(channel.column),
+                f"is taken both for {before} and for {key}",
                 f"name another column for {key}",
             )
-        seen[label] = key
 
 
 def same_length(

@@ -100,7 +100,6 @@ def read_recordings(
 @np.errstate(all="ignore")
 def _read(source: Source, path: Path, name: str, drive: Drive, processing: Processing) -> Recording:
     table = read_table(path, source)
-    check_columns(source, table)
     steps = list(table.notes)
     position, step = joint_signal(source.position, table, drive)
     steps.append(step)
@@ -115,6 +114,7 @@ def _read(source: Source, path: Path, name: str, drive: Drive, processing: Proce
         same_length(source.velocity, velocity, source.position, position, table)
         steps.append(step)
     channel, signal, kind = drive_signal(source, table, drive)
+    check_columns(source, table)
     same_length(channel, signal, source.position, position, table)
     checks.check_not_huge(signal, table.label(channel.column), kind)
 

@@ -119,7 +119,7 @@ class Table:
         BadInput
             If there is no such column, or a cell is empty, no number, NaN or infinite.
         """
-        cells = self.load(self._index(key))
+        cells = self.load(self.place(key))
         if cells.ndim != 1:
             shape = " x ".join(str(n) for n in cells.shape) or "one value"
             raise BadInput(
@@ -163,7 +163,14 @@ class Table:
             mend = 'set decimal = "," if the comma is the decimal mark'
         return BadInput(f"{self.label(key)}, {self.row(index)}", what, mend)
 
-    def _index(self, key: str | int) -> int:
+    def place(self, key: str | int) -> int:
+        """Give the place of a column among the others, from 0.
+
+        Raises
+        ------
+        BadInput
+            If there is none of that name or number.
+        """
         named = [name for name in self.names if name]
         if isinstance(key, int):
             if 1 <= key <= len(self.names):

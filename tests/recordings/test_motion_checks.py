@@ -1,0 +1,141 @@
+"""Angles that wrap, a velocity in another unit, a torque that a controller makes of the motion."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bayesfric.recordings import Processing, Torque, observe
+from bayesfric.recordings.checks import feedback, unwrapped
+from bayesfric.recordings.options import Position, Velocity
+from tests.conftest import made_recording
+from tests.recordings.samples import has, read, refused, source, write
+
+T = 0.005 * np.arange(4000)
+TURNING = 1.2 * T + 0.8 * np.sin(2 * np.pi * 0.4 * T)
+
+
+def table(folder, columns):
+    names = ",".join(columns)
+    rows = "\n".join(
+        ",".join(f"{x:.9g}" for x in row) for row in zip(*columns.values(), strict=True)
+    )
+    write(folder, f"{names}\n{rows}\n")
+
+
+@pytest.mark.parametrize(
+    ("wrap", "unit"),
+    [
+        (lambda q: (q + np.pi) % (2 * np.pi) - np.pi, "rad"),
+        (lambda q: np.degrees(q) % 360.0, "deg"),
+        (lambda q: np.floor(q / (2 * np.pi) * 4096) % 4096, "turn/4096"),
+    ],
+)
+def test_an_angle_that_wraps_is_unwrapped_and_that_is_said(tmp_path, wrap, unit):
+    """0.1.0 differentiated the jumps: an inertia of -0.0009 without a warning."""
+    table(tmp_path, {"t": T, "q": wrap(TURNING), "tau": np.sin(T)})
+    used = source(position=Position(column="q", unit=unit))
+    (found,) = read(tmp_path, used)
+    apart = found.position - TURNING
+    # a turn is no motion; 4096 counts are rounded
+    np.testing.assert_allclose(apart - apart[0], 0.0, atol=2 * np.pi / 4096 * 1.01)
+    has(" ".join(found.steps), "unwrapped")
+
+
+def test_a_motor_encoder_wraps_at_the_motor(tmp_path):
+    motor = 50.0 * 0.3 * np.sin(2 * np.pi * 0.2 * T)
+    table(tmp_path, {"t": T, "q": motor % (2 * np.pi), "tau": np.sin(T)})
+    used = source(position=Position(column="q", unit="rad", side="motor"))
+    (found,) = read(tmp_path, used, ratio=50.0)
+    np.testing.assert_allclose(np.ptp(found.position), 0.6, rtol=1e-4)
+
+
+@settings(deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0.01, 1.4))
+def test_unwrapping_undoes_what_wrapping_did(seed, largest):
+    rng = np.random.default_rng(seed)
+    angle = np.cumsum(rng.uniform(-largest, largest, 300))
+    wrapped = (angle + np.pi) % (2 * np.pi) - np.pi
+    found, jumps = unwrapped(wrapped)
+    np.testing.assert_allclose(found - found[0], angle - angle[0], atol=1e-9)
+    assert (jumps > 0) == bool((np.abs(np.diff(wrapped)) > np.pi).any())
+
+
+def test_what_does_not_wrap_stays_as_it_is():
+    angle = np.concatenate([np.zeros(50), np.full(50, 4.0)])  # moved by hand while not recording
+    same, jumps = unwrapped(np.linspace(0, 40.0, 100))
+    assert jumps == 0
+    np.testing.assert_array_equal(same, np.linspace(0, 40.0, 100))
+    assert unwrapped(angle)[1] == 0
+
+
+def test_one_column_as_two_signals_is_refused(tmp_path):
+    table(tmp_path, {"t": T, "q": TURNING, "tau": np.sin(T)})
+    message = refused(tmp_path, source(torque=Torque(column="q", unit="N m")))
+    has(message, "'q'", "position", "torque")
+    message = refused(tmp_path, source(torque=Torque(column=2, unit="N m")))
+    has(message, "position", "torque")
+    message = refused(tmp_path, source(velocity=Velocity(column="tau", unit="rad/s")))
+    has(message, "velocity", "torque")
+
+
+@pytest.mark.parametrize(("factor", "says"), [(180 / np.pi, "deg/s"), (-1.0, "sign"), (1.2, "1.2")])
+def test_a_velocity_in_another_unit_is_said(factor, says):
+    """In deg/s read as rad/s the inertia came out as 36 for 2,083, without a word."""
+    q, v = np.sin(3 * T), 3 * np.cos(3 * T)
+    torque = -9 * np.sin(3 * T) + v
+    wrong = observe(made_recording(T, q, torque, 0.005, velocity=factor * v), Processing())
+    assert [w for w in wrong.warnings if w.startswith("velocity") and says in w]
+    right = observe(made_recording(T, q, torque, 0.005, velocity=v), Processing())
+    assert not [w for w in right.warnings if w.startswith("velocity")]
+
+
+def test_a_noisy_velocity_is_no_wrong_one():
+    v = 3 * np.cos(3 * T) + np.random.default_rng(1).normal(0, 0.3, T.size)
+    seen = observe(made_recording(T, np.sin(3 * T), v, 0.005, velocity=v), Processing())
+    assert not [w for w in seen.warnings if "differentiated position" in w]
+
+
+def bang_bang(level=0.9, period=0.005):
+    """A pendulum that is pushed along: torque 0.9 N m times the sign of speed."""
+    q, v, rows = 0.3, 0.0, []
+    rng = np.random.default_rng(5)
+    for _ in range(4000):
+        torque = level * (np.sign(v) if v else 1.0)
+        rows.append((q, v, torque + 0.01 * rng.standard_normal()))
+        for _ in range(10):
+            loss = 0.85 * np.sign(v) + 0.1 * v
+            v += period / 10 * (torque - loss - 0.3 * 9.81 * np.sin(q)) / 0.15
+            q += period / 10 * v
+    return np.array(rows).T
+
+
+def test_a_torque_that_follows_the_sign_of_speed_is_said():
+    """0.1.0 learned 0.9 N m of Coulomb friction from it, and called it data."""
+    q, _, torque = bang_bang()
+    seen = observe(made_recording(T, q, torque, 0.005), Processing())
+    assert seen.settings["feedback"] == "sign of speed"
+    assert [w for w in seen.warnings if "sign of speed" in w]
+
+
+def test_a_torque_that_follows_the_position_error_is_said():
+    rng = np.random.default_rng(2)
+    q = np.convolve(rng.normal(size=T.size), np.exp(-np.arange(200) / 40) / 40, mode="same")
+    torque = -30.0 * (q - 0.1) + 0.2 * rng.normal(size=T.size)
+    found = feedback(torque, q, np.gradient(q, 0.005), np.ones(T.size, dtype=bool))
+    assert found is not None
+    assert found[0] == "position error"
+
+
+def test_joints_that_lose_energy_are_no_controllers():
+    """Coulomb friction at any speed, a hanging pendulum moved slowly, a square-wave torque."""
+    usable = np.ones(T.size, dtype=bool)
+    q, v = np.sin(T) + 0.3 * np.sin(2.3 * T), np.cos(T) + 0.69 * np.cos(2.3 * T)
+    a = -np.sin(T) - 0.3 * 2.3**2 * np.sin(2.3 * T)
+    for torque in (
+        0.5 * np.sign(v) + 0.2 * v + 0.1 * a,
+        3.0 * np.sin(q) + 0.1 * np.sign(v),
+        0.8 * np.sign(np.sin(2 * np.pi * T)),
+        a + 0.3 * v,
+    ):
+        assert feedback(torque, q, v, usable) is None
