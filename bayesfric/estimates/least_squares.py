@@ -217,10 +217,13 @@ def starting_values(chain: Chain, totals: Estimate, mu: float, share: float) -> 
             values[p.name] = part * seen * to_motor[owner] ** powers[kind]
         elif kind == "first_moment":
             seen = float(np.hypot(total.get("gravity", 0.0), total.get("gravity_cosine", 0.0)))
-            values[p.name] = max(seen, 1e-6) * chain.ratio / chain.load.gravity
+            values[p.name] = max(seen, 1e-6) * chain.ratio / abs(chain.load.gravity)
         elif kind == "gravity_angle":
+            way = np.sign(chain.load.gravity)
             values[p.name] = float(
-                np.arctan2(total["gravity_cosine"], total["gravity"]) if "gravity" in total else 0.0
+                np.arctan2(way * total["gravity_cosine"], way * total["gravity"])
+                if "gravity" in total
+                else 0.0
             )
         elif kind in ("load", "load_drive", "load_back"):
             values[p.name] = mu

@@ -156,8 +156,10 @@ class TorqueForm:
         """Write column totals into the parameters that make them up."""
         if "gravity_cosine" in terms and "gravity" in totals:
             sine, cosine = totals["gravity"], totals.get("gravity_cosine", 0.0)
-            values[self.chain.names.index("load.gravity_angle")] = math.atan2(cosine, sine)
-            totals = {**totals, "gravity": math.hypot(sine, cosine)}
+            way = math.copysign(1.0, self.chain.load.gravity)
+            angle = math.atan2(way * cosine, way * sine)
+            values[self.chain.names.index("load.gravity_angle")] = angle
+            totals = {**totals, "gravity": way * math.hypot(sine, cosine)}
         for kind, found in terms.items():
             if kind != "gravity_cosine":
                 for i, c in found:

@@ -261,6 +261,6 @@ def _described(chain: Chain, key: str) -> Parameter:
         return parameter("total", key, chain.motor_motion, "t")
     torque = parameter("total", "coulomb", chain.motor_motion, "t")
     return Parameter(
-        "total.gravity", "gravity", torque.unit, r"G_{t}", 0.0, float("inf"),
+        "total.gravity", "gravity", torque.unit, r"G_{t}", -float("inf"), float("inf"),
         effort_words("gravity torque", chain.motor_motion),
     )  # fmt: skip

@@ -71,6 +71,7 @@ class PosteriorRow(Part):
     at_bound: Bound | None = None
     bound: FiniteFloat | None = None
     bound_physical: bool | None = None
+    period: FiniteFloat | None = None
     undefined_share: Annotated[FiniteFloat, Field(ge=0.0, le=1.0)] | None = None
 
     @property
