@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, TypeVar
 
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 Motion = Literal["rotary", "linear"]
 TURN = 2.0 * math.pi
 Angle = TypeVar("Angle", float, NDArray[np.float64])
+Entry = TypeVar("Entry")
 # The word alone, not as a part of a name such as noise.torque, torque_constant or torque-steps.
 _TORQUE = re.compile(r"(?<![\w.-])torque(s?)(?![\w]|[.-]\w)")
 
@@ -149,6 +151,28 @@ def parameter(element: str, quantity: str, motion: Motion, subscript: str) -> Pa
         default=entry.default,
         circular=entry.circular,
     )
+
+
+def entry_of(table: Mapping[str, Entry], quantity: str, form: str) -> Entry:
+    """Look a quantity up in a table that must know them all: one it drops would count as zero.
+
+    Parameters
+    ----------
+    table
+        By quantity.
+    quantity
+        What to look up.
+    form
+        What the table is of, for the complaint.
+
+    Raises
+    ------
+    KeyError
+        If the table does not know the quantity.
+    """
+    if quantity not in table:
+        raise KeyError(f"{form} does not know the quantity {quantity!r}")
+    return table[quantity]
 
 
 def turned(value: Angle, towards: float) -> Angle:
