@@ -290,9 +290,8 @@ def _columns(run: str, summary: RunSummary, *, alone: bool, estimates: bool) -> 
 
 def _cells(column: Column, summary: RunSummary) -> Iterator[tuple[str, Cell]]:
     if column.kind == "posterior":
-        accounts = summary.noise.model != "white"
         for name, row in {**summary.derived, **summary.parameters}.items():
-            yield name, posterior_cell(row, accounts, summary.sampler.status)
+            yield name, posterior_cell(row, summary.accounts, summary.sampler.status)
         for name, known in summary.fixed.items():
             yield name, Cell(known.value, "known", remark="taken as known")
         return
