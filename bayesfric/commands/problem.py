@@ -72,13 +72,14 @@ class Problem:
         """
         tables = self.config.tables
         if tables.likelihood.method == "input-error":
-            return make_target(
+            target = make_target(
                 self.chain,
                 self.observations,
                 self.priors,
                 tables.noise.scale,
                 self._noise(choice or self.noise_choice(point)),
             )
+            return target.uncut_at(point or {})
         if point is None:
             raise ValueError("the output-error likelihood needs a point estimate")
         with self.config.named():
@@ -91,7 +92,7 @@ class Problem:
                 self.observations,
                 self.chain.vector(point),
             )
-        return target_of(likelihood, self.priors, tables.noise.scale)
+        return target_of(likelihood, self.priors, tables.noise.scale).uncut_at(point)
 
     def white_target(self) -> Target:
         """Log-posterior of the torque with white noise, whatever the configuration asks for."""

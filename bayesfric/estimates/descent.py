@@ -60,7 +60,7 @@ class TorqueProblem:
 
     def inside(self, values: Array) -> Array:
         """Free parameters of a vector, put within their limits."""
-        return np.clip(values[self.columns], self.lower, self.upper)
+        return self.knowledge.inside(self.chain, values[self.columns])
 
     def residual(self, x: Array) -> Array:
         """Measured minus modelled, ``(n_outputs,)``."""

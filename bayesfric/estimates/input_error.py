@@ -315,7 +315,7 @@ def _pushed(
     for scaling in open_scalings(problem.chain, problem.knowledge, problem.observations):
         # a loss that the open scale can make positive has not been pushed anywhere
         values = scaling.scaled(values, scaling.middle(values))
-    free = values[problem.columns]
+    free = problem.knowledge.on_turn(problem.chain, values[problem.columns])
     negative = (free < problem.lower) & (problem.lower == 0.0)
     beyond = ((free < problem.lower) & ~negative) | (free > problem.upper)
     notes = []

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.parameter import turned
 
 Array = NDArray[np.float64]
 
@@ -41,6 +42,25 @@ class Knowledge:
         support = {p.name: (p.lower, p.upper) for p in chain.parameters}
         pairs = [self.bounds.get(name, support[name]) for name in self.free(chain)]
         return np.array([low for low, _ in pairs]), np.array([high for _, high in pairs])
+
+    def on_turn(self, chain: Chain, values: Array) -> Array:
+        """Bring the angles of free parameters ``(d,)`` to the turn their limits lie on.
+
+        Without limits that is the one around zero.
+        """
+        described = {p.name: p for p in chain.parameters}
+        out = values.copy()
+        for j, (name, low, high) in enumerate(
+            zip(self.free(chain), *self.limits(chain), strict=True)
+        ):
+            if described[name].circular:
+                middle = (low + high) / 2.0 if np.isfinite(high - low) else 0.0
+                out[j] = turned(float(values[j]), middle)
+        return out
+
+    def inside(self, chain: Chain, values: Array) -> Array:
+        """Put free parameters ``(d,)`` within their limits."""
+        return np.clip(self.on_turn(chain, values), *self.limits(chain))
 
     def rows(self, chain: Chain) -> tuple[Array, Array]:
         """Told values as residuals ``(mean - value)/sd``: rows ``1/sd`` ``(k, d)``, ``mean/sd``."""

@@ -13,7 +13,7 @@ from bayesfric.estimates.information import Information
 from bayesfric.estimates.torque import places
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.inverse import added_load
-from bayesfric.mechanism.parameter import effort_words
+from bayesfric.mechanism.parameter import effort_words, entry_of
 from bayesfric.recordings.observation import Observation
 
 # Relative size below which a singular value of the regressors is rounding.
@@ -29,6 +29,26 @@ _UNITS = {
     "gravity": ("N m", "N", r"ml\,g/(\alpha_m N)", "gravity torque seen by the motor, sine part"),
     "gravity_cosine": ("N m", "N", r"ml\,g\sin q_g/(\alpha_m N)", "gravity torque, cosine part"),
     "added_load": ("", "", r"1/\alpha_m", "motor torque per torque of the known added load"),
+}
+
+# Totals that each quantity shows in; a mean transfer coefficient stands for load losses, and
+# what varies a loss or scales everything has no total of its own.
+_TOTALS: dict[str, tuple[str, ...]] = {
+    "inertia": ("inertia",),
+    "viscous": ("viscous",),
+    "quadratic": ("quadratic",),
+    "coulomb": ("coulomb",),
+    "coulomb_positive": ("coulomb", "offset"),
+    "coulomb_negative": ("coulomb", "offset"),
+    "first_moment": ("gravity",),
+    "gravity_angle": ("gravity_cosine",),
+    "offset": ("offset",),
+    "stribeck_ratio": (),
+    "stribeck_velocity": (),
+    "load": (),
+    "load_drive": (),
+    "load_back": (),
+    "gain": (),
 }
 
 
@@ -217,10 +237,13 @@ def starting_values(chain: Chain, totals: Estimate, mu: float, share: float) -> 
             values[p.name] = part * seen * to_motor[owner] ** powers[kind]
         elif kind == "first_moment":
             seen = float(np.hypot(total.get("gravity", 0.0), total.get("gravity_cosine", 0.0)))
-            values[p.name] = max(seen, 1e-6) * chain.ratio / chain.load.gravity
+            values[p.name] = max(seen, 1e-6) * chain.ratio / abs(chain.load.gravity)
         elif kind == "gravity_angle":
+            way = np.sign(chain.load.gravity)
             values[p.name] = float(
-                np.arctan2(total["gravity_cosine"], total["gravity"]) if "gravity" in total else 0.0
+                np.arctan2(way * total["gravity_cosine"], way * total["gravity"])
+                if "gravity" in total
+                else 0.0
             )
         elif kind in ("load", "load_drive", "load_back"):
             values[p.name] = mu
@@ -229,7 +252,8 @@ def starting_values(chain: Chain, totals: Estimate, mu: float, share: float) -> 
         elif kind == "gain":
             values[p.name] = 1.0 / gain if gain > 0 else 1.0
         else:
-            values[p.name] = {"stribeck_ratio": 0.3}.get(kind, p.default)
+            places = {"stribeck_ratio": 0.3, "stribeck_velocity": p.default}
+            values[p.name] = entry_of(places, kind, "the search's start")
     return values
 
 
@@ -251,30 +275,32 @@ def _part(owner: str, peers: set[str], motor: str, share: float) -> float:
 def _regressors(
     chain: Chain, observations: Sequence[Observation]
 ) -> tuple[list[str], NDArray[np.float64]]:
-    quantities = {p.quantity for p in chain.parameters}
+    wanted = {
+        kind for p in chain.parameters for kind in entry_of(_TOTALS, p.quantity, "least squares")
+    }
     n = chain.ratio
     loads = {added_load(chain, o.added_mass, o.radius) for o in observations}
-    known = loads != {(0.0, 0.0)} and ("first_moment" not in quantities or len(loads) > 1)
+    known = loads != {(0.0, 0.0)} and ("gravity" not in wanted or len(loads) > 1)
     blocks: list[NDArray[np.float64]] = []
     names: list[str] = []
     for o in observations:
         sign = np.sign(o.qd)
         columns: dict[str, NDArray[np.float64]] = {}
-        if "inertia" in quantities:
+        if "inertia" in wanted:
             columns["inertia"] = n * o.qdd
-        if "viscous" in quantities:
+        if "viscous" in wanted:
             columns["viscous"] = n * o.qd
-        if "quadratic" in quantities:
+        if "quadratic" in wanted:
             columns["quadratic"] = n**2 * o.qd * np.abs(o.qd)
-        if quantities & {"coulomb", "coulomb_positive"}:
+        if "coulomb" in wanted:
             columns["coulomb"] = sign
         for recording in chain.own_offsets:
             columns[f"offset.{recording}"] = np.full_like(sign, recording == o.name)
-        if not chain.own_offsets and quantities & {"offset", "coulomb_positive"}:
+        if not chain.own_offsets and "offset" in wanted:
             columns["offset"] = np.ones_like(sign)
-        if "first_moment" in quantities:
+        if "gravity" in wanted:
             columns["gravity"] = np.sin(o.q)
-        if "gravity_angle" in quantities:
+        if "gravity_cosine" in wanted:
             columns["gravity_cosine"] = np.cos(o.q)
         if known:
             inertia, moment = added_load(chain, o.added_mass, o.radius)

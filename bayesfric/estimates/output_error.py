@@ -202,7 +202,7 @@ class OutputError:
             divided(t, o, length) for t, o in zip(self.trajectories, self.observations, strict=True)
         ]
         values = values.copy()
-        values[self.columns] = np.clip(values[self.columns], *self.limits)
+        values[self.columns] = self.knowledge.inside(self.chain, values[self.columns])
         return self._frame(Shooting(self.chain, cut, self.options.substeps or 1), values), values
 
     def fit(self, values: Array, length: float) -> Fit | None:
@@ -227,7 +227,8 @@ class OutputError:
             if not np.isfinite(solution.cost):
                 return None
             values, states, residual = solution.values, solution.states, solution.residual
-        middle = centred(self.chain, self.knowledge, self.observations, values)
+        middle = centred(self.chain, self.knowledge, self.observations, values).copy()
+        middle[self.columns] = self.knowledge.on_turn(self.chain, middle[self.columns])
         if not np.array_equal(middle, values):
             moved = residual_of(frame, middle, states)
             solution = replace(solution, values=middle, residual=moved)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.inverse import added_load
+from bayesfric.mechanism.parameter import entry_of
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.observation import Observation
 
@@ -156,8 +157,10 @@ class TorqueForm:
         """Write column totals into the parameters that make them up."""
         if "gravity_cosine" in terms and "gravity" in totals:
             sine, cosine = totals["gravity"], totals.get("gravity_cosine", 0.0)
-            values[self.chain.names.index("load.gravity_angle")] = math.atan2(cosine, sine)
-            totals = {**totals, "gravity": math.hypot(sine, cosine)}
+            way = math.copysign(1.0, self.chain.load.gravity)
+            angle = math.atan2(way * cosine, way * sine)
+            values[self.chain.names.index("load.gravity_angle")] = angle
+            totals = {**totals, "gravity": way * math.hypot(sine, cosine)}
         for kind, found in terms.items():
             if kind != "gravity_cosine":
                 for i, c in found:
@@ -221,14 +224,15 @@ def torque_form(chain: Chain, observations: Sequence[Observation] = ()) -> Torqu
                 side.setdefault(kind, []).append((chain.names.index(p.name), c))
         before *= element.ratio
     side = behind if lossy else front
-    if "load.inertia" in chain.names:
-        term = (chain.names.index("load.inertia"), 1.0 / chain.ratio**2)
-        side.setdefault("inertia", []).append(term)
-    if "load.first_moment" in chain.names:
-        term = (chain.names.index("load.first_moment"), chain.load.gravity / chain.ratio)
-        side["gravity"] = [term]
-        if angled:
-            side["gravity_cosine"] = [term]
+    weight = ("gravity", "gravity_cosine") if angled else ("gravity",)
+    of_load = {
+        "inertia": _terms("inertia", chain.ratio),
+        "first_moment": tuple((kind, chain.load.gravity / chain.ratio) for kind in weight),
+        "gravity_angle": (),  # turns gravity's two columns, see _sums
+    }
+    for p in chain.load.parameters():
+        for kind, c in entry_of(of_load, p.quantity, "the torque form"):
+            side.setdefault(kind, []).append((chain.names.index(p.name), c))
     own = tuple(f"offset.{recording}" for recording in chain.own_offsets)
     for name in own or ("offset",) * chain.offset:
         front[name] = [(chain.names.index(name), 1.0)]
@@ -249,14 +253,19 @@ def torque_form(chain: Chain, observations: Sequence[Observation] = ()) -> Torqu
 
 def _terms(quantity: str, before: float) -> tuple[tuple[str, float], ...]:
     """Columns one quantity fills; ``before``: motor speed over the element's."""
-    return {
+    known: dict[str, tuple[tuple[str, float], ...]] = {
         "inertia": (("inertia", before**-2),),
         "viscous": (("viscous", before**-2),),
         "quadratic": (("quadratic", before**-3),),
         "coulomb": (("coulomb", 1.0 / before),),
         "coulomb_positive": (("coulomb", 0.5 / before), ("difference", 0.5 / before)),
         "coulomb_negative": (("coulomb", 0.5 / before), ("difference", -0.5 / before)),
-    }.get(quantity, ())
+        # lambda_1 and lambda_2 hold these
+        "load": (),
+        "load_drive": (),
+        "load_back": (),
+    }
+    return entry_of(known, quantity, "the torque form")
 
 
 def columns(chain: Chain, observation: Observation, names: Iterable[str]) -> Array:

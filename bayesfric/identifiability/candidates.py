@@ -393,4 +393,6 @@ def _hanging(chain: Chain, values: Array, near: float) -> float:
     angle = (
         float(values[names.index("load.gravity_angle")]) if "load.gravity_angle" in names else 0.0
     )
+    if chain.load.gravity < 0.0:
+        angle += np.pi
     return float(-angle + 2.0 * np.pi * np.round((near + angle) / (2.0 * np.pi)))

@@ -354,8 +354,9 @@ def _parameters(target: Target, estimate: Array, local: LocalInformation) -> tup
         prior_sd = prior.sd()
         value = float(estimate[j])
         width = _ON_BOUND * max(abs(value), prior_sd if np.isfinite(prior_sd) else 0.0)
-        bound = "lower" if value - prior.lower <= width else None
-        bound = "upper" if prior.upper - value <= width else bound
+        low, high = prior.limits
+        bound = "lower" if value - low <= width else None
+        bound = "upper" if high - value <= width else bound
         rows.append(
             Prospect(
                 name,

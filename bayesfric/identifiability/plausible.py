@@ -60,7 +60,7 @@ def estimate_point(target: Target, estimate: Mapping[str, float]) -> Point:
     free = target.free
     values = np.array(
         [
-            np.clip(estimate[name], prior.lower, prior.upper)
+            np.clip(prior.turned(np.array(estimate[name])), prior.lower, prior.upper)
             for name, prior in zip(free, target.priors, strict=False)
         ]
     )

@@ -76,8 +76,7 @@ def profiles(fit: Fit, points: int = 15) -> tuple[Profile, ...]:
     knowledge = Knowledge(
         fixed={name: value for name, value in known.items() if name not in target.free},
         bounds={
-            name: (prior.lower, prior.upper)
-            for name, prior in zip(target.free, target.priors, strict=False)
+            name: prior.limits for name, prior in zip(target.free, target.priors, strict=False)
         },
     )
     grids = {

@@ -34,7 +34,7 @@ def beforehand(chain: Chain, priors: Mapping[str, Prior]) -> Knowledge:
         if prior.fixed:
             fixed[name] = prior.value
             continue
-        bounds[name] = (prior.lower, prior.upper)
+        bounds[name] = prior.limits
         if prior.default or prior.distribution.dist.name in _RANGES:
             continue
         mean, sd = prior.mean(), prior.sd()

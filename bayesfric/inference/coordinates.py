@@ -312,8 +312,11 @@ def _log_normal(u: Array) -> Array:
 
 
 def _worth_at_motor(n: float, gravity: float) -> Array:
-    """Give what each leg parameter is worth at the motor: inertia, viscous, C1, C2, gravity."""
-    return np.array([1.0 / n**2, 1.0 / n**2, 1.0 / n, 1.0 / n, gravity / n])
+    """Give what each leg parameter is worth at the motor: inertia, viscous, C1, C2, gravity.
+
+    Where gravity is negative its column of ``psi`` is, so that Theta stays positive.
+    """
+    return np.array([1.0 / n**2, 1.0 / n**2, 1.0 / n, 1.0 / n, abs(gravity) / n])
 
 
 def _tells(prior: Prior) -> bool:

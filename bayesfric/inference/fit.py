@@ -141,7 +141,7 @@ def read_priors(
             )
     scales = measured_scales(observations)
     priors = {
-        p.name: read_prior(p.name, texts[p.name], lower=p.lower, upper=p.upper)
+        p.name: read_prior(p.name, texts[p.name], lower=p.lower, upper=p.upper, circular=p.circular)
         if p.name in texts
         else default_prior(chain, p, scales)
         for p in chain.parameters
@@ -219,9 +219,11 @@ def fit(
         estimates = (least_squares(likelihood.chain, likelihood.observations),)
     progress(Progress("searching the mode", 0, float("nan"), float("nan")))
     rng = np.random.default_rng(np.random.SeedSequence(sampling.seed, spawn_key=(2**31,)))
+    points = _points(target, estimates)
+    target = target.uncut_at(points[0])
     prior_draws = np.stack([prior.draw(500, rng) for prior in target.priors], axis=1)
     try:
-        candidates = _candidates(target, estimates, prior_draws)
+        candidates = _candidates(target, estimates, points, prior_draws)
         # these searched from several starts themselves, and are beside the mode already
         near = any(e.point for e in estimates)
         prior_places = target.from_parameters(prior_draws)
@@ -242,7 +244,8 @@ def fit(
     # Once the posterior's widths are known, better coordinates than logarithms are too.
     first = gauss_newton(target, mode, prior_places)
     place, widths = _place_and_widths(target, first)
-    shaped = target.with_widths(widths)
+    shaped = target.uncut_at(dict(zip(target.free, place, strict=False))).with_widths(widths)
+    prior_draws = _on_turn(shaped, prior_draws)
     start = gauss_newton(
         shaped, shaped.from_parameters(place[None])[0], shaped.from_parameters(prior_draws)
     )
@@ -329,10 +332,8 @@ def _place_and_widths(
     return centre[0], np.maximum(widths, 1e-12 * np.abs(centre[0]) + 1e-300)
 
 
-def _candidates(
-    target: Target, estimates: Sequence[Estimate], prior_draws: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Places to start from: estimates, totals split in several ways, and draws from the priors."""
+def _points(target: Target, estimates: Sequence[Estimate]) -> list[dict[str, float]]:
+    """Parameters to start from: estimates, and totals split in several ways."""
     chain, likelihood = target.likelihood.chain, target.likelihood
     points = [dict(e.point) for e in estimates if e.point]
     # a simulation costs more than an inverse model, and starts from a simulation's estimate
@@ -344,8 +345,26 @@ def _candidates(
             for mu in (0.02, 0.1, 0.2, 0.4)
             for share in (0.2, 0.5, 0.8)
         ]
+    return points
+
+
+def _on_turn(target: Target, parameters: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Bring angles of parameters ``(n, d)`` or ``(n, free)`` to the turn of their priors."""
+    columns = zip(target.priors, parameters.T, strict=False)
+    return np.stack([prior.turned(column) for prior, column in columns], axis=1)
+
+
+def _candidates(
+    target: Target,
+    estimates: Sequence[Estimate],
+    points: Sequence[Mapping[str, float]],
+    prior_draws: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Places to start from: points, and draws from the priors."""
+    likelihood = target.likelihood
     k = len(target.free)
     rows = np.array([[values[name] for name in target.free] for values in points])
+    rows = _on_turn(target, rows)
     # a start at a bound would have no finite coordinates
     inner = np.quantile(prior_draws, [0.002, 0.998], axis=0)
     for j, prior in enumerate(target.priors[:k]):

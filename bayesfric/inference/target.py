@@ -83,6 +83,13 @@ class Target:
         """Make the same target in coordinates that suit posteriors of these sds, ``(d,)``."""
         return Target(self.likelihood, self._all_priors, self.noise, widths)
 
+    def uncut_at(self, values: Mapping[str, float]) -> Target:
+        """Make the same target, every angle that may be any cut opposite of a named value."""
+        cut = {name: self._all_priors[name].cut_opposite(value) for name, value in values.items()}
+        if all(prior is self._all_priors[name] for name, prior in cut.items()):
+            return self
+        return Target(self.likelihood, {**self._all_priors, **cut}, self.noise)
+
     def about(self, parameters: Array) -> Target:
         """Make the same target, the likelihood's approximations made at parameters ``(d,)``."""
         likelihood = self.likelihood.about(self.chain_values(parameters[None])[0])

@@ -14,9 +14,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.mechanism.chain import Chain
-from bayesfric.mechanism.parameter import Parameter, effort_words, parameter
+from bayesfric.mechanism.parameter import Parameter, effort_words, entry_of, parameter
 
 Array = NDArray[np.float64]
+
+# Totals that a quantity adds to, and with which power of speed its torque grows. Load losses are
+# in what passes through them; a low-speed rise is none of what is felt at speed.
+_TOTALS: dict[str, tuple[tuple[str, ...], int]] = {
+    "inertia": (("inertia",), 1),
+    "viscous": (("viscous",), 1),
+    "coulomb": (("coulomb_positive", "coulomb_negative"), 0),
+    "coulomb_positive": (("coulomb_positive",), 0),
+    "coulomb_negative": (("coulomb_negative",), 0),
+    "quadratic": (("quadratic",), 2),
+    "first_moment": (("gravity",), 0),
+    **dict.fromkeys(("stribeck_ratio", "stribeck_velocity"), ((), 0)),
+    **dict.fromkeys(("load", "load_drive", "load_back"), ((), 0)),
+    **dict.fromkeys(("gravity_angle", "offset", "gain"), ((), 0)),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,28 +107,20 @@ def _totals(chain: Chain, at: dict[str, Array], n: int) -> Iterator[Derived]:
     # torque at the joint times these is torque at the motor
     for side, label in (("drive", "driving"), ("back", "back-driven")):
         reach = np.ones(n)
-        totals: dict[str, Array] = {}
+        parts: list[tuple[Parameter, Array, float]] = []
         for element in chain.elements:
             # the element's own terms act at its input side, before its load loss
-            speed = _speed_ratio(chain, element.name)
-            for key in ("inertia", "viscous"):
-                if f"{element.name}.{key}" in at:
-                    term = at[f"{element.name}.{key}"] * reach * speed / chain.ratio
-                    totals[key] = totals.get(key, 0.0) + term
-            for key, into in (
-                ("coulomb", ("coulomb_positive", "coulomb_negative")),
-                ("coulomb_positive", ("coulomb_positive",)),
-                ("coulomb_negative", ("coulomb_negative",)),
-            ):
-                if f"{element.name}.{key}" in at:
-                    for name in into:
-                        totals[name] = totals.get(name, 0.0) + at[f"{element.name}.{key}"] * reach
+            speed = _speed_ratio(chain, element.name) / chain.ratio
+            parts += [(p, reach, speed) for p in element.parameters()]
             reach = reach * _transfer(element.name, element.load_loss, at, side) / element.ratio
-        if "load.inertia" in at:
-            term = at["load.inertia"] * reach / chain.ratio
-            totals["inertia"] = totals.get("inertia", 0.0) + term
-        if "load.first_moment" in at:
-            totals["gravity"] = at["load.first_moment"] * chain.load.gravity * reach
+        parts += [(p, reach, 1.0 / chain.ratio) for p in chain.load.parameters()]
+        totals: dict[str, Array] = {}
+        for p, through, speed in parts:
+            kinds, power = entry_of(_TOTALS, p.quantity, "the totals")
+            for kind in kinds:
+                totals[kind] = totals.get(kind, 0.0) + at[p.name] * through * speed**power
+        if "gravity" in totals:
+            totals["gravity"] = totals["gravity"] * chain.load.gravity
         for key, total in totals.items():
             if key in plain:
                 continue
@@ -137,11 +144,7 @@ def _single(chain: Chain) -> set[str]:
     owners: dict[str, set[str]] = {}
     for p in chain.parameters:
         owner = p.name.rpartition(".")[0]
-        kinds = {
-            "coulomb": ("coulomb_positive", "coulomb_negative"),
-            "first_moment": ("gravity",),
-        }.get(p.quantity, (p.quantity,))
-        for kind in kinds:
+        for kind in entry_of(_TOTALS, p.quantity, "the totals")[0]:
             owners.setdefault(kind, set()).add(owner)
     motor = {chain.elements[0].name}
     return {kind for kind, names in owners.items() if names == motor}
@@ -261,6 +264,6 @@ def _described(chain: Chain, key: str) -> Parameter:
         return parameter("total", key, chain.motor_motion, "t")
     torque = parameter("total", "coulomb", chain.motor_motion, "t")
     return Parameter(
-        "total.gravity", "gravity", torque.unit, r"G_{t}", 0.0, float("inf"),
+        "total.gravity", "gravity", torque.unit, r"G_{t}", -float("inf"), float("inf"),
         effort_words("gravity torque", chain.motor_motion),
     )  # fmt: skip

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from bayesfric.errors import BadInput, nearest
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import CoulombLoss, Element, Load, LoadLoss
 from bayesfric.mechanism.parameter import Motion
 from bayesfric.mechanism.presets import PRESETS
+
+
+def _not_zero(value: float) -> float:
+    if value == 0.0:
+        raise ValueError(f"give a number other than 0, got {value:g}")
+    return value
+
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
@@ -43,7 +50,9 @@ class LoadOptions(_Options):
     inertia: bool = Field(False, description="whether the load has an inertia of its own")
     first_moment: bool = Field(False, description="gravity moment ml")
     gravity_angle: bool = Field(False, description="unknown angle of gravity's zero")
-    gravity: Positive = Field(9.80665, description="m/s²")
+    gravity: Annotated[float, Field(allow_inf_nan=False), AfterValidator(_not_zero)] = Field(
+        9.80665, description="m/s², negative for a joint mounted upside down"
+    )
     motion: Motion = Field("rotary", description="whether the load turns or slides")
 
 

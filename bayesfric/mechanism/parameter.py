@@ -6,11 +6,19 @@ figures, bounds of priors) is looked up here and nowhere else.
 
 from __future__ import annotations
 
+import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 Motion = Literal["rotary", "linear"]
+TURN = 2.0 * math.pi
+Angle = TypeVar("Angle", float, NDArray[np.float64])
+Entry = TypeVar("Entry")
 # The word alone, not as a part of a name such as noise.torque, torque_constant or torque-steps.
 _TORQUE = re.compile(r"(?<![\w.-])torque(s?)(?![\w]|[.-]\w)")
 
@@ -35,6 +43,8 @@ class Parameter:
         One line for people.
     default
         Value the quantity has where it is not part of the model.
+    circular
+        Whether values a turn apart are the same, so that no value is at an end.
     """
 
     name: str
@@ -45,6 +55,7 @@ class Parameter:
     upper: float
     meaning: str
     default: float = 0.0
+    circular: bool = False
 
 
 @dataclass(frozen=True)
@@ -55,6 +66,7 @@ class _Quantity:
     upper: float
     meaning: str
     default: float = 0.0
+    circular: bool = False
 
 
 _INF = float("inf")
@@ -97,7 +109,7 @@ _QUANTITIES: dict[str, _Quantity] = {
     ),
     "first_moment": _Quantity(("kg m", ""), "ml", 0.0, _INF, "mass times distance to its centre"),
     "gravity_angle": _Quantity(
-        ("rad", ""), "q_g", -3.141592653589793, 3.141592653589793, "angle added to q in gravity"
+        ("rad", ""), "q_g", -_INF, _INF, "angle added to q in gravity", circular=True
     ),
     "offset": _Quantity(
         ("N m", "N"), r"\Gamma_0", -_INF, _INF, "constant torque in the measured motor torque"
@@ -137,7 +149,36 @@ def parameter(element: str, quantity: str, motion: Motion, subscript: str) -> Pa
         upper=entry.upper,
         meaning=effort_words(entry.meaning, motion),
         default=entry.default,
+        circular=entry.circular,
     )
+
+
+def entry_of(table: Mapping[str, Entry], quantity: str, form: str) -> Entry:
+    """Look a quantity up in a table that must know them all: one it drops would count as zero.
+
+    Parameters
+    ----------
+    table
+        By quantity.
+    quantity
+        What to look up.
+    form
+        What the table is of, for the complaint.
+
+    Raises
+    ------
+    KeyError
+        If the table does not know the quantity.
+    """
+    if quantity not in table:
+        raise KeyError(f"{form} does not know the quantity {quantity!r}")
+    return table[quantity]
+
+
+def turned(value: Angle, towards: float) -> Angle:
+    """Add whole turns to an angle until it lies at most half a turn from another one."""
+    out: Angle = value + TURN * np.round((towards - value) / TURN)
+    return out
 
 
 def effort_words(words: str, motion: Motion) -> str:

@@ -15,21 +15,26 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.parameter import entry_of
 
 Array = NDArray[np.float64]
 
-# What grows with the torque behind the gearbox; the other quantities are ratios, angles or speeds.
-_SCALED = frozenset(
-    {
-        "inertia",
-        "viscous",
-        "quadratic",
-        "coulomb",
-        "coulomb_positive",
-        "coulomb_negative",
-        "first_moment",
-    }
-)
+# Whether a quantity grows with the torque behind the gearbox; ratios, angles and speeds do not.
+_GROWS = {
+    "inertia": True,
+    "viscous": True,
+    "quadratic": True,
+    "coulomb": True,
+    "coulomb_positive": True,
+    "coulomb_negative": True,
+    "first_moment": True,
+    "stribeck_ratio": False,
+    "stribeck_velocity": False,
+    "load": False,
+    "load_drive": False,
+    "load_back": False,
+    "gravity_angle": False,
+}
 
 
 @dataclass(frozen=True)
@@ -181,7 +186,7 @@ def scalings(
         behind = tuple(
             p.name
             for p in chain.parameters
-            if p.name.rpartition(".")[0] in owners and p.quantity in _SCALED
+            if p.name.rpartition(".")[0] in owners and entry_of(_GROWS, p.quantity, "the scaling")
         )
         if behind:
             added = tuple(known.get(name, 0.0) for name in behind) if known else ()

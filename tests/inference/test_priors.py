@@ -111,6 +111,35 @@ def test_impossible_priors_name_the_key_and_the_mend(text, word):
     assert caught.value.mend
 
 
+def angle(text):
+    return read_prior("load.gravity_angle", text, lower=-INF, upper=INF, circular=True)
+
+
+@pytest.mark.parametrize("text", [[0.0, 6.283], [-math.pi, math.pi], [3.0, 9.2832]])
+def test_a_whole_turn_has_no_ends_and_is_cut_anywhere(text):
+    prior = angle(text)
+    assert prior.whole_turn
+    assert prior.limits == (-INF, INF)
+    moved = prior.cut_opposite(-3.1)
+    np.testing.assert_allclose([moved.lower, moved.upper], [-3.1 - math.pi, -3.1 + math.pi])
+    x = np.array([3.1, -3.1 - 3.0, 0.0])
+    expected = [-INF, *2 * [-math.log(2.0 * math.pi)]]
+    np.testing.assert_allclose(moved.log_density(x), expected)
+    assert moved.turned(x)[0] == pytest.approx(3.1 - 2.0 * math.pi)
+
+
+def test_a_part_of_a_turn_stays_where_it_is_and_a_distribution_is_cut_round_its_median():
+    part = angle([2.5, 4.0])
+    assert part.cut_opposite(0.0) is part
+    assert part.limits == (2.5, 4.0)
+    normal = angle({"distribution": "norm", "loc": 3.14, "scale": 2.0})
+    assert (normal.lower, normal.upper) == pytest.approx((3.14 - math.pi, 3.14 + math.pi))
+    assert normal.cut_opposite(0.0) is normal
+    with pytest.raises(BadInput, match="more than one turn") as caught:
+        angle([0.0, 6.3])
+    assert caught.value.mend
+
+
 @pytest.mark.parametrize("preset", PRESETS)
 def test_default_priors_hold_the_presets_own_values(preset):
     chain = PRESETS[preset].chain()

@@ -136,7 +136,7 @@ def knee():
             },
         },
         "likelihood": {"method": "input-error"},
-        "noise": {"model": "ar2", "residual_lag1": 0.02},
+        "noise": {"model": "AR(2)", "residual_lag1": 0.02, "accounts_for_correlation": True},
         "fit": {"residual_rms": 6.3e-3, "unit": "N m"},
         "sampler": {"status": "reliable"},
     }

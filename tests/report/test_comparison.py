@@ -6,10 +6,12 @@ import io
 import json
 import math
 import re
+from dataclasses import replace
 
 import pytest
 
 from bayesfric.errors import BadInput
+from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.comparison.table import (
     comparison_csv,
@@ -18,6 +20,7 @@ from bayesfric.report.comparison.table import (
     comparison_text,
     number,
 )
+from bayesfric.report.paper.tables import parameter_table
 
 from .made_summaries import (
     DERIVED,
@@ -114,6 +117,33 @@ def test_the_sd_is_the_one_for_correlated_residuals():
     assert (cell.sd, cell.sd_plain, cell.accounts) == (robust, plain, True)
     cell = comparison({"old": old()})["total.inertia"].cells["least-squares"]
     assert (cell.sd, cell.sd_plain, cell.accounts) == (plain, plain, False)
+
+
+@pytest.mark.parametrize(
+    ("noise", "method", "accounts"),
+    [
+        (
+            {"model": "Student-t", "order": 0, "accounts_for_correlation": False},
+            "input-error",
+            False,
+        ),
+        ({"model": "AR(1)", "order": 1, "accounts_for_correlation": True}, "input-error", True),
+        ({"model": "whatever", "accounts_for_correlation": True}, "output-error", True),
+        # as 0.1.0 wrote them
+        ({"model": "white"}, "input-error", False),
+        ({"model": "Student-t"}, "input-error", False),
+        ({"model": "AR(1)", "autoregression": {"run": [0.4]}}, "input-error", True),
+        ({"model": "white in torque and position"}, "output-error", True),
+    ],
+)
+def test_noise_accounts_for_correlation_where_it_has_a_memory(noise, method, accounts):
+    run = knee() | {"noise": noise, "likelihood": {"method": method}}
+    cell = comparison({"knee": run})["motor.inertia"].cells["posterior"]
+    assert cell.accounts == accounts
+    assert posterior_cells(run)["motor.inertia"] == replace(cell, disagreement=None)
+    (row,) = (r for r in parameter_table(run).rows if r.name == "motor.inertia")
+    assert row.cell.accounts == accounts
+    assert (row.cell.sd_plain is None) == accounts
 
 
 def test_a_posterior_that_takes_noise_for_white_says_so():

@@ -6,8 +6,28 @@ from dataclasses import replace
 import pytest
 
 from bayesfric.estimates.estimate import Estimate, EstimatedValue
+from bayesfric.inference.fit import fit, make_target, read_priors
+from bayesfric.inference.likelihood.residual_noise import Autoregressive, StudentT
+from bayesfric.inference.sampling.sampling import Sampling
+from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.summary.noise import add_white_intervals, correlation_warnings
+from bayesfric.report.summary.summary import summarise
 from tests.report.made_summaries import posterior_row
+
+
+@pytest.mark.parametrize(
+    ("noise", "order", "accounts"),
+    [(Autoregressive(0), 0, False), (Autoregressive(2), 2, True), (StudentT(), 0, False)],
+)
+def test_the_record_says_whether_noise_has_a_memory(make_observation, noise, order, accounts):
+    chain = PRESETS["motor-axis"].chain()
+    o = make_observation(chain, PRESETS["motor-axis"].values, n=600)
+    priors = read_priors(chain, {}, [o], noise.quantities)
+    target = make_target(chain, [o], priors, "shared", noise)
+    sampling = Sampling(seed=1, max_steps=100, min_ess=1.0)
+    record = summarise(fit(target, sampling))["noise"]
+    assert record["order"] == order
+    assert record["accounts_for_correlation"] is accounts
 
 
 def value(name, sd, sd_robust):

@@ -78,8 +78,8 @@ class LinearTorque:
         at = {name: i for i, name in enumerate(chain.names)}
         self._losses: list[int] = []
         if form.loss:
-            one = at.get(f"{form.loss}.load", -1)
-            self._losses = [at.get(f"{form.loss}.load_{way}", one) for way in ("drive", "back")]
+            one, ways = f"{form.loss}.load", ("drive", "back")
+            self._losses = [at[one if one in at else f"{one}_{way}"] for way in ways]
         two = bool(self._losses) and self._losses[0] != self._losses[1]
         self.rest = two and any(bool((o.qd == 0.0).any()) for o in observations)
         n2 = len(self.names2)

@@ -17,7 +17,7 @@ import numpy as np
 from bayesfric.inference.prior.noise import MEMORY, support
 from bayesfric.inference.prior.priors import Prior, PriorText, read_prior
 from bayesfric.mechanism.chain import Chain
-from bayesfric.mechanism.parameter import Parameter
+from bayesfric.mechanism.parameter import TURN, Parameter, entry_of
 from bayesfric.recordings.observation import Observation
 
 # A reversible gearbox keeps mu_2 below one: alpha_2 = 1/(1 - mu_2) is finite.
@@ -75,7 +75,7 @@ def default_prior(chain: Chain, p: Parameter, scales: Scales) -> Prior:
     """
     text = _text(chain, p, scales)
     upper = min(p.upper, _REVERSIBLE) if p.quantity in ("load", "load_back") else p.upper
-    return read_prior(p.name, text, lower=p.lower, upper=upper, default=True)
+    return read_prior(p.name, text, lower=p.lower, upper=upper, default=True, circular=p.circular)
 
 
 def default_noise_prior(name: str, scales: Scales) -> Prior:
@@ -113,15 +113,18 @@ def _text(chain: Chain, p: Parameter, scales: Scales) -> PriorText:
         "load": 0.5,
         "load_drive": 0.5,
         "load_back": 0.5,
-        "first_moment": torque / chain.load.gravity,
+        "first_moment": torque / abs(chain.load.gravity),
     }
-    if p.quantity in half_normal:
-        return {"distribution": "halfnorm", "scale": _one_digit(half_normal[p.quantity])}
-    if p.quantity == "offset":
-        return {"distribution": "norm", "scale": _one_digit(scales.torque)}
-    if p.quantity == "gain":
-        return {"distribution": "lognorm", "s": 0.5}
-    return [p.lower, p.upper]  # gravity_angle: any
+    texts: dict[str, PriorText] = {
+        quantity: {"distribution": "halfnorm", "scale": _one_digit(scale)}
+        for quantity, scale in half_normal.items()
+    }
+    texts |= {
+        "offset": {"distribution": "norm", "scale": _one_digit(scales.torque)},
+        "gain": {"distribution": "lognorm", "s": 0.5},
+        "gravity_angle": [-TURN / 2.0, TURN / 2.0],
+    }
+    return entry_of(texts, p.quantity, "the choice of default priors")
 
 
 def _ratios(chain: Chain, p: Parameter) -> tuple[float, float]:

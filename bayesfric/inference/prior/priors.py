@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,10 +12,13 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from bayesfric.errors import BadInput, nearest
+from bayesfric.mechanism.parameter import TURN, turned
 
 # What a configuration may say: 3.3e-4, [0, 1] or {distribution = "norm", loc = 1, scale = 2}.
 PriorText = float | Sequence[float] | Mapping[str, Any]
 
+# A range this much wider or narrower than a turn is a turn, rad: nobody types all digits of pi.
+_TURN_TYPED = 1e-3
 # Below this share of its mass inside the parameter's support a prior is taken for a mistake.
 _LEAST_MASS = 1e-6
 
@@ -38,6 +41,8 @@ class Prior:
         The distribution's mass inside the support; the density is divided by it.
     default
         Whether the package chose it.
+    circular
+        Whether values a turn apart are the same.
     """
 
     text: str
@@ -47,11 +52,39 @@ class Prior:
     upper: float
     mass: float = 1.0
     default: bool = False
+    circular: bool = False
 
     @property
     def fixed(self) -> bool:
         """Whether the parameter is held at one value."""
         return self.distribution is None
+
+    @property
+    def whole_turn(self) -> bool:
+        """Whether every angle is as likely: then nothing says where the circle is cut."""
+        return (
+            self.circular
+            and not self.fixed
+            and self.distribution.dist.name == "uniform"
+            and self.upper - self.lower > TURN - _TURN_TYPED
+        )
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Ends of the support that mean something: the cut of a whole turn is none."""
+        return (-math.inf, math.inf) if self.whole_turn else (self.lower, self.upper)
+
+    def cut_opposite(self, value: float) -> Prior:
+        """Make the same prior, a whole turn cut where it is farthest from ``value``."""
+        if not self.whole_turn:
+            return self
+        low = value - TURN / 2.0
+        whole = stats.uniform(low, TURN)
+        return replace(self, distribution=whole, lower=low, upper=low + TURN, mass=1.0)
+
+    def turned(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Bring angles ``(n,)`` by whole turns to the turn the support lies on."""
+        return turned(x, (self.lower + self.upper) / 2.0) if self.circular else x
 
     def log_density(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """Log of the density, ``-inf`` outside the support.
@@ -106,7 +139,13 @@ def fixed(value: float) -> Prior:
 
 
 def read_prior(
-    name: str, text: PriorText, *, lower: float, upper: float, default: bool = False
+    name: str,
+    text: PriorText,
+    *,
+    lower: float,
+    upper: float,
+    default: bool = False,
+    circular: bool = False,
 ) -> Prior:
     """Turn what a configuration says of one parameter into a prior.
 
@@ -121,6 +160,8 @@ def read_prior(
         The parameter's support.
     default
         Mark the prior as the package's own choice.
+    circular
+        Whether values a turn apart are the same: then the prior spans one turn at most.
 
     Raises
     ------
@@ -138,12 +179,14 @@ def read_prior(
             raise BadInput(where, f"{_number(text)} is no possible value", span)
         return fixed(value)
     if isinstance(text, Mapping):
-        return _named(where, text, lower, upper, span, default)
-    return _range(where, text, lower, upper, span, default)
+        prior = _named(where, text, lower, upper, span, circular)
+    else:
+        prior = _range(where, text, lower, upper, span, circular)
+    return replace(prior, default=default, circular=circular)
 
 
 def _range(
-    where: str, text: Sequence[float], lower: float, upper: float, span: str, default: bool
+    where: str, text: Sequence[float], lower: float, upper: float, span: str, circular: bool
 ) -> Prior:
     given: object = text
     if isinstance(given, str) or not isinstance(given, Sequence) or len(given) != 2:
@@ -156,18 +199,15 @@ def _range(
         raise BadInput(where, f"[{low:g}, {high:g}] is no range", "put the smaller number first")
     if low < lower or high > upper:
         raise BadInput(where, f"[{low:g}, {high:g}] reaches outside what is possible", span)
-    return Prior(
-        f"uniform({low:.6g}, {high:.6g})",
-        stats.uniform(low, high - low),
-        math.nan,
-        low,
-        high,
-        default=default,
-    )
+    if circular and high - low > TURN + _TURN_TYPED:
+        mend = f"give one turn at most, such as [{low:g}, {low + TURN:.6g}]"
+        raise BadInput(where, f"[{low:g}, {high:g}] is more than one turn", mend)
+    shown = f"uniform({low:.6g}, {high:.6g})"
+    return Prior(shown, stats.uniform(low, high - low), math.nan, low, high)
 
 
 def _named(
-    where: str, text: Mapping[str, Any], lower: float, upper: float, span: str, default: bool
+    where: str, text: Mapping[str, Any], lower: float, upper: float, span: str, circular: bool
 ) -> Prior:
     arguments = dict(text)
     kind = arguments.pop("distribution", None)
@@ -191,6 +231,8 @@ def _named(
         with np.errstate(all="ignore"):
             frozen = family(**{key: float(value) for key, value in arguments.items()})
             low, high = frozen.support()
+            if circular:
+                lower, upper = frozen.median() - TURN / 2.0, frozen.median() + TURN / 2.0
             mass = float(frozen.cdf(upper) - frozen.cdf(lower))
             spread = float(frozen.ppf(0.75) - frozen.ppf(0.25))
     except (TypeError, ValueError, ArithmeticError) as error:
@@ -201,7 +243,7 @@ def _named(
         raise BadInput(where, f"{kind}({shown}) lies outside what is possible", span)
     low, high = max(float(low), lower), min(float(high), upper)
     cut = "" if mass > 1.0 - 1e-9 else f" cut to [{low:g}, {high:g}]"
-    return Prior(f"{kind}({shown}){cut}", frozen, math.nan, low, high, mass, default)
+    return Prior(f"{kind}({shown}){cut}", frozen, math.nan, low, high, mass)
 
 
 def _finite(value: Any) -> float | None:

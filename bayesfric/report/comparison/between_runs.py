@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.optimize import brentq
 
+from bayesfric.report.comparison.one_turn import on_one_turn
 from bayesfric.report.summary.read_back import PosteriorRow, RunSummary
 
 Array = NDArray[np.float64]
@@ -145,7 +146,7 @@ def between_runs(runs: Mapping[str, RunSummary]) -> list[PooledQuantity]:
     """
     tables = {
         name: {**run.derived, **run.parameters}
-        for name, run in runs.items()
+        for name, run in on_one_turn(runs).items()
         if run.sampler.status != "unusable"
     }
     if len(tables) < 2:

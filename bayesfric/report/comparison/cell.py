@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from bayesfric.report.summary.bounds import told_by_data
-from bayesfric.report.summary.read_back import EstimatedRow, PosteriorRow
+from bayesfric.report.summary.read_back import EstimatedRow, PosteriorRow, read_summary
 
 Status = Literal["determined", "undetermined", "bound", "limit", "known"]
 _NOT_DETERMINED = "not determined"
@@ -126,9 +126,9 @@ def posterior_cell(row: PosteriorRow, accounts: bool, status: str = "reliable") 
 
 
 def posterior_cells(summary: Mapping[str, Any]) -> dict[str, Cell]:
-    """Judge every parameter and derived quantity of a summary, noise as accounted for."""
-    status = summary["sampler"]["status"]
+    """Judge every parameter and derived quantity of a summary."""
+    read = read_summary(summary, "summary.json")
     return {
-        name: posterior_cell(PosteriorRow.model_validate(row), accounts=True, status=status)
-        for name, row in {**summary["derived"], **summary["parameters"]}.items()
+        name: posterior_cell(row, read.accounts, read.sampler.status)
+        for name, row in {**read.derived, **read.parameters}.items()
     }

@@ -15,6 +15,7 @@ from typing import Any, Literal
 from bayesfric.errors import BadInput
 from bayesfric.estimates.estimate import METHODS, Kind, Method
 from bayesfric.report.comparison.cell import Cell, estimate_cell, left_open, posterior_cell
+from bayesfric.report.comparison.one_turn import on_one_turn
 from bayesfric.report.summary.read_back import ReferenceRow, RunSummary, read_summary
 
 REFERENCE = "reference"
@@ -156,7 +157,7 @@ def comparison(
     than that says. An estimate of the same run saw the same data, so variances do not
     add: the larger of the two standard deviations counts.
     """
-    runs = {name: read_summary(summary, name) for name, summary in summaries.items()}
+    runs = on_one_turn({name: read_summary(one, name) for name, one in summaries.items()})
     shown = len(runs) == 1 if estimates is None else estimates
     facts: dict[str, _Facts] = {}
     columns: list[Column] = []
@@ -289,9 +290,8 @@ def _columns(run: str, summary: RunSummary, *, alone: bool, estimates: bool) -> 
 
 def _cells(column: Column, summary: RunSummary) -> Iterator[tuple[str, Cell]]:
     if column.kind == "posterior":
-        accounts = summary.noise.model != "white"
         for name, row in {**summary.derived, **summary.parameters}.items():
-            yield name, posterior_cell(row, accounts, summary.sampler.status)
+            yield name, posterior_cell(row, summary.accounts, summary.sampler.status)
         for name, known in summary.fixed.items():
             yield name, Cell(known.value, "known", remark="taken as known")
         return

@@ -84,7 +84,7 @@ def friction_torque(
     -------
     ndarray
         ``(n, N)``, N m or N; positive where it resists the motion. At no load this is the
-        constant and viscous loss that ``total_drive.*`` of
+        constant, viscous and quadratic loss that ``total_drive.*`` of
         :func:`bayesfric.mechanism.derived.derive` sums up.
     """
     sign = np.sign(speed)

@@ -92,7 +92,6 @@ class NoiseFacts(Noise):
     innovation_lag1: FiniteFloat | None = None
     innovation_whiteness: Whiteness | None = None
     order_chosen_from: list[Tried] = Field(default_factory=list)
-    autoregression: dict[Name, list[FiniteFloat]] = Field(default_factory=dict)
 
 
 class CoverageFacts(Part):

@@ -10,6 +10,7 @@ from bayesfric.identifiability.words import capital, factor
 from bayesfric.report.page.facts import Facts, OpenDirectionRow, RemedyRow
 from bayesfric.report.paper.methods_text import listed
 from bayesfric.report.paper.tables import ParameterRow, ParameterTable, counts
+from bayesfric.report.summary.read_back import accounts_for_correlation
 
 _COUNTS = ("none", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 # Lines of the list of what is known; the rest is in the table.
@@ -234,7 +235,8 @@ def _without_recording(facts: Facts) -> Iterator[NextStep]:
     white = facts.noise.innovation_whiteness
     # where the order was chosen, auto itself found that no memory helps
     chosen = facts.noise.order_chosen_from
-    if facts.noise.model == "white" and white is not None and not white.white and not chosen:
+    accounts = accounts_for_correlation(facts.noise, facts.likelihood)
+    if not accounts and white is not None and not white.white and not chosen:
         yield NextStep(
             'Fit again with model = "auto" under [noise]',
             "Needs no recording; the intervals then account for residuals that have a memory.",

@@ -139,7 +139,6 @@ def parameter_table(summary: Mapping[str, Any], run: str = "summary.json") -> Pa
         ("parameter", list(read.parameters.items())),
         ("derived", [(name, row) for name, row in derived if not row.gauge_free]),
     ]
-    accounts = read.noise.model != "white"
     rows = [
         ParameterRow(
             group,
@@ -148,7 +147,7 @@ def parameter_table(summary: Mapping[str, Any], run: str = "summary.json") -> Pa
             row.meaning,
             row.unit,
             row,
-            posterior_cell(row, accounts, read.sampler.status),
+            posterior_cell(row, read.accounts, read.sampler.status),
         )
         for group, members in groups
         for name, row in members

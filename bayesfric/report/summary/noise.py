@@ -70,6 +70,8 @@ def noise_record(
     record: dict[str, Any] = {
         "model": effort_words(_SIMULATED, fit.chain.motor_motion),
         "parameters": list(fit.target.noise.names),
+        # torque noise carried through the simulation drifts, and what drifts is correlated
+        "accounts_for_correlation": True,
         "residual_lag1": mean_lag(lags, residuals),
     }
     if not isinstance(likelihood, TorqueLikelihood):
@@ -82,6 +84,8 @@ def noise_record(
     p = ljung_box(left, runs, _LAGS + noise.order, noise.order)
     record |= {
         "model": noise.description,
+        "order": noise.order,
+        "accounts_for_correlation": noise.order > 0,
         "innovation_lag1": mean_lag([lag_one(r, f) for r, f in zip(left, runs, strict=True)], left),
         "innovation_whiteness": {
             "test": f"Ljung-Box, {_LAGS + noise.order} lags, all recordings together",

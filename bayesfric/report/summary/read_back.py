@@ -71,6 +71,7 @@ class PosteriorRow(Part):
     at_bound: Bound | None = None
     bound: FiniteFloat | None = None
     bound_physical: bool | None = None
+    period: FiniteFloat | None = None
     undefined_share: Annotated[FiniteFloat, Field(ge=0.0, le=1.0)] | None = None
 
     @property
@@ -106,6 +107,8 @@ class Noise(Part):
 
     model: str = "white"
     residual_lag1: FiniteFloat | None = None
+    accounts_for_correlation: bool | None = None
+    autoregression: dict[Name, list[FiniteFloat]] = Field(default_factory=dict)
 
 
 class Residual(Part):
@@ -133,6 +136,18 @@ class RunSummary(Part):
     noise: Noise = Field(default_factory=Noise)
     fit: Residual = Field(default_factory=Residual)
     sampler: Sampler = Field(default_factory=Sampler)
+
+    @property
+    def accounts(self) -> bool:
+        """Whether the intervals account for correlated residuals."""
+        return accounts_for_correlation(self.noise, self.likelihood)
+
+
+def accounts_for_correlation(noise: Noise, likelihood: Likelihood) -> bool:
+    """Whether noise is taken for correlated; version 0.1.0 told it by its coefficients only."""
+    if noise.accounts_for_correlation is not None:
+        return noise.accounts_for_correlation
+    return bool(noise.autoregression) or likelihood.method == "output-error"
 
 
 def read_summary(summary: Mapping[str, Any], where: str) -> RunSummary:

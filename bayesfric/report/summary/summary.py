@@ -23,6 +23,7 @@ from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.prior.noise import support
 from bayesfric.mechanism.derived import Derived, derive
+from bayesfric.mechanism.parameter import TURN
 from bayesfric.report.summary.bounds import bound_warning
 from bayesfric.report.summary.noise import (
     correlation_warnings,
@@ -240,10 +241,11 @@ def _parameters(fit: Fit, flat: Array, local: LocalInformation) -> dict[str, Any
             "contraction": _number(1.0 - (sd / prior_sd) ** 2),
             "data_sd": _number(data_sd),
             "verdict": verdict(sd, prior_sd, data_sd),
-            **_at_bound(flat[:, j], (prior.lower, prior.upper), possible[name]),
+            **_at_bound(flat[:, j], prior.limits, possible[name]),
             "prior_sensitivity": _number(moved_by[name].prior),
             "likelihood_sensitivity": _number(moved_by[name].likelihood),
             "diagnosis": moved_by[name].diagnosis,
+            **({"period": TURN} if prior.circular else {}),
         }
     return rows
 

@@ -1,0 +1,199 @@
+"""The angle of gravity is a place on a circle: no turn of the zero of position changes a result."""
+
+import numpy as np
+import pytest
+
+from bayesfric.commands.estimate import estimates
+from bayesfric.commands.fit import fit
+from bayesfric.commands.identify import identification
+from bayesfric.commands.problem import read_problem
+from bayesfric.config import parse_config
+from bayesfric.errors import BadInput
+from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.presets import PRESETS
+from bayesfric.report.comparison.between_runs import between_runs
+from bayesfric.report.comparison.comparison import comparison
+from bayesfric.report.summary.read_back import read_summary
+
+SERVO = PRESETS["servo-pendulum"]
+ANGLE = "load.gravity_angle"
+CONFIG = """
+[mechanism]
+preset = "servo-pendulum"
+{mechanism}
+[[recordings]]
+file = "arm.csv"
+time = {{ column = "t", unit = "s" }}
+position = {{ column = "q", unit = "rad" }}
+torque = {{ column = "tau", unit = "N m" }}
+[sampling]
+min_ess = 600
+[estimation]
+starts = 2
+[priors]
+{prior}
+"""
+
+
+def arm(folder, angle, prior="", mechanism=""):
+    """Write a recording of one and the same swing, its zero of position elsewhere."""
+    t = np.arange(1500) * 0.008
+    q, qd, qdd = np.zeros((3, t.size))
+    for f, a in ((0.3, 0.8), (0.9, 0.4), (2.1, 0.1)):
+        w = 2 * np.pi * f
+        q += a * np.sin(w * t)
+        qd += a * w * np.cos(w * t)
+        qdd -= a * w**2 * np.sin(w * t)
+    chain = SERVO.chain()
+    values = chain.vector(SERVO.values | {ANGLE: 0.0})
+    torque = inverse_torque(chain, values, q, qd, qdd)
+    torque += 0.05 * np.random.default_rng(3).standard_normal(t.size)
+    np.savetxt(
+        folder / "arm.csv",
+        np.stack([t, q - angle, torque], axis=1),
+        delimiter=",",
+        header="t,q,tau",
+        comments="",
+        fmt="%.9f",
+    )
+    text = CONFIG.format(prior=f'"{ANGLE}" = {prior}' if prior else "", mechanism=mechanism)
+    return parse_config(text, folder / "arm.toml")
+
+
+def round_the_circle(x):
+    return (x + np.pi) % (2 * np.pi) - np.pi
+
+
+@pytest.fixture(scope="module")
+def hanging(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("hanging")
+    return fit(arm(folder, 0.0), folder / "run")
+
+
+@pytest.fixture(
+    scope="module",
+    params=[np.pi, *(pytest.param(angle, marks=pytest.mark.slow) for angle in (3.0, -3.1))],
+)
+def turned(request, hanging, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("turned")
+    angle = request.param
+    if angle == np.pi:  # a posterior half on either side of pi
+        angle -= hanging["parameters"][ANGLE]["median"]
+    return angle, fit(arm(folder, angle), folder / "run")
+
+
+def test_an_upright_arm_has_an_uncut_posterior(turned):
+    angle, summary = turned
+    row = summary["parameters"][ANGLE]
+    low, high = row["interval"]
+    centre = row["median"]
+    # the branch of the interval is free, and one side of the cut must hold all of it
+    true = centre + round_the_circle(angle - centre)
+    assert abs(true - centre) < 4.0 * row["sd"]
+    assert high - low < 0.2
+    assert -np.pi - row["sd"] < centre <= np.pi + row["sd"]
+    assert row["at_bound"] is None
+    assert not [text for text in summary["warnings"] if ANGLE in text]
+    for found in summary["estimates"].values():
+        rows = found["parameters"]
+        assert all(one["at_bound"] is None for one in rows.values())
+        if ANGLE in rows:
+            assert abs(round_the_circle(rows[ANGLE]["value"] - angle)) < 0.05
+
+
+def test_a_turned_zero_changes_nothing_but_the_angle(turned, hanging):
+    angle, summary = turned
+    for name, row in summary["parameters"].items():
+        still = hanging["parameters"][name]
+        # 600 independent draws tell a median to a twentieth of an sd
+        shift = angle if name == ANGLE else 0.0
+        apart = row["median"] - still["median"] - shift
+        apart = round_the_circle(apart) if name == ANGLE else apart
+        assert abs(apart) < 0.25 * still["sd"], name
+        assert row["sd"] == pytest.approx(still["sd"], rel=0.2), name
+        assert row["verdict"] == still["verdict"], name
+    for method, found in summary["estimates"].items():
+        for name, one in found["parameters"].items():
+            still = hanging["estimates"][method]["parameters"][name]
+            if name == ANGLE:
+                assert round_the_circle(one["value"] - still["value"] - angle) == pytest.approx(
+                    0.0, abs=0.02 * one["sd"]
+                )
+            elif not name.startswith("total.gravity"):  # sine and cosine of the angle
+                assert one["value"] == pytest.approx(
+                    still["value"], abs=0.02 * (one["sd"] or 1e-9)
+                ), (method, name)
+
+
+@pytest.mark.parametrize(
+    ("angle", "prior"),
+    [
+        (-2.9, "[0, 6.283]"),
+        (-2.9, "[2.5, 4.0]"),
+        (np.pi, '{ distribution = "norm", loc = 3.14, scale = 0.3 }'),
+        (3.1, "[-9.0, -2.8]"),
+    ],
+)
+def test_a_prior_may_lie_on_any_branch(tmp_path, angle, prior):
+    problem = read_problem(arm(tmp_path, angle, prior))
+    for found in estimates(problem):
+        if found.point:
+            value = dict(found.point)[ANGLE]
+            assert abs(round_the_circle(value - angle)) < 0.05
+            assert found[ANGLE].at_bound is None
+    given = problem.priors[ANGLE]
+    within = given.turned(float(angle))
+    assert given.lower <= within <= given.upper
+    point = dict(estimates(problem, ("input-error",))[0].point)
+    target = problem.target(point)
+    used = target.priors[target.free.index(ANGLE)]
+    # far from any cut where the prior leaves the branch open
+    assert used.lower + 0.2 < used.turned(angle) < used.upper - 0.2
+
+
+def test_a_part_of_the_circle_bounds_and_can_be_widened(tmp_path):
+    summary = fit(arm(tmp_path, -3.0, "[2.0, 3.2]"), tmp_path / "run")
+    row = summary["parameters"][ANGLE]
+    assert row["at_bound"] == "upper"
+    assert not row["bound_physical"]
+    assert [text for text in summary["warnings"] if "widen priors.load.gravity_angle" in text]
+
+
+def test_more_than_a_turn_is_refused(tmp_path):
+    with pytest.raises(BadInput, match="more than one turn") as caught:
+        read_problem(arm(tmp_path, 0.0, "[-4.0, 4.0]"))
+    assert ANGLE in caught.value.where
+    assert caught.value.mend
+
+
+def test_identify_draws_on_both_sides_of_pi(tmp_path):
+    problem = read_problem(arm(tmp_path, np.pi))
+    found = identification(problem)
+    prospect = {p.name: p for p in found.parameters}[ANGLE]
+    assert prospect.on_bound is None
+    assert abs(round_the_circle(prospect.value - np.pi)) < 0.05
+
+
+def test_an_arm_may_be_mounted_upside_down(tmp_path):
+    """Gravity of the other sign is an angle of pi."""
+    problem = read_problem(arm(tmp_path, np.pi, mechanism="[mechanism.load]\ngravity = -9.80665"))
+    for found in estimates(problem):
+        if found.point:
+            assert dict(found.point)[ANGLE] == pytest.approx(0.0, abs=0.05)
+            moment = SERVO.values["load.first_moment"]
+            assert dict(found.point)["load.first_moment"] == pytest.approx(moment, rel=0.1)
+
+
+def test_runs_on_either_side_of_pi_agree(hanging):
+    """3.13 and -3.13 are 0.02 apart."""
+    here, there = ({**hanging, "parameters": dict(hanging["parameters"])} for _ in range(2))
+    for run, middle in ((here, 3.13), (there, -3.13)):
+        told = {"mean": middle, "median": middle, "sd": 0.02, "interval": [middle - 0.03] * 2}
+        told["interval"][1] += 0.06
+        run["parameters"][ANGLE] = hanging["parameters"][ANGLE] | told | {"verdict": "data"}
+    row = comparison({"here": here, "there": there})[ANGLE]
+    cell = row.cells["there: posterior"]
+    assert abs(cell.disagreement) < 1.0
+    assert cell.interval[0] < cell.value < cell.interval[1]
+    pooled = between_runs({k: read_summary(v, k) for k, v in (("a", here), ("b", there))})
+    assert {q.name: q for q in pooled}[ANGLE].pool.agree
