@@ -6,8 +6,25 @@ from dataclasses import replace
 import pytest
 
 from bayesfric.estimates.estimate import Estimate, EstimatedValue
+from bayesfric.inference.likelihood.noise_choice import Choice, Evidence
+from bayesfric.report.paper.methods_text import methods_text
+from bayesfric.report.summary import noise
 from bayesfric.report.summary.noise import add_white_intervals, correlation_warnings
+from bayesfric.report.summary.summary import summarise
 from tests.report.made_summaries import posterior_row
+
+
+@pytest.mark.parametrize(("p_value", "white"), [(0.011, False), (0.038, False), (0.06, True)])
+def test_what_one_in_twenty_would_be_is_not_said_to_pass(knee, monkeypatch, p_value, white):
+    monkeypatch.setattr(noise, "ljung_box", lambda *_: p_value)
+    record = noise.noise_record(knee, knee.residuals, [0.0], None)
+    assert record["innovation_whiteness"]["white"] == white
+    tried = (Evidence(0, 0.0, 1.0, p_value),)
+    assert Choice(0, tried).white == white
+    (line,) = [text for text in noise.noise_lines(record) if "innovations" in text]
+    assert ("innovations pass as white" in line) == white
+    said = methods_text(knee, summarise(knee) | {"noise": record}).plain
+    assert ("NOT pass as white" in said) != white
 
 
 def value(name, sd, sd_robust):

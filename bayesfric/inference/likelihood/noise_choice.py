@@ -9,7 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.inference.likelihood.autoregression import burg, ljung_box, variances, whitened
+from bayesfric.inference.likelihood.autoregression import (
+    PASSES,
+    burg,
+    ljung_box,
+    variances,
+    whitened,
+)
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -51,8 +57,8 @@ class Choice:
 
     @property
     def white(self) -> bool:
-        """Whether the innovations of the chosen order pass as white, at 1 %."""
-        return self.tried[self.order].p_value > 0.01
+        """Whether the innovations of the chosen order pass as white."""
+        return self.tried[self.order].p_value >= PASSES
 
 
 def choose_order(
