@@ -19,6 +19,7 @@ from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.inference.sampling.sampling import Progress, phase
 from bayesfric.inference.target import Target
+from bayesfric.report.alerts import alerts_of
 from bayesfric.report.comparison.cell import TOGETHER
 from bayesfric.report.run_directory import check_free, write_run
 from bayesfric.report.summary.bounds import bound_mend, told_by_data
@@ -155,8 +156,8 @@ def fit_text(summary: dict[str, Any], folder: Path) -> Iterator[str]:
         if sampler["min_ess"] is not None and sampler["max_rhat"] is not None
         else f"{sampler['status']}: a parameter never moved"
     )
-    for problem in sampler["problems"]:
-        yield f"  {problem}"
+    alerts = alerts_of(summary)
+    yield from (f"  {one.text}" for one in alerts if one.kind == "sampler")
     yield ""
     combined = {name: row for name, row in summary["derived"].items() if row["gauge_free"]}
     if sampler["status"] == "unusable":
@@ -173,8 +174,7 @@ def fit_text(summary: dict[str, Any], folder: Path) -> Iterator[str]:
     for direction in summary["identifiability"]["null_directions"]:
         yield ""
         yield f"No recording of this kind can tell: {direction['meaning']}."
-    for warning in summary["warnings"]:
-        yield f"WARNING: {warning}"
+    yield from (f"WARNING: {one.text}" for one in alerts if one.kind != "sampler")
     yield ""
     yield from noise_lines(summary["noise"])
     yield f"Residual rms {summary['fit']['residual_rms']:.4g} {summary['fit']['unit']}"
