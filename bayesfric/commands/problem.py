@@ -64,13 +64,22 @@ class Problem:
         ----------
         point
             Values near the mode, where the output-error likelihood takes its derivatives,
-            and whose residuals say which noise there is; without it noise that is to be
-            chosen is white.
+            and whose residuals say which noise there is.
         choice
             What :meth:`noise_choice` gives at the point, where it was asked already.
+
+        Raises
+        ------
+        ValueError
+            Where there is something to take or to choose at the point, and none is given.
         """
         tables = self.config.tables
         if tables.likelihood.method == "input-error":
+            if point is None and choice is None and self._chooses_noise:
+                raise ValueError(
+                    "which noise there is, the residuals of a point estimate say: give one, or "
+                    "take white_target() for white noise"
+                )
             return make_target(
                 self.chain,
                 self.observations,
@@ -100,8 +109,7 @@ class Problem:
     def noise_choice(self, point: Mapping[str, float] | None) -> Choice | None:
         """Choose the noise that the torque residuals of a point ask for, if it is not told."""
         noise = self.config.tables.noise
-        wanted = noise.model == "auto" or (noise.model == "autoregressive" and noise.order is None)
-        if point is None or not wanted or self.config.tables.likelihood.method == "output-error":
+        if point is None or not self._chooses_noise:
             return None
         values = self.chain.vector(point)[None]
         residuals = [
@@ -109,6 +117,13 @@ class Problem:
         ]
         runs = [follows(o) for o in self.observations]
         return choose_order(residuals, runs, noise.scale == "per-recording")
+
+    @property
+    def _chooses_noise(self) -> bool:
+        tables = self.config.tables
+        noise = tables.noise
+        wanted = noise.model == "auto" or (noise.model == "autoregressive" and noise.order is None)
+        return wanted and tables.likelihood.method == "input-error"
 
     def _noise(self, choice: Choice | None) -> ResidualNoise:
         return _residual_noise(self.config.tables.noise, choice.order if choice else 0)
