@@ -89,6 +89,8 @@ def _fit(
     run: Unfinished,
 ) -> dict[str, Any]:
     problem = read_problem(config)
+    recordings = [*problem.recordings, *(one.recording for one in problem.held_out)]
+    source = config.origin_of(recordings)
     sampling = _settings(config, seed)
     made = _sampled(problem, sampling, progress, run.sampling("posterior", problem, sampling))
     result = made.fit
@@ -115,7 +117,7 @@ def _fit(
     summary["warnings"] += made.missing
     # nothing in a file of samples tells; the configuration may
     summary["may_be_simulated"] = config.tables.simulation is not None
-    recordings = [*problem.recordings, *(one.recording for one in problem.held_out)]
+    summary["source"] = source.model_dump(mode="json")
     try:
         write_run(folder, result, summary, config.text, recordings)
     except BadInput as error:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bayesfric.config import Config, NoiseOptions
+from bayesfric.config import Config, NoiseOptions, Origin
 from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.torque import filtered_torque
@@ -172,8 +173,11 @@ def read_problem(config: Config) -> Problem:
             f"{config.path}: mechanism", "has no parameter", "give an element inertia or friction"
         )
     recordings: list[Recording] = []
+    folder = config.folder
     for number, source in enumerate(tables.recordings, start=1):
-        recordings += _read(config, chain, source, number)
+        recordings += _read(config, folder, chain, source, number)
+    if config.origin is not None:
+        recordings = [_changed_since(r, config.origin) for r in recordings]
     for name, count in Counter(r.name for r in recordings).items():
         if count > 1:
             raise BadInput(
@@ -238,7 +242,18 @@ def _residual_noise(noise: NoiseOptions, chosen: int) -> ResidualNoise:
     return Autoregressive(0 if noise.model == "white" else noise.order or chosen)
 
 
-def _read(config: Config, chain: Chain, source: Source, number: int) -> list[Recording]:
+def _changed_since(recording: Recording, origin: Origin) -> Recording:
+    """Warn of a file that is another one than the run was made of."""
+    kept = origin.recordings.get(recording.name)
+    if kept is None or kept.sha256 == recording.sha256:
+        return recording
+    text = f"changed since the run was made: its SHA-256 was {kept.sha256}"
+    return replace(recording, warnings=(*recording.warnings, text))
+
+
+def _read(
+    config: Config, folder: Path, chain: Chain, source: Source, number: int
+) -> list[Recording]:
     place = f"recordings.{number}"
     if source.added_mass and not source.radius and chain.load.motion == "rotary":
         raise BadInput(
@@ -247,7 +262,7 @@ def _read(config: Config, chain: Chain, source: Source, number: int) -> list[Rec
     try:
         return read_recordings(
             source,
-            config.folder,
+            folder,
             ratio=chain.ratio,
             motion=chain.load.motion,
             motor_motion=chain.motor_motion,
