@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
@@ -26,7 +27,10 @@ from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.options import MechanismOptions
 from bayesfric.recordings.held_out import Validation
 from bayesfric.recordings.options import Processing, Source
+from bayesfric.recordings.recording import Recording
 
+# What a configuration is called in a run directory.
+RUN_CONFIG = "config.toml"
 # A configuration is a page of text; anything larger is some other file.
 _LARGEST = 1_000_000
 # tomllib takes time with the square of a dotted key's length
@@ -102,6 +106,24 @@ class Tables(BaseModel):
     simulation: Simulation | None = Field(None, description="for bayesfric simulate")
 
 
+class Kept(BaseModel):
+    """The file of a recording as it was when it was fitted."""
+
+    model_config = ConfigDict(frozen=True)
+
+    file: Path
+    sha256: str
+
+
+class Origin(BaseModel):
+    """Where a run's configuration and recordings were; ``source`` in its ``summary.json``."""
+
+    model_config = ConfigDict(frozen=True)
+
+    folder: Path
+    recordings: dict[str, Kept]
+
+
 class Config(BaseModel):
     """A configuration with where it came from.
 
@@ -113,6 +135,8 @@ class Config(BaseModel):
         Its contents, kept with every result.
     tables
         The checked options.
+    origin
+        Where it lay before, if it is that of a run.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -120,11 +144,41 @@ class Config(BaseModel):
     path: Path
     text: str
     tables: Tables
+    origin: Origin | None = None
 
     @property
     def folder(self) -> Path:
-        """Folder that file names in the configuration are relative to."""
-        return self.path.parent
+        """Folder that file names in the configuration are relative to.
+
+        That of a run's configuration is where it lay before, unless all that was fitted is
+        there beside it.
+
+        Raises
+        ------
+        BadInput
+            If what was fitted is at neither place.
+        """
+        here, origin = self.path.parent, self.origin
+        if origin is None:
+            return here
+        kept = origin.recordings.values()
+        if all((here / os.path.relpath(one.file, origin.folder)).exists() for one in kept):
+            return here
+        for name, one in origin.recordings.items():
+            if not one.file.exists():
+                raise BadInput(
+                    f"{self.path}: recording {name!r}",
+                    f"{one.file} is not there any more",
+                    f"put it back, or beside {self.path}; its SHA-256 is {one.sha256}",
+                )
+        return origin.folder
+
+    def origin_of(self, recordings: Sequence[Recording]) -> Origin:
+        """Tell where all that was fitted is, so that it can be fitted again from elsewhere."""
+        return Origin(
+            folder=_absolute(self.folder),
+            recordings={r.name: Kept(file=_absolute(r.path), sha256=r.sha256) for r in recordings},
+        )
 
     @property
     def priors(self) -> dict[str, PriorText]:
@@ -212,7 +266,23 @@ def read_config(path: Path) -> Config:
         raise BadInput(
             str(path), f"is not UTF-8 (byte {error.start})", "save it as UTF-8"
         ) from None
-    return parse_config(text, path)
+    return parse_config(text, path).model_copy(update={"origin": _origin(path)})
+
+
+def _origin(path: Path) -> Origin | None:
+    """Read where a run's configuration lay; ``None`` where it is not in a run, or an old one."""
+    beside = path.with_name("summary.json")
+    if path.name != RUN_CONFIG or not beside.is_file():
+        return None
+    try:
+        return Origin.model_validate(json.loads(beside.read_text(encoding="utf-8"))["source"])
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        return None
+
+
+def _absolute(path: Path) -> Path:
+    # a name that is not UTF-8 could not be written down
+    return Path(os.fsencode(path.absolute()).decode("utf-8", "backslashreplace"))
 
 
 def parse_config(text: str, path: Path) -> Config:

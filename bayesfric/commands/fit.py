@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +14,14 @@ from bayesfric.commands.problem import Problem, read_problem
 from bayesfric.commands.unfinished import Unfinished, unfinished
 from bayesfric.config import Config
 from bayesfric.errors import BadInput
+from bayesfric.inference.fit import Fit
 from bayesfric.inference.fit import fit as fit_target
 from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.inference.predictive import predict_held_out
-from bayesfric.inference.sampling.sampling import Progress, phase
+from bayesfric.inference.sampling.checkpoint import Checkpoint
+from bayesfric.inference.sampling.sampling import Progress, Sampling, phase
 from bayesfric.inference.target import Target
+from bayesfric.report.alerts import alerts_of
 from bayesfric.report.comparison.cell import TOGETHER
 from bayesfric.report.run_directory import check_free, write_run
 from bayesfric.report.summary.bounds import bound_mend, told_by_data
@@ -86,42 +89,35 @@ def _fit(
     run: Unfinished,
 ) -> dict[str, Any]:
     problem = read_problem(config)
-    sampling = config.tables.sampling
-    if seed is not None:
-        sampling = sampling.model_copy(update={"seed": seed})
-    kept = run.sampling("posterior", problem, sampling)
-
-    found, missing = estimates_where_possible(
-        problem, lambda method: progress(phase(f"{method} estimate"))
-    )
-    points = [dict(e.point) for e in found if e.point]
-    choice = problem.noise_choice(points[0])
-    target = _target(problem, points, choice)
-    with config.named():
-        result = fit_target(target, sampling, estimates=found, progress=progress, checkpoint=kept)
-    if problem.held_out:
-        held_out = predict_held_out(result.target, result.posterior, problem.held_out)
-        result = replace(result, held_out=held_out)
-    summary = summarise(result, problem.references(), choice)
+    recordings = [*problem.recordings, *(one.recording for one in problem.held_out)]
+    source = config.origin_of(recordings)
+    sampling = _settings(config, seed)
+    made = _sampled(problem, sampling, progress, run.sampling("posterior", problem, sampling))
+    result = made.fit
+    summary = summarise(result, problem.references(), made.choice)
     if white_alternative(result):
         progress(phase("the same with white noise"))
         quick = sampling.model_copy(update={"min_ess": min(sampling.min_ess, _WHITE_ESS)})
         kept = run.sampling("white-noise", problem, quick)
         with config.named():
             white = fit_target(
-                problem.white_target(), quick, estimates=found, progress=progress, checkpoint=kept
+                problem.white_target(),
+                quick,
+                estimates=result.estimates,
+                progress=progress,
+                checkpoint=kept,
             )
         usable = white.posterior.diagnostics.status != "unusable"
         add_white_intervals(summary, spreads(white) if usable else None)
     progress(phase("identifiability"))
     with suppress(BadInput):  # a simulation that fails there takes no result away
         middle = result.posterior.median
-        summary["identifiability"]["directions"] = open_directions(target, middle)
+        summary["identifiability"]["directions"] = open_directions(made.target, middle)
     progress(phase("writing results"))
-    summary["warnings"] += missing
+    summary["warnings"] += made.missing
     # nothing in a file of samples tells; the configuration may
     summary["may_be_simulated"] = config.tables.simulation is not None
-    recordings = [*problem.recordings, *(one.recording for one in problem.held_out)]
+    summary["source"] = source.model_dump(mode="json")
     try:
         write_run(folder, result, summary, config.text, recordings)
     except BadInput as error:
@@ -129,6 +125,70 @@ def _fit(
         raise BadInput(error.where, error.what, mend) from None
     run.remove()
     return summary
+
+
+def posterior(
+    config: Config,
+    *,
+    seed: int | None = None,
+    progress: Callable[[Progress], None] = lambda _: None,
+) -> Fit:
+    """Sample the posterior of a configuration, the one :func:`fit` writes, and write nothing.
+
+    Parameters
+    ----------
+    config, seed, progress
+        As for :func:`fit`.
+
+    Returns
+    -------
+    Fit
+        With the point estimates it began from, and predictions of what was held out.
+
+    Raises
+    ------
+    BadInput
+        For anything that cannot be used.
+    """
+    return _sampled(read_problem(config), _settings(config, seed), progress).fit
+
+
+@dataclass(frozen=True)
+class _Sampled:
+    """A fit with how it came about: the noise's choice, the target, the estimates there are not."""
+
+    fit: Fit
+    choice: Choice | None
+    target: Target
+    missing: list[str]
+
+
+def _settings(config: Config, seed: int | None) -> Sampling:
+    sampling = config.tables.sampling
+    return sampling if seed is None else sampling.model_copy(update={"seed": seed})
+
+
+def _sampled(
+    problem: Problem,
+    sampling: Sampling,
+    progress: Callable[[Progress], None],
+    checkpoint: Checkpoint | None = None,
+) -> _Sampled:
+    """Estimate, choose the noise, sample, and predict what was held out."""
+    found, missing = estimates_where_possible(
+        problem, lambda method: progress(phase(f"{method} estimate"))
+    )
+    points = [dict(e.point) for e in found if e.point]
+    choice = problem.noise_choice(points[0])
+    target = _target(problem, points, choice)
+    with problem.config.named():
+        result = fit_target(
+            target, sampling, estimates=found, progress=progress, checkpoint=checkpoint
+        )
+    if problem.held_out:
+        held_out = predict_held_out(result.target, result.posterior, problem.held_out)
+        result = replace(result, held_out=held_out)
+    return _Sampled(result, choice, target, missing)
 
 
 def _target(
@@ -155,8 +215,8 @@ def fit_text(summary: dict[str, Any], folder: Path) -> Iterator[str]:
         if sampler["min_ess"] is not None and sampler["max_rhat"] is not None
         else f"{sampler['status']}: a parameter never moved"
     )
-    for problem in sampler["problems"]:
-        yield f"  {problem}"
+    alerts = alerts_of(summary)
+    yield from (f"  {one.text}" for one in alerts if one.kind == "sampler")
     yield ""
     combined = {name: row for name, row in summary["derived"].items() if row["gauge_free"]}
     if sampler["status"] == "unusable":
@@ -173,8 +233,7 @@ def fit_text(summary: dict[str, Any], folder: Path) -> Iterator[str]:
     for direction in summary["identifiability"]["null_directions"]:
         yield ""
         yield f"No recording of this kind can tell: {direction['meaning']}."
-    for warning in summary["warnings"]:
-        yield f"WARNING: {warning}"
+    yield from (f"WARNING: {one.text}" for one in alerts if one.kind != "sampler")
     yield ""
     yield from noise_lines(summary["noise"])
     yield f"Residual rms {summary['fit']['residual_rms']:.4g} {summary['fit']['unit']}"

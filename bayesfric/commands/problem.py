@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.config import Config, NoiseOptions
+from bayesfric.config import Config, NoiseOptions, Origin
 from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian
@@ -65,13 +66,22 @@ class Problem:
         ----------
         point
             Values near the mode, where the output-error likelihood takes its derivatives,
-            and whose residuals say which noise there is; without it noise that is to be
-            chosen is white.
+            and whose residuals say which noise there is.
         choice
             What :meth:`noise_choice` gives at the point, where it was asked already.
+
+        Raises
+        ------
+        ValueError
+            Where there is something to take or to choose at the point, and none is given.
         """
         tables = self.config.tables
         if tables.likelihood.method == "input-error":
+            if point is None and choice is None and self._chooses_noise:
+                raise ValueError(
+                    "which noise there is, the residuals of a point estimate say: give one, or "
+                    "take white_target() for white noise"
+                )
             target = make_target(
                 self.chain,
                 self.observations,
@@ -102,8 +112,7 @@ class Problem:
     def noise_choice(self, point: Mapping[str, float] | None) -> Choice | None:
         """Choose the noise that the torque residuals of a point ask for, if it is not told."""
         noise = self.config.tables.noise
-        wanted = noise.model == "auto" or (noise.model == "autoregressive" and noise.order is None)
-        if point is None or not wanted or self.config.tables.likelihood.method == "output-error":
+        if point is None or not self._chooses_noise:
             return None
         values = self.chain.vector(point)[None]
         residuals = [
@@ -128,6 +137,13 @@ class Problem:
         """Give steps of differences by the chain's free parameters."""
         sds = self._sds()
         return np.where(sds > 0.0, 1e-6 * np.maximum(np.abs(values), 1e-3 * sds), 0.0)
+
+    @property
+    def _chooses_noise(self) -> bool:
+        tables = self.config.tables
+        noise = tables.noise
+        wanted = noise.model == "auto" or (noise.model == "autoregressive" and noise.order is None)
+        return wanted and tables.likelihood.method == "input-error"
 
     def _noise(self, choice: Choice | None) -> ResidualNoise:
         return _residual_noise(self.config.tables.noise, choice.order if choice else 0)
@@ -176,8 +192,11 @@ def read_problem(config: Config) -> Problem:
             f"{config.path}: mechanism", "has no parameter", "give an element inertia or friction"
         )
     recordings: list[Recording] = []
+    folder = config.folder
     for number, source in enumerate(tables.recordings, start=1):
-        recordings += _read(config, chain, source, number)
+        recordings += _read(config, folder, chain, source, number)
+    if config.origin is not None:
+        recordings = [_changed_since(r, config.origin) for r in recordings]
     for name, count in Counter(r.name for r in recordings).items():
         if count > 1:
             raise BadInput(
@@ -242,7 +261,18 @@ def _residual_noise(noise: NoiseOptions, chosen: int) -> ResidualNoise:
     return Autoregressive(0 if noise.model == "white" else noise.order or chosen)
 
 
-def _read(config: Config, chain: Chain, source: Source, number: int) -> list[Recording]:
+def _changed_since(recording: Recording, origin: Origin) -> Recording:
+    """Warn of a file that is another one than the run was made of."""
+    kept = origin.recordings.get(recording.name)
+    if kept is None or kept.sha256 == recording.sha256:
+        return recording
+    text = f"changed since the run was made: its SHA-256 was {kept.sha256}"
+    return replace(recording, warnings=(*recording.warnings, text))
+
+
+def _read(
+    config: Config, folder: Path, chain: Chain, source: Source, number: int
+) -> list[Recording]:
     place = f"recordings.{number}"
     if source.added_mass and not source.radius and chain.load.motion == "rotary":
         raise BadInput(
@@ -251,7 +281,7 @@ def _read(config: Config, chain: Chain, source: Source, number: int) -> list[Rec
     try:
         return read_recordings(
             source,
-            config.folder,
+            folder,
             ratio=chain.ratio,
             motion=chain.load.motion,
             motor_motion=chain.motor_motion,

@@ -111,7 +111,7 @@ def case(request, tmp_path_factory):
     config = parse_config(text, Path(folder) / "case.toml")
     truth = simulate(config, folder / "recording.csv")
     problem = read_problem(config)
-    return problem, fit(problem.target(), config.tables.sampling), truth, terms
+    return problem, fit(problem.white_target(), config.tables.sampling), truth, terms
 
 
 def test_every_term_is_found_again(case):

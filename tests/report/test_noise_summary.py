@@ -7,9 +7,12 @@ import pytest
 
 from bayesfric.estimates.estimate import Estimate, EstimatedValue
 from bayesfric.inference.fit import fit, make_target, read_priors
+from bayesfric.inference.likelihood.noise_choice import Choice, Evidence
 from bayesfric.inference.likelihood.residual_noise import Autoregressive, StudentT
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.report.paper.methods_text import methods_text
+from bayesfric.report.summary import noise
 from bayesfric.report.summary.noise import add_white_intervals, correlation_warnings
 from bayesfric.report.summary.summary import summarise
 from tests.report.made_summaries import posterior_row
@@ -28,6 +31,19 @@ def test_the_record_says_whether_noise_has_a_memory(make_observation, noise, ord
     record = summarise(fit(target, sampling))["noise"]
     assert record["order"] == order
     assert record["accounts_for_correlation"] is accounts
+
+
+@pytest.mark.parametrize(("p_value", "white"), [(0.011, False), (0.038, False), (0.06, True)])
+def test_what_one_in_twenty_would_be_is_not_said_to_pass(knee, monkeypatch, p_value, white):
+    monkeypatch.setattr(noise, "ljung_box", lambda *_: p_value)
+    record = noise.noise_record(knee, knee.residuals, [0.0], None)
+    assert record["innovation_whiteness"]["white"] == white
+    tried = (Evidence(0, 0.0, 1.0, p_value),)
+    assert Choice(0, tried).white == white
+    (line,) = [text for text in noise.noise_lines(record) if "innovations" in text]
+    assert ("innovations pass as white" in line) == white
+    said = methods_text(knee, summarise(knee) | {"noise": record}).plain
+    assert ("NOT pass as white" in said) != white
 
 
 def value(name, sd, sd_robust):

@@ -200,7 +200,7 @@ def test_first_screen_names_what_is_open(page, summary):
             assert name in first.text, name
     assert "reliable" in first.text
     assert "bayesfric identify" in first.text
-    assert "may be simulated" in first.text
+    assert "may be simulated, not measured" in first.text
 
 
 def test_remedies_come_first_where_they_are_known(tmp_path):
@@ -253,7 +253,7 @@ def test_methods_that_disagree_stand_on_the_first_screen(tmp_path):
     row = told["estimates"]["least-squares"]["parameters"]["total.inertia"]
     row["value"] *= 1.1
     (first,) = read_page(run_page(tmp_path, told, "knee")).all("section", id="findings")
-    assert "other values than the posterior for total.inertia (comparison)" in first.text
+    assert "other values than the posterior for total.inertia: where" in first.text
 
 
 @pytest.mark.parametrize("tried", [0, 3])

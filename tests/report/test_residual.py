@@ -8,6 +8,7 @@ from scipy.signal import lfilter
 
 from bayesfric.inference.fit import read_priors, target_of
 from bayesfric.inference.likelihood.residual_noise import Autoregressive
+from bayesfric.recordings.options import Processing
 from bayesfric.report.figures.residual import residual_figure
 from bayesfric.report.figures.style import PAGE
 from bayesfric.report.summary.residual_analysis import (
@@ -16,7 +17,10 @@ from bayesfric.report.summary.residual_analysis import (
     residual_words,
 )
 
-from .conftest import draw_fast
+from .conftest import SLIDE, draw_fast
+
+# Outputs at 100 Hz.
+SLOW = Processing(lowpass=0, decimate=10, dead_zone=0.02)
 
 
 def disturbed(fit, change):
@@ -89,6 +93,64 @@ def test_what_the_model_lacks_shows_where_it_acts(knee, name, change):
     (told,) = [one for one in lacking(fit) if one["on"] == name]
     assert told["share"] == binned.explained
     assert name not in [one["on"] for one in lacking(knee)]
+
+
+def s_curve(share, seed=3):
+    """Give what a quadratic loss leaves, in noise that remembers 0.97 of each output before."""
+
+    def change(_, seen):
+        v, rng = seen.speed, np.random.default_rng(seed)
+        a = seen.qdd[seen.filter.centres]
+        base = np.linalg.qr(np.stack([v, np.sign(v), a], axis=1))[0]
+        lack = v * np.abs(v)
+        lack -= base @ (base.T @ lack)
+        noise = lfilter([1.0], [1.0, -0.97], rng.standard_normal(v.size))
+        return np.sqrt(share) * lack / lack.std() + np.sqrt(1.0 - share) * noise / noise.std()
+
+    return change
+
+
+def speed_of(fit):
+    (found,) = [b for b in residual_analysis(fit).against if b.name == "joint speed"]
+    return found
+
+
+def test_a_smooth_dependence_does_not_hide_behind_a_memory(make_fit):
+    """The S of a UR10e elbow held 41 % of the variance and passed for memory."""
+    long = make_fit(SLIDE, samples=20000, processing=SLOW)
+    fit = disturbed(long, s_curve(0.4))
+    found = speed_of(fit)
+    assert found.explained == pytest.approx(0.4, abs=0.1)
+    assert found.outcome == "depends"
+    (told,) = [one for one in lacking(fit) if one["on"] == "joint speed"]
+    assert told["sure"]
+    assert speed_of(disturbed(long, s_curve(0.0))).outcome == "none"
+
+
+def test_no_all_clear_beside_a_large_share(make_fit):
+    """Two swings in noise of long memory: nobody can tell, and that is what is said."""
+    fit = disturbed(make_fit(SLIDE, samples=2000, processing=SLOW), s_curve(0.5))
+    found = speed_of(fit)
+    assert found.p_value > 1e-3
+    assert found.explained > found.chance + 0.05
+    words = " ".join(residual_words(fit))
+    assert "depends on none" not in words
+    share = f"{100 * found.explained:.2g} %"
+    assert f"depends on joint speed cannot be told: it holds {share}" in words
+    (told,) = [one for one in lacking(fit) if one["on"] == "joint speed"]
+    assert (told["sure"], told["share"], told["chance"]) == (False, found.explained, found.chance)
+
+
+def test_the_share_expected_of_chance_is_that_of_chance(make_fit):
+    """Means of noise alone, over recordings that differ in it alone."""
+    fit = make_fit(SLIDE, samples=20000, processing=SLOW)
+    found = [speed_of(disturbed(fit, s_curve(0.0, seed))) for seed in range(40)]
+    explained = np.array([one.explained for one in found])
+    expected = np.mean([one.chance for one in found])
+    # the memory after the first lag that chance explains is left out: a little too few
+    spread = explained.std() / np.sqrt(explained.size)
+    assert expected == pytest.approx(explained.mean(), abs=4 * spread + 0.2 * explained.mean())
+    assert sum(one.outcome != "none" for one in found) <= 1
 
 
 def test_binned_means_are_the_bins(knee):

@@ -236,7 +236,7 @@ def ensembles(archive, names):
 
 def test_pointwise_log_likelihood_adds_up(archive, problem):
     """Each stored row is one kept draw of its ensemble; its sum is the likelihood there."""
-    target = problem.target()
+    target = problem.white_target()
     kept = ensembles(archive, target.names)
     sums = sum(archive["log_likelihood"][name].values.sum(axis=-1) for name in NAMES)
     assert sums.shape[0] == kept.shape[0]

@@ -20,6 +20,9 @@ from scipy.signal import lfilter
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
+# p-value of the Ljung-Box test from which a series is said to pass as white.
+PASSES = 0.05
+
 
 def predictors(partial: Array) -> list[Array]:
     """Coefficients of the best predictors from 0, 1, .., p predecessors.

@@ -17,7 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.estimates.information import long_run_variance
-from bayesfric.inference.likelihood.autoregression import burg, ljung_box, variances, whitened
+from bayesfric.inference.likelihood.autoregression import (
+    PASSES,
+    burg,
+    ljung_box,
+    variances,
+    whitened,
+)
 from bayesfric.inference.prior.noise import MEMORY
 
 Array = NDArray[np.float64]
@@ -83,8 +89,8 @@ class Choice:
 
     @property
     def white(self) -> bool:
-        """Whether the innovations of the chosen order pass as white, at 1 %."""
-        return self.tried[self.order].p_value > 0.01
+        """Whether the innovations of the chosen order pass as white."""
+        return self.tried[self.order].p_value >= PASSES
 
 
 def choose_order(

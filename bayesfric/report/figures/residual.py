@@ -23,6 +23,7 @@ from bayesfric.report.figures.style import (
 from bayesfric.report.summary.residual_analysis import Binned, ResidualAnalysis, residual_analysis
 
 _HEIGHT, _LEFT, _RIGHT, _TOP, _BOTTOM = 3.6, 0.55, 0.08, 0.08, 0.38
+_STRANGE = {"depends": ", NOT chance", "open": ", chance?", "none": ""}
 # Half width of a normal's 95 % interval, in sds.
 _HALF = float(stats.norm.ppf(0.975))
 
@@ -131,8 +132,7 @@ def _draw_binned(ax: Axes, b: Binned, factor: float) -> None:
     )  # fmt: skip
     ax.set_xlabel(f"{b.what} ({b.unit})")
     few_ticks(ax.xaxis, 5)
-    strange = "" if b.by_chance else ", NOT chance"
     ax.text(
-        0.03, 0.96, f"{100 * b.explained:.2g} % of variance{strange}", ha="left", va="top",
-        fontsize=SMALL, transform=ax.transAxes,
+        0.03, 0.96, f"{100 * b.explained:.2g} % of variance{_STRANGE[b.outcome]}",
+        ha="left", va="top", fontsize=SMALL, transform=ax.transAxes,
     )  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pydantic import Field, FiniteFloat
+from pydantic import ConfigDict, Field, FiniteFloat
 
 from bayesfric.report.summary.read_back import (
     Likelihood,
@@ -140,10 +140,20 @@ class RecordingRow(Part):
 
 
 class Lack(Part):
-    """What the residuals' mean depends on by more than chance."""
+    """What the residuals' mean depends on, or may depend on."""
 
     on: str
     share: NotNegative
+    sure: bool = True
+
+
+class DoubtRow(Part):
+    """A reason to doubt some parameters; each kind has further keys of its own."""
+
+    model_config = ConfigDict(frozen=True, extra="allow", strict=True)
+
+    kind: str
+    parameters: list[str] = Field(default_factory=list)
 
 
 class FitFacts(Residual):
@@ -195,6 +205,7 @@ class Facts(Part):
     sampler: SamplerFacts = Field(default_factory=SamplerFacts)
     likelihood: LikelihoodFacts = Field(default_factory=LikelihoodFacts)
     validation: ValidationFacts | None = None
+    doubts: list[DoubtRow] = Field(default_factory=list)
     warnings: list[str] = Field(default_factory=list)
 
 

@@ -18,7 +18,7 @@ from bayesfric.report.figures.overlay import Curve, Overlay
 from bayesfric.report.page.facts import Facts
 from bayesfric.report.page.values import interval_html, value_html, verdict_words
 from bayesfric.report.paper.tables import ParameterRow, ParameterTable
-from bayesfric.report.summary.noise import p_words
+from bayesfric.report.summary.noise import p_words, white_words
 
 _CAPTION = re.compile(r"^\*\*(\w+)\*\*: (.+)$", re.MULTILINE)
 _RAISED = str.maketrans("0123456789-\u2212", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁻")
@@ -124,8 +124,7 @@ def _residual(told: Told) -> str:
         parts.append(f"Lag-1 autocorrelation of the residuals: {noise.residual_lag1:.2f}.")
     test = noise.innovation_whiteness
     if test is not None and test.p_value is not None:
-        passes = "pass" if test.white else "do not pass"
-        parts.append(f"Innovations {passes} as white, {p_words(test.p_value)}.")
+        parts.append(f"Innovations {white_words(test.white)} ({p_words(test.p_value)}).")
     return " ".join(parts)
 
 

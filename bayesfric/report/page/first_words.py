@@ -54,8 +54,6 @@ class FirstWords:
         What they leave open, by reason.
     answer, trust
         Whether the sampling can be trusted, and why.
-    problems
-        What the sampler complained of.
     steps
         What to do next, the best first; empty where nothing is known to help.
     otherwise
@@ -73,7 +71,6 @@ class FirstWords:
     open: tuple[OpenGroup, ...]
     answer: str
     trust: str
-    problems: tuple[str, ...]
     steps: tuple[NextStep, ...]
     otherwise: str
     command: str
@@ -107,7 +104,6 @@ def first_words(table: ParameterTable, facts: Facts) -> FirstWords:
         tuple(r for r in [*joint, *combined] if r.cell.status == "limit"),
         tuple(_groups(joint, combined, facts)),
         *_trust(facts),
-        tuple(facts.sampler.problems),
         steps,
         otherwise,
         command,
@@ -225,7 +221,7 @@ def _trust(facts: Facts) -> tuple[str, str]:
 
 def _without_recording(facts: Facts) -> Iterator[NextStep]:
     """Name what can be done before anything is recorded."""
-    if on := [lack.on for lack in facts.fit.lacks]:
+    if on := [lack.on for lack in facts.fit.lacks if lack.sure]:
         yield NextStep(
             f"Look for what the model lacks: what it leaves depends on {listed(on)}",
             "Needs no recording: the figure of residuals shows where. It may be a quadratic or "

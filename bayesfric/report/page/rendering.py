@@ -11,9 +11,11 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from bayesfric.identifiability.words import capital
 from bayesfric.report.page.first_words import spaced
 from bayesfric.report.page.symbol import html_symbol
 from bayesfric.report.page.values import cell_html, number_html, p_html, plain, unit_html
+from bayesfric.report.summary.noise import white_words
 
 
 def render(template: str, **told: Any) -> str:
@@ -59,6 +61,8 @@ def _environment() -> Environment:
     environment.filters |= {
         "spaced": spaced,
         "unit": unit_html,
+        "capital": capital,
+        "white_words": white_words,
         "cell": cell_html,
         "p": p_html,
         "sig": lambda x, digits=4: plain(f"{x:.{digits}g}"),

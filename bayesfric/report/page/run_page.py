@@ -10,6 +10,7 @@ from typing import Any
 
 from markupsafe import Markup
 
+from bayesfric.report.alerts import alerts
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.comparison.table import explained
 from bayesfric.report.page.facts import Facts, Row, read_facts
@@ -109,20 +110,19 @@ def run_page(folder: Path, summary: Mapping[str, Any], name: str) -> str:
     BadInput
         Where the summary lacks something.
     """
-    facts = read_facts(summary, name)
+    config = _text(folder / "config.toml")
+    facts = read_facts({"may_be_simulated": _simulated(config)} | dict(summary), name)
     table = parameter_table(summary, name)
     methods = comparison({name: summary})
     told = Told(facts, table, methods)
     captions = written_captions(_text(folder / "text" / "captions.md"))
     words = {stem: figure_words(stem, told, captions) for stem in STEMS}
     lines = _lines(table, facts)
-    config = _text(folder / "config.toml")
     return render(
         "run.html.j2",
         title=name,
         facts=facts,
-        simulated=_simulated(config) if facts.may_be_simulated is None else facts.may_be_simulated,
-        warnings=_gathered(facts),
+        alerts=alerts(facts, methods.contested),
         first=first_words(table, facts),
         shown={line.row.name: line for line in lines},
         groups=_groups(lines),
@@ -135,19 +135,6 @@ def run_page(folder: Path, summary: Mapping[str, Any], name: str) -> str:
         config=config,
         methods_text=_text(folder / "text" / "methods.txt").strip(),
     )
-
-
-def _gathered(facts: Facts) -> list[str]:
-    """Warnings, one line for what is told of several recordings alike."""
-    recordings = facts.fit.recordings
-    told: dict[str, list[str]] = {}
-    for text in facts.warnings:
-        name, colon, rest = text.partition(": ")
-        told.setdefault(rest if colon and name in recordings else text, []).append(text)
-    return [
-        lines[0] if len(lines) == 1 else f"{rest} ({len(lines)} of {len(recordings)} recordings)"
-        for rest, lines in told.items()
-    ]
 
 
 def _lines(table: ParameterTable, facts: Facts) -> list[Line]:

@@ -22,7 +22,7 @@ from bayesfric.report.comparison.cell import TOGETHER
 from bayesfric.report.paper import latex
 from bayesfric.report.paper.bibliography import ENTRIES, bibliography
 from bayesfric.report.paper.tables import counts, parameter_table
-from bayesfric.report.summary.noise import p_words
+from bayesfric.report.summary.noise import p_words, white_words
 
 _CITED = re.compile(r"\s*\[@([\w;@]+)\]")
 _VERSIONS = ("numpy", "scipy", "emcee", "arviz", "numba")
@@ -238,10 +238,9 @@ def _likelihood(fit: Fit, summary: Mapping[str, Any]) -> Iterator[str]:
         yield f"The residuals' lag-1 correlation is {lag:.2f}."
     test = summary["noise"].get("innovation_whiteness")
     if test is not None:
-        passes = "passes" if test["white"] else "does NOT pass"
         yield (
-            f"What the noise model does not foretell {passes} as white noise ({test['test']}, "
-            f"{p_words(test['p_value'])})."
+            f"The innovations, what the noise model does not foretell, "
+            f"{white_words(test['white'])} ({test['test']}, {p_words(test['p_value'])})."
         )
     yield from (
         f"{text[0].upper()}{text[1:]}."

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bayesfric.estimates.estimate import Estimate
 from bayesfric.estimates.information import CORRELATED, lag_one
 from bayesfric.inference.fit import Fit
-from bayesfric.inference.likelihood.autoregression import ljung_box, predictors
+from bayesfric.inference.likelihood.autoregression import PASSES, ljung_box, predictors
 from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.mechanism.parameter import effort_words
@@ -27,8 +27,6 @@ _MEANINGS = {
 }
 # Correlations of the innovations that are tested together.
 _LAGS = 10
-# p-value below which innovations are not called white.
-_SURE = 0.01
 
 
 def noise_unit(fit: Fit, quantity: str) -> str:
@@ -90,7 +88,7 @@ def noise_record(
         "innovation_whiteness": {
             "test": f"Ljung-Box, {_LAGS + noise.order} lags, all recordings together",
             "p_value": p,
-            "white": bool(p > _SURE),
+            "white": bool(p >= PASSES),
         },
     }
     if noise.order:
@@ -158,8 +156,12 @@ def noise_lines(record: Mapping[str, Any]) -> Iterator[str]:
         yield f"  {name}: coefficients {', '.join(f'{c:.3f}' for c in coefficients)}"
     test = record.get("innovation_whiteness")
     if test is not None:
-        said = "pass as white" if test["white"] else "are NOT white: intervals may be too narrow"
-        yield f"  innovations {said} (Ljung-Box {p_words(test['p_value'])})"
+        yield f"  innovations {white_words(test['white'])} (Ljung-Box {p_words(test['p_value'])})"
+
+
+def white_words(white: bool) -> str:
+    """Say of innovations whether they are white noise by their test."""
+    return "pass as white" if white else "do NOT pass as white: intervals may be too narrow"
 
 
 def p_words(p_value: float) -> str:

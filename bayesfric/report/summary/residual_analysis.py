@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,10 @@ from bayesfric.inference.fit import Fit
 from bayesfric.inference.likelihood.likelihood import Outputs
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.mechanism.inverse import load_torque
+from bayesfric.report.summary.dependence import smooth_p_value
 
 Array = NDArray[np.float64]
+Places = NDArray[np.int64]
 
 _LAGS = 40
 _BINS = 16
@@ -27,6 +29,10 @@ _POINTS = 200
 _WHITE = float(stats.norm.ppf(0.975))
 # A dependence is told where one as large comes by chance in one of a thousand recordings.
 _BY_CHANCE = 1e-3
+# Share beyond the one expected of chance that is too large to be passed over.
+_LARGE = 0.05
+# Step of the derivatives of the predictions, in posterior sds.
+_STEP = 1e-3
 # Excess kurtosis worth a word.
 _TAILS = 0.5
 
@@ -43,8 +49,10 @@ class Binned:
         ``(bins,)``; ``error`` is the sd of the mean, wider where residuals are correlated.
     explained
         Share of the residuals' variance that the bins' means hold.
+    chance
+        Share that the means of residuals with this memory are expected to hold by chance.
     p_value
-        Probability that independent bins explain as much.
+        Of the two tests together: that the bins' means differ, and that there is a smooth curve.
     """
 
     what: str
@@ -54,6 +62,7 @@ class Binned:
     sd: Array
     error: Array
     explained: float
+    chance: float
     p_value: float
 
     @property
@@ -62,9 +71,11 @@ class Binned:
         return self.what.partition(" $")[0]
 
     @property
-    def by_chance(self) -> bool:
-        """Whether chance explains that the bins' means differ."""
-        return self.p_value >= _BY_CHANCE
+    def outcome(self) -> Literal["depends", "open", "none"]:
+        """Whether the mean depends on the quantity; ``open`` where that cannot be told."""
+        if self.p_value < _BY_CHANCE:
+            return "depends"
+        return "open" if self.explained > self.chance + _LARGE else "none"
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +130,9 @@ def residual_analysis(fit: Fit) -> ResidualAnalysis:
     shown = np.unique(np.linspace(0, n - 1, min(n, _POINTS)).astype(int))
     # the tails tell most: all of their points
     shown = np.unique(np.concatenate([shown, np.arange(min(20, n)), np.arange(max(n - 20, 0), n)]))
+    columns = _columns(fit)
     against = [
-        _binned(words, unit, np.concatenate(x), outputs, left)
+        _binned(words, unit, np.concatenate(x), outputs, left, columns)
         for words, unit, x in _abscissae(fit, outputs)
         if np.ptp(np.concatenate(x)) > 0.0
     ]
@@ -147,6 +159,16 @@ def _innovations(fit: Fit, left: list[Array]) -> list[Array] | None:
     return likelihood.innovations(left, scales)
 
 
+def _columns(fit: Fit) -> Array:
+    """Differentiate the predictions by the free parameters, ``(M, k)``."""
+    median = fit.posterior.median
+    k = len(fit.target.free)
+    moved = np.tile(median, (k + 1, 1))
+    moved[np.arange(k), np.arange(k)] += _STEP * fit.posterior.flat().std(axis=0)[:k]
+    predicted = fit.target.likelihood.predict(fit.target.chain_values(moved))
+    return np.concatenate([rows[:-1] - rows[-1] for rows in predicted], axis=1).T
+
+
 def _rms(x: Array) -> float:
     return math.sqrt(float(np.mean(x**2)))
 
@@ -164,23 +186,29 @@ def _autocorrelation(outputs: tuple[Outputs, ...], left: list[Array]) -> tuple[A
         scaled = (r - r.mean()) / rms
         power += float(scaled @ scaled)
         total += r.size
-        # place on an even grid of time; segments are not in step with each other
-        begin = o.time[np.searchsorted(o.segment_of, o.segment_of)]
-        place = np.rint((begin - o.time[0]) / o.period) + np.rint((o.time - begin) / o.period)
-        place = place.astype(np.int64) + o.segment_of * (lags.size + 1)
-        grid = np.full(int(place.max()) + 1 + lags.size, np.nan)
-        grid[place] = scaled
-        for k, lag in enumerate(lags):
-            both = grid[place + lag] * scaled
-            here = np.isfinite(both)
-            products[k] += both[here].sum()
-            pairs[k] += int(here.sum())
+        for k, (here, there) in enumerate(_pairs(o, lags.size)):
+            products[k] += scaled[here] @ scaled[there]
+            pairs[k] += here.size
     seen = pairs > 0
     if not power > 0.0:
         seen[:] = False
     correlation = (products[seen] / pairs[seen]) / (power / total if power > 0.0 else 1.0)
     white = _WHITE / np.sqrt(pairs[seen])
     return lags[seen].astype(np.float64), correlation, np.asarray(white)
+
+
+def _pairs(o: Outputs, most: int) -> Iterator[tuple[Places, Places]]:
+    """Give the outputs that are 1, 2, .., ``most`` periods apart, gaps left out."""
+    # place on an even grid of time; segments are not in step with each other
+    begin = o.time[np.searchsorted(o.segment_of, o.segment_of)]
+    place = np.rint((begin - o.time[0]) / o.period) + np.rint((o.time - begin) / o.period)
+    place = place.astype(np.int64) + o.segment_of * (most + 1)
+    number = np.full(int(place.max()) + 1 + most, -1)
+    number[place] = np.arange(place.size)
+    for lag in range(1, most + 1):
+        there = number[place + lag]
+        here = np.flatnonzero(there >= 0)
+        yield here, there[here]
 
 
 def _abscissae(fit: Fit, outputs: tuple[Outputs, ...]) -> list[tuple[str, str, list[Array]]]:
@@ -215,7 +243,7 @@ def _abscissae(fit: Fit, outputs: tuple[Outputs, ...]) -> list[tuple[str, str, l
 
 
 def _binned(
-    what: str, unit: str, x: Array, outputs: tuple[Outputs, ...], left: list[Array]
+    what: str, unit: str, x: Array, outputs: tuple[Outputs, ...], left: list[Array], columns: Array
 ) -> Binned:
     """Mean and spread in bins, and whether the means are more than chance.
 
@@ -230,29 +258,51 @@ def _binned(
     mean = np.array([r[p].mean() for p in parts])
     sd = np.array([r[p].std() for p in parts])
     sizes = np.array([p.size for p in parts])
-    inside = r.copy()
-    for part, middle in zip(parts, mean, strict=True):
-        inside[part] -= middle
+    inside, bin_of = r.copy(), np.empty(r.size, dtype=np.int64)
+    for number, part in enumerate(parts):
+        inside[part] -= mean[number]
+        bin_of[part] = number
     ends = np.cumsum([one.size for one in left])[:-1]
-    _, correlation, white = _autocorrelation(outputs, np.split(inside, ends))
+    lags, correlation, white = _autocorrelation(outputs, np.split(inside, ends))
     # up to the first that chance explains
     few = int(np.argmin(np.append(correlation > white, False)))
-    independent = 1.0 + 2.0 * float(correlation[:few].sum())
-    error = sd * np.sqrt(independent / sizes)
+    memory = dict(zip(lags[:few].astype(int).tolist(), correlation[:few].tolist(), strict=True))
+    independent = 1.0 + 2.0 * sum(memory.values())
+    # of a bin's outputs only those that are near in time too say the same
+    repeated = np.ones(bins)
+    for o, where in zip(outputs, np.split(bin_of, ends), strict=True):
+        for lag, (here, there) in enumerate(_pairs(o, max(memory, default=0)), start=1):
+            both = where[here][where[here] == where[there]]
+            repeated += 2.0 * memory.get(lag, 0.0) * np.bincount(both, minlength=bins) / sizes
     total = float(((r - r.mean()) ** 2).sum())
     between = float((sizes * (mean - r.mean()) ** 2).sum())
     explained = between / total if total > 0.0 else 0.0
-    freedom = r.size / independent - bins
-    if bins < 2 or freedom <= 0.0 or explained >= 1.0:
-        return Binned(what, unit, centre, mean, sd, error, explained, 1.0)
-    ratio = (explained / (bins - 1)) / ((1.0 - explained) / freedom)
+    p_value = 1.0
+    if 0.0 < explained < 1.0 and bins > 1:
+        freedom = r.size / independent - bins
+        if freedom > 0.0:
+            ratio = (explained / (bins - 1)) / ((1.0 - explained) / freedom)
+            p_value = float(stats.f.sf(ratio, bins - 1, freedom))
+        # one for sharp dependences, one for smooth ones that a memory would hide; recordings
+        # may differ in noise
+        size = np.concatenate([np.full(one.size, max(_rms(one), 1e-300)) for one in left])
+        smooth = smooth_p_value(r / size, x, columns / size[:, None])
+        p_value = min(1.0, 2.0 * min(p_value, smooth))
     return Binned(
-        what, unit, centre, mean, sd, error, explained, float(stats.f.sf(ratio, bins - 1, freedom))
+        what,
+        unit,
+        centre,
+        mean,
+        sd,
+        sd * np.sqrt(repeated / sizes),
+        explained,
+        max(0.0, float(repeated.sum()) - independent) / r.size,
+        p_value,
     )
 
 
 def lacking(fit: Fit) -> Iterator[dict[str, Any]]:
-    """Name what the residuals' mean depends on by more than chance: the model lacks it.
+    """Name what the residuals' mean depends on, or may depend on: the model lacks it.
 
     Parameters
     ----------
@@ -262,11 +312,18 @@ def lacking(fit: Fit) -> Iterator[dict[str, Any]]:
     Yields
     ------
     dict
-        ``on``, a quantity, ``share`` of the residuals' variance that it holds, ``p_value``.
+        ``on``, a quantity, ``share`` of the residuals' variance that it holds, ``chance``, the
+        share expected of chance, ``p_value``, and whether it is ``sure``.
     """
     for b in residual_analysis(fit).against:
-        if not b.by_chance:
-            yield {"on": b.name, "share": b.explained, "p_value": b.p_value}
+        if b.outcome != "none":
+            yield {
+                "on": b.name,
+                "share": b.explained,
+                "chance": b.chance,
+                "p_value": b.p_value,
+                "sure": b.outcome == "depends",
+            }
 
 
 def residual_words(fit: Fit) -> tuple[str, ...]:
@@ -297,12 +354,18 @@ def residual_words(fit: Fit) -> tuple[str, ...]:
     else:
         said.append(f"{what} are close to normal.")
     for b in found.against:
-        if not b.by_chance:
+        holds = f"it holds {100 * b.explained:.2g} % of their variance"
+        if b.outcome == "depends":
             said.append(
-                f"The residuals' mean depends on {b.name}: it holds {100 * b.explained:.2g} % of "
-                "their variance, more than chance explains. There is something the model lacks."
+                f"The residuals' mean depends on {b.name}: {holds}, more than chance explains. "
+                "There is something the model lacks."
             )
-    if found.against and all(b.by_chance for b in found.against):
+        elif b.outcome == "open":
+            said.append(
+                f"Whether the residuals' mean depends on {b.name} cannot be told: {holds}, "
+                f"{100 * b.chance:.2g} % are expected of chance."
+            )
+    if found.against and all(b.outcome == "none" for b in found.against):
         names = ", ".join(b.name for b in found.against)
         said.append(f"The residuals' mean depends on none of {names} by more than chance.")
     return tuple(said)

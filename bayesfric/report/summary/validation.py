@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 LEVELS = (0.5, 0.9, 0.99)
 # Coverage of the 90 % intervals that passes.
 _JUDGED, _PASSES = 0.9, (0.85, 0.95)
-# Standard errors beyond those limits that make a verdict.
+# Standard errors from the nominal share, outside those limits, that make a verdict.
 _SURE = 2.0
 # Level of the interval of the discrepancy.
 _LEVEL = 0.9
@@ -173,8 +173,7 @@ def _verdict(numbers: Mapping[str, Any], share: Share, outputs: Outputs) -> tupl
     low, high = _PASSES
     if low <= share.value <= high:
         return "covered", said
-    reach = _SURE * share.error
-    if low <= share.value + reach and share.value - reach <= high:
+    if abs(share.value - _JUDGED) <= _SURE * share.error:
         return "undecided", (
             f"{said}: these {numbers['outputs']} outputs tell as much as "
             f"{share.effective:.0f} independent ones, too few to call that off"

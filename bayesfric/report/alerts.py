@@ -1,0 +1,119 @@
+"""What a run warns of, found and worded once: its page and the terminal say the same."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from bayesfric.report.comparison.comparison import comparison
+from bayesfric.report.page.facts import DoubtRow, Facts, read_facts
+
+# Verdicts on what was held out that warn of nothing.
+_FINE = ("covered", "undecided")
+
+
+@dataclass(frozen=True)
+class Alert:
+    """One thing to know before using a number.
+
+    Attributes
+    ----------
+    kind
+        What it is about, for programs.
+    text
+        One sentence without its full stop.
+    section
+        Of the page, which tells more; empty where none does.
+    """
+
+    kind: str
+    text: str
+    section: str = ""
+
+
+# How to word each kind of summary["doubts"], which may hold more than "kind" and "parameters".
+DOUBTS: dict[str, Callable[[Mapping[str, Any]], str]] = {}
+
+
+def alerts_of(summary: Mapping[str, Any], where: str = "run") -> tuple[Alert, ...]:
+    """Gather what a summary warns of; see :func:`alerts`.
+
+    Raises
+    ------
+    BadInput
+        Where the summary, of the run ``where``, lacks something.
+    """
+    return alerts(read_facts(summary, where), comparison({where: summary}).contested)
+
+
+def alerts(facts: Facts, contested: Sequence[str]) -> tuple[Alert, ...]:
+    """Gather what a run warns of, what makes its numbers unsafe first.
+
+    Parameters
+    ----------
+    facts
+        Of the run.
+    contested
+        Numbers of which other methods give other values.
+    """
+    found = [Alert("sampler", text, "sampling") for text in facts.sampler.problems]
+    found += (Alert(one.kind, _doubt(one), "noise") for one in facts.doubts)
+    if facts.sampler.status != "unusable":  # else there is no posterior to judge the model by
+        found += _of_model(facts, contested)
+    found += (Alert("warning", text) for text in _gathered(facts))
+    if facts.may_be_simulated:
+        text = "the recordings may be simulated, not measured: the configuration tells how"
+        found.append(Alert("simulated", text))
+    return tuple(found)
+
+
+def _of_model(facts: Facts, contested: Sequence[str]) -> Iterator[Alert]:
+    shares = {
+        sure: ", ".join(
+            f"{one.on} {'explains' if sure else 'may explain'} {100 * one.share:.2g} % of what it "
+            "leaves"
+            for one in facts.fit.lacks
+            if one.sure is sure
+        )
+        for sure in (True, False)
+    }
+    if shares[True]:
+        text = f"the model lacks something: {shares[True]}; values may be off by more than their ±"
+        yield Alert("lacks", text, "prediction")
+    if shares[False]:
+        text = f"whether the model lacks something cannot be told: {shares[False]}"
+        yield Alert("may lack", text, "prediction")
+    test = facts.noise.innovation_whiteness
+    if test is not None and not test.white:
+        text = "what the model leaves unexplained is not white noise: intervals may be too narrow"
+        yield Alert("not white", text, "noise")
+    held_out = facts.validation
+    if held_out is not None and held_out.pooled.verdict not in _FINE:
+        text = f"held out, {held_out.pooled.verdict}: {held_out.pooled.says}"
+        yield Alert("held out", text, "held-out")
+    if contested:
+        text = (
+            "other methods, on the same data, give other values than the posterior for "
+            f"{', '.join(contested)}: where the model is not exactly right, no ± holds that"
+        )
+        yield Alert("methods", text, "methods")
+
+
+def _doubt(doubt: DoubtRow) -> str:
+    """Word a doubt; of a kind that only a newer version knows, its name and parameters."""
+    if words := DOUBTS.get(doubt.kind):
+        return words(doubt.model_dump())
+    return f"{doubt.kind}: {', '.join(doubt.parameters)}"
+
+
+def _gathered(facts: Facts) -> Iterator[str]:
+    """Warnings, one line for what is told of several recordings alike."""
+    recordings = facts.fit.recordings
+    told: dict[str, list[str]] = {}
+    for text in facts.warnings:
+        name, colon, rest = text.partition(": ")
+        told.setdefault(rest if colon and name in recordings else text, []).append(text)
+    for rest, lines in told.items():
+        of = f" ({len(lines)} of {len(recordings)} recordings)"
+        yield lines[0] if len(lines) == 1 else rest + of

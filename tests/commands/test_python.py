@@ -1,0 +1,70 @@
+"""The README's Python example gives the numbers of ``bayesfric fit``."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bayesfric.commands.problem import read_problem
+from bayesfric.config import read_config
+from bayesfric.inference.archive import as_chains, read_archive
+from bayesfric.inference.likelihood.autoregression import simulated
+from tests.conftest import REPOSITORY
+
+from .bench import SMALL
+
+CONFIG = f"""{SMALL}
+[sampling]
+min_ess = 200
+walkers = 24
+ensembles = 2
+seed = 5
+
+[simulation]
+duration = 6.0
+rate = 200
+excitation = "multisine"
+encoder_counts = 0
+torque_noise = 0.0
+"""
+
+
+@pytest.fixture
+def remembering(bench):
+    """A recording whose noise has a memory, so that it matters who chooses the noise."""
+    (bench.folder / "knee.toml").write_text(CONFIG)
+    bench.simulated(CONFIG)
+    path = bench.folder / "small.csv"
+    table = np.loadtxt(path, delimiter=",", skiprows=1)
+    follows = np.ones(len(table) - 1, dtype=bool)
+    table[:, 2] += 0.01 * simulated(np.array([0.9]), follows, 1, np.random.default_rng(1))[0]
+    np.savetxt(path, table, "%.17g", ",", header="time,position,torque", comments="")
+    return bench
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_the_example_of_the_readme_is_the_fit(remembering):
+    (code,) = re.findall(
+        r"^```python\n(.*?)^```", (REPOSITORY / "README.md").read_text(), re.DOTALL | re.MULTILINE
+    )
+    told = {}
+    exec(compile(code, "README.md", "exec"), told)
+    draws = told["result"].posterior
+    ended = remembering.run("fit", "knee.toml", "-o", "run")
+    assert ended.code == 0, ended
+    kept = read_archive(remembering.folder / "run" / "posterior.nc")["posterior"]
+    assert set(kept.data_vars) == set(draws.names)
+    assert any("pacf" in name for name in draws.names)
+    for name in draws.names:
+        assert kept[name].values.tobytes() == as_chains(draws[name]).tobytes(), name
+
+
+def test_noise_that_is_to_be_chosen_is_not_silently_white(remembering):
+    problem = read_problem(read_config(remembering.folder / "knee.toml"))
+    with pytest.raises(ValueError, match="white_target"):
+        problem.target()
+    noise = problem.config.tables.noise.model_copy(update={"model": "white"})
+    tables = problem.config.tables.model_copy(update={"noise": noise})
+    told = replace(problem, config=problem.config.model_copy(update={"tables": tables}))
+    assert told.target().names == problem.white_target().names
