@@ -14,13 +14,19 @@ KNEE = PRESETS["rabbit-knee"]
 
 
 def with_gaps(o, dropped):
-    """The same recording without some of its outputs."""
+    """The same recording without some of its outputs, and with samples that do not count."""
     kept = np.setdiff1d(np.arange(o.filter.n_outputs), dropped)
+    used, gains = np.ones(o.q.size), np.ones(kept.size)
+    if o.filter.taps.size > 1:
+        used[np.random.default_rng(9).integers(o.q.size, size=o.q.size // 50)] = 0.0
+        windows = np.lib.stride_tricks.sliding_window_view(used, o.filter.taps.size)
+        gains = 1.0 / (windows[o.filter.starts[kept]] @ o.filter.taps)
+    filter_ = ParallelFilter(o.filter.taps, o.filter.starts[kept], used, gains)
     return replace(
         o,
-        filter=ParallelFilter(o.filter.taps, o.filter.starts[kept]),
+        filter=filter_,
         time=o.time[kept],
-        measured=o.measured[kept],
+        measured=filter_.apply(o.torque),
         speed=o.speed[kept],
         segment_of=o.segment_of[kept],
     )

@@ -1,0 +1,170 @@
+"""Reasons not to believe numbers although the sampling has converged.
+
+A posterior says what the data tell if model, noise and recording are what they are taken for.
+What is found here says that they are not: such numbers are not called determined by the data, and
+the run is not reliable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from bayesfric.estimates.estimate import Estimate
+from bayesfric.estimates.information import CORRELATED
+from bayesfric.inference.fit import Fit
+from bayesfric.inference.likelihood.noise_choice import Choice
+from bayesfric.recordings.observation import LEAST_RATIO
+
+# Share of the torque's variance that a model of the joint should explain, where what it leaves
+# is no white noise.
+_EXPLAINED = 0.8
+# Sums of the sds of both posteriors that a number may move when the noise is taken for white,
+# and how much larger than with white noise the residuals may be.
+_APART, _RISE = 2.0, 1.1
+# Robust standard deviations below zero that are no chance.
+_NEGATIVE = 3.0
+
+White = Mapping[str, Mapping[str, Any]]
+
+
+def find_doubts(
+    fit: Fit,
+    summary: Mapping[str, Any],
+    choice: Choice | None = None,
+    white: tuple[White, float] | None = None,
+) -> list[dict[str, Any]]:
+    """Look for what makes the numbers of a fit doubtful.
+
+    Parameters
+    ----------
+    fit
+        A finished fit.
+    summary
+        Of it.
+    choice
+        How the order of the noise was chosen, where it was.
+    white
+        Of the same recordings with white noise, where that was sampled: from
+        :func:`bayesfric.report.summary.summary.spreads`, and the residuals' root mean square.
+
+    Returns
+    -------
+    list of dict
+        ``kind``, ``parameters`` and what else tells of each, for ``summary["doubts"]``.
+    """
+    told = [
+        name
+        for group in ("parameters", "derived")
+        for name, row in summary[group].items()
+        if row["verdict"] == "data" and not name.startswith("noise.")
+    ]
+    found = [
+        *_unexplained(summary),
+        *_feedback(fit),
+        *negative_totals(fit.estimates[0]),
+        *_memory(choice),
+        *_noise(summary, told, white),
+        *_acceleration(fit, summary, told),
+    ]
+    return [{"kind": one.pop("kind"), "parameters": one.pop("of", told), **one} for one in found]
+
+
+def put_doubts(summary: dict[str, Any], doubts: list[dict[str, Any]]) -> None:
+    """Put doubts into a summary: what they are of is not ``data``, the run not ``reliable``."""
+    summary["doubts"] = doubts
+    if not doubts:
+        return
+    if summary["sampler"]["status"] == "reliable":
+        summary["sampler"]["status"] = "tentative"
+    for group in ("parameters", "derived"):
+        for name, row in summary[group].items():
+            if kinds := [one["kind"] for one in doubts if name in one["parameters"]]:
+                row["doubted"] = kinds
+                row["verdict"] = "weak"
+
+
+def _unexplained(summary: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    share, lag = summary["fit"].get("explained"), summary["noise"]["residual_lag1"]
+    if share is not None and share < _EXPLAINED and lag is not None and lag > CORRELATED:
+        yield {"kind": "unexplained", "share": share, "quantity": summary["fit"]["quantity"]}
+
+
+def _feedback(fit: Fit) -> Iterator[dict[str, Any]]:
+    laws: dict[str, list[str]] = {}
+    for o in fit.observations:
+        if law := o.settings.get("feedback"):
+            laws.setdefault(str(law), []).append(o.name)
+    for law, names in laws.items():
+        yield {"kind": "feedback", "law": law, "recordings": names}
+
+
+def negative_totals(totals: Estimate) -> Iterator[dict[str, Any]]:
+    """Name what least squares finds below zero though nothing that loses energy can be.
+
+    Parameters
+    ----------
+    totals
+        From :func:`bayesfric.estimates.least_squares.least_squares`.
+    """
+    below = {
+        v.name: v.value
+        for v in totals.values
+        if v.name.rpartition(".")[2] in ("inertia", "viscous", "coulomb")
+        and np.isfinite(v.sd_robust)
+        and v.value < -_NEGATIVE * max(v.sd, v.sd_robust)
+    }
+    if below:
+        yield {"kind": "negative", "values": below}
+
+
+def _memory(choice: Choice | None) -> Iterator[dict[str, Any]]:
+    if choice is None or not choice.refused:
+        return
+    asked = min(choice.tried, key=lambda one: one.bic)
+    yield {
+        "kind": "memory",
+        "asked": asked.order,
+        "taken": choice.order,
+        "shift": asked.shift,
+        "rise": asked.rise,
+    }
+
+
+def _noise(
+    summary: Mapping[str, Any], told: list[str], white: tuple[White, float] | None
+) -> Iterator[dict[str, Any]]:
+    if white is None:
+        return
+    spreads, rms = white
+    rows = {**summary["parameters"], **summary["derived"]}
+    moved = {
+        name: spreads[name]["median"]
+        for name in told
+        if name in spreads
+        and abs(rows[name]["median"] - spreads[name]["median"])
+        > _APART * (rows[name]["sd"] + spreads[name]["sd"])
+    }
+    rise = summary["fit"]["residual_rms"] / rms if rms > 0.0 else 1.0
+    if rise > _RISE:
+        yield {"kind": "noise", "rise": rise, "white": moved}
+    elif moved:
+        yield {"kind": "noise", "rise": rise, "white": moved, "of": list(moved)}
+
+
+def _acceleration(
+    fit: Fit, summary: Mapping[str, Any], told: list[str]
+) -> Iterator[dict[str, Any]]:
+    ratios = [float(o.settings.get("acceleration_ratio", np.inf)) for o in fit.observations]
+    ratio = min(ratios)
+    rows = {**summary["parameters"], **summary["derived"]}
+    # the share of an inertia that noise in its acceleration takes away
+    lost = [
+        name
+        for name in told
+        if name.endswith(".inertia") and rows[name]["sd"] * ratio**2 < abs(rows[name]["median"])
+    ]
+    if ratio < LEAST_RATIO and lost:
+        yield {"kind": "acceleration", "ratio": ratio, "of": lost}
