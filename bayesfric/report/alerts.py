@@ -8,6 +8,7 @@ from typing import Any
 
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.page.facts import DoubtRow, Facts, read_facts
+from bayesfric.report.summary.noise import p_words, white_words
 
 # Verdicts on what was held out that warn of nothing.
 _FINE = ("covered", "undecided")
@@ -86,7 +87,9 @@ def _of_model(facts: Facts, contested: Sequence[str]) -> Iterator[Alert]:
         yield Alert("may lack", text, "prediction")
     test = facts.noise.innovation_whiteness
     if test is not None and not test.white:
-        text = "what the model leaves unexplained is not white noise: intervals may be too narrow"
+        told = f" (Ljung-Box {p_words(test.p_value)})" if test.p_value is not None else ""
+        words = white_words(test.white)
+        text = f"the innovations, which neither model nor noise foretells, {words}{told}"
         yield Alert("not white", text, "noise")
     held_out = facts.validation
     if held_out is not None and held_out.pooled.verdict not in _FINE:

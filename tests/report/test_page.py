@@ -295,7 +295,7 @@ def test_what_ensembles_make_that_disagree_is_nowhere_shown_as_a_result(tmp_path
     assert "says nothing of the parameters" in first.text
     assert "raise max_steps" in first.text
     assert "before the sampling agrees" in first.text
-    for wrong in ("--advise", "lacks something", "not white noise"):
+    for wrong in ("--advise", "lacks something", "pass as white"):
         assert wrong not in first.text
     assert "determine" not in first.text.partition("The next experiment")[0].partition("What")[0]
     was = lines(sound)
