@@ -21,13 +21,14 @@ from bayesfric.inference.predictive import predict_held_out
 from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Progress, Sampling, phase
 from bayesfric.inference.target import Target
-from bayesfric.report.alerts import alerts_of
-from bayesfric.report.comparison.cell import TOGETHER
+from bayesfric.report.alerts import DOUBTS, alerts_of
+from bayesfric.report.comparison.cell import DOUBTFUL, TOGETHER
 from bayesfric.report.run_directory import check_free, write_run
 from bayesfric.report.summary.bounds import bound_mend, told_by_data
+from bayesfric.report.summary.doubts import find_doubts, put_doubts
 from bayesfric.report.summary.noise import add_white_intervals, noise_lines, white_alternative
 from bayesfric.report.summary.read_back import PosteriorRow
-from bayesfric.report.summary.summary import spreads, summarise
+from bayesfric.report.summary.summary import rms, spreads, summarise
 from bayesfric.report.summary.validation import validation_lines
 
 NOT_CONVERGED = 3
@@ -95,6 +96,7 @@ def _fit(
     made = _sampled(problem, sampling, progress, run.sampling("posterior", problem, sampling))
     result = made.fit
     summary = summarise(result, problem.references(), made.choice)
+    compared = None
     if white_alternative(result):
         progress(phase("the same with white noise"))
         quick = sampling.model_copy(update={"min_ess": min(sampling.min_ess, _WHITE_ESS)})
@@ -107,8 +109,10 @@ def _fit(
                 progress=progress,
                 checkpoint=kept,
             )
-        usable = white.posterior.diagnostics.status != "unusable"
-        add_white_intervals(summary, spreads(white) if usable else None)
+        if white.posterior.diagnostics.status != "unusable":
+            compared = spreads(white), rms(white)
+        add_white_intervals(summary, compared[0] if compared else None)
+    put_doubts(summary, find_doubts(result, summary, made.choice, compared))
     progress(phase("identifiability"))
     with suppress(BadInput):  # a simulation that fails there takes no result away
         middle = result.posterior.median
@@ -216,7 +220,8 @@ def fit_text(summary: dict[str, Any], folder: Path) -> Iterator[str]:
         else f"{sampler['status']}: a parameter never moved"
     )
     alerts = alerts_of(summary)
-    yield from (f"  {one.text}" for one in alerts if one.kind == "sampler")
+    first = ("sampler", *DOUBTS)
+    yield from (f"  {one.text}" for one in alerts if one.kind in first)
     yield ""
     combined = {name: row for name, row in summary["derived"].items() if row["gauge_free"]}
     if sampler["status"] == "unusable":
@@ -233,7 +238,7 @@ def fit_text(summary: dict[str, Any], folder: Path) -> Iterator[str]:
     for direction in summary["identifiability"]["null_directions"]:
         yield ""
         yield f"No recording of this kind can tell: {direction['meaning']}."
-    yield from (f"WARNING: {one.text}" for one in alerts if one.kind != "sampler")
+    yield from (f"WARNING: {one.text}" for one in alerts if one.kind not in first)
     yield ""
     yield from noise_lines(summary["noise"])
     yield f"Residual rms {summary['fit']['residual_rms']:.4g} {summary['fit']['unit']}"
@@ -251,7 +256,7 @@ def _remark(row: dict[str, Any], read: PosteriorRow) -> str:
         return f"the data push it against its {bound} bound: read it as {kind} limit {limit:.3g}"
     words = {
         "data": "",
-        "weak": f"weakly determined: {TOGETHER}",
+        "weak": DOUBTFUL if read.doubted else f"weakly determined: {TOGETHER}",
         "prior": "NOT determined by the data: this is the prior and the bounds",
     }[row["verdict"]]
     if row.get("undefined_share"):

@@ -34,7 +34,48 @@ class Alert:
 
 
 # How to word each kind of summary["doubts"], which may hold more than "kind" and "parameters".
-DOUBTS: dict[str, Callable[[Mapping[str, Any]], str]] = {}
+DOUBTS: dict[str, Callable[[Mapping[str, Any]], str]] = {
+    "unexplained": lambda d: (
+        f"the model explains only {100 * d['share']:.2g} % of the measured {d['quantity']}, and "
+        "what it leaves is no noise: look for somebody's hand on the joint, a wrong column, unit "
+        "or sign, or take another mechanism; until then no number here is determined by these data"
+    ),
+    "feedback": lambda d: (
+        f"the torque follows the {d['law']} ({', '.join(d['recordings'])}), as if a controller "
+        "made it so: friction, gravity and inertia cannot be told from the controller's; record "
+        "a motion along a path of its own"
+    ),
+    "negative": lambda d: (
+        f"least squares finds {_listed(d['values'])}, and nothing that loses energy can be "
+        "negative: are the signs of torque and position alike, and does no controller push the "
+        "joint along? Until then no number here is determined by these data"
+    ),
+    "memory": lambda d: (
+        f"the residuals ask for noise of order AR({d['asked']}), but that would move the estimates "
+        f"by {d['shift']:.2g} of their sds and make the residuals {d['rise']:.3g} times as large: "
+        f"it is no noise but something the model lacks; {_taken(d['taken'])}, and the intervals "
+        "are too narrow"
+    ),
+    "noise": lambda d: (
+        "these numbers depend on what the noise is taken for"
+        + (f": white noise would give {_listed(d['white'])}" if d["white"] else "")
+        + (f", and residuals {d['rise']:.3g} times smaller" if d["rise"] > 1.0 + 1e-2 else "")
+        + "; a narrower band or a better model may make them agree"
+    ),
+    "acceleration": lambda d: (
+        f"the acceleration is only {d['ratio']:.2g} times as large as its noise (rms), so "
+        f"{', '.join(d['parameters'])} come out too small; lower band, or leave lowpass, band and "
+        "decimate out to have them chosen"
+    ),
+}
+
+
+def _listed(values: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} {value:.4g}" for name, value in values.items())
+
+
+def _taken(order: int) -> str:
+    return f"AR({order}) is taken" if order else "white noise is taken"
 
 
 def alerts_of(summary: Mapping[str, Any], where: str = "run") -> tuple[Alert, ...]:

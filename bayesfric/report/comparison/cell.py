@@ -11,6 +11,7 @@ from bayesfric.report.summary.read_back import EstimatedRow, PosteriorRow, read_
 
 Status = Literal["determined", "undetermined", "bound", "limit", "known"]
 _NOT_DETERMINED = "not determined"
+DOUBTFUL = "doubtful: not what the data determine, see what the run warns of"
 TOGETHER = "data, prior and bounds together"
 NOT_CONVERGED = "the sampling has not converged"
 
@@ -108,7 +109,7 @@ def posterior_cell(row: PosteriorRow, accounts: bool, status: str = "reliable") 
         return Cell(row.middle, "limit", level=row.level, limit=limit, remark=words)
     if row.verdict == "prior":
         return left_open(row.middle, None, ": prior and bounds")
-    remarks = [TOGETHER] if row.verdict == "weak" else []
+    remarks = [DOUBTFUL if row.doubted else TOGETHER] if row.verdict == "weak" else []
     if row.at_bound is not None:
         remarks.append(f"leans on its {row.at_bound} bound")
     if row.undefined_share:

@@ -198,6 +198,12 @@ def _alpha(name: str) -> str:
 
 def _trust(facts: Facts) -> tuple[str, str]:
     s = facts.sampler
+    if s.status == "tentative" and facts.doubts and not s.problems:
+        return (
+            "Not yet: it is tentative.",
+            "The sampling has converged, but model, noise or recording are not what they are taken "
+            "for: the warnings say why, and what to do.",
+        )
     if s.status == "tentative":
         return (
             "Not yet: it is tentative.",

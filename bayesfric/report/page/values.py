@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from markupsafe import Markup, escape
 
-from bayesfric.report.comparison.cell import NOT_CONVERGED, TOGETHER, Cell
+from bayesfric.report.comparison.cell import DOUBTFUL, NOT_CONVERGED, TOGETHER, Cell
 from bayesfric.report.paper import latex
 from bayesfric.report.paper.tables import ParameterRow
 from bayesfric.report.summary.noise import p_parts
@@ -26,6 +26,8 @@ def verdict_words(row: ParameterRow) -> str:
         return NOT_CONVERGED
     status: str = row.cell.status
     if status == "determined" and row.row is not None:
+        if row.row.doubted:
+            return DOUBTFUL
         status += f" {row.row.verdict}"
     return _VERDICTS[status]
 

@@ -197,7 +197,7 @@ def _notes(
         # of noise that is not what the likelihood takes it for
         if "taken for independent" in text:
             yield text[0].upper() + text[1:]
-    if read.sampler.status != "reliable":
+    if read.sampler.status == "unusable" or read.sampler.problems:
         yield f"The sampling is {read.sampler.status}: it has not converged"
 
 

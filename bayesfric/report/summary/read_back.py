@@ -72,6 +72,7 @@ class PosteriorRow(Part):
     bound: FiniteFloat | None = None
     bound_physical: bool | None = None
     period: FiniteFloat | None = None
+    doubted: list[str] = Field(default_factory=list)
     undefined_share: Annotated[FiniteFloat, Field(ge=0.0, le=1.0)] | None = None
 
     @property
@@ -122,6 +123,7 @@ class Sampler(Part):
     """Whether the posterior can be relied on."""
 
     status: str = "reliable"
+    problems: list[str] = Field(default_factory=list)
 
 
 class RunSummary(Part):

@@ -95,7 +95,8 @@ def summarise(
         },
         "noise": noise,
         "fit": {
-            "residual_rms": _rms(np.concatenate(residual)),
+            "residual_rms": rms(fit),
+            **_explained(fit),
             "unit": outputs[0].unit,
             "quantity": outputs[0].quantity,
             "lacks": list(lacking(fit)),
@@ -145,6 +146,21 @@ def summarise(
             "seed": posterior.seed,
         },
     }
+
+
+def rms(fit: Fit) -> float:
+    """Give the root mean square of all residuals."""
+    return _rms(np.concatenate(fit.residuals))
+
+
+def _explained(fit: Fit) -> dict[str, float]:
+    """Give the share of the measured torque's variance that the posterior mean explains."""
+    if fit.target.likelihood.method == "output-error":
+        return {}  # any simulated position is near the measured one
+    # each recording about its own mean: an offset explains nothing
+    whole = sum(float(np.sum((o.measured - o.measured.mean()) ** 2)) for o in fit.observations)
+    left = sum(float(r @ r) for r in fit.residuals)
+    return {"explained": 1.0 - left / whole} if whole > 0.0 else {}
 
 
 def spreads(fit: Fit) -> dict[str, dict[str, Any]]:
