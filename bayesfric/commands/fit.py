@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from bayesfric.commands.estimate import estimates_where_possible
+from bayesfric.commands.estimate import estimates_beside
 from bayesfric.commands.identify import open_directions
 from bayesfric.commands.problem import Problem, read_problem
 from bayesfric.commands.unfinished import Unfinished, unfinished
@@ -39,6 +39,7 @@ def fit(
     seed: int | None = None,
     resume: bool = False,
     force: bool = False,
+    output_error: bool = False,
     progress: Callable[[Progress], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Fit a configuration and write the run directory.
@@ -56,6 +57,8 @@ def fit(
     force
         Keep what stands there, and an interrupted run's checkpoint, under other names
         and start afresh.
+    output_error
+        Make the output-error estimate too, as ``estimation.output_error`` asks for it.
     progress
         Called as sampling goes on.
 
@@ -75,13 +78,14 @@ def fit(
     # who resumes has an old run kept, if --force came with the first command
     check_free(folder, force=force or resume)
     with unfinished(folder, resume=resume, force=force) as run:
-        return _fit(config, folder, seed, progress, run)
+        return _fit(config, folder, seed, output_error, progress, run)
 
 
 def _fit(
     config: Config,
     folder: Path,
     seed: int | None,
+    output_error: bool,
     progress: Callable[[Progress], None],
     run: Unfinished,
 ) -> dict[str, Any]:
@@ -91,8 +95,10 @@ def _fit(
         sampling = sampling.model_copy(update={"seed": seed})
     kept = run.sampling("posterior", problem, sampling)
 
-    found, missing = estimates_where_possible(
-        problem, lambda method: progress(phase(f"{method} estimate"))
+    found, missing = estimates_beside(
+        problem,
+        simulate=output_error,
+        progress=lambda method: progress(phase(f"{method} estimate")),
     )
     points = [dict(e.point) for e in found if e.point]
     choice = problem.noise_choice(points[0])

@@ -220,10 +220,12 @@ def fit(
     progress(Progress("searching the mode", 0, float("nan"), float("nan")))
     rng = np.random.default_rng(np.random.SeedSequence(sampling.seed, spawn_key=(2**31,)))
     prior_draws = np.stack([prior.draw(500, rng) for prior in target.priors], axis=1)
+    # what only stands beside the posterior, and may be cut off by the clock, must not move it
+    begin = [e for e in estimates if e.method != "output-error" or e.method == likelihood.method]
     try:
-        candidates = _candidates(target, estimates, prior_draws)
+        candidates = _candidates(target, begin, prior_draws)
         # these searched from several starts themselves, and are beside the mode already
-        near = any(e.point for e in estimates)
+        near = any(e.point for e in begin)
         prior_places = target.from_parameters(prior_draws)
         best = candidates[np.argmax(target(candidates))]
         target = _prepared(target, gauss_newton(target, best, prior_places), rng)

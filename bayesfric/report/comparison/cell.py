@@ -13,6 +13,7 @@ Status = Literal["determined", "undetermined", "bound", "limit", "known"]
 _NOT_DETERMINED = "not determined"
 TOGETHER = "data, prior and bounds together"
 NOT_CONVERGED = "the sampling has not converged"
+_LOST = "the search has not converged"
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class Cell:
         Difference to the first posterior in standard deviations; see
         :func:`comparison`.
     converged
-        Whether there is a posterior at all; ``undetermined`` where not.
+        Whether there is a posterior, or an estimate, at all; ``undetermined`` where not.
     """
 
     value: float
@@ -64,8 +65,10 @@ class Cell:
     converged: bool = True
 
 
-def estimate_cell(row: EstimatedRow) -> Cell:
-    """Judge one number of a point estimate."""
+def estimate_cell(row: EstimatedRow, converged: bool = True) -> Cell:
+    """Judge one number of a point estimate, whose search ended at a minimum or did not."""
+    if not converged:
+        return Cell(row.value, "undetermined", remark=_LOST, converged=False)
     if row.sd is None or row.determined is False or row.at_bound is not None:
         # a scaling does not move a zero away from its bound
         span = row.span if row.span is not None and row.span[0] < row.span[1] else None

@@ -47,6 +47,7 @@ class EstimateTable(Part):
     """A point estimate."""
 
     parameters: dict[Name, EstimatedRow]
+    converged: bool = True
     residual_rms: NotNegative | None = None
     residual_unit: str = ""
     assumption: str = ""

@@ -203,6 +203,7 @@ def estimate_summary(estimate: Estimate) -> dict[str, Any]:
             }
             for v in estimate.values
         },
+        "converged": estimate.converged,
         "point": dict(estimate.point),
         "residual_rms": estimate.residual_rms,
         "residual_unit": estimate.residual_unit,
