@@ -19,7 +19,7 @@ from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.inference.sampling.sampling import Progress, phase
 from bayesfric.inference.target import Target
-from bayesfric.report.comparison.cell import TOGETHER
+from bayesfric.report.comparison.cell import TOGETHER, posterior_cells
 from bayesfric.report.run_directory import check_free, write_run
 from bayesfric.report.summary.bounds import bound_mend, told_by_data
 from bayesfric.report.summary.noise import add_white_intervals, noise_lines, white_alternative
@@ -165,17 +165,22 @@ def fit_text(summary: dict[str, Any], folder: Path) -> Iterator[str]:
         yield f"  {problem}"
     yield ""
     combined = {name: row for name, row in summary["derived"].items() if row["gauge_free"]}
-    if sampler["status"] == "unusable":
-        yield "No intervals: what ensembles make that disagree, or stand still, is no posterior."
-    else:
-        if combined:
-            yield "What the motor feels, whatever the scale (90 % intervals)"
-            for name, row in combined.items():
-                yield from _row(name, row)
+    sound = {name for name, cell in posterior_cells(summary).items() if cell.converged}
+    for title, rows in (
+        ("What the motor feels, whatever the scale", combined),
+        ("Parameters", summary["parameters"]),
+    ):
+        if sound & set(rows):
+            yield f"{title} (90 % intervals)"
+            for name in rows:
+                if name in sound:
+                    yield from _row(name, rows[name])
             yield ""
-        yield "Parameters (90 % intervals)"
-        for name, row in summary["parameters"].items():
-            yield from _row(name, row)
+    if lost := [name for name in [*combined, *summary["parameters"]] if name not in sound]:
+        yield (
+            "No intervals: what ensembles make that disagree, or stand still, is no posterior. "
+            f"Not converged: {', '.join(lost)}"
+        )
     for direction in summary["identifiability"]["null_directions"]:
         yield ""
         yield f"No recording of this kind can tell: {direction['meaning']}."

@@ -10,7 +10,7 @@ from bayesfric.inference.sampling.convergence import (
     steps_needed,
     without_stuck,
 )
-from bayesfric.inference.sampling.sampling import Sampling, sample
+from bayesfric.inference.sampling.sampling import Sampling, _standing, sample
 from bayesfric.inference.sampling.start import Start
 from tests.inference.test_trouble import NORMAL, Normal, OneSpike
 
@@ -70,6 +70,17 @@ def test_one_stuck_walker_of_many_is_a_warning():
     assert d.ess.min() >= settings.min_ess
     assert d.rhat.max() <= settings.max_rhat
     assert not (result.flat() == target.spike).all(axis=1).any()
+
+
+def test_a_few_that_hardly_move_are_a_warning_and_many_a_problem():
+    moved = np.full((4, 128), 0.4)
+    moved[2, :5] = 0.005
+    ((told, harmless),) = _standing(moved)
+    assert told.startswith("5 walkers of 512 hardly ever moved")
+    assert harmless
+    moved[3, 0] = 0.005
+    ((_, harmless),) = _standing(moved)
+    assert not harmless
 
 
 def test_many_stuck_or_all_in_one_ensemble_are_no_few():

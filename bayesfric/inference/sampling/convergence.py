@@ -142,8 +142,12 @@ def left_out(acceptance: NDArray[np.float64]) -> int:
         Accepted share of each walker's proposals, ``(ensembles, walkers)``.
     """
     stuck = acceptance == 0.0
-    few = stuck.mean() <= _STUCK and stuck.mean(axis=1).max() <= _STUCK_IN_ONE
-    return int(stuck.sum()) if few else 0
+    return int(stuck.sum()) if few(stuck) else 0
+
+
+def few(walkers: NDArray[np.bool_]) -> bool:
+    """Tell whether these walkers, ``(ensembles, walkers)``, are too few to change an interval."""
+    return bool(walkers.mean() <= _STUCK and walkers.mean(axis=1).max() <= _STUCK_IN_ONE)
 
 
 def without_stuck(

@@ -20,8 +20,8 @@ from bayesfric.inference.sampling.convergence import (
     LONG_ENOUGH,
     autocorrelation_time,
     effective_sample_size,
+    few,
     hopeless,
-    left_out,
     nested_rhat,
     steps_needed,
     without_stuck,
@@ -229,7 +229,7 @@ def sample(
         status = "tentative" if usable else "unusable"
     # counted up to here: what follows looks at places that were never proposed
     not_finite, share = target.not_finite, 0.0
-    warnings = list(_left_out(main.acceptance()))
+    warnings = [text for text, harmless in _standing(main.acceptance()) if harmless]
     if not_finite:
         places = beside_posterior(
             target, frozen.proposal, settings.seed, settings.ensembles * walkers
@@ -259,6 +259,7 @@ def sample(
             seconds=time.perf_counter() - began,
             not_finite_share=share,
             warnings=tuple(warnings),
+            max_rhat=settings.max_rhat,
         ),
         seed=settings.seed,
     )
@@ -408,21 +409,13 @@ def _problems(
 ) -> Iterator[str]:
     names = np.array(target.names)
     moved = main.acceptance()
-    never, hardly = int((moved == 0.0).sum()), int(((moved > 0.0) & (moved < 0.01)).sum())
-    few_stuck = left_out(moved) > 0
-    if never == moved.size:
+    if not moved.any():
         yield (
             "no walker ever moved: not one proposal was accepted, and there is nothing to make an "
             "interval of; check the recording's units, or give wider priors"
         )
         return
-    if never and not few_stuck:
-        yield _stuck(never, moved.size)
-    if hardly:
-        yield (
-            f"{_count(hardly, 'walker')} of {moved.size} hardly ever moved: look at the trace; "
-            "raise sampling.max_steps, or give narrower priors"
-        )
+    yield from (text for text, harmless in _standing(moved) if not harmless)
     apart = names[rhat > settings.max_rhat]
     if apart.size:
         worst = int(rhat.argmax())
@@ -432,31 +425,36 @@ def _problems(
             f"their medians of {names[worst]}: {medians}): raise sampling.max_steps, or give "
             "these parameters narrower priors"
         )
-    few = names[ess < settings.min_ess]
+    short = names[ess < settings.min_ess]
     # a walker that never moves leaves no draws to count, and more steps do not mend that
-    if few.size and (few_stuck or not never):
+    if short.size and np.isfinite(tau).all():
         yield (
             f"only {ess.min():.0f} independent draws of {names[int(ess.argmin())]} where "
             f"{settings.min_ess:.0f} were wanted: raise sampling.max_steps"
         )
-    if not few.size and main.steps < LONG_ENOUGH * tau.max():
+    if not short.size and main.steps < LONG_ENOUGH * tau.max():
         yield (
             f"the run is only {main.steps / tau.max():.0f} autocorrelation times long, "
             f"{LONG_ENOUGH:g} are needed to trust them: raise sampling.max_steps"
         )
 
 
-def _left_out(acceptance: Array) -> Iterator[str]:
-    """Say of how many walkers the diagnostics know nothing."""
-    if never := left_out(acceptance):
-        yield _stuck(never, acceptance.size)
-
-
-def _stuck(never: int, walkers: int) -> str:
-    return (
-        f"{_count(never, 'walker')} of {walkers} never moved, and left out of every "
-        "interval: look at the trace; try another sampling.seed, or narrower priors"
-    )
+def _standing(acceptance: Array) -> Iterator[tuple[str, bool]]:
+    """Say how many walkers stood still, and whether they are too few to change an interval."""
+    never, hardly = acceptance == 0.0, (acceptance > 0.0) & (acceptance < 0.01)
+    of = acceptance.size
+    if never.any():
+        yield (
+            f"{_count(never.sum(), 'walker')} of {of} never moved, and left out of every "
+            "interval: look at the trace; try another sampling.seed, or narrower priors",
+            few(never),
+        )
+    if hardly.any():
+        yield (
+            f"{_count(hardly.sum(), 'walker')} of {of} hardly ever moved: look at the trace; "
+            "raise sampling.max_steps, or give narrower priors",
+            few(hardly),
+        )
 
 
 def _given_up(

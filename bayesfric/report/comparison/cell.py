@@ -89,6 +89,16 @@ def left_open(value: float, span: list[float] | None, why: str = "") -> Cell:
     return Cell(value, "undetermined", span=(low, high), remark=remark)
 
 
+def has_converged(row: PosteriorRow, status: str) -> bool:
+    """Tell whether a number may be told: what ensembles that disagree make is no posterior.
+
+    Of a sampling that did not converge as a whole, some numbers may have; older runs do not say
+    which.
+    """
+    told = status != "unusable" if row.converged is None else row.converged
+    return status == "reliable" or told
+
+
 def posterior_cell(row: PosteriorRow, accounts: bool, status: str = "reliable") -> Cell:
     """Judge one number of a posterior.
 
@@ -99,10 +109,10 @@ def posterior_cell(row: PosteriorRow, accounts: bool, status: str = "reliable") 
     accounts
         Whether the noise model accounts for correlated residuals.
     status
-        Of the sampling. What ensembles that disagree make together is no posterior.
+        Of the sampling; see :func:`has_converged`.
     """
     low, high = row.interval
-    if status == "unusable":
+    if not has_converged(row, status):
         return Cell(row.middle, "undetermined", remark=NOT_CONVERGED, converged=False)
     # as in the words of ``bayesfric fit``: the data say how far from the bound it may be
     if row.at_bound is not None and row.verdict != "data" and told_by_data(row):

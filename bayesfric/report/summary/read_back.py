@@ -64,6 +64,7 @@ class PosteriorRow(Part):
     interval: Pair
     level: Annotated[FiniteFloat, Field(gt=0.0, lt=1.0)]
     verdict: Literal["data", "weak", "prior"]
+    converged: bool | None = None
     symbol: str = ""
     meaning: str = ""
     gauge_free: bool | None = None
