@@ -216,7 +216,8 @@ def _trust(facts: Facts) -> tuple[str, str]:
     if s.status != "reliable":
         return (
             f"No: it is {s.status}.",
-            "The ensembles disagree, or a parameter never moved: do not use these numbers.",
+            "The ensembles disagree, or a parameter never moved: what has not converged by itself "
+            "has no number here, and the rest is provisional.",
         )
     many = f"{_count(s.ensembles)} independent ensembles" if s.ensembles else "independent runs"
     said = f"{capital(many)} of walkers agree"
