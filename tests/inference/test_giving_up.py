@@ -45,16 +45,19 @@ def test_sampling_that_cannot_mix_stops_early_and_says_why():
 
 
 def test_what_only_forgets_its_start_or_may_still_arrive_goes_on():
-    looks = [100, 200, 300, 400, 533, 710]
-    falling = [(n, 1e9 / n) for n in looks]
-    assert not any(hopeless(falling[:k], 4_000) for k in range(1, len(looks) + 1))
-    near = [(n, 7_900.0) for n in looks]
-    assert not any(hopeless(near[:k], 4_000) for k in range(1, len(looks) + 1))
-    far = [(n, 10_000.0) for n in looks]
-    assert [hopeless(far[:k], 4_000) for k in range(1, 7)] == [False] * 3 + [True] * 3
-    # not on what the first few of many steps say, nor against one late look
-    assert not hopeless(far, 8_000)
-    assert not hopeless([*far[:-1], (710, 7_000.0)], 4_000)
+    looks = [1000, 2000, 3000, 4000, 5330, 7100]
+
+    def ends(needed, allowed):
+        seen = list(zip(looks, needed, strict=True))
+        return [hopeless(seen[:k], allowed) for k in range(1, 7)]
+
+    assert not any(ends([1e10 / n for n in looks], 40_000))
+    assert not any(ends([79_000.0] * 6, 40_000))
+    assert ends([100_000.0] * 6, 40_000) == [False] * 3 + [True] * 3
+    # not on what the first few of many steps say, nor against one late look, nor in a short run
+    assert not any(ends([1e6] * 6, 80_000))
+    assert not ends([*[100_000.0] * 5, 70_000.0], 40_000)[-1]
+    assert not hopeless([(100 * k, np.inf) for k in range(1, 5)], 400)
 
 
 def test_one_stuck_walker_of_many_is_a_warning():

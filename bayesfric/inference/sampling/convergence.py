@@ -16,7 +16,8 @@ LONG_ENOUGH = 50.0
 _STUCK, _STUCK_IN_ONE = 0.01, 0.05
 # Looks and share of the steps allowed at least, and how many times these must be too few at all
 # late looks, before a run is given up: a prediction from a short run may be wrong by that much.
-_LOOKS, _LEAST_SHARE, _FAR = 4, 0.1, 2.0
+# A short run is over before that matters.
+_LOOKS, _LEAST_SHARE, _LEAST_STEPS, _FAR = 4, 0.1, 500, 2.0
 # A run that only forgets where it started falls to half in twice the steps; above that it is slow.
 _FALLING = 0.7
 # Walkers of an ensemble whose own autocorrelations are looked at: enough for their mean.
@@ -194,4 +195,5 @@ def hopeless(seen: Sequence[tuple[int, float]], allowed: int) -> bool:
     last = seen[-1][0]
     lately = [needed for steps, needed in seen if 2 * steps >= last]
     far = min(lately) > _FAR * allowed and lately[-1] >= _FALLING * lately[0]
-    return len(seen) >= _LOOKS and last >= _LEAST_SHARE * allowed and far
+    least = max(_LEAST_STEPS, _LEAST_SHARE * allowed)
+    return len(seen) >= _LOOKS and last >= least and far

@@ -185,7 +185,7 @@ def sample(
         learning.move = _learned(target, half, warm)
     # Where the posterior really lies, a likelihood can be prepared best.
     target = target.prepared(_spread_out(half))
-    frozen = _learned(target, half, warm)
+    frozen = _learned(target, half, warm, last=True)
     moves = [
         (frozen, 1.0 - _OTHERWISE),
         (DifferentialEvolutionMove(settings.ensembles), _OTHERWISE),
@@ -380,10 +380,12 @@ class _Ensembles:
         return np.asarray(self._sampler.acceptance_fraction).reshape(self._shape[:2])
 
 
-def _learned(target: Target, half: Array, warm: _Ensembles) -> IndependenceMove | SurrogateMove:
+def _learned(
+    target: Target, half: Array, warm: _Ensembles, *, last: bool = False
+) -> IndependenceMove | SurrogateMove:
     """Make the best proposal that the second half of a warm-up's steps allows."""
     states = half.reshape(-1, target.dimension)
-    proposal = Proposal.fitted(states)
+    proposal = Proposal.fitted(states, last=last)
     if target.likelihood.method != "input-error":
         heights = warm.log_density()[:, :, -half.shape[2] :].ravel()
         surrogate = Surrogate.fitted(target.log_prior_in_coordinates, states, heights)
