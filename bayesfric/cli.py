@@ -36,6 +36,9 @@ Seed = Annotated[
     int | None, typer.Option(min=0, max=2**63 - 1, help="replaces the configuration's seed")
 ]
 Force = Annotated[bool, typer.Option("--force", help="keep an old run under another name")]
+OutputError = Annotated[
+    bool, typer.Option("--output-error", help="with the output-error estimate, which simulates")
+]
 Resume = Annotated[bool, typer.Option("--resume", help="go on with an interrupted run")]
 RunOption = Annotated[Path | None, typer.Option("-o", "--output", help="run directory to make")]
 
@@ -197,13 +200,21 @@ def fit(
     seed: Seed = None,
     resume: Resume = False,
     force: Force = False,
+    output_error: OutputError = False,
     as_json: AsJson = False,
 ) -> None:
     """Sample the posterior and write the run directory."""
     from bayesfric.config import read_config
 
-    folder = output or Path(f"{config.stem}-run")
-    _fit(lambda: read_config(config), folder, as_json, seed=seed, resume=resume, force=force)
+    _fit(
+        lambda: read_config(config),
+        output or Path(f"{config.stem}-run"),
+        as_json,
+        seed=seed,
+        resume=resume,
+        force=force,
+        output_error=output_error,
+    )
 
 
 @app.command()

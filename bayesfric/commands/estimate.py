@@ -12,6 +12,7 @@ from bayesfric.errors import BadInput
 from bayesfric.estimates.estimate import METHODS, Estimate, Method
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.least_squares import least_squares
+from bayesfric.estimates.options import Estimation
 from bayesfric.estimates.output_error import output_error
 from bayesfric.inference.beforehand import beforehand
 from bayesfric.recordings.trajectory import trajectory
@@ -54,32 +55,40 @@ def estimates(
             if "input-error" in methods:
                 found.append(direct)
             if "output-error" in methods:
-                found.append(_output_error(problem, direct, progress))
+                found.append(_output_error(problem, direct, options, progress))
     return found
 
 
-def _output_error(problem: Problem, start: Estimate, progress: Callable[[str], None]) -> Estimate:
+def _output_error(
+    problem: Problem, start: Estimate, options: Estimation, progress: Callable[[str], None]
+) -> Estimate:
     progress("output-error")
     whole = [
         trajectory(recording, observation, np.inf)
         for recording, observation in zip(problem.recordings, problem.observations, strict=True)
     ]
     knowledge = beforehand(problem.chain, problem.priors)
-    options = problem.config.tables.estimation
     return output_error(problem.chain, whole, problem.observations, knowledge, options, start)
 
 
-def estimates_where_possible(
-    problem: Problem, progress: Callable[[str], None] = lambda _: None
+def estimates_beside(
+    problem: Problem, *, simulate: bool, progress: Callable[[str], None] = lambda _: None
 ) -> tuple[list[Estimate], list[str]]:
-    """Estimate by every method that can be used, with a sentence for each that cannot.
+    """Estimate what stands beside a posterior, with a sentence for what cannot be had.
 
-    For a posterior, beside which the estimates stand: a mechanism that cannot be
-    simulated still has one.
+    The output error simulates. It is asked for, or its likelihood needs a place to start from:
+    then however long it takes, as sampling that goes on later must start from the same place.
+    A mechanism that cannot be simulated still has a posterior of the torque.
     """
+    tables = problem.config.tables
+    options = tables.estimation
     found = estimates(problem, ("least-squares", "input-error"), progress=progress)
+    if tables.likelihood.method == "output-error":
+        options = options.model_copy(update={"max_seconds": np.inf})
+    elif not (simulate or options.output_error):
+        return found, []
     try:
-        return [*found, _output_error(problem, found[-1], progress)], []
+        return [*found, _output_error(problem, found[-1], options, progress)], []
     except BadInput as error:
         return found, [f"no output-error estimate: {error.what}"]
 
@@ -104,7 +113,7 @@ def estimate_text(found: Sequence[Estimate], problem: Problem) -> Iterator[str]:
         )
         yield f"  {'':<30} {'value':>11}   {'sd':>9}   {'sd HAC':>9}   {'sd %':>6}"
         for v in estimate.values:
-            yield "  " + _row(v, references.get(v.name))
+            yield "  " + _row(v, references.get(v.name), estimate.converged)
         for note in estimate.notes:
             yield f"  {note}"
         yield ""
@@ -117,9 +126,11 @@ _TITLES: dict[Method, str] = {
 }
 
 
-def _row(v: Any, reference: dict[str, Any] | None) -> str:
+def _row(v: Any, reference: dict[str, Any] | None, converged: bool) -> str:
     beside = f"   {reference['source']}: {reference['value']:.5g}" if reference else ""
     unit = f" {v.unit}" if v.unit else ""
+    if not converged:
+        return f"{v.name:<30} {'-':>11}   not converged{unit}{beside}"
     if v.at_bound:
         return f"{v.name:<30} {v.value:>11.5g}   on its {v.at_bound} bound{unit}{beside}"
     if not v.determined:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from bayesfric.commands.estimate import estimates_where_possible
+from bayesfric.commands.estimate import estimates_beside
 from bayesfric.commands.identify import open_directions
 from bayesfric.commands.problem import Problem, read_problem
 from bayesfric.commands.unfinished import Unfinished, unfinished
@@ -22,7 +22,7 @@ from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Progress, Sampling, phase
 from bayesfric.inference.target import Target
 from bayesfric.report.alerts import DOUBTS, alerts_of
-from bayesfric.report.comparison.cell import DOUBTFUL, TOGETHER
+from bayesfric.report.comparison.cell import DOUBTFUL, TOGETHER, posterior_cells
 from bayesfric.report.run_directory import check_free, write_run
 from bayesfric.report.summary.bounds import bound_mend, told_by_data
 from bayesfric.report.summary.doubts import find_doubts, put_doubts
@@ -43,6 +43,7 @@ def fit(
     seed: int | None = None,
     resume: bool = False,
     force: bool = False,
+    output_error: bool = False,
     progress: Callable[[Progress], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Fit a configuration and write the run directory.
@@ -60,6 +61,8 @@ def fit(
     force
         Keep what stands there, and an interrupted run's checkpoint, under other names
         and start afresh.
+    output_error
+        Make the output-error estimate too, as ``estimation.output_error`` asks for it.
     progress
         Called as sampling goes on.
 
@@ -79,13 +82,14 @@ def fit(
     # who resumes has an old run kept, if --force came with the first command
     check_free(folder, force=force or resume)
     with unfinished(folder, resume=resume, force=force) as run:
-        return _fit(config, folder, seed, progress, run)
+        return _fit(config, folder, seed, output_error, progress, run)
 
 
 def _fit(
     config: Config,
     folder: Path,
     seed: int | None,
+    output_error: bool,
     progress: Callable[[Progress], None],
     run: Unfinished,
 ) -> dict[str, Any]:
@@ -93,7 +97,8 @@ def _fit(
     recordings = [*problem.recordings, *(one.recording for one in problem.held_out)]
     source = config.origin_of(recordings)
     sampling = _settings(config, seed)
-    made = _sampled(problem, sampling, progress, run.sampling("posterior", problem, sampling))
+    kept = run.sampling("posterior", problem, sampling)
+    made = _sampled(problem, sampling, output_error, progress, kept)
     result = made.fit
     summary = summarise(result, problem.references(), made.choice)
     compared = None
@@ -135,13 +140,14 @@ def posterior(
     config: Config,
     *,
     seed: int | None = None,
+    output_error: bool = False,
     progress: Callable[[Progress], None] = lambda _: None,
 ) -> Fit:
     """Sample the posterior of a configuration, the one :func:`fit` writes, and write nothing.
 
     Parameters
     ----------
-    config, seed, progress
+    config, seed, output_error, progress
         As for :func:`fit`.
 
     Returns
@@ -154,7 +160,7 @@ def posterior(
     BadInput
         For anything that cannot be used.
     """
-    return _sampled(read_problem(config), _settings(config, seed), progress).fit
+    return _sampled(read_problem(config), _settings(config, seed), output_error, progress).fit
 
 
 @dataclass(frozen=True)
@@ -175,12 +181,15 @@ def _settings(config: Config, seed: int | None) -> Sampling:
 def _sampled(
     problem: Problem,
     sampling: Sampling,
+    output_error: bool,
     progress: Callable[[Progress], None],
     checkpoint: Checkpoint | None = None,
 ) -> _Sampled:
     """Estimate, choose the noise, sample, and predict what was held out."""
-    found, missing = estimates_where_possible(
-        problem, lambda method: progress(phase(f"{method} estimate"))
+    found, missing = estimates_beside(
+        problem,
+        simulate=output_error,
+        progress=lambda method: progress(phase(f"{method} estimate")),
     )
     points = [dict(e.point) for e in found if e.point]
     choice = problem.noise_choice(points[0])
@@ -224,17 +233,22 @@ def fit_text(summary: dict[str, Any], folder: Path) -> Iterator[str]:
     yield from (f"  {one.text}" for one in alerts if one.kind in first)
     yield ""
     combined = {name: row for name, row in summary["derived"].items() if row["gauge_free"]}
-    if sampler["status"] == "unusable":
-        yield "No intervals: what ensembles make that disagree, or stand still, is no posterior."
-    else:
-        if combined:
-            yield "What the motor feels, whatever the scale (90 % intervals)"
-            for name, row in combined.items():
-                yield from _row(name, row)
+    sound = {name for name, cell in posterior_cells(summary).items() if cell.converged}
+    for title, rows in (
+        ("What the motor feels, whatever the scale", combined),
+        ("Parameters", summary["parameters"]),
+    ):
+        if sound & set(rows):
+            yield f"{title} (90 % intervals)"
+            for name in rows:
+                if name in sound:
+                    yield from _row(name, rows[name])
             yield ""
-        yield "Parameters (90 % intervals)"
-        for name, row in summary["parameters"].items():
-            yield from _row(name, row)
+    if lost := [name for name in [*combined, *summary["parameters"]] if name not in sound]:
+        yield (
+            "No intervals: what ensembles make that disagree, or stand still, is no posterior. "
+            f"Not converged: {', '.join(lost)}"
+        )
     for direction in summary["identifiability"]["null_directions"]:
         yield ""
         yield f"No recording of this kind can tell: {direction['meaning']}."

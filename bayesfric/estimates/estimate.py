@@ -84,6 +84,8 @@ class Estimate:
         What a user should know of how it came about, one sentence each.
     point
         Value of every chain parameter, known ones included; empty for least squares.
+    converged
+        Whether the search ended at a minimum; ``values`` have no sds where it did not.
     """
 
     method: Method
@@ -94,6 +96,7 @@ class Estimate:
     residual_unit: str = "N m"
     notes: tuple[str, ...] = ()
     point: tuple[tuple[str, float], ...] = ()
+    converged: bool = True
 
     def __getitem__(self, name: str) -> EstimatedValue:
         for value in self.values:

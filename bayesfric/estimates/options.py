@@ -20,6 +20,19 @@ class Estimation(BaseModel):
     )
     starts: int = Field(8, ge=1, le=1000, description="random starts beside the derived ones")
     seed: int = Field(1, ge=0, lt=2**63, description="of the random starts")
+    output_error: bool = Field(
+        False,
+        description="whether 'fit' makes the output-error estimate beside the posterior, as with "
+        "--output-error; it simulates, and may take many times as long as the posterior",
+    )
+    max_seconds: float = Field(
+        60.0,
+        gt=0,
+        le=1e9,
+        description="CPU time that the output-error estimate may take, s; what it has by then is "
+        "marked as not converged, and is another one on another machine. An output-error "
+        "likelihood starts from that estimate, and allows it all it needs",
+    )
     segment: float | None = Field(
         None,
         gt=0,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -112,7 +113,7 @@ def output_error(
         found = problem.fit(begin, lengths[0])
         if found is not None and (best is None or found.solution.cost < best.solution.cost):
             best = found
-        if best is not None and best.solution.converged:
+        if best is not None and (best.solution.converged or problem.late):
             break
     if best is None:
         raise BadInput(
@@ -122,6 +123,8 @@ def output_error(
         )
     fits = [best]
     for length in lengths[1:]:
+        if problem.late:
+            break
         longer = problem.fit(fits[-1].solution.values, length)
         if longer is not None:
             fits.append(longer)
@@ -185,8 +188,14 @@ class OutputError:
         self.columns = np.array([chain.names.index(n) for n in self.free], dtype=np.int64)
         self.limits = knowledge.limits(chain)
         self.scalings = open_scalings(chain, knowledge, observations)
+        self.deadline = time.process_time() + options.max_seconds
         # sd of the rounding to counts: no position is measured better
         self.grain = np.array([resolution(t.position[t.samples]) for t in trajectories]) / 12**0.5
+
+    @property
+    def late(self) -> bool:
+        """Whether the time for the search is over."""
+        return time.process_time() >= self.deadline
 
     def distance(self, values: Array, length: float) -> float:
         """Sum of squares at a start, states fitted; infinite where it cannot be simulated."""
@@ -287,14 +296,24 @@ class OutputError:
         # of residuals that are rounding anyway nothing is left to gain
         variance = float(np.mean(solution.residual**2))
         rounding = 1e-12 * fit.frame.span**2
-        lost = not solution.converged and solution.gain * variance > _LEFT * max(variance, rounding)
-        if lost:
+        near = solution.gain * variance <= _LEFT * max(variance, rounding)
+        converged = solution.converged or (near and not self.late)
+        if not converged:
             values = tuple(replace(v, sd=np.nan, sd_robust=np.nan, span=None) for v in values)
-            notes.insert(
-                0,
-                f"NOT CONVERGED: the search stopped after {solution.iterations} steps in a place "
-                "that is no minimum; these numbers are no estimate (another segment length, or "
-                "longer recordings, may help)",
+            steps = f"the search stopped after {solution.iterations} steps"
+            allowed = f"{self.options.max_seconds:g} s of CPU time"
+            why = (
+                f"the search was stopped after {allowed}; these numbers are no estimate (raise "
+                "estimation.max_seconds, or give fewer recordings)"
+                if self.late
+                else f"{steps} in a place that is no minimum; these numbers are no estimate "
+                "(another segment length, or longer recordings, may help)"
+            )
+            notes.insert(0, f"NOT CONVERGED: {why}")
+        elif self.late:
+            notes.append(
+                f"estimation.max_seconds = {self.options.max_seconds:g} ended the search before "
+                "all segment lengths were compared"
             )
         return Estimate(
             method="output-error",
@@ -306,6 +325,7 @@ class OutputError:
             residual_unit=unit,
             notes=tuple(notes),
             point=tuple(zip(self.chain.names, solution.values.tolist(), strict=True)),
+            converged=converged,
         )
 
     def _why(self, others: Sequence[Fit]) -> str:
@@ -333,6 +353,7 @@ class OutputError:
             targets,
             speed=max(float(np.sqrt(np.mean(speeds**2))), 1e-12),
             span=max(float(np.ptp(t.position)) for t in self.trajectories) or 1e-12,
+            deadline=self.deadline,
         )
 
     def _units(self, values: Array) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -52,6 +54,8 @@ class Frame:
         Rows ``1/sd`` ``(k, d)`` and ``mean/sd`` of what is known of parameters besides.
     speed, span
         Typical speed and range of the position, for the size of state steps.
+    deadline
+        CPU time of the process, s, at which a descent ends where it is.
     """
 
     shooting: Shooting
@@ -63,6 +67,7 @@ class Frame:
     targets: Array
     speed: float
     span: float
+    deadline: float = math.inf
 
     @property
     def state_steps(self) -> tuple[float, float]:
@@ -122,7 +127,8 @@ class Solution:
     iterations
         Jacobians it took.
     converged
-        Whether the last step was as small as wanted or nothing smaller could be found.
+        Whether the last step was as small as wanted or nothing smaller could be found; not
+        where time ran out.
     """
 
     values: Array
@@ -295,6 +301,8 @@ def descend(frame: Frame, weights: Weights, values: Array, states: Array) -> Sol
     at = Solution(values, states, residual, cost, np.inf, 0, False)
     damping = 1e-3
     for iteration in range(1, _MAX_ITERATIONS + 1):
+        if time.process_time() >= frame.deadline:
+            return at
         linear = Linearised(
             frame, at.values, at.states, weights.irls(at.residual), weights.sigma, central=False
         )

@@ -219,13 +219,15 @@ def fit(
         estimates = (least_squares(likelihood.chain, likelihood.observations),)
     progress(Progress("searching the mode", 0, float("nan"), float("nan")))
     rng = np.random.default_rng(np.random.SeedSequence(sampling.seed, spawn_key=(2**31,)))
-    points = _points(target, estimates)
+    # what only stands beside the posterior, and may be cut off by the clock, must not move it
+    begin = [e for e in estimates if e.method != "output-error" or e.method == likelihood.method]
+    points = _points(target, begin)
     target = target.uncut_at(points[0])
     prior_draws = np.stack([prior.draw(500, rng) for prior in target.priors], axis=1)
     try:
-        candidates = _candidates(target, estimates, points, prior_draws)
+        candidates = _candidates(target, begin, points, prior_draws)
         # these searched from several starts themselves, and are beside the mode already
-        near = any(e.point for e in estimates)
+        near = any(e.point for e in begin)
         prior_places = target.from_parameters(prior_draws)
         best = candidates[np.argmax(target(candidates))]
         target = _prepared(target, gauss_newton(target, best, prior_places), rng)

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from bayesfric.inference.prior.priors import Prior
 
+# Independent draws that the ends of a 90 % interval take: they are then right to a tenth of a sd.
+_SOUND_ESS = 400.0
+
 Status = Literal["reliable", "tentative", "unusable"]
 
 
@@ -43,6 +46,8 @@ class Diagnostics:
         :mod:`bayesfric.inference.sampling.no_number`.
     warnings
         What to know of a sample that has converged, with the mend.
+    max_rhat
+        Largest nested R-hat that was accepted.
     """
 
     status: Status
@@ -60,6 +65,13 @@ class Diagnostics:
     seconds: float
     not_finite_share: float = 0.0
     warnings: tuple[str, ...] = ()
+    max_rhat: float = 1.01
+
+    def sound(self, rhat: NDArray[np.float64], ess: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Whether numbers with these diagnostics may be told, whatever the others do."""
+        if self.status == "reliable":
+            return np.ones(rhat.shape, dtype=np.bool_)
+        return np.asarray((rhat <= self.max_rhat) & (ess >= _SOUND_ESS))
 
 
 @dataclass(frozen=True)

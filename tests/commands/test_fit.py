@@ -249,3 +249,27 @@ def test_the_demo_finds_the_truth(bench):
         row = summary["derived"][name]
         assert row["gauge_free"]
         assert abs(row["mean"] - value) < 4 * row["sd"], (name, value, row["mean"], row["sd"])
+
+
+def estimated(bench, folder, *options, more=""):
+    few(bench, folder, FEW + more)
+    run = f"run {len(list(bench.folder.iterdir()))}"
+    ended = bench.run("fit", "few.toml", "-o", run, "--json", *options)
+    assert ended.code == 3, ended
+    return json.loads(ended.out), draws(bench.folder / run)
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_fit_simulates_for_an_estimate_only_when_asked_and_the_posterior_is_the_same(bench, folder):
+    key = "\n[estimation]\noutput_error = true\n"
+    (plain, first), *asked = (
+        estimated(bench, folder),
+        estimated(bench, folder, "--output-error"),
+        estimated(bench, folder, more=key),
+    )
+    assert set(plain["estimates"]) == {"least-squares", "input-error"}
+    for summary, found in asked:
+        assert set(summary["estimates"]) == {"least-squares", "input-error", "output-error"}
+        assert summary["estimates"]["output-error"]["converged"]
+        for name, values in first.items():
+            np.testing.assert_array_equal(found[name], values, err_msg=name)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+import time
 
 import numpy as np
 import pytest
@@ -215,3 +216,22 @@ def test_a_joint_that_runs_away_is_refused():
     mad = dataclasses.replace(trajectory, torque=np.full_like(torque, 1e12))
     with pytest.raises(BadInput, match="cannot be simulated"):
         output_error(chain, [mad], [observation], Knowledge(), Estimation(), start(chain, values))
+
+
+def test_at_its_time_limit_it_gives_the_best_so_far_marked():
+    chain, values, torque, q = simulated("motor-axis")
+    trajectory, observation = prepare(q, torque)
+    begin = start(chain, values, 0.2)
+    for seconds in (1e-9, 0.02):
+        options = Estimation(max_seconds=seconds)
+        began = time.process_time()
+        found = output_error(chain, [trajectory], [observation], Knowledge(), options, begin)
+        assert time.process_time() - began < 5.0
+        assert not found.converged
+        assert "NOT CONVERGED" in found.notes[0]
+        assert "estimation.max_seconds" in found.notes[0]
+        assert not any(value.determined for value in found.values)
+        assert set(dict(found.point)) == set(chain.names)
+    assert output_error(
+        chain, [trajectory], [observation], Knowledge(), Estimation(), begin
+    ).converged

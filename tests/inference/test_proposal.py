@@ -55,15 +55,19 @@ def test_draws_come_from_that_density():
         assert stats.kstest(draws @ direction, cdf).pvalue > 1e-4
 
 
-def test_it_follows_a_bent_posterior_better_than_a_normal():
-    """Draws of y = x²/2 + noise: importance weights must be more even than a normal's."""
+@pytest.mark.parametrize(("bend", "width", "finer"), [(0.5, 0.7, 1.0), (1.0, 0.3, 2.0)])
+def test_it_follows_a_bent_posterior_better_than_a_normal(bend, width, finer):
+    """Draws of y = bend x² + noise: importance weights must be more even than a normal's.
+
+    The last fit, all draws come from it, is the finer the more it bends.
+    """
     rng = np.random.default_rng(6)
 
     def log_density(z):
-        return stats.norm.logpdf(z[:, 0]) + stats.norm(0.5 * z[:, 0] ** 2, 0.7).logpdf(z[:, 1])
+        return stats.norm.logpdf(z[:, 0]) + stats.norm(bend * z[:, 0] ** 2, width).logpdf(z[:, 1])
 
     x = rng.normal(size=20_000)
-    draws = np.stack([x, 0.5 * x**2 + 0.7 * rng.normal(size=x.size)], axis=1)
+    draws = np.stack([x, bend * x**2 + width * rng.normal(size=x.size)], axis=1)
 
     def efficiency(proposal):
         z = proposal.draw(20_000, np.random.RandomState(7))
@@ -71,7 +75,9 @@ def test_it_follows_a_bent_posterior_better_than_a_normal():
         return w.sum() ** 2 / (w**2).sum() / w.size
 
     plain = Proposal.normal(draws.mean(axis=0), np.cov(draws.T))
-    assert efficiency(Proposal.fitted(draws)) > 1.2 * efficiency(plain)
+    learned, last = Proposal.fitted(draws), Proposal.fitted(draws, last=True)
+    assert efficiency(learned) > 1.2 * efficiency(plain)
+    assert efficiency(last) > finer * efficiency(learned)
 
 
 @pytest.mark.parametrize("scale", [1e-12, 1.0, 1e9])

@@ -119,9 +119,10 @@ class OneSpike(Normal):
     """The first walker's start is a spike that no proposal beats: it stays there for ever."""
 
     spike = np.full(2, np.nan)
+    walkers = SHORT.walkers
 
     def height(self, u):
-        if len(u) == SHORT.walkers and np.isnan(self.spike).all():
+        if len(u) == self.walkers and np.isnan(self.spike).all():
             self.spike = u[0].copy()
         return np.where((u == self.spike).all(axis=1), 20.0, super().height(u))
 

@@ -158,6 +158,15 @@ def loaded():
     return run
 
 
+def failed(summary, *sound):
+    """Return what the same run writes whose ensembles disagree on all but ``sound``."""
+    run = copy.deepcopy(summary)
+    run["sampler"]["status"] = "unusable"
+    for name, row in [*run["derived"].items(), *run["parameters"].items()]:
+        row["converged"] = name in sound
+    return run
+
+
 def write_draws(path, summary):
     """Write normal draws of every number, with its mean and sd, as a posterior.nc holds them."""
     rng = np.random.default_rng(8)

@@ -8,13 +8,14 @@ from bayesfric.commands.fit import fit_text
 from bayesfric.inference.fit import fit, make_target, read_priors
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.bounds import bound_mend, bound_warning
 from bayesfric.report.summary.read_back import PosteriorRow
 from bayesfric.report.summary.summary import summarise
 
-from .made_summaries import knee, posterior_row
+from .made_summaries import failed, knee, posterior_row
 from .page_reader import read_page
 
 AXIS = PRESETS["motor-axis"]
@@ -107,8 +108,29 @@ def test_an_unusable_run_prints_no_interval(summaries):
 
     assert shown(list(fit_text(summary, "run"))) == set(names)
     problem = "the ensembles disagree on motor.inertia: raise sampling.max_steps"
-    summary["sampler"] |= {"status": "unusable", "problems": [problem]}
-    text = list(fit_text(summary, "run"))
+    summary["sampler"]["problems"] = [problem]
+    text = list(fit_text(failed(summary), "run"))
     assert text[1].strip() == problem
     assert any(line.startswith("No intervals") for line in text)
     assert shown(text) == set()
+
+
+@pytest.mark.parametrize("status", ["tentative", "unusable"])
+def test_of_a_run_that_did_not_converge_what_is_sound_is_shown(summaries, tmp_path, status):
+    summary = failed(summaries["wide"], "motor.inertia")
+    summary["sampler"]["status"] = status
+    names = [*summary["parameters"], *summary["derived"]]
+    text = list(fit_text(summary, "run"))
+    starts = [line.split()[0] for line in text if line.startswith("  ") and "[" in line]
+    assert starts == ["motor.inertia"]
+    (told,) = [line for line in text if line.startswith("No intervals")]
+    told = told.partition("Not converged: ")[2].split(", ")
+    assert {"motor.viscous", "motor.coulomb"} <= set(told) <= set(names) - {"motor.inertia"}
+    for row in parameter_table(summary).rows:
+        assert row.cell.converged == (row.name == "motor.inertia")
+    cells = posterior_cells(summary)
+    assert cells["motor.inertia"].interval is not None
+    assert cells["motor.viscous"].interval is None
+    (first,) = read_page(run_page(tmp_path, summary, "run")).all("section", id="findings")
+    assert "Not converged, and without a number here: motor.viscous" in first.text
+    assert "says nothing" not in first.text

@@ -20,7 +20,7 @@ from bayesfric.report.comparison.table import (
     comparison_text,
     number,
 )
-from bayesfric.report.paper.tables import parameter_table
+from bayesfric.report.paper.tables import methods_latex, parameter_table
 
 from .made_summaries import (
     DERIVED,
@@ -254,6 +254,42 @@ def test_one_open_column_of_a_run_withholds_the_others_of_what_scaling_changes()
     assert cells["input-error"].status == "undetermined"
     assert cells["input-error"].sd is None
     assert "output-error" in cells["input-error"].remark
+
+
+def lost(run, method="output-error"):
+    """Make an estimate one whose search ended at no minimum, as ``estimate_summary`` writes it."""
+    table = run["estimates"][method]
+    table["converged"] = False
+    for row in table["parameters"].values():
+        row |= {"sd": None, "sd_robust": None, "determined": False, "span": None}
+    return run
+
+
+def test_an_estimate_that_did_not_converge_is_told_in_its_own_column_only():
+    sound, told = comparison({"a": loaded()}), comparison({"a": lost(loaded())})
+    for name in (*TOTALS, *DERIVED, *MOTOR, *LEG):
+        cells = dict(told[name].cells)
+        cell = cells.pop("output-error")
+        assert (cell.status, cell.converged) == ("undetermined", False)
+        assert cell.remark == "the search has not converged"
+        assert cells == {k: c for k, c in sound[name].cells.items() if k != "output-error"}
+    printed = methods_latex(told)
+    assert "n.c.: not converged" in printed
+    assert "not determined" not in printed
+    assert printed.count("n.c. ") == len(told.rows)
+
+
+def test_a_posteriors_own_verdict_stands():
+    """The data alone leave it open, a prior does not: that is what the posterior says."""
+    run = loaded()
+    for method in ("input-error", "output-error"):
+        row = run["estimates"][method]["parameters"]["load.inertia"]
+        row |= {"determined": False, "sd": None, "sd_robust": None}
+    run["parameters"]["load.inertia"]["verdict"] = "weak"
+    cells = comparison({"a": run})["load.inertia"].cells
+    assert cells["posterior"].status == "determined"
+    assert cells["posterior"].interval == tuple(run["parameters"]["load.inertia"]["interval"])
+    assert cells["input-error"].status == "undetermined"
 
 
 def test_another_run_that_determines_it_shows_it():

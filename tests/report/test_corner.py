@@ -10,6 +10,7 @@ from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.summary import summarise
 
 from .conftest import draw_fast
+from .made_summaries import failed
 
 
 def panels(figure):
@@ -93,9 +94,7 @@ def test_a_limit_has_one_end(knee):
 
 
 def test_ensembles_that_disagree_determine_nothing(knee):
-    summary = summarise(knee)
-    summary["sampler"]["status"] = "unusable"
-    figure = corner_figure(knee, summary)
+    figure = corner_figure(knee, failed(summarise(knee)))
     for k in range(8):
         assert "posterior" not in {a.get_gid() for a in panels(figure)[k, k].get_children()}
     (legend,) = figure.legends

@@ -218,3 +218,16 @@ def test_same_summaries_same_bytes_whatever_the_readers_style(tmp_path):
     for suffix in ("pdf", "png"):
         one, two = ((tmp_path / f"{name}.{suffix}").read_bytes() for name in ("one", "two"))
         assert one == two
+
+
+def test_an_estimate_that_did_not_converge_says_so_and_takes_no_other_bar():
+    run = loaded()
+    run["estimates"]["output-error"]["converged"] = False
+    figure = forest_figure(comparison({"a": run}))
+    for name, ax in panels(figure).items():
+        if name not in TOTALS:  # least squares has no others
+            continue
+        words = [t.get_text() for t in ax.texts if isinstance(t, Annotation)]
+        assert words.count("not converged") == 1
+        assert "not determined" not in words
+        assert {y for _, y in drawn(ax, "thick")} == {3.0, 2.0, 0.0}

@@ -11,6 +11,7 @@ from bayesfric.report.figures.style import PAGE
 from bayesfric.report.summary.summary import summarise
 
 from .conftest import draw_fast
+from .made_summaries import failed
 
 
 @pytest.fixture(scope="module")
@@ -77,8 +78,7 @@ def test_a_constant_parameter(make_fit):
 
 def test_ensembles_that_disagree_determine_nothing(drawn):
     fit, summary, _ = drawn
-    other = summary | {"sampler": summary["sampler"] | {"status": "unusable"}}
-    figure = prior_posterior_figure(fit, other)
+    figure = prior_posterior_figure(fit, failed(summary))
     for ax in figure.axes:
         assert text(ax, "verdict") == ["NOT converged"]
         assert [p.get_gid() for p in ax.patches if p.get_hatch()] == ["open"]

@@ -389,3 +389,27 @@ def test_a_linearisation_that_matters_is_told(knee_alone, changes, told):
     summary = summarise(replace(knee_alone[0], linearisation=changes))
     assert any("linearised" in text and "57" in text for text in summary["warnings"]) == told
     assert summary["likelihood"].get("linearisation") == changes
+
+
+def test_what_has_converged_by_itself_is_told_where_the_whole_has_not(make_fit):
+    """Ensembles apart in the first parameter: only what is made of it is lost."""
+    fit = make_fit(samples=400)
+    assert all(row["converged"] for row in summarise(fit)["parameters"].values())
+    posterior = fit.posterior
+    d = posterior.diagnostics
+    rhat = d.rhat.copy()
+    rhat[0] = 1.3
+    draws = posterior.draws.copy()
+    draws[..., 0] *= np.linspace(1.0, 9.0, len(draws))[:, None, None]
+    lost = replace(
+        posterior,
+        draws=draws,
+        diagnostics=replace(d, status="unusable", rhat=rhat, ess=np.full(rhat.size, 900.0)),
+    )
+    summary = summarise(replace(fit, posterior=lost))
+    first, *others = posterior.names
+    assert not summary["parameters"][first]["converged"]
+    assert all(summary["parameters"][name]["converged"] for name in others)
+    sound = {name for name, row in summary["derived"].items() if row["converged"]}
+    assert sound
+    assert set(summary["derived"]) - sound

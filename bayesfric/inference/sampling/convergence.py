@@ -2,10 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+# A run is trusted when it is this many autocorrelation times long.
+LONG_ENOUGH = 50.0
+# Share of all walkers that may be left out where they never moved: if each stood for its share
+# of the posterior, a 90 % interval of the others still held 89 %. And of an ensemble, so that
+# each is still there to be compared.
+_STUCK, _STUCK_IN_ONE = 0.01, 0.05
+# Looks and share of the steps allowed at least, and how many times these must be too few at all
+# late looks, before a run is given up: a prediction from a short run may be wrong by that much.
+# A short run is over before that matters.
+_LOOKS, _LEAST_SHARE, _LEAST_STEPS, _FAR = 4, 0.1, 500, 2.0
+# A run that only forgets where it started falls to half in twice the steps; above that it is slow.
+_FALLING = 0.7
 # Walkers of an ensemble whose own autocorrelations are looked at: enough for their mean.
 _WALKERS = 64
 
@@ -118,3 +132,68 @@ def effective_sample_size(
     """
     ensembles, walkers, steps, _ = draws.shape
     return np.asarray(ensembles * walkers * steps / tau)
+
+
+def left_out(acceptance: NDArray[np.float64]) -> int:
+    """Count the walkers that never moved, where they are so few that the others tell all.
+
+    Parameters
+    ----------
+    acceptance
+        Accepted share of each walker's proposals, ``(ensembles, walkers)``.
+    """
+    stuck = acceptance == 0.0
+    return int(stuck.sum()) if few(stuck) else 0
+
+
+def few(walkers: NDArray[np.bool_]) -> bool:
+    """Tell whether these walkers, ``(ensembles, walkers)``, are too few to change an interval."""
+    return bool(walkers.mean() <= _STUCK and walkers.mean(axis=1).max() <= _STUCK_IN_ONE)
+
+
+def without_stuck(
+    draws: NDArray[np.float64], acceptance: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Leave those walkers out, and of the other ensembles as many: all have the same number.
+
+    Parameters
+    ----------
+    draws
+        ``(ensembles, walkers, ...)``
+    acceptance
+        See :func:`left_out`.
+    """
+    if not left_out(acceptance):
+        return draws
+    moved = acceptance > 0.0
+    kept = int(moved.sum(axis=1).min())
+    return np.stack([own[np.flatnonzero(m)[:kept]] for own, m in zip(draws, moved, strict=True)])
+
+
+def steps_needed(
+    steps: int, rhat: NDArray[np.float64], max_rhat: float, tau: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Predict after how many steps each parameter would have converged, ``(d,)``.
+
+    The variance between ensembles falls with the number of steps; an autocorrelation time
+    that is not yet seen whole grows with it, so for what mixes slowly this is too few.
+    """
+    agree = steps * (rhat**2 - 1.0) / (max_rhat**2 - 1.0)
+    return np.maximum(agree, LONG_ENOUGH * tau)
+
+
+def hopeless(seen: Sequence[tuple[int, float]], allowed: int) -> bool:
+    """Tell whether a run cannot converge in the steps allowed, and does not come nearer to it.
+
+    Parameters
+    ----------
+    seen
+        Steps, and the steps needed as predicted then, of every look so far.
+    allowed
+        Steps that may be made in all.
+    """
+    last = seen[-1][0]
+    lately = [needed for steps, needed in seen if 2 * steps >= last]
+    far = min(lately) > _FAR * allowed and lately[-1] >= _FALLING * lately[0]
+    least = max(_LEAST_STEPS, _LEAST_SHARE * allowed)
+    return len(seen) >= _LOOKS and last >= least and far

@@ -14,8 +14,13 @@ Array = NDArray[np.float64]
 # covariance, or it would learn the draws and not the posterior.
 _MOST_COMPONENTS = 3
 _DRAWS_AN_ENTRY = 10
+# The last fit, which all draws are proposed from, may be finer: in the bent tails of a knee with
+# an encoder three components are too thin, and walkers stay there for thousands of steps.
+_MOST_COMPONENTS_LAST = 6
+_DRAWS_AN_ENTRY_LAST = 5
 # Draws that a fit looks at, and rounds it takes at most.
 _LOOKED_AT = 8000
+_LOOKED_AT_LAST = 20_000
 _ROUNDS = 60
 # A round that gains less log-likelihood a draw ends the fit.
 _GAIN = 1e-4
@@ -70,7 +75,7 @@ class Proposal:
         return cls(np.ones(1), mean[None], root[None], mean, root)
 
     @classmethod
-    def fitted(cls, draws: Array) -> Proposal:
+    def fitted(cls, draws: Array, *, last: bool = False) -> Proposal:
         """Fit by expectation and maximisation (Dempster et al. 1977).
 
         The components start as slices across the direction in which the draws are most skewed.
@@ -79,17 +84,22 @@ class Proposal:
         ----------
         draws
             ``(n, d)``, from warm-up.
+        last
+            Whether this is the one to be frozen.
         """
+        most = _MOST_COMPONENTS_LAST if last else _MOST_COMPONENTS
+        each = _DRAWS_AN_ENTRY_LAST if last else _DRAWS_AN_ENTRY
+        looked_at = _LOOKED_AT_LAST if last else _LOOKED_AT
         n, d = draws.shape
         mean, covariance = draws.mean(axis=0), np.atleast_2d(np.cov(draws.T))
         # keeps the Cholesky factor alive when two coordinates are all but one
         covariance[np.diag_indices(d)] *= 1.0 + 1e-10
         covariance[np.diag_indices(d)] += 1e-300
         root = _cholesky(covariance)
-        z = (draws[:: n // _LOOKED_AT + 1] - mean) @ np.linalg.inv(root).T
+        z = (draws[:: n // looked_at + 1] - mean) @ np.linalg.inv(root).T
         # a walker that stayed where it was says nothing new
         distinct = np.unique(z[:, 0]).size
-        components = min(_MOST_COMPONENTS, distinct // (_DRAWS_AN_ENTRY * d * d))
+        components = min(most, distinct // (each * d * d))
         if components < 2:
             return cls(np.ones(1), mean[None], root[None], mean, root)
         weights, means, roots = _mixture(z, components)

@@ -17,9 +17,14 @@ from scipy import stats
 from bayesfric.inference.posterior import Diagnostics, Posterior, Status
 from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.convergence import (
+    LONG_ENOUGH,
     autocorrelation_time,
     effective_sample_size,
+    few,
+    hopeless,
     nested_rhat,
+    steps_needed,
+    without_stuck,
 )
 from bayesfric.inference.sampling.moves import (
     DifferentialEvolutionMove,
@@ -37,6 +42,10 @@ Array = NDArray[np.float64]
 
 # Ensembles further apart than this are not sampling one distribution.
 _UNUSABLE_RHAT = 1.1
+# Ensembles in warm-up that agree like this may be sampled from.
+_WARM_RHAT = 1.05
+# Slowest parameters that are named.
+_NAMED = 4
 # Blocks of warm-up at least, so that the proposal has learned from what it proposed.
 _LEAST_BLOCKS = 3
 # Share of the steps that go where the walkers are, for what no proposal has learned.
@@ -64,7 +73,11 @@ class Sampling(BaseModel):
     )
     max_rhat: float = Field(1.01, gt=1, le=2, description="largest nested R-hat accepted")
     max_steps: int = Field(
-        20_000, ge=100, le=10_000_000, description="steps after which sampling gives up"
+        20_000,
+        ge=100,
+        le=10_000_000,
+        description="steps after which sampling gives up; sooner where it cannot converge in "
+        "twice as many",
     )
     block: int | None = Field(
         None,
@@ -102,6 +115,9 @@ def sample(
     checkpoint: Checkpoint | None = None,
 ) -> Posterior:
     """Sample until every criterion of ``settings`` is met or ``max_steps`` is reached.
+
+    It stops sooner where looks at it predict that ensembles would neither agree nor have
+    forgotten their past in twice the steps allowed.
 
     Warm-up from over-dispersed starts mixes differential evolution with an independence move
     whose proposal, a mixture of normals, learns from it, until the ensembles agree
@@ -151,40 +167,47 @@ def sample(
     search = DifferentialEvolutionMove(settings.ensembles)
     first_moves = [(learning, 0.5), (search, 0.5)]
     warm = _Ensembles(target, first_moves, positions, random, checkpoint, "warm-up")
+    seen: list[tuple[int, float]] = []
     while True:
         warm.run(block)
         warm.bring_back_lost(rng)
         progress(Progress("warm-up", warm.steps, float("nan"), float("nan")))
         half = warm.chain()[:, :, warm.steps // 2 :]
+        rhats = nested_rhat(half)
         settled = (
-            warm.steps >= _LEAST_BLOCKS * block
-            and nested_rhat(half).max() < 1.05
-            and warm.settled()
+            warm.steps >= _LEAST_BLOCKS * block and rhats.max() < _WARM_RHAT and warm.settled()
         )
-        if settled or warm.steps >= settings.max_steps // 4:
+        most = settings.max_steps // 4
+        needed = steps_needed(warm.steps, rhats, _WARM_RHAT, np.zeros(d))
+        seen.append((warm.steps, float(needed.max())))
+        if settled or warm.steps >= most or hopeless(seen, most):
             break
         learning.move = _learned(target, half, warm)
     # Where the posterior really lies, a likelihood can be prepared best.
     target = target.prepared(_spread_out(half))
-    frozen = _learned(target, half, warm)
+    frozen = _learned(target, half, warm, last=True)
     moves = [
         (frozen, 1.0 - _OTHERWISE),
         (DifferentialEvolutionMove(settings.ensembles), _OTHERWISE),
     ]
     main = _Ensembles(target, moves, warm.positions(), random, checkpoint, "sampling")
+    most, seen = settings.max_steps - warm.steps, []
     while True:
         # looks at growing distances: a stopping rule asked too often stops by luck
-        main.run(max(block, main.steps // 3))
+        main.run(min(max(block, main.steps // 3), most - main.steps))
         chain = main.chain()
-        rhats, tau = nested_rhat(chain), autocorrelation_time(chain)
-        ess = effective_sample_size(chain, tau)
+        moving = without_stuck(chain, main.acceptance())
+        rhats, tau = nested_rhat(moving), autocorrelation_time(moving)
+        ess = effective_sample_size(moving, tau)
         progress(Progress("sampling", main.steps, float(ess.min()), float(rhats.max())))
         done = (
             ess.min() >= settings.min_ess
             and rhats.max() <= settings.max_rhat
-            and main.steps >= 50.0 * tau.max()
+            and main.steps >= LONG_ENOUGH * tau.max()
         )
-        if done or warm.steps + main.steps >= settings.max_steps:
+        needed = steps_needed(main.steps, rhats, settings.max_rhat, tau)
+        seen.append((main.steps, float(needed.max())))
+        if done or main.steps >= most or hopeless(seen, most):
             break
 
     wanted = max(_KEPT_DRAWS, 2 * int(settings.min_ess))
@@ -193,6 +216,8 @@ def sample(
     parameters, _ = target.to_parameters(kept.reshape(-1, d))
     draws = parameters.reshape(*kept.shape)
     problems = list(_problems(target, settings, rhats, tau, ess, main, draws))
+    if not done and hopeless(seen, most) and main.acceptance().any():
+        problems.insert(0, _given_up(target.names, needed, warm.steps, main.steps, settings))
     if not settled:
         problems.append(
             "warm-up was still moving when it was cut off: raise sampling.max_steps, or give "
@@ -203,12 +228,15 @@ def sample(
         usable = rhats.max() < _UNUSABLE_RHAT and np.isfinite(ess).all() and ess.min() > 100.0
         status = "tentative" if usable else "unusable"
     # counted up to here: what follows looks at places that were never proposed
-    not_finite, share, lost = target.not_finite, 0.0, None
+    not_finite, share = target.not_finite, 0.0
+    warnings = [text for text, harmless in _standing(main.acceptance()) if harmless]
     if not_finite:
         places = beside_posterior(
             target, frozen.proposal, settings.seed, settings.ensembles * walkers
         )
-        share, lost = float(places[:, -1].mean()), complaint(target.names, places)
+        share = float(places[:, -1].mean())
+        if lost := complaint(target.names, places):
+            warnings.append(lost)
     return Posterior(
         names=target.names,
         priors=target.priors,
@@ -230,7 +258,8 @@ def sample(
             not_finite=not_finite,
             seconds=time.perf_counter() - began,
             not_finite_share=share,
-            warnings=(lost,) if lost else (),
+            warnings=tuple(warnings),
+            max_rhat=settings.max_rhat,
         ),
         seed=settings.seed,
     )
@@ -351,10 +380,12 @@ class _Ensembles:
         return np.asarray(self._sampler.acceptance_fraction).reshape(self._shape[:2])
 
 
-def _learned(target: Target, half: Array, warm: _Ensembles) -> IndependenceMove | SurrogateMove:
+def _learned(
+    target: Target, half: Array, warm: _Ensembles, *, last: bool = False
+) -> IndependenceMove | SurrogateMove:
     """Make the best proposal that the second half of a warm-up's steps allows."""
     states = half.reshape(-1, target.dimension)
-    proposal = Proposal.fitted(states)
+    proposal = Proposal.fitted(states, last=last)
     if target.likelihood.method != "input-error":
         heights = warm.log_density()[:, :, -half.shape[2] :].ravel()
         surrogate = Surrogate.fitted(target.log_prior_in_coordinates, states, heights)
@@ -380,23 +411,13 @@ def _problems(
 ) -> Iterator[str]:
     names = np.array(target.names)
     moved = main.acceptance()
-    never, hardly = int((moved == 0.0).sum()), int(((moved > 0.0) & (moved < 0.01)).sum())
-    if never == moved.size:
+    if not moved.any():
         yield (
             "no walker ever moved: not one proposal was accepted, and there is nothing to make an "
             "interval of; check the recording's units, or give wider priors"
         )
         return
-    if never:
-        yield (
-            f"{_count(never, 'walker')} of {moved.size} never moved, and left out of every "
-            "interval: look at the trace; try another sampling.seed, or narrower priors"
-        )
-    if hardly:
-        yield (
-            f"{_count(hardly, 'walker')} of {moved.size} hardly ever moved: look at the trace; "
-            "raise sampling.max_steps, or give narrower priors"
-        )
+    yield from (text for text, harmless in _standing(moved) if not harmless)
     apart = names[rhat > settings.max_rhat]
     if apart.size:
         worst = int(rhat.argmax())
@@ -406,18 +427,51 @@ def _problems(
             f"their medians of {names[worst]}: {medians}): raise sampling.max_steps, or give "
             "these parameters narrower priors"
         )
-    few = names[ess < settings.min_ess]
+    short = names[ess < settings.min_ess]
     # a walker that never moves leaves no draws to count, and more steps do not mend that
-    if few.size and not never:
+    if short.size and np.isfinite(tau).all():
         yield (
             f"only {ess.min():.0f} independent draws of {names[int(ess.argmin())]} where "
             f"{settings.min_ess:.0f} were wanted: raise sampling.max_steps"
         )
-    if not few.size and main.steps < 50.0 * tau.max():
+    if not short.size and main.steps < LONG_ENOUGH * tau.max():
         yield (
-            f"the run is only {main.steps / tau.max():.0f} autocorrelation times long, 50 are "
-            "needed to trust them: raise sampling.max_steps"
+            f"the run is only {main.steps / tau.max():.0f} autocorrelation times long, "
+            f"{LONG_ENOUGH:g} are needed to trust them: raise sampling.max_steps"
         )
+
+
+def _standing(acceptance: Array) -> Iterator[tuple[str, bool]]:
+    """Say how many walkers stood still, and whether they are too few to change an interval."""
+    never, hardly = acceptance == 0.0, (acceptance > 0.0) & (acceptance < 0.01)
+    of = acceptance.size
+    if never.any():
+        yield (
+            f"{_count(never.sum(), 'walker')} of {of} never moved, and left out of every "
+            "interval: look at the trace; try another sampling.seed, or narrower priors",
+            few(never),
+        )
+    if hardly.any():
+        yield (
+            f"{_count(hardly.sum(), 'walker')} of {of} hardly ever moved: look at the trace; "
+            "raise sampling.max_steps, or give narrower priors",
+            few(hardly),
+        )
+
+
+def _given_up(
+    names: tuple[str, ...], needed: Array, warmup: int, steps: int, settings: Sampling
+) -> str:
+    """Say that a run was stopped because it could not converge, and what holds it up."""
+    slowest = np.argsort(-needed, kind="stable")[:_NAMED]
+    slow = [names[j] for j in slowest if needed[j] > settings.max_steps]
+    worst = needed.max()
+    would = f"about {float(f'{worst:.1g}'):.0f}" if np.isfinite(worst) else "endless"
+    return (
+        f"stopped after {warmup + steps} steps: at this pace it would need {would} steps, "
+        f"sampling.max_steps is {settings.max_steps}; slowest are {', '.join(slow)}: give them "
+        "narrower priors, or fix what is known"
+    )
 
 
 def _count(n: int, what: str) -> str:

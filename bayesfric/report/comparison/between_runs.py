@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.optimize import brentq
 
+from bayesfric.report.comparison.cell import has_converged
 from bayesfric.report.comparison.one_turn import on_one_turn
 from bayesfric.report.summary.read_back import PosteriorRow, RunSummary
 
@@ -158,6 +159,8 @@ def between_runs(runs: Mapping[str, RunSummary]) -> list[PooledQuantity]:
         if name.startswith("noise.") or len(rows) < len(tables):
             continue
         if any(row.verdict != "data" or not row.sd for row in rows.values()):
+            continue
+        if not all(has_converged(row, runs[run].sampler.status) for run, row in rows.items()):
             continue
         one = pool(
             [row.mean for row in rows.values()],

@@ -14,6 +14,7 @@ _NOT_DETERMINED = "not determined"
 DOUBTFUL = "doubtful: not what the data determine, see what the run warns of"
 TOGETHER = "data, prior and bounds together"
 NOT_CONVERGED = "the sampling has not converged"
+_LOST = "the search has not converged"
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ class Cell:
         Difference to the first posterior in standard deviations; see
         :func:`comparison`.
     converged
-        Whether there is a posterior at all; ``undetermined`` where not.
+        Whether there is a posterior, or an estimate, at all; ``undetermined`` where not.
     """
 
     value: float
@@ -65,8 +66,10 @@ class Cell:
     converged: bool = True
 
 
-def estimate_cell(row: EstimatedRow) -> Cell:
-    """Judge one number of a point estimate."""
+def estimate_cell(row: EstimatedRow, converged: bool = True) -> Cell:
+    """Judge one number of a point estimate, whose search ended at a minimum or did not."""
+    if not converged:
+        return Cell(row.value, "undetermined", remark=_LOST, converged=False)
     if row.sd is None or row.determined is False or row.at_bound is not None:
         # a scaling does not move a zero away from its bound
         span = row.span if row.span is not None and row.span[0] < row.span[1] else None
@@ -87,6 +90,16 @@ def left_open(value: float, span: list[float] | None, why: str = "") -> Cell:
     return Cell(value, "undetermined", span=(low, high), remark=remark)
 
 
+def has_converged(row: PosteriorRow, status: str) -> bool:
+    """Tell whether a number may be told: what ensembles that disagree make is no posterior.
+
+    Of a sampling that did not converge as a whole, some numbers may have; older runs do not say
+    which.
+    """
+    told = status != "unusable" if row.converged is None else row.converged
+    return status == "reliable" or told
+
+
 def posterior_cell(row: PosteriorRow, accounts: bool, status: str = "reliable") -> Cell:
     """Judge one number of a posterior.
 
@@ -97,10 +110,10 @@ def posterior_cell(row: PosteriorRow, accounts: bool, status: str = "reliable") 
     accounts
         Whether the noise model accounts for correlated residuals.
     status
-        Of the sampling. What ensembles that disagree make together is no posterior.
+        Of the sampling; see :func:`has_converged`.
     """
     low, high = row.interval
-    if status == "unusable":
+    if not has_converged(row, status):
         return Cell(row.middle, "undetermined", remark=NOT_CONVERGED, converged=False)
     # as in the words of ``bayesfric fit``: the data say how far from the bound it may be
     if row.at_bound is not None and row.verdict != "data" and told_by_data(row):

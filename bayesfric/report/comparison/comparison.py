@@ -140,8 +140,9 @@ def comparison(
     -------
     Comparison
         Totals first, then what no scaling of leg parameters and alpha changes, then
-        the rest. A run shows one of the rest only where all of its columns that have
-        it determine it: otherwise their scales differ and the numbers compare nothing.
+        the rest. A run shows an estimate of one of the rest only where all of its columns
+        that have it determine it: otherwise their scales differ and compare nothing. What
+        did not converge, estimate or posterior, says so and leaves the others as they are.
 
     Raises
     ------
@@ -166,14 +167,15 @@ def comparison(
     for name, run in runs.items():
         mine = list(_columns(name, run, alone=len(runs) == 1, estimates=shown))
         columns += mine
+        labels = [column.label for column in mine]
+        posteriors = [column.label for column in mine if column.kind == "posterior"]
         for column in mine:
             for quantity, cell in _cells(column, run):
                 if not quantity.startswith("noise."):
                     facts[quantity].cells[column.label] = cell
-        labels = [column.label for column in mine]
         for fact in facts.values():
             if not fact.gauge_free:
-                _withhold(fact.cells, labels)
+                _withhold(fact.cells, labels, posteriors)
     _check_common(facts, runs, columns)
     notes = [*_reliability(runs), *_meanings(facts)]
     reference = _add_references(facts, runs, notes)
@@ -296,18 +298,23 @@ def _cells(column: Column, summary: RunSummary) -> Iterator[tuple[str, Cell]]:
             yield name, Cell(known.value, "known", remark="taken as known")
         return
     if column.method is not None:
-        for name, value in summary.estimates[column.method].parameters.items():
-            yield name, estimate_cell(value)
+        estimate = summary.estimates[column.method]
+        for name, value in estimate.parameters.items():
+            yield name, estimate_cell(value, estimate.converged)
 
 
-def _withhold(cells: dict[str, Cell], labels: list[str]) -> None:
-    """Show a number that a scaling changes only where no column of the run leaves it open."""
+def _withhold(cells: dict[str, Cell], labels: list[str], posteriors: list[str]) -> None:
+    """Show an estimate that a scaling changes only where no column of the run leaves it open.
+
+    A posterior's own verdict stands: it knows the priors, which settle what the data leave open.
+    """
     mine = {label: cells[label] for label in labels if label in cells}
-    # of a posterior that is none, nothing follows for the others
+    # of a posterior or a search that is none, nothing follows for the others
     open_ = (label for label, c in mine.items() if c.status == "undetermined" and c.converged)
     first = next(open_, None)
     for label, cell in mine.items():
-        if first is not None and cell.status not in ("undetermined", "known"):
+        shown = cell.status in ("undetermined", "known") or label in posteriors
+        if first is not None and not shown:
             cells[label] = left_open(cell.value, None, f" (see {first})")
 
 

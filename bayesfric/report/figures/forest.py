@@ -272,7 +272,7 @@ def _open(ax: Axes, line: _Line, cell: Cell, factor: float) -> None:
     # where nothing else is known, the number may lie anywhere
     if low <= at <= high:
         ax.plot(at, line.y, gid="open", zorder=4, **_mark(line, filled=False))
-    words = "not determined"
+    words = "not determined" if cell.converged else "not converged"
     if cell.span is None:
         _words(ax, at if low <= at <= high else None, line.y, words)
         return
@@ -382,7 +382,7 @@ def _legend(figure: Figure, rows: list[Row], columns: list[Column]) -> None:
     if any(cell.sd_plain is not None for cell in cells):
         handles.append(capped)
         labels.append("90 %, uncorrelated residuals")
-    if any(cell.status == "undetermined" for cell in cells):
+    if any(cell.status == "undetermined" and cell.converged for cell in cells):
         handles.append(
             Line2D(
                 [],

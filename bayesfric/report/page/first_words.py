@@ -112,10 +112,14 @@ def first_words(table: ParameterTable, facts: Facts) -> FirstWords:
 
 
 def _headline(joint: Sequence[ParameterRow], combined: Sequence[ParameterRow]) -> Iterator[str]:
-    if not all(r.cell.converged for r in joint):
+    sound = [r for r in joint if r.cell.converged]
+    if joint and not sound:
         yield "The sampling failed: this run says nothing of the parameters."
         return
-    n, found = len(joint), counts(joint)
+    n, found = len(joint), counts(sound)
+    if len(sound) < n:
+        lost = [r.name for r in joint if not r.cell.converged]
+        yield f"Not converged, and without a number here: {listed(lost)}."
     if n and found.data == n:
         yield f"The data determine all {_count(n)} parameters of the joint."
     elif n:
@@ -141,15 +145,16 @@ def _groups(
 ) -> Iterator[OpenGroup]:
     """Give each open parameter to the first direction that holds it."""
     left = [r.name for r in [*joint, *combined] if r.cell.status == "undetermined"]
-    if not all(r.cell.converged for r in joint):
+    lost = {r.name for r in [*joint, *combined] if not r.cell.converged}
+    if lost:
         yield OpenGroup(
-            tuple(left),
+            tuple(name for name in left if name in lost),
             (
                 "The ensembles disagree, or stand still: what they make together is no posterior. "
                 "What the recording can tell of these is not known before they agree.",
             ),
         )
-        return
+        left = [name for name in left if name not in lost]
     seen: list[tuple[dict[str, float], str, list[str]]] = []
     if facts.identifiability.directions is not None:
         for one in facts.identifiability.directions:
@@ -208,12 +213,14 @@ def _trust(facts: Facts) -> tuple[str, str]:
         return (
             "Not yet: it is tentative.",
             "Treat every number here as provisional: the ensembles are too short, or do not "
-            "agree well enough. Fit again with more steps.",
+            "agree well enough. What is not converged by itself has no number. Fit again with "
+            "more steps.",
         )
     if s.status != "reliable":
         return (
             f"No: it is {s.status}.",
-            "The ensembles disagree, or a parameter never moved: do not use these numbers.",
+            "The ensembles disagree, or a parameter never moved: what has not converged by itself "
+            "has no number here, and the rest is provisional.",
         )
     many = f"{_count(s.ensembles)} independent ensembles" if s.ensembles else "independent runs"
     said = f"{capital(many)} of walkers agree"

@@ -269,13 +269,15 @@ def _priors(_: Fit, summary: Mapping[str, Any]) -> Iterator[str]:
         ]
         yield f"Taken as known: {'; '.join(fixed)}."
     joint = parameter_table(summary).joint
-    if summary["sampler"]["status"] != "unusable":
-        n = counts(joint)
+    sound = [row for row in joint if row.cell.converged]
+    if sound:
+        n = counts(sound)
+        lost = f", not converged {len(joint) - len(sound)}" if len(sound) < len(joint) else ""
         limits = f"limited on one side {n.limits}, " if n.limits else ""
         yield (
             f"Parameters of the joint, {len(joint)} in all: determined by the data {n.data}, by "
             f"{TOGETHER} {n.together}, {limits}not determined by the data "
-            f"{n.open}."
+            f"{n.open}{lost}."
         )
     found = summary["identifiability"]["null_directions"]
     for direction in found:

@@ -353,8 +353,10 @@ def methods_latex(found: Comparison) -> str:
     notes = ["One standard deviation in parentheses, accounting for correlated residuals"]
     if any(c.status == "determined" and not c.accounts for c in cells_):
         notes.append("†: residuals taken for uncorrelated, too small where they are correlated")
-    if any(c.status == "undetermined" for c in cells_):
+    if any(c.status == "undetermined" and c.converged for c in cells_):
         notes.append("---: not determined by the data")
+    if any(not c.converged for c in cells_):
+        notes.append("n.c.: not converged")
     if any(c.status == "bound" for c in cells_):
         notes.append("b: on its bound")
     if any(column.label not in row.cells for row in found.rows for column in found.columns):
@@ -369,7 +371,7 @@ def _cell(cell: Cell | None) -> str:
     if cell is None:
         return ""
     if cell.status == "undetermined":
-        return "---"
+        return "---" if cell.converged else "n.c."
     if cell.status == "limit":
         assert cell.limit is not None
         sign = r"\geq" if cell.remark.startswith("at least") else r"\leq"

@@ -47,6 +47,7 @@ class EstimateTable(Part):
     """A point estimate."""
 
     parameters: dict[Name, EstimatedRow]
+    converged: bool = True
     residual_rms: NotNegative | None = None
     residual_unit: str = ""
     assumption: str = ""
@@ -63,6 +64,7 @@ class PosteriorRow(Part):
     interval: Pair
     level: Annotated[FiniteFloat, Field(gt=0.0, lt=1.0)]
     verdict: Literal["data", "weak", "prior"]
+    converged: bool | None = None
     symbol: str = ""
     meaning: str = ""
     gauge_free: bool | None = None

@@ -34,6 +34,7 @@ from bayesfric.report.summary.noise import (
 )
 from bayesfric.report.summary.read_back import PosteriorRow
 from bayesfric.report.summary.residual_analysis import lacking
+from bayesfric.report.summary.soundness import sound_quantities
 from bayesfric.report.summary.validation import validation_record
 
 Array = NDArray[np.float64]
@@ -116,7 +117,7 @@ def summarise(
         **({"validation": validation_record(fit)} if fit.held_out else {}),
         "warnings": [
             *d.warnings,
-            *(_bound_warnings(parameters) if d.status != "unusable" else ()),
+            *_bound_warnings(parameters),
             *correlation_warnings(fit, noise),
             *linearisation_warnings(fit),
             *(
@@ -179,7 +180,7 @@ def summary_table(summary: Mapping[str, Any]) -> str:
     """Lay the parameters and derived quantities of a summary out as CSV text."""
     columns = ["name", "unit", "mean", "sd", "median", "low", "high", "level", "rhat", "ess"]
     columns += ["prior", "prior_sd", "contraction", "verdict", "at_bound"]
-    columns += ["undefined_share", "prior_sensitivity", "likelihood_sensitivity"]
+    columns += ["converged", "undefined_share", "prior_sensitivity", "likelihood_sensitivity"]
     columns += ["white_low", "white_high"]
     out = io.StringIO()
     writer = csv.DictWriter(out, columns, extrasaction="ignore", lineterminator="\n")
@@ -220,6 +221,7 @@ def estimate_summary(estimate: Estimate) -> dict[str, Any]:
             }
             for v in estimate.values
         },
+        "converged": estimate.converged,
         "point": dict(estimate.point),
         "residual_rms": estimate.residual_rms,
         "residual_unit": estimate.residual_unit,
@@ -239,6 +241,7 @@ def _parameters(fit: Fit, flat: Array, local: LocalInformation) -> dict[str, Any
         possible[name] = support(quantity)
     rows = {}
     moved_by = influence(fit)
+    sound = d.sound(d.rhat, d.ess)
     for j, (name, prior) in enumerate(zip(fit.posterior.names, fit.posterior.priors, strict=True)):
         unit, symbol, meaning = described[name]
         sd, prior_sd = float(flat[:, j].std()), prior.sd()
@@ -251,6 +254,7 @@ def _parameters(fit: Fit, flat: Array, local: LocalInformation) -> dict[str, Any
             **_spread(flat[:, j]),
             "rhat": _number(d.rhat[j]),
             "ess": _number(d.ess[j]),
+            "converged": bool(sound[j]),
             "prior": prior.text,
             "prior_default": prior.default,
             "prior_sd": _number(prior_sd),
@@ -270,12 +274,23 @@ def _derived(fit: Fit, median: Array, local: LocalInformation) -> dict[str, Any]
     at_load = _at_load(fit, median)
     prior = _prior_sds(fit, at_load)
     gradients = _gradients(fit, median, at_load)
+    found = list(_derived_draws(fit, at_load))
+    names = [q.name for q, _ in found]
+
+    def values(draws: Array) -> Array:
+        of = {q.name: q.values for q in derive(fit.chain, draws, at_load)}
+        return np.stack([of[name] for name in names])
+
+    sound = (
+        sound_quantities(fit, values, len(names), fit.posterior.log_density.size) if names else ()
+    )
     return {
         q.name: {
             "unit": q.unit,
             "symbol": q.symbol,
             "meaning": q.meaning,
             **_spread(defined),
+            "converged": bool(converged),
             "verdict": verdict(
                 _robust_sd(defined),
                 prior[q.name],
@@ -284,7 +299,7 @@ def _derived(fit: Fit, median: Array, local: LocalInformation) -> dict[str, Any]
             "undefined_share": 1.0 - defined.size / q.values.size,
             "gauge_free": q.gauge_free,
         }
-        for q, defined in _derived_draws(fit, at_load)
+        for (q, defined), converged in zip(found, sound, strict=True)
     }
 
 
@@ -321,6 +336,12 @@ def _totals(fit: Fit, median: Array, local: LocalInformation) -> dict[str, Any]:
     moved = fit.target.chain_values(_moved(median, steps))
     change = projection.solve(_stacked(fit, moved))
     gradients = (change[:, :k] - change[:, k:]) / (2.0 * steps)
+    sound = sound_quantities(
+        fit,
+        lambda values: projection.solve(_stacked(fit, values)),
+        len(projection.names),
+        _totals_at_most(fit),
+    )
     rows = {}
     for i, name, label in wanted:
         unit, symbol, meaning = projection.describe(name)
@@ -329,6 +350,7 @@ def _totals(fit: Fit, median: Array, local: LocalInformation) -> dict[str, Any]:
             "symbol": symbol,
             "meaning": f"{meaning}, as a fit without load losses would find it",
             **_spread(draws[:, i]),
+            "converged": bool(sound[i]),
             "verdict": verdict(
                 _robust_sd(draws[:, i]),
                 _robust_sd(prior[:, i]),
@@ -351,9 +373,13 @@ def _wanted_totals(fit: Fit, projection: TotalsProjection) -> list[tuple[int, st
 
 def _total_draws(fit: Fit, projection: TotalsProjection) -> Array:
     """Find all totals in the torque of each draw, ``(n, totals)``."""
-    samples = sum(o.q.size for o in fit.observations)
-    values = fit.chain_draws(max(400, _TOTALS_BUDGET // samples))
+    values = fit.chain_draws(_totals_at_most(fit))
     return projection.solve(_stacked(fit, values)).T
+
+
+def _totals_at_most(fit: Fit) -> int:
+    """Count the draws whose totals are found."""
+    return max(400, _TOTALS_BUDGET // sum(o.q.size for o in fit.observations))
 
 
 def _stacked(fit: Fit, values: Array) -> Array:
@@ -434,7 +460,9 @@ def _at_bound(
 
 def _bound_warnings(parameters: Mapping[str, Any]) -> list[str]:
     found = (
-        bound_warning(name, PosteriorRow.model_validate(row)) for name, row in parameters.items()
+        bound_warning(name, PosteriorRow.model_validate(row))
+        for name, row in parameters.items()
+        if row["converged"]
     )
     return [text for text in found if text]
 
