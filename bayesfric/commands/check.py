@@ -11,6 +11,8 @@ from bayesfric.commands.problem import Problem
 from bayesfric.estimates.least_squares import least_squares
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.recording import Recording
+from bayesfric.report.alerts import DOUBTS
+from bayesfric.report.summary.doubts import doubts_before
 
 
 def check(problem: Problem) -> dict[str, Any]:
@@ -51,6 +53,7 @@ def check(problem: Problem) -> dict[str, Any]:
             # whether the noise remembers, the residuals of an estimate will say
             if not (name.startswith("noise.pacf_") and prior.default)
         },
+        "doubts": doubts_before(totals, problem.observations),
         "least_squares": {
             "residual_rms": totals.residual_rms,
             "parameters": {
@@ -98,3 +101,5 @@ def check_text(found: dict[str, Any]) -> Iterator[str]:
             continue
         yield f"  {name:<28} {v['value']:>12.5g} ± {v['sd']:<9.2g} {v['unit']:<8} {v['meaning']}"
     yield f"  {'residual rms':<28} {totals['residual_rms']:>12.4g}"
+    for doubt in found["doubts"]:
+        yield f"WARNING: {DOUBTS[doubt['kind']](doubt)}"

@@ -18,6 +18,8 @@ _HUGE = 1e15
 _ALIKE, _STRANGERS, _FACTOR = 0.9, 0.3, 0.1
 # A torque of two levels: their width, and the share of samples on them and in step with speed.
 _LEVEL, _MOSTLY = 0.05, 0.9
+# Speed, over its root mean square, below which a torque turns that follows the speed.
+_SLOW = 0.2
 # Share of a torque's variance that position and speed explain where a controller makes it of them.
 _FOLLOWS = 0.98
 _LEAST_SEEN = 50
@@ -226,7 +228,11 @@ def feedback(
     size = float(np.median(np.abs(t)))
     two_levels = float(np.mean(np.abs(np.abs(t) - size) < _LEVEL * size))
     same = float(np.mean(np.sign(t) == np.sign(v)))
-    if min(two_levels, same) > _MOSTLY:
+    # a joint turns some time after a torque that is played, and with one that follows it
+    turns = np.flatnonzero(np.diff(np.sign(torque)) != 0)
+    at_turns = np.minimum(np.abs(velocity[turns]), np.abs(velocity[turns + 1]))
+    follows = turns.size and float(np.median(at_turns)) < _SLOW * float(np.sqrt(np.mean(v**2)))
+    if min(two_levels, same) > _MOSTLY and follows:
         return "sign of speed", same
     columns = np.column_stack([np.ones_like(t), q, v])
     found = np.linalg.lstsq(columns, t, rcond=None)[0]

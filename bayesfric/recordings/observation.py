@@ -162,12 +162,6 @@ def observe(recording: Recording, processing: Processing) -> Observation:
     if recording.velocity is not None:
         warnings += _velocity_warnings(qd, derivative(q, segments, period, numbers.reach), compared)
     law = checks.feedback(recording.torque, q, qd, compared)
-    if law is not None:
-        warnings.append(
-            f"torque: follows the {law[0]} of the joint ({100 * law[1]:.3g} %), as if a controller "
-            "made it so: then friction, gravity and inertia cannot be told from the controller's "
-            "law; move the joint along a path that depends on neither"
-        )
     borders = np.array([a for a, _ in segments], dtype=np.int64)
     centres = chosen.centres
     settings: dict[str, float | int | str] = {

@@ -243,7 +243,7 @@ class Processing(_Options):
     lowpass: HertzOrOff | None = Field(
         default=None,
         description="Cut-off of the zero-phase Butterworth low-pass of the position, in Hz; if "
-        "left out twice the band, at most a tenth of the sampling rate; 'off' or 0 for none.",
+        "left out six times the band, at most a fifth of the sampling rate; 'off' or 0 for none.",
     )
     order: int = Field(default=4, ge=1, le=12, description="Order of the Butterworth filter.")
     decimate: int | None = Field(

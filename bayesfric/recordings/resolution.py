@@ -27,8 +27,12 @@ _LOCAL, _WHOLE = 10.0, 300.0
 _HARMLESS = 1e7
 # The band ends where this share of the torque's power lies below.
 _POWER = 0.999
-# Widest band over the sampling rate; the low-pass of the position lies this much above the band.
-WIDEST, _ABOVE = 0.05, 4.0
+# Widest band over the sampling rate.
+WIDEST = 0.05
+# How far above the band the position's low-pass lies, at most this share of the sampling rate.
+# Nearer, it takes from the model alone what the torque still has; further, the samples that are
+# left out at reversals carry noise from there into the band.
+_ABOVE, _HIGHEST = 6.0, 0.2
 # Outputs that a recording should have at least: the band is not made narrower than that takes.
 _OUTPUTS = 60.0
 # Share of the sampling rate above which a position is taken to hold no motion.
@@ -116,7 +120,7 @@ def resolve(recording: Recording, band: float | None = None) -> Resolution:
 
 def lowpass_above(band: float, fs: float) -> float:
     """Give the cut-off in Hz of a position's low-pass that leaves a band as it is."""
-    return min(_ABOVE * band, _ABOVE * WIDEST * fs)
+    return min(_ABOVE * band, _HIGHEST * fs)
 
 
 def _choose(recording: Recording, seen: _Spectra, variance: float) -> tuple[float, Reason]:

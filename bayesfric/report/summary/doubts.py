@@ -7,7 +7,7 @@ the run is not reliable.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from bayesfric.estimates.estimate import Estimate
 from bayesfric.estimates.information import CORRELATED
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.likelihood.noise_choice import Choice
-from bayesfric.recordings.observation import LEAST_RATIO
+from bayesfric.recordings.observation import LEAST_RATIO, Observation
 
 # Share of the torque's variance that a model of the joint should explain, where what it leaves
 # is no white noise.
@@ -63,8 +63,7 @@ def find_doubts(
     ]
     found = [
         *_unexplained(summary),
-        *_feedback(fit),
-        *negative_totals(fit.estimates[0]),
+        *doubts_before(fit.estimates[0], fit.observations),
         *_memory(choice),
         *_noise(summary, told, white),
         *_acceleration(fit, summary, told),
@@ -92,23 +91,35 @@ def _unexplained(summary: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         yield {"kind": "unexplained", "share": share, "quantity": summary["fit"]["quantity"]}
 
 
-def _feedback(fit: Fit) -> Iterator[dict[str, Any]]:
+def doubts_before(totals: Estimate, observations: Sequence[Observation]) -> list[dict[str, Any]]:
+    """Look for what makes any fit doubtful, before there is one.
+
+    Parameters
+    ----------
+    totals
+        From :func:`bayesfric.estimates.least_squares.least_squares`.
+    observations
+        What it was made from.
+
+    Returns
+    -------
+    list of dict
+        As :func:`find_doubts`, without ``parameters``: all are doubtful.
+    """
+    return [*_feedback(observations), *_negative(totals)]
+
+
+def _feedback(observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
     laws: dict[str, list[str]] = {}
-    for o in fit.observations:
+    for o in observations:
         if law := o.settings.get("feedback"):
             laws.setdefault(str(law), []).append(o.name)
     for law, names in laws.items():
         yield {"kind": "feedback", "law": law, "recordings": names}
 
 
-def negative_totals(totals: Estimate) -> Iterator[dict[str, Any]]:
-    """Name what least squares finds below zero though nothing that loses energy can be.
-
-    Parameters
-    ----------
-    totals
-        From :func:`bayesfric.estimates.least_squares.least_squares`.
-    """
+def _negative(totals: Estimate) -> Iterator[dict[str, Any]]:
+    """Name what least squares finds below zero though nothing that loses energy can be."""
     below = {
         v.name: v.value
         for v in totals.values
