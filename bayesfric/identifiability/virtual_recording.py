@@ -17,7 +17,7 @@ from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.forward import Motion, simulate
 from bayesfric.mechanism.inverse import inverse_torque, load_torque
 from bayesfric.recordings.filters import derivative, lay_windows, lowpass
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.observation import Observation, moving_samples
 
 Array = NDArray[np.float64]
 
@@ -258,7 +258,8 @@ def played(
     q, qd, qdd = _as_filtered(motion, observation)
     trim = int(observation.settings.get("trim_samples", 0))
     step = max(round(observation.period / period), 1)
-    moving = np.abs(qd) >= _dead_zone(observation)
+    guard = int(observation.settings.get("guard", size))
+    moving = moving_samples(qd, ((0, size),), _dead_zone(observation), guard)
     kept = (trim, max(size - trim, trim))
     chosen = lay_windows(observation.filter.taps, (kept,), step, moving & (motion.qd != 0.0))
     if chosen.n_outputs < _FEWEST:
@@ -288,8 +289,9 @@ def _as_filtered(motion: Motion, observation: Observation) -> tuple[Array, Array
         return motion.q, motion.qd, motion.qdd
     whole, period = ((0, motion.q.size),), sample_period(observation)
     q = lowpass(motion.q, whole, 1.0 / period, cutoff, order)
-    qd = derivative(q, whole, period)
-    return q, qd, derivative(qd, whole, period)
+    reach = int(told.get("reach", 1))
+    qd = derivative(q, whole, period, reach)
+    return q, qd, derivative(qd, whole, period, reach)
 
 
 def _dead_zone(observation: Observation) -> float:

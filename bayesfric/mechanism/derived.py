@@ -199,7 +199,8 @@ def _coefficients(chain: Chain, at: dict[str, Array], load_torque: float) -> Ite
                 "",
                 r"\lambda_1/\lambda_2",
                 "mean of 1/alpha over half their difference, theta5/theta10 of eq. (13)",
-                lambda_1 / lambda_2,
+                # a gearbox that loses nothing has none
+                lambda_1 / np.where(lambda_2 != 0.0, lambda_2, np.nan),
                 gauge_free=True,
             )
         constant = _constant_loss(chain, name, at)

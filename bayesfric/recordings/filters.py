@@ -13,9 +13,10 @@ from bayesfric.errors import BadInput
 
 # A cut-off this small a share of the sampling rate leaves nothing but rounding.
 _LOWEST_CUTOFF = 1e-6
-# Largest share of a window's weight that may lie on samples that are not usable: they count
-# for nothing, in measurement and model alike, and the rest for that much more.
-_LARGEST_SHARE = 1 / 3
+# Largest share of a window's weight that may lie on samples that are not usable. They count for
+# nothing, in measurement and model alike, and the rest for that much more; but what a kink of the
+# acceleration does to the samples beside them stays, so that few should be missing.
+SMALL_SHARE, LARGE_SHARE = 0.02, 1 / 3
 # What differentiation may take from, or add to, the highest frequency that the low-pass lets pass.
 _GAIN_ERROR = 1e-4
 # Neighbours on either side that a derivative is made of: at least, and at most.
@@ -333,7 +334,7 @@ def parallel_filter(
         Sampling rate in Hz.
     usable
         Samples that may be used, shape (N,). Others count for nothing, and windows with more
-        than a third of their weight on such samples are left out.
+        than 2 % of their weight on such samples are left out.
 
     Returns
     -------
@@ -353,15 +354,19 @@ def lay_windows(
     segments: Sequence[tuple[int, int]],
     factor: int,
     usable: NDArray[np.bool_],
+    largest_share: float = SMALL_SHARE,
 ) -> ParallelFilter:
-    """Lay windows of given weights ``(L,)`` as :func:`parallel_filter` does."""
+    """Lay windows of given weights ``(L,)`` as :func:`parallel_filter` does.
+
+    ``largest_share`` of a window's weight may lie on samples that are not usable.
+    """
     length = len(taps)
     parts = [np.arange(a, b - length + 1, factor, dtype=np.int64) for a, b in segments]
     starts = np.concatenate(parts) if parts else np.empty(0, dtype=np.int64)
     used, gains = usable.astype(np.float64), np.ones(len(starts))
     if len(starts) and not usable.all():
         sizes = np.abs(taps) / np.abs(taps).sum()
-        kept = _windowed(1.0 - used, sizes, starts) <= _LARGEST_SHARE
+        kept = _windowed(1.0 - used, sizes, starts) <= largest_share
         starts = starts[kept]
         # divided by nothing near zero: two thirds of the absolute weight are there
         gains = 1.0 / _windowed(used, taps, starts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 from bayesfric.errors import BadInput
 from bayesfric.recordings import checks, units
 from bayesfric.recordings.filters import (
+    LARGE_SHARE,
+    SMALL_SHARE,
     ParallelFilter,
     check_cutoff,
     derivative,
@@ -27,6 +30,8 @@ _DEAD_SHARE = 0.01
 _TRIM_SAMPLES = 10
 # Samples beside a rest that are not used, at least; and of a rest.
 _GUARD = 10
+# Share of the windows, and number, that the dead zone must leave before it takes samples instead.
+_LEFT, _LEAST_LEFT = 0.2, 30
 # Windows and trims that should fit into the longest segment where the band is chosen.
 _FITTING = 20
 # Root mean square of acceleration over its noise below which a user is warned: an inertia then
@@ -140,9 +145,7 @@ def observe(recording: Recording, processing: Processing) -> Observation:
     for a, b in kept:
         inside[a:b] = True
     dead_zone = _dead_zone(processing, qd[inside])
-    moving = np.abs(qd) >= dead_zone
-    # the low-pass carries a rest's torque and speed a little way past its ends
-    moving &= ~_near(_rests(~moving, segments, numbers.guard), numbers.guard)
+    moving = moving_samples(qd, segments, dead_zone, numbers.guard)
     chosen, counts = _windows(recording, numbers, kept, moving)
     decimated = numbers.fs / numbers.factor
     if numbers.band is not None and numbers.band > decimated / 2:
@@ -172,6 +175,7 @@ def observe(recording: Recording, processing: Processing) -> Observation:
         "band": _band(numbers),
         "differentiation": processing.differentiation,
         "reach": numbers.reach,
+        "guard": numbers.guard,
         **_resolved(numbers.resolution),
         **({} if law is None else {"feedback": law[0]}),
         "dead_zone": dead_zone,
@@ -248,11 +252,11 @@ def _settle(recording: Recording, processing: Processing) -> _Numbers:
         cutoff = fs / 10 if cutoff is None else cutoff
         if factor is None:
             factor = max(1, round(fs / cutoff)) if cutoff else 1
+        factor = min(factor, len(recording.time))  # larger ones leave no output either
         half = fs / (2 * factor) if factor > 1 else cutoff or fs / 2
         resolution = resolve(recording, half if band is None else band)
     if cutoff:
         check_cutoff(cutoff, fs, f"{where}, lowpass")
-    factor = min(factor, len(recording.time))  # larger ones leave no output either
     reach = 1 if processing.differentiation == "central" else exact_reach(cutoff, fs)
     if processing.trim is None:
         samples = max(_TRIM_SAMPLES, 2 * reach, int(np.ceil(fs / cutoff - 1e-9)) if cutoff else 0)
@@ -337,8 +341,12 @@ def _windows(
         )
     taps = parallel_taps(numbers.factor, numbers.band, numbers.fs)
 
-    def lay(segments: tuple[tuple[int, int], ...], usable: NDArray[np.bool_]) -> ParallelFilter:
-        return lay_windows(taps, segments, numbers.factor, usable)
+    def lay(
+        segments: tuple[tuple[int, int], ...],
+        usable: NDArray[np.bool_],
+        share: float = SMALL_SHARE,
+    ) -> ParallelFilter:
+        return lay_windows(taps, segments, numbers.factor, usable, share)
 
     whole = lay(recording.segments, everything).n_outputs
     trimmed = lay(kept, everything).n_outputs
@@ -346,6 +354,9 @@ def _windows(
     parts = without_excluded(kept, _near(recording.excluded, numbers.trim_samples))
     included = lay(parts, everything).n_outputs
     final = lay(parts, moving)
+    if final.n_outputs < max(_LEFT * included, _LEAST_LEFT):
+        # a narrow band's long windows nearly all touch a reversal: rather lose samples then
+        final = lay(parts, moving, LARGE_SHARE)
     if trimmed == 0:
         raise BadInput(
             f"{where}, trim",
@@ -367,8 +378,31 @@ def _windows(
     }
 
 
+def moving_samples(
+    qd: NDArray[np.float64], segments: Sequence[tuple[int, int]], dead_zone: float, guard: int
+) -> NDArray[np.bool_]:
+    """Flag the samples that may be used for their speed.
+
+    Parameters
+    ----------
+    qd
+        Joint speed, shape (n,).
+    segments
+        Half-open ranges.
+    dead_zone
+        Speed below which a sample is not used, in the unit of ``qd``.
+    guard
+        So many samples beside a rest are not used either: the low-pass carries its torque and
+        speed a little way past its ends. As many slow samples in a row are a rest, fewer a
+        reversal.
+    """
+    moving = np.abs(qd) >= dead_zone
+    rests = _rests(~moving, segments, guard)
+    return moving if not rests.any() else moving & ~_near(rests, guard)
+
+
 def _rests(
-    slow: NDArray[np.bool_], segments: tuple[tuple[int, int], ...], least: int
+    slow: NDArray[np.bool_], segments: Sequence[tuple[int, int]], least: int
 ) -> NDArray[np.bool_]:
     """Flag slow samples that ``least`` or more of follow each other: a rest, no reversal."""
     found = np.zeros_like(slow)
@@ -387,7 +421,7 @@ def _near(flags: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
 
 
 def without_excluded(
-    segments: tuple[tuple[int, int], ...], excluded: NDArray[np.bool_]
+    segments: Sequence[tuple[int, int]], excluded: NDArray[np.bool_]
 ) -> tuple[tuple[int, int], ...]:
     """Split segments at excluded samples, so that no window touches one."""
     parts: list[tuple[int, int]] = []

@@ -25,8 +25,9 @@ Reason = Literal["sampling", "position", "torque", "length"]
 _LOCAL, _WHOLE = 10.0, 300.0
 # Over the whole band beyond which no weighing makes the noise matter.
 _HARMLESS = 1e7
-# The band ends where this share of the torque's power lies below.
-_POWER = 0.999
+# Where the motion's power is not so many times the noise's in the widest band, the band ends where
+# this share of the torque's power lies below: beyond, there is little but noise to compare.
+_CLEAN, _POWER = 1e4, 0.999
 # Widest band over the sampling rate.
 WIDEST = 0.05
 # How far above the band the position's low-pass lies, at most this share of the sampling rate.
@@ -127,8 +128,8 @@ def _choose(recording: Recording, seen: _Spectra, variance: float) -> tuple[floa
     """Take the widest band that position, torque and sampling allow."""
     fs, f = 1.0 / recording.period, seen.frequency
     ends: list[tuple[float, Reason]] = [(WIDEST * fs, "sampling")]
-    noise = seen.noise * variance
     if variance > 0.0:
+        noise = seen.noise * variance
         # from the frequency of the largest speeds on: below there is little to resolve
         peak = int(np.argmax(seen.motion / f**2))
         ratio = np.cumsum(seen.motion * seen.width) / np.cumsum(noise * seen.width) - 1.0
@@ -136,9 +137,12 @@ def _choose(recording: Recording, seen: _Spectra, variance: float) -> tuple[floa
         ended = np.flatnonzero((poor | (ratio < _WHOLE))[peak + 1 :])
         if ended.size:
             ends.append((float(f[peak + ended[0]]), "position"))
-    power = np.cumsum(seen.torque * seen.width)
-    last = min(int(np.searchsorted(power, _POWER * power[-1])), f.size - 1)
-    ends.append((float(f[last]), "torque"))
+        # A torque without power there is no reason by itself: a joint that is driven smoothly
+        # jolts when it reverses, and inertia and friction balance at all frequencies.
+        if ratio[min(int(np.searchsorted(f, WIDEST * fs)), f.size - 1)] < _CLEAN:
+            power = np.cumsum(seen.torque * seen.width)
+            last = min(int(np.searchsorted(power, _POWER * power[-1])), f.size - 1)
+            ends.append((float(f[last]), "torque"))
     band, reason = min(ends)
     used = recording.time.size - int(recording.excluded.sum())
     least = min(0.5 * _OUTPUTS * fs / max(used, 1), WIDEST * fs)

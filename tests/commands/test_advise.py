@@ -50,8 +50,8 @@ def test_the_winning_excitation_is_a_file_that_can_be_played(axis):
     # the package reads it as it reads any recording: names in line 1, units in line 2
     source = Source(
         file=path.name,
-        time={"column": "time", "unit": "s"},
-        position={"column": "time", "unit": "rad"},
+        rate=500.0,
+        position={"column": "time", "unit": "rad"},  # any column that moves
         torque={"column": "torque", "unit": "N m"},
     )
     (read,) = read_recordings(

@@ -52,7 +52,7 @@ excitation = "multisine"
 amplitude = 1.0
 torque_noise = 0.01
 encoder_counts = 1048576
-seed = 12
+seed = 13
 """,
         ["motor.viscous", "motor.coulomb", "offset"],
     ),
