@@ -56,12 +56,16 @@ def knee():
 def test_the_packaged_knee_alone_leaves_the_scale_open(knee):
     found, _ = knee
     (one,) = null(found)
-    assert set(one["exponents"]) == SCALED
+    # no scaling moves what the estimate has at zero, and its sds are said to mean little there
+    on_bound = {name for name, row in found["parameters"].items() if row["on_bound"]}
+    assert len(on_bound) <= 1
+    assert set(one["exponents"]) == SCALED - on_bound
     np.testing.assert_allclose(list(one["exponents"].values()), 1.0, atol=1e-6)
     assert one["log_sd"] is None
     assert one["null_at_points"] == sum(found["points"].values())
     # nothing that is not determined has a finite sd
-    for name, row in found["parameters"].items():
+    for name in set(found["parameters"]) - on_bound:
+        row = found["parameters"][name]
         behind = name.replace("load_drive", "alpha_drive").replace("load_back", "alpha_back")
         assert (row["data_sd"] is None) == (behind in SCALED)
         assert row["expected_sd"] > 0
