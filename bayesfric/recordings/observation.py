@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ _TRIM_SAMPLES = 10
 # Samples beside a rest that are not used, at least; and of a rest.
 _GUARD = 10
 # Share of the windows, and number, that the dead zone must leave before it takes samples instead.
-_LEFT, _LEAST_LEFT = 0.2, 30
+_LEFT, _LEAST_LEFT = 0.2, 60
 # Windows and trims that should fit into the longest segment where the band is chosen.
 _FITTING = 20
 # Root mean square of acceleration over its noise below which a user is warned: an inertia then
@@ -128,25 +128,22 @@ def observe(recording: Recording, processing: Processing) -> Observation:
         For a cut-off the sampling rate cannot carry, or settings that leave no output.
     """
     numbers = _settle(recording, processing)
+    made = _prepared(recording, processing, numbers, SMALL_SHARE)
+    if made.filter.n_outputs < max(_LEFT * made.included, _LEAST_LEFT):
+        # A narrow band's long windows nearly all touch a reversal: rather lose samples then. The
+        # gaps they leave fold noise from above the band into it, which the low-pass must take off.
+        if processing.lowpass is None:
+            numbers = _quieter(recording, processing, numbers)
+        made = _prepared(recording, processing, numbers, LARGE_SHARE)
+    if made.filter.n_outputs == 0:
+        raise BadInput(
+            f"recording '{recording.name}', dead_zone",
+            "the joint is never faster than the dead zone for a whole window",
+            "lower dead_zone (0 for none), or decimate less",
+        )
+    q, qd, chosen = made.q, made.qd, made.filter
     segments, period = recording.segments, recording.period
     warnings = list(recording.warnings)
-    q = lowpass(recording.position, segments, numbers.fs, numbers.cutoff, processing.order)
-    if recording.velocity is None:
-        qd = derivative(q, segments, period, numbers.reach)
-    else:
-        qd = lowpass(recording.velocity, segments, numbers.fs, numbers.cutoff, processing.order)
-    qdd = derivative(qd, segments, period, numbers.reach)
-
-    kept = tuple(
-        (a + numbers.trim_samples, max(b - numbers.trim_samples, a + numbers.trim_samples))
-        for a, b in segments
-    )
-    inside = np.zeros(len(q), dtype=np.bool_)
-    for a, b in kept:
-        inside[a:b] = True
-    dead_zone = _dead_zone(processing, qd[inside])
-    moving = moving_samples(qd, segments, dead_zone, numbers.guard)
-    chosen, counts = _windows(recording, numbers, kept, moving)
     decimated = numbers.fs / numbers.factor
     if numbers.band is not None and numbers.band > decimated / 2:
         warnings.append(
@@ -161,7 +158,7 @@ def observe(recording: Recording, processing: Processing) -> Observation:
             f"decimate = {fitting} would fit"
         )
     warnings += _resolution_warnings(numbers, recording)
-    compared = inside & moving & ~recording.excluded
+    compared = made.compared & ~recording.excluded
     if recording.velocity is not None:
         warnings += _velocity_warnings(qd, derivative(q, segments, period, numbers.reach), compared)
     law = checks.feedback(recording.torque, q, qd, compared)
@@ -178,7 +175,7 @@ def observe(recording: Recording, processing: Processing) -> Observation:
         "guard": numbers.guard,
         **_resolved(numbers.resolution),
         **({} if law is None else {"feedback": law[0]}),
-        "dead_zone": dead_zone,
+        "dead_zone": made.dead_zone,
         "trim": numbers.trim,
         "trim_samples": numbers.trim_samples,
         "resample": processing.resample,
@@ -189,13 +186,13 @@ def observe(recording: Recording, processing: Processing) -> Observation:
         "n_samples": len(q),
         "n_segments": len(segments),
         "n_outputs": chosen.n_outputs,
-        **counts,
+        **made.counts,
     }
     return Observation(
         name=recording.name,
         q=q,
         qd=qd,
-        qdd=qdd,
+        qdd=made.qdd,
         torque=recording.torque,
         filter=chosen,
         time=recording.time[centres],
@@ -209,6 +206,64 @@ def observe(recording: Recording, processing: Processing) -> Observation:
         warnings=tuple(warnings),
         settings=settings,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Prepared:
+    """A motion ``(N,)``, filtered and differentiated, and the windows laid over it."""
+
+    q: NDArray[np.float64]
+    qd: NDArray[np.float64]
+    qdd: NDArray[np.float64]
+    compared: NDArray[np.bool_]
+    dead_zone: float
+    filter: ParallelFilter
+    included: int
+    counts: dict[str, int]
+
+
+def _prepared(
+    recording: Recording, processing: Processing, numbers: _Numbers, share: float
+) -> _Prepared:
+    segments, period = recording.segments, recording.period
+    q = lowpass(recording.position, segments, numbers.fs, numbers.cutoff, processing.order)
+    if recording.velocity is None:
+        qd = derivative(q, segments, period, numbers.reach)
+    else:
+        qd = lowpass(recording.velocity, segments, numbers.fs, numbers.cutoff, processing.order)
+    kept = tuple(
+        (a + numbers.trim_samples, max(b - numbers.trim_samples, a + numbers.trim_samples))
+        for a, b in segments
+    )
+    inside = np.zeros(len(q), dtype=np.bool_)
+    for a, b in kept:
+        inside[a:b] = True
+    dead_zone = _dead_zone(processing, qd[inside])
+    moving = moving_samples(qd, segments, dead_zone, numbers.guard)
+    if share > SMALL_SHARE and numbers.cutoff:
+        # no window is lost by it: the low-pass smears the jolt of a reversal over half a period
+        moving &= ~_near(~moving, round(0.5 * numbers.fs / numbers.cutoff))
+    chosen, counts = _windows(recording, numbers, kept, moving, share)
+    return _Prepared(
+        q,
+        qd,
+        derivative(qd, segments, period, numbers.reach),
+        inside & moving,
+        dead_zone,
+        chosen,
+        chosen.n_outputs + counts["dropped_dead_zone"],
+        counts,
+    )
+
+
+def _quieter(recording: Recording, processing: Processing, numbers: _Numbers) -> _Numbers:
+    """Lower the low-pass until the acceleration behind it is more than its noise."""
+    band = _band(numbers) or numbers.fs / 2
+    cutoff = numbers.cutoff
+    while cutoff > 2.0 * band and resolve(recording, cutoff).acceleration_ratio < LEAST_RATIO:
+        cutoff = max(cutoff / 1.5, 2.0 * band)
+    lower = processing.model_copy(update={"lowpass": cutoff, "decimate": numbers.factor})
+    return replace(_settle(recording, lower), resolution=numbers.resolution)
 
 
 def settled(recording: Recording, processing: Processing) -> Processing:
@@ -324,8 +379,9 @@ def _windows(
     numbers: _Numbers,
     kept: tuple[tuple[int, int], ...],
     moving: NDArray[np.bool_],
+    share: float,
 ) -> tuple[ParallelFilter, dict[str, int]]:
-    """Lay the windows, and count what every setting took away."""
+    """Lay the windows, and count what every setting took away; ``share`` as in `lay_windows`."""
     everything = np.ones(len(moving), dtype=np.bool_)
 
     where = f"recording '{recording.name}'"
@@ -341,11 +397,7 @@ def _windows(
         )
     taps = parallel_taps(numbers.factor, numbers.band, numbers.fs)
 
-    def lay(
-        segments: tuple[tuple[int, int], ...],
-        usable: NDArray[np.bool_],
-        share: float = SMALL_SHARE,
-    ) -> ParallelFilter:
+    def lay(segments: tuple[tuple[int, int], ...], usable: NDArray[np.bool_]) -> ParallelFilter:
         return lay_windows(taps, segments, numbers.factor, usable, share)
 
     whole = lay(recording.segments, everything).n_outputs
@@ -354,9 +406,6 @@ def _windows(
     parts = without_excluded(kept, _near(recording.excluded, numbers.trim_samples))
     included = lay(parts, everything).n_outputs
     final = lay(parts, moving)
-    if final.n_outputs < max(_LEFT * included, _LEAST_LEFT):
-        # a narrow band's long windows nearly all touch a reversal: rather lose samples then
-        final = lay(parts, moving, LARGE_SHARE)
     if trimmed == 0:
         raise BadInput(
             f"{where}, trim",
@@ -365,12 +414,6 @@ def _windows(
         )
     if included == 0:
         raise BadInput(f"{where}, exclude", "the excluded spans leave no output", "exclude less")
-    if final.n_outputs == 0:
-        raise BadInput(
-            f"{where}, dead_zone",
-            "the joint is never faster than the dead zone for a whole window",
-            "lower dead_zone (0 for none), or decimate less",
-        )
     return final, {
         "dropped_trim": whole - trimmed,
         "dropped_excluded": trimmed - included,

@@ -169,7 +169,7 @@ def _acceleration(
     fit: Fit, summary: Mapping[str, Any], told: list[str]
 ) -> Iterator[dict[str, Any]]:
     ratios = [float(o.settings.get("acceleration_ratio", np.inf)) for o in fit.observations]
-    ratio = min(ratios)
+    ratio = min(ratios, default=np.inf)
     rows = {**summary["parameters"], **summary["derived"]}
     # the share of an inertia that noise in its acceleration takes away
     lost = [

@@ -1,0 +1,190 @@
+"""Numbers that the sampling is sure of and nobody should be: found, demoted, and said first."""
+
+import importlib
+import sys
+
+import numpy as np
+import pytest
+
+from bayesfric.commands.check import check, check_text
+from bayesfric.commands.fit import fit, fit_text
+from bayesfric.commands.problem import read_problem
+from bayesfric.config import read_config
+from bayesfric.report.summary.doubts import find_doubts, put_doubts
+from bayesfric.report.summary.read_back import PosteriorRow
+from tests.conftest import REPOSITORY
+
+JOINT = """\
+[mechanism]
+preset = "{preset}"
+
+[[recordings]]
+file = "run.csv"
+time = {{ column = "t", unit = "s" }}
+position = {{ column = "q", unit = "rad" }}
+torque = {{ column = "tau", unit = "N m" }}
+
+[sampling]
+min_ess = 500
+{more}
+"""
+
+
+@pytest.fixture(scope="module")
+def closed_loop():
+    folder = REPOSITORY / "studies" / "closed_loop"
+    sys.path.insert(0, str(folder))
+    try:
+        yield importlib.import_module("closed_loop")
+    finally:
+        sys.path.remove(str(folder))
+
+
+@pytest.fixture
+def fitted(tmp_path, monkeypatch):
+    """Write a recording, check and fit it; nobody looks at figures and pages here."""
+    monkeypatch.setattr("bayesfric.commands.fit.write_run", lambda *_: None)
+
+    def run(t, q, torque, preset="motor-axis", more=""):
+        np.savetxt(
+            tmp_path / "run.csv", np.c_[t, q, torque], "%.9g", ",", header="t,q,tau", comments=""
+        )
+        path = tmp_path / "joint.toml"
+        path.write_text(JOINT.format(preset=preset, more=more), encoding="utf-8")
+        config = read_config(path)
+        told = list(check_text(check(read_problem(config))))
+        return fit(config, tmp_path / "run"), told
+
+    return run
+
+
+def kinds(summary):
+    return {one["kind"] for one in summary["doubts"]}
+
+
+def first_lines(summary, tmp_path):
+    lines = list(fit_text(summary, tmp_path / "run"))
+    return lines[: lines.index("")]
+
+
+def verdicts(summary):
+    return {
+        name: row["verdict"]
+        for name, row in summary["parameters"].items()
+        if not name.startswith("noise.")
+    }
+
+
+def test_a_joint_in_closed_loop_keeps_its_inertia(closed_loop, fitted):
+    """0.1.0: inertia 0.003 for 7.7, reliable, data, no warning (studies/closed_loop)."""
+    one = closed_loop.recorded(3)
+    summary, _ = fitted(one.time, one.position, one.torque)
+    assert summary["sampler"]["status"] == "reliable"
+    for name, true in one.truth.items():
+        row = summary["parameters"][name]
+        assert abs(row["median"] - true) < 4.0 * row["sd"], name
+
+
+def test_a_band_that_is_asked_for_and_is_noise_is_doubted_first(closed_loop, fitted, tmp_path):
+    """The band of 0.1.0: nothing of it is called data, and why is said before any number."""
+    one = closed_loop.recorded(3)
+    wide = "[processing]\nlowpass = 50.0\ndecimate = 10"
+    summary, told = fitted(one.time, one.position, one.torque, more=wide)
+    assert summary["sampler"]["status"] == "tentative"
+    true = one.truth["motor.inertia"]
+    row = summary["parameters"]["motor.inertia"]
+    assert row["verdict"] != "data" or abs(row["median"] - true) < 4.0 * row["sd"]
+    assert any("acceleration" in line for line in told if "WARNING" in line)
+    assert kinds(summary) & {"acceleration", "memory", "unexplained", "noise"}
+    assert len(first_lines(summary, tmp_path)) > 1
+
+
+def test_a_controllers_law_is_not_learned_as_friction(fitted, tmp_path):
+    """Torque 0.9 N m times the sign of speed: 0.1.0 called that Coulomb friction, and data."""
+    from tests.recordings.test_motion_checks import T, bang_bang
+
+    q, _, torque = bang_bang()
+    summary, told = fitted(T, q, torque, preset="servo-pendulum")
+    assert "feedback" in kinds(summary)
+    assert "data" not in verdicts(summary).values()
+    assert summary["sampler"]["status"] == "tentative"
+    assert any("sign of speed" in line for line in told)
+    assert any("sign of speed" in line for line in first_lines(summary, tmp_path))
+
+
+def test_a_torque_of_the_wrong_sign_is_said(fitted):
+    t = 0.005 * np.arange(3000)
+    q = np.sin(3 * t) + 0.4 * np.sin(7.1 * t)
+    v = 3 * np.cos(3 * t) + 0.4 * 7.1 * np.cos(7.1 * t)
+    a = -9 * np.sin(3 * t) - 0.4 * 7.1**2 * np.sin(7.1 * t)
+    noise = np.random.default_rng(1).normal(0, 0.01, t.size)
+    summary, told = fitted(t, q, -(0.1 * a + 0.3 * v + 0.2 * np.sign(v)) + noise)
+    (doubt,) = [one for one in summary["doubts"] if one["kind"] == "negative"]
+    assert set(doubt["values"]) == {"motor.inertia", "motor.viscous", "motor.coulomb"}
+    assert doubt["values"]["motor.inertia"] == pytest.approx(-0.1, rel=0.02)
+    assert any("negative" in line for line in told)
+    assert "data" not in verdicts(summary).values()
+
+
+def test_what_a_model_does_not_explain_determines_nothing(fitted):
+    """A hand on the joint: slow torques that have nothing to do with the motion."""
+    t = 0.005 * np.arange(4000)
+    rng = np.random.default_rng(3)
+    q = np.sin(2 * t) + 0.3 * np.sin(5.3 * t)
+    hand = np.convolve(rng.normal(size=t.size), np.exp(-np.arange(600) / 120.0), mode="same")
+    torque = 0.02 * -4 * np.sin(2 * t) + 0.5 * hand / hand.std()
+    summary, _ = fitted(t, q, torque)
+    assert summary["fit"]["explained"] < 0.8
+    assert "unexplained" in kinds(summary)
+    assert "data" not in verdicts(summary).values()
+
+
+def test_an_honest_recording_raises_no_doubt(fitted):
+    t = 0.005 * np.arange(4000)
+    q = np.sin(2 * t) + 0.3 * np.sin(5.3 * t)
+    v = 2 * np.cos(2 * t) + 0.3 * 5.3 * np.cos(5.3 * t)
+    a = -4 * np.sin(2 * t) - 0.3 * 5.3**2 * np.sin(5.3 * t)
+    # noise twice as large as the signal: little is explained, and that is all right
+    noise = np.random.default_rng(4).normal(0, 2.0, t.size)
+    summary, told = fitted(t, q, 0.1 * a + 0.3 * v + 0.2 * np.sign(v) + noise)
+    assert summary["doubts"] == []
+    assert summary["sampler"]["status"] == "reliable"
+    assert not any("WARNING" in line for line in told)
+
+
+def summary_of(**parameters):
+    rows = {name: {"median": m, "sd": s, "verdict": "data"} for name, (m, s) in parameters.items()}
+    return {
+        "parameters": rows,
+        "derived": {},
+        "fit": {"residual_rms": 1.0, "quantity": "motor torque", "explained": 0.99},
+        "noise": {"residual_lag1": 0.5},
+        "sampler": {"status": "reliable"},
+    }
+
+
+class _Fit:
+    estimates = (type("E", (), {"values": ()})(),)
+    observations = ()
+
+
+def test_where_noise_models_disagree_numbers_are_not_data():
+    summary = summary_of(a=(1.0, 0.1), b=(2.0, 0.1))
+    white = {"a": {"median": 1.1, "sd": 0.05}, "b": {"median": 2.5, "sd": 0.05}}
+    found = find_doubts(_Fit(), summary, white=(white, 1.0))
+    assert [(one["kind"], one["parameters"]) for one in found] == [("noise", ["b"])]
+    put_doubts(summary, found)
+    assert summary["sampler"]["status"] == "tentative"
+    assert [row["verdict"] for row in summary["parameters"].values()] == ["data", "weak"]
+    assert summary["parameters"]["b"]["doubted"] == ["noise"]
+    assert "doubted" in PosteriorRow.model_fields
+    # residuals that rise make all of it doubtful
+    risen = find_doubts(_Fit(), summary_of(a=(1.0, 0.1)), white=({"a": white["a"]}, 0.8))
+    assert risen[0]["parameters"] == ["a"]
+
+
+def test_no_doubt_changes_nothing():
+    summary = summary_of(a=(1.0, 0.1))
+    put_doubts(summary, find_doubts(_Fit(), summary))
+    assert summary["doubts"] == []
+    assert summary["sampler"]["status"] == "reliable"
