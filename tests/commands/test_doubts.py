@@ -11,7 +11,6 @@ from bayesfric.commands.fit import fit, fit_text
 from bayesfric.commands.problem import read_problem
 from bayesfric.config import read_config
 from bayesfric.report.summary.doubts import find_doubts, put_doubts
-from bayesfric.report.summary.read_back import PosteriorRow
 from tests.conftest import REPOSITORY
 
 JOINT = """\
@@ -152,15 +151,18 @@ def test_an_honest_recording_raises_no_doubt(fitted):
     assert not any("WARNING" in line for line in told)
 
 
-def summary_of(**parameters):
-    rows = {name: {"median": m, "sd": s, "verdict": "data"} for name, (m, s) in parameters.items()}
+def summary_of(rows, status="reliable"):
     return {
         "parameters": rows,
         "derived": {},
         "fit": {"residual_rms": 1.0, "quantity": "motor torque", "explained": 0.99},
         "noise": {"residual_lag1": 0.5},
-        "sampler": {"status": "reliable"},
+        "sampler": {"status": status},
     }
+
+
+def row(median, low, high, verdict="data"):
+    return {"median": median, "sd": (high - low) / 3.3, "interval": [low, high], "verdict": verdict}
 
 
 class _Fit:
@@ -168,23 +170,35 @@ class _Fit:
     observations = ()
 
 
-def test_where_noise_models_disagree_numbers_are_not_data():
-    summary = summary_of(a=(1.0, 0.1), b=(2.0, 0.1))
-    white = {"a": {"median": 1.1, "sd": 0.05}, "b": {"median": 2.5, "sd": 0.05}}
+@pytest.mark.parametrize(
+    ("verdict", "ends", "status", "told"),
+    [
+        ("data", [1.2, 1.3], "reliable", True),
+        ("data", [1.05, 1.3], "reliable", False),
+        ("prior", [1.2, 1.3], "reliable", False),
+        ("data", [1.2, 1.3], "unusable", False),
+    ],
+)
+def test_a_number_that_moves_with_the_noise_model_is_named(verdict, ends, status, told):
+    summary = summary_of({"a.b": row(1.0, 0.9, 1.1, verdict), "c.d": row(2.0, 1.9, 2.1)}, status)
+    white = {"a.b": row(1.2, *ends), "c.d": row(2.0, 1.9, 2.1)}
     found = find_doubts(_Fit(), summary, white=(white, 1.0))
-    assert [(one["kind"], one["parameters"]) for one in found] == [("noise", ["b"])]
+    assert [(one["kind"], one["parameters"]) for one in found] == [("noise", ["a.b"])] * told
     put_doubts(summary, found)
-    assert summary["sampler"]["status"] == "tentative"
-    assert [row["verdict"] for row in summary["parameters"].values()] == ["data", "weak"]
-    assert summary["parameters"]["b"]["doubted"] == ["noise"]
-    assert "doubted" in PosteriorRow.model_fields
-    # residuals that rise make all of it doubtful
-    risen = find_doubts(_Fit(), summary_of(a=(1.0, 0.1)), white=({"a": white["a"]}, 0.8))
-    assert risen[0]["parameters"] == ["a"]
+    assert (summary["sampler"]["status"] == "tentative") == told
+    verdicts = [one["verdict"] for one in summary["parameters"].values()]
+    assert verdicts == ["weak" if told else verdict, "data"]
+    assert (summary["parameters"]["a.b"].get("doubted") == ["noise"]) == told
+
+
+def test_residuals_that_rise_with_a_noise_model_make_all_of_it_doubtful():
+    summary = summary_of({"a.b": row(1.0, 0.9, 1.1)})
+    (one,) = find_doubts(_Fit(), summary, white=(summary["parameters"], 0.8))
+    assert (one["parameters"], one["rise"]) == (["a.b"], 1.25)
 
 
 def test_no_doubt_changes_nothing():
-    summary = summary_of(a=(1.0, 0.1))
+    summary = summary_of({"a.b": row(1.0, 0.9, 1.1)})
     put_doubts(summary, find_doubts(_Fit(), summary))
     assert summary["doubts"] == []
     assert summary["sampler"]["status"] == "reliable"

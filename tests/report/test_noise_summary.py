@@ -76,20 +76,3 @@ def test_white_noise_that_did_not_converge_stands_beside_nothing(usable):
     add_white_intervals(summary, white)
     assert ("white_interval" in summary["parameters"]["a.b"]) == usable
     assert ["max_steps" in text for text in summary["warnings"]] == [True] * (not usable)
-
-
-@pytest.mark.parametrize(
-    ("verdict", "ends", "status", "told"),
-    [
-        ("data", [1.2, 1.3], "reliable", True),
-        ("data", [1.05, 1.3], "reliable", False),
-        ("prior", [1.2, 1.3], "reliable", False),
-        ("data", [1.2, 1.3], "unusable", False),
-    ],
-)
-def test_a_number_that_moves_with_the_noise_model_is_named(verdict, ends, status, told):
-    row = posterior_row("", 1.0, 0.1, verdict=verdict) | {"interval": [0.9, 1.1]}
-    summary = {"parameters": {"a.b": row}, "derived": {}, "warnings": []}
-    summary["sampler"] = {"status": status}
-    add_white_intervals(summary, {"a.b": {"interval": ends, "sd": 0.05}})
-    assert ["a.b" in text for text in summary["warnings"]] == [True] * told

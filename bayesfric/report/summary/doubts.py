@@ -21,9 +21,8 @@ from bayesfric.recordings.observation import LEAST_RATIO, Observation
 # Share of the torque's variance that a model of the joint should explain, where what it leaves
 # is no white noise.
 _EXPLAINED = 0.8
-# Sums of the sds of both posteriors that a number may move when the noise is taken for white,
-# and how much larger than with white noise the residuals may be.
-_APART, _RISE = 2.0, 1.1
+# How much larger than with white noise the residuals may be.
+_RISE = 1.1
 # Robust standard deviations below zero that are no chance.
 _NEGATIVE = 3.0
 
@@ -55,6 +54,8 @@ def find_doubts(
     list of dict
         ``kind``, ``parameters`` and what else tells of each, for ``summary["doubts"]``.
     """
+    if summary["sampler"]["status"] == "unusable":
+        return []  # there is no posterior to doubt
     told = [
         name
         for group in ("parameters", "derived")
@@ -154,9 +155,7 @@ def _noise(
     moved = {
         name: spreads[name]["median"]
         for name in told
-        if name in spreads
-        and abs(rows[name]["median"] - spreads[name]["median"])
-        > _APART * (rows[name]["sd"] + spreads[name]["sd"])
+        if name in spreads and _apart(rows[name]["interval"], spreads[name]["interval"])
     }
     rise = summary["fit"]["residual_rms"] / rms if rms > 0.0 else 1.0
     if rise > _RISE:
@@ -165,17 +164,28 @@ def _noise(
         yield {"kind": "noise", "rise": rise, "white": moved, "of": list(moved)}
 
 
+def _apart(one: Sequence[float], other: Sequence[float]) -> bool:
+    """Whether two intervals have nothing in common."""
+    return one[1] < other[0] or other[1] < one[0]
+
+
 def _acceleration(
     fit: Fit, summary: Mapping[str, Any], told: list[str]
 ) -> Iterator[dict[str, Any]]:
-    ratios = [float(o.settings.get("acceleration_ratio", np.inf)) for o in fit.observations]
-    ratio = min(ratios, default=np.inf)
+    power, noise = 0.0, 0.0
+    for o in fit.observations:
+        ratio = float(o.settings.get("acceleration_ratio", np.inf))
+        seen = float(np.sum(o.filter.apply(o.qdd) ** 2))
+        power, noise = power + seen, noise + seen / (1.0 + ratio**2)
+    if not noise > 0.0:
+        return
+    # about the share of an inertia that noise in its acceleration takes away
+    lost = noise / power
     rows = {**summary["parameters"], **summary["derived"]}
-    # the share of an inertia that noise in its acceleration takes away
-    lost = [
+    names = [
         name
         for name in told
-        if name.endswith(".inertia") and rows[name]["sd"] * ratio**2 < abs(rows[name]["median"])
+        if name.endswith(".inertia") and rows[name]["sd"] < lost * abs(rows[name]["median"])
     ]
-    if ratio < LEAST_RATIO and lost:
-        yield {"kind": "acceleration", "ratio": ratio, "of": lost}
+    if names and lost > 1.0 / LEAST_RATIO**2:
+        yield {"kind": "acceleration", "ratio": float(lost**-0.5), "of": names}

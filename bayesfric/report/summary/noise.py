@@ -128,21 +128,11 @@ def add_white_intervals(
             "intervals are left out: raise sampling.max_steps"
         )
         return
-    judged = summary["sampler"]["status"] != "unusable"
-    apart = []
     for group in ("parameters", "derived"):
         for name, row in summary[group].items():
             other = white.get(name)
             if other is not None and not name.startswith("noise."):
                 row["white_interval"], row["white_sd"] = other["interval"], other["sd"]
-                (low, high), (other_low, other_high) = row["interval"], other["interval"]
-                if judged and row["verdict"] == "data" and (other_high < low or high < other_low):
-                    apart.append(name)
-    if apart:
-        summary["warnings"].append(
-            f"with white noise the intervals of {', '.join(apart)} would lie beside these, not "
-            "inside: these numbers depend on what the noise is taken for"
-        )
 
 
 def noise_lines(record: Mapping[str, Any]) -> Iterator[str]:
