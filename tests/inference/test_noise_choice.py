@@ -33,3 +33,56 @@ def test_residuals_of_nothing_are_white():
 def test_a_handful_of_residuals_is_no_evidence():
     rng = np.random.default_rng(1)
     assert choose_order([rng.standard_normal(15)], [np.ones(14, dtype=bool)], True).order == 0
+
+
+def closed_loop_like(seed, n=3000):
+    """A slow torque, and an acceleration that is mostly noise: what a unit root believes instead."""
+    rng = np.random.default_rng(seed)
+    slow = np.cumsum(rng.standard_normal(n))
+    slow = (slow - slow.mean()) / slow.std()
+    seen = slow + 0.3 * rng.standard_normal(n)  # the regressor, as it is measured
+    return 5.0 * slow + 0.05 * rng.standard_normal(n), seen
+
+
+def test_a_memory_that_moves_the_estimate_is_refused():
+    """With AR(1) near one the factor of 5 falls to next to nothing (errors in variables)."""
+    torque, seen = closed_loop_like(1)
+    factor = float(seen @ torque / (seen @ seen))
+    assert factor == pytest.approx(5.0, rel=0.1)
+    # what plain least squares leaves is white here; make it slow, as a missing term would be
+    residual = torque - factor * seen + 0.6 * np.roll(torque, 40)
+    residual -= seen * (seen @ residual) / (seen @ seen)
+    follows = np.ones(residual.size - 1, dtype=bool)
+    free = choose_order([residual], [follows], True)
+    bound = choose_order([residual], [follows], True, effects=[5.0 * seen[:, None]])
+    assert free.order == 4
+    assert bound.order == 0
+    assert bound.refused
+    assert all(one.shift > 3.0 for one in bound.tried[1:])
+    # residuals rise with it, as much as the estimate moves
+    assert bound.tried[4].rise > 1.1
+
+
+def test_a_right_memory_is_kept_and_said_to_do_no_harm():
+    rng = np.random.default_rng(7)
+    follows = np.ones(1999, dtype=bool)
+    column = np.sin(np.arange(2000) / 15.0)
+    noise = simulated(np.array([0.7]), follows, 1, rng)[0]
+    residual = noise - column * (column @ noise) / (column @ column)
+    found = choose_order([residual], [follows], True, effects=[50.0 * column[:, None]])
+    assert found.order == 1
+    assert not found.refused
+    # a shift of one sd and more comes one time in three; of three, in four hundred
+    assert found.tried[1].shift < 3.0
+    assert found.tried[1].rise == pytest.approx(1.0, abs=0.01)
+
+
+def test_hardly_any_evidence_for_a_memory_is_none():
+    rng = np.random.default_rng(3)
+    follows = np.ones(499, dtype=bool)
+    gains = []
+    for _ in range(40):
+        found = choose_order([rng.standard_normal(500)], [follows], True)
+        gains.append(min(one.bic for one in found.tried))
+        assert found.order == 0 or found.tried[found.order].bic < -6.0
+    assert min(gains) < 0.0  # some would have been taken for a memory

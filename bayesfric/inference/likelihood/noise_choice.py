@@ -33,6 +33,8 @@ Flags = NDArray[np.bool_]
 MOST = 4
 # Correlations that the test of what is left looks at, beyond those fitted.
 _LAGS = 10
+# What a memory must gain over none: less is hardly evidence (Kass and Raftery, JASA 90, 1995).
+_EVIDENCE = 6.0
 # Shift of an estimate, in its sd, and rise of the residuals from which on a memory does harm.
 _SHIFT, _RISE = 3.0, 1.1
 # Singular value, in prior sds over residuals, above which data alone tell a direction.
@@ -85,7 +87,8 @@ class Choice:
     @property
     def refused(self) -> bool:
         """Whether the residuals ask for another order, which would move the estimates."""
-        return min(self.tried, key=lambda one: one.bic).order != self.order
+        asked = min(self.tried, key=lambda one: one.bic)
+        return asked.order != self.order and not asked.harmless and asked.bic < -_EVIDENCE
 
     @property
     def white(self) -> bool:
@@ -155,7 +158,7 @@ def choose_order(
     first = tried[0]
     tried[0] = Evidence(0, 0.0, first.innovations, first.p_value)
     best = min((one for one in tried if one.harmless), key=lambda one: one.bic)
-    return Choice(best.order, tuple(tried))
+    return Choice(best.order if best.bic < -_EVIDENCE else 0, tuple(tried))
 
 
 class _Plain:

@@ -20,7 +20,7 @@ _MOST_COMPONENTS_LAST = 6
 _DRAWS_AN_ENTRY_LAST = 5
 # Draws that a fit looks at, and rounds it takes at most.
 _LOOKED_AT = 8000
-_LOOKED_AT_LAST = 20_000
+_LOOKED_AT_LAST = 12_000
 _ROUNDS = 60
 # A round that gains less log-likelihood a draw ends the fit.
 _GAIN = 1e-4
