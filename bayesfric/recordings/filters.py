@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -151,6 +152,11 @@ def exact_reach(cutoff: float, fs: float) -> int:
         if abs(gain - w) <= _GAIN_ERROR * w:
             return reach
     return most if cutoff else least
+
+
+def reach_of(how: Literal["exact", "central"], cutoff: float, fs: float) -> int:
+    """Neighbours of the differentiation that is asked for; see :func:`exact_reach`."""
+    return 1 if how == "central" else exact_reach(cutoff, fs)
 
 
 def derivative(

@@ -16,11 +16,11 @@ from bayesfric.recordings.filters import (
     ParallelFilter,
     check_cutoff,
     derivative,
-    exact_reach,
     lay_windows,
     lowpass,
     parallel_length,
     parallel_taps,
+    reach_of,
 )
 from bayesfric.recordings.options import Processing
 from bayesfric.recordings.recording import Recording
@@ -312,7 +312,7 @@ def _settle(recording: Recording, processing: Processing) -> _Numbers:
         resolution = resolve(recording, half if band is None else band)
     if cutoff:
         check_cutoff(cutoff, fs, f"{where}, lowpass")
-    reach = 1 if processing.differentiation == "central" else exact_reach(cutoff, fs)
+    reach = reach_of(processing.differentiation, cutoff, fs)
     if processing.trim is None:
         samples = max(_TRIM_SAMPLES, 2 * reach, int(np.ceil(fs / cutoff - 1e-9)) if cutoff else 0)
     else:

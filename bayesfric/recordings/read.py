@@ -283,7 +283,8 @@ def _torque(
         fs = 1 / grid.period
         cutoff = fs / 10 if processing.lowpass is None else processing.lowpass
         smooth = filters.lowpass(position, grid.segments, fs, cutoff, processing.order)
-        velocity = filters.derivative(smooth, grid.segments, grid.period)
+        reach = filters.reach_of(processing.differentiation, cutoff, fs)
+        velocity = filters.derivative(smooth, grid.segments, grid.period, reach)
     torque = constant / resistance * (signal - constant * drive.ratio * velocity)
     return torque, (
         f"{what}: kt V/R - kt^2 (motor speed)/R with kt = {source.voltage.torque_constant}, "
