@@ -10,6 +10,7 @@ from bayesfric.commands.check import check, check_text
 from bayesfric.commands.fit import fit, fit_text
 from bayesfric.commands.problem import read_problem
 from bayesfric.config import read_config
+from bayesfric.report.alerts import DOUBTS
 from bayesfric.report.summary.doubts import find_doubts, put_doubts
 from tests.conftest import REPOSITORY
 
@@ -195,6 +196,29 @@ def test_residuals_that_rise_with_a_noise_model_make_all_of_it_doubtful():
     summary = summary_of({"a.b": row(1.0, 0.9, 1.1)})
     (one,) = find_doubts(_Fit(), summary, white=(summary["parameters"], 0.8))
     assert (one["parameters"], one["rise"]) == (["a.b"], 1.25)
+
+
+@pytest.mark.parametrize(
+    ("doubt", "says"),
+    [
+        (
+            {"kind": "unexplained", "share": 0.217, "quantity": "motor torque"},
+            "22 % of the measured",
+        ),
+        ({"kind": "feedback", "law": "sign of speed", "recordings": ["a", "b"]}, "(a, b)"),
+        ({"kind": "negative", "values": {"total.viscous": -0.31}}, "total.viscous -0.31"),
+        ({"kind": "memory", "asked": 4, "taken": 0, "shift": 7.8, "rise": 1.3}, "AR(4)"),
+        ({"kind": "memory", "asked": 4, "taken": 1, "shift": 7.8, "rise": 1.3}, "AR(1) is taken"),
+        ({"kind": "noise", "rise": 1.0, "white": {"offset": -3.309}}, "offset -3.309"),
+        ({"kind": "noise", "rise": 1.2, "white": {}}, "1.2 times smaller"),
+        ({"kind": "acceleration", "ratio": 5.6, "parameters": ["motor.inertia"]}, "motor.inertia"),
+    ],
+)
+def test_every_kind_is_worded_with_its_numbers(doubt, says):
+    words = DOUBTS[doubt["kind"]](doubt)
+    assert says in words
+    assert "\n" not in words
+    assert not words.endswith(".")
 
 
 def test_no_doubt_changes_nothing():
