@@ -1,7 +1,8 @@
 """A joint in closed loop: what the committed result claims, and a smaller form of it run again."""
 
-import importlib.util
+import importlib
 import json
+import sys
 
 import pytest
 
@@ -14,10 +15,11 @@ OPEN = "low-pass at 5 Hz"
 
 @pytest.fixture(scope="module")
 def study():
-    spec = importlib.util.spec_from_file_location("closed_loop_study", FOLDER / "closed_loop.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    sys.path.insert(0, str(FOLDER))
+    try:
+        yield importlib.import_module("closed_loop")
+    finally:
+        sys.path.remove(str(FOLDER))
 
 
 def test_what_is_called_data_is_not_far_from_the_truth():
