@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -141,7 +142,8 @@ def _without_end(
     if begin > processing.min_samples:
         # the band is chosen by what is fitted alone
         first = _piece(recording, 0, begin, processing.min_samples)
-        processing = settled(first, processing)
+        with suppress(BadInput):  # what is left is refused below, with the mend
+            processing = settled(first, processing)
     length, step = window(recording, processing)
     last = begin - length - _MEMORY * step
     part = f"last {100 * share:.3g} %"

@@ -127,14 +127,7 @@ def observe(recording: Recording, processing: Processing) -> Observation:
     BadInput
         For a cut-off the sampling rate cannot carry, or settings that leave no output.
     """
-    numbers = _settle(recording, processing)
-    made = _prepared(recording, processing, numbers, SMALL_SHARE)
-    if made.filter.n_outputs < max(_LEFT * made.included, _LEAST_LEFT):
-        # A narrow band's long windows nearly all touch a reversal: rather lose samples then. The
-        # gaps they leave fold noise from above the band into it, which the low-pass must take off.
-        if processing.lowpass is None:
-            numbers = _quieter(recording, processing, numbers)
-        made = _prepared(recording, processing, numbers, LARGE_SHARE)
+    numbers, made = _laid(recording, processing)
     if made.filter.n_outputs == 0:
         raise BadInput(
             f"recording '{recording.name}', dead_zone",
@@ -266,15 +259,28 @@ def _quieter(recording: Recording, processing: Processing, numbers: _Numbers) ->
     return replace(_settle(recording, lower), resolution=numbers.resolution)
 
 
+def _laid(recording: Recording, processing: Processing) -> tuple[_Numbers, _Prepared]:
+    """Settle the filters and lay the windows, in whichever way leaves enough of them."""
+    numbers = _settle(recording, processing)
+    made = _prepared(recording, processing, numbers, SMALL_SHARE)
+    if made.filter.n_outputs < max(_LEFT * made.included, _LEAST_LEFT):
+        # A narrow band's long windows nearly all touch a reversal: rather lose samples then. The
+        # gaps they leave fold noise from above the band into it, which the low-pass must take off.
+        if processing.lowpass is None:
+            numbers = _quieter(recording, processing, numbers)
+        made = _prepared(recording, processing, numbers, LARGE_SHARE)
+    return numbers, made
+
+
 def settled(recording: Recording, processing: Processing) -> Processing:
     """Write down what a recording's filters are, so that another part is treated alike.
 
     Raises
     ------
     BadInput
-        For a cut-off the sampling rate cannot carry.
+        As :func:`observe`.
     """
-    numbers = _settle(recording, processing)
+    numbers, _ = _laid(recording, processing)
     return processing.model_copy(update={"lowpass": numbers.cutoff, "decimate": numbers.factor})
 
 

@@ -167,7 +167,6 @@ class FitFacts(Residual):
 class SamplerFacts(Sampler):
     """How the posterior was sampled."""
 
-    problems: list[str] = Field(default_factory=list)
     draws: int | None = None
     walkers: int | None = None
     ensembles: int | None = None
