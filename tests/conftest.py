@@ -19,6 +19,7 @@ from hypothesis import settings
 
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import parallel_filter
+from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.recording import Recording
 
@@ -42,8 +43,7 @@ def made_recording(time, position, torque, period, **more):
         "velocity": None,
         "segments": ((0, n),),
         "excluded": np.zeros(n, dtype=bool),
-        "added_mass": 0.0,
-        "radius": 0.0,
+        "inputs": Inputs(),
         "steps": (),
         "warnings": (),
     }
@@ -93,7 +93,7 @@ def make_observation():
             qd += amplitude * a * w * np.cos(w * time + phase)
             qdd -= amplitude * a * w**2 * np.sin(w * time + phase)
         torque = inverse_torque(
-            chain, chain.vector(values), q, qd, qdd, added_mass=added_mass, radius=radius
+            chain, chain.vector(values), q, qd, qdd, inputs=Inputs(added_mass, radius, name)
         )
         torque = torque + sigma * rng.standard_normal(n)
         taken = parallel_filter(((0, n),), factor, None, 1 / period, np.ones(n, dtype=bool))
@@ -109,8 +109,8 @@ def make_observation():
             speed=taken.apply(qd),
             period=factor * period,
             segment_of=np.zeros(taken.n_outputs, dtype=np.int64),
-            added_mass=added_mass,
-            radius=radius,
+            stamps=time,
+            inputs=Inputs(added_mass, radius, name),
             steps=(),
             warnings=(),
             settings={},

@@ -17,6 +17,7 @@ from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.quantities import CHOICES, OPTION_MEANINGS
 from bayesfric.recordings.held_out import Validation
 from bayesfric.recordings.options import Processing
 
@@ -93,10 +94,11 @@ def _mechanism(preset: str, chain: Chain) -> Iterator[str]:
     for element in chain.elements:
         yield f"# [mechanism.elements.{element.name}]"
         yield f"# ratio = {element.ratio:g}  # input speed over output speed"
-        yield f'# coulomb = "{element.coulomb}"  # none, symmetric, by-direction'
-        yield f'# load_loss = "{element.load_loss}"  # none, one, two'
-        for key in ("inertia", "viscous", "quadratic", "stribeck"):
-            yield f"# {key} = {str(getattr(element, key)).lower()}"
+        for option, choices in CHOICES.items():
+            plain = False if True in choices else "none"
+            known = ", ".join(_toml(choice) for choice in (plain, *choices))
+            chosen = _toml(element.choices.get(option, plain))
+            yield f"# {option} = {chosen}  # {OPTION_MEANINGS[option]}: {known}"
 
 
 def _recordings(chain: Chain) -> Iterator[str]:

@@ -15,7 +15,6 @@ from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical_load
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.derived import derive
-from bayesfric.mechanism.inverse import added_load
 from bayesfric.mechanism.scaling import Scaling, scalings
 from bayesfric.recordings.observation import Observation
 
@@ -33,7 +32,7 @@ def open_scalings(
     One known mass in all recordings alike might as well be more leg, and zero times any
     factor is zero: neither fixes a scale.
     """
-    masses = {added_load(chain, o.added_mass, o.radius) for o in observations}
+    masses = {o.inputs.load(chain.load.motion) for o in observations}
     if len(masses) > 1:
         return ()
     fixed, told = knowledge.fixed, set(knowledge.told)

@@ -11,45 +11,14 @@ from bayesfric.errors import BadInput
 from bayesfric.estimates.estimate import Estimate, EstimatedValue
 from bayesfric.estimates.information import Information
 from bayesfric.estimates.torque import places
+from bayesfric.estimates.torque_form import columns, filled, in_order
 from bayesfric.mechanism.chain import Chain
-from bayesfric.mechanism.inverse import added_load
-from bayesfric.mechanism.parameter import effort_words, entry_of
+from bayesfric.mechanism.parameter import Parameter, effort_words
+from bayesfric.mechanism.quantities import TOTALS
 from bayesfric.recordings.observation import Observation
 
 # Relative size below which a singular value of the regressors is rounding.
 _OPEN = 1e-9
-
-_UNITS = {
-    # name: rotary unit, linear unit, symbol, meaning
-    "inertia": ("kg m²", "kg", "J_t", "inertia seen by the motor"),
-    "viscous": ("N m s", "N s/m", "f_t", "viscous loss seen by the motor"),
-    "quadratic": ("N m s²", "N s²/m²", "f_{3,t}", "quadratic loss seen by the motor"),
-    "coulomb": ("N m", "N", "C_t", "constant loss seen by the motor"),
-    "offset": ("N m", "N", r"\Delta C_t", "constant torque, half the difference of the losses"),
-    "gravity": ("N m", "N", r"ml\,g/(\alpha_m N)", "gravity torque seen by the motor, sine part"),
-    "gravity_cosine": ("N m", "N", r"ml\,g\sin q_g/(\alpha_m N)", "gravity torque, cosine part"),
-    "added_load": ("", "", r"1/\alpha_m", "motor torque per torque of the known added load"),
-}
-
-# Totals that each quantity shows in; a mean transfer coefficient stands for load losses, and
-# what varies a loss or scales everything has no total of its own.
-_TOTALS: dict[str, tuple[str, ...]] = {
-    "inertia": ("inertia",),
-    "viscous": ("viscous",),
-    "quadratic": ("quadratic",),
-    "coulomb": ("coulomb",),
-    "coulomb_positive": ("coulomb", "offset"),
-    "coulomb_negative": ("coulomb", "offset"),
-    "first_moment": ("gravity",),
-    "gravity_angle": ("gravity_cosine",),
-    "offset": ("offset",),
-    "stribeck_ratio": (),
-    "stribeck_velocity": (),
-    "load": (),
-    "load_drive": (),
-    "load_back": (),
-    "gain": (),
-}
 
 
 def least_squares(chain: Chain, observations: Sequence[Observation]) -> Estimate:
@@ -116,7 +85,7 @@ def least_squares(chain: Chain, observations: Sequence[Observation]) -> Estimate
         label = projection.labels[i]
         values.append(EstimatedValue(label, unit, symbol, meaning, value, sd, robust))
     assumption = "sd: uncorrelated residuals of equal variance; sd_robust: correlated ones (HAC)"
-    if "added_load" not in names and any(o.added_mass for o in observations):
+    if "added_load" not in names and any(o.inputs.added_mass for o in observations):
         assumption += "; the known added mass is part of the totals"
     return Estimate(
         method="least-squares",
@@ -174,28 +143,49 @@ class TotalsProjection:
 
     def describe(self, name: str) -> tuple[str, str, str]:
         """Give unit, LaTeX symbol and meaning of a total."""
+        chain = self._chain
+        for p in chain.parameters:
+            if _has_own(chain, p) and p.name == name:
+                return p.unit, p.symbol, p.meaning
         kind, _, recording = name.partition(".")
-        rotary, linear, symbol, meaning = _UNITS[kind]
-        motion = self._chain.motor_motion
-        unit, meaning = rotary if motion == "rotary" else linear, effort_words(meaning, motion)
+        total, motion = TOTALS[kind], chain.motor_motion
+        unit = total.units[0 if motion == "rotary" else 1]
+        meaning = effort_words(total.meaning, motion)
         if not recording:
-            return unit, symbol, meaning
-        symbol = rf"\Delta C_{{t,{self._chain.own_offsets.index(recording) + 1}}}"
+            return unit, total.symbol, meaning
+        symbol = rf"\Delta C_{{t,{chain.own_offsets.index(recording) + 1}}}"
         return unit, symbol, f"{meaning}, {recording}"
 
 
 def total_label(chain: Chain, name: str) -> str:
     """Name a total: that of the parameter that makes it up alone, else ``total.<name>``."""
+    if any(_has_own(chain, p) and p.name == name for p in chain.parameters):
+        return name
     kind = name.partition(".")[0]
-    owners = [p.name for p in chain.parameters if p.quantity.startswith(kind)]
-    if kind == "offset" and chain.own_offsets:
-        owners = [name]
-    motor = chain.elements[0].name
-    alone = owners in ([f"{motor}.{name}"], [name]) and not chain.gain
-    asymmetric = any(p.quantity == "coulomb_positive" for p in chain.parameters)
-    if not alone or (kind == "offset" and asymmetric):
-        return f"total.{name}"
-    return owners[0]
+    owners = [p for p in chain.parameters if kind in dict(_regressed(chain, p))]
+    own = [p for p in owners if p.name == name] if name.startswith("offset.") else owners
+    if len(own) == 1 and own[0].owner in (chain.elements[0].name, "") and not chain.gain:
+        told = own[0].quantity == kind and (name == kind or len(owners) == len(chain.own_offsets))
+        if told:
+            return own[0].name
+    return f"total.{name}"
+
+
+def _has_own(chain: Chain, p: Parameter) -> bool:
+    """Whether a parameter has a regressor that no total is."""
+    return p.name in dict(_regressed(chain, p)) and p.quantity != "offset"
+
+
+def _regressed(chain: Chain, p: Parameter) -> tuple[tuple[str, float], ...]:
+    """Regressors of eq. (11) that a parameter shows in, and its torque there for a value of one.
+
+    A mean transfer coefficient stands for load losses; what shapes other terms, or scales
+    everything, has no regressor of its own.
+    """
+    if p.circular:
+        return (("gravity_cosine", 0.0),)
+    plain = [(TOTALS[k].regressor or k if k in TOTALS else k, c) for k, c in filled(chain, p)]
+    return tuple(plain)
 
 
 def starting_values(chain: Chain, totals: Estimate, mu: float, share: float) -> dict[str, float]:
@@ -215,51 +205,50 @@ def starting_values(chain: Chain, totals: Estimate, mu: float, share: float) -> 
     """
     total = {name: totals[label].value for name, label in _labels(chain).items() if label in totals}
     gain = total.get("added_load", 1.0)
-    owners: dict[str, list[str]] = {}
+    owners: dict[str, set[str]] = {}
     for p in chain.parameters:
-        kind = p.quantity.removesuffix("_positive").removesuffix("_negative")
-        owners.setdefault(kind, []).append(p.name)
-    to_motor = {"": 1.0, "drive": 1.0, "load": chain.ratio}
-    before = 1.0
-    for element in chain.elements:
-        to_motor[element.name] = before
-        before *= element.ratio
-    powers = {"inertia": 2, "viscous": 2, "quadratic": 3, "coulomb": 1, "first_moment": 1}
-
+        for kind, _ in _regressed(chain, p):
+            owners.setdefault(kind, set()).add(p.owner)
     values: dict[str, float] = {}
     for p in chain.parameters:
-        owner = p.name.rpartition(".")[0]
-        kind = p.quantity.removesuffix("_positive").removesuffix("_negative")
-        if kind in ("inertia", "viscous", "quadratic", "coulomb"):
-            peers = {name.rpartition(".")[0] for name in owners[kind]}
-            part = _part(owner, peers, chain.elements[0].name, share)
-            seen = max(total.get(kind, 0.0), 1e-3 * abs(totals.residual_rms) + 1e-12)
-            values[p.name] = part * seen * to_motor[owner] ** powers[kind]
-        elif kind == "first_moment":
+        way = np.sign(chain.load.gravity)
+        if p.row.role == "loss":
+            values[p.name] = mu
+        elif p.quantity == "first_moment":
             seen = float(np.hypot(total.get("gravity", 0.0), total.get("gravity_cosine", 0.0)))
             values[p.name] = max(seen, 1e-6) * chain.ratio / abs(chain.load.gravity)
-        elif kind == "gravity_angle":
-            way = np.sign(chain.load.gravity)
-            values[p.name] = float(
-                np.arctan2(way * total["gravity_cosine"], way * total["gravity"])
-                if "gravity" in total
-                else 0.0
-            )
-        elif kind in ("load", "load_drive", "load_back"):
-            values[p.name] = mu
-        elif kind == "offset":
-            values[p.name] = total.get(p.name, 0.0)
-        elif kind == "gain":
+        elif p.circular:
+            cosine, sine = total.get("gravity_cosine", 0.0), total.get("gravity", 0.0)
+            values[p.name] = float(np.arctan2(way * cosine, way * sine)) if sine or cosine else 0.0
+        elif p.quantity == "gain":
             values[p.name] = 1.0 / gain if gain > 0 else 1.0
+        elif p.quantity == "offset":
+            values[p.name] = total.get(p.name, 0.0)
+        elif p.row.role == "own":
+            kind = _regressed(chain, p)[0][0]
+            part = _part(p.owner, owners[kind], chain.elements[0].name, share)
+            seen = total.get(kind, 0.0)
+            if p.lower == 0.0:
+                seen = max(seen, 1e-3 * abs(totals.residual_rms) + 1e-12)
+            # the whole torque of a regressor for a value of one, both directions together
+            whole = sum(
+                abs(c) for q in chain.parameters if q.owner == p.owner
+                for k, c in _regressed(chain, q) if k == kind
+            )  # fmt: skip
+            values[p.name] = part * seen / whole
         else:
-            places = {"stribeck_ratio": 0.3, "stribeck_velocity": p.default}
-            values[p.name] = entry_of(places, kind, "the search's start")
+            if p.row.start is None:
+                raise KeyError(
+                    f"{p.name}: a search for {p.quantity!r} does not know where to start"
+                )
+            values[p.name] = p.row.start
     return values
 
 
 def _labels(chain: Chain) -> dict[str, str]:
-    kinds = [kind for kind in _UNITS if kind != "offset" or not chain.own_offsets]
+    kinds = [kind for kind in TOTALS if kind != "offset" or not chain.own_offsets]
     kinds += [f"offset.{recording}" for recording in chain.own_offsets]
+    kinds += [p.name for p in chain.parameters if _has_own(chain, p)]
     return {name: total_label(chain, name) for name in kinds}
 
 
@@ -275,39 +264,12 @@ def _part(owner: str, peers: set[str], motor: str, share: float) -> float:
 def _regressors(
     chain: Chain, observations: Sequence[Observation]
 ) -> tuple[list[str], NDArray[np.float64]]:
-    wanted = {
-        kind for p in chain.parameters for kind in entry_of(_TOTALS, p.quantity, "least squares")
-    }
-    n = chain.ratio
-    loads = {added_load(chain, o.added_mass, o.radius) for o in observations}
-    known = loads != {(0.0, 0.0)} and ("gravity" not in wanted or len(loads) > 1)
-    blocks: list[NDArray[np.float64]] = []
-    names: list[str] = []
-    for o in observations:
-        sign = np.sign(o.qd)
-        columns: dict[str, NDArray[np.float64]] = {}
-        if "inertia" in wanted:
-            columns["inertia"] = n * o.qdd
-        if "viscous" in wanted:
-            columns["viscous"] = n * o.qd
-        if "quadratic" in wanted:
-            columns["quadratic"] = n**2 * o.qd * np.abs(o.qd)
-        if "coulomb" in wanted:
-            columns["coulomb"] = sign
-        for recording in chain.own_offsets:
-            columns[f"offset.{recording}"] = np.full_like(sign, recording == o.name)
-        if not chain.own_offsets and "offset" in wanted:
-            columns["offset"] = np.ones_like(sign)
-        if "gravity" in wanted:
-            columns["gravity"] = np.sin(o.q)
-        if "gravity_cosine" in wanted:
-            columns["gravity_cosine"] = np.cos(o.q)
-        if known:
-            inertia, moment = added_load(chain, o.added_mass, o.radius)
-            columns["added_load"] = (
-                inertia * o.qdd + chain.load.gravity * moment * np.sin(o.q)
-            ) / n
-        names = list(columns)
-        if columns:
-            blocks.append(o.filter.apply(np.stack(list(columns.values()))).T)
+    found = {kind for p in chain.parameters for kind, _ in _regressed(chain, p)}
+    loads = {o.inputs.load(chain.load.motion) for o in observations}
+    if loads != {(0.0, 0.0)} and ("gravity" not in found or len(loads) > 1):
+        found.add("added_load")
+    if "offset" in found:
+        found |= {f"offset.{recording}" for recording in chain.own_offsets}
+    names = [name for name in in_order(chain) if name in found]
+    blocks = [o.filter.apply(columns(chain, o, names)).T for o in observations if names]
     return names, np.concatenate(blocks) if blocks else np.empty((0, 0))

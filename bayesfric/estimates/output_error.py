@@ -425,7 +425,7 @@ def _split(chain: Chain, observations: Sequence[Observation], knowledge: Knowled
 def _check(chain: Chain, trajectories: Sequence[Trajectory], knowledge: Knowledge) -> None:
     inertia = [p.name for p in chain.parameters if p.quantity == "inertia"]
     known = [n for n in inertia if knowledge.fixed.get(n, 1.0) > 0.0]
-    if not known and not all(t.added_mass for t in trajectories):
+    if not known and not all(t.inputs.added_mass for t in trajectories):
         raise BadInput(
             "mechanism",
             "has no inertia, so a torque does not determine a motion to compare with",

@@ -129,9 +129,8 @@ class Shooting:
                 t.segments,
                 part[..., 0],
                 part[..., 1],
-                added_mass=t.added_mass,
-                radius=t.radius,
-                recording=t.name,
+                inputs=t.inputs,
+                begin=float(t.time[0]),
                 substeps=self.substeps if substeps is None else substeps,
             )
             blocks.append(simulated[:, t.samples])

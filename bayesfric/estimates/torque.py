@@ -49,9 +49,8 @@ def filtered_torque(chain: Chain, observation: Observation, values: Array) -> Ar
             observation.q,
             observation.qd,
             observation.qdd,
-            added_mass=observation.added_mass,
-            radius=observation.radius,
-            recording=observation.name,
+            inputs=observation.inputs,
+            time=observation.stamps,
         )
         out[first : first + rows] = observation.filter.apply(torque)
     return out
@@ -102,12 +101,7 @@ def typical_load(chain: Chain, observations: Sequence[Observation], values: Arra
     loads = [
         np.abs(
             load_torque(
-                chain,
-                values,
-                o.q[o.filter.centres],
-                o.qdd[o.filter.centres],
-                added_mass=o.added_mass,
-                radius=o.radius,
+                chain, values, o.q[o.filter.centres], o.qdd[o.filter.centres], inputs=o.inputs
             )
         )
         for o in observations

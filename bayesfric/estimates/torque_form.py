@@ -14,29 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.mechanism.chain import Chain
-from bayesfric.mechanism.inverse import added_load
-from bayesfric.mechanism.parameter import entry_of
+from bayesfric.mechanism.own_term import Carried
+from bayesfric.mechanism.parameter import Parameter
+from bayesfric.mechanism.quantities import TOTALS, State
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
 Term = tuple[int, float]  # a parameter's index, and its torque at the motor for a value of one
 
-# Columns in the order of the paper's theta.
-_ORDER = (
-    "inertia",
-    "viscous",
-    "quadratic",
-    "coulomb",
-    "difference",
-    "offset",
-    "gravity",
-    "gravity_cosine",
-)
 # Relative size below which a singular value of the regressors is rounding.
 OPEN = 1e-9
 # What is positive in any mechanism that loses energy; gravity's sign is that of Theta1.
-POSITIVE = ("inertia", "viscous", "quadratic", "coulomb", "added_load")
+POSITIVE = tuple(total.name for total in TOTALS.values() if total.positive)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +38,11 @@ class TorqueForm:
     chain
         The mechanism.
     names1, names2
-        Columns of ``psi`` that ``Theta1`` and ``Theta2`` multiply: ``inertia``,
-        ``viscous``, ``quadratic``, ``coulomb`` (the sign of speed), ``difference`` (one
-        while moving), ``offset`` (one; ``offset.<recording>`` in that one), ``gravity``,
-        ``gravity_cosine``, ``added_load`` (torque of the known mass at the motor, whose
-        coefficients are lambda_1 and lambda_2). All in motor units, as the paper's.
+        Columns of ``psi`` that ``Theta1`` and ``Theta2`` multiply, those of
+        :data:`bayesfric.mechanism.quantities.TOTALS` in motor units, as the paper's:
+        ``offset`` is one, ``offset.<recording>`` one in that one; ``added_load`` the torque of
+        the known mass at the motor, whose coefficients are lambda_1 and lambda_2. A term with
+        a shape of its own has a column by the name of its parameter.
     front, behind
         Parameters in each column, up to the gearbox and behind it.
     loss
@@ -208,37 +198,30 @@ def torque_form(chain: Chain, observations: Sequence[Observation] = ()) -> Torqu
     """
     lossy = [i for i, e in enumerate(chain.elements) if e.load_loss != "none"]
     angled = "load.gravity_angle" in chain.names
-    masses = any(o.added_mass for o in observations)
-    stribeck = any(e.stribeck for e in chain.elements)
-    if len(lossy) > 1 or chain.gain or stribeck or (angled and masses):
+    masses = any(o.inputs.added_mass for o in observations)
+    shaped = any(p.row.role == "form" and not p.circular for p in chain.parameters)
+    if len(lossy) > 1 or shaped or (angled and masses):
         return None
     last = lossy[0] if lossy else len(chain.elements)
+    in_front = {element.name for element in chain.elements[: last + 1]}
+    in_front |= set() if lossy else {"load"}
     front: dict[str, list[Term]] = {}
     behind: dict[str, list[Term]] = {}
-    before = 1.0
-    for i, element in enumerate(chain.elements):
-        for p in element.parameters():
-            terms = _terms(p.quantity, before)
-            for kind, c in terms:
-                side = front if i <= last else behind
-                side.setdefault(kind, []).append((chain.names.index(p.name), c))
-        before *= element.ratio
-    side = behind if lossy else front
-    weight = ("gravity", "gravity_cosine") if angled else ("gravity",)
-    of_load = {
-        "inertia": _terms("inertia", chain.ratio),
-        "first_moment": tuple((kind, chain.load.gravity / chain.ratio) for kind in weight),
-        "gravity_angle": (),  # turns gravity's two columns, see _sums
-    }
-    for p in chain.load.parameters():
-        for kind, c in entry_of(of_load, p.quantity, "the torque form"):
-            side.setdefault(kind, []).append((chain.names.index(p.name), c))
+    for i, p in enumerate(chain.parameters):
+        if p.owner:  # offsets follow
+            side = front if p.owner in in_front else behind
+            for kind, c in filled(chain, p):
+                side.setdefault(kind, []).append((i, c))
+    if angled:  # it turns gravity's two columns, see _sums
+        for side in (front, behind):
+            if "gravity" in side:
+                side["gravity_cosine"] = side["gravity"]
     own = tuple(f"offset.{recording}" for recording in chain.own_offsets)
     for name in own or ("offset",) * chain.offset:
         front[name] = [(chain.names.index(name), 1.0)]
-    order = [k for kind in _ORDER for k in ((own or (kind,)) if kind == "offset" else (kind,))]
+    order = in_order(chain)
     names1 = tuple(k for k in order if k in front or k in behind)
-    names2 = tuple(k for k in _ORDER if k in behind)
+    names2 = tuple(k for k in order if k in behind)
     if masses and lossy:
         plain = np.concatenate([columns(chain, o, names2) for o in observations], axis=1)
         known = np.concatenate([columns(chain, o, ("added_load",)) for o in observations], axis=1)
@@ -251,51 +234,55 @@ def torque_form(chain: Chain, observations: Sequence[Observation] = ()) -> Torqu
     )
 
 
-def _terms(quantity: str, before: float) -> tuple[tuple[str, float], ...]:
-    """Columns one quantity fills; ``before``: motor speed over the element's."""
-    known: dict[str, tuple[tuple[str, float], ...]] = {
-        "inertia": (("inertia", before**-2),),
-        "viscous": (("viscous", before**-2),),
-        "quadratic": (("quadratic", before**-3),),
-        "coulomb": (("coulomb", 1.0 / before),),
-        "coulomb_positive": (("coulomb", 0.5 / before), ("difference", 0.5 / before)),
-        "coulomb_negative": (("coulomb", 0.5 / before), ("difference", -0.5 / before)),
-        # lambda_1 and lambda_2 hold these
-        "load": (),
-        "load_drive": (),
-        "load_back": (),
-    }
-    return entry_of(known, quantity, "the torque form")
+def filled(chain: Chain, p: Parameter) -> tuple[tuple[str, float], ...]:
+    """Columns one parameter fills, and its torque at the motor there for a value of one.
+
+    A term that does not grow with a power of speed, or has no total, has a column of its own.
+    Load losses have none: ``lambda_1`` and ``lambda_2`` hold them.
+    """
+    if p.row.role != "own":
+        return ()
+    before = chain.ratio / chain.reaches[p.owner]  # speed of the motor over that of its shaft
+    if p.row.power is None or not {kind for kind, _ in p.row.fills} <= TOTALS.keys():
+        return ((p.name, 1.0 / before),)
+    factor = before ** -(p.row.power + 1)
+    if p.quantity == "first_moment":
+        factor *= chain.load.gravity
+    return tuple((kind, weight * factor) for kind, weight in p.row.fills)
+
+
+def in_order(chain: Chain) -> list[str]:
+    """Names of all columns there may be, in the order of the paper's theta."""
+    own = [f"offset.{recording}" for recording in chain.own_offsets]
+    order = [k for kind in TOTALS for k in ((own or [kind]) if kind == "offset" else [kind])]
+    return list(dict.fromkeys([*order, *chain.names]))
 
 
 def columns(chain: Chain, observation: Observation, names: Iterable[str]) -> Array:
     """Columns of ``psi`` before filtering, one a row ``(n, N)``, in motor units."""
     o, n = observation, chain.ratio
-    sign = np.sign(o.qd)
+    inertia, moment = o.inputs.load(chain.load.motion)
+    sine = np.sin(o.q)
+    state = State(
+        n * o.q,
+        n * o.qd,
+        n * o.qdd,
+        np.sign(o.qd),
+        o.stamps,
+        transmitted=(inertia * o.qdd + chain.load.gravity * moment * sine) / n,
+        gravity=sine,
+    )
 
     def column(name: str) -> Array:
-        match name:
-            case "inertia":
-                return n * o.qdd
-            case "viscous":
-                return n * o.qd
-            case "quadratic":
-                return n**2 * o.qd * np.abs(o.qd)
-            case "coulomb":
-                return sign
-            case "difference":
-                # C1 and C2 act on what moves
-                return np.abs(sign)
-            case "offset":
-                return np.ones_like(sign)
-            case _ if name.startswith("offset."):
-                return np.full_like(sign, name == f"offset.{o.name}")
-            case "gravity":
-                return np.sin(o.q)
-            case "gravity_cosine":
-                return np.cos(o.q)
-        inertia, moment = added_load(chain, o.added_mass, o.radius)
-        return (inertia * o.qdd + chain.load.gravity * moment * np.sin(o.q)) / n
+        if name in TOTALS:
+            turned = name == "gravity_cosine"
+            at = state._replace(gravity=np.cos(o.q)) if turned else state
+            return np.asarray(TOTALS[name].column(at))
+        if name in (f"offset.{recording}" for recording in chain.own_offsets):
+            return np.full_like(o.q, name == f"offset.{o.inputs.recording}")
+        p = chain.parameters[chain.names.index(name)]
+        carried = Carried(0, 0, chain.reaches[p.owner], p.row)
+        return carried.along(o.q, o.qd, o.stamps)
 
     found = [column(name) for name in names]
     return np.stack(found) if found else np.empty((0, o.q.size))

@@ -152,7 +152,7 @@ def limits_of(
         outside its limits.
     """
     rotary = chain.load.motion == "rotary"
-    carried = [(o.added_mass, o.radius) for o in observations if o.added_mass]
+    carried = [(o.inputs.added_mass, o.inputs.radius) for o in observations if o.inputs.added_mass]
     if options.masses is None:
         # what was bolted on once is on hand; a guess is for those who never did
         on_hand = [] if carried else [known_mass(chain, values)]
@@ -223,14 +223,14 @@ def candidates(observations: Sequence[Observation], limits: Limits) -> Iterator[
         again,
         period,
         0.0,  # measured torque is behind the current loop already
-        base.added_mass,
-        base.radius,
+        base.inputs.added_mass,
+        base.inputs.radius,
         float(base.q[stretch.start]),
         float(base.qd[stretch.start]),
         base,
     )
     time = period * np.arange(max(round(limits.duration / period), 1), dtype=np.float64)
-    bare = {(o.added_mass, o.radius) for o in observations} == {(0.0, 0.0)}
+    bare = {(o.inputs.added_mass, o.inputs.radius) for o in observations} == {(0.0, 0.0)}
     for mass, radius in limits.masses:
         kind: CandidateKind = "known mass" if mass or not bare else "excitation"
         for form, shape in _shapes(time, hertz):

@@ -14,6 +14,7 @@ from bayesfric.identifiability.local import LocalInformation, units_of
 from bayesfric.identifiability.virtual_recording import TorqueNoise, scaled_jacobian, torque_noise
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.scaling import scalings
+from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
 
@@ -62,6 +63,10 @@ class SpeedTerm:
     explained: float
 
 
+def _heavier(o: Observation, factor: float) -> Observation:
+    return replace(o, inputs=replace(o.inputs, added_mass=factor * o.inputs.added_mass))
+
+
 def unknown_mass(target: Target, parameters: Array, local: LocalInformation) -> UnknownMass | None:
     """Look at the torque as if the added masses were known but for one common factor.
 
@@ -81,19 +86,15 @@ def unknown_mass(target: Target, parameters: Array, local: LocalInformation) -> 
     """
     likelihood = target.likelihood
     observations = likelihood.observations
-    if not any(o.added_mass for o in observations):
+    if not any(o.inputs.added_mass for o in observations):
         return None
     jacobian, noise = _torque_jacobian(target, parameters)
     values = target.chain_values(parameters[None])
     column = [
         one.whitened(
             (
-                filtered_torque(
-                    likelihood.chain, replace(o, added_mass=o.added_mass * (1.0 + _STEP)), values
-                )
-                - filtered_torque(
-                    likelihood.chain, replace(o, added_mass=o.added_mass * (1.0 - _STEP)), values
-                )
+                filtered_torque(likelihood.chain, _heavier(o, 1.0 + _STEP), values)
+                - filtered_torque(likelihood.chain, _heavier(o, 1.0 - _STEP), values)
             )[0]
             / (2.0 * _STEP),
             o,

@@ -93,8 +93,8 @@ def recording_facts(
                 at_levels=_at_levels(o.measured, sigma),
                 turn=float(np.ptp(q)),
                 steady=_steady(chain, o, values),
-                added_mass=o.added_mass,
-                radius=o.radius,
+                added_mass=o.inputs.added_mass,
+                radius=o.inputs.radius,
             )
         )
     return tuple(found)
@@ -136,17 +136,10 @@ def _behind(chain: Chain, i: int, o: Observation, at: NDArray[np.int64], values:
     """Torque at the output of element ``i``, ``(n, len(at))``."""
     q, qd, qdd = o.q[at], o.qd[at], o.qdd[at]
     if i + 1 == len(chain.elements):
-        return np.stack(
-            [
-                load_torque(chain, v, q, qdd, added_mass=o.added_mass, radius=o.radius)
-                for v in values
-            ]
-        )
+        return np.stack([load_torque(chain, v, q, qdd, inputs=o.inputs) for v in values])
     rest = Chain(chain.elements[i + 1 :], chain.load)
     columns = [chain.names.index(name) for name in rest.names]
-    return inverse_torque(
-        rest, values[:, columns], q, qd, qdd, added_mass=o.added_mass, radius=o.radius
-    )
+    return inverse_torque(rest, values[:, columns], q, qd, qdd, inputs=o.inputs, time=o.stamps)
 
 
 def _at_levels(torque: Array, sigma: float) -> float | None:

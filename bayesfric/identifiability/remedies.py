@@ -130,7 +130,7 @@ def trials(
     makers: list[tuple[RemedyKind, str, Callable[[], Observation]]] = []
     carried = {(f.added_mass, f.radius) for f in facts}
     if len(carried) == 1:
-        more = "another" if base.added_mass else "a"
+        more = "another" if base.inputs.added_mass else "a"
         makers.append(
             (
                 "known mass",

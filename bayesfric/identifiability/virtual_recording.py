@@ -127,7 +127,9 @@ def with_torque(
         torque = torque + many * 0.4 * peak / float(np.abs(many).max())
     if form != "same":
         torque = excitation.current_loop(torque, period, _LAG)
-    return played(chain, values, observation, torque, observation.added_mass, observation.radius)
+    return played(
+        chain, values, observation, torque, observation.inputs.added_mass, observation.inputs.radius
+    )
 
 
 def pace(observation: Observation) -> float:
@@ -243,6 +245,7 @@ def played(
     if state is None:
         first = longest_stretch(observation).start
         state = float(observation.q[first]), float(observation.qd[first])
+    inputs = replace(observation.inputs, added_mass=added_mass, radius=radius)
     motion = simulate(
         chain,
         values,
@@ -250,8 +253,7 @@ def played(
         sample_period(observation),
         q0=state[0],
         qd0=state[1],
-        added_mass=added_mass,
-        radius=radius,
+        inputs=inputs,
         substeps=4,
     )
     period, size = sample_period(observation), torque.size
@@ -276,8 +278,8 @@ def played(
         measured=chosen.apply(torque),
         speed=qd[chosen.centres],
         segment_of=np.zeros(chosen.n_outputs, dtype=np.int64),
-        added_mass=added_mass,
-        radius=radius,
+        stamps=motion.time,
+        inputs=inputs,
     )
 
 

@@ -139,7 +139,7 @@ def read_priors(
             raise BadInput(
                 f"priors.{name}", "the mechanism has no such parameter", nearest(name, known)
             )
-    scales = measured_scales(observations)
+    scales = measured_scales(chain, observations)
     priors = {
         p.name: read_prior(p.name, texts[p.name], lower=p.lower, upper=p.upper, circular=p.circular)
         if p.name in texts

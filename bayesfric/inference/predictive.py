@@ -150,8 +150,9 @@ def predict_held_out(
         torque = np.empty((n, outputs))
         for r in np.unique(like):
             # a recording's offset goes by its name
-            named = replace(one.observation, name=names[r])
-            torque[like == r] = filtered_torque(chain, named, values[like == r])
+            inputs = replace(one.observation.inputs, recording=names[r])
+            alike = replace(one.observation, inputs=inputs)
+            torque[like == r] = filtered_torque(chain, alike, values[like == r])
         found.append(
             Prediction(one, torque, noise.marginal(scales[np.arange(n), like]), tuple(borrowed))
         )

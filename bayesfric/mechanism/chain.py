@@ -5,31 +5,36 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from bayesfric.errors import nearest
 from bayesfric.mechanism.element import Element, Load
-from bayesfric.mechanism.parameter import Motion, Parameter, parameter
+from bayesfric.mechanism.kernels import ELEMENT_SLOTS, LOAD_SLOTS, Samples
+from bayesfric.mechanism.own_term import Carried, Term
+from bayesfric.mechanism.parameter import Parameter, parameter
+from bayesfric.mechanism.quantities import QUANTITIES, Motion
+from bayesfric.recordings.inputs import Inputs
 
-# Columns of the packed tables that the compiled kernels read. One element is a
-# row of the first, the load and the measurement make up the second.
-ELEMENT_SLOTS = (
-    "ratio",
-    "inertia",
-    "coulomb_positive",
-    "coulomb_negative",
-    "viscous",
-    "quadratic",
-    "stribeck_ratio",
-    "stribeck_velocity",
-    "load_drive",
-    "load_back",
-)
-LOAD_SLOTS = ("inertia", "first_moment", "gravity_angle", "gravity", "offset", "gain")
 
-# A quantity given once for both directions fills two slots.
-_FILLS = {"coulomb": ("coulomb_positive", "coulomb_negative"), "load": ("load_drive", "load_back")}
+class Tables(NamedTuple):
+    """Parameter vectors laid out for the compiled kernels.
+
+    Attributes
+    ----------
+    elements
+        ``(n, n_elements, n_slots)``; columns are ``kernels.ELEMENT_SLOTS``.
+    load
+        ``(n, n_slots)``; columns are ``kernels.LOAD_SLOTS``.
+    carried
+        ``(n, n_carried)`` coefficients of the terms that have no slot, :attr:`Chain.carried`.
+    """
+
+    elements: NDArray[np.float64]
+    load: NDArray[np.float64]
+    carried: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -57,6 +62,8 @@ class Chain:
     ------
     ValueError
         If names repeat or a ratio is not positive.
+    KeyError
+        If no form of the model knows a quantity.
     """
 
     elements: tuple[Element, ...]
@@ -67,6 +74,7 @@ class Chain:
     preset: str = ""
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "elements", tuple(self.elements))
         names = [element.name for element in self.elements]
         if not names:
             raise ValueError("a chain needs at least one element")
@@ -77,19 +85,33 @@ class Chain:
         for element in self.elements:
             if not (np.isfinite(element.ratio) and element.ratio > 0):
                 raise ValueError(f"{element.name}.ratio must be a positive number")
+        _ = self._layout  # refuses what it does not know
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """All parameters, motor first."""
-        found = [p for element in self.elements for p in element.parameters()]
-        found += self.load.parameters()
+        # the paper writes mu_1, mu_2 without a name behind them
+        several = sum(element.load_loss != "none" for element in self.elements) > 1
+        found = [
+            parameter(
+                e.name,
+                q,
+                e.motion,
+                "" if q.role == "loss" and not several else e.subscript or e.name,
+            )
+            for e in self.elements
+            for q in e.quantities
+        ]
+        load = self.load
+        found += [parameter("load", q, load.motion, load.subscript) for q in load.quantities]
+        offset = parameter("", QUANTITIES["offset"], self.motor_motion, "")
         if self.offset and not self.own_offsets:
-            found.append(parameter("", "offset", self.motor_motion, ""))
+            found.append(offset)
         for number, recording in enumerate(self.own_offsets, start=1):
-            one = parameter("", "offset", self.motor_motion, "")
-            found.append(replace(one, name=f"offset.{recording}", symbol=rf"\Gamma_{{0,{number}}}"))
+            symbol = rf"\Gamma_{{0,{number}}}"
+            found.append(replace(offset, name=f"offset.{recording}", symbol=symbol))
         if self.gain:
-            found.append(parameter("drive", "gain", self.motor_motion, ""))
+            found.append(parameter("drive", QUANTITIES["gain"], self.motor_motion, ""))
         return tuple(found)
 
     @cached_property
@@ -107,6 +129,50 @@ class Chain:
         """Motor speed over joint speed."""
         return float(np.prod([element.ratio for element in self.elements]))
 
+    @cached_property
+    def reaches(self) -> dict[str, float]:
+        """Speed over the joint's, of every element's input and of ``load``; by owner's name.
+
+        What the whole chain has, by its empty name and ``drive``, is at the motor.
+        """
+        found, reach = {"load": 1.0}, 1.0
+        for element in reversed(self.elements):
+            reach *= element.ratio
+            found[element.name] = reach
+        return {**found, "": self.ratio, "drive": self.ratio}
+
+    @cached_property
+    def carried(self) -> tuple[Carried, ...]:
+        """Terms that the kernels do not write out."""
+        places = {e.name: k for k, e in enumerate(self.elements)} | {"load": len(self.elements)}
+        return tuple(
+            Carried(i, places[p.owner], self.reaches[p.owner], p.row)
+            for i, p in enumerate(self.parameters)
+            if p.owner in places and not _slots(p)
+        )
+
+    def with_term(self, term: Term) -> Chain:
+        """Add a term of one's own to an element or the load.
+
+        Raises
+        ------
+        ValueError
+            If there is no such element.
+        """
+        owners = [*(element.name for element in self.elements), "load"]
+        if term.owner not in owners:
+            raise ValueError(
+                f"{term.name}: there is no element {term.owner!r}; {nearest(term.owner, owners)}"
+            )
+        if term.owner == "load":
+            return replace(self, load=self.load.with_term(term.row))
+        return replace(
+            self,
+            elements=tuple(
+                e.with_term(term.row) if e.name == term.owner else e for e in self.elements
+            ),
+        )
+
     def vector(self, values: Mapping[str, float]) -> NDArray[np.float64]:
         """Put named values in the order of :attr:`names`.
 
@@ -121,34 +187,63 @@ class Chain:
             raise KeyError(f"unknown: {sorted(unknown)}, missing: {sorted(missing)}")
         return np.array([values[name] for name in self.names], dtype=np.float64)
 
-    def tables(
-        self, values: NDArray[np.float64], recording: str = ""
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def tables(self, values: NDArray[np.float64], inputs: Inputs | None = None) -> Tables:
         """Lay parameter vectors out for the compiled kernels.
 
         Parameters
         ----------
         values
             ``(n, n_parameters)`` in the order of :attr:`names`.
-        recording
-            Whose own offset is meant; any other name has none.
-
-        Returns
-        -------
-        elements : (n, n_elements, 10)
-            Columns are :data:`ELEMENT_SLOTS`.
-        load : (n, 6)
-            Columns are :data:`LOAD_SLOTS`.
+        inputs
+            Of a recording, whose own offset is meant; without them there is none.
         """
         defaults, sources, targets = self._layout
         flat = np.tile(defaults, (values.shape[0], 1))
         flat[:, targets] = values[:, sources]
-        if recording in self.own_offsets:
-            own = self.names.index(f"offset.{recording}")
+        if inputs is not None and inputs.recording in self.own_offsets:
+            own = self.names.index(f"offset.{inputs.recording}")
             flat[:, LOAD_SLOTS.index("offset") - len(LOAD_SLOTS)] = values[:, own]
         split = len(self.elements) * len(ELEMENT_SLOTS)
         elements = flat[:, :split].reshape(-1, len(self.elements), len(ELEMENT_SLOTS))
-        return np.ascontiguousarray(elements), np.ascontiguousarray(flat[:, split:])
+        return Tables(
+            np.ascontiguousarray(elements),
+            np.ascontiguousarray(flat[:, split:]),
+            np.ascontiguousarray(values[:, [c.index for c in self.carried]]),
+        )
+
+    def samples(
+        self,
+        q: ArrayLike,
+        qd: ArrayLike,
+        qdd: ArrayLike,
+        inputs: Inputs,
+        time: NDArray[np.float64] | None = None,
+    ) -> Samples:
+        """Lay a motion of the joint out for the compiled kernels.
+
+        Parameters
+        ----------
+        q, qd, qdd
+            ``(N,)`` rad or m and s.
+        inputs
+            What the joint feels besides.
+        time
+            ``(N,)`` s; without it a term that depends on time is NaN.
+        """
+        position, speed, acceleration = (
+            np.ascontiguousarray(x, dtype=np.float64) for x in (q, qd, qdd)
+        )
+        stamps = np.full(speed.size, np.nan) if time is None else time
+        columns = [c.along(position, speed, stamps) for c in self.carried]
+        return Samples(
+            *inputs.load(self.load.motion),
+            np.sin(position),
+            np.cos(position),
+            speed,
+            acceleration,
+            np.stack(columns) if columns else np.empty((0, speed.size)),
+            np.array([c.place for c in self.carried], dtype=np.int64),
+        )
 
     @cached_property
     def _layout(self) -> tuple[NDArray[np.float64], Sequence[int], Sequence[int]]:
@@ -168,9 +263,28 @@ class Chain:
         for source, p in enumerate(self.parameters):
             if p.quantity == "offset" and self.own_offsets:
                 continue  # whose it is, only the recording says
-            owner = p.name.rpartition(".")[0]
-            owner = "load" if owner in ("", "drive") else owner
-            for slot in _FILLS.get(p.quantity, (p.quantity,)):
+            for slot in _slots(p):
                 sources.append(source)
-                targets.append(where[f"{owner}.{slot}"])
+                targets.append(where[f"{_bearer(p)}.{slot}"])
         return defaults, sources, targets
+
+
+def _bearer(p: Parameter) -> str:
+    return "load" if p.owner in ("", "drive") else p.owner
+
+
+def _slots(p: Parameter) -> tuple[str, ...]:
+    """Slots of the kernels that a parameter fills; none for what its column carries.
+
+    Raises
+    ------
+    KeyError
+        If neither the kernels nor a column know the quantity: dropped, it would count as zero.
+    """
+    known = LOAD_SLOTS if _bearer(p) == "load" else ELEMENT_SLOTS
+    slots = (p.quantity,) if p.row.slots is None else p.row.slots
+    if slots and set(slots) <= set(known):
+        return slots
+    if p.row.role != "own" or p.row.column is None:
+        raise KeyError(f"{p.name}: neither the kernels nor a column know {p.quantity!r}")
+    return ()

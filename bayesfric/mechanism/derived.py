@@ -7,31 +7,18 @@ parameters behind them are not.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.mechanism.chain import Chain
-from bayesfric.mechanism.parameter import Parameter, effort_words, entry_of, parameter
+from bayesfric.mechanism.parameter import Parameter, effort_words, parameter
+from bayesfric.mechanism.quantities import QUANTITIES
 
 Array = NDArray[np.float64]
-
-# Totals that a quantity adds to, and with which power of speed its torque grows. Load losses are
-# in what passes through them; a low-speed rise is none of what is felt at speed.
-_TOTALS: dict[str, tuple[tuple[str, ...], int]] = {
-    "inertia": (("inertia",), 1),
-    "viscous": (("viscous",), 1),
-    "coulomb": (("coulomb_positive", "coulomb_negative"), 0),
-    "coulomb_positive": (("coulomb_positive",), 0),
-    "coulomb_negative": (("coulomb_negative",), 0),
-    "quadratic": (("quadratic",), 2),
-    "first_moment": (("gravity",), 0),
-    **dict.fromkeys(("stribeck_ratio", "stribeck_velocity"), ((), 0)),
-    **dict.fromkeys(("load", "load_drive", "load_back"), ((), 0)),
-    **dict.fromkeys(("gravity_angle", "offset", "gain"), ((), 0)),
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,51 +90,52 @@ def derive(chain: Chain, values: Array, load_torque: float) -> tuple[Derived, ..
 def _totals(chain: Chain, at: dict[str, Array], n: int) -> Iterator[Derived]:
     """Sum up what the motor feels, Theta1 +- Theta2 of eq. (13) and their mean."""
     lossy = [element for element in chain.elements if element.load_loss != "none"]
-    plain = _single(chain)
-    # torque at the joint times these is torque at the motor
-    for side, label in (("drive", "driving"), ("back", "back-driven")):
-        reach = np.ones(n)
-        parts: list[tuple[Parameter, Array, float]] = []
+    owners: dict[str, set[str]] = {}
+    for p in chain.parameters:
+        for kind in _kinds(chain, p):
+            owners.setdefault(kind, set()).add(p.owner)
+    # what only the motor's own shaft makes up is that parameter, and says nothing new
+    kinds = [kind for kind, names in owners.items() if names != {chain.elements[0].name}]
+    for side, label in (("drive", "driving"), ("back", "back-driven"))[: 2 if lossy else 1]:
+        # torque at an owner's input times this is torque at the motor; an element's own terms
+        # act at its input side, before its load loss
+        reach: dict[str, Array] = {}
+        through = np.ones(n)
         for element in chain.elements:
-            # the element's own terms act at its input side, before its load loss
-            speed = _speed_ratio(chain, element.name) / chain.ratio
-            parts += [(p, reach, speed) for p in element.parameters()]
-            reach = reach * _transfer(element.name, element.load_loss, at, side) / element.ratio
-        parts += [(p, reach, 1.0 / chain.ratio) for p in chain.load.parameters()]
-        totals: dict[str, Array] = {}
-        for p, through, speed in parts:
-            kinds, power = entry_of(_TOTALS, p.quantity, "the totals")
-            for kind in kinds:
-                totals[kind] = totals.get(kind, 0.0) + at[p.name] * through * speed**power
-        if "gravity" in totals:
-            totals["gravity"] = totals["gravity"] * chain.load.gravity
-        for key, total in totals.items():
-            if key in plain:
-                continue
-            described = _described(chain, key)
-            name = f"total_{side}.{key}" if lossy else f"total.{key}"
+            reach[element.name] = through
+            through = through * _transfer(element.name, element.load_loss, at, side) / element.ratio
+        reach["load"] = through
+        for kind in kinds:
+            total: Array = np.zeros(n)
+            for p in chain.parameters:
+                if kind in _kinds(chain, p):
+                    assert p.row.power is not None
+                    speed = chain.reaches[p.owner] / chain.ratio
+                    total = total + at[p.name] * reach[p.owner] * speed**p.row.power
+            described = _described(chain, kind)
+            name = f"total_{side}.{kind}" if lossy else f"total.{kind}"
             mark = rf"^{{\mathrm{{{side}}}}}" if lossy else ""
             yield Derived(
                 name,
                 described.unit,
                 described.symbol + mark,
                 f"{described.meaning}, all seen by the motor" + (f", {label}" if lossy else ""),
-                np.asarray(total),
+                total * chain.load.gravity if kind == "gravity" else total,
                 gauge_free=True,
             )
-        if not lossy:
-            return
 
 
-def _single(chain: Chain) -> set[str]:
-    """Totals that only one parameter at the motor's own shaft makes up: they say nothing new."""
-    owners: dict[str, set[str]] = {}
-    for p in chain.parameters:
-        owner = p.name.rpartition(".")[0]
-        for kind in entry_of(_TOTALS, p.quantity, "the totals")[0]:
-            owners.setdefault(kind, set()).add(owner)
-    motor = {chain.elements[0].name}
-    return {kind for kind, names in owners.items() if names == motor}
+def _kinds(chain: Chain, p: Parameter) -> tuple[str, ...]:
+    """Totals that a parameter adds to. Load losses are in what passes through them; a low-speed
+    rise is none of what is felt at speed, and a term with a shape of its own adds to no other.
+    """  # noqa: D205
+    row = p.row
+    if row.role != "own" or row.power is None or p.owner in ("", "drive"):
+        return ()
+    split = row.by_direction
+    if split and any(other.quantity in split for other in chain.parameters):
+        return split
+    return row.totals or (row.name,)
 
 
 def _coefficients(chain: Chain, at: dict[str, Array], load_torque: float) -> Iterator[Derived]:
@@ -236,21 +224,11 @@ def _constant_loss(chain: Chain, name: str, at: dict[str, Array]) -> Array:
         behind = behind or element.name == name
         if not behind:
             continue
-        speed = _speed_ratio(chain, element.name)
+        speed = chain.reaches[element.name]
         for key, weight in (("coulomb", 1.0), ("coulomb_positive", 0.5), ("coulomb_negative", 0.5)):
             if f"{element.name}.{key}" in at:
                 total = total + weight * at[f"{element.name}.{key}"] * speed
     return total
-
-
-def _speed_ratio(chain: Chain, name: str) -> float:
-    """Speed of an element's input over the joint's."""
-    ratio = 1.0
-    for element in reversed(chain.elements):
-        ratio *= element.ratio
-        if element.name == name:
-            return ratio
-    raise KeyError(name)
 
 
 def _transfer(name: str, loss: str, at: dict[str, Array], side: str) -> Array | float:
@@ -260,11 +238,8 @@ def _transfer(name: str, loss: str, at: dict[str, Array], side: str) -> Array | 
     return 1.0 + at[key] if side == "drive" else 1.0 - at[key]
 
 
-def _described(chain: Chain, key: str) -> Parameter:
-    if key != "gravity":
-        return parameter("total", key, chain.motor_motion, "t")
-    torque = parameter("total", "coulomb", chain.motor_motion, "t")
-    return Parameter(
-        "total.gravity", "gravity", torque.unit, r"G_{t}", -float("inf"), float("inf"),
-        effort_words("gravity torque", chain.motor_motion),
-    )  # fmt: skip
+def _described(chain: Chain, kind: str) -> Parameter:
+    row = QUANTITIES["coulomb" if kind == "gravity" else kind]
+    if kind == "gravity":
+        row = replace(row, symbol="G_{{{}}}", meaning="gravity torque", lower=-math.inf)
+    return parameter("total", row, chain.motor_motion, "t")

@@ -8,6 +8,7 @@ is inverted without iteration.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -24,39 +25,99 @@ from bayesfric.mechanism.kernels import (
     RATIO,
     STRIBECK_RATIO,
     VISCOUS,
+    Samples,
+    element_input,
     element_torque,
     gravity_torque,
-    motor_torque,
     speed_factor,
 )
+from bayesfric.mechanism.own_term import call
 
-# What the compiled functions of the forward model need of the joint: the element and load
-# tables of one parameter vector and, added mass included, the load's inertia and
-# the amplitude and angle of its gravity torque.
-Joint = tuple[NDArray[np.float64], NDArray[np.float64], float, float, float]
+
+class Moved(NamedTuple):
+    """What the compiled functions of the forward model need of a joint; one parameter vector.
+
+    Attributes
+    ----------
+    elements, load
+        Tables of :meth:`Chain.tables`.
+    inertia
+        Of the load, added mass included, kg m² or kg.
+    weight, angle
+        Amplitude and angle of its gravity torque, added mass included, N m and rad.
+    carried
+        ``(n_carried,)`` coefficients of the terms without a slot.
+    places
+        ``(n_carried,)`` index of the element of each, as in :class:`~.kernels.Samples`.
+    addresses
+        ``(n_carried,)`` of their compiled columns.
+    """
+
+    elements: NDArray[np.float64]
+    load: NDArray[np.float64]
+    inertia: float
+    weight: float
+    angle: float
+    carried: NDArray[np.float64]
+    places: NDArray[np.int64]
+    addresses: NDArray[np.int64]
+
+
 # Lines T = slope qdd + intercept of the transmitted torques; scratch memory.
 Lines = NDArray[np.float64]
 
 
 @njit(cache=True, error_model="numpy")
-def joint_tables(
+def moved(
     elements: NDArray[np.float64],
     load: NDArray[np.float64],
-    added_inertia: float,
-    added_moment: float,
-) -> Joint:
+    carried: NDArray[np.float64],
+    samples: Samples,
+    addresses: NDArray[np.int64],
+) -> Moved:
     """Gather what the forward model needs of one parameter vector, added mass included."""
     # one sine instead of a sine and a cosine
-    sine = gravity_torque(load, added_moment, 1.0, 0.0)
-    cosine = gravity_torque(load, added_moment, 0.0, 1.0)
-    inertia = load[LOAD_INERTIA] + added_inertia
-    return elements, load, inertia, math.hypot(sine, cosine), math.atan2(cosine, sine)
+    sine = gravity_torque(load, samples.added_moment, 1.0, 0.0)
+    cosine = gravity_torque(load, samples.added_moment, 0.0, 1.0)
+    inertia = load[LOAD_INERTIA] + samples.added_inertia
+    weight, angle = math.hypot(sine, cosine), math.atan2(cosine, sine)
+    return Moved(elements, load, inertia, weight, angle, carried, samples.places, addresses)
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _load_torque(joint: Joint, q: float) -> float:
+def _carried_torque(
+    joint: Moved, k: int, to_input: float, q: float, qd: float, sign: float, time: float
+) -> float:
+    """Torque of the terms without a slot of element k, or of the load."""
+    total = 0.0
+    for t in range(joint.carried.shape[0]):
+        if joint.places[t] == k:
+            total += joint.carried[t] * call(
+                joint.addresses[t], to_input * q, to_input * qd, sign, time
+            )
+    return total
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _load_torque(joint: Moved, q: float, qd: float, sign: float, time: float) -> float:
     """Torque of the load at constant speed."""
-    return joint[3] * math.sin(q + joint[4])
+    swing = joint.weight * math.sin(q + joint.angle)
+    return swing + _carried_torque(joint, joint.elements.shape[0], 1.0, q, qd, sign, time)
+
+
+@njit(cache=True, error_model="numpy")
+def motor_torque(
+    joint: Moved, q: float, qd: float, qdd: float, sign: float, time: float, load_torque: float
+) -> float:
+    """Carry the load's torque through every element to the motor."""
+    torque = load_torque
+    to_input = 1.0
+    for k in range(joint.elements.shape[0] - 1, -1, -1):
+        to_input *= joint.elements[k, RATIO]
+        torque = element_input(
+            joint.elements[k], torque, sign, to_input * qd, to_input * qdd
+        ) + _carried_torque(joint, k, to_input, q, qd, sign, time)
+    return torque
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -101,10 +162,11 @@ def _element_line(
 
 @njit(cache=True, error_model="numpy")
 def frozen_acceleration(
-    joint: Joint,
+    joint: Moved,
     q: float,
     qd: float,
     torque: float,
+    time: float,
     sign: float,
     pattern: int,
     lines: Lines,
@@ -113,8 +175,8 @@ def frozen_acceleration(
 
     Leaves the lines of the transmitted torques in ``lines``.
     """
-    elements = joint[0]
-    slope, intercept = joint[2], _load_torque(joint, q)
+    elements = joint.elements
+    slope, intercept = joint.inertia, _load_torque(joint, q, qd, sign, time)
     to_input = 1.0
     for k in range(elements.shape[0] - 1, -1, -1):
         ratio = elements[k, RATIO]
@@ -127,12 +189,13 @@ def frozen_acceleration(
         slope, intercept = _element_line(
             elements, k, slope, intercept, drives, sign, to_input * qd, to_input
         )
+        intercept += _carried_torque(joint, k, to_input, q, qd, sign, time)
     return (torque - intercept) / slope
 
 
 @njit(cache=True, error_model="numpy")
 def exact_acceleration(
-    joint: Joint, q: float, qd: float, torque: float, sign: float
+    joint: Moved, q: float, qd: float, torque: float, time: float, sign: float
 ) -> tuple[float, int]:
     """Acceleration and pattern, in closed form.
 
@@ -140,9 +203,9 @@ def exact_acceleration(
     element. Whether the solution lies above or below a kink is read off the torque
     at the kink, from the load to the motor; then everything is one line.
     """
-    elements = joint[0]
-    gravity = _load_torque(joint, q)
-    slope, intercept = joint[2], gravity
+    elements = joint.elements
+    still = _load_torque(joint, q, qd, sign, time)
+    slope, intercept = joint.inertia, still
     low, high = -math.inf, math.inf
     pattern = 0
     to_input = 1.0
@@ -158,7 +221,8 @@ def exact_acceleration(
             else:
                 kink = -intercept / slope
                 if low < kink < high:
-                    if motor_torque(elements, joint[2] * kink + gravity, sign, qd, kink) < torque:
+                    there = joint.inertia * kink + still
+                    if motor_torque(joint, q, qd, kink, sign, time, there) < torque:
                         low = kink
                     else:
                         high = kink
@@ -168,14 +232,15 @@ def exact_acceleration(
         slope, intercept = _element_line(
             elements, k, slope, intercept, drives, sign, to_input * qd, to_input
         )
+        intercept += _carried_torque(joint, k, to_input, q, qd, sign, time)
     return (torque - intercept) / slope, pattern
 
 
 @njit(cache=True, error_model="numpy")
-def breakaway_torques(joint: Joint, q: float) -> tuple[float, float]:
+def breakaway_torques(joint: Moved, q: float, time: float) -> tuple[float, float]:
     """Motor torques between which the joint at rest sticks."""
-    gravity = _load_torque(joint, q)
+    down, up = _load_torque(joint, q, 0.0, -1.0, time), _load_torque(joint, q, 0.0, 1.0, time)
     return (
-        motor_torque(joint[0], gravity, -1.0, 0.0, 0.0),
-        motor_torque(joint[0], gravity, 1.0, 0.0, 0.0),
+        motor_torque(joint, q, 0.0, 0.0, -1.0, time, down),
+        motor_torque(joint, q, 0.0, 0.0, 1.0, time, up),
     )

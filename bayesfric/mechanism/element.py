@@ -2,19 +2,45 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Self
 
-from bayesfric.mechanism.parameter import Motion, Parameter, parameter
-
-CoulombLoss = Literal["none", "symmetric", "by-direction"]
-LoadLoss = Literal["none", "one", "two"]
+from bayesfric.errors import nearest
+from bayesfric.mechanism.quantities import CHOICES, LOAD_CHOICES, QUANTITIES, Motion, Quantity
 
 STANDARD_GRAVITY = 9.80665  # m/s²
 
 
-@dataclass(frozen=True)
-class Element:
+class _Bearer:
+    """What bears quantities, each brought by a choice of an option."""
+
+    quantities: tuple[Quantity, ...]
+    _options: ClassVar[Mapping[str, Mapping[str | bool, str]]]
+
+    @property
+    def phrases(self) -> list[str]:
+        """What it has, each as it stands in a sentence."""
+        named = [self._options[option][choice] for option, choice in self.choices.items()]
+        return named + [q.meaning for q in self.quantities if not q.option]
+
+    @property
+    def choices(self) -> dict[str, str | bool]:
+        """What is chosen of every option that is not left out."""
+        return {q.option: q.choice for q in self.quantities if q.option}
+
+    def has(self, *names: str) -> bool:
+        """Whether it has one of these quantities."""
+        return any(q.name in names for q in self.quantities)
+
+    def with_term(self, row: Quantity) -> Self:
+        """Add a term of one's own, or replace that of the same name."""
+        kept = tuple(q for q in self.quantities if q.name != row.name)
+        return replace(self, quantities=(*kept, row))  # type: ignore[type-var]
+
+
+@dataclass(frozen=True, init=False)
+class Element(_Bearer):
     """Motor, belt, gearbox, bearing: every one obeys the same equation.
 
     With ``T`` the torque at its output brought to its input side, ``T =
@@ -24,99 +50,129 @@ class Element:
 
     which is section 2.2 of the paper with the friction law of eq. (2); eq. (1)
     is its ``mu = 0`` case. ``mu`` is ``mu_1`` while ``T v > 0`` (the motor side
-    drives) and ``mu_2`` while ``T v < 0`` (the load drives).
+    drives) and ``mu_2`` while ``T v < 0`` (the load drives). Terms of one's own
+    (:class:`bayesfric.mechanism.own_term.Term`) are added to it.
 
-    Attributes
+    Parameters
     ----------
     name
         Used in parameter names.
     ratio
         Input speed over output speed, positive.
-    inertia, viscous, quadratic, stribeck
-        Whether the element has the term.
-    coulomb
-        Constant loss ``Fr``: none, one value, or one for each direction of speed.
-    load_loss
-        ``mu``: none, one value, or one for driving and one for back-driving.
     motion
-        Whether the element's input turns or slides.
+        Whether the element's input turns or slides, ``rotary`` or ``linear``.
     subscript
-        For the LaTeX symbols.
+        For the LaTeX symbols; the name if left out.
+    quantities
+        Rows of the table; in place of choices.
+    **choices
+        Options of :data:`bayesfric.mechanism.quantities.CHOICES`: ``inertia=True``,
+        ``coulomb="by-direction"``, ``viscous=True``, ``load_loss="two"`` and so on.
+
+    Raises
+    ------
+    ValueError
+        If there is no such option, or no such choice of one.
     """
 
+    _options = CHOICES
     name: str
-    ratio: float = 1.0
-    inertia: bool = False
-    coulomb: CoulombLoss = "none"
-    viscous: bool = False
-    quadratic: bool = False
-    stribeck: bool = False
-    load_loss: LoadLoss = "none"
-    motion: Motion = "rotary"
-    subscript: str = ""
+    ratio: float
+    motion: Motion
+    subscript: str
+    quantities: tuple[Quantity, ...]
 
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters of the element, in a fixed order."""
-        quantities: list[str] = []
-        if self.inertia:
-            quantities.append("inertia")
-        if self.viscous:
-            quantities.append("viscous")
-        if self.coulomb == "symmetric":
-            quantities.append("coulomb")
-        elif self.coulomb == "by-direction":
-            quantities += ["coulomb_positive", "coulomb_negative"]
-        if self.quadratic:
-            quantities.append("quadratic")
-        if self.stribeck:
-            quantities += ["stribeck_ratio", "stribeck_velocity"]
-        if self.load_loss == "one":
-            quantities.append("load")
-        elif self.load_loss == "two":
-            quantities += ["load_drive", "load_back"]
-        # The paper writes mu_1, mu_2 without a name behind them.
-        bare = {"load", "load_drive", "load_back"} if self.name == "gearbox" else set()
-        return tuple(
-            parameter(
-                self.name, key, self.motion, "" if key in bare else self.subscript or self.name
-            )
-            for key in quantities
-        )
+    def __init__(
+        self,
+        name: str,
+        ratio: float = 1.0,
+        *,
+        motion: Motion = "rotary",
+        subscript: str = "",
+        quantities: tuple[Quantity, ...] = (),
+        **choices: str | bool,
+    ) -> None:
+        found = _chosen(CHOICES, choices, quantities)
+        given = {"name": name, "ratio": ratio, "motion": motion, "subscript": subscript}
+        for key, value in {**given, "quantities": found}.items():
+            object.__setattr__(self, key, value)
+
+    @property
+    def load_loss(self) -> str:
+        """How many losses per transmitted torque it has, ``none``, ``one`` or ``two``."""
+        return str(self.choices.get("load_loss", "none"))
 
 
-@dataclass(frozen=True)
-class Load:
+@dataclass(frozen=True, init=False)
+class Load(_Bearer):
     """What the last element moves: ``Gamma = Jc qdd + g ml sin(q + q_g)``, eq. (3).
 
     The printed paper leaves out ``g`` (see the notes on errata); ``ml`` is in kg m.
 
-    Attributes
+    Parameters
     ----------
-    inertia, first_moment, gravity_angle
-        Whether the load has the term. Real arms do not hang at ``q = 0``: that is
-        what ``gravity_angle`` is for.
     gravity
         m/s².
     motion
-        Whether the load turns or slides.
+        Whether the load turns or slides, ``rotary`` or ``linear``.
     subscript
         For the LaTeX symbols.
+    quantities
+        Rows of the table; in place of choices.
+    **choices
+        ``inertia``, ``first_moment``, ``gravity_angle``: whether the load has the term. Real
+        arms do not hang at ``q = 0``: that is what ``gravity_angle`` is for.
+
+    Raises
+    ------
+    ValueError
+        If there is no such option.
     """
 
-    inertia: bool = False
-    first_moment: bool = False
-    gravity_angle: bool = False
-    gravity: float = STANDARD_GRAVITY
-    motion: Motion = "rotary"
-    subscript: str = "c"
+    _options = LOAD_CHOICES
+    gravity: float
+    motion: Motion
+    subscript: str
+    quantities: tuple[Quantity, ...]
 
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters of the load, in a fixed order."""
-        present = {
-            "inertia": self.inertia,
-            "first_moment": self.first_moment,
-            "gravity_angle": self.gravity_angle,
-        }
-        return tuple(
-            parameter("load", key, self.motion, self.subscript) for key, on in present.items() if on
-        )
+    def __init__(
+        self,
+        *,
+        gravity: float = STANDARD_GRAVITY,
+        motion: Motion = "rotary",
+        subscript: str = "c",
+        quantities: tuple[Quantity, ...] = (),
+        **choices: str | bool,
+    ) -> None:
+        found = _chosen(LOAD_CHOICES, choices, quantities)
+        given = {"gravity": gravity, "motion": motion, "subscript": subscript}
+        for key, value in {**given, "quantities": found}.items():
+            object.__setattr__(self, key, value)
+
+
+def _chosen(
+    options: Mapping[str, Mapping[str | bool, str]],
+    choices: Mapping[str, Any],
+    given: tuple[Quantity, ...],
+) -> tuple[Quantity, ...]:
+    for option, choice in choices.items():
+        if option not in options:
+            raise ValueError(f"there is no option {option!r}; {nearest(option, options)}")
+        if choice not in (*options[option], False, "none"):
+            known = ", ".join(map(repr, options[option]))
+            raise ValueError(f"{option} = {choice!r} is no choice; there is {known}")
+    found = (q for q in QUANTITIES.values() if q.option in options)
+    return (*(q for q in found if choices.get(q.option, False) == q.choice), *given)
+
+
+def changed(bearer: Any, changes: Mapping[str, Any]) -> Any:
+    """Give an element or load other options, such as ``{"viscous": False, "ratio": 30.0}``.
+
+    Raises
+    ------
+    ValueError
+        If there is no such option, or no such choice of one.
+    """
+    plain = {key: value for key, value in vars(bearer).items() if key != "quantities"}
+    own = tuple(q for q in bearer.quantities if not q.option)
+    return type(bearer)(**{**plain, "quantities": own, **bearer.choices, **changes})

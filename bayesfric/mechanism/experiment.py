@@ -13,6 +13,7 @@ from bayesfric.mechanism import excitation
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.forward import Motion, simulate
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.recordings.inputs import Inputs
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -180,8 +181,7 @@ def measure(
         period,
         q0=q0,
         qd0=qd0,
-        added_mass=options.added_mass,
-        radius=options.radius,
+        inputs=Inputs(options.added_mass, options.radius),
     )
     ratio = chain.ratio if options.encoder_side == "motor" else 1.0
     position = motion.q * ratio

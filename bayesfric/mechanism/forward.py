@@ -16,13 +16,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayesfric.mechanism.chain import Chain
-from bayesfric.mechanism.dynamics import (
-    Joint,
-    joint_tables,
-)
+from bayesfric.mechanism.chain import Chain, Tables
+from bayesfric.mechanism.dynamics import Moved, moved
 from bayesfric.mechanism.integrate import RUNAWAY, integrate, integrate_segments
-from bayesfric.mechanism.inverse import added_load
 from bayesfric.mechanism.kernels import (
     GAIN,
     INERTIA,
@@ -32,7 +28,9 @@ from bayesfric.mechanism.kernels import (
     RATIO,
     STRIBECK_RATIO,
     STRIBECK_VELOCITY,
+    Samples,
 )
+from bayesfric.recordings.inputs import Inputs
 
 Hold = Literal["linear", "zero"]
 
@@ -89,9 +87,8 @@ def simulate(
     *,
     q0: float = 0.0,
     qd0: float = 0.0,
-    added_mass: float = 0.0,
-    radius: float = 0.0,
-    recording: str = "",
+    inputs: Inputs = Inputs(),  # noqa: B008  (frozen)
+    begin: float = 0.0,
     hold: Hold = "linear",
     substeps: int | None = None,
     tolerance: float = 1e-9,
@@ -111,11 +108,10 @@ def simulate(
         s.
     q0, qd0
         Position and speed at the first sample (rad or m, SI).
-    added_mass, radius
-        Known mass in kg bolted to the load at a radius in m; a sliding load
-        takes the mass alone.
-    recording
-        Whose own offset acts, where the chain knows any.
+    inputs
+        What the joint feels besides, and whose own offset acts.
+    begin
+        Time of the first sample, s, for terms that depend on time.
     hold
         Torque between samples: ``linear``, or ``zero`` for held until the next.
     substeps
@@ -149,15 +145,14 @@ def simulate(
     ]
     if outside:
         raise ValueError(f"not finite or outside its support: {', '.join(outside)}")
-    elements, load = chain.tables(vector[np.newaxis], recording)
+    elements, load, carried = chain.tables(vector[np.newaxis], inputs)
     if load[0, GAIN] == 0.0 or np.any(elements[0, :, STRIBECK_VELOCITY] == 0.0):
         raise ValueError("gain and Stribeck velocities must be greater than zero")
-    inertia, moment = added_load(chain, added_mass, radius)
-    joint = joint_tables(elements[0], load[0], float(inertia), float(moment))
+    joint = moved(elements[0], load[0], carried[0], *_carried(chain, inputs))
     _check_slope(joint)
 
     def run(steps: int) -> _Run:
-        return _Run(joint, samples, period, hold == "linear", q0, qd0, steps)
+        return _Run(joint, samples, period, begin, hold == "linear", (q0, qd0), steps)
 
     if substeps is None:
         coarse = run(2)
@@ -199,9 +194,8 @@ def simulate_many(
     *,
     q0: ArrayLike = 0.0,
     qd0: ArrayLike = 0.0,
-    added_mass: float = 0.0,
-    radius: float = 0.0,
-    recording: str = "",
+    inputs: Inputs = Inputs(),  # noqa: B008  (frozen)
+    begin: float = 0.0,
     hold: Hold = "linear",
     substeps: int = 2,
 ) -> NDArray[np.float64]:
@@ -209,7 +203,7 @@ def simulate_many(
 
     Parameters
     ----------
-    chain, torque, period, added_mass, radius, recording, hold
+    chain, torque, period, inputs, begin, hold
         As for :func:`simulate`.
     values
         ``(n, n_parameters)``.
@@ -239,9 +233,8 @@ def simulate_many(
         period,
         whole,
         *states,
-        added_mass=added_mass,
-        radius=radius,
-        recording=recording,
+        inputs=inputs,
+        begin=begin,
         hold=hold,
         substeps=substeps,
     )
@@ -256,9 +249,8 @@ def simulate_segments(
     q0: ArrayLike,
     qd0: ArrayLike,
     *,
-    added_mass: float = 0.0,
-    radius: float = 0.0,
-    recording: str = "",
+    inputs: Inputs = Inputs(),  # noqa: B008  (frozen)
+    begin: float = 0.0,
     hold: Hold = "linear",
     substeps: int = 2,
 ) -> NDArray[np.float64]:
@@ -266,7 +258,7 @@ def simulate_segments(
 
     Parameters
     ----------
-    chain, torque, period, added_mass, radius, recording, hold, substeps
+    chain, torque, period, inputs, begin, hold, substeps
         As for :func:`simulate_many`.
     values
         ``(n, n_parameters)``.
@@ -303,36 +295,41 @@ def simulate_segments(
         raise ValueError("values, q0 and qd0 must be finite")
     if substeps < 1:
         raise ValueError("substeps must be at least 1")
-    elements, load = chain.tables(vectors, recording)
-    inertia, moment = added_load(chain, added_mass, radius)
+    tables = chain.tables(vectors, inputs)
     return integrate_segments(
-        elements,
-        load,
-        float(inertia),
-        float(moment),
+        *tables,
+        *_carried(chain, inputs),
         samples,
         float(period),
+        float(begin),
         hold == "linear",
         np.ascontiguousarray(ranges[:, 0]),
         np.ascontiguousarray(ranges[:, 1]),
         start,
         speed,
         substeps,
-        _possible(chain, vectors, elements, load, inertia),
+        _possible(chain, vectors, tables, inputs.load(chain.load.motion)[0]),
     )
+
+
+def _carried(chain: Chain, inputs: Inputs) -> tuple[Samples, NDArray[np.int64]]:
+    """Gather what acts besides the motion, and the addresses of the terms without a slot."""
+    nothing = np.zeros(0)
+    addresses = np.array([c.address for c in chain.carried], dtype=np.int64)
+    return chain.samples(nothing, nothing, nothing, inputs), addresses
 
 
 def _possible(
     chain: Chain,
     vectors: NDArray[np.float64],
-    elements: NDArray[np.float64],
-    load: NDArray[np.float64],
+    tables: Tables,
     added_inertia: float,
 ) -> NDArray[np.bool_]:
     """Which vectors lie in the support and have one motion for one torque."""
     lower = np.array([p.lower for p in chain.parameters])
     upper = np.array([p.upper for p in chain.parameters])
     valid = np.all((vectors >= lower) & (vectors <= upper), axis=1)
+    elements, load = tables.elements, tables.load
     valid &= (load[:, GAIN] > 0) & np.all(elements[:, :, STRIBECK_VELOCITY] > 0, axis=1)
     valid &= _slope_bounds(elements, load[:, LOAD_INERTIA] + added_inertia)[0] > 0
     return np.asarray(valid)
@@ -343,12 +340,12 @@ class _Run:
 
     def __init__(
         self,
-        joint: Joint,
+        joint: Moved,
         torque: NDArray[np.float64],
         period: float,
+        begin: float,
         linear: bool,
-        q0: float,
-        qd0: float,
+        start: tuple[float, float],
         substeps: int,
     ) -> None:
         self.substeps = substeps
@@ -359,9 +356,10 @@ class _Run:
             joint,
             torque,
             float(period),
+            float(begin),
             linear,
-            float(q0),
-            float(qd0),
+            float(start[0]),
+            float(start[1]),
             substeps,
             self.q,
             self.qd,
@@ -407,9 +405,8 @@ def _slope_bounds(
     return low, high
 
 
-def _check_slope(joint: Joint) -> None:
-    elements, inertia = joint[0], joint[2]
-    low, high = _slope_bounds(elements[np.newaxis], np.array([inertia]))
+def _check_slope(joint: Moved) -> None:
+    low, high = _slope_bounds(joint.elements[np.newaxis], np.array([joint.inertia]))
     if high[0] <= 0.0:
         raise ValueError("the chain has no inertia, so a torque does not determine its motion")
     if low[0] <= 0.0:

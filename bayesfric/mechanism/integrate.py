@@ -9,18 +9,19 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from bayesfric.mechanism.dynamics import (
-    Joint,
     Lines,
+    Moved,
     breakaway_torques,
     exact_acceleration,
     frozen_acceleration,
-    joint_tables,
+    moved,
 )
 from bayesfric.mechanism.kernels import (
     GAIN,
     LOAD_BACK,
     LOAD_DRIVE,
     OFFSET,
+    Samples,
 )
 
 RUNAWAY = 1e6  # rad or m
@@ -29,12 +30,13 @@ _MAX_EVENTS = 64  # in one step
 
 @njit(cache=True, error_model="numpy")
 def _step(
-    joint: Joint,
+    joint: Moved,
     q: float,
     qd: float,
     qdd: float,
     torque: float,
     rate: float,
+    time: float,
     sign: float,
     pattern: int,
     lines: Lines,
@@ -44,11 +46,13 @@ def _step(
     half = 0.5 * h
     middle = torque + rate * half
     v2 = qd + half * qdd
-    a2 = frozen_acceleration(joint, q + half * qd, v2, middle, sign, pattern, lines)
+    then = time + half
+    a2 = frozen_acceleration(joint, q + half * qd, v2, middle, then, sign, pattern, lines)
     v3 = qd + half * a2
-    a3 = frozen_acceleration(joint, q + half * v2, v3, middle, sign, pattern, lines)
+    a3 = frozen_acceleration(joint, q + half * v2, v3, middle, then, sign, pattern, lines)
     v4 = qd + h * a3
-    a4 = frozen_acceleration(joint, q + h * v3, v4, torque + rate * h, sign, pattern, lines)
+    end = torque + rate * h
+    a4 = frozen_acceleration(joint, q + h * v3, v4, end, time + h, sign, pattern, lines)
     return (
         q + h * (qd + 2.0 * (v2 + v3) + v4) / 6.0,
         qd + h * (qdd + 2.0 * (a2 + a3) + a4) / 6.0,
@@ -64,12 +68,13 @@ def _transmitted(lines: Lines, k: int, qdd: float, sign: float, pattern: int) ->
 
 @njit(cache=True, error_model="numpy")
 def _agreement(
-    joint: Joint,
+    joint: Moved,
     q: float,
     qd: float,
     qdd: float,
     torque: float,
     rate: float,
+    time: float,
     sign: float,
     pattern: int,
     lines: Lines,
@@ -78,21 +83,22 @@ def _agreement(
 ) -> float:
     """Value that is positive until event ``which`` (element, or -1: reversal), ``h`` later."""
     if h > 0.0:
-        q, qd = _step(joint, q, qd, qdd, torque, rate, sign, pattern, lines, h)
+        q, qd = _step(joint, q, qd, qdd, torque, rate, time, sign, pattern, lines, h)
     if which < 0:
         return sign * qd
-    qdd = frozen_acceleration(joint, q, qd, torque + rate * h, sign, pattern, lines)
+    qdd = frozen_acceleration(joint, q, qd, torque + rate * h, time + h, sign, pattern, lines)
     return _transmitted(lines, which, qdd, sign, pattern)
 
 
 @njit(cache=True, error_model="numpy")
 def _locate(
-    joint: Joint,
+    joint: Moved,
     q: float,
     qd: float,
     qdd: float,
     torque: float,
     rate: float,
+    time: float,
     sign: float,
     pattern: int,
     lines: Lines,
@@ -104,12 +110,12 @@ def _locate(
     Zero if the value is not positive anywhere before, that is, if the event is now.
     """
     a, b = 0.0, h
-    fa = _agreement(joint, q, qd, qdd, torque, rate, sign, pattern, lines, a, which)
-    fb = _agreement(joint, q, qd, qdd, torque, rate, sign, pattern, lines, b, which)
+    fa = _agreement(joint, q, qd, qdd, torque, rate, time, sign, pattern, lines, a, which)
+    fb = _agreement(joint, q, qd, qdd, torque, rate, time, sign, pattern, lines, b, which)
     if fa <= 0.0:
         for _ in range(60):
             c = 0.5 * b
-            fc = _agreement(joint, q, qd, qdd, torque, rate, sign, pattern, lines, c, which)
+            fc = _agreement(joint, q, qd, qdd, torque, rate, time, sign, pattern, lines, c, which)
             if fc > 0.0:
                 a, fa = c, fc
                 break
@@ -125,7 +131,7 @@ def _locate(
             c = 0.5 * (a + b)
             if not a < c < b:
                 break
-        fc = _agreement(joint, q, qd, qdd, torque, rate, sign, pattern, lines, c, which)
+        fc = _agreement(joint, q, qd, qdd, torque, rate, time, sign, pattern, lines, c, which)
         if fc > 0.0:
             if c - a < b - c:
                 gb *= 0.5
@@ -157,9 +163,10 @@ def _dip(v0: float, a0: float, v1: float, a1: float, h: float) -> float:
 
 @njit(cache=True, error_model="numpy")
 def integrate(
-    joint: Joint,
+    joint: Moved,
     measured: NDArray[np.float64],
     period: float,
+    begin: float,
     linear: bool,
     q: float,
     qd: float,
@@ -172,9 +179,11 @@ def integrate(
 ) -> int:
     """Integrate and write the samples; returns how many there are before a runaway.
 
+    ``begin`` is the time of the first sample, for terms that depend on time; while the joint
+    sticks, these count as they were at the last sample.
     ``counts`` are events, reversals and unresolved steps.
     """
-    elements, load = joint[0], joint[1]
+    elements, load = joint.elements, joint.load
     n_elements = elements.shape[0]
     lines = np.empty((n_elements, 2))
     kinked = np.empty(n_elements, dtype=np.int64)
@@ -191,12 +200,13 @@ def integrate(
     qdd = low = high = 0.0
     for i in range(samples):
         start = load[GAIN] * measured[i] - load[OFFSET]
+        stamp = begin + i * period
         if not (abs(q) <= RUNAWAY and math.isfinite(qd)):
             return i
         # At a sample a held torque jumps, and direction and power flow are decided afresh; a
         # linear one goes on, and so do they unless the joint stands.
         if qd == 0.0:
-            low, high = breakaway_torques(joint, q)
+            low, high = breakaway_torques(joint, q, stamp)
             was, sign = sign, 1.0 if start > high else (-1.0 if start < low else 0.0)
             if sign != 0.0:
                 if was == 0.0 and i > 0:
@@ -207,7 +217,7 @@ def integrate(
         if sign == 0.0:
             qdd = 0.0
         elif i == 0 or not linear or qd == 0.0:
-            qdd, pattern = exact_acceleration(joint, q, qd, start, sign)
+            qdd, pattern = exact_acceleration(joint, q, qd, start, stamp, sign)
         q_out[i], qd_out[i], qdd_out[i], sticking[i] = q, qd, qdd, sign == 0.0
         if i == samples - 1:
             break
@@ -219,7 +229,7 @@ def integrate(
             end = period * step / substeps
             events = 0
             while now < end:
-                torque = start + rate * now
+                torque, time = start + rate * now, stamp + now
                 h = end - now
                 if sign == 0.0:
                     then = start + rate * end
@@ -230,16 +240,17 @@ def integrate(
                     if low <= torque <= high:
                         limit = high if sign > 0.0 else low
                         now = min(now + (limit - torque) / rate, end)
-                        torque = start + rate * now
+                        torque, time = start + rate * now, stamp + now
                     counts[0] += 1
                     if before * sign < 0.0:
                         counts[1] += 1
                     before = sign
-                    qdd, pattern = exact_acceleration(joint, q, qd, torque, sign)
+                    qdd, pattern = exact_acceleration(joint, q, qd, torque, time, sign)
                     continue
 
-                q1, qd1 = _step(joint, q, qd, qdd, torque, rate, sign, pattern, lines, h)
-                qdd1 = frozen_acceleration(joint, q1, qd1, torque + rate * h, sign, pattern, lines)
+                q1, qd1 = _step(joint, q, qd, qdd, torque, rate, time, sign, pattern, lines, h)
+                then = torque + rate * h
+                qdd1 = frozen_acceleration(joint, q1, qd1, then, time + h, sign, pattern, lines)
                 dip = 0.0
                 which = -2
                 if sign * qd1 <= 0.0:
@@ -259,14 +270,16 @@ def integrate(
                 first = -2
                 if (
                     dip > 0.0
-                    and _agreement(joint, q, qd, qdd, torque, rate, sign, pattern, lines, dip, -1)
+                    and _agreement(
+                        joint, q, qd, qdd, torque, rate, time, sign, pattern, lines, dip, -1
+                    )
                     <= 0.0
                 ):
                     ahead = dip
                     which = -1
                 if which == -1:
                     ahead = _locate(
-                        joint, q, qd, qdd, torque, rate, sign, pattern, lines, ahead, -1
+                        joint, q, qd, qdd, torque, rate, time, sign, pattern, lines, ahead, -1
                     )
                     first = -1
                 for j in range(n_kinked):
@@ -278,6 +291,7 @@ def integrate(
                             qdd,
                             torque,
                             rate,
+                            time,
                             sign,
                             pattern,
                             lines,
@@ -287,7 +301,18 @@ def integrate(
                         < 0.0
                     ):
                         ahead = _locate(
-                            joint, q, qd, qdd, torque, rate, sign, pattern, lines, ahead, kinked[j]
+                            joint,
+                            q,
+                            qd,
+                            qdd,
+                            torque,
+                            rate,
+                            time,
+                            sign,
+                            pattern,
+                            lines,
+                            ahead,
+                            kinked[j],
                         )
                         first = kinked[j]
                 if first == -2:
@@ -299,28 +324,30 @@ def integrate(
                     counts[2] += 1
                     q, qd, now, first = q1, qd1, end, -1 if sign * qd1 <= 0.0 else -3
                 elif ahead > 0.0:
-                    q, qd = _step(joint, q, qd, qdd, torque, rate, sign, pattern, lines, ahead)
+                    q, qd = _step(
+                        joint, q, qd, qdd, torque, rate, time, sign, pattern, lines, ahead
+                    )
                     now = end if ahead == h else now + ahead
                 elif first == -1:
                     # It was about to leave, by no more than rounding: it has not left.
                     now, qd, sign, qdd = end, 0.0, 0.0, 0.0
-                    low, high = breakaway_torques(joint, q)
+                    low, high = breakaway_torques(joint, q, time)
                     continue
-                torque = start + rate * now
+                torque, time = start + rate * now, stamp + now
                 if first >= 0:
                     pattern ^= 1 << first
-                    qdd = frozen_acceleration(joint, q, qd, torque, sign, pattern, lines)
+                    qdd = frozen_acceleration(joint, q, qd, torque, time, sign, pattern, lines)
                 elif first == -3:
-                    qdd, pattern = exact_acceleration(joint, q, qd, torque, sign)
+                    qdd, pattern = exact_acceleration(joint, q, qd, torque, time, sign)
                 else:
                     qd = qdd = 0.0
-                    low, high = breakaway_torques(joint, q)
+                    low, high = breakaway_torques(joint, q, time)
                     sign = 1.0 if torque > high else (-1.0 if torque < low else 0.0)
                     if sign != 0.0:
                         if before * sign < 0.0:
                             counts[1] += 1
                         before = sign
-                        qdd, pattern = exact_acceleration(joint, q, qd, torque, sign)
+                        qdd, pattern = exact_acceleration(joint, q, qd, torque, time, sign)
     return int(samples)
 
 
@@ -328,10 +355,12 @@ def integrate(
 def integrate_segments(
     elements: NDArray[np.float64],
     load: NDArray[np.float64],
-    added_inertia: float,
-    added_moment: float,
+    carried: NDArray[np.float64],
+    samples: Samples,
+    addresses: NDArray[np.int64],
     torque: NDArray[np.float64],
     period: float,
+    begin: float,
     linear: bool,
     starts: NDArray[np.int64],
     ends: NDArray[np.int64],
@@ -341,16 +370,17 @@ def integrate_segments(
     valid: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
     """Integrate many parameter vectors, each anew at the start of every segment."""
-    n, samples, segments = elements.shape[0], torque.shape[0], starts.shape[0]
-    out = np.full((n, samples), np.nan)
+    n, segments = elements.shape[0], starts.shape[0]
+    out = np.full((n, torque.shape[0]), np.nan)
     for job in prange(n * segments):
         i, k = job // segments, job % segments
         if valid[i]:
             a, b = starts[k], ends[k]
             done = integrate(
-                joint_tables(elements[i], load[i], added_inertia, added_moment),
+                moved(elements[i], load[i], carried[i], samples, addresses),
                 torque[a:b],
                 period,
+                begin + a * period,
                 linear,
                 q0[i, k],
                 qd0[i, k],

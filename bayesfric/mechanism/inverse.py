@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.chain import Chain
+from bayesfric.recordings.inputs import Inputs
 
 
 def inverse_torque(
@@ -16,9 +17,8 @@ def inverse_torque(
     qd: ArrayLike,
     qdd: ArrayLike,
     *,
-    added_mass: float = 0.0,
-    radius: float = 0.0,
-    recording: str = "",
+    inputs: Inputs = Inputs(),  # noqa: B008  (frozen)
+    time: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
     """Measured motor torque along a motion.
 
@@ -32,11 +32,10 @@ def inverse_torque(
         ``(N,)`` position, speed and acceleration of the joint (rad or m, SI). At
         ``qd = 0`` the losses that depend on direction are zero: what static
         friction then takes, no inverse model can tell.
-    added_mass, radius
-        Known mass in kg bolted to the load at a radius in m; a sliding load
-        takes the mass alone.
-    recording
-        Whose own offset the torque has, where the chain knows any.
+    inputs
+        What the joint feels besides, and whose own offset the torque has.
+    time
+        ``(N,)`` s; without it a term that depends on time is NaN.
 
     Returns
     -------
@@ -44,19 +43,8 @@ def inverse_torque(
         ``(N,)`` or ``(n, N)``, N m or N.
     """
     vectors = np.atleast_2d(np.asarray(values, dtype=np.float64))
-    elements, load = chain.tables(vectors, recording)
-    position = np.asarray(q, dtype=np.float64)
-    inertia, moment = added_load(chain, added_mass, radius)
-    torque: NDArray[np.float64] = kernels.inverse_many(
-        elements,
-        load,
-        inertia,
-        moment,
-        np.sin(position),
-        np.cos(position),
-        np.ascontiguousarray(qd, dtype=np.float64),
-        np.ascontiguousarray(qdd, dtype=np.float64),
-    )
+    samples = chain.samples(q, qd, qdd, inputs, time)
+    torque: NDArray[np.float64] = kernels.inverse_many(*chain.tables(vectors, inputs), samples)
     return torque[0] if np.ndim(values) == 1 else torque
 
 
@@ -66,15 +54,14 @@ def load_torque(
     q: ArrayLike,
     qdd: ArrayLike,
     *,
-    added_mass: float = 0.0,
-    radius: float = 0.0,
+    inputs: Inputs = Inputs(),  # noqa: B008  (frozen)
 ) -> NDArray[np.float64]:
     """Torque that moves the load itself, ``Gamma`` of eq. (3), before any loss.
 
     Parameters and shapes as in :func:`inverse_torque`, for one parameter vector.
     """
-    _, load = chain.tables(np.atleast_2d(np.asarray(values, dtype=np.float64)))
-    inertia, moment = added_load(chain, added_mass, radius)
+    load = chain.tables(np.atleast_2d(np.asarray(values, dtype=np.float64))).load
+    inertia, moment = inputs.load(chain.load.motion)
     position = np.asarray(q, dtype=np.float64)
     weight = load[0, kernels.GRAVITY] * (load[0, kernels.FIRST_MOMENT] + moment)
     swing = weight * np.sin(position + load[0, kernels.GRAVITY_ANGLE])
@@ -82,16 +69,3 @@ def load_torque(
         qdd
     ) + swing
     return torque
-
-
-def added_load(chain: Chain, added_mass: float, radius: float) -> tuple[float, float]:
-    """Inertia and first moment that a known added mass brings to the load.
-
-    Returns
-    -------
-    tuple of float
-        kg m² and kg m for a turning load, kg and 0 for a sliding one.
-    """
-    if chain.load.motion == "linear":
-        return added_mass, 0.0
-    return added_mass * radius**2, added_mass * radius

@@ -7,15 +7,55 @@ Inverse and forward model share them, so they cannot disagree. Rows of
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-# Slots, in the order of bayesfric.mechanism.chain.ELEMENT_SLOTS and LOAD_SLOTS.
+# Terms that the kernels write out, by their slots: an element is a row of the first, the load
+# and the measurement make up the second.
+ELEMENT_SLOTS = (
+    "ratio",
+    "inertia",
+    "coulomb_positive",
+    "coulomb_negative",
+    "viscous",
+    "quadratic",
+    "stribeck_ratio",
+    "stribeck_velocity",
+    "load_drive",
+    "load_back",
+)
+LOAD_SLOTS = ("inertia", "first_moment", "gravity_angle", "gravity", "offset", "gain")
 RATIO, INERTIA, COULOMB_POSITIVE, COULOMB_NEGATIVE, VISCOUS, QUADRATIC = 0, 1, 2, 3, 4, 5
 STRIBECK_RATIO, STRIBECK_VELOCITY, LOAD_DRIVE, LOAD_BACK = 6, 7, 8, 9
 LOAD_INERTIA, FIRST_MOMENT, GRAVITY_ANGLE, GRAVITY, OFFSET, GAIN = 0, 1, 2, 3, 4, 5
+
+
+class Samples(NamedTuple):
+    """A motion and what the joint feels besides, as the kernels read it; made by a chain.
+
+    Attributes
+    ----------
+    added_inertia, added_moment
+        Of a known mass on the load, kg m² and kg m.
+    sin_q, cos_q, speed, acceleration
+        ``(N,)`` of the joint.
+    columns
+        ``(n_carried, N)`` torque of each term without a slot, for a coefficient of one.
+    places
+        ``(n_carried,)`` index of its element; that of the load is the number of elements.
+    """
+
+    added_inertia: float
+    added_moment: float
+    sin_q: NDArray[np.float64]
+    cos_q: NDArray[np.float64]
+    speed: NDArray[np.float64]
+    acceleration: NDArray[np.float64]
+    columns: NDArray[np.float64]
+    places: NDArray[np.int64]
 
 
 @njit(cache=True, inline="always")
@@ -95,55 +135,21 @@ def gravity_torque(
     return float(load[GRAVITY] * (load[FIRST_MOMENT] + added_moment) * sine)
 
 
-@njit(cache=True, inline="always")
-def motor_torque(
-    elements: NDArray[np.float64],
-    load_torque: float,
-    sign: float,
-    speed: float,
-    acceleration: float,
-) -> float:
-    """Carry the load's torque through every element to the motor.
-
-    ``speed`` and ``acceleration`` are the joint's.
-    """
-    torque = load_torque
-    to_input = 1.0
-    for k in range(elements.shape[0] - 1, -1, -1):
-        to_input *= elements[k, RATIO]
-        torque = element_input(elements[k], torque, sign, to_input * speed, to_input * acceleration)
-    return torque
-
-
 @njit(cache=True, parallel=True)
 def inverse_many(
     elements: NDArray[np.float64],
     load: NDArray[np.float64],
-    added_inertia: float,
-    added_moment: float,
-    sin_q: NDArray[np.float64],
-    cos_q: NDArray[np.float64],
-    speed: NDArray[np.float64],
-    acceleration: NDArray[np.float64],
+    carried: NDArray[np.float64],
+    samples: Samples,
 ) -> NDArray[np.float64]:
     """Measured motor torque of ``n`` parameter vectors at ``N`` samples, eq. (13) in general.
 
     Returns ``(n, N)``.
     """
-    n, n_samples = elements.shape[0], speed.shape[0]
-    out = np.empty((n, n_samples))
+    n = elements.shape[0]
+    out = np.empty((n, samples.speed.shape[0]))
     for i in prange(n):
-        inverse_one(
-            elements[i],
-            load[i],
-            added_inertia,
-            added_moment,
-            sin_q,
-            cos_q,
-            speed,
-            acceleration,
-            out[i],
-        )
+        inverse_one(elements[i], load[i], carried[i], samples, 0, out[i])
     return out
 
 
@@ -151,24 +157,46 @@ def inverse_many(
 def inverse_one(
     elements: NDArray[np.float64],
     load: NDArray[np.float64],
-    added_inertia: float,
-    added_moment: float,
-    sin_q: NDArray[np.float64],
-    cos_q: NDArray[np.float64],
-    speed: NDArray[np.float64],
-    acceleration: NDArray[np.float64],
+    carried: NDArray[np.float64],
+    samples: Samples,
+    begin: int,
     out: NDArray[np.float64],
 ) -> None:
-    """Write the measured motor torque of one parameter vector into ``out`` ``(N,)``."""
-    inertia = load[LOAD_INERTIA] + added_inertia
-    for j in range(speed.shape[0]):
-        out[j] = inertia * acceleration[j] + gravity_torque(load, added_moment, sin_q[j], cos_q[j])
+    """Write the measured motor torque of one parameter vector into ``out`` ``(n,)``.
+
+    It is that of the samples from ``begin`` on.
+    """
+    n = out.shape[0]
+    sin_q, cos_q = samples.sin_q[begin : begin + n], samples.cos_q[begin : begin + n]
+    speed, acceleration = samples.speed[begin : begin + n], samples.acceleration[begin : begin + n]
+    inertia = load[LOAD_INERTIA] + samples.added_inertia
+    moment = samples.added_moment
+    for j in range(n):
+        out[j] = inertia * acceleration[j] + gravity_torque(load, moment, sin_q[j], cos_q[j])
+    _carry(carried, samples, elements.shape[0], begin, out)
     to_input = 1.0
     for k in range(elements.shape[0] - 1, -1, -1):
         to_input *= elements[k, RATIO]
         _through_element(elements[k], to_input, speed, acceleration, out)
-    for j in range(speed.shape[0]):
+        _carry(carried, samples, k, begin, out)
+    for j in range(n):
         out[j] = (out[j] + load[OFFSET]) / load[GAIN]
+
+
+@njit(cache=True)
+def _carry(
+    carried: NDArray[np.float64],
+    samples: Samples,
+    place: int,
+    begin: int,
+    out: NDArray[np.float64],
+) -> None:
+    """Add the terms of one element, or the load, that have no slot."""
+    for t in range(carried.shape[0]):
+        if samples.places[t] == place:
+            column, value = samples.columns[t, begin : begin + out.shape[0]], carried[t]
+            for j in range(out.shape[0]):
+                out[j] += value * column[j]
 
 
 @njit(cache=True)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model
 
 from bayesfric.errors import BadInput, nearest
 from bayesfric.mechanism.chain import Chain
-from bayesfric.mechanism.element import CoulombLoss, Element, Load, LoadLoss
-from bayesfric.mechanism.parameter import Motion
+from bayesfric.mechanism.element import STANDARD_GRAVITY, Element, Load, changed
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.quantities import CHOICES, LOAD_CHOICES, OPTION_MEANINGS, Motion
 
 
 def _not_zero(value: float) -> float:
@@ -30,30 +31,47 @@ class _Options(BaseModel):
         return self.model_dump(exclude_unset=True)
 
 
-class ElementOptions(_Options):
+class _Element(_Options):
     """One element; what is left out keeps the preset's choice, or is not there."""
 
     ratio: Positive = Field(1.0, description="input speed over output speed")
-    inertia: bool = Field(False, description="whether the element has inertia")
-    coulomb: CoulombLoss = Field("none", description="constant loss")
-    viscous: bool = Field(False, description="loss in proportion to speed")
-    quadratic: bool = Field(False, description="loss with the square of speed")
-    stribeck: bool = Field(False, description="rise of constant and load loss at low speed")
-    load_loss: LoadLoss = Field("none", description="loss in proportion to transmitted torque")
     motion: Motion = Field("rotary", description="whether the input turns or slides")
     subscript: str = Field("", description="LaTeX subscript of the symbols")
 
 
-class LoadOptions(_Options):
+class _Load(_Options):
     """The load; what is left out keeps the preset's choice, or is not there."""
 
-    inertia: bool = Field(False, description="whether the load has an inertia of its own")
-    first_moment: bool = Field(False, description="gravity moment ml")
-    gravity_angle: bool = Field(False, description="unknown angle of gravity's zero")
     gravity: Annotated[float, Field(allow_inf_nan=False), AfterValidator(_not_zero)] = Field(
-        9.80665, description="m/s², negative for a joint mounted upside down"
+        STANDARD_GRAVITY, description="m/s², negative for a joint mounted upside down"
     )
     motion: Motion = Field("rotary", description="whether the load turns or slides")
+
+
+def _fields(options: Mapping[str, Mapping[str | bool, str]]) -> dict[str, Any]:
+    """Fields of a table's options: true or false, or a choice of words."""
+    found: dict[str, Any] = {}
+    for option, choices in options.items():
+        words = tuple(choice for choice in choices if isinstance(choice, str))
+        kind: Any = bool | Literal[words] if words else bool
+        if True not in choices:
+            kind = Literal[("none", *words)]
+        default = False if True in choices else "none"
+        found[option] = (kind, Field(default, description=OPTION_MEANINGS[option]))
+    return found
+
+
+if TYPE_CHECKING:
+
+    class ElementOptions(_Element):
+        """With the options of an element."""
+
+    class LoadOptions(_Load):
+        """With the options of the load."""
+
+else:  # the options are those of the table of quantities
+    ElementOptions = create_model("ElementOptions", __base__=_Element, **_fields(CHOICES))
+    LoadOptions = create_model("LoadOptions", __base__=_Load, **_fields(LOAD_CHOICES))
 
 
 class MechanismOptions(_Options):
@@ -104,16 +122,16 @@ class MechanismOptions(_Options):
                         nearest(name, names),
                     )
             elements = [
-                _changed(element, self.elements[element.name].given())
+                changed(element, self.elements[element.name].given())
                 if element.name in self.elements
                 else element
                 for element in base.elements
             ]
-        load = _changed(base.load, self.load.given())
+        load = changed(base.load, self.load.given())
         if self.motion is not None:
-            elements = [_changed(element, {"motion": self.motion}) for element in elements]
-            load = _changed(load, {"motion": self.motion})
-        if load.motion == "linear" and (load.first_moment or load.gravity_angle):
+            elements = [changed(element, {"motion": self.motion}) for element in elements]
+            load = changed(load, {"motion": self.motion})
+        if load.motion == "linear" and load.has("first_moment", "gravity_angle"):
             raise BadInput(
                 "mechanism.load.first_moment",
                 "a sliding load has no gravity moment",
@@ -129,7 +147,3 @@ class MechanismOptions(_Options):
             )
         except ValueError as error:
             raise BadInput("mechanism.elements", str(error), "rename the element") from None
-
-
-def _changed(item: Any, changes: dict[str, Any]) -> Any:
-    return type(item)(**{**vars(item), **changes})

@@ -15,26 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayesfric.mechanism.chain import Chain
-from bayesfric.mechanism.parameter import entry_of
 
 Array = NDArray[np.float64]
-
-# Whether a quantity grows with the torque behind the gearbox; ratios, angles and speeds do not.
-_GROWS = {
-    "inertia": True,
-    "viscous": True,
-    "quadratic": True,
-    "coulomb": True,
-    "coulomb_positive": True,
-    "coulomb_negative": True,
-    "first_moment": True,
-    "stribeck_ratio": False,
-    "stribeck_velocity": False,
-    "load": False,
-    "load_drive": False,
-    "load_back": False,
-    "gravity_angle": False,
-}
 
 
 @dataclass(frozen=True)
@@ -186,7 +168,8 @@ def scalings(
         behind = tuple(
             p.name
             for p in chain.parameters
-            if p.name.rpartition(".")[0] in owners and entry_of(_GROWS, p.quantity, "the scaling")
+            # ratios, angles and speeds do not grow with the torque behind the gearbox
+            if p.owner in owners and p.row.role == "own"
         )
         if behind:
             added = tuple(known.get(name, 0.0) for name in behind) if known else ()

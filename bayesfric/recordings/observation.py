@@ -22,6 +22,7 @@ from bayesfric.recordings.filters import (
     parallel_taps,
     reach_of,
 )
+from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.options import Processing
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.resolution import WIDEST, Resolution, lowpass_above, resolve
@@ -64,8 +65,10 @@ class Observation:
     segment_of
         Segment of every output, shape (M,). Inside a segment outputs may be missing (dead zone,
         excluded spans); neighbours are those whose ``filter.starts`` differ by ``decimate``.
-    added_mass, radius
-        Known mass added for this recording, kg, and its distance from the axis, m.
+    stamps
+        Time of every sample, s since the file's first stamp, shape (N,).
+    inputs
+        What the joint feels besides its motion.
     steps
         One sentence for every choice made, reading included.
     warnings
@@ -85,8 +88,8 @@ class Observation:
     speed: NDArray[np.float64]
     period: float
     segment_of: NDArray[np.int64]
-    added_mass: float
-    radius: float
+    stamps: NDArray[np.float64]
+    inputs: Inputs
     steps: tuple[str, ...]
     warnings: tuple[str, ...]
     settings: dict[str, float | int | str]
@@ -193,8 +196,8 @@ def observe(recording: Recording, processing: Processing) -> Observation:
         speed=qd[centres],
         period=numbers.factor * period,
         segment_of=np.searchsorted(borders, chosen.starts, side="right").astype(np.int64) - 1,
-        added_mass=recording.added_mass,
-        radius=recording.radius,
+        stamps=recording.time,
+        inputs=recording.inputs,
         steps=(*recording.steps, *_told(numbers, processing, recording, settings)),
         warnings=tuple(warnings),
         settings=settings,

@@ -26,6 +26,7 @@ from bayesfric.recordings.channels import (
     scaled,
     signed,
 )
+from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.options import Processing, Source
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.tables import Table, read_table, sha256
@@ -154,8 +155,7 @@ def _read(source: Source, path: Path, name: str, drive: Drive, processing: Proce
         segments=grid.segments,
         period=grid.period,
         excluded=excluded,
-        added_mass=source.added_mass,
-        radius=source.radius,
+        inputs=Inputs(source.added_mass, source.radius, name),
         steps=tuple(steps),
         warnings=tuple(warnings),
     )

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesfric.recordings.inputs import Inputs
+
 
 @dataclass(frozen=True, eq=False)
 class Recording:
@@ -35,10 +37,8 @@ class Recording:
         Sampling period in s, the same in every segment.
     excluded
         True where a sample must not be compared with the model, shape (n,).
-    added_mass
-        Known mass added for this recording, kg.
-    radius
-        Distance of that mass from the axis, m.
+    inputs
+        What the joint feels besides its motion.
     steps
         One sentence for every choice made in reading.
     warnings
@@ -55,7 +55,6 @@ class Recording:
     segments: tuple[tuple[int, int], ...]
     period: float
     excluded: NDArray[np.bool_]
-    added_mass: float
-    radius: float
+    inputs: Inputs
     steps: tuple[str, ...]
     warnings: tuple[str, ...]

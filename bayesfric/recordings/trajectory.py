@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
+from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.observation import Observation, without_excluded
 from bayesfric.recordings.recording import Recording
 
@@ -37,8 +38,8 @@ class Trajectory:
     q0, qd0
         ``(K,)`` position and speed at the first sample of each segment, from the
         filtered position; a place to start from, no more.
-    added_mass, radius
-        Known mass in kg and its distance from the axis in m.
+    inputs
+        What the joint feels besides its motion.
     """
 
     name: str
@@ -49,8 +50,7 @@ class Trajectory:
     segments: NDArray[np.int64]
     q0: NDArray[np.float64]
     qd0: NDArray[np.float64]
-    added_mass: float
-    radius: float
+    inputs: Inputs
 
     @property
     def samples(self) -> NDArray[np.int64]:
@@ -99,8 +99,7 @@ def trajectory(recording: Recording, observation: Observation, length: float) ->
         segments=segments,
         q0=observation.q[starts],
         qd0=observation.qd[starts],
-        added_mass=recording.added_mass,
-        radius=recording.radius,
+        inputs=recording.inputs,
     )
 
 

@@ -33,6 +33,7 @@ from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.filters import ParallelFilter
+from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
@@ -117,8 +118,8 @@ def observation(n_samples: int = SAMPLES, seed: int = SEED) -> Observation:
         speed=motion.qd[moving],
         period=1.0 / RATE,
         segment_of=np.cumsum(np.diff(moving, prepend=moving[0] - 1) > 1).astype(np.int64),
-        added_mass=0.0,
-        radius=0.0,
+        stamps=motion.time[moving],
+        inputs=Inputs(),
         steps=("simulated motion as it was, torque with white noise, no filter",),
         warnings=(),
         settings={"sampling_rate": RATE, "n_outputs": n_samples},

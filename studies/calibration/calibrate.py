@@ -42,6 +42,7 @@ from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.filters import ParallelFilter
+from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
@@ -106,8 +107,8 @@ def motions() -> tuple[Observation, Observation]:
                 speed=motion.qd[moving],
                 period=1.0 / RATE,
                 segment_of=np.cumsum(np.diff(moving, prepend=moving[0] - 1) > 1).astype(np.int64),
-                added_mass=mass,
-                radius=0.35 if mass else 0.0,
+                stamps=motion.time[moving],
+                inputs=Inputs(mass, 0.35 if mass else 0.0),
                 steps=("simulated motion as it was",),
                 warnings=(),
                 settings={"sampling_rate": RATE},

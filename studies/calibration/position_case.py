@@ -21,6 +21,7 @@ from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.filters import ParallelFilter
+from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.trajectory import Trajectory
 
@@ -100,8 +101,7 @@ def recording(rng: np.random.Generator) -> tuple[Target, Array]:
         # where the linearisation begins; the likelihood integrates the states out
         q0=q[starts],
         qd0=qd[starts],
-        added_mass=0.0,
-        radius=0.0,
+        inputs=Inputs(),
     )
     observation = Observation(
         name="axis",
@@ -115,8 +115,8 @@ def recording(rng: np.random.Generator) -> tuple[Target, Array]:
         speed=qd,
         period=period,
         segment_of=np.zeros(n, dtype=np.int64),
-        added_mass=0.0,
-        radius=0.0,
+        stamps=trajectory.time,
+        inputs=Inputs(),
         steps=("simulated motion as it was, to start the search from",),
         warnings=(),
         settings={"sampling_rate": RATE},

@@ -34,6 +34,7 @@ from bayesfric.estimates.torque import filtered_torque
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.observation import Observation, observe
 from bayesfric.recordings.options import Processing
 from bayesfric.recordings.recording import Recording
@@ -61,8 +62,7 @@ def recording(conditions: Simulation) -> Recording:
         segments=((0, n),),
         period=1.0 / conditions.rate,
         excluded=np.zeros(n, dtype=np.bool_),
-        added_mass=0.0,
-        radius=0.0,
+        inputs=Inputs(),
         steps=(),
         warnings=(),
     )

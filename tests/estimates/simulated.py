@@ -4,6 +4,7 @@ import numpy as np
 
 from bayesfric.mechanism.excitation import multisine, square
 from bayesfric.mechanism.forward import simulate
+from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.observation import observe
 from bayesfric.recordings.options import Processing
 from bayesfric.recordings.trajectory import trajectory
@@ -27,7 +28,7 @@ def move(chain, values, torque, **load):
 def prepare(position, torque, length=np.inf, name="made-up", added_mass=0.0, radius=0.0):
     time = np.arange(position.size) * PERIOD
     recording = made_recording(
-        time, position, torque, PERIOD, name=name, added_mass=added_mass, radius=radius
+        time, position, torque, PERIOD, name=name, inputs=Inputs(added_mass, radius, name)
     )
     observation = observe(recording, Processing())
     return trajectory(recording, observation, length), observation

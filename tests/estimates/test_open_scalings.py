@@ -9,6 +9,7 @@ from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.options import Estimation
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.recordings.inputs import Inputs
 
 KNEE = PRESETS["rabbit-knee"]
 CHAIN = KNEE.chain()
@@ -56,7 +57,7 @@ def test_with_one_mass_in_all_load_and_mass_scale_as_one(make_observation):
     values = CHAIN.vector(KNEE.values)
     low, high = scaling.bounds(values)
     vectors = scaling.scaled(values, np.linspace(low, high, 9))
-    torque = inverse_torque(CHAIN, vectors, o.q, o.qd, o.qdd, added_mass=2.0, radius=0.35)
+    torque = inverse_torque(CHAIN, vectors, o.q, o.qd, o.qdd, inputs=Inputs(2.0, 0.35))
     np.testing.assert_allclose(torque, np.tile(torque[0], (9, 1)), atol=1e-12)
     # neither the leg nor a loss gets negative on the way
     assert vectors.min() >= -1e-12

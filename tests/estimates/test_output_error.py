@@ -16,6 +16,7 @@ from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
+from bayesfric.recordings.inputs import Inputs
 from tests.estimates.simulated import excite, move, prepare
 
 # torque that moves each joint well, s of it
@@ -99,7 +100,7 @@ def test_what_a_scaling_leaves_open_has_no_sd():
 def test_a_known_mass_takes_the_scaling_away():
     chain, values, torque, q = simulated("rabbit-knee")
     heavy = 1.5 * excite(3.0, 0.8, seed=5)
-    q2 = move(chain, values, heavy, added_mass=2.0, radius=0.35).q
+    q2 = move(chain, values, heavy, inputs=Inputs(2.0, 0.35)).q
     parts = [
         prepare(q, torque),
         prepare(q2, heavy, name="loaded", added_mass=2.0, radius=0.35),

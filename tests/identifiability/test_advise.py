@@ -21,6 +21,7 @@ from bayesfric.mechanism import excitation
 from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.observation import observe
 from bayesfric.recordings.options import Processing
 from tests.conftest import made_recording
@@ -33,11 +34,9 @@ PERIOD, N, SIGMA = 1e-3, 2000, 0.02
 
 def recorded(torque, *, added_mass=0.0, radius=0.0, name="made-up"):
     """Simulate the knee and prepare it as any recording is."""
-    motion = simulate(
-        CHAIN, VALUES, torque, PERIOD, added_mass=added_mass, radius=radius, substeps=4
-    )
+    motion = simulate(CHAIN, VALUES, torque, PERIOD, inputs=Inputs(added_mass, radius), substeps=4)
     played = made_recording(
-        motion.time, motion.q, torque, PERIOD, name=name, added_mass=added_mass, radius=radius
+        motion.time, motion.q, torque, PERIOD, name=name, inputs=Inputs(added_mass, radius, name)
     )
     return observe(played, Processing())
 
@@ -255,8 +254,7 @@ def test_an_advice_gives_its_recording_back(knee):
         VALUES,
         columns["torque"],
         PERIOD,
-        added_mass=best.candidate.added_mass,
-        radius=best.candidate.radius,
+        inputs=Inputs(best.candidate.added_mass, best.candidate.radius),
     )
     # an encoder on the motor shaft turns fifty times as far
     np.testing.assert_allclose(columns["position"] / 50.0, expected.q, atol=1e-8)

@@ -17,6 +17,7 @@ from bayesfric.mechanism import excitation
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.filters import parallel_filter
+from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.observation import Observation
 
 KNEE, AXIS = PRESETS["rabbit-knee"], PRESETS["motor-axis"]
@@ -40,7 +41,7 @@ SINE = excitation.sine(TIME, PEAK, 1.0)
 
 def recorded(torque, *, added_mass=0.0, radius=0.0, name="made-up"):
     """Motion and torque as they are: filtering would blur what the square wave's edges are."""
-    motion = simulate(CHAIN, VALUES, torque, PERIOD, added_mass=added_mass, radius=radius)
+    motion = simulate(CHAIN, VALUES, torque, PERIOD, inputs=Inputs(added_mass, radius))
     taken = parallel_filter(((0, N),), 1, None, 1.0 / PERIOD, np.abs(motion.qd) > 0.01)
     return Observation(
         name=name,
@@ -54,8 +55,8 @@ def recorded(torque, *, added_mass=0.0, radius=0.0, name="made-up"):
         speed=taken.apply(motion.qd),
         period=PERIOD,
         segment_of=np.zeros(taken.n_outputs, dtype=np.int64),
-        added_mass=added_mass,
-        radius=radius,
+        stamps=motion.time,
+        inputs=Inputs(added_mass, radius, name),
         steps=(),
         warnings=(),
         settings={},

@@ -11,6 +11,7 @@ from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
+from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.trajectory import Trajectory
 
 KNEE = PRESETS["rabbit-knee"]
@@ -30,8 +31,7 @@ def cut(position, torque, q0, qd0, segments, period=PERIOD):
         np.array(segments),
         q0,
         qd0,
-        added_mass=0.0,
-        radius=0.0,
+        inputs=Inputs(),
     )
 
 
@@ -139,8 +139,7 @@ def knee():
         np.stack([starts, starts + 500], axis=1),
         motion.q[starts],
         motion.qd[starts],
-        added_mass=0.0,
-        radius=0.0,
+        inputs=Inputs(),
     )
     return chain, chain.vector(values), PositionLikelihood(chain, [t], [], chain.vector(values))
 

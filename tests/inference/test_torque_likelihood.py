@@ -36,9 +36,7 @@ def test_squares_are_the_filtered_residuals(knee):
     values = rows(chain)
     squares = likelihood.sum_of_squares(values)
     for i, o in enumerate(observations):
-        torque = inverse_torque(
-            chain, values, o.q, o.qd, o.qdd, added_mass=o.added_mass, radius=o.radius
-        )
+        torque = inverse_torque(chain, values, o.q, o.qd, o.qdd, inputs=o.inputs)
         expected = ((o.measured - o.filter.apply(torque)) ** 2).sum(axis=1)
         np.testing.assert_allclose(squares[:, i], expected, rtol=1e-11)
         np.testing.assert_allclose(likelihood.predict(values)[i], o.filter.apply(torque))

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from bayesfric.mechanism import kernels
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.excitation import current_loop, multisine, square
@@ -60,6 +61,17 @@ EVERYTHING = {
     "offset": 0.02,
     "drive.gain": 1.1,
 }
+
+
+def carried_to_motor(elements, torque, sign, speed, acceleration) -> float:
+    """Carry a load's torque through every element, one element equation after the other."""
+    to_input = 1.0
+    for element in elements[::-1]:
+        to_input *= element[kernels.RATIO]
+        torque = kernels.element_input(
+            element, torque, sign, to_input * speed, to_input * acceleration
+        )
+    return torque
 
 
 def axis(**terms) -> Chain:

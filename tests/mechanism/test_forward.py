@@ -15,7 +15,8 @@ from bayesfric.mechanism.element import STANDARD_GRAVITY, Element, Load
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS
-from tests.mechanism.joints import EVERYTHING, KNEE, axis, everything, signal
+from bayesfric.recordings.inputs import Inputs
+from tests.mechanism.joints import EVERYTHING, KNEE, axis, carried_to_motor, everything, signal
 
 
 def drawn(chain, values, exponents):
@@ -26,7 +27,7 @@ def drawn(chain, values, exponents):
 
 def returns_the_torque(chain, vector, torque, period=2e-3, **options):
     motion = simulate(chain, vector, torque, period, substeps=2, **options)
-    known = {k: v for k, v in options.items() if k in ("added_mass", "radius")}
+    known = {k: v for k, v in options.items() if k == "inputs"}
     back = inverse_torque(chain, vector, motion.q, motion.qd, motion.qdd, **known)
     moving = np.abs(motion.qd) > 0
     scale = max(1.0, np.abs(torque).max())
@@ -75,8 +76,7 @@ def test_inverse_model_returns_the_torque_everything(exponents, seed, mass, q0, 
         chain,
         drawn(chain, EVERYTHING, exponents),
         signal(2e-3, amplitude=0.5, seed=seed),
-        added_mass=mass,
-        radius=0.35,
+        inputs=Inputs(mass, 0.35),
         q0=q0,
         qd0=qd0,
         hold=hold,
@@ -114,7 +114,9 @@ def random_joint(rng, mu=1.5):
     elements[:, kernels.STRIBECK_VELOCITY] = rng.uniform(0.1, 5.0, n)
     elements[0, kernels.INERTIA] += 1e-3
     load = np.array([rng.choice([0.0, 0.3]), rng.uniform(0, 1), rng.uniform(-3, 3), 9.8, 0.0, 1.0])
-    return dynamics.joint_tables(elements, load, 0.0, 0.0)
+    nothing = np.zeros(0)
+    samples = PRESETS["motor-axis"].chain().samples(nothing, nothing, nothing, Inputs())
+    return dynamics.moved(elements, load, nothing, samples, np.zeros(0, dtype=np.int64))
 
 
 def test_closed_form_acceleration_agrees_with_root_finding():
@@ -133,20 +135,19 @@ def test_closed_form_acceleration_agrees_with_root_finding():
         gravity = kernels.gravity_torque(load, 0.0, np.sin(q), np.cos(q))
 
         def excess(a, elements=elements, gravity=gravity, joint=joint, s=sign, v=qd, t=torque):
-            return kernels.motor_torque(elements, joint[2] * a + gravity, s, v, a) - t
+            return carried_to_motor(elements, joint[2] * a + gravity, s, v, a) - t
 
-        found, pattern = dynamics.exact_acceleration(joint, q, qd, torque, sign)
+        found, pattern = dynamics.exact_acceleration(joint, q, qd, torque, 0.0, sign)
         reach = abs(excess(0.0)) / low[0] * 1.01 + 1e-9
         brute = brentq(excess, -reach, reach, xtol=1e-14, rtol=1e-15)
         scale = abs(brute) + (abs(gravity) + abs(torque) + 10.0) / low[0]
         assert abs(found - brute) <= 1e-12 * scale
         # the frozen pattern is that motion's, and gives the same acceleration
         lines = np.zeros((len(elements), 2))
-        assert dynamics.frozen_acceleration(joint, q, qd, torque, sign, pattern, lines) == found
+        again = dynamics.frozen_acceleration(joint, q, qd, torque, 0.0, sign, pattern, lines)
+        assert again == found
         for k, element in enumerate(elements):
-            out = kernels.motor_torque(
-                elements[k + 1 :], joint[2] * found + gravity, sign, qd, found
-            )
+            out = carried_to_motor(elements[k + 1 :], joint[2] * found + gravity, sign, qd, found)
             if (element[kernels.LOAD_DRIVE] or element[kernels.LOAD_BACK]) and abs(out) > 1e-9:
                 assert bool(pattern >> k & 1) == (out * sign > 0)
     assert irreversible > 100
@@ -158,13 +159,13 @@ def test_slope_bounds_are_those_of_all_patterns():
         joint = random_joint(rng)
         elements = joint[0].copy()
         elements[:, kernels.STRIBECK_RATIO] = 0.0
-        joint = (elements, *joint[1:])
+        joint = joint._replace(elements=elements)
         lines = np.zeros((len(elements), 2))
         slopes = []
         for bits in itertools.product((0, 1), repeat=len(elements)):
             pattern = sum(bit << k for k, bit in enumerate(bits))
             a, b = (
-                dynamics.frozen_acceleration(joint, 0.1, 1.0, t, 1.0, pattern, lines)
+                dynamics.frozen_acceleration(joint, 0.1, 1.0, t, 0.0, 1.0, pattern, lines)
                 for t in (0.0, 1.0)
             )
             slopes.append(1 / (b - a))
@@ -375,11 +376,10 @@ def test_energy_is_balanced(name):
         period,
         substeps=2,
         q0=0.5,
-        added_mass=mass,
-        radius=radius,
+        inputs=Inputs(mass, radius),
     )
     assert motion.reversals >= 3
-    elements, load = (table[0] for table in chain.tables(vector[np.newaxis]))
+    elements, load = (table[0] for table in chain.tables(vector[np.newaxis])[:2])
     inertia = load[kernels.LOAD_INERTIA] + mass * radius**2
     weight = load[kernels.GRAVITY] * (load[kernels.FIRST_MOMENT] + mass * radius)
     angle = motion.q + load[kernels.GRAVITY_ANGLE]

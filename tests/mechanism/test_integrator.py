@@ -10,7 +10,8 @@ from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.excitation import current_loop, square
 from bayesfric.mechanism.forward import simulate, simulate_many
-from tests.mechanism.joints import EVERYTHING, KNEE, axis, everything, signal
+from bayesfric.recordings.inputs import Inputs
+from tests.mechanism.joints import EVERYTHING, KNEE, axis, carried_to_motor, everything, signal
 
 
 def interrupted(period, seconds):
@@ -57,8 +58,7 @@ def test_error_falls_with_the_fourth_power_of_the_step_everything():
         torque,
         2e-3,
         (4, 8, 16),
-        added_mass=1.0,
-        radius=0.4,
+        inputs=Inputs(1.0, 0.4),
         q0=0.3,
     )
     assert last.reversals >= 3
@@ -82,7 +82,7 @@ def test_default_substeps_meet_the_tolerance():
 
 def scipy_motion(chain, vector, torque, period):
     """Integrate by DOP853, with the acceleration from root finding on the inverse model."""
-    elements, load = (table[0] for table in chain.tables(vector[np.newaxis]))
+    elements, load = (table[0] for table in chain.tables(vector[np.newaxis])[:2])
     total = load[kernels.LOAD_INERTIA] + sum(
         e[kernels.INERTIA] * np.prod([x[kernels.RATIO] for x in elements[k:]]) ** 2
         for k, e in enumerate(elements)
@@ -90,9 +90,7 @@ def scipy_motion(chain, vector, torque, period):
 
     def input_torque(q, qd, qdd, sign):
         gravity = kernels.gravity_torque(load, 0.0, np.sin(q), np.cos(q))
-        return kernels.motor_torque(
-            elements, load[kernels.LOAD_INERTIA] * qdd + gravity, sign, qd, qdd
-        )
+        return carried_to_motor(elements, load[kernels.LOAD_INERTIA] * qdd + gravity, sign, qd, qdd)
 
     def acceleration(q, qd, tau, sign):
         reach = 1e4 / total
@@ -156,7 +154,7 @@ def test_many_is_one_by_one():
     vectors = chain.vector(EVERYTHING) * np.exp(0.2 * rng.normal(size=(6, len(chain.names))))
     torque = signal(2e-3)
     q0, qd0 = rng.normal(size=(2, 6))
-    options = {"added_mass": 0.5, "radius": 0.2, "substeps": 3}
+    options = {"inputs": Inputs(0.5, 0.2), "substeps": 3}
     many = simulate_many(chain, vectors, torque, 2e-3, q0=q0, qd0=qd0, **options)
     assert many.shape == (6, torque.size)
     for row, vector, q, qd in zip(many, vectors, q0, qd0, strict=True):
@@ -224,5 +222,5 @@ def test_single_sample_and_sliding_load():
     slide = Chain(
         elements=(Element("screw", inertia=True, motion="linear"),), load=Load(motion="linear")
     )
-    moved = simulate(slide, [1.0], np.ones(11), 0.1, added_mass=1.0, radius=5.0)
+    moved = simulate(slide, [1.0], np.ones(11), 0.1, inputs=Inputs(1.0, 5.0))
     np.testing.assert_allclose(moved.q[-1], 0.25, rtol=1e-13)

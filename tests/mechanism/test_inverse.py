@@ -10,6 +10,7 @@ from bayesfric.mechanism.derived import derive, efficiencies
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque, load_torque
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.recordings.inputs import Inputs
 
 positive = st.floats(1e-3, 10.0)
 
@@ -183,7 +184,7 @@ def by_hand(chain, v, q, qd, qdd, mass, radius):
         way = "drive" if torque * speed > 0 else "back"
         mu = v.get(f"{e.name}.load", v.get(f"{e.name}.load_{way}", 0.0))
         rise = 1.0
-        if e.stribeck:
+        if e.has("stribeck_ratio"):
             rise += v[f"{e.name}.stribeck_ratio"] * np.exp(
                 -((speed / v[f"{e.name}.stribeck_velocity"]) ** 2)
             )
@@ -199,7 +200,7 @@ def test_every_term_at_every_shaft_against_plain_python():
     rng = np.random.default_rng(3)
     v = {p.name: float(rng.uniform(0.05, 0.9)) for p in chain.parameters}
     q, qd, qdd = motion(60, seed=4)
-    torque = inverse_torque(chain, chain.vector(v), q, qd, qdd, added_mass=1.5, radius=0.3)
+    torque = inverse_torque(chain, chain.vector(v), q, qd, qdd, inputs=Inputs(1.5, 0.3))
     expected = [by_hand(chain, v, *sample, 1.5, 0.3) for sample in zip(q, qd, qdd, strict=True)]
     np.testing.assert_allclose(torque, expected, rtol=1e-12, atol=0)
 
@@ -230,13 +231,13 @@ def test_a_known_added_mass_is_that_much_more_load():
         "load.first_moment": v["load.first_moment"] + 2.0 * 0.35,
     }
     np.testing.assert_allclose(
-        inverse_torque(chain, x, q, qd, qdd, added_mass=2.0, radius=0.35),
+        inverse_torque(chain, x, q, qd, qdd, inputs=Inputs(2.0, 0.35)),
         inverse_torque(chain, chain.vector(heavier), q, qd, qdd),
         rtol=1e-12,
     )
     expected = heavier["load.inertia"] * qdd
     expected += 9.80665 * heavier["load.first_moment"] * np.sin(q)
-    np.testing.assert_allclose(load_torque(chain, x, q, qdd, added_mass=2.0, radius=0.35), expected)
+    np.testing.assert_allclose(load_torque(chain, x, q, qdd, inputs=Inputs(2.0, 0.35)), expected)
 
 
 def test_totals_are_theta1_plus_and_minus_theta2():

@@ -3,12 +3,13 @@
 import pytest
 
 from bayesfric.mechanism.parameter import effort_words, parameter
+from bayesfric.mechanism.quantities import QUANTITIES
 
 
 @pytest.mark.parametrize("quantity", ["offset", "gain", "load_drive", "load_back", "load"])
 def test_what_slides_has_forces(quantity):
     turning, sliding = (
-        parameter("motor", quantity, motion, "m") for motion in ("rotary", "linear")
+        parameter("motor", QUANTITIES[quantity], motion, "m") for motion in ("rotary", "linear")
     )
     assert "torque" in turning.meaning
     assert sliding.meaning == turning.meaning.replace("torque", "force")

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from bayesfric.errors import BadInput
+from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.observation import observe
 from bayesfric.recordings.options import Processing
 from bayesfric.recordings.trajectory import divided, trajectory
@@ -22,8 +23,7 @@ def made(n=1000, segments=None, excluded=(), period=0.01):
         period,
         segments=segments or ((0, n),),
         excluded=flags,
-        added_mass=2.0,
-        radius=0.5,
+        inputs=Inputs(2.0, 0.5),
     )
 
 
@@ -74,7 +74,7 @@ def test_states_to_start_from_are_those_of_the_motion():
     assert np.allclose(t.q0, np.sin(time), atol=1e-12)
     # second-order differences of a sine with 10 ms steps: the error is h²/3 at the very end
     assert np.allclose(t.qd0, np.cos(time), atol=0.01**2)
-    assert (t.added_mass, t.radius) == (2.0, 0.5)
+    assert (t.inputs.added_mass, t.inputs.radius) == (2.0, 0.5)
 
 
 def test_divided_is_what_trajectory_makes():

@@ -324,9 +324,8 @@ class _Run:
             t.segments,
             self._q0 + shift[0],
             self._qd0 + shift[1],
-            added_mass=t.added_mass,
-            radius=t.radius,
-            recording=t.name,
+            inputs=t.inputs,
+            begin=float(t.time[0]),
             substeps=self.substeps,
         )
 

@@ -64,7 +64,7 @@ class LinearTorque:
         if form is None:
             raise ValueError("the chain's torque is not of the form of eq. (13)")
         self.chain = chain
-        loaded = ("added_load",) if any(o.added_mass for o in observations) else ()
+        loaded = ("added_load",) if any(o.inputs.added_mass for o in observations) else ()
         self.names1 = (*form.names1, *loaded)
         self.names2 = (*form.names2, *loaded) if form.loss else ()
         self._both = [self.names1.index(name) for name in self.names2]
@@ -141,10 +141,10 @@ def linear_torque(chain: Chain, observations: Sequence[Observation]) -> LinearTo
         with a known mass at an unknown angle.
     """
     angled = "load.gravity_angle" in chain.names
-    if torque_form(chain) is None or (angled and any(o.added_mass for o in observations)):
+    if torque_form(chain) is None or (angled and any(o.inputs.added_mass for o in observations)):
         return None
     return LinearTorque(chain, observations)
 
 
 def _piece(o: Observation, part: slice) -> Observation:
-    return replace(o, q=o.q[part], qd=o.qd[part], qdd=o.qdd[part])
+    return replace(o, q=o.q[part], qd=o.qd[part], qdd=o.qdd[part], stamps=o.stamps[part])

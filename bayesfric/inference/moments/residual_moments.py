@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.chain import Chain
-from bayesfric.mechanism.inverse import added_load
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
@@ -179,17 +178,13 @@ class PlainMoments:
     def __init__(self, chain: Chain, observations: Sequence[Observation], order: int = 0) -> None:
         self.chain, self.order = chain, order
         runs = [Runs.of(o, order) for o in observations]
-        self._names = [o.name for o in observations]
+        self._inputs = [o.inputs for o in observations]
         counted = [r.count(order) for r in runs]
         self.counts = np.array([n for n, _ in counted], dtype=np.int64)
         self.head_counts = np.array([heads for _, heads in counted]).reshape(len(runs), order)
-        self._arrays = [
+        self._arrays: list[tuple[Any, ...]] = [
             (
-                *added_load(chain, o.added_mass, o.radius),
-                np.sin(o.q),
-                np.cos(o.q),
-                np.ascontiguousarray(o.qd),
-                np.ascontiguousarray(o.qdd),
+                chain.samples(o.q, o.qd, o.qdd, o.inputs, o.stamps),
                 o.filter.taps,
                 o.filter.starts,
                 o.filter.used,
@@ -206,10 +201,10 @@ class PlainMoments:
         """See :class:`ResidualMoments`."""
         flat = np.zeros((values.shape[0], len(self._arrays), n_entries(self.order)))
         for i, arrays in enumerate(self._arrays):
-            elements, load = self.chain.tables(values, self._names[i])
-            samples = arrays[2].shape[0] * elements.shape[0]
-            run = _in_threads if samples > WORTH_THREADS and elements.shape[0] > 1 else _in_line
-            flat[:, i] = run(self.order, elements, load, *arrays)
+            tables = self.chain.tables(values, self._inputs[i])
+            samples = arrays[0].speed.shape[0] * values.shape[0]
+            run = _in_threads if samples > WORTH_THREADS and values.shape[0] > 1 else _in_line
+            flat[:, i] = run(self.order, *tables, *arrays)
         return unpacked(flat, self.order)
 
     def student_terms(self, values: Array, scales: Array) -> Array:
@@ -229,9 +224,9 @@ class PlainMoments:
         """
         out = np.empty(scales.shape[:2])
         for i, arrays in enumerate(self._arrays):
-            elements, load = self.chain.tables(values, self._names[i])
+            tables = self.chain.tables(values, self._inputs[i])
             weight = 1.0 / (scales[:, i, 1] * scales[:, i, 0] ** 2)
-            out[:, i] = _student(weight, elements, load, *arrays)
+            out[:, i] = _student(weight, *tables, *arrays)
         return out
 
 
@@ -320,12 +315,8 @@ def _block(
     n: int,
     elements: Array,
     load: Array,
-    added_inertia: float,
-    added_moment: float,
-    sin_q: Array,
-    cos_q: Array,
-    speed: Array,
-    acceleration: Array,
+    carried: Array,
+    samples: kernels.Samples,
     taps: Array,
     starts: NDArray[np.int64],
     used: Array,
@@ -335,17 +326,7 @@ def _block(
     """Write ``n`` residuals from output ``first`` on into ``now``."""
     length = taps.shape[0]
     begin, end = starts[first], starts[first + n - 1] + length
-    kernels.inverse_one(
-        elements,
-        load,
-        added_inertia,
-        added_moment,
-        sin_q[begin:end],
-        cos_q[begin:end],
-        speed[begin:end],
-        acceleration[begin:end],
-        torque[: end - begin],
-    )
+    kernels.inverse_one(elements, load, carried, samples, begin, torque[: end - begin])
     # slices, since an index that might be negative keeps the compiler from vectorising
     windows, target = starts[first : first + n], measured[first : first + n]
     gain = gains[first : first + n]
@@ -367,12 +348,8 @@ def _one_vector(
     order: int,
     elements: Array,
     load: Array,
-    added_inertia: float,
-    added_moment: float,
-    sin_q: Array,
-    cos_q: Array,
-    speed: Array,
-    acceleration: Array,
+    carried: Array,
+    samples: kernels.Samples,
     taps: Array,
     starts: NDArray[np.int64],
     used: Array,
@@ -394,12 +371,8 @@ def _one_vector(
             n,
             elements,
             load,
-            added_inertia,
-            added_moment,
-            sin_q,
-            cos_q,
-            speed,
-            acceleration,
+            carried,
+            samples,
             taps,
             starts,
             used,
@@ -417,12 +390,8 @@ def _student(
     weight: Array,
     elements: Array,
     load: Array,
-    added_inertia: float,
-    added_moment: float,
-    sin_q: Array,
-    cos_q: Array,
-    speed: Array,
-    acceleration: Array,
+    carried: Array,
+    samples: kernels.Samples,
     taps: Array,
     starts: NDArray[np.int64],
     used: Array,
@@ -448,12 +417,8 @@ def _student(
                 n,
                 elements[v],
                 load[v],
-                added_inertia,
-                added_moment,
-                sin_q,
-                cos_q,
-                speed,
-                acceleration,
+                carried[v],
+                samples,
                 taps,
                 starts,
                 used,
@@ -467,18 +432,22 @@ def _student(
 
 
 @njit(cache=True)
-def _in_line(order: int, elements: Array, load: Array, *arrays: Any) -> Array:
+def _in_line(
+    order: int, elements: Array, load: Array, carried: Array, samples: kernels.Samples, *arrays: Any
+) -> Array:
     entries = (order + 1) * (order + 2) // 2 + order * (order + 1) * (order + 2) // 6
     out = np.zeros((elements.shape[0], entries))
     for i in range(elements.shape[0]):
-        _one_vector(out[i], order, elements[i], load[i], *arrays)
+        _one_vector(out[i], order, elements[i], load[i], carried[i], samples, *arrays)
     return out
 
 
 @njit(cache=True, parallel=True)
-def _in_threads(order: int, elements: Array, load: Array, *arrays: Any) -> Array:
+def _in_threads(
+    order: int, elements: Array, load: Array, carried: Array, samples: kernels.Samples, *arrays: Any
+) -> Array:
     entries = (order + 1) * (order + 2) // 2 + order * (order + 1) * (order + 2) // 6
     out = np.zeros((elements.shape[0], entries))
     for i in prange(elements.shape[0]):
-        _one_vector(out[i], order, elements[i], load[i], *arrays)
+        _one_vector(out[i], order, elements[i], load[i], carried[i], samples, *arrays)
     return out

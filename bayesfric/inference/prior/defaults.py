@@ -9,19 +9,19 @@ digit: they state an order of magnitude, not a measurement.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesfric.inference.prior.noise import MEMORY, support
 from bayesfric.inference.prior.priors import Prior, PriorText, read_prior
 from bayesfric.mechanism.chain import Chain
-from bayesfric.mechanism.parameter import TURN, Parameter, entry_of
+from bayesfric.mechanism.own_term import Carried
+from bayesfric.mechanism.parameter import TURN, Parameter
+from bayesfric.mechanism.quantities import Sizes, State
 from bayesfric.recordings.observation import Observation
-
-# A reversible gearbox keeps mu_2 below one: alpha_2 = 1/(1 - mu_2) is finite.
-_REVERSIBLE = 1.0
 
 
 @dataclass(frozen=True)
@@ -36,15 +36,18 @@ class Scales:
         Root mean square at the joint.
     position
         Range of the joint's position, rad or m.
+    columns
+        Root mean square torque of each term with a shape of its own, for a value of one.
     """
 
     torque: float
     speed: float
     acceleration: float
     position: float = 1.0
+    columns: Mapping[str, float] = field(default_factory=dict)
 
 
-def measured_scales(observations: Sequence[Observation]) -> Scales:
+def measured_scales(chain: Chain, observations: Sequence[Observation]) -> Scales:
     """Take the scales of the default priors from all recordings together."""
     torque = np.concatenate([o.measured for o in observations])
     # only where outputs are: an excluded glitch must not set a scale
@@ -58,7 +61,20 @@ def measured_scales(observations: Sequence[Observation]) -> Scales:
         # a motion that hardly accelerates still changes its speed once in the recording
         acceleration=max(float(np.sqrt(np.mean(acceleration**2))), rms_speed / duration),
         position=max(float(np.ptp(o.q[o.filter.centres])) for o in observations),
+        columns={
+            chain.names[c.index]: _rms(np.concatenate([_at_outputs(c, o) for o in observations]))
+            for c in chain.carried
+        },
     )
+
+
+def _at_outputs(carried: Carried, o: Observation) -> NDArray[np.float64]:
+    at = o.filter.centres
+    return carried.along(o.q[at], o.qd[at], o.stamps[at])
+
+
+def _rms(x: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(x**2)))
 
 
 def default_prior(chain: Chain, p: Parameter, scales: Scales) -> Prior:
@@ -74,7 +90,7 @@ def default_prior(chain: Chain, p: Parameter, scales: Scales) -> Prior:
         From :func:`measured_scales`.
     """
     text = _text(chain, p, scales)
-    upper = min(p.upper, _REVERSIBLE) if p.quantity in ("load", "load_back") else p.upper
+    upper = min(p.upper, p.row.prior_upper)
     return read_prior(p.name, text, lower=p.lower, upper=upper, default=True, circular=p.circular)
 
 
@@ -98,44 +114,34 @@ def default_noise_prior(name: str, scales: Scales) -> Prior:
 
 
 def _text(chain: Chain, p: Parameter, scales: Scales) -> PriorText:
-    to_motor, to_joint = _ratios(chain, p)
-    torque = scales.torque * to_motor
-    speed, acceleration = scales.speed * to_joint, scales.acceleration * to_joint
-    half_normal = {
-        "inertia": torque / acceleration,
-        "viscous": torque / speed,
-        "coulomb": torque,
-        "coulomb_positive": torque,
-        "coulomb_negative": torque,
-        "quadratic": torque / speed**2,
-        "stribeck_ratio": 1.0,
-        "stribeck_velocity": speed,
-        "load": 0.5,
-        "load_drive": 0.5,
-        "load_back": 0.5,
-        "first_moment": torque / abs(chain.load.gravity),
-    }
-    texts: dict[str, PriorText] = {
-        quantity: {"distribution": "halfnorm", "scale": _one_digit(scale)}
-        for quantity, scale in half_normal.items()
-    }
-    texts |= {
-        "offset": {"distribution": "norm", "scale": _one_digit(scales.torque)},
-        "gain": {"distribution": "lognorm", "s": 0.5},
-        "gravity_angle": [-TURN / 2.0, TURN / 2.0],
-    }
-    return entry_of(texts, p.quantity, "the choice of default priors")
-
-
-def _ratios(chain: Chain, p: Parameter) -> tuple[float, float]:
-    """Speed ratios from the motor to the parameter's shaft and from there to the joint."""
-    owner = p.name.rpartition(".")[0]
-    before = 1.0
-    for element in chain.elements:
-        if element.name == owner:
-            return before, chain.ratio / before
-        before *= element.ratio
-    return (1.0, chain.ratio) if owner in ("", "drive") else (chain.ratio, 1.0)
+    """Word the default prior that the row of a quantity asks for, in the sizes at its own shaft."""
+    row, to_joint = p.row, chain.reaches[p.owner]
+    if row.prior == "uniform":
+        return [-TURN / 2.0, TURN / 2.0]
+    sizes = Sizes(
+        scales.torque * (chain.ratio / to_joint),
+        scales.speed * to_joint,
+        scales.acceleration * to_joint,
+        chain.load.gravity,
+    )
+    if row.spread is not None:
+        scale = row.spread(sizes)
+    elif row.role == "own" and row.column is not None:
+        if row.power is None:
+            size = scales.columns[p.name]
+        else:
+            ways = (1.0, -1.0)  # some losses are there in one direction only
+            size = max(
+                abs(row.column(State(w, w * sizes.speed, w * sizes.acceleration, w, 0.0)))
+                for w in ways
+            )
+        scale = sizes.torque / size if size > 0.0 else sizes.torque
+    else:
+        raise KeyError(f"{p.name}: the table gives {p.quantity!r} no default prior")
+    if row.prior == "lognorm":
+        return {"distribution": "lognorm", "s": scale}
+    family = row.prior or ("halfnorm" if p.lower == 0.0 else "norm")
+    return {"distribution": family, "scale": _one_digit(scale)}
 
 
 def _one_digit(x: float) -> float:

@@ -26,6 +26,7 @@ from bayesfric.inference.fit import Fit
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.inverse import load_torque
+from bayesfric.recordings.inputs import Inputs
 from bayesfric.report.figures.curve_band import Flags
 from bayesfric.report.figures.style import Array
 
@@ -52,7 +53,7 @@ def load_reach(chain: Chain, values: Array, *, open_scale: bool) -> Array:
         ``(n,)``, ``1/N`` or ``lambda_1/N``; over ``drive.gain`` where that is a parameter, as
         the torque itself is.
     """
-    elements, load = chain.tables(values)
+    elements, load, _ = chain.tables(values)
     gain = load[:, kernels.GAIN]
     if not open_scale:
         return np.asarray(1.0 / (chain.ratio * gain))
@@ -88,7 +89,7 @@ def friction_torque(
         :func:`bayesfric.mechanism.derived.derive` sums up.
     """
     sign = np.sign(speed)
-    elements, table = chain.tables(values)
+    elements, table, carried = chain.tables(values)
     gain = table[:, kernels.GAIN].copy()
     # a load that weighs what is asked for, and nothing else: the same kernel as everywhere
     table[:] = 0.0
@@ -96,16 +97,11 @@ def friction_torque(
     table[:, kernels.GRAVITY] = 1.0
     with np.errstate(divide="ignore"):
         table[:, kernels.FIRST_MOMENT] = 1.0 / load_reach(chain, values, open_scale=open_scale)
-    torque = kernels.inverse_many(
-        elements,
-        table,
-        0.0,
-        0.0,
-        np.ascontiguousarray(sign * load),
-        np.zeros_like(load),
-        np.ascontiguousarray(speed / chain.ratio),
-        np.zeros_like(load),
-    )
+    # the sine of the angle is put in place of one: the load is any, not that of a position
+    still = np.zeros_like(load)
+    samples = chain.samples(still, speed / chain.ratio, still, Inputs(), still)
+    samples = samples._replace(sin_q=np.ascontiguousarray(sign * load), cos_q=still)
+    torque = kernels.inverse_many(elements, table, carried, samples)
     return np.asarray(sign * torque - load)
 
 
@@ -158,9 +154,7 @@ def covered(fit: Fit, median: Array, *, open_scale: bool) -> Covered:
     speeds, loads = [], []
     for o in fit.observations:
         at = o.filter.centres
-        gamma = load_torque(
-            fit.chain, median, o.q[at], o.qdd[at], added_mass=o.added_mass, radius=o.radius
-        )
+        gamma = load_torque(fit.chain, median, o.q[at], o.qdd[at], inputs=o.inputs)
         speeds.append(fit.chain.ratio * o.speed)
         loads.append(reach * gamma * np.sign(o.speed))
     return Covered(np.concatenate(speeds), np.concatenate(loads))

@@ -98,15 +98,7 @@ def _p_value(found: re.Match[str]) -> str:
 def _model(fit: Fit, _: Mapping[str, Any]) -> Iterator[str]:
     chain = fit.chain
     names = listed([_element(e) for e in chain.elements])
-    moved = [
-        words
-        for on, words in (
-            (chain.load.inertia, "inertia"),
-            (chain.load.first_moment, "gravity"),
-            (chain.load.gravity_angle, "an unknown zero of the angle of gravity"),
-        )
-        if on
-    ]
+    moved = chain.load.phrases
     load = f" and moves a load with {listed(moved)}" if moved else ""
     yield (
         f"The joint was modelled after the friction model of the biped robot Rabbit's knee "
@@ -128,20 +120,7 @@ def _model(fit: Fit, _: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _element(e: Element) -> str:
-    parts = [
-        words
-        for on, words in (
-            (e.inertia, "inertia"),
-            (e.coulomb == "symmetric", "constant loss"),
-            (e.coulomb == "by-direction", "constant loss by direction"),
-            (e.viscous, "viscous loss"),
-            (e.quadratic, "quadratic loss"),
-            (e.stribeck, "a Stribeck rise"),
-            (e.load_loss == "one", "a loss per transmitted torque"),
-            (e.load_loss == "two", "losses per transmitted torque when driving and back-driven"),
-        )
-        if on
-    ]
+    parts = e.phrases
     ratio = f", ratio {e.ratio:g}" if e.ratio != 1.0 else ""
     return f"{e.name} ({listed(parts) or 'no loss'}{ratio})"
 
@@ -158,12 +137,12 @@ def _data(fit: Fit, summary: Mapping[str, Any]) -> Iterator[str]:
             "The configuration tells how to simulate its recordings: where that was done, they "
             "are simulated, not measured."
         )
-    masses = [o for o in seen if o.added_mass]
+    masses = [o for o in seen if o.inputs.added_mass]
     if masses:
         told = listed(
             [
-                f"{o.added_mass:g} kg" + (f" at {o.radius:g} m" if o.radius else "")
-                for o in {(o.added_mass, o.radius): o for o in masses}.values()
+                f"{i.added_mass:g} kg" + (f" at {i.radius:g} m" if i.radius else "")
+                for i in {(o.inputs.added_mass, o.inputs.radius): o.inputs for o in masses}.values()
             ]
         )
         which = "each" if len(masses) == len(seen) else f"{len(masses)} of them"

@@ -222,8 +222,7 @@ def _abscissae(fit: Fit, outputs: tuple[Outputs, ...]) -> list[tuple[str, str, l
             median,
             seen.q[at],
             seen.qdd[at],
-            added_mass=seen.added_mass,
-            radius=seen.radius,
+            inputs=seen.inputs,
         )
 
         def now(x: Array, times: Array = seen.time, o: Outputs = o) -> Array:

@@ -1,0 +1,199 @@
+"""Terms that the compiled kernels do not write out: carried by the column of their row.
+
+A term is compiled once to a function of position, speed, direction and time of its element.
+The forward model calls it at every step; the inverse model multiplies its column, computed
+once for a recording.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import cfunc, njit, types
+from numba.core.errors import NumbaError
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+from bayesfric.mechanism.quantities import QUANTITIES, Column, Quantity, State
+
+_SIGNATURE = types.float64(types.float64, types.float64, types.float64, types.float64)
+
+
+@dataclass(frozen=True)
+class Term:
+    """A term of one's own that is linear in its coefficient.
+
+    Parameters
+    ----------
+    name
+        ``element.quantity``, for example ``motor.cogging``; the element is one of the joint's
+        or ``load``.
+    column
+        Torque at the element's input for a coefficient of one: a function of a
+        :class:`bayesfric.mechanism.quantities.State` of that element (``position``, ``speed``,
+        ``direction``, ``time``), in operations that numba compiles, such as
+        ``lambda m: np.sin(6 * m.position)``.
+    unit
+        Of the coefficient.
+    symbol
+        LaTeX without dollar signs.
+    meaning
+        One line for people.
+    positive
+        Whether the coefficient cannot be negative, as a loss; its default prior then is
+        half-normal, else normal.
+
+    Raises
+    ------
+    ValueError
+        If the name is none, or taken, or the column depends on what a term of one's own
+        cannot: acceleration and transmitted torque.
+    TypeError
+        If the column cannot be compiled.
+    """
+
+    name: str
+    column: Column
+    unit: str = ""
+    symbol: str = ""
+    meaning: str = "a term of one's own"
+    positive: bool = False
+
+    def __post_init__(self) -> None:
+        owner, dot, quantity = self.name.partition(".")
+        if not (owner and dot and quantity.isidentifier()):
+            raise ValueError(f"{self.name!r} is no name of a term; write element.quantity")
+        if quantity in QUANTITIES:
+            raise ValueError(f"{quantity!r} is a quantity of every element; choose another name")
+        compiled(self.column)
+
+    @property
+    def owner(self) -> str:
+        """Name of its element."""
+        return self.name.partition(".")[0]
+
+    @property
+    def row(self) -> Quantity:
+        """The term as a row of the table of quantities."""
+        name = self.name.partition(".")[2]
+        label = r"\mathrm{" + name.replace("_", r"\_") + "}"
+        symbol = self.symbol or f"k_{{{label}}}"
+        return Quantity(
+            name,
+            (self.unit, self.unit),
+            symbol.replace("{", "{{").replace("}", "}}"),
+            self.meaning,
+            column=self.column,
+            slots=(),
+            lower=0.0 if self.positive else -np.inf,
+        )
+
+
+@dataclass(frozen=True)
+class Carried:
+    """A term of a chain that the kernels do not write out.
+
+    Attributes
+    ----------
+    index
+        Of its parameter among the chain's.
+    place
+        Index of its element, that of the load being the number of elements.
+    reach
+        Speed of the element's input over the joint's.
+    row
+        In the table of quantities, or a term of one's own.
+    """
+
+    index: int
+    place: int
+    reach: float
+    row: Quantity
+
+    @property
+    def address(self) -> int:
+        """Of the compiled column."""
+        assert self.row.column is not None
+        return int(compiled(self.row.column).address)
+
+    def along(
+        self, position: NDArray[np.float64], speed: NDArray[np.float64], time: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Torque for a coefficient of one along a motion of the joint, each ``(N,)``."""
+        position, speed = self.reach * position, self.reach * speed
+        return np.asarray(_along(self.address, position, speed, np.sign(speed), time))
+
+
+@lru_cache(maxsize=256)
+def compiled(column: Column) -> Any:
+    """Compile a column to a function of position, speed, direction and time.
+
+    Raises
+    ------
+    ValueError
+        If it depends on acceleration, transmitted torque or gravity.
+    TypeError
+        If it cannot be compiled.
+    """
+    inner = njit(column)
+
+    def of_state(position: float, speed: float, direction: float, time: float) -> float:
+        return float(inner(State(position, speed, 0.0, direction, time, 0.0, 0.0)))
+
+    try:
+        found = cfunc(_SIGNATURE)(of_state)
+        for field in ("acceleration", "transmitted", "gravity"):
+            _refuse_dependence(inner, field)
+    except NumbaError as error:
+        reason = str(error).strip().splitlines()[-1]
+        raise TypeError(
+            f"the column cannot be compiled ({reason}): use numbers, numpy and math functions of "
+            "position, speed, direction and time"
+        ) from None
+    return found
+
+
+def _refuse_dependence(inner: Callable[[State], float], field: str) -> None:
+    for position, speed, time in np.random.default_rng(1).normal(size=(5, 3)).tolist():
+        state = State(position, speed, 0.0, math.copysign(1.0, speed), time, 0.0, 0.0)
+        still, moved = inner(state._replace(**{field: 0.0})), inner(state._replace(**{field: 1.0}))
+        if still != moved:
+            raise ValueError(
+                f"a term of one's own cannot depend on {field}: inertia, load loss and gravity "
+                "are terms that every element or load can have"
+            )
+
+
+def _call(typing_context, address, position, speed, direction, time):  # type: ignore[no-untyped-def]  # noqa: ARG001
+    """Call a compiled column by its address, so that one compiled kernel serves all terms."""
+    signature = types.float64(types.int64, *[types.float64] * 4)
+
+    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]  # noqa: ARG001
+        kind = ir.FunctionType(ir.DoubleType(), [ir.DoubleType()] * 4)
+        function = builder.inttoptr(arguments[0], kind.as_pointer())
+        return builder.call(function, arguments[1:])
+
+    return signature, generate
+
+
+call: Any = intrinsic(_call)
+
+
+@njit(cache=True)
+def _along(
+    address: int,
+    position: NDArray[np.float64],
+    speed: NDArray[np.float64],
+    direction: NDArray[np.float64],
+    time: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    out = np.empty(position.shape[0])
+    for i in range(position.shape[0]):
+        out[i] = call(address, position[i], speed[i], direction[i], time[i])
+    return out

@@ -1,0 +1,350 @@
+"""The table of what a joint is described by: each quantity is declared here, and read by all.
+
+A term of the friction law is one :class:`Quantity`. What it adds to the torque, its *column*,
+is a function of the state of its own element; ratios, totals, regressors, default priors,
+configuration and words follow from the row. The compiled kernels of
+:mod:`bayesfric.mechanism.kernels` write out the terms that have a slot there; any other term
+that adds a torque of its own is carried by its column. What has neither is refused.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+Motion = Literal["rotary", "linear"]
+Column = Callable[["State"], Any]
+Units = tuple[str, str]  # where the element's input turns, where it slides
+
+_INF = math.inf
+
+
+class State(NamedTuple):
+    """What an element's torque depends on, at its own input; numbers or arrays ``(N,)``, in SI.
+
+    Attributes
+    ----------
+    position, speed, acceleration
+        rad or m and s.
+    direction
+        Sign of the speed; at rest, where a joint is about to break away, that of the torque.
+    time
+        s since the recording's first stamp.
+    transmitted
+        Torque at the element's output, brought to its input, N m or N.
+    gravity
+        Gravity torque of a first moment of 1 kg m, ``g sin(q + q_g)``.
+    """
+
+    position: Any
+    speed: Any
+    acceleration: Any
+    direction: Any
+    time: Any
+    transmitted: Any = 0.0
+    gravity: Any = 0.0
+
+
+class Sizes(NamedTuple):
+    """How large things are at a parameter's own shaft; default priors are scaled by it.
+
+    Attributes
+    ----------
+    torque
+        Largest that the recordings show, N m or N.
+    speed, acceleration
+        Root mean square, rad or m and s.
+    gravity
+        m/s².
+    """
+
+    torque: float
+    speed: float
+    acceleration: float
+    gravity: float
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One row of the table.
+
+    Attributes
+    ----------
+    name
+        What stands behind the dot of a parameter's name.
+    units
+        As printed, in SI; empty for none.
+    symbol
+        LaTeX without dollar signs, the paper's where it has one; ``{}`` is the subscript.
+    meaning
+        One line for people, worded for what turns.
+    option, choice
+        Which option of an element or load brings it (:data:`CHOICES`); empty for what the
+        chain itself brings.
+    role
+        ``own`` adds ``value * column`` to the torque; ``loss`` the same, and depends on the
+        transmitted torque; ``form`` shapes other terms and adds nothing by itself.
+    column
+        Torque for a value of one.
+    power
+        ``column`` at a state whose position, speed and acceleration are r times as large is
+        ``r**power`` times as large; ``None`` where that is not so. It says how the quantity
+        goes through a ratio.
+    slots
+        Of the compiled kernels; its own name if left out.
+    shares
+        Columns of ``psi``, eq. (13), that it fills (:data:`TOTALS`), and with which weight;
+        the one of its own name if left out.
+    totals
+        Motor-side totals it is part of; that of its own name if left out.
+    by_direction
+        The totals it is part of instead, where other elements tell the directions apart.
+    rises
+        Whether the rise at low speed multiplies it.
+    lower, upper
+        Support; no prior may reach outside.
+    default
+        Value where it is not part of the model.
+    circular
+        Whether values a turn apart are the same.
+    prior, spread
+        Family and scale of the default prior; by default half-normal or, where both signs are
+        possible, normal, with the scale that would need the largest torque.
+    prior_upper
+        Where default priors end if before ``upper``.
+    start
+        Where a search starts that nothing has told anything; ``None`` for its share of a total.
+    """
+
+    name: str
+    units: Units
+    symbol: str
+    meaning: str
+    option: str = ""
+    choice: str | bool = True
+    role: Literal["own", "loss", "form"] = "own"
+    column: Column | None = None
+    power: int | None = None
+    slots: tuple[str, ...] | None = None
+    shares: tuple[tuple[str, float], ...] = ()
+    totals: tuple[str, ...] = ()
+    by_direction: tuple[str, str] | None = None
+    rises: bool = False
+    lower: float = 0.0
+    upper: float = _INF
+    default: float = 0.0
+    circular: bool = False
+    prior: str = ""
+    spread: Callable[[Sizes], float] | None = None
+    prior_upper: float = _INF
+    start: float | None = None
+
+    @property
+    def fills(self) -> tuple[tuple[str, float], ...]:
+        """Columns of ``psi`` and weights."""
+        return self.shares or ((self.name, 1.0),)
+
+    def unit(self, motion: Motion) -> str:
+        """Look up the unit for an element whose input turns or slides."""
+        return self.units[0 if motion == "rotary" else 1]
+
+
+@dataclass(frozen=True)
+class Total:
+    """A column of ``psi`` in motor units, eq. (13), and what its coefficient means.
+
+    Attributes
+    ----------
+    name, units, symbol, meaning
+        As of a quantity.
+    column
+        Function of the motor's state.
+    positive
+        Whether its coefficient is positive in any mechanism that loses energy.
+    regressor
+        Name of the regressor of eq. (11) that stands for it in plain least squares.
+    """
+
+    name: str
+    units: Units
+    symbol: str
+    meaning: str
+    column: Column
+    positive: bool = False
+    regressor: str = ""
+
+
+def _drives(state: State) -> Any:
+    return np.maximum(state.transmitted * state.direction, 0.0) * state.direction
+
+
+def _is_driven(state: State) -> Any:
+    return np.maximum(-state.transmitted * state.direction, 0.0) * state.direction
+
+
+_TORQUE, _NONE = ("N m", "N"), ("", "")
+
+# What an element or the load may have, and what it is called in a sentence.
+CHOICES: Mapping[str, Mapping[str | bool, str]] = {
+    "inertia": {True: "inertia"},
+    "coulomb": {"symmetric": "constant loss", "by-direction": "constant loss by direction"},
+    "viscous": {True: "viscous loss"},
+    "quadratic": {True: "quadratic loss"},
+    "stribeck": {True: "a Stribeck rise"},
+    "load_loss": {
+        "one": "a loss per transmitted torque",
+        "two": "losses per transmitted torque when driving and back-driven",
+    },
+}
+LOAD_CHOICES: Mapping[str, Mapping[str | bool, str]] = {
+    "inertia": {True: "inertia"},
+    "first_moment": {True: "gravity"},
+    "gravity_angle": {True: "an unknown zero of the angle of gravity"},
+}
+# One line for each option, as `init` writes it.
+OPTION_MEANINGS: Mapping[str, str] = {
+    "inertia": "whether it has inertia",
+    "coulomb": "constant loss",
+    "viscous": "loss in proportion to speed",
+    "quadratic": "loss with the square of speed",
+    "stribeck": "rise of constant and load loss at low speed",
+    "load_loss": "loss in proportion to transmitted torque",
+    "first_moment": "gravity moment ml",
+    "gravity_angle": "unknown angle of gravity's zero",
+}
+
+# In the order in which an element lists its parameters.
+QUANTITIES: dict[str, Quantity] = {
+    row.name: row
+    for row in (
+        Quantity(
+            "inertia", ("kg m²", "kg"), "J_{{{}}}", "inertia at the element's input",
+            option="inertia", column=lambda m: m.acceleration, power=1,
+        ),
+        Quantity(
+            "viscous", ("N m s", "N s/m"), "f_{{{}}}", "loss growing in proportion to speed",
+            option="viscous", column=lambda m: m.speed, power=1,
+        ),
+        Quantity(
+            "coulomb", _TORQUE, "C_{{{}}}", "constant loss, same in both directions",
+            option="coulomb", choice="symmetric", column=lambda m: m.direction, power=0,
+            slots=("coulomb_positive", "coulomb_negative"),
+            totals=("coulomb_positive", "coulomb_negative"), rises=True,
+        ),
+        Quantity(
+            "coulomb_positive", _TORQUE, "C_{{{}1}}", "constant loss at positive speed",
+            option="coulomb", choice="by-direction",
+            column=lambda m: np.maximum(m.direction, 0.0), power=0,
+            shares=(("coulomb", 0.5), ("difference", 0.5)), rises=True,
+        ),
+        Quantity(
+            "coulomb_negative", _TORQUE, "C_{{{}2}}", "constant loss at negative speed",
+            option="coulomb", choice="by-direction",
+            column=lambda m: np.minimum(m.direction, 0.0), power=0,
+            shares=(("coulomb", 0.5), ("difference", -0.5)), rises=True,
+        ),
+        Quantity(
+            "quadratic", ("N m s²", "N s²/m²"), "f_{{3,{}}}",
+            "loss growing with the square of speed",
+            option="quadratic", column=lambda m: m.speed * np.abs(m.speed), power=2,
+        ),
+        Quantity(
+            "stribeck_ratio", _NONE, "c_{{{}}}",
+            "relative rise of constant and load loss at low speed",
+            option="stribeck", role="form", spread=lambda _: 1.0, start=0.3,
+        ),
+        Quantity(
+            "stribeck_velocity", ("rad/s", "m/s"), r"\dot q_{{0,{}}}",
+            "speed at which the low-speed rise has fallen to 37 %",
+            option="stribeck", role="form", default=1.0, spread=lambda s: s.speed, start=1.0,
+        ),
+        Quantity(
+            "load", _NONE, r"\mu_{{{}}}", "loss per transmitted torque, both directions of power",
+            option="load_loss", choice="one", role="loss",
+            column=lambda m: _drives(m) + _is_driven(m), slots=("load_drive", "load_back"),
+            rises=True, spread=lambda _: 0.5, prior_upper=1.0,
+        ),
+        Quantity(
+            "load_drive", _NONE, r"\mu_{{{}1}}",
+            "loss per transmitted torque when the motor drives",
+            option="load_loss", choice="two", role="loss", column=_drives, rises=True,
+            spread=lambda _: 0.5,
+        ),
+        # a reversible gearbox keeps mu_2 below one: alpha_2 = 1/(1 - mu_2) is finite
+        Quantity(
+            "load_back", _NONE, r"\mu_{{{}2}}",
+            "loss per transmitted torque when the load drives",
+            option="load_loss", choice="two", role="loss", column=_is_driven, rises=True,
+            spread=lambda _: 0.5, prior_upper=1.0,
+        ),
+        Quantity(
+            "first_moment", ("kg m", ""), "ml", "mass times distance to its centre",
+            option="first_moment", column=lambda m: m.gravity, power=0,
+            shares=(("gravity", 1.0),), totals=("gravity",),
+            spread=lambda s: s.torque / abs(s.gravity),
+        ),
+        Quantity(
+            "gravity_angle", ("rad", ""), "q_g", "angle added to q in gravity",
+            option="gravity_angle", role="form", lower=-_INF, circular=True, prior="uniform",
+        ),
+        Quantity(
+            "offset", _TORQUE, r"\Gamma_0", "constant torque in the measured motor torque",
+            column=lambda m: np.ones_like(m.speed), power=0, lower=-_INF,
+        ),
+        Quantity(
+            "gain", _NONE, "k",
+            "true motor torque over the torque computed from current or voltage",
+            role="form", default=1.0, prior="lognorm", spread=lambda _: 0.5,
+        ),
+    )
+}  # fmt: skip
+
+# In the order of the paper's theta.
+TOTALS: dict[str, Total] = {
+    row.name: row
+    for row in (
+        Total(
+            "inertia", ("kg m²", "kg"), "J_t", "inertia seen by the motor",
+            lambda m: m.acceleration, positive=True,
+        ),
+        Total(
+            "viscous", ("N m s", "N s/m"), "f_t", "viscous loss seen by the motor",
+            lambda m: m.speed, positive=True,
+        ),
+        Total(
+            "quadratic", ("N m s²", "N s²/m²"), "f_{3,t}", "quadratic loss seen by the motor",
+            lambda m: m.speed * np.abs(m.speed), positive=True,
+        ),
+        Total(
+            "coulomb", _TORQUE, "C_t", "constant loss seen by the motor",
+            lambda m: m.direction, positive=True,
+        ),
+        # C1 and C2 act on what moves; plain least squares takes the offset for their difference
+        Total(
+            "difference", _TORQUE, r"\Delta C", "half the difference of the constant losses",
+            lambda m: np.abs(m.direction), regressor="offset",
+        ),
+        Total(
+            "offset", _TORQUE, r"\Delta C_t",
+            "constant torque, half the difference of the losses",
+            lambda m: np.ones_like(m.speed),
+        ),
+        Total(
+            "gravity", _TORQUE, r"ml\,g/(\alpha_m N)",
+            "gravity torque seen by the motor, sine part",
+            lambda m: m.gravity,
+        ),
+        Total(
+            "gravity_cosine", _TORQUE, r"ml\,g\sin q_g/(\alpha_m N)",
+            "gravity torque, cosine part", lambda m: m.gravity,
+        ),
+        Total(
+            "added_load", _NONE, r"1/\alpha_m", "motor torque per torque of the known added load",
+            lambda m: m.transmitted, positive=True,
+        ),
+    )
+}  # fmt: skip

@@ -1,0 +1,264 @@
+"""Each row of the table of quantities, at every place of a chain, on every path of the torque.
+
+The expected torque is the element equation with the table's own columns, in plain Python.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bayesfric.estimates.least_squares import least_squares, starting_values
+from bayesfric.estimates.torque import filtered_torque
+from bayesfric.estimates.torque_form import torque_form
+from bayesfric.estimates.variable_projection import VariableProjection
+from bayesfric.inference.fit import make_target, read_priors
+from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.mechanism import kernels
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.derived import derive
+from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.forward import simulate
+from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.own_term import Term
+from bayesfric.mechanism.quantities import (
+    CHOICES,
+    LOAD_CHOICES,
+    OPTION_MEANINGS,
+    QUANTITIES,
+    TOTALS,
+    Quantity,
+    State,
+)
+from bayesfric.mechanism.scaling import scalings
+from bayesfric.recordings.inputs import Inputs
+
+PLACES = ("motor", "gearbox", "joint", "load")
+SHORT = 1e-9
+
+
+def own(name, owner):
+    """Give a term of one's own, of place and time."""
+    column = {
+        "cogging": lambda m: np.sin(6.0 * m.position + 0.3),
+        "warming": lambda m: m.speed * np.exp(-0.4 * m.time),
+        "cubic": lambda m: m.speed**3,
+    }[name]
+    return Term(f"{owner}.{name}", column, "N m")
+
+
+OWN = ("cogging", "warming", "cubic")
+
+
+def cases():
+    """Every quantity at every place that may have it, and terms of one's own."""
+    for q in QUANTITIES.values():
+        owners = [p for p in PLACES if q.option in (LOAD_CHOICES if p == "load" else CHOICES)]
+        yield from (pytest.param((q.name, p), id=f"{p}.{q.name}") for p in owners or [""])
+    yield from (pytest.param((name, p), id=f"{p}.{name}") for name in OWN for p in PLACES)
+
+
+def chain_with(name, owner) -> Chain:
+    """Give a knee of motor, gearbox and joint whatever brings the quantity at that place."""
+    options = {
+        "motor": {"inertia": True, "coulomb": "symmetric", "viscous": True},
+        "gearbox": {"load_loss": "two"},
+        "joint": {"coulomb": "by-direction"},
+        "load": {"inertia": True, "first_moment": True},
+    }
+    if name in QUANTITIES and owner:
+        q = QUANTITIES[name]
+        options[owner] |= {q.option: q.choice}
+    elements = tuple(
+        Element(place, ratio, **options[place])
+        for place, ratio in (("motor", 1.5), ("gearbox", 8.0), ("joint", 2.0))
+    )
+    chain = Chain(elements, Load(**options["load"]), offset=name == "offset", gain=name == "gain")
+    return chain if name in QUANTITIES else chain.with_term(own(name, owner))
+
+
+def values_of(chain, seed=3):
+    """Positive values whose torques at the motor are of about one size."""
+    rng = np.random.default_rng(seed)
+    size = {"inertia": 1e-3, "first_moment": 0.5, "gain": 1.0}
+    found = []
+    for p in chain.parameters:
+        reach = chain.ratio / chain.reaches[p.owner]
+        grows = reach ** (p.row.power + 1) if p.row.power else reach
+        scale = 0.3 if p.row.role != "own" else 0.02 * grows
+        found.append(size.get(p.quantity, scale) * rng.uniform(0.5, 1.5))
+    return np.array(found)
+
+
+def by_the_table(chain, values, o):
+    """Torque by section 2.2, written with the columns of the table."""
+    at = dict(zip(chain.names, values.tolist(), strict=True))
+    inertia, moment = o.inputs.load(chain.load.motion)
+    gravity = chain.load.gravity * np.sin(o.q + at.get("load.gravity_angle", 0.0))
+    torque = inertia * o.qdd + moment * gravity
+    for place in ("load", *(e.name for e in chain.elements[::-1])):
+        reach = chain.reaches[place]
+        if place != "load":
+            torque = torque / next(e.ratio for e in chain.elements if e.name == place)
+        state = State(
+            reach * o.q, reach * o.qd, reach * o.qdd, np.sign(o.qd), o.stamps, torque, gravity
+        )
+        rise = 1.0
+        if f"{place}.stribeck_ratio" in at:
+            width = at[f"{place}.stribeck_velocity"]
+            rise += at[f"{place}.stribeck_ratio"] * np.exp(-((state.speed / width) ** 2))
+        total = torque
+        for p in chain.parameters:
+            if p.owner == place and p.row.role != "form":
+                column = p.row.column(state)
+                total = total + at[p.name] * column * (rise if p.row.rises else 1.0)
+        torque = total
+    return (torque + at.get("offset", 0.0)) / at.get("drive.gain", 1.0)
+
+
+@pytest.fixture(params=list(cases()))
+def case(request, make_observation):
+    name, owner = request.param
+    chain = chain_with(name, owner)
+    values = values_of(chain)
+    # the motion is all that is taken of it, and it does not rest on the term
+    bare = chain_with("inertia", "motor")
+    named = dict(zip(bare.names, values_of(bare).tolist(), strict=True))
+    o = make_observation(bare, named, n=400, factor=2, added_mass=0.2, radius=0.3)
+    torque = by_the_table(chain, values, o) + 0.01 * np.random.default_rng(1).normal(size=o.q.size)
+    return chain, values, replace(o, torque=torque, measured=o.filter.apply(torque))
+
+
+def close(found, expected):
+    np.testing.assert_allclose(found, expected, rtol=SHORT, atol=SHORT * np.abs(expected).max())
+
+
+def test_plain_and_compiled(case):
+    chain, values, o = case
+    expected = by_the_table(chain, values, o)
+    close(inverse_torque(chain, values, o.q, o.qd, o.qdd, inputs=o.inputs, time=o.stamps), expected)
+    close(filtered_torque(chain, o, values[None])[0], o.filter.apply(expected))
+
+
+def test_moments_prepared_and_fused(case):
+    chain, values, o = case
+    rng = np.random.default_rng(2)
+    draws = values * rng.uniform(0.9, 1.1, (9, values.size))
+    plain = TorqueLikelihood(chain, [o])
+    scales = np.full((9, 1, 1), 0.02)
+    expected = [
+        float(np.sum((o.measured - o.filter.apply(by_the_table(chain, v, o))) ** 2)) for v in draws
+    ]
+    density = -0.5 * (np.array(expected) / 0.02**2 + o.measured.size * np.log(2 * np.pi * 0.02**2))
+    close(plain.sum_of_squares(draws)[:, 0], np.array(expected))
+    close(plain.log_density(draws, scales), density)
+    # forms that the chain does not have are not prepared, and stay the plain ones
+    close(plain.prepared(np.tile(values, (300, 1))).log_density(draws, scales), density)
+
+
+def test_variable_projection(case):
+    """At the true Theta2 it finds the Theta1 that leaves nothing of a torque without noise."""
+    chain, values, o = case
+    o = replace(o, inputs=Inputs())
+    torque = by_the_table(chain, values, o)
+    o = replace(o, torque=torque, measured=o.filter.apply(torque))
+    form = torque_form(chain, [o])
+    if form is None:  # what shapes other terms, and several load losses, are not of the form
+        shaped = any(p.row.role == "form" and not p.circular for p in chain.parameters)
+        assert shaped or sum(e.load_loss != "none" for e in chain.elements) > 1
+        return
+    left = VariableProjection(form, [o]).residual(form.thetas(values)[1])
+    assert np.abs(left).max() < SHORT * np.abs(torque).max()
+
+
+def test_forward_then_inverse(case):
+    chain, values, o = case
+    push = 0.8 * np.sign(np.sin(2 * np.pi * 1.5 * o.stamps)) + 0.3 * np.sin(20.0 * o.stamps)
+    motion = simulate(chain, values, push, 2e-3, inputs=o.inputs, hold="zero", substeps=2)
+    moving = motion.qd != 0.0
+    assert moving.sum() > 300
+    back = inverse_torque(
+        chain, values, motion.q, motion.qd, motion.qdd, inputs=o.inputs, time=motion.time
+    )
+    close(back[moving], push[moving])
+
+
+def test_every_other_form_takes_it(case):
+    chain, values, o = case
+    priors = read_priors(chain, {}, [o])
+    assert set(chain.names) <= set(priors)
+    make_target(chain, [o], priors, "shared")
+    totals = least_squares(chain, [o])
+    assert set(starting_values(chain, totals, 0.1, 0.5)) == set(chain.names)
+    derive(chain, values[None], 1.0)
+    # one load loss with two values, and all that is behind it
+    assert len(scalings(chain)) == sum(e.load_loss == "two" for e in chain.elements)
+
+
+def test_totals_are_what_the_motor_feels_at_steady_speed():
+    """Each total by its own column: the motor's torque per value, at constant speed."""
+    for total in TOTALS.values():
+        assert total.units
+    filled = {kind for q in QUANTITIES.values() for kind, _ in q.fills if q.role == "own"}
+    assert filled <= set(TOTALS)
+
+
+def test_every_option_has_a_meaning_and_every_choice_brings_something():
+    for options in (CHOICES, LOAD_CHOICES):
+        for option, choices in options.items():
+            assert OPTION_MEANINGS[option]
+            for choice in choices:
+                assert any(q.option == option and q.choice == choice for q in QUANTITIES.values())
+
+
+def test_every_row_is_known_to_the_kernels_or_has_a_column():
+    known = {*kernels.ELEMENT_SLOTS, *kernels.LOAD_SLOTS}
+    for q in QUANTITIES.values():
+        assert set(q.slots or (q.name,)) <= known or (q.role == "own" and q.column is not None)
+
+
+@pytest.mark.parametrize("role", ["form", "loss", "own"])
+def test_what_nothing_knows_is_refused(role):
+    """Dropped, it would count as zero."""
+    column = None if role == "own" else lambda m: m.speed
+    strange = Quantity("strange", ("", ""), "s_{{{}}}", "nobody knows", role=role, column=column)
+    with pytest.raises(KeyError, match="strange"):
+        Chain((Element("motor", inertia=True, quantities=(strange,)),), Load())
+    with pytest.raises(KeyError, match="strange"):
+        Chain((Element("motor", inertia=True),), Load(quantities=(strange,)))
+
+
+def test_two_quantities_of_one_name_are_refused():
+    term = own("cogging", "motor")
+    chain = Chain((Element("motor", inertia=True),), Load()).with_term(term).with_term(term)
+    assert chain.names.count("motor.cogging") == 1
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "words"),
+    [
+        (("cogging", lambda m: m.speed), ValueError, "element.quantity"),
+        (("motor.viscous", lambda m: m.speed), ValueError, "another name"),
+        (("motor.own", lambda m: m.acceleration), ValueError, "acceleration"),
+        (("motor.own", lambda m: m.transmitted), ValueError, "transmitted"),
+        (("motor.own", lambda m: [m.nothing]), TypeError, "cannot be compiled"),
+    ],
+)
+def test_a_term_that_cannot_be(given, error, words):
+    with pytest.raises(error, match=words):
+        Term(*given)
+
+
+def test_a_term_of_no_element_is_refused():
+    chain = Chain((Element("motor", inertia=True),), Load())
+    with pytest.raises(ValueError, match="did you mean 'motor'"):
+        chain.with_term(own("cogging", "moter"))
+
+
+def test_an_option_that_is_none_is_refused():
+    with pytest.raises(ValueError, match="did you mean 'viscous'"):
+        Element("motor", viscos=True)
+    with pytest.raises(ValueError, match="by-direction"):
+        Element("motor", coulomb="by direction")
+    with pytest.raises(ValueError, match="no option"):
+        Load(viscous=True)
