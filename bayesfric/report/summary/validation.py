@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from bayesfric.inference.likelihood.likelihood import Outputs
 from bayesfric.inference.moments.residual_moments import follows
 from bayesfric.inference.predictive import Prediction
 from bayesfric.report.summary.noise import mean_lag
-from bayesfric.report.summary.record import Validation
+from bayesfric.report.summary.record import Coverage, Validation
 from bayesfric.report.text_templates import filled, sentence
 
 Array = NDArray[np.float64]
@@ -32,26 +31,7 @@ _SURE = 2.0
 _LEVEL = 0.9
 
 
-@dataclass(frozen=True)
-class Share:
-    """A share of correlated outputs.
-
-    Attributes
-    ----------
-    value
-        The share.
-    error
-        Its standard error.
-    effective
-        Number of independent outputs that would tell as much.
-    """
-
-    value: float
-    error: float
-    effective: float
-
-
-def share_of(inside: NDArray[np.bool_], at: NDArray[np.int64], fallback: Array) -> Share:
+def share_of(inside: NDArray[np.bool_], at: NDArray[np.int64], fallback: Array) -> Coverage:
     """Count a share, with a standard error that knows that neighbours go together.
 
     The variance of the sum comes from the autocorrelation of the indicator (Andrews,
@@ -75,7 +55,8 @@ def share_of(inside: NDArray[np.bool_], at: NDArray[np.int64], fallback: Array) 
     inflation = long_run_variance(series, at) / power if power > 0.0 else 1.0
     effective = n / max(inflation, 1.0)
     middle = (share * effective + 2.0) / (effective + 4.0)
-    return Share(share, math.sqrt(middle * (1.0 - middle) / (effective + 4.0)), effective)
+    error = math.sqrt(middle * (1.0 - middle) / (effective + 4.0))
+    return Coverage(share=share, standard_error=error, effective_outputs=effective)
 
 
 def covered(pit: Array, level: float) -> NDArray[np.bool_]:
@@ -139,14 +120,7 @@ def _numbers(predictions: Sequence[Prediction], outputs: Outputs) -> dict[str, A
     lags = [lag_one(r, follows(o)) for r, o in zip(residuals, observations, strict=True)]
     numbers: dict[str, Any] = {
         "outputs": residual.size,
-        "coverage": {
-            f"{level:g}": {
-                "share": s.value,
-                "standard_error": s.error,
-                "effective_outputs": s.effective,
-            }
-            for level, s in shares.items()
-        },
+        "coverage": {f"{level:g}": told.as_dict() for level, told in shares.items()},
         "residual_rms": _rms(residual),
         "predictive_sd": math.sqrt(float(variance.mean())) if finite else None,
         "mean_standardised": float(standard.mean()) if finite else None,
@@ -172,13 +146,13 @@ def _discrepancy(excess: Array, at: NDArray[np.int64]) -> dict[str, Any]:
     return {"value": value, "interval": [low, high], "level": _LEVEL}
 
 
-def _verdict(share: Share) -> str:
+def _verdict(share: Coverage) -> str:
     low, high = _PASSES
-    if low <= share.value <= high:
+    if low <= share.share <= high:
         return "covered"
-    if abs(share.value - _JUDGED) <= _SURE * share.error:
+    if abs(share.share - _JUDGED) <= _SURE * share.standard_error:
         return "undecided"
-    return "too wide" if share.value > high else "model discrepancy"
+    return "too wide" if share.share > high else "model discrepancy"
 
 
 def validation_lines(record: Validation | Mapping[str, Any]) -> Iterator[str]:
