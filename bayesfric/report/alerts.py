@@ -11,6 +11,10 @@ from bayesfric.report.summary.record import Readable, Summary
 from bayesfric.report.text_templates import sentence
 
 
+# Kinds of doubts, see bayesfric.report.summary.doubts; each has a macro that words it.
+DOUBTS = ("unexplained", "feedback", "negative", "memory", "noise", "acceleration")
+
+
 @dataclass(frozen=True)
 class Alert:
     """One thing to know before using a number.
@@ -34,8 +38,10 @@ class Alert:
 
 
 def doubt_text(doubt: Mapping[str, Any]) -> str:
-    """Word one of ``summary["doubts"]``."""
-    return sentence(doubt["kind"], doubt)
+    """Word one of ``summary["doubts"]``; one that only a newer version knows by its parameters."""
+    if doubt["kind"] in DOUBTS:
+        return sentence(doubt["kind"], doubt)
+    return f"{doubt['kind']}: {', '.join(doubt.get('parameters', ()))}"
 
 
 def alerts_of(summary: Readable, where: str = "run") -> tuple[Alert, ...]:

@@ -24,12 +24,9 @@ def sentence(kind: str, values: Mapping[str, Any] | None = None) -> str:
     Returns
     -------
     str
-        Without a full stop; of a kind that only a newer version knows, its name and parameters.
+        Without a full stop.
     """
-    macro = getattr(_sentences(), kind.replace(" ", "_"), None)
-    if macro is None:
-        return f"{kind}: {', '.join((values or {}).get('parameters', ()))}"
-    return str(macro(values or {})).strip()
+    return str(getattr(_sentences(), kind.replace(" ", "_"))(values or {})).strip()
 
 
 def filled(template: str, **values: Any) -> str:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from bayesfric.report.comparison.cell import Cell
 from bayesfric.report.comparison.comparison import Comparison
 from bayesfric.report.numbers import text_rounded, text_value
+from bayesfric.report.text_templates import filled
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -170,29 +171,12 @@ def _lines(
 
 def explained(found: Comparison) -> Iterator[str]:
     """Say what the numbers are and what they take for granted."""
-    yield "± is one standard deviation, accounting for correlated residuals (sd_robust)."
-    if any(column.kind == "posterior" for column in found.columns):
-        yield "Of a posterior the median is given."
     cells = [cell for row in found.rows for cell in row.cells.values()]
-    if any(cell.status == "determined" and not cell.accounts for cell in cells):
-        yield f"{_PLAIN} takes residuals for uncorrelated: too small where they are correlated."
-    if levels := {cell.level for cell in cells if cell.interval is not None and cell.level}:
-        share = " or ".join(f"{100 * level:g}" for level in sorted(levels))
-        yield f"[ ] holds {share} % of the posterior."
-    if found.baseline is not None and len(found.columns) > 1:
-        words = f"'sd' counts the distance to {found.baseline} in standard deviations"
-        kinds = [c.kind for c in found.columns]
-        added = ["another run"] if kinds.count("posterior") > 1 else []
-        added += ["a reference"] if "reference" in kinds else []
-        if "estimate" in kinds:
-            words += "; in the larger of the two of an estimate, which saw the same data"
-        if added:
-            words += f"; in both together of {' and '.join(added)}"
-        yield words + "."
-    for column in found.columns:
-        parts = [column.told] if column.told else []
-        if column.residual_rms is not None:
-            parts.append(f"residual rms {column.residual_rms:.4g} {column.residual_unit}".strip())
-        if parts:
-            yield f"{column.label}: {'; '.join(parts)}."
+    yield from filled(
+        "explained.txt.j2",
+        found=found,
+        plain=any(cell.status == "determined" and not cell.accounts for cell in cells),
+        levels=sorted({cell.level for cell in cells if cell.interval is not None and cell.level}),
+        dagger=_PLAIN,
+    ).splitlines()
     yield from found.notes

@@ -18,7 +18,7 @@ from bayesfric.report.numbers import LATEX, TEXT, Medium, latex_number, latex_va
 from bayesfric.report.paper import latex
 from bayesfric.report.summary.bounds import bound_mend
 from bayesfric.report.summary.noise import correlation_warning
-from bayesfric.report.summary.record import PosteriorRow, Readable, Summary, of_noise
+from bayesfric.report.summary.record import KnownRow, PosteriorRow, Readable, Summary, of_noise
 
 # Ends of the interval whose distances from the median differ by more than this are skewed.
 _SKEWED = 0.2
@@ -43,29 +43,36 @@ class ParameterRow:
     ----------
     group
         ``free`` (of scaling), ``parameter``, ``derived`` or ``known``.
-    name, unit
+    name, told
         As in ``summary.json``.
-    row
-        The numbers; ``None`` of what was taken as known.
     cell
-        What may be said of them, as in the comparison of methods.
+        What may be said of it, as in the comparison of methods.
     """
 
     group: str
     name: str
-    unit: str
-    row: PosteriorRow | None
+    told: PosteriorRow | KnownRow
     cell: Cell
+
+    @property
+    def row(self) -> PosteriorRow | None:
+        """The numbers; ``None`` of what was taken as known."""
+        return self.told if isinstance(self.told, PosteriorRow) else None
+
+    @property
+    def unit(self) -> str:
+        """Empty where it has none."""
+        return self.told.unit
 
     @property
     def symbol(self) -> str:
         """LaTeX without dollar signs; empty where it is not told."""
-        return self.row.symbol if self.row else ""
+        return self.told.symbol
 
     @property
     def meaning(self) -> str:
         """One line; empty where it is not told."""
-        return self.row.meaning if self.row else ""
+        return self.told.meaning
 
     @property
     def skewed(self) -> bool:
@@ -156,14 +163,12 @@ def parameter_table(summary: Readable, run: str = "summary.json") -> ParameterTa
         "derived": {name: row for name, row in read.derived.items() if not row.gauge_free},
     }
     rows = [
-        ParameterRow(
-            group, name, row.unit, row, posterior_cell(row, read.accounts, read.sampler.status)
-        )
+        ParameterRow(group, name, row, posterior_cell(row, read.accounts, read.sampler.status))
         for group, members in groups.items()
         for name, row in members.items()
     ]
     rows += [
-        ParameterRow("known", name, known.unit, None, Cell(known.value, "known"))
+        ParameterRow("known", name, known, Cell(known.value, "known"))
         for name, known in read.fixed.items()
     ]
     return ParameterTable(tuple(rows), read.level, tuple(_notes(rows, read)))

@@ -68,12 +68,17 @@ class Open(Part):
     model_config = ConfigDict(frozen=True, extra="allow", strict=True)
 
 
-class EstimatedRow(Part):
-    """One number of a point estimate; see :class:`bayesfric.estimates.estimate.EstimatedValue`."""
+class Described(Part):
+    """What a quantity is; the symbol is LaTeX without dollar signs."""
 
     unit: str
     symbol: str = ""
     meaning: str = ""
+
+
+class EstimatedRow(Described):
+    """One number of a point estimate; see :class:`bayesfric.estimates.estimate.EstimatedValue`."""
+
     value: FiniteFloat
     sd: NotNegative | None = None
     sd_robust: NotNegative | None = None
@@ -112,7 +117,7 @@ class Spread(Part):
         return self.mean if self.median is None else self.median
 
 
-class PosteriorRow(Spread):
+class PosteriorRow(Spread, Described):
     """One parameter or derived quantity of a posterior.
 
     ``doubted`` are the kinds of doubts there are of it, ``white_interval`` what white noise would
@@ -120,9 +125,6 @@ class PosteriorRow(Spread):
     ``undefined_share`` (of the draws that do not have it) of derived quantities.
     """
 
-    unit: str
-    symbol: str = ""
-    meaning: str = ""
     rhat: FiniteFloat | None = None
     ess: FiniteFloat | None = None
     converged: bool | None = None
@@ -159,10 +161,9 @@ class PosteriorRow(Spread):
         return self.prior_sd / self.sd if self.prior_sd and self.sd else None
 
 
-class KnownRow(Part):
+class KnownRow(Described):
     """A parameter that was taken as known."""
 
-    unit: str
     value: FiniteFloat
 
 
