@@ -10,7 +10,6 @@ from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.summary.record import Readable, Summary
 from bayesfric.report.text_templates import sentence
 
-
 # Kinds of doubts, see bayesfric.report.summary.doubts; each has a macro that words it.
 DOUBTS = ("unexplained", "feedback", "negative", "memory", "noise", "acceleration")
 
