@@ -17,6 +17,7 @@ from bayesfric.inference.fit import Fit
 from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
+from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.prior.noise import support
 from bayesfric.mechanism.parameter import TURN
 from bayesfric.report.summary.bounds import bound_warning
@@ -61,7 +62,6 @@ def summarise(
         Numbers that do not exist are ``None``.
     """
     posterior = fit.posterior
-    d = posterior.diagnostics
     local = local_information(fit.target, posterior.median)
     residual = fit.residuals
     outputs = fit.target.likelihood.outputs
@@ -109,31 +109,12 @@ def summarise(
             },
         },
         **({"validation": validation_record(fit)} if fit.held_out else {}),
-        "sampler": {
-            "status": d.status,
-            "problems": list(d.problems),
-            "draws": d.ensembles * d.walkers * d.steps,
-            "walkers": d.walkers,
-            "ensembles": d.ensembles,
-            "warmup": d.warmup,
-            "steps": d.steps,
-            "thin": d.thin,
-            "tau": _number(d.tau.max()),
-            "min_ess": _number(d.ess.min()),
-            "max_rhat": _number(d.rhat.max()),
-            "acceptance": _number(d.acceptance.mean()),
-            "stuck_walkers": int((d.acceptance == 0.0).sum()),
-            "not_finite": d.not_finite,
-            "not_finite_share": d.not_finite_share,
-            "coordinates": posterior.coordinates,
-            "seconds": round(d.seconds, 3),
-            "seed": posterior.seed,
-        },
+        "sampler": _sampler(posterior),
     }
     summary = Summary.model_validate(found)
     sound = {name: row for name, row in summary.parameters.items() if row.converged}
     warnings = [
-        *d.warnings,
+        *posterior.diagnostics.warnings,
         *(bound_warning(name, row) for name, row in sound.items()),
         correlation_warning(summary),
         linearisation_warning(summary.likelihood),
@@ -144,6 +125,23 @@ def summarise(
         ),
     ]
     return summary.model_copy(update={"warnings": [text for text in warnings if text]})
+
+
+def _sampler(posterior: Posterior) -> dict[str, Any]:
+    d = posterior.diagnostics
+    same = ("status", "walkers", "ensembles", "warmup", "steps", "thin", "not_finite")
+    return {key: getattr(d, key) for key in (*same, "not_finite_share")} | {
+        "problems": list(d.problems),
+        "draws": d.ensembles * d.walkers * d.steps,
+        "tau": _number(d.tau.max()),
+        "min_ess": _number(d.ess.min()),
+        "max_rhat": _number(d.rhat.max()),
+        "acceptance": _number(d.acceptance.mean()),
+        "stuck_walkers": int((d.acceptance == 0.0).sum()),
+        "coordinates": posterior.coordinates,
+        "seconds": round(d.seconds, 3),
+        "seed": posterior.seed,
+    }
 
 
 def rms(fit: Fit) -> float:
