@@ -56,11 +56,13 @@ class PooledQuantity:
     """One quantity that the data of every run determine; ``runs`` are the rows pooled."""
 
     name: str
-    unit: str
-    symbol: str
-    meaning: str
     runs: Mapping[str, PosteriorRow]
     pool: Pool
+
+    @property
+    def told(self) -> PosteriorRow:
+        """What the first run says of it: unit, symbol, meaning, level."""
+        return next(iter(self.runs.values()))
 
 
 def pool(values: Sequence[float], sds: Sequence[float], level: float) -> Pool:
@@ -165,8 +167,7 @@ def between_runs(runs: Mapping[str, Summary]) -> list[PooledQuantity]:
             [row.sd for row in rows.values()],
             first[name].level,
         )
-        told = first[name]
-        found.append(PooledQuantity(name, told.unit, told.symbol, told.meaning, rows, one))
+        found.append(PooledQuantity(name, rows, one))
     return found
 
 
@@ -176,9 +177,10 @@ def between_runs_csv(found: Sequence[PooledQuantity]) -> str:
 
     columns = ["name", "unit", "runs", "mean", "sd", "low", "high", "level"]
     columns += ["between_sd", "q", "p_value", "agree"]
-    lines = []
-    for one in found:
-        level = next(iter(one.runs.values())).level
-        told = {"name": one.name, "unit": one.unit, "runs": len(one.runs), "level": level}
-        lines.append(told | asdict(one.pool) | {"agree": one.pool.agree})
+    lines = [
+        {"name": one.name, "unit": one.told.unit, "runs": len(one.runs), "level": one.told.level}
+        | asdict(one.pool)
+        | {"agree": one.pool.agree}
+        for one in found
+    ]
     return str(pd.DataFrame(lines, columns=columns).to_csv(index=False))
