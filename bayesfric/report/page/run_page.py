@@ -13,7 +13,7 @@ from bayesfric.report.page.figures import read_figures
 from bayesfric.report.page.findings import findings
 from bayesfric.report.page.provenance import read_provenance
 from bayesfric.report.page.rendering import render
-from bayesfric.report.paper.tables import OPEN_NOTE, parameter_table
+from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.record import Readable, Summary
 
 # In the order of the page.
@@ -61,7 +61,7 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         alerts=alerts(read, methods.contested),
         found=findings(table, read),
         table=table,
-        notes=[note for note in table.notes if note != OPEN_NOTE],
+        notes=table.notes_where(marked=False),
         methods=methods,
         explained=list(explained(methods)),
         figures=read_figures(

@@ -6,7 +6,7 @@ of the prior and the bounds, and out of the table it would be quoted as a measur
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import pandas as pd
@@ -19,6 +19,7 @@ from bayesfric.report.paper import latex
 from bayesfric.report.summary.bounds import bound_mend
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import KnownRow, PosteriorRow, Readable, Summary, of_noise
+from bayesfric.report.text_templates import filled
 
 # Ends of the interval whose distances from the median differ by more than this are skewed.
 _SKEWED = 0.2
@@ -124,11 +125,32 @@ class ParameterRow:
 
 @dataclass(frozen=True)
 class ParameterTable:
-    """Lines in the order to print them, and what to know besides."""
+    """Lines in the order to print them, of a run's ``summary``."""
 
     rows: tuple[ParameterRow, ...]
-    level: float
-    notes: tuple[str, ...]
+    summary: Summary
+
+    @property
+    def level(self) -> float:
+        """Share of the posterior that intervals hold."""
+        return self.summary.level
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What to know besides, for tables that mark open numbers ``(prior)``."""
+        return self.notes_where(marked=True)
+
+    def notes_where(self, *, marked: bool) -> tuple[str, ...]:
+        """Say what to know besides; ``marked`` is whether open numbers are marked ``(prior)``."""
+        text = filled(
+            "parameter_notes.txt.j2",
+            rows=self.rows,
+            level=self.level,
+            sampler=self.summary.sampler,
+            correlated=correlation_warning(self.summary),
+            marked=marked,
+        )
+        return tuple(text.splitlines())
 
     @property
     def joint(self) -> list[ParameterRow]:
@@ -171,35 +193,13 @@ def parameter_table(summary: Readable, run: str = "summary.json") -> ParameterTa
         ParameterRow("known", name, known, Cell(known.value, "known"))
         for name, known in read.fixed.items()
     ]
-    return ParameterTable(tuple(rows), read.level, tuple(_notes(rows, read)))
+    return ParameterTable(tuple(rows), read)
 
 
 def counts(rows: Sequence[ParameterRow]) -> dict[str, int]:
     """Count numbers by what settles them: ``data``, ``together``, ``limit``, ``open``."""
     by = [row.by for row in rows]
     return {key: by.count(key) for key in ("data", "together", "limit", "open")}
-
-
-def _notes(rows: list[ParameterRow], read: Summary) -> Iterator[str]:
-    share = f"{100 * read.level:g} %"
-    yield f"Values are medians with one standard deviation; intervals hold {share} of the posterior"
-    if any(row.skewed and row.cell.status == "determined" for row in rows):
-        yield (
-            "Skewed posteriors have no standard deviation: their distances to the ends of the "
-            "interval are given, or the interval alone"
-        )
-    if any(row.by == "open" and row.cell.converged for row in rows):
-        yield OPEN_NOTE
-    if any(row.by == "limit" for row in rows):
-        side = f"{100 * (1.0 + read.level) / 2:g} %"
-        yield f"Limits have {side} of the posterior between them and the bound the data push to"
-    if told := correlation_warning(read):
-        yield told[0].upper() + told[1:]
-    if read.sampler.status == "unusable" or read.sampler.problems:
-        yield f"The sampling is {read.sampler.status}: it has not converged"
-
-
-OPEN_NOTE = "(prior): not determined by the data; the posterior is that of prior and bounds"
 
 
 def parameters_csv(table: ParameterTable) -> str:
