@@ -11,7 +11,7 @@ from bayesfric.commands.problem import Problem
 from bayesfric.estimates.least_squares import least_squares
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.recording import Recording
-from bayesfric.report.alerts import DOUBTS
+from bayesfric.report.alerts import doubt_text
 from bayesfric.report.summary.doubts import doubts_before
 
 
@@ -102,4 +102,4 @@ def check_text(found: dict[str, Any]) -> Iterator[str]:
         yield f"  {name:<28} {v['value']:>12.5g} ± {v['sd']:<9.2g} {v['unit']:<8} {v['meaning']}"
     yield f"  {'residual rms':<28} {totals['residual_rms']:>12.4g}"
     for doubt in found["doubts"]:
-        yield f"WARNING: {DOUBTS[doubt['kind']](doubt)}"
+        yield f"WARNING: {doubt_text(doubt)}"

@@ -18,6 +18,9 @@ from numpy.typing import NDArray
 _TABLES = 2**18
 _PIECE = 2**20
 
+# Groups that are none of ArviZ's.
+_OWN = ("derived",)
+
 Groups = Mapping[str, Mapping[str, NDArray[Any]]]
 
 
@@ -28,6 +31,7 @@ def write_archive(
     dims: Mapping[str, list[str]],
     coords: Mapping[str, Any],
     attrs: Mapping[str, str],
+    variable_attrs: Mapping[str, Mapping[str, Mapping[str, str]]] | None = None,
 ) -> None:
     """Write groups of named arrays as NetCDF that any ArviZ reads.
 
@@ -44,6 +48,8 @@ def write_archive(
         Labels of the dimensions.
     attrs
         Root attributes.
+    variable_attrs
+        What variables say of themselves, by group and name.
 
     Raises
     ------
@@ -57,11 +63,23 @@ def write_archive(
         # walkers are stored as chains, and there may well be more of them than kept draws
         warnings.filterwarnings("ignore", "More chains", UserWarning)
         warnings.filterwarnings("ignore", "Found chain dimension to be longer", UserWarning)
-        old = int(arviz.__version__.partition(".")[0]) < 1
-        data = arviz.from_dict(**named, **options) if old else arviz.from_dict(named, **options)
+        warnings.filterwarnings("ignore", ".* not defined in the InferenceData scheme", UserWarning)
+        if int(arviz.__version__.partition(".")[0]) < 1:
+            # groups of our own are no argument there
+            own = {group: named.pop(group) for group in _OWN if group in named}
+            data = arviz.from_dict(**named, **options)
+            for group, variables in own.items():
+                data.add_groups({group: arviz.convert_to_dataset(variables)})
+            named |= own
+        else:
+            data = arviz.from_dict(named, **options)
     for group in groups:
         # a time stamp would make two runs of one seed differ
         data[group].attrs.pop("created_at", None)
+    for group, told in (variable_attrs or {}).items():
+        for name, words in told.items() if group in named else ():
+            if name in named[group]:
+                data[group][name].attrs.update(words)
     data.attrs.clear()
     data.attrs.update(attrs)
     arrays = [array for variables in named.values() for array in variables.values()]
@@ -83,7 +101,9 @@ def _try_room(path: Path, size: int) -> None:
 
 def read_archive(path: Path) -> Any:
     """Read what :func:`write_archive` wrote; groups are addressed as ``data["posterior"]``."""
-    return _arviz().from_netcdf(str(path), engine="h5netcdf")
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".* not defined in the InferenceData scheme", UserWarning)
+        return _arviz().from_netcdf(str(path), engine="h5netcdf")
 
 
 def as_chains(draws: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -137,8 +137,8 @@ def test_the_standard_error_is_how_far_shares_scatter():
     rng = np.random.default_rng(11)
     series = simulated(partial, np.ones(n - 1, dtype=bool), times, rng) / sd
     found = [share_of(np.abs(x) < 1.6449, np.arange(n), x) for x in series]
-    scatter = np.std([f.value for f in found])
-    told = math.sqrt(np.mean([f.error**2 for f in found]))
+    scatter = np.std([f.share for f in found])
+    told = math.sqrt(np.mean([f.standard_error**2 for f in found]))
     # an sd from 400 is known within 3.5 %; the kernel's estimate falls a little short
     assert told / scatter == pytest.approx(1.0, abs=0.2)
     assert scatter > 1.4 * math.sqrt(0.09 / n)
@@ -148,12 +148,12 @@ def test_a_share_of_all_is_not_exact():
     inside = np.ones(200, dtype=bool)
     x = simulated(np.array([0.9]), np.ones(199, dtype=bool), 1, np.random.default_rng(0))[0]
     one = share_of(inside, np.arange(200), x - x.mean())
-    assert one.value == 1.0
-    assert 0.01 < one.error < 0.2
-    assert one.effective < 50
+    assert one.share == 1.0
+    assert 0.01 < one.standard_error < 0.2
+    assert one.effective_outputs < 50
     apart = share_of(inside, 1000 * np.arange(200), x - x.mean())
-    assert apart.effective == pytest.approx(200.0)
-    assert apart.error < one.error
+    assert apart.effective_outputs == pytest.approx(200.0)
+    assert apart.standard_error < one.standard_error
 
 
 def test_few_outputs_give_no_verdict(knee):

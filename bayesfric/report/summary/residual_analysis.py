@@ -16,6 +16,7 @@ from bayesfric.inference.likelihood.likelihood import Outputs
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.mechanism.inverse import load_torque
 from bayesfric.report.summary.dependence import smooth_p_value
+from bayesfric.report.text_templates import filled
 
 Array = NDArray[np.float64]
 Places = NDArray[np.int64]
@@ -43,8 +44,8 @@ class Binned:
 
     Attributes
     ----------
-    what, unit
-        Of the quantity.
+    name, symbol, unit
+        Of the quantity; the symbol is LaTeX without dollar signs.
     centre, mean, sd, error
         ``(bins,)``; ``error`` is the sd of the mean, wider where residuals are correlated.
     explained
@@ -55,7 +56,8 @@ class Binned:
         Of the two tests together: that the bins' means differ, and that there is a smooth curve.
     """
 
-    what: str
+    name: str
+    symbol: str
     unit: str
     centre: Array
     mean: Array
@@ -66,9 +68,9 @@ class Binned:
     p_value: float
 
     @property
-    def name(self) -> str:
-        """The quantity without its symbol."""
-        return self.what.partition(" $")[0]
+    def what(self) -> str:
+        """The quantity with its symbol, for an axis."""
+        return f"{self.name} ${self.symbol}$"
 
     @property
     def outcome(self) -> Literal["depends", "open", "none"]:
@@ -132,8 +134,8 @@ def residual_analysis(fit: Fit) -> ResidualAnalysis:
     shown = np.unique(np.concatenate([shown, np.arange(min(20, n)), np.arange(max(n - 20, 0), n)]))
     columns = _columns(fit)
     against = [
-        _binned(words, unit, np.concatenate(x), outputs, left, columns)
-        for words, unit, x in _abscissae(fit, outputs)
+        _binned((name, symbol, unit), np.concatenate(x), outputs, left, columns)
+        for name, symbol, unit, x in _abscissae(fit, outputs)
         if np.ptp(np.concatenate(x)) > 0.0
     ]
     return ResidualAnalysis(
@@ -211,7 +213,7 @@ def _pairs(o: Outputs, most: int) -> Iterator[tuple[Places, Places]]:
         yield here, there[here]
 
 
-def _abscissae(fit: Fit, outputs: tuple[Outputs, ...]) -> list[tuple[str, str, list[Array]]]:
+def _abscissae(fit: Fit, outputs: tuple[Outputs, ...]) -> list[tuple[str, str, str, list[Array]]]:
     """Speed, load torque and angle at every output."""
     median = fit.target.chain_values(fit.posterior.median[None])[0]
     speed, load, angle = [], [], []
@@ -235,14 +237,18 @@ def _abscissae(fit: Fit, outputs: tuple[Outputs, ...]) -> list[tuple[str, str, l
         angle.append(now(seen.q[at]))
     rotary = fit.chain.load.motion == "rotary"
     return [
-        (r"joint speed $\dot q$", "rad/s" if rotary else "m/s", speed),
-        (r"load $\Gamma$", "N m" if rotary else "N", load),
-        ("joint angle $q$" if rotary else "position $q$", "rad" if rotary else "m", angle),
+        ("joint speed", r"\dot q", "rad/s" if rotary else "m/s", speed),
+        ("load", r"\Gamma", "N m" if rotary else "N", load),
+        ("joint angle" if rotary else "position", "q", "rad" if rotary else "m", angle),
     ]
 
 
 def _binned(
-    what: str, unit: str, x: Array, outputs: tuple[Outputs, ...], left: list[Array], columns: Array
+    quantity: tuple[str, str, str],
+    x: Array,
+    outputs: tuple[Outputs, ...],
+    left: list[Array],
+    columns: Array,
 ) -> Binned:
     """Mean and spread in bins, and whether the means are more than chance.
 
@@ -288,8 +294,7 @@ def _binned(
         smooth = smooth_p_value(r / size, x, columns / size[:, None])
         p_value = min(1.0, 2.0 * min(p_value, smooth))
     return Binned(
-        what,
-        unit,
+        *quantity,
         centre,
         mean,
         sd,
@@ -334,44 +339,22 @@ def residual_words(fit: Fit) -> tuple[str, ...]:
         A finished fit.
     """
     found = residual_analysis(fit)
-    said = []
-    if found.lags.size:
-        first, some = _correlated("residuals", found.correlation, found.white)
-        if some and fit.target.likelihood.method == "output-error":
-            first += "; simulated positions drift, and correlate by that"
-        said.append(first + ".")
-    what = "Residuals"
-    if found.innovations is not None:
-        what = "Innovations"
-        second, some = _correlated("innovations", found.innovations, found.white)
-        said.append(second + ("; the noise model misses some." if some else "."))
-    if abs(found.kurtosis) > _TAILS:
-        tails = "heavier" if found.kurtosis > 0.0 else "lighter"
-        said.append(
-            f"{what} have {tails} tails than a normal (excess kurtosis {found.kurtosis:.1f})."
-        )
-    else:
-        said.append(f"{what} are close to normal.")
-    for b in found.against:
-        holds = f"it holds {100 * b.explained:.2g} % of their variance"
-        if b.outcome == "depends":
-            said.append(
-                f"The residuals' mean depends on {b.name}: {holds}, more than chance explains. "
-                "There is something the model lacks."
-            )
-        elif b.outcome == "open":
-            said.append(
-                f"Whether the residuals' mean depends on {b.name} cannot be told: {holds}, "
-                f"{100 * b.chance:.2g} % are expected of chance."
-            )
-    if found.against and all(b.outcome == "none" for b in found.against):
-        names = ", ".join(b.name for b in found.against)
-        said.append(f"The residuals' mean depends on none of {names} by more than chance.")
-    return tuple(said)
+    return tuple(
+        filled(
+            "residual.txt.j2",
+            found=found,
+            residuals=_outside(found.correlation, found.white),
+            innovations=_outside(found.innovations, found.white),
+            drifts=fit.target.likelihood.method == "output-error",
+            tails=_TAILS,
+        ).splitlines()
+    )
 
 
-def _correlated(what: str, correlation: Array, white: Array) -> tuple[str, bool]:
+def _outside(correlation: Array | None, white: Array) -> dict[str, Any] | None:
     """Count the lags outside the white band, and tell whether they are too many for chance."""
+    if correlation is None or not correlation.size:
+        return None
     outside = int((np.abs(correlation) > white).sum())
     # too many, or one that is too large for the largest of so many
     largest = float((np.abs(correlation) / white).max()) * _WHITE
@@ -379,8 +362,4 @@ def _correlated(what: str, correlation: Array, white: Array) -> tuple[str, bool]
         stats.binom.sf(outside - 1, white.size, 0.05) < _BY_CHANCE
         or 2.0 * white.size * stats.norm.sf(largest) < _BY_CHANCE
     )
-    words = (
-        f"The lag-1 autocorrelation of the {what} is {correlation[0]:.2f}; {outside} of "
-        f"{white.size} lags lie outside the band that holds 95 % of those of white noise"
-    )
-    return words + ("" if some else ", as many as chance allows"), some
+    return {"first": correlation[0], "outside": outside, "lags": white.size, "some": some}

@@ -1,0 +1,76 @@
+"""``posterior.nc`` and a notebook say of every number what it is, and what determined it."""
+
+import json
+
+import numpy as np
+import pytest
+
+from bayesfric.inference.archive import read_archive
+from bayesfric.report.run_directory import write_posterior
+from bayesfric.report.summary.record import Summary
+from bayesfric.report.summary.summary import summarise
+
+from .made_summaries import every_kind, knee
+from .page_reader import read_page
+
+
+@pytest.fixture(scope="module")
+def run(make_fit, tmp_path_factory):
+    fit = make_fit(samples=400, ensembles=2)
+    summary = summarise(fit)
+    path = tmp_path_factory.mktemp("nc") / "posterior.nc"
+    write_posterior(path, fit, summary, "", [])
+    return summary, read_archive(path)
+
+
+def test_every_variable_carries_unit_symbol_meaning_and_verdict(run):
+    summary, data = run
+    for group, rows in (("posterior", summary.parameters), ("prior", summary.parameters)):
+        assert set(data[group].data_vars) == set(rows)
+        for name, row in rows.items():
+            told = data[group][name].attrs
+            assert told["units"] == (row.unit or "1")
+            assert (told["symbol"], told["long_name"]) == (row.symbol, row.meaning)
+            assert told["verdict"] == row.verdict
+
+
+def test_derived_quantities_are_those_of_the_summary(run):
+    summary, data = run
+    found = data["derived"].data_vars
+    assert {"total_drive.inertia", "gearbox.alpha_drive"} <= set(found) <= set(summary.derived)
+    for name in found:
+        row, draws = summary.derived[name], found[name]
+        assert np.nanmedian(draws.values) == pytest.approx(row.median, rel=1e-12)
+        assert draws.attrs["units"] == (row.unit or "1")
+        assert draws.attrs["verdict"] == row.verdict
+        assert draws.sizes["chain"] == data["posterior"].sizes["chain"]
+
+
+def test_the_noise_and_what_was_known_are_in_it(run):
+    summary, data = run
+    assert json.loads(data.attrs["noise"]) == summary.noise.as_dict()
+    assert data.attrs["status"] == "reliable"
+
+
+@pytest.mark.parametrize("made", [knee, every_kind])
+def test_reading_and_writing_a_summary_changes_nothing(made):
+    assert Summary.read(made()).as_dict() == made()
+
+
+def test_a_data_frame_has_a_line_for_each_number():
+    summary = Summary.read(every_kind())
+    frame = summary.frame().set_index("name")
+    assert list(frame.index) == [*summary.parameters, *summary.derived]
+    line = frame.loc["motor.coulomb_positive"]
+    assert (line["median"], line["low"], line["high"]) == (0.016, 0.002, 0.051)
+    assert (line["unit"], line["verdict"]) == ("N m", "weak")
+
+
+def test_a_notebook_shows_verdicts_and_nothing_open():
+    text = Summary.read(every_kind())._repr_html_()
+    rows = {r.text.partition(" ")[0]: r.text for r in read_page(text).all("tr")}
+    (open_,) = [text for name, text in rows.items() if name.startswith("load.inertia")]
+    assert "not determined by the data" in open_
+    assert "±" not in open_
+    (told,) = [text for name, text in rows.items() if name.startswith("motor.inertia")]
+    assert "±" in told
