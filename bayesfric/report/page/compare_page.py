@@ -9,12 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from bayesfric.report.comparison.between_runs import PooledQuantity
-from bayesfric.report.comparison.comparison import Comparison
 from bayesfric.report.comparison.table import explained
-from bayesfric.report.figures.overlay import Overlay
+from bayesfric.report.figures.registry import ComparedRuns, comparison_figures
 from bayesfric.report.page.facts import Facts, read_facts
-from bayesfric.report.page.figure_words import forest_figure_words, overlay_words
-from bayesfric.report.page.figures import read_figures
+from bayesfric.report.page.figures import page_figures
 from bayesfric.report.page.provenance import Provenance
 from bayesfric.report.page.rendering import render
 from bayesfric.report.page.values import ends_html
@@ -46,12 +44,9 @@ def _hashes(told: Provenance | None) -> set[str]:
 
 def compare_page(
     folder: Path,
-    found: Comparison,
+    compared: ComparedRuns,
     summaries: Mapping[str, Mapping[str, Any]],
-    runs: Mapping[str, RunSummary],
-    pooled: Sequence[PooledQuantity],
     provenance: Mapping[str, Provenance | None],
-    overlaid: Overlay | None = None,
 ) -> str:
     """Write the page of a comparison.
 
@@ -59,25 +54,20 @@ def compare_page(
     ----------
     folder
         Where ``figures/`` is; figures that are missing are left out.
-    found
-        The comparison.
-    summaries, runs
-        What each ``summary.json`` holds, as read and checked.
-    pooled
-        From :func:`bayesfric.report.comparison.between_runs.between_runs`.
+    compared
+        The runs, as read and checked.
+    summaries
+        What each ``summary.json`` holds.
     provenance
         Of each run, where it is known.
-    overlaid
-        From :func:`bayesfric.report.figures.overlay.overlay`, of several runs.
 
     Returns
     -------
     str
         HTML that fetches nothing.
     """
-    words = {"forest": forest_figure_words(found)}
-    if overlaid is not None and overlaid.panels:
-        words["overlay"] = overlay_words(overlaid)
+    found, runs, pooled = compared.found, compared.runs, compared.pooled
+    captions = {stem: one.caption_of(compared) for stem, one in comparison_figures().items()}
     listed = [
         RunFacts(name, read_facts(summaries[name], name), _verdicts(run), provenance.get(name))
         for name, run in runs.items()
@@ -94,10 +84,10 @@ def compare_page(
         same=same,
         unknown=[run for run, told in provenance.items() if not _hashes(told)],
         level=next((f"{100 * row.level:g}" for one in pooled for row in one.runs.values()), ""),
-        without_draws=overlaid.left_out if overlaid is not None else {},
+        without_draws={run: one.missing for run, one in compared.draws.items() if one.missing},
         methods=found,
         explained=list(explained(found)),
-        figures=read_figures(folder / "figures", words),
+        figures=page_figures(folder, comparison_figures().values(), captions, compared),
         version=listed[0].facts.bayesfric,
     )
 

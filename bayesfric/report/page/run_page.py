@@ -13,9 +13,9 @@ from markupsafe import Markup
 from bayesfric.report.alerts import alerts
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.comparison.table import explained
+from bayesfric.report.figures.registry import JudgedRun, read_captions, run_figures
 from bayesfric.report.page.facts import Facts, Row, read_facts
-from bayesfric.report.page.figure_words import Told, figure_words, written_captions
-from bayesfric.report.page.figures import read_figures
+from bayesfric.report.page.figures import page_figures
 from bayesfric.report.page.first_words import first_words
 from bayesfric.report.page.provenance import read_provenance
 from bayesfric.report.page.rendering import render
@@ -28,11 +28,6 @@ from bayesfric.report.page.values import (
 )
 from bayesfric.report.paper.tables import ParameterRow, ParameterTable, parameter_table
 
-# In the order of the page.
-STEMS = (
-    "methods", "ridge", "prediction", "residual", "validation", "friction", "efficiency",
-    "prior_posterior", "corner", "trace",
-)  # fmt: skip
 _GROUPS = {
     "free": (
         "What the motor feels",
@@ -114,9 +109,8 @@ def run_page(folder: Path, summary: Mapping[str, Any], name: str) -> str:
     facts = read_facts({"may_be_simulated": _simulated(config)} | dict(summary), name)
     table = parameter_table(summary, name)
     methods = comparison({name: summary})
-    told = Told(facts, table, methods)
-    captions = written_captions(_text(folder / "text" / "captions.md"))
-    words = {stem: figure_words(stem, told, captions) for stem in STEMS}
+    judged = JudgedRun(facts, table, methods)
+    captions = read_captions(_text(folder / "text" / "captions.md"))
     lines = _lines(table, facts)
     return render(
         "run.html.j2",
@@ -130,7 +124,7 @@ def run_page(folder: Path, summary: Mapping[str, Any], name: str) -> str:
         notes=table.notes,
         methods=methods,
         explained=list(explained(methods)),
-        figures=read_figures(folder / "figures", words),
+        figures=page_figures(folder, run_figures().values(), captions, judged),
         provenance=read_provenance(folder),
         config=config,
         methods_text=_text(folder / "text" / "methods.txt").strip(),
