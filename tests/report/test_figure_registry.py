@@ -47,27 +47,21 @@ def one_more(tmp_path, monkeypatch):
     registry._found.cache_clear()
 
 
-def test_one_file_makes_a_figure(one_more, tmp_path, knee, slide, monkeypatch):
+def test_one_file_makes_a_figure(one_more, tmp_path, knee, monkeypatch):
     monkeypatch.setattr(run_directory, "FIGURES", {"made_up": one_more["made_up"]})
-    for fit, word in ((knee, "Torque"), (slide, "Torque")):
-        run = tmp_path / word / fit.chain.elements[0].name
-        run.parent.mkdir(exist_ok=True)
-        summary = summarise(fit)
-        run_directory.write_run(run, fit, summary, "", [])
-        assert {path.name for path in (run / "figures").iterdir()} == {
-            "made_up.pdf",
-            "made_up.svg",
-            "made_up.png",
-        }
-        caption = f"Torque of {fit.observations[0].name}: nothing is seen."
-        written = read_captions((run / "text" / "captions.md").read_text(encoding="utf-8"))
-        assert written == {"made_up": caption}
-        page = read_page(run_page(run, summary, "run"))
-        (section,) = page.all("section", id="friction")
-        (figure,) = section.all("figure", id="figure-made_up")
-        assert caption in figure.text
-        (drawing,) = figure.all("svg")
-        assert drawing.attrs["aria-label"].startswith("Made up. ")
+    run, summary = tmp_path / "run", summarise(knee)
+    run_directory.write_run(run, knee, summary, "", [])
+    files = {path.name for path in (run / "figures").iterdir()}
+    assert files == {"made_up.pdf", "made_up.svg", "made_up.png"}
+    caption = "Torque of run 0: nothing is seen."
+    written = read_captions((run / "text" / "captions.md").read_text(encoding="utf-8"))
+    assert written == {"made_up": caption}
+    page = read_page(run_page(run, summary, "run"))
+    (section,) = page.all("section", id="friction")
+    (figure,) = section.all("figure", id="figure-made_up")
+    assert caption in figure.text
+    (drawing,) = figure.all("svg")
+    assert drawing.attrs["aria-label"].startswith("Made up. ")
 
 
 def test_what_figures_declare():

@@ -82,14 +82,12 @@ class FrictionCurves:
     place: Covered
 
 
-def friction_curves(fit: Fit) -> FrictionCurves:
+def friction_curves(fit: Fit, judge: CurveJudge | None = None) -> FrictionCurves:
     """Evaluate the friction curves of a fit where its recordings ran."""
-    return _curves(fit, CurveJudge(fit))
-
-
-def _curves(fit: Fit, judge: CurveJudge) -> FrictionCurves:
+    judge = judge or CurveJudge(fit)
     place = covered(fit, judge.median, open_scale=judge.open_scale)
-    lossy = _load_matters(fit, place)
+    lossy = any(element.load_loss != "none" for element in fit.chain.elements)
+    lossy = lossy and float(np.ptp(place.load)) > 0.0
 
     def along(speed: Array, load: Array) -> FrictionCurve:
         band = judge.band(
@@ -122,11 +120,6 @@ def _curves(fit: Fit, judge: CurveJudge) -> FrictionCurves:
     return FrictionCurves(judge.open_scale, tuple(over_speed), tuple(over_load), place)
 
 
-def _load_matters(fit: Fit, place: Covered) -> bool:
-    lossy = any(element.load_loss != "none" for element in fit.chain.elements)
-    return lossy and float(np.ptp(place.load)) > 0.0
-
-
 def _stated(place: Covered, speeds: Array, side: float) -> float:
     """Find the round load of one direction of power that was met at most speeds."""
     mine = side * place.load[side * place.load > 0.0]
@@ -157,7 +150,7 @@ def friction_figure(fit: Fit) -> Figure:
         a loss that depends on load.
     """
     judge = CurveJudge(fit)
-    found = _curves(fit, judge)
+    found = friction_curves(fit, judge)
     alone = not found.over_load
     with paper_figure(COLUMN if alone else PAGE, _HEIGHT) as figure:
         axes = figure.subplots(1, 1 if alone else 3, squeeze=False)[0]
@@ -176,24 +169,23 @@ def _over_speed(ax: Axes, fit: Fit, found: FrictionCurves) -> None:
     several = len(found.over_speed) > 1
     for k, curve in enumerate(found.over_speed):
         load = float(curve.load[0])
-        label = ("no load" if load == 0.0 else _signed(load, _torque(fit))) if several else None
+        label = ("no load" if load == 0.0 else _signed(load, _units(fit)[1])) if several else None
         for side in (-1.0, 1.0):
             mine = np.sign(curve.speed) == side
             if mine.any():
                 _draw(ax, curve, curve.speed, mine, k, side, label)
                 label = None
     ax.axhline(0.0, color="0.6", linewidth=0.5, zorder=0.5)
-    ax.set_xlabel(_speed_label(fit))
-    ax.set_ylabel(_friction_label(fit))
+    _label_speed(ax, fit)
+    _label_friction(ax, fit)
     few_ticks(ax.xaxis, 6)
-    few_ticks(ax.yaxis, 6)
     if several:
         _legend(ax, "at load")
 
 
 def _over_load(ax: Axes, fit: Fit, found: FrictionCurves) -> None:
     for k, curve in enumerate(found.over_load):
-        words = _signed(float(curve.speed[0]), _speed_unit(fit))
+        words = _signed(float(curve.speed[0]), _units(fit)[2])
         _draw(ax, curve, curve.load, np.ones(curve.load.size, dtype=np.bool_), k, 1.0, words)
     ax.axvline(0.0, color="0.6", linewidth=0.5, zorder=0.5)
     low, high = ax.get_ylim()
@@ -204,9 +196,8 @@ def _over_load(ax: Axes, fit: Fit, found: FrictionCurves) -> None:
     ax.text(0.03, 0.03, "load helps", ha="left", va="bottom", **said)
     ax.text(0.97, 0.03, "load resists", ha="right", va="bottom", **said)
     ax.set_xlabel(_load_label(fit, found))
-    ax.set_ylabel(_friction_label(fit))
+    _label_friction(ax, fit)
     few_ticks(ax.xaxis, 5)
-    few_ticks(ax.yaxis, 6)
     _legend(ax, "at motor speed")
 
 
@@ -260,12 +251,12 @@ def _map(figure: Figure, ax: Axes, fit: Fit, judge: CurveJudge, found: FrictionC
             hatches=[OPEN_HATCH],
         )  # fmt: skip
     ax.axhline(0.0, color="0.6", linewidth=0.5)
-    ax.set_xlabel(_speed_label(fit))
+    _label_speed(ax, fit)
     ax.set_ylabel(_load_label(fit, found))
     few_ticks(ax.xaxis, 5)
     few_ticks(ax.yaxis, 6)
     bar = figure.colorbar(shades, ax=ax, fraction=0.06)
-    bar.set_label(f"half width of the {100 * LEVEL:.0f} % band ({_torque(fit)})", fontsize=SMALL)
+    bar.set_label(f"half width of the {100 * LEVEL:.0f} % band ({_units(fit)[1]})", fontsize=SMALL)
     few_ticks(bar.ax.yaxis, 5)
     bar.outline.set_linewidth(0.5)
 
@@ -298,21 +289,20 @@ def _signed(x: float, unit: str) -> str:
     return f"{x:+.3g} {unit}".replace("-", "\N{MINUS SIGN}")
 
 
-def _torque(fit: Fit) -> str:
-    return "N m" if fit.chain.motor_motion == "rotary" else "N"
+def _units(fit: Fit) -> tuple[str, str, str]:
+    """Name torque or force at the motor, its unit, and that of speed."""
+    rotary = fit.chain.motor_motion == "rotary"
+    return ("torque", "N m", "rad/s") if rotary else ("force", "N", "m/s")
 
 
-def _speed_unit(fit: Fit) -> str:
-    return "rad/s" if fit.chain.motor_motion == "rotary" else "m/s"
+def _label_speed(ax: Axes, fit: Fit) -> None:
+    ax.set_xlabel(rf"motor speed $\dot q_m$ ({_units(fit)[2]})")
 
 
-def _speed_label(fit: Fit) -> str:
-    return rf"motor speed $\dot q_m$ ({_speed_unit(fit)})"
-
-
-def _friction_label(fit: Fit) -> str:
-    kind = "torque" if fit.chain.motor_motion == "rotary" else "force"
-    return f"friction {kind} $F$ ({_torque(fit)})"
+def _label_friction(ax: Axes, fit: Fit) -> None:
+    kind, unit, _ = _units(fit)
+    ax.set_ylabel(f"friction {kind} $F$ ({unit})")
+    few_ticks(ax.yaxis, 6)
 
 
 def load_symbol(fit: Fit, *, open_scale: bool) -> str:
@@ -324,7 +314,7 @@ def load_symbol(fit: Fit, *, open_scale: bool) -> str:
 
 
 def _load_label(fit: Fit, found: FrictionCurves) -> str:
-    return f"load {load_symbol(fit, open_scale=found.open_scale)} ({_torque(fit)})"
+    return f"load {load_symbol(fit, open_scale=found.open_scale)} ({_units(fit)[1]})"
 
 
 def friction_caption(fit: Fit) -> str:
