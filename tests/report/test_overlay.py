@@ -15,14 +15,15 @@ from bayesfric.commands.compare import compare
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.comparison.between_runs import between_runs
 from bayesfric.report.comparison.comparison import comparison
+from bayesfric.report.figures import overlay as module
 from bayesfric.report.figures import style
 from bayesfric.report.figures.overlay import (
     density,
-    overlay,
     overlay_caption,
     overlay_figure,
     overlay_words,
 )
+from bayesfric.report.figures.registry import ComparedRuns
 from bayesfric.report.figures.run_draws import RunDraws, read_draws
 from bayesfric.report.figures.style import PAGE, run_style, save
 from bayesfric.report.summary.read_back import read_summary
@@ -30,6 +31,10 @@ from bayesfric.report.summary.read_back import read_summary
 from .made_summaries import LEG, knee, loaded, posterior_row
 from .page_reader import read_page
 from .test_figures import drawn_ticks, shown_texts
+
+
+def overlay(*compared):
+    return module.overlay(ComparedRuns(*compared))
 
 
 def integral(x, height):

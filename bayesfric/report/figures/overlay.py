@@ -17,11 +17,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from scipy.ndimage import gaussian_filter1d
 
-from bayesfric.report.comparison.between_runs import PooledQuantity
 from bayesfric.report.comparison.cell import TOGETHER, Cell
-from bayesfric.report.comparison.comparison import Comparison, Row
+from bayesfric.report.comparison.comparison import Row
 from bayesfric.report.figures.registry import ComparedRuns, ComparisonFigure
-from bayesfric.report.figures.run_draws import RunDraws
 from bayesfric.report.figures.style import (
     OPEN_HATCH,
     OPEN_HATCH_BACK,
@@ -162,28 +160,16 @@ def density(draws: Array) -> tuple[Array, Array]:
     return 0.5 * (edges[1:] + edges[:-1]), smooth / (x.size * step)
 
 
-def overlay(
-    found: Comparison,
-    runs: Mapping[str, RunSummary],
-    draws: Mapping[str, RunDraws],
-    pooled: Sequence[PooledQuantity] = (),
-) -> Overlay:
+@lru_cache(1)  # drawn, captioned and worded one after another
+def overlay(compared: ComparedRuns) -> Overlay:
     """Gather what overlaid posteriors show.
 
     Shown are the combinations that no scaling of leg parameters and alpha changes and the
     parameters, of those that the data of one run at least determine and two hold draws of.
-
-    Parameters
-    ----------
-    found
-        The comparison, for the order and for what each run leaves open.
-    runs, draws
-        Summary and draws of each run.
-    pooled
-        From :func:`bayesfric.report.comparison.between_runs.between_runs`.
     """
+    found, runs, draws = compared.found, compared.runs, compared.draws
     labels = {c.run: c.label for c in found.columns if c.kind == "posterior"}
-    agree = {one.name: one.pool.agree for one in pooled}
+    agree = {one.name: one.pool.agree for one in compared.pooled}
     panels, without = [], []
     for row in found.rows:
         if not (row.gauge_free or row.kind == "parameter"):
@@ -215,7 +201,7 @@ def overlay(
         if any(curve.told != "open" for curve in curves):
             panels.append(OverlayPanel(row, curves, agree.get(row.name)))
     panels.sort(key=lambda panel: not panel.row.gauge_free)
-    left_out = {run: found.missing for run, found in draws.items() if found.missing}
+    left_out = {run: one.missing for run, one in draws.items() if one.missing}
     if sum(not one.missing for one in draws.values()) < 2:
         without = []
     return Overlay(tuple(panels), left_out, tuple(without))
@@ -354,13 +340,8 @@ def _handles(panels: Sequence[OverlayPanel]) -> list[Artist]:
     return [handle for k in range(_ACROSS) for handle in handles[k::_ACROSS]]
 
 
-@lru_cache(1)  # drawn, captioned and worded one after another
-def _of(compared: ComparedRuns) -> Overlay:
-    return overlay(compared.found, compared.runs, compared.draws, compared.pooled)
-
-
 def _draw(compared: ComparedRuns) -> Figure | None:
-    shown = _of(compared)
+    shown = overlay(compared)
     return overlay_figure(shown) if shown.panels else None
 
 
@@ -407,6 +388,6 @@ FIGURE = ComparisonFigure(
     title="Posteriors of the runs, overlaid",
     section="together",
     draw=_draw,
-    caption=lambda compared: overlay_caption(_of(compared)),
-    alternative=lambda compared: overlay_words(_of(compared)),
+    caption=lambda compared: overlay_caption(overlay(compared)),
+    alternative=lambda compared: overlay_words(overlay(compared)),
 )
