@@ -49,8 +49,7 @@ def compare(
 
     # these bring ArviZ and Matplotlib along, which the table alone does without
     from bayesfric.report.comparison.between_runs import between_runs, between_runs_csv
-    from bayesfric.report.figures.forest import forest_figure
-    from bayesfric.report.figures.overlay import overlay, overlay_figure
+    from bayesfric.report.figures.registry import ComparedRuns, comparison_figures
     from bayesfric.report.figures.run_draws import read_draws
     from bayesfric.report.figures.style import save
     from bayesfric.report.page.compare_page import compare_page, shared_recordings
@@ -59,7 +58,6 @@ def compare(
 
     check_free(output, force=None)
     found = comparison(summaries, estimates=estimates)
-    figure = forest_figure(found)
     checked = {name: Summary.read(summary, name) for name, summary in summaries.items()}
     provenance = {name: read_provenance(run) for name, run in zip(summaries, runs, strict=True)}
     # one recording seen by two runs would count twice
@@ -71,7 +69,9 @@ def compare(
         for name, run in zip(summaries, runs, strict=True)
         if len(runs) > 1
     }
-    overlaid = overlay(found, checked, draws, pooled) if draws else None
+    compared = ComparedRuns(found, checked, draws, pooled)
+    # what cannot be drawn is told before anything is written
+    drawn = {stem: one.draw(compared) for stem, one in comparison_figures().items()}
     with made_beside(output) as beside:
         (beside / "comparison.csv").write_text(comparison_csv(found), encoding="utf-8")
         (beside / "comparison.md").write_text(comparison_markdown(found), encoding="utf-8")
@@ -81,12 +81,12 @@ def compare(
             encoding="utf-8",
         )
         (beside / "figures").mkdir()
-        save(figure, beside / "figures", "forest")
-        if overlaid and overlaid.panels:
-            save(overlay_figure(overlaid), beside / "figures", "overlay")
+        for stem, figure in drawn.items():
+            if figure is not None:
+                save(figure, beside / "figures", stem)
         if len(checked) > 1:
             (beside / "between-runs.csv").write_text(between_runs_csv(pooled), encoding="utf-8")
-        page = compare_page(beside, found, checked, pooled, provenance, overlaid)
+        page = compare_page(beside, compared, provenance)
         (beside / "report.html").write_text(page, encoding="utf-8")
     return found
 

@@ -6,14 +6,12 @@ import json
 import os
 import platform
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import bayesfric
@@ -21,19 +19,8 @@ from bayesfric.errors import BadInput
 from bayesfric.inference.archive import as_chains, write_archive
 from bayesfric.inference.fit import Fit
 from bayesfric.recordings.recording import Recording
-from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.figures.captions import captions
-from bayesfric.report.figures.corner import corner_figure
-from bayesfric.report.figures.efficiency import efficiency_figure
 from bayesfric.report.figures.files import two_at_once
-from bayesfric.report.figures.forest import forest_figure
-from bayesfric.report.figures.friction import friction_figure
-from bayesfric.report.figures.prediction import prediction_figure
-from bayesfric.report.figures.prior_posterior import prior_posterior_figure
-from bayesfric.report.figures.residual import residual_figure
-from bayesfric.report.figures.ridge import ridge_figure
-from bayesfric.report.figures.trace import trace_figure
-from bayesfric.report.figures.validation import validation_figure
+from bayesfric.report.figures.registry import FinishedRun, captions, run_figures
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.methods_text import methods_text
 from bayesfric.report.paper.summary_texts import summary_texts
@@ -43,26 +30,7 @@ from bayesfric.report.summary.record import PosteriorRow, Readable, Summary
 # Draws kept of the groups that hold a number for every draw and every output.
 _POINTWISE_DRAWS = 400
 
-# From a fit and its summary. What there is nothing to show of is None, and left out.
-Draw = Callable[[Fit, Mapping[str, Any]], Figure | None]
-
-
-def _of_fit(draw: Callable[[Fit], Figure | None]) -> Draw:
-    """Leave the summary aside."""
-    return lambda fit, _: draw(fit)
-
-
-FIGURES: dict[str, Draw] = {
-    "corner": corner_figure,
-    "prediction": _of_fit(prediction_figure),
-    "ridge": _of_fit(ridge_figure),
-    "trace": _of_fit(trace_figure),
-    "friction": _of_fit(friction_figure),
-    "efficiency": efficiency_figure,
-    "prior_posterior": prior_posterior_figure,
-    "residual": _of_fit(residual_figure),
-    "validation": validation_figure,
-}
+FIGURES = run_figures()
 
 
 def check_free(folder: Path, *, force: bool | None) -> None:
@@ -183,21 +151,20 @@ def write_run(
         )
         figures = beside / "figures"
         figures.mkdir()
-        drawn = []
+        run, drawn = FinishedRun(fit, as_json), []
         with two_at_once(figures) as save:
-            # the largest first, and the draws while the second process saves it
-            save(forest_figure(comparison({folder.name: summary})), "methods")
-            write_posterior(beside / "posterior.nc", fit, summary, config_text, recordings)
-            for stem, draw in FIGURES.items():
-                if (figure := draw(fit, as_json)) is not None:
+            for stem, one in FIGURES.items():
+                if (figure := one.draw(run)) is not None:
                     save(figure, stem)
-                    drawn.append(stem)
+                    drawn.append(one)
+            # while the second process saves
+            write_posterior(beside / "posterior.nc", fit, summary, config_text, recordings)
         said = methods_text(fit, summary)
         texts = summary_texts(summary, folder.name) | {
             "text/methods.txt": said.plain,
             "text/methods.tex": said.latex,
             "text/references.bib": said.bibtex,
-            "text/captions.md": captions(fit, [*drawn, "methods"]),
+            "text/captions.md": captions(run, drawn),
         }
         for name, text in texts.items():
             (beside / name).parent.mkdir(exist_ok=True)

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from experiments import experiments
+from profile_figure import profile_figure
 
 from bayesfric.commands.estimate import estimates
 from bayesfric.commands.identify import identification
@@ -24,7 +25,6 @@ from bayesfric.inference.fit import Fit, fit
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
-from bayesfric.report.figures.profile import profile_figure
 from bayesfric.report.figures.ridge import ridge, ridge_figure
 from bayesfric.report.figures.style import save
 from bayesfric.report.summary.summary import summarise

@@ -167,5 +167,4 @@ def below_a_file(folder: Path):
 def without_figures(patch):
     """Write runs without drawing: that takes longer than small samplings."""
     patch.setattr(run_directory, "FIGURES", {})
-    patch.setattr(run_directory, "forest_figure", lambda _: None)
     patch.setattr(run_directory, "two_at_once", lambda _: nullcontext(lambda *_: None))

@@ -22,7 +22,7 @@ def main():
 
     Target.__call__ = slow
     run_directory.FIGURES = {}
-    run_directory.forest_figure = run_directory.save = lambda *_: None
+    run_directory.save = lambda *_: None
     cli.main()
 
 

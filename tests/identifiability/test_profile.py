@@ -1,5 +1,6 @@
 """Profile likelihoods, exact where the model is linear or the ridge is."""
 
+import importlib.util
 from dataclasses import replace
 
 import numpy as np
@@ -12,8 +13,18 @@ from bayesfric.inference.fit import fit, make_target, read_priors
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
-from bayesfric.report.figures.profile import profile_figure
 from bayesfric.report.figures.style import PAGE, save
+from tests.conftest import REPOSITORY
+
+
+def study_figure():
+    """Import the figure from beside its study."""
+    path = REPOSITORY / "studies" / "scaling" / "profile_figure.py"
+    spec = importlib.util.spec_from_file_location("profile_figure", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.profile_figure
+
 
 AXIS, KNEE = PRESETS["motor-axis"], PRESETS["rabbit-knee"]
 
@@ -185,7 +196,7 @@ def test_of_a_fit_what_is_fixed_stays_and_grids_span_the_posterior(sampled):
 def test_figure(sampled, tmp_path):
     found = profiles(sampled, points=5)
     held = [replace(p, on_bound=(("motor.coulomb",), (), (), (), ())) for p in found]
-    figure = profile_figure(sampled, held)
+    figure = study_figure()(sampled, held)
     assert figure.get_figwidth() == PAGE
     assert [ax.get_gid() for ax in figure.axes] == [p.name for p in found]
     for ax, p in zip(figure.axes, held, strict=True):

@@ -1,6 +1,7 @@
 """Made-up fits: the truth with a little spread around it, no sampling."""
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -123,8 +124,9 @@ def written_run(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         # one of bands, one of many panels, one with pixels in it
         some = ("prediction", "prior_posterior", "ridge")
-        patch.setattr(run_directory, "FIGURES", {s: run_directory.FIGURES[s] for s in some})
-        patch.setattr(run_directory, "forest_figure", lambda _: Figure(figsize=(3.0, 1.0)))
+        drawn = {s: run_directory.FIGURES[s] for s in some}
+        small = replace(run_directory.FIGURES["methods"], draw=lambda _: Figure(figsize=(3.0, 1.0)))
+        patch.setattr(run_directory, "FIGURES", {"methods": small} | drawn)
         config = '[simulation]\nnote = "</script><b>"\n'
         summary = summarise(fit).as_dict() | {"may_be_simulated": True}
         run_directory.write_run(folder, fit, summary, config, [])

@@ -15,16 +15,26 @@ from bayesfric.commands.compare import compare
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.comparison.between_runs import between_runs
 from bayesfric.report.comparison.comparison import comparison
+from bayesfric.report.figures import overlay as module
 from bayesfric.report.figures import style
-from bayesfric.report.figures.overlay import density, overlay, overlay_figure
+from bayesfric.report.figures.overlay import (
+    density,
+    overlay_caption,
+    overlay_figure,
+    overlay_words,
+)
+from bayesfric.report.figures.registry import ComparedRuns
 from bayesfric.report.figures.run_draws import RunDraws, read_draws
 from bayesfric.report.figures.style import PAGE, run_style, save
-from bayesfric.report.page.figure_words import overlay_words
 from bayesfric.report.summary.record import Summary
 
 from .made_summaries import LEG, knee, loaded, posterior_row
 from .page_reader import read_page
 from .test_figures import drawn_ticks, shown_texts
+
+
+def overlay(*compared):
+    return module.overlay(ComparedRuns(*compared))
 
 
 def integral(x, height):
@@ -237,8 +247,7 @@ def test_a_run_without_draws_is_named_and_not_drawn():
     assert all(curve.run != "third" for panel in shown.panels for curve in panel.curves)
     said = [text.get_text() for text in overlay_figure(shown).texts]
     assert said == ["not shown: third, which has no posterior.nc"]
-    words = overlay_words(shown)
-    assert "third, which has no posterior.nc" in words.caption
+    assert "third, which has no posterior.nc" in overlay_caption(shown)
     # one curve alone is no overlay
     draws["loaded"] = RunDraws(missing="has no posterior.nc")
     assert overlay(found, runs, draws).panels == ()
@@ -249,10 +258,8 @@ def test_words_give_no_number_of_what_is_open():
     for name in LEG:
         run["parameters"][name] |= {"mean": 0.717171, "median": 0.717171, "interval": [0.7171, 0.8]}
     words = overlay_words(overlay(*made(knee=run, loaded=loaded())))
-    assert "load.first_moment in kg m: knee not determined by the data, loaded 0.428" in (
-        words.alternative
-    )
-    assert "7171" not in words.alternative
+    assert "load.first_moment in kg m: knee not determined by the data, loaded 0.428" in words
+    assert "7171" not in words
 
 
 def test_limits_have_no_interval_in_words():
@@ -265,7 +272,7 @@ def test_limits_have_no_interval_in_words():
     shown = overlay(*made(**runs))
     (panel,) = [p for p in shown.panels if p.row.name == "motor.coulomb"]
     assert {curve.told for curve in panel.curves} == {"both"}
-    assert "motor.coulomb in N m: knee at most 0.0447" in overlay_words(shown).alternative
+    assert "motor.coulomb in N m: knee at most 0.0447" in overlay_words(shown)
 
 
 def test_nothing_is_cut_off_and_nothing_overlaps():

@@ -12,11 +12,11 @@ import time
 import pytest
 from markupsafe import Markup
 
-from bayesfric.report import run_directory
 from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.page.figure_words import STEMS_IN_WORDS, Told, figure_words, text_of
+from bayesfric.report.figures.alternative import text_of
+from bayesfric.report.figures.registry import JudgedRun, run_figures
 from bayesfric.report.page.inline_svg import inline_svg
-from bayesfric.report.page.run_page import STEMS, run_page
+from bayesfric.report.page.run_page import run_page
 from bayesfric.report.page.symbol import html_symbol
 from bayesfric.report.paper.tables import (
     parameter_table,
@@ -178,19 +178,14 @@ def test_nothing_open_stands_bare(summary, tmp_path, which, run):
                 assert (low, high) != pair, (r.name, said)
     # the words for who cannot see the figures name them as open, without a number
     methods = comparison({which: told})
-    words = Told(Summary.read(told, which), table, methods)
-    for stem in STEMS:
-        said = figure_words(stem, words, {}).alternative
+    judged = JudgedRun(Summary.read(told, which), table, methods)
+    for stem, figure in run_figures().items():
+        said = figure.words(judged)
         for r in open_:
             for match in re.finditer(rf"{re.escape(r.name)}: ([^;]*)", said):
                 if stem in ("corner", "friction", "efficiency"):
                     assert match[1].rstrip(".") == "not determined by the data"
                 assert "[" not in match[1] or "±" in match[1]
-
-
-def test_every_figure_has_words_of_its_own():
-    assert set(STEMS) == set(STEMS_IN_WORDS)
-    assert {*run_directory.FIGURES, "methods"} == set(STEMS)
 
 
 def test_first_screen_names_what_is_open(page, summary):

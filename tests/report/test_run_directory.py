@@ -4,6 +4,7 @@ import hashlib
 import json
 import platform
 import re
+from dataclasses import replace
 from importlib.metadata import version
 
 import h5py
@@ -71,6 +72,10 @@ def blank(*_):
     return Figure(figsize=(0.1, 0.1))
 
 
+def drawn_by(stem, draw):
+    return replace(run_directory.FIGURES[stem], draw=draw)
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A folder with configuration and recordings, and in it the finished run."""
@@ -84,7 +89,7 @@ def folder(tmp_path_factory):
         for stem in run_directory.FIGURES:
             # an axis has no ridge and no load, and nothing is held out: that is left out
             if stem not in ("ridge", "efficiency", "validation"):
-                patch.setitem(run_directory.FIGURES, stem, blank)
+                patch.setitem(run_directory.FIGURES, stem, drawn_by(stem, blank))
         fit(read_config(folder / "axis.toml"), folder / "run")
     return folder
 
@@ -335,7 +340,9 @@ def broken(monkeypatch):
     def fail(*_):
         raise RuntimeError("no ink")
 
-    monkeypatch.setattr(run_directory, "FIGURES", {"corner": blank, "prediction": fail})
+    both = {"corner": blank, "prediction": fail}
+    both = {stem: drawn_by(stem, draw) for stem, draw in both.items()}
+    monkeypatch.setattr(run_directory, "FIGURES", both)
 
 
 @pytest.mark.usefixtures("broken")

@@ -13,16 +13,17 @@ from matplotlib.lines import Line2D
 from bayesfric.errors import BadInput, nearest
 from bayesfric.inference.fit import Fit
 from bayesfric.report.comparison.cell import Cell, posterior_cells
+from bayesfric.report.figures.alternative import rows_in_words
 from bayesfric.report.figures.marginal import draw_marginal, marginal_handles, moves
 from bayesfric.report.figures.quantity import Quantity, combinations, not_shown, quantities
+from bayesfric.report.figures.registry import RunFigure
 from bayesfric.report.figures.style import (
     PAGE,
     POSTERIOR,
     SMALL,
     Array,
     few_ticks,
-    margins,
-    paper_style,
+    paper_figure,
 )
 from bayesfric.report.summary.summary import LEVEL
 
@@ -36,16 +37,11 @@ _BINS = 40
 # In bins: enough for closed contours from some thousand draws, too little to widen them.
 _SMOOTH = 1.2
 
-# Characters of a number there is room for beside a panel; longer ones are turned.
-_WIDEST = 6
-
-_LEFT, _RIGHT, _BOTTOM, _TOP, _BETWEEN = 0.72, 0.06, 0.66, 0.06, 0.05
-
 
 def corner_figure(
     fit: Fit, summary: Mapping[str, Any], chosen: Sequence[str] | None = None
 ) -> Figure:
-    """Draw marginal and pairwise posteriors.
+    """Draw marginal and pairwise posteriors, a page wide.
 
     On the diagonal the posterior density is a histogram with the prior density of
     parameters dashed on the same scale and the 90 % interval marked; below it contours
@@ -64,11 +60,6 @@ def corner_figure(
         open, first combinations that they determine, then what they determine of the
         parameters; else the parameters as sampled.
 
-    Returns
-    -------
-    matplotlib.figure.Figure
-        A page wide.
-
     Raises
     ------
     BadInput
@@ -83,33 +74,24 @@ def corner_figure(
     else:
         shown = _pick([*combined, *sampled], chosen)
     left_out = [q for q in sampled if q not in shown]
-    with paper_style():
-        k = len(shown)
-        panel = (PAGE - _LEFT - _RIGHT - (k - 1) * _BETWEEN) / k
-        figure = Figure(figsize=(PAGE, PAGE - _LEFT - _RIGHT + _BOTTOM + _TOP))
-        grid = figure.add_gridspec(
-            k,
-            k,
-            **margins(figure, left=_LEFT, right=_RIGHT, bottom=_BOTTOM, top=_TOP),
-            wspace=_BETWEEN / panel,
-            hspace=_BETWEEN / panel,
-        )
-        axes = {(i, j): figure.add_subplot(grid[i, j]) for i in range(k) for j in range(i + 1)}
+    k = len(shown)
+    with paper_figure(PAGE, PAGE, apart=0.02) as figure:
+        grid = figure.add_gridspec(k, k)
         draws = [q.draws / q.factor for q in shown]
-        ranges = [_range(q, x) for q, x in zip(shown, draws, strict=True)]
-        open_ = [cells[q.name].status == "undetermined" for q in shown]
-        for (i, j), ax in axes.items():
-            if i == j:
-                draw_marginal(ax, shown[i], ranges[i], cell=cells[shown[i].name], headroom=1.12)
-            else:
-                filled = not (open_[i] or open_[j])
-                _pair(ax, draws[j], draws[i], ranges[j], ranges[i], filled=filled)
-                ax.set_ylim(ranges[i])
-                few_ticks(ax.yaxis, 3, inner=True)
-            ax.set_xlim(ranges[j])
-            few_ticks(ax.xaxis, 3, inner=True)
-        _label(axes, shown, panel)
-        _legend(figure, left_out, [cells[q.name] for q in shown])
+        ranges = [q.nearly_all(0.06) for q in shown]
+        judged = [cells[q.name] for q in shown]
+        open_ = [cell.status == "undetermined" for cell in judged]
+        for i in range(k):
+            for j in range(i + 1):
+                ax = figure.add_subplot(grid[i, j])
+                if i == j:
+                    draw_marginal(ax, shown[i], ranges[i], cell=judged[i], headroom=1.12)
+                else:
+                    filled = not (open_[i] or open_[j])
+                    _pair(ax, (draws[j], draws[i]), (ranges[j], ranges[i]), filled=filled)
+                _label(ax, shown[j] if i == k - 1 else None, shown[i] if 0 == j < i else None)
+        figure.align_labels()
+        _legend(figure, left_out, judged)
     return figure
 
 
@@ -144,39 +126,21 @@ def _pick(everything: list[Quantity], chosen: Sequence[str]) -> list[Quantity]:
     return [known[name] for name in dict.fromkeys(chosen)]
 
 
-def _range(q: Quantity, x: Array) -> tuple[float, float]:
-    """Nearly all draws and a margin, but nothing beyond the prior's support."""
-    low, high = (float(v) for v in np.quantile(x, [0.001, 0.999]))
-    if not moves(x):
-        margin = 0.05 * abs(low) or 1.0
-        return low - margin, low + margin
-    margin = 0.06 * (high - low) or 0.5 * float(np.ptp(x))
-    if q.prior is None:
-        return low - margin, high + margin
-    return (
-        max(low - margin, min(q.prior.lower / q.factor, low)),
-        min(high + margin, max(q.prior.upper / q.factor, high)),
-    )
-
-
 def _pair(
     ax: Axes,
-    x: Array,
-    y: Array,
-    x_limits: tuple[float, float],
-    y_limits: tuple[float, float],
+    pair: tuple[Array, Array],
+    limits: tuple[tuple[float, float], tuple[float, float]],
     *,
     filled: bool,
 ) -> None:
     import corner  # brings ArviZ along, which takes a second or more
 
-    if moves(x) and moves(y):
+    if all(map(moves, pair)):
         corner.hist2d(
-            x,
-            y,
+            *pair,
             ax=ax,
             bins=_BINS,
-            range=[x_limits, y_limits],
+            range=list(limits),
             levels=MASSES,
             smooth=_SMOOTH,
             color=POSTERIOR,
@@ -186,48 +150,55 @@ def _pair(
             contour_kwargs={"linewidths": (0.6, 0.9)},
             quiet=True,
         )
-        return
-    # a parameter that never changes: the interval of the other one, or a point
-    ends = [
-        np.quantile(v, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2]) if moves(v) else np.repeat(v[0], 2)
-        for v in (x, y)
-    ]
-    ax.plot(*ends, color=POSTERIOR, marker=".", markersize=3.0)
+    else:
+        # a parameter that never changes: the interval of the other one, or a point
+        ends = [
+            np.quantile(v, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2]) if moves(v) else np.repeat(v[0], 2)
+            for v in pair
+        ]
+        ax.plot(*ends, color=POSTERIOR, marker=".", markersize=3.0)
+    ax.set_xlim(limits[0])
+    ax.set_ylim(limits[1])
+    few_ticks(ax.yaxis, 3, inner=True)
 
 
-def _label(axes: dict[tuple[int, int], Axes], shown: list[Quantity], panel: float) -> None:
-    """Label the outer panels, on two lines: a panel is hardly wider than a unit."""
-    k = len(shown)
-    said: dict[str, Any] = {"linespacing": 1.3, "fontsize": SMALL if k > 6 else 8.0}
-    for (i, j), ax in axes.items():
-        if i < k - 1:
-            ax.tick_params(labelbottom=False)
-        else:
-            ax.set_xlabel(shown[j].label("\n"), **said)
-            ax.xaxis.set_label_coords(0.5, -0.32 / panel)
-            ax.tick_params(axis="x", labelrotation=45)
-        if 0 < j < i:
-            ax.tick_params(labelleft=False)
-        elif j < i:
-            ax.set_ylabel(shown[i].label("\n"), **said)
-            ax.yaxis.set_label_coords(-0.40 / panel, 0.5)
-            numbers = ax.yaxis.get_major_formatter().format_ticks(
-                [float(y) for y in ax.get_yticks()]
-            )
-            if max(map(len, numbers), default=0) > _WIDEST:
-                ax.tick_params(axis="y", labelrotation=45)
+def _label(ax: Axes, below: Quantity | None, beside: Quantity | None) -> None:
+    """Label an outer panel, on two lines: a panel is hardly wider than a unit."""
+    few_ticks(ax.xaxis, 3, inner=True)
+    # upright: neighbours leave a number no room, and gaps stay equal
+    ax.tick_params(axis="x", labelrotation=90, labelbottom=below is not None)
+    ax.tick_params(axis="y", labelleft=beside is not None)
+    if below is not None:
+        ax.set_xlabel(below.label("\n"), linespacing=1.3, fontsize=SMALL)
+    if beside is not None:
+        ax.set_ylabel(beside.label("\n"), linespacing=1.3, fontsize=SMALL)
 
 
 def _legend(figure: Figure, left_out: list[Quantity], cells: Sequence[Cell]) -> None:
-    share = " and ".join(f"{100 * mass:.0f}" for mass in MASSES)
-    k, handles = len(cells), marginal_handles(cells)
-    if k > 1:
-        handles.append(
-            Line2D([], [], color=POSTERIOR, label=f"contours around {share} % of the draws")
-        )
-    # the empty upper triangle has room
-    figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.99, 0.985))
-    remark = not_shown(left_out)
-    if remark and k > 1:
+    """Explain in the empty upper triangle."""
+    handles, remark = marginal_handles(cells), not_shown(left_out)
+    if len(cells) > 1:
+        share = " and ".join(f"{100 * mass:.0f}" for mass in MASSES)
+        words = f"contours around {share} % of the draws"
+        handles.append(Line2D([], [], color=POSTERIOR, label=words))
         below = 0.985 - 0.16 * (len(handles) + 1) / PAGE
         figure.text(0.98, below, remark, ha="right", va="top", fontsize=SMALL)
+    figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.99, 0.985))
+
+
+FIGURE = RunFigure(
+    stem="corner",
+    title="Marginal and pairwise posteriors",
+    section="posterior",
+    place=1,
+    draw=lambda run: corner_figure(run.fit, run.summary),
+    caption=(
+        f"Diagonal: posterior density with {100 * LEVEL:.0f} % interval, dashed the prior of "
+        "parameters. Below: 50 % and 90 % of the draws. What the data leave open is hatched, has "
+        "no interval and is not filled in its pairs: there prior and bounds are seen. So is "
+        "everything where the sampling has not converged. A limit has one dotted end."
+    ),
+    alternative=lambda judged: rows_in_words(
+        row for row in judged.table.rows if row.group in ("free", "parameter")
+    ),
+)

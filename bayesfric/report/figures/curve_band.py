@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from bayesfric.identifiability.local import LocalInformation, local_information, verdict
 from bayesfric.inference.fit import Fit
-from bayesfric.report.figures.style import Array
+from bayesfric.report.figures.style import OPEN_HATCH, Array, Look
 from bayesfric.report.summary.summary import LEVEL
 
 Flags = NDArray[np.bool_]
@@ -21,6 +25,7 @@ Curve = Callable[[Array], Array]
 # A quantile of so many draws is known to a fortieth of the band's width.
 _DRAWS = 1000
 _PRIOR_DRAWS = 500
+_OUTSIDE: Look = {"linestyle": (0, (3.0, 2.0)), "linewidth": 0.6}
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +48,36 @@ class CurveBand:
     high: Array
     determined: Flags
     undefined_share: Array
+
+    def part(self, where: Flags, sign: float = 1.0) -> CurveBand:
+        """Take some of the places, times plus or minus one."""
+        median, low, high = (sign * x[where] for x in (self.median, self.low, self.high))
+        return CurveBand(median, low, high, self.determined[where], self.undefined_share[where])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LoadCurve:
+    """A band over, or at, loads ``(N,)``, and whether recordings were near ``(N,)``."""
+
+    load: Array
+    band: CurveBand
+    covered: Flags
+
+    @property
+    def shown(self) -> Flags:
+        """Where there is a band to see."""
+        return np.asarray(self.covered & np.isfinite(self.band.median))
+
+
+@dataclass(frozen=True)
+class CurveLook:
+    """How a curve is told from others; ``every`` point so many has a marker, as of ``start``."""
+
+    colour: str
+    marker: str
+    hatch: str = OPEN_HATCH
+    start: int = 0
+    every: int = 6
 
 
 class CurveJudge:
@@ -118,7 +153,53 @@ class CurveJudge:
         return CurveBand(middle, low, high, np.array(determined, dtype=np.bool_), undefined)
 
 
-def joined(flags: Flags, within: Flags) -> Flags:
+def draw_curve(
+    ax: Axes, x: Array, curve: LoadCurve, look: CurveLook, label: str | None = None
+) -> None:
+    """Draw median and band where recordings were, and beyond that a dashed median alone.
+
+    Where the data do not determine the curve its band is hatched.
+    """
+    band, shown = curve.band, curve.shown
+    for open_ in (False, True):
+        where = shown & (band.determined != open_)
+        if where.any():
+            area = _area(look.colour, look.hatch if open_ else None)
+            inside = _joined(where, shown).tolist()
+            gid = "open" if open_ else "band"
+            ax.fill_between(x, band.low, band.high, where=inside, gid=gid, **area)
+    ax.plot(x, band.median, color=look.colour, gid="outside", **_OUTSIDE)
+    ax.plot(
+        x,
+        np.where(_joined(shown, np.isfinite(band.median)), band.median, np.nan),
+        color=look.colour,
+        marker=look.marker,
+        markersize=2.6,
+        markevery=(look.start, look.every),
+        label=label,
+        gid="median",
+    )
+
+
+def curve_handles(curves: Sequence[LoadCurve], band: str, other: str) -> list[Artist]:
+    """List what a legend explains of curves; colours of the band and of the rest."""
+    handles: list[Artist] = []
+    if any((c.shown & c.band.determined).any() for c in curves):
+        handles.append(Patch(label=f"{100 * LEVEL:.0f} % band", **_area(band, None)))
+    if any((~c.covered & np.isfinite(c.band.median)).any() for c in curves):
+        handles.append(Line2D([], [], color=other, label="not recorded there", **_OUTSIDE))
+    if any((c.shown & ~c.band.determined).any() for c in curves):
+        handles.append(Patch(label="NOT determined by the data", **_area(other, OPEN_HATCH)))
+    return handles
+
+
+def _area(colour: str, hatch: str | None) -> Look:
+    if hatch is None:
+        return {"facecolor": colour, "edgecolor": "none", "alpha": 0.3, "linewidth": 0.0}
+    return {"facecolor": "none", "edgecolor": colour, "hatch": hatch, "linewidth": 0.4}
+
+
+def _joined(flags: Flags, within: Flags) -> Flags:
     """Grow by one neighbour, so that parts of a band meet."""
     grown = flags.copy()
     grown[1:] |= flags[:-1]

@@ -7,64 +7,78 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from bayesfric.estimates.torque import typical_load
 from bayesfric.inference.fit import Fit
 from bayesfric.mechanism.derived import derive
-from bayesfric.report.figures.curve_band import CurveBand, CurveJudge, Flags, joined
+from bayesfric.report.figures.alternative import quantity_of, rows_in_words
+from bayesfric.report.figures.curve_band import (
+    CurveJudge,
+    CurveLook,
+    Flags,
+    LoadCurve,
+    curve_handles,
+    draw_curve,
+)
 from bayesfric.report.figures.friction_curve import covered, load_reach
+from bayesfric.report.figures.registry import JudgedRun, RunFigure
 from bayesfric.report.figures.style import (
     COLUMN,
     MEASURED,
-    OPEN_HATCH,
+    OPEN_HATCH_BACK,
     PAGE,
     PALETTE,
     Array,
+    Look,
     few_ticks,
-    margins,
-    paper_style,
+    legend_above,
+    paper_figure,
 )
 from bayesfric.report.summary.summary import LEVEL
 
 _POINTS = 40
 _DRAWS = 500
 _MOST = 2
-_HEIGHT, _BOTTOM, _LEFT, _RIGHT = 2.6, 0.38, 0.48, 0.08
-# Of the legend, and of each of its lines.
-_ABOVE, _LINE = 0.10, 0.135
-_SIDES = {"drive": ("motor drives", PALETTE[1], "o"), "back": ("load drives", PALETTE[2], "s")}
+_HEIGHT = 2.6
+_WORDS = {"drive": "motor drives", "back": "load drives"}
 _SYMBOLS = {"drive": r"\eta_m", "back": r"\eta_r"}
-_OUTSIDE = (0, (3.0, 2.0))
+# hatched the other way round for the other direction of power
+_LOOKS = {
+    "drive": CurveLook(PALETTE[1], "o"),
+    "back": CurveLook(PALETTE[2], "s", hatch=OPEN_HATCH_BACK),
+}
+_REFERENCE: Look = {
+    "color": MEASURED, "markersize": 4.0, "markerfacecolor": "white", "linestyle": "none"
+}  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class EfficiencyCurve:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class EfficiencyCurve(LoadCurve):
     """Efficiency of one element in one direction of power.
 
     Attributes
     ----------
-    name
-        Of the derived quantity, such as ``gearbox.efficiency_drive``.
+    element
+        Its name.
     side
         ``drive`` or ``back``.
-    load
-        ``(N,)`` torque of the load at the joint, N m or N.
-    band
-        Of the efficiency; without a value where half of the draws call the transmission
-        irreversible.
-    covered
-        ``(N,)`` whether recordings had such loads in this direction of power.
+    load, band, covered
+        Torque of the load at the joint, N m or N; the band is without a value where half of
+        the draws call the transmission irreversible; whether recordings had such loads in
+        this direction of power.
     """
 
-    name: str
+    element: str
     side: str
-    load: Array
-    band: CurveBand
-    covered: Flags
+
+    @property
+    def name(self) -> str:
+        """Of the derived quantity, such as ``gearbox.efficiency_drive``."""
+        return f"{self.element}.efficiency_{self.side}"
 
 
 def efficiency_curves(fit: Fit) -> tuple[EfficiencyCurve, ...]:
@@ -74,11 +88,6 @@ def efficiency_curves(fit: Fit) -> tuple[EfficiencyCurve, ...]:
     and behind the element count, viscous ones do not. Unlike friction at the motor it is
     of the load at the joint, which scaling leg and alpha together does change: where that
     scale is open, so are efficiencies.
-
-    Parameters
-    ----------
-    fit
-        A finished fit.
 
     Returns
     -------
@@ -96,23 +105,17 @@ def efficiency_curves(fit: Fit) -> tuple[EfficiencyCurve, ...]:
     if not top > 0.0:
         return ()
     load = np.linspace(top / _POINTS, top, _POINTS)
-    found = []
-    for name in elements:
-        for side, sign in (("drive", 1.0), ("back", -1.0)):
-            quantity = f"{name}.efficiency_{side}"
 
-            def curve(values: Array, quantity: str = quantity) -> Array:
-                at = [
-                    next(q.values for q in derive(chain, values, float(x)) if q.name == quantity)
-                    for x in load
-                ]
-                return np.stack(at, axis=1)
+    def of(element: str, side: str, sign: float) -> EfficiencyCurve:
+        def curve(values: Array) -> Array:
+            derived = ({q.name: q.values for q in derive(chain, values, float(x))} for x in load)
+            return np.stack([known[f"{element}.efficiency_{side}"] for known in derived], axis=1)
 
-            band = judge.band(curve, gauge_free=False, draws=_DRAWS)
-            found.append(
-                EfficiencyCurve(quantity, side, load, band, _near(load, np.sort(sign * joint)))
-            )
-    return tuple(found)
+        band = judge.band(curve, gauge_free=False, draws=_DRAWS)
+        near = _near(load, np.sort(sign * joint))
+        return EfficiencyCurve(element=element, side=side, load=load, band=band, covered=near)
+
+    return tuple(of(one, *side) for one in elements for side in (("drive", 1.0), ("back", -1.0)))
 
 
 def _near(load: Array, seen: Array) -> Flags:
@@ -129,155 +132,97 @@ def efficiency_figure(fit: Fit, summary: Mapping[str, Any]) -> Figure | None:
     determine it, the band is hatched; where no recording had such a load, there is only
     a dashed median. A reference stands at the load the summary states efficiencies for.
 
-    Parameters
-    ----------
-    fit
-        A finished fit.
-    summary
-        From :func:`bayesfric.report.summary.summary.summarise`, for its references.
-
     Returns
     -------
     matplotlib.figure.Figure or None
         A column wide, or a page for two elements; ``None`` where no element has a load
         loss, or nothing loads it.
     """
-    curves = efficiency_curves(fit)
+    curves = efficiency_curves(fit)[: 2 * _MOST]
     if not curves:
         return None
-    panels = [curves[i : i + 2] for i in range(0, len(curves), 2)][:_MOST]
+    panels = [curves[i : i + 2] for i in range(0, len(curves), 2)]
     width = COLUMN if len(panels) == 1 else PAGE
     median = fit.target.chain_values(fit.posterior.median[None])[0]
     stated = typical_load(fit.chain, fit.observations, median)
     references = summary.get("references", {})
-    with paper_style():
-        handles = _handles(curves) + _reference_handles(panels, references)
-        columns = 2 if width == COLUMN else len(handles)
-        above = _ABOVE + _LINE * -(-len(handles) // columns)
-        figure = Figure(figsize=(width, _HEIGHT))
-        axes = figure.subplots(
-            1,
-            len(panels),
-            squeeze=False,
-            gridspec_kw={
-                **margins(figure, left=_LEFT, right=_RIGHT, bottom=_BOTTOM, top=above),
-                "wspace": 0.18,
-            },
-        )[0]
+    with paper_figure(width, _HEIGHT) as figure:
+        axes = figure.subplots(1, len(panels), squeeze=False)[0]
         for ax, panel in zip(axes, panels, strict=True):
             _panel(ax, fit, panel, several=len(panels) > 1)
-            _references(ax, panel, references, stated)
-        figure.legend(
-            handles=handles,
-            loc="upper left",
-            ncols=columns,
-            bbox_to_anchor=(0.04 / width, 1.0),
-            borderaxespad=0.2,
-            borderpad=0.2,
-            columnspacing=1.2,
-            handlelength=1.8,
-            labelspacing=0.25,
-        )
+            for curve in panel:
+                if (given := references.get(curve.name)) is not None:
+                    _reference(ax, curve, given, stated)
+        legend_above(figure, _handles(curves, references), 2 if width == COLUMN else None)
     return figure
 
 
-def _panel(ax: Axes, fit: Fit, panel: tuple[EfficiencyCurve, ...], *, several: bool) -> None:
+def _panel(ax: Axes, fit: Fit, panel: Sequence[EfficiencyCurve], *, several: bool) -> None:
     for curve in panel:
-        _, colour, mark = _SIDES[curve.side]
-        b = curve.band
-        present = np.isfinite(b.median)
-        for open_ in (False, True):
-            where = present & curve.covered & (b.determined != open_)
-            if where.any():
-                ax.fill_between(
-                    curve.load,
-                    b.low,
-                    b.high,
-                    where=joined(where, present & curve.covered).tolist(),
-                    facecolor="none" if open_ else colour,
-                    edgecolor=colour if open_ else "none",
-                    alpha=1.0 if open_ else 0.3,
-                    # the other way round for the other direction of power
-                    hatch=(OPEN_HATCH if curve.side == "drive" else OPEN_HATCH.replace("/", "\\"))
-                    if open_
-                    else None,
-                    linewidth=0.4 if open_ else 0.0,
-                    gid="open" if open_ else "band",
-                )
-        outside: dict[str, Any] = {"linestyle": _OUTSIDE, "linewidth": 0.6}
-        ax.plot(curve.load, b.median, color=colour, gid="outside", **outside)
-        ax.plot(
-            curve.load,
-            np.where(curve.covered, b.median, np.nan),
-            color=colour,
-            marker=mark,
-            markersize=2.6,
-            markevery=6,
-            gid="median",
-        )
-    unit = "N m" if fit.chain.load.motion == "rotary" else "N"
-    kind = "torque" if fit.chain.load.motion == "rotary" else "force"
+        draw_curve(ax, curve.load, curve, _LOOKS[curve.side])
+    kind, unit = ("torque", "N m") if fit.chain.load.motion == "rotary" else ("force", "N")
     ax.set_xlabel(rf"load {kind} at the joint $|\Gamma|$ ({unit})")
-    element = panel[0].name.rpartition(".")[0]
-    ax.set_ylabel(f"efficiency of {element} (–)" if several else "efficiency (–)")
+    ax.set_ylabel(f"efficiency of {panel[0].element} (–)" if several else "efficiency (–)")
     ax.set_xlim(0.0, float(panel[0].load[-1]))
     ax.set_ylim(0.0, 1.0)
     few_ticks(ax.xaxis, 6)
     few_ticks(ax.yaxis, 6)
 
 
-def _marked(side: str) -> dict[str, Any]:
-    """Look of a reference."""
-    look = {"color": MEASURED, "markersize": 4.0, "markerfacecolor": "white"}
-    return look | {"marker": _SIDES[side][2], "linestyle": "none"}
+def _reference(ax: Axes, curve: EfficiencyCurve, given: Mapping[str, Any], stated: float) -> None:
+    ax.errorbar(
+        [stated],
+        [given["value"]],
+        yerr=[given["sd"]] if given.get("sd") else None,
+        capsize=2.0,
+        elinewidth=0.8,
+        zorder=3.0,
+        gid="reference",
+        marker=_LOOKS[curve.side].marker,
+        **_REFERENCE,
+    )
 
 
-def _references(
-    ax: Axes, panel: tuple[EfficiencyCurve, ...], references: Mapping[str, Any], stated: float
-) -> None:
-    for curve in panel:
-        if (given := references.get(curve.name)) is not None:
-            ax.errorbar(
-                [stated],
-                [given["value"]],
-                yerr=[given["sd"]] if given.get("sd") else None,
-                capsize=2.0,
-                elinewidth=0.8,
-                zorder=3.0,
-                gid="reference",
-                **_marked(curve.side),
-            )
-
-
-def _reference_handles(
-    panels: Sequence[Sequence[EfficiencyCurve]], references: Mapping[str, Any]
-) -> list[Line2D | Patch]:
-    said = {
-        (given["source"], curve.side): None
-        for panel in panels
-        for curve in panel
-        if (given := references.get(curve.name)) is not None
+def _handles(curves: Sequence[EfficiencyCurve], references: Mapping[str, Any]) -> list[Artist]:
+    lines: list[Artist] = []
+    for side, look in _LOOKS.items():
+        said = rf"{_WORDS[side]}, ${_SYMBOLS[side]}$"
+        mark: Look = {"marker": look.marker, "markersize": 2.6}
+        lines.append(Line2D([], [], color=look.colour, label=said, **mark))
+    given = {
+        (references[c.name]["source"], c.side): None
+        for c in curves
+        if references.get(c.name) is not None
     }
-    return [
-        Line2D([], [], label=f"{source}, {_SIDES[side][0]}".replace("$", r"\$"), **_marked(side))
-        for source, side in said
+    marks = [
+        Line2D(
+            [],
+            [],
+            label=f"{source}, {_WORDS[side]}".replace("$", r"\$"),
+            marker=_LOOKS[side].marker,
+            **_REFERENCE,
+        )
+        for source, side in given
     ]
+    return [*lines, *curve_handles(curves, PALETTE[1], MEASURED), *marks]
 
 
-def _handles(curves: Sequence[EfficiencyCurve]) -> list[Line2D | Patch]:
-    handles: list[Line2D | Patch] = []
-    for side, (words, colour, mark) in _SIDES.items():
-        look: dict[str, Any] = {"color": colour, "marker": mark, "markersize": 2.6}
-        handles.append(Line2D([], [], label=rf"{words}, ${_SYMBOLS[side]}$", **look))
-    shown = [c.covered & np.isfinite(c.band.median) for c in curves]
-    if any((seen & c.band.determined).any() for seen, c in zip(shown, curves, strict=True)):
-        words = f"{100 * LEVEL:.0f} % band"
-        handles.append(Patch(facecolor=PALETTE[1], alpha=0.3, label=words))
-    if any((seen & ~c.band.determined).any() for seen, c in zip(shown, curves, strict=True)):
-        look = {"facecolor": "none", "edgecolor": MEASURED, "linewidth": 0.0}
-        words = "NOT determined by the data"
-        handles.append(Patch(hatch=OPEN_HATCH, label=words, **look))
-    if any((~c.covered & np.isfinite(c.band.median)).any() for c in curves):
-        look = {"color": MEASURED, "linestyle": _OUTSIDE, "linewidth": 0.6}
-        handles.append(Line2D([], [], label="not recorded there", **look))
-    return handles
+def _words(judged: JudgedRun) -> str:
+    quantities = {f"{what}_{side}" for what in ("efficiency", "alpha") for side in _LOOKS}
+    rows = [row for row in judged.table.rows if quantity_of(row) in quantities]
+    return rows_in_words(rows) if rows else "See the table of derived quantities."
+
+
+FIGURE = RunFigure(
+    stem="efficiency",
+    title="Efficiency against load",
+    section="efficiency",
+    draw=lambda run: efficiency_figure(run.fit, run.summary),
+    caption=(
+        f"Efficiency of eq. (4) over the load at the joint: posterior median and "
+        f"{100 * LEVEL:.0f} % band, constant losses in and behind the element counted, viscous "
+        "ones not. Dashed where no recording had such loads, hatched where the data do not "
+        "determine it."
+    ),
+    alternative=_words,
+)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -13,36 +12,46 @@ from matplotlib.lines import Line2D
 
 from bayesfric.errors import BadInput
 from bayesfric.report.comparison.cell import Cell
-from bayesfric.report.comparison.comparison import REFERENCE, Column, Comparison, Row
+from bayesfric.report.comparison.comparison import (
+    REFERENCE,
+    Column,
+    Comparison,
+    Row,
+    comparison,
+)
+from bayesfric.report.figures.registry import ComparisonFigure, RunFigure
 from bayesfric.report.figures.style import (
     COLUMN,
+    DOTTED,
     MEASURED,
     PAGE,
     PALETTE,
     SMALL,
+    WORDS,
+    Look,
+    axis_label,
     few_ticks,
-    mathtext,
-    paper_style,
+    paper_figure,
     power_of_ten,
+    remark_below,
     run_style,
-    scaled_unit,
     shortened,
 )
+from bayesfric.report.summary.summary import LEVEL
 
 # Half width of a 90 % interval of a normal distribution, in standard deviations.
 _HALF = 1.645
-LEVEL = 0.9
 # Up to so many panels stand below each other in one column of a paper.
 _FEW = 4
 _ACROSS = 3
 _HIGHEST = 9.0
-
-# Inches: between lines, for the axis below a panel, a line of legend, and about panels.
-_LINE, _AXIS, _LEGEND, _RIGHT, _BETWEEN = 0.155, 0.40, 0.135, 0.08, 0.14
+# Inches: between lines, for the axis below a panel, a line of the legend, a letter of a name.
+_LINE, _AXIS, _LEGEND, _LETTER = 0.155, 0.40, 0.135, 0.054
 _MARGIN = 0.65  # lines above the first and below the last
-_LETTER = 0.054  # inches a letter of row names takes
-_WORDS = 6.0  # points, of words inside panels
 _REFERENCE = PALETTE[2]
+_THICK: Look = {"linewidth": 2.2, "alpha": 0.55, "solid_capstyle": "butt"}
+_THIN: Look = {"linewidth": 0.7, "marker": "|", "markersize": 4.5, "markeredgewidth": 0.7}
+_SPAN: Look = {"linewidth": 0.9, "linestyle": DOTTED}
 
 # Estimates in greys, posteriors in colours; shapes tell them apart once more.
 _ESTIMATES = {
@@ -62,6 +71,17 @@ class _Line:
     marker: str
     colour: str
 
+    def mark(self, *, filled: bool = True) -> Look:
+        """Give the look of a value."""
+        return {
+            "marker": self.marker,
+            "markersize": 3.6 if self.marker in "sD" else 4.4,
+            "markeredgewidth": 0.7,
+            "color": self.colour,
+            "markerfacecolor": self.colour if filled else "white",
+            "linestyle": "none",
+        }
+
 
 def forest_figure(found: Comparison) -> Figure:
     """Draw a comparison.
@@ -71,11 +91,6 @@ def forest_figure(found: Comparison) -> Figure:
     with caps take them for uncorrelated. What is not determined has an open marker
     and those words, never a bar; dots span the values that fit as well. A reference
     is a vertical line.
-
-    Parameters
-    ----------
-    found
-        From :func:`bayesfric.report.comparison.comparison.comparison`.
 
     Returns
     -------
@@ -90,45 +105,32 @@ def forest_figure(found: Comparison) -> Figure:
     """
     rows = _drawable(found)
     columns = [column for column in found.columns if column.kind != "reference"]
-    lines = _styled(columns)
-    few = len(rows) <= _FEW
-    width, across = (COLUMN, 1) if few else (PAGE, _ACROSS)
-    rooms = _rooms(rows, across, len(lines))
-    top = _LEGEND * (2 if few else 1) + 0.08
-    while len(rooms) > 1 and top + sum(rooms) + len(rooms) * _AXIS > _HIGHEST:
+    width, across = (COLUMN, 1) if len(rows) <= _FEW else (PAGE, _ACROSS)
+    rooms = _rooms(rows, across, len(columns))
+    spare = _LEGEND * (3 if across == 1 else 2)
+    while len(rooms) > 1 and spare + sum(rooms) + len(rooms) * _AXIS > _HIGHEST:
         rooms.pop()
     shown = rows[: across * len(rooms)]
-    height = top + sum(rooms) + len(rooms) * _AXIS + (_LEGEND if len(rows) > len(shown) else 0.0)
-    names = _names(columns)
-    left = min(0.16 + _LETTER * max(map(len, names)), 0.4 * width)
-    each = (width - left - _RIGHT - (across - 1) * _BETWEEN) / across
-    with paper_style():
-        figure = Figure(figsize=(width, height))
+    left_out = len(rows) - len(shown)
+    most = int((0.4 * width - 0.26) / _LETTER)
+    names = [shortened(name, most) for name in _names(columns)]
+    each = (width - _LETTER * max(map(len, names)) - 0.2) / across - 0.05
+    with paper_figure(width, spare + sum(rooms) + len(rooms) * _AXIS) as figure:
+        grid = figure.add_gridspec(len(rooms), across, height_ratios=rooms)
         for k, row in enumerate(shown):
-            i, j = divmod(k, across)
-            x = left + j * (each + _BETWEEN)
-            y = height - top - sum(rooms[: i + 1]) - i * _AXIS
-            ax = figure.add_axes((x / width, y / height, each / width, rooms[i] / height))
-            ax.set_ylim(-_MARGIN, rooms[i] / _LINE - _MARGIN)
+            ax = figure.add_subplot(grid[divmod(k, across)])
+            ax.set_ylim(-_MARGIN, rooms[k // across] / _LINE - _MARGIN)
             ax.set_gid(row.name)
-            _panel(ax, row, lines, (each, rooms[i]))
+            lines = _styled(columns)
+            _panel(ax, row, lines, each)
             # a tick costs time to draw, also where it has neither length nor label
             ax.set_yticks([])
-            if j == 0:
-                ax.set_yticks(
-                    [line.y for line in lines], [_shortened(name, left) for name in names]
-                )
+            if k % across == 0:
+                ax.set_yticks([line.y for line in lines], names)
                 ax.tick_params(axis="y", length=0.0)
         _legend(figure, shown, columns)
-        if len(rows) > len(shown):
-            figure.text(
-                1.0 - _RIGHT / width,
-                0.03 / height,
-                f"{len(rows) - len(shown)} more quantities are in the table only",
-                ha="right",
-                va="bottom",
-                fontsize=SMALL,
-            )
+        if left_out:
+            remark_below(figure, f"{left_out} more quantities are in the table only")
     return figure
 
 
@@ -175,7 +177,7 @@ def _drawable(found: Comparison) -> list[Row]:
     )
 
 
-def _panel(ax: Axes, row: Row, lines: list[_Line], inches: tuple[float, float]) -> None:
+def _panel(ax: Axes, row: Row, lines: list[_Line], inches: float) -> None:
     low, high = _range(row)
     exponent = power_of_ten(low, high)
     factor = 10.0**exponent
@@ -185,100 +187,67 @@ def _panel(ax: Axes, row: Row, lines: list[_Line], inches: tuple[float, float]) 
         if cell is None:
             continue
         if cell.status == "undetermined":
-            _open(ax, line, cell, factor)
+            _open(ax, line, cell, factor, inches)
         elif cell.status == "limit":
             _limit(ax, line, cell, factor)
         else:
-            _bars(ax, line, cell, factor)
-            ax.plot(cell.value / factor, line.y, gid="value", zorder=4, **_mark(line))
+            for ends, kind, look in _bars(cell):
+                _between(ax, line, ends, factor, kind, look)
+            ax.plot(cell.value / factor, line.y, gid="value", zorder=4, **line.mark())
             if cell.status != "determined":
                 _words(ax, cell.value / factor, line.y, cell.remark)
     if REFERENCE in row.cells:
-        _reference(ax, row.cells[REFERENCE], factor)
-    few_ticks(ax.xaxis, max(3, int(inches[0] / 0.4)), inner=True)
-    name = mathtext(row.symbol, row.name) if row.symbol else row.name
+        _reference(ax, row.cells[REFERENCE], factor, inches)
+    few_ticks(ax.xaxis, max(3, int(inches / 0.4)), inner=True)
+    label = axis_label(row.symbol, row.name, exponent, row.unit)
     # names are longer than symbols
-    long = not row.symbol and _LETTER * (len(name) + len(row.unit) + 6) > inches[0]
-    ax.set_xlabel(
-        f"{name} ({scaled_unit(exponent, row.unit)})",
-        fontsize=_WORDS if long else SMALL + 1.0,
-        va="baseline",
-    )
-    ax.xaxis.set_label_coords(0.5, -0.28 / inches[1])
+    long = not row.symbol and _LETTER * len(label) > inches
+    ax.set_xlabel(label, fontsize=WORDS if long else SMALL + 1.0)
 
 
-def _mark(line: _Line, *, filled: bool = True) -> dict[str, Any]:
-    return {
-        "marker": line.marker,
-        "markersize": 3.6 if line.marker in "sD" else 4.4,
-        "markeredgewidth": 0.7,
-        "color": line.colour,
-        "markerfacecolor": line.colour if filled else "white",
-        "linestyle": "none",
-    }
+def _between(
+    ax: Axes, line: _Line, ends: tuple[float, float], factor: float, kind: str, look: Look
+) -> None:
+    x = [end / factor for end in ends]
+    ax.plot(x, [line.y] * 2, color=line.colour, gid=kind, **look)
 
 
-def _ends(cell: Cell) -> tuple[float, float] | None:
-    """Give the ends of the 90 % interval."""
+def _around(cell: Cell, sd: float) -> tuple[float, float]:
+    return cell.value - _HALF * sd, cell.value + _HALF * sd
+
+
+def _bars(cell: Cell) -> list[tuple[tuple[float, float], str, Look]]:
+    """List the 90 % intervals of what is determined, with kind and look."""
     if cell.interval is not None and cell.level == LEVEL:
-        return cell.interval
-    if cell.sd is None:
-        return None
-    return cell.value - _HALF * cell.sd, cell.value + _HALF * cell.sd
-
-
-def _bars(ax: Axes, line: _Line, cell: Cell, factor: float) -> None:
-    ends = _ends(cell)
-    if cell.status != "determined" or ends is None:
-        return
-    if cell.accounts:
-        ax.plot(
-            [end / factor for end in ends],
-            [line.y] * 2,
-            color=line.colour,
-            linewidth=2.2,
-            solid_capstyle="butt",
-            alpha=0.55,
-            gid="thick",
-        )
+        ends = cell.interval
+    elif cell.sd is not None:
+        ends = _around(cell, cell.sd)
+    else:
+        return []
+    if cell.status != "determined":
+        return []
+    bars = [(ends, "thick", _THICK)] if cell.accounts else []
     if cell.sd_plain is not None:
-        if cell.accounts:
-            ends = cell.value - _HALF * cell.sd_plain, cell.value + _HALF * cell.sd_plain
-        ax.plot(
-            [end / factor for end in ends],
-            [line.y] * 2,
-            color=line.colour,
-            linewidth=0.7,
-            marker="|",
-            markersize=4.5,
-            markeredgewidth=0.7,
-            zorder=3,
-            gid="thin",
-        )
+        plain = _around(cell, cell.sd_plain) if cell.accounts else ends
+        bars.append((plain, "thin", _THIN))
+    return bars
 
 
-def _open(ax: Axes, line: _Line, cell: Cell, factor: float) -> None:
-    if cell.span is not None:
-        ax.plot(
-            [end / factor for end in cell.span],
-            [line.y] * 2,
-            color=line.colour,
-            linewidth=0.9,
-            linestyle=(0, (1.0, 1.6)),
-            gid="span",
-        )
+def _open(ax: Axes, line: _Line, cell: Cell, factor: float, inches: float) -> None:
     low, high = ax.get_xlim()
     at = cell.value / factor
     # where nothing else is known, the number may lie anywhere
-    if low <= at <= high:
-        ax.plot(at, line.y, gid="open", zorder=4, **_mark(line, filled=False))
+    inside = low <= at <= high
+    if inside:
+        ax.plot(at, line.y, gid="open", zorder=4, **line.mark(filled=False))
     words = "not determined" if cell.converged else "not converged"
     if cell.span is None:
-        _words(ax, at if low <= at <= high else None, line.y, words)
+        _words(ax, at if inside else None, line.y, words)
         return
+    _between(ax, line, cell.span, factor, "span", _SPAN)
     # behind the dots if there is room, else where they are longer: their ends must be seen
     start, end = (x / factor for x in cell.span)
-    needed = 0.9 * _LETTER * len(words) * (high - low) / (ax.get_position().width * _width(ax))
+    needed = 0.9 * _LETTER * len(words) * (high - low) / inches
     if max(high - end, start - low) > needed:
         right = high - end > start - low
         _words(ax, max(at, end) if right else min(at, start), line.y, words, right=right)
@@ -295,8 +264,7 @@ def _limit(ax: Axes, line: _Line, cell: Cell, factor: float) -> None:
     end = low + (0.03 if left else 0.97) * (high - low)
     ax.plot([limit, end], [line.y] * 2, color=line.colour, linewidth=0.9, gid="limit")
     ax.plot(limit, line.y, color=line.colour, marker="|", markersize=6.0, gid="limit")
-    mark = _mark(line) | {"marker": "<" if left else ">"}
-    ax.plot(end, line.y, gid="limit", **mark)
+    ax.plot(end, line.y, gid="limit", **line.mark() | {"marker": "<" if left else ">"})
     _words(ax, limit, line.y, cell.remark)
 
 
@@ -312,38 +280,32 @@ def _words(ax: Axes, at: float | None, y: float, words: str, *, right: bool | No
         textcoords="offset points",
         ha="center" if at is None else "left" if right else "right",
         va="center_baseline",
-        fontsize=_WORDS,
+        fontsize=WORDS,
         # the dots of a span stop for the words
         bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},
         zorder=3.5,
-    )
+    ).set_in_layout(False)
 
 
-def _reference(ax: Axes, cell: Cell, factor: float) -> None:
+def _reference(ax: Axes, cell: Cell, factor: float, inches: float) -> None:
     at = cell.value / factor
     if cell.sd:
-        half = _HALF * cell.sd / factor
-        ax.axvspan(at - half, at + half, color=_REFERENCE, alpha=0.15, linewidth=0.0, zorder=0)
+        low, high = (end / factor for end in _around(cell, cell.sd))
+        ax.axvspan(low, high, color=_REFERENCE, alpha=0.15, linewidth=0.0, zorder=0)
     ax.axvline(at, color=_REFERENCE, linewidth=0.8, zorder=1, gid="reference")
     low, high = ax.get_xlim()
     right = at - low < high - at
     ax.annotate(
-        _shortened(cell.remark, 0.6 * ax.get_position().width * _width(ax)),
+        shortened(cell.remark, max(6, int((0.6 * inches - 0.1) / _LETTER))),
         (at, 1.0),
         xycoords=ax.get_xaxis_transform(),
         xytext=(2.0 if right else -2.0, -1.5),
         textcoords="offset points",
         ha="left" if right else "right",
         va="top",
-        fontsize=_WORDS,
+        fontsize=WORDS,
         color=_REFERENCE,
-    )
-
-
-def _width(ax: Axes) -> float:
-    figure = ax.get_figure(root=True)
-    assert figure is not None
-    return float(figure.get_figwidth())
+    ).set_in_layout(False)
 
 
 def _range(row: Row) -> tuple[float, float]:
@@ -355,62 +317,78 @@ def _range(row: Row) -> tuple[float, float]:
         elif cell.status == "limit":
             points += [cell.value, cell.value if cell.limit is None else cell.limit]
         else:
-            points += [cell.value, *(_ends(cell) or ())]
-            if cell.sd_plain is not None:
-                points += [cell.value - _HALF * cell.sd_plain, cell.value + _HALF * cell.sd_plain]
+            points += [cell.value, *(end for ends, *_ in _bars(cell) for end in ends)]
+            # a reference has a band
+            points += _around(cell, cell.sd) if cell.sd and cell.status == "known" else ()
     low, high = min(points), max(points)
     margin = 0.06 * (high - low) or 0.1 * abs(low) or 1.0
-    if not math.isclose(low, high, rel_tol=1e-9):
-        return low - margin, high + margin
-    return low - max(margin, 0.1 * abs(low)), high + max(margin, 0.1 * abs(low))
-
-
-def _shortened(label: str, inches: float) -> str:
-    return shortened(label, max(6, int((inches - 0.1) / _LETTER)))
+    if math.isclose(low, high, rel_tol=1e-9):
+        margin = max(margin, 0.1 * abs(low))
+    return low - margin, high + margin
 
 
 def _legend(figure: Figure, rows: list[Row], columns: list[Column]) -> None:
     """Explain what bars and dots mean; rows are named at their side."""
     cells = [row.cells[c.label] for row in rows for c in columns if c.label in row.cells]
-    handles: list[Line2D] = []
-    labels: list[str] = []
     grey = _ESTIMATES["output-error"][1]
-    capped = Line2D([], [], color=grey, linewidth=0.7, marker="|", markersize=4.5)
+    capped = Line2D([], [], color=grey, label="90 %, uncorrelated residuals", **_THIN)
+    open_: Look = {"marker": "o", "markersize": 4.0, "markeredgewidth": 0.7}
+    handles: list[Line2D] = []
     if any(cell.accounts and cell.sd is not None for cell in cells):
-        handles.append(Line2D([], [], color=grey, linewidth=2.2, alpha=0.55))
-        labels.append("90 %, correlated residuals")
+        handles.append(Line2D([], [], color=grey, label="90 %, correlated residuals", **_THICK))
     if any(cell.sd_plain is not None for cell in cells):
         handles.append(capped)
-        labels.append("90 %, uncorrelated residuals")
     if any(cell.status == "undetermined" and cell.converged for cell in cells):
+        label = "not determined: fits as well"
         handles.append(
-            Line2D(
-                [],
-                [],
-                color=grey,
-                linestyle=(0, (1.0, 1.6)),
-                marker="o",
-                markersize=4.0,
-                markeredgewidth=0.7,
-                markerfacecolor="white",
-            )
+            Line2D([], [], color=grey, label=label, markerfacecolor="white", **_SPAN, **open_)
         )
-        labels.append("not determined: fits as well")
     if any(REFERENCE in row.cells for row in rows):
-        handles.append(Line2D([], [], color=_REFERENCE, linewidth=0.8))
-        labels.append("reference")
-    width = float(figure.get_figwidth())
+        handles.append(Line2D([], [], color=_REFERENCE, linewidth=0.8, label="reference"))
     if handles:
         figure.legend(
-            handles,
-            labels,
-            loc="upper right",
-            ncols=2 if width == COLUMN else 4,
-            bbox_to_anchor=(1.0 - _RIGHT / width, 1.0),
-            borderaxespad=0.2,
-            borderpad=0.1,
-            columnspacing=1.2,
-            handlelength=1.8,
-            labelspacing=0.25,
+            handles=handles,
+            loc="outside upper right",
+            ncols=2 if figure.get_figwidth() == COLUMN else 4,
             handler_map={capped: HandlerLine2D(numpoints=2)},
         )
+
+
+def forest_words(found: Comparison) -> str:
+    """Say what a forest figure shows: every quantity by every column, open ones as open."""
+    parts = []
+    for row in found.rows:
+        cells = ", ".join(f"{label} {_cell_words(cell)}" for label, cell in row.cells.items())
+        parts.append(f"{row.name}{f' in {row.unit}' if row.unit else ''}: {cells}")
+    return "; ".join(parts) + "."
+
+
+def _cell_words(cell: Cell) -> str:
+    if cell.status == "undetermined":
+        return "not determined" if cell.converged else cell.remark
+    if cell.status == "limit":
+        return cell.remark
+    return f"{cell.value:.5g}" + (f" ± {cell.sd:.2g}" if cell.sd else "")
+
+
+_BARS = (
+    f"Thick: {100 * LEVEL:.0f} %, accounting for correlated residuals; thin: taking them for "
+    "uncorrelated; open symbols: not determined, dotted what fits as well."
+)
+METHODS = RunFigure(
+    stem="methods",
+    title="Estimates and posterior side by side",
+    section="methods",
+    # of a single run, whose name is nowhere shown
+    draw=lambda run: forest_figure(comparison({"run": run.summary})),
+    caption=f"Every quantity by every method and by the posterior. {_BARS}",
+    alternative=lambda judged: forest_words(judged.methods),
+)
+FOREST = ComparisonFigure(
+    stem="forest",
+    title="Every quantity by every run and method",
+    section="side-by-side",
+    draw=lambda compared: forest_figure(compared.found),
+    caption=_BARS,
+    alternative=lambda compared: forest_words(compared.found),
+)

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from bayesfric.inference.fit import Fit
-from bayesfric.report.figures.curve_band import CurveBand, CurveJudge, Flags, joined
+from bayesfric.report.figures.alternative import quantity_of, rows_in_words
+from bayesfric.report.figures.curve_band import (
+    CurveJudge,
+    CurveLook,
+    Flags,
+    LoadCurve,
+    curve_handles,
+    draw_curve,
+)
 from bayesfric.report.figures.friction_curve import Covered, covered, friction_torque
+from bayesfric.report.figures.registry import JudgedRun, RunFigure
 from bayesfric.report.figures.style import (
     COLUMN,
     OPEN_HATCH,
@@ -24,40 +30,34 @@ from bayesfric.report.figures.style import (
     PALETTE,
     SMALL,
     Array,
+    Look,
     few_ticks,
-    margins,
-    paper_style,
+    legend_above,
+    paper_figure,
 )
 from bayesfric.report.summary.summary import LEVEL
 
 _POINTS = 121
 # Map: places a side, and draws at each.
 _CELLS, _MAP_DRAWS = 31, 200
-_OUTSIDE = (0, (3.0, 2.0))
-_HEIGHT, _TOP, _BOTTOM = 2.4, 0.24, 0.38
-_LEFT, _RIGHT = 0.50, 0.66
+_HEIGHT = 2.4
 _MARKS = ("o", "s", "^")
+# Quantities of elements, and totals of them, that the curves follow from.
+_LOSSES = {
+    "coulomb", "coulomb_positive", "coulomb_negative", "viscous", "quadratic", "stribeck_ratio",
+    "stribeck_velocity", "load", "load_drive", "load_back",
+}  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class FrictionCurve:
-    """Friction along a line in the plane of speed and load.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FrictionCurve(LoadCurve):
+    """Friction along a line in the plane of speed and load, N m or N against the motion.
 
-    Attributes
-    ----------
-    speed, load
-        ``(N,)`` of the motor, and the loss-free torque of the load there; see
-        :mod:`bayesfric.report.figures.friction_curve` for what that is.
-    band
-        Of the friction torque that resists the motion, N m or N.
-    covered
-        ``(N,)`` whether recordings were near.
+    ``speed`` ``(N,)`` is the motor's, ``load`` its loss-free torque of the load; see
+    :mod:`bayesfric.report.figures.friction_curve` for what that is.
     """
 
     speed: Array
-    load: Array
-    band: CurveBand
-    covered: Flags
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,27 +82,20 @@ class FrictionCurves:
     place: Covered
 
 
-def friction_curves(fit: Fit) -> FrictionCurves:
-    """Evaluate the friction curves of a fit where its recordings ran.
-
-    Parameters
-    ----------
-    fit
-        A finished fit.
-    """
-    return _curves(fit, CurveJudge(fit))
-
-
-def _curves(fit: Fit, judge: CurveJudge) -> FrictionCurves:
+def friction_curves(fit: Fit, judge: CurveJudge | None = None) -> FrictionCurves:
+    """Evaluate the friction curves of a fit where its recordings ran."""
+    judge = judge or CurveJudge(fit)
     place = covered(fit, judge.median, open_scale=judge.open_scale)
-    lossy = _load_matters(fit, place)
+    lossy = any(element.load_loss != "none" for element in fit.chain.elements)
+    lossy = lossy and float(np.ptp(place.load)) > 0.0
 
     def along(speed: Array, load: Array) -> FrictionCurve:
         band = judge.band(
             lambda x: friction_torque(fit.chain, x, speed, load, open_scale=judge.open_scale),
             gauge_free=judge.open_scale,
         )
-        return FrictionCurve(speed, load, band, place.near(speed, load if lossy else None))
+        near = place.near(speed, load if lossy else None)
+        return FrictionCurve(speed=speed, load=load, band=band, covered=near)
 
     low, high = (float(x) for x in (place.speed.min(), place.speed.max()))
     # friction jumps at rest: no point there
@@ -125,11 +118,6 @@ def _curves(fit: Fit, judge: CurveJudge) -> FrictionCurves:
             along(np.full_like(grid, way * _round(share * top)), grid) for share in (0.25, 0.75)
         ]
     return FrictionCurves(judge.open_scale, tuple(over_speed), tuple(over_load), place)
-
-
-def _load_matters(fit: Fit, place: Covered) -> bool:
-    lossy = any(element.load_loss != "none" for element in fit.chain.elements)
-    return lossy and float(np.ptp(place.load)) > 0.0
 
 
 def _stated(place: Covered, speeds: Array, side: float) -> float:
@@ -155,11 +143,6 @@ def friction_figure(fit: Fit) -> Figure:
     the motor (back-driving). Beyond what the recordings covered the median goes on dashed,
     without a band; where the data do not determine the curve the band is hatched.
 
-    Parameters
-    ----------
-    fit
-        A finished fit.
-
     Returns
     -------
     matplotlib.figure.Figure
@@ -167,111 +150,67 @@ def friction_figure(fit: Fit) -> Figure:
         a loss that depends on load.
     """
     judge = CurveJudge(fit)
-    found = _curves(fit, judge)
+    found = friction_curves(fit, judge)
     alone = not found.over_load
-    width = COLUMN if alone else PAGE
-    with paper_style():
-        figure = Figure(figsize=(width, _HEIGHT))
-        axes = figure.subplots(
-            1,
-            1 if alone else 3,
-            squeeze=False,
-            gridspec_kw={
-                **margins(
-                    figure, left=_LEFT, right=0.08 if alone else _RIGHT, bottom=_BOTTOM, top=_TOP
-                ),
-                "wspace": 0.34,
-            },
-        )[0]
+    with paper_figure(COLUMN if alone else PAGE, _HEIGHT) as figure:
+        axes = figure.subplots(1, 1 if alone else 3, squeeze=False)[0]
         _over_speed(axes[0], fit, found)
         if not alone:
             _over_load(axes[1], fit, found)
             _map(figure, axes[2], fit, judge, found)
-        _legend(figure, [*found.over_speed, *found.over_load], width)
+        median = Line2D([], [], color=PALETTE[0], label="posterior median")
+        curves = [*found.over_speed, *found.over_load]
+        handles = [median, *curve_handles(curves, PALETTE[0], PALETTE[0])]
+        legend_above(figure, handles, 2 if alone else None)
     return figure
 
 
 def _over_speed(ax: Axes, fit: Fit, found: FrictionCurves) -> None:
+    several = len(found.over_speed) > 1
     for k, curve in enumerate(found.over_speed):
         load = float(curve.load[0])
-        words = "no load" if load == 0.0 else _signed(load, _torque(fit))
-        label = words if len(found.over_speed) > 1 else None
+        label = ("no load" if load == 0.0 else _signed(load, _units(fit)[1])) if several else None
         for side in (-1.0, 1.0):
             mine = np.sign(curve.speed) == side
             if mine.any():
                 _draw(ax, curve, curve.speed, mine, k, side, label)
                 label = None
     ax.axhline(0.0, color="0.6", linewidth=0.5, zorder=0.5)
-    ax.set_xlabel(_speed_label(fit))
-    ax.set_ylabel(_friction_label(fit))
+    _label_speed(ax, fit)
+    _label_friction(ax, fit)
     few_ticks(ax.xaxis, 6)
-    few_ticks(ax.yaxis, 6)
-    if len(found.over_speed) > 1:
-        _inside(ax, "at load")
+    if several:
+        _legend(ax, "at load")
 
 
 def _over_load(ax: Axes, fit: Fit, found: FrictionCurves) -> None:
     for k, curve in enumerate(found.over_load):
-        speed = float(curve.speed[0])
-        words = _signed(speed, _speed_unit(fit))
+        words = _signed(float(curve.speed[0]), _units(fit)[2])
         _draw(ax, curve, curve.load, np.ones(curve.load.size, dtype=np.bool_), k, 1.0, words)
     ax.axvline(0.0, color="0.6", linewidth=0.5, zorder=0.5)
     low, high = ax.get_ylim()
     low = min(low, 0.0)
     # room for the words above and below
     ax.set_ylim(low - 0.02 * (high - low), high + 0.38 * (high - low))
-    for x, words, way in ((0.03, "load helps", "left"), (0.97, "load resists", "right")):
-        said: dict[str, Any] = {"fontsize": SMALL, "color": "0.35", "transform": ax.transAxes}
-        ax.text(x, 0.03, words, ha=way, va="bottom", **said)
+    said: Look = {"fontsize": SMALL, "color": "0.35", "transform": ax.transAxes}
+    ax.text(0.03, 0.03, "load helps", ha="left", va="bottom", **said)
+    ax.text(0.97, 0.03, "load resists", ha="right", va="bottom", **said)
     ax.set_xlabel(_load_label(fit, found))
-    ax.set_ylabel(_friction_label(fit))
+    _label_friction(ax, fit)
     few_ticks(ax.xaxis, 5)
-    few_ticks(ax.yaxis, 6)
-    _inside(ax, "at motor speed")
+    _legend(ax, "at motor speed")
 
 
 def _draw(
     ax: Axes, curve: FrictionCurve, x: Array, mine: Flags, k: int, side: float, label: str | None
 ) -> None:
-    colour = PALETTE[k]
-    b = curve.band
-    seen = mine & curve.covered
-    for open_, hatch in ((False, None), (True, OPEN_HATCH)):
-        where = seen & (b.determined != open_)
-        if where.any():
-            ax.fill_between(
-                x,
-                side * b.low,
-                side * b.high,
-                where=joined(where, seen).tolist(),
-                facecolor="none" if open_ else colour,
-                edgecolor=colour if open_ else "none",
-                alpha=1.0 if open_ else 0.3,
-                hatch=hatch,
-                linewidth=0.0,
-                gid="open" if open_ else "band",
-            )
-    middle = side * b.median
-    inside = np.where(joined(seen, mine), middle, np.nan)
-    ax.plot(
-        x[mine],
-        middle[mine],
-        color=colour,
-        linestyle=_OUTSIDE,
-        linewidth=0.6,
-        gid="outside",
-    )
     every = max(1, int(mine.sum()) // 6)
-    ax.plot(
-        x[mine],
-        inside[mine],
-        color=colour,
-        marker=_MARKS[k],
-        markersize=2.6,
-        markevery=(every // 2 - k * every // 4, every),
-        label=label,
-        gid="median",
+    start = max(0, every // 2 - k * every // 4)
+    part = LoadCurve(
+        load=curve.load[mine], band=curve.band.part(mine, side), covered=curve.covered[mine]
     )
+    look = CurveLook(PALETTE[k], _MARKS[k], start=start, every=every)
+    draw_curve(ax, x[mine], part, look, label)
 
 
 def _map(figure: Figure, ax: Axes, fit: Fit, judge: CurveJudge, found: FrictionCurves) -> None:
@@ -312,12 +251,12 @@ def _map(figure: Figure, ax: Axes, fit: Fit, judge: CurveJudge, found: FrictionC
             hatches=[OPEN_HATCH],
         )  # fmt: skip
     ax.axhline(0.0, color="0.6", linewidth=0.5)
-    ax.set_xlabel(_speed_label(fit))
+    _label_speed(ax, fit)
     ax.set_ylabel(_load_label(fit, found))
     few_ticks(ax.xaxis, 5)
     few_ticks(ax.yaxis, 6)
-    bar = figure.colorbar(shades, ax=ax, fraction=0.06, pad=0.04)
-    bar.set_label(f"half width of the {100 * LEVEL:.0f} % band ({_torque(fit)})", fontsize=SMALL)
+    bar = figure.colorbar(shades, ax=ax, fraction=0.06)
+    bar.set_label(f"half width of the {100 * LEVEL:.0f} % band ({_units(fit)[1]})", fontsize=SMALL)
     few_ticks(bar.ax.yaxis, 5)
     bar.outline.set_linewidth(0.5)
 
@@ -337,16 +276,8 @@ def _name_contours(ax: Axes, lines: ContourSet) -> None:
         text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.4, "alpha": 0.8})
 
 
-def _inside(ax: Axes, head: str) -> None:
-    ax.legend(
-        loc="upper left",
-        title=head,
-        title_fontsize=SMALL,
-        alignment="left",
-        handlelength=1.8,
-        borderpad=0.2,
-        labelspacing=0.25,
-    )
+def _legend(ax: Axes, head: str) -> None:
+    ax.legend(loc="upper left", title=head, title_fontsize=SMALL, alignment="left")
 
 
 def _inner(x: Array) -> tuple[float, float]:
@@ -358,21 +289,20 @@ def _signed(x: float, unit: str) -> str:
     return f"{x:+.3g} {unit}".replace("-", "\N{MINUS SIGN}")
 
 
-def _torque(fit: Fit) -> str:
-    return "N m" if fit.chain.motor_motion == "rotary" else "N"
+def _units(fit: Fit) -> tuple[str, str, str]:
+    """Name torque or force at the motor, its unit, and that of speed."""
+    rotary = fit.chain.motor_motion == "rotary"
+    return ("torque", "N m", "rad/s") if rotary else ("force", "N", "m/s")
 
 
-def _speed_unit(fit: Fit) -> str:
-    return "rad/s" if fit.chain.motor_motion == "rotary" else "m/s"
+def _label_speed(ax: Axes, fit: Fit) -> None:
+    ax.set_xlabel(rf"motor speed $\dot q_m$ ({_units(fit)[2]})")
 
 
-def _speed_label(fit: Fit) -> str:
-    return rf"motor speed $\dot q_m$ ({_speed_unit(fit)})"
-
-
-def _friction_label(fit: Fit) -> str:
-    kind = "torque" if fit.chain.motor_motion == "rotary" else "force"
-    return f"friction {kind} $F$ ({_torque(fit)})"
+def _label_friction(ax: Axes, fit: Fit) -> None:
+    kind, unit, _ = _units(fit)
+    ax.set_ylabel(f"friction {kind} $F$ ({unit})")
+    few_ticks(ax.yaxis, 6)
 
 
 def load_symbol(fit: Fit, *, open_scale: bool) -> str:
@@ -384,34 +314,39 @@ def load_symbol(fit: Fit, *, open_scale: bool) -> str:
 
 
 def _load_label(fit: Fit, found: FrictionCurves) -> str:
-    return f"load {load_symbol(fit, open_scale=found.open_scale)} ({_torque(fit)})"
+    return f"load {load_symbol(fit, open_scale=found.open_scale)} ({_units(fit)[1]})"
 
 
-def _legend(figure: Figure, curves: Sequence[FrictionCurve], width: float) -> None:
-    handles: list[Line2D | Patch] = [
-        Line2D([], [], color=PALETTE[0], label="posterior median"),
-        Patch(facecolor=PALETTE[0], alpha=0.3, label=f"{100 * LEVEL:.0f} % band"),
-    ]
-    if any(not c.covered.all() for c in curves):
-        outside = {"linestyle": _OUTSIDE, "linewidth": 0.6, "label": "not recorded there"}
-        handles.append(Line2D([], [], color=PALETTE[0], **outside))  # type: ignore[arg-type]
-    if any((c.covered & ~c.band.determined).any() for c in curves):
-        handles.append(
-            Patch(
-                facecolor="none",
-                edgecolor=PALETTE[0],
-                hatch=OPEN_HATCH,
-                linewidth=0.0,
-                label="NOT determined by the data",
-            )
-        )
-    figure.legend(
-        handles=handles,
-        loc="upper left",
-        ncols=len(handles),
-        bbox_to_anchor=(0.02 / width, 1.0),
-        borderaxespad=0.2,
-        borderpad=0.2,
-        columnspacing=1.2,
-        handlelength=1.8,
+def friction_caption(fit: Fit) -> str:
+    """Say what load means in the figure, which depends on what the run can tell."""
+    start = (
+        "Friction of the whole joint at the motor, at constant speed: posterior median and "
+        f"{100 * LEVEL:.0f} % band. Dashed where no recording ran, hatched where the data do not "
+        "tell. "
     )
+    if all(element.load_loss == "none" for element in fit.chain.elements):
+        return start + "No element has a loss that depends on load."
+    if CurveJudge(fit).open_scale:
+        return start + (
+            "Load is the mean of what the motor feels of it while driving and while driven: the "
+            "scale between leg and gearbox is open, and only this mean is the same for all "
+            "parameters that make the same torque."
+        )
+    return start + "Load is the torque at the joint over the ratio, positive against the motion."
+
+
+def _words(judged: JudgedRun) -> str:
+    rows = [
+        row for row in judged.table.rows if quantity_of(row) in _LOSSES and row.group != "derived"
+    ]
+    return f"Losses that the curves follow from: {rows_in_words(rows)}"
+
+
+FIGURE = RunFigure(
+    stem="friction",
+    title="Friction of the joint",
+    section="friction",
+    draw=lambda run: friction_figure(run.fit),
+    caption=lambda run: friction_caption(run.fit),
+    alternative=_words,
+)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -13,13 +12,19 @@ from matplotlib.patches import Patch
 
 from bayesfric.report.comparison.cell import Cell
 from bayesfric.report.figures.quantity import Quantity
-from bayesfric.report.figures.style import OPEN_HATCH, POSTERIOR, PRIOR, Array
+from bayesfric.report.figures.style import DASHED, DOTTED, OPEN_HATCH, POSTERIOR, PRIOR, Array, Look
 from bayesfric.report.summary.summary import LEVEL
 
 _BINS = 40
 _GRID = 301
-_DASHED = (0, (4.0, 1.5))
-_DOTTED = (0, (1.0, 1.0))
+_OPEN: Look = {
+    "facecolor": "none", "edgecolor": POSTERIOR, "linewidth": 0.0, "hatch": OPEN_HATCH
+}  # fmt: skip
+_TOLD: Look = {
+    "facecolor": POSTERIOR, "edgecolor": "none", "linewidth": 0.0, "alpha": 0.3
+}  # fmt: skip
+_PRIOR: Look = {"color": PRIOR, "linestyle": DASHED}
+_END: Look = {"color": POSTERIOR, "linewidth": 0.7, "linestyle": DOTTED}
 
 
 def draw_marginal(
@@ -41,31 +46,22 @@ def draw_marginal(
         Height of the panel over that of the highest density.
     """
     draws = q.draws / q.factor
-    open_ = cell.status == "undetermined"
     highest = 0.0
     if q.prior is not None:
         grid = np.linspace(*limits, _GRID)
         prior = np.exp(q.prior.log_density(grid * q.factor)) * q.factor
         prior = np.where(np.isfinite(prior), prior, np.nan)
         highest = float(np.nanmax(prior, initial=0.0))
-        ax.plot(grid, prior, color=PRIOR, linestyle=_DASHED, gid="prior", zorder=3)
+        ax.plot(grid, prior, gid="prior", zorder=3, **_PRIOR)
     if moves(draws):
         height, edges = np.histogram(draws, bins=_BINS, range=limits)
         density = height / (draws.size * np.diff(edges))
-        ax.stairs(
-            density,
-            edges,
-            fill=True,
-            facecolor="none" if open_ else POSTERIOR,
-            edgecolor=POSTERIOR if open_ else "none",
-            alpha=1.0 if open_ else 0.3,
-            hatch=OPEN_HATCH if open_ else None,
-            linewidth=0.0,
-            gid="open" if open_ else "posterior",
-        )
+        open_ = cell.status == "undetermined"
+        gid, look = ("open", _OPEN) if open_ else ("posterior", _TOLD)
+        ax.stairs(density, edges, fill=True, gid=gid, **look)
         ax.stairs(density, edges, color=POSTERIOR, linewidth=0.8)
         for end in _ends(cell, draws, q.factor):
-            ax.axvline(end, ymax=0.8, color=POSTERIOR, linewidth=0.7, linestyle=_DOTTED)
+            ax.axvline(end, ymax=0.8, **_END)
         peak = float(density.max())
         # a prior may have a pole at its bound; it must not flatten the posterior
         highest = max(peak, min(2.0 * peak, highest))
@@ -93,17 +89,13 @@ def moves(draws: Array) -> bool:
 def marginal_handles(cells: Sequence[Cell]) -> list[Artist]:
     """List what a legend explains of panels with these cells."""
     open_ = [cell for cell in cells if cell.status == "undetermined"]
-    handles: list[Artist] = []
-    if len(open_) < len(cells):
-        handles.append(Patch(facecolor=POSTERIOR, alpha=0.3, label="posterior"))
+    told = len(open_) < len(cells)
+    handles: list[Artist] = [Patch(label="posterior", **_TOLD)] if told else []
     if open_:
-        look: dict[str, Any] = {"facecolor": "none", "edgecolor": POSTERIOR, "linewidth": 0.0}
-        label = "posterior that the data leave open"
-        label = label if open_[0].converged else "draws of ensembles that disagree"
-        handles.append(Patch(hatch=OPEN_HATCH, label=label, **look))
-    handles.append(Line2D([], [], color=PRIOR, linestyle=_DASHED, label="prior"))
-    if len(open_) < len(cells):
-        share = f"{100 * LEVEL:.0f} % interval"
-        look = {"color": POSTERIOR, "linewidth": 0.7, "linestyle": _DOTTED}
-        handles.append(Line2D([], [], label=share, **look))
+        left_open = "posterior that the data leave open"
+        disagree = "draws of ensembles that disagree"
+        handles.append(Patch(label=left_open if open_[0].converged else disagree, **_OPEN))
+    handles.append(Line2D([], [], label="prior", **_PRIOR))
+    if told:
+        handles.append(Line2D([], [], label=f"{100 * LEVEL:.0f} % interval", **_END))
     return handles

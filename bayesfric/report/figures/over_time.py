@@ -39,16 +39,6 @@ def draw_band(ax: Axes, o: Outputs | Observation, low: Array, high: Array, **nam
     ax.fill_between(time, low, high, color=BAND, linewidth=0.0, rasterized=as_pixels(o), **named)
 
 
-def draw_measured(
-    ax: Axes, time: Array, values: Array, *, linewidth: float, pixels: bool, **named: Any
-) -> None:
-    """Draw what was measured, broken already; ``named`` is its marks, label and name."""
-    ax.plot(
-        time,
-        values,
-        color=MEASURED,
-        linewidth=linewidth,
-        markersize=1.5,
-        rasterized=pixels,
-        **named,
-    )
+def draw_measured(ax: Axes, time: Array, values: Array, *, pixels: bool, **named: Any) -> None:
+    """Draw what was measured, broken already; ``named`` is its marks, width, label and name."""
+    ax.plot(time, values, color=MEASURED, markersize=1.5, rasterized=pixels, **named)

@@ -6,35 +6,41 @@ import math
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from functools import lru_cache
+from typing import Literal
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from bayesfric.report.comparison.between_runs import PooledQuantity
-from bayesfric.report.comparison.cell import Cell
-from bayesfric.report.comparison.comparison import Comparison, Row
-from bayesfric.report.figures.run_draws import RunDraws
+from bayesfric.report.comparison.cell import TOGETHER, Cell
+from bayesfric.report.comparison.comparison import Row
+from bayesfric.report.figures.registry import ComparedRuns, ComparisonFigure
 from bayesfric.report.figures.style import (
+    OPEN_HATCH,
+    OPEN_HATCH_BACK,
     PAGE,
     SMALL,
-    add_panels,
+    WORDS,
+    Array,
+    Look,
+    axis_label,
+    corner_words,
     few_ticks,
-    mathtext,
-    paper_style,
+    legend_above,
+    panel_grid,
+    paper_figure,
     power_of_ten,
+    remark_below,
     run_style,
-    scaled_unit,
     shortened,
 )
 from bayesfric.report.summary.record import PosteriorRow, Summary
 
-Array = NDArray[np.float64]
 Told = Literal["data", "both", "open"]
 
 _COLUMNS = 4
@@ -47,12 +53,11 @@ _FAR = 20.0
 # Draws of one walker resemble each other; about so many count as one.
 _DRAWS_APART = 5.0
 
-# Inches.
-_LEFT, _RIGHT, _BETWEEN = 0.22, 0.10, 0.14
-_PANEL, _BELOW, _LINE = 0.80, 0.42, 0.145
-_LETTER = 0.052  # a letter of the legend
+# Inches: a row of panels, a line of words, a letter of a label, and a panel's width.
+_ROW, _LINE, _LETTER, _WIDTH = 1.22, 0.145, 0.052, 1.6
 _NAME, _SHORT_NAME = 30, 16  # letters of a run's name that are shown
-_WORDS = 6.0  # points, of words inside panels
+_ACROSS = 3  # in the legend
+_GREY = "#5e5e5e"
 _TOLD: dict[Told, str] = {
     "data": "determined by the data",
     "both": "by data and prior, or from one side",
@@ -155,28 +160,16 @@ def density(draws: Array) -> tuple[Array, Array]:
     return 0.5 * (edges[1:] + edges[:-1]), smooth / (x.size * step)
 
 
-def overlay(
-    found: Comparison,
-    runs: Mapping[str, Summary],
-    draws: Mapping[str, RunDraws],
-    pooled: Sequence[PooledQuantity] = (),
-) -> Overlay:
+@lru_cache(1)  # drawn, captioned and worded one after another
+def overlay(compared: ComparedRuns) -> Overlay:
     """Gather what overlaid posteriors show.
 
     Shown are the combinations that no scaling of leg parameters and alpha changes and the
     parameters, of those that the data of one run at least determine and two hold draws of.
-
-    Parameters
-    ----------
-    found
-        The comparison, for the order and for what each run leaves open.
-    runs, draws
-        Summary and draws of each run.
-    pooled
-        From :func:`bayesfric.report.comparison.between_runs.between_runs`.
     """
+    found, runs, draws = compared.found, compared.runs, compared.draws
     labels = {c.run: c.label for c in found.columns if c.kind == "posterior"}
-    agree = {one.name: one.pool.agree for one in pooled}
+    agree = {one.name: one.pool.agree for one in compared.pooled}
     panels, without = [], []
     for row in found.rows:
         if not (row.gauge_free or row.kind == "parameter"):
@@ -188,7 +181,7 @@ def overlay(
         }
         if all(how == "open" for how in told.values()):
             continue
-        have = [run for run in told if row.name in draws[run].values]
+        have = [run for run in told if run in draws and row.name in draws[run].values]
         if len(have) < 2:
             without += [row.name] if len(told) > 1 else []
             continue
@@ -208,7 +201,7 @@ def overlay(
         if any(curve.told != "open" for curve in curves):
             panels.append(OverlayPanel(row, curves, agree.get(row.name)))
     panels.sort(key=lambda panel: not panel.row.gauge_free)
-    left_out = {run: found.missing for run, found in draws.items() if found.missing}
+    left_out = {run: one.missing for run, one in draws.items() if one.missing}
     if sum(not one.missing for one in draws.values()) < 2:
         without = []
     return Overlay(tuple(panels), left_out, tuple(without))
@@ -229,51 +222,25 @@ def _told(row: Row, label: str, run: Summary) -> Told | None:
 
 
 def overlay_figure(shown: Overlay) -> Figure:
-    """Draw overlaid marginal posteriors.
+    """Draw overlaid marginal posteriors, of one panel at least and twenty-four at most.
 
     The area below each curve is one. Where data determine a quantity it is filled, where the
-    prior has a say it is not, and where the data leave it open it is hatched.
-
-    Parameters
-    ----------
-    shown
-        From :func:`overlay`; at least one panel.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        A page wide, four panels in a row, at most twenty-four.
+    prior has a say it is not, and where the data leave it open it is hatched. A page wide.
     """
     panels = shown.panels[:_MOST]
     remarks = _remarks(shown)
-    curves = {c.run: c.number for panel in panels for c in panel.curves}
-    names = [_shortened(run) for run in curves]
-    across = max(1, min(len(names), int((PAGE - 0.3) / (0.6 + _LETTER * max(map(len, names))))))
-    legend = -(-len(names) // across) + 1
     rows = -(-len(panels) // _COLUMNS)
-    top = legend * _LINE + 0.10
-    height = top + rows * (_PANEL + _BELOW) + len(remarks) * _LINE
-    width = (PAGE - _LEFT - _RIGHT - (_COLUMNS - 1) * _BETWEEN) / _COLUMNS
-    with paper_style():
-        figure = Figure(figsize=(PAGE, height))
-        every = add_panels(
-            figure, len(panels), _COLUMNS, left=_LEFT, right=_RIGHT, top=top, between=_BETWEEN,
-            panel=_PANEL, below=_BELOW,
-        )  # fmt: skip
+    with paper_figure(PAGE, rows * _ROW, apart=0.05) as figure:
+        handles = _handles(panels)
+        lines = len(handles) // _ACROSS + len(remarks)
+        figure.set_figheight(0.1 + lines * _LINE + rows * _ROW)
+        every = panel_grid(figure, len(panels), _COLUMNS)
         for k, (ax, panel) in enumerate(zip(every, panels, strict=True)):
-            _panel(ax, panel, width)
+            _panel(ax, panel)
             if k % _COLUMNS == 0:
                 ax.set_ylabel("density (1/unit)", fontsize=SMALL)
-        _legend(figure, panels, curves, names, across)
-        for k, remark in enumerate(reversed(remarks)):
-            figure.text(
-                1.0 - _RIGHT / PAGE,
-                (0.03 + k * _LINE) / height,
-                remark,
-                ha="right",
-                va="bottom",
-                fontsize=SMALL,
-            )
+        legend_above(figure, handles, _ACROSS)
+        remark_below(figure, "\n".join(remarks))
     return figure
 
 
@@ -288,7 +255,7 @@ def _shortened(run: str, most: int = _NAME) -> str:
     return shortened(run, most, keep_end=True)
 
 
-def _panel(ax: Axes, panel: OverlayPanel, width: float) -> None:
+def _panel(ax: Axes, panel: OverlayPanel) -> None:
     low, high = _range(panel.curves)
     exponent = power_of_ten(low, high)
     factor = 10.0**exponent
@@ -304,7 +271,10 @@ def _panel(ax: Axes, panel: OverlayPanel, width: float) -> None:
         inside = (x >= low / factor) & (x <= high / factor)
         top = max(top, float(y[inside].max(initial=0.0)))
         if curve.told != "both":
-            ax.fill_between(x, y, gid=f"{curve.told} area {curve.run}", **_area(curve))
+            # two runs' hatches cross, and stay apart
+            hatch = OPEN_HATCH_BACK if curve.number % 2 else OPEN_HATCH
+            area = _area(curve.told, colour, hatch)
+            ax.fill_between(x, y, gid=f"{curve.told} area {curve.run}", **area)
         ax.plot(x, y, color=colour, linestyle=dashes, gid=f"{curve.told} {curve.run}")
     ax.set_xlim(low / factor, high / factor)
     # room for the word
@@ -312,30 +282,23 @@ def _panel(ax: Axes, panel: OverlayPanel, width: float) -> None:
     ax.set_yticks([])
     ax.set_gid(panel.row.name)
     few_ticks(ax.xaxis, 3, inner=True)
-    symbol = mathtext(panel.row.symbol, panel.row.name) if panel.row.symbol else panel.row.name
-    label = f"{symbol} ({scaled_unit(exponent, panel.row.unit)})"
-    long = not symbol.startswith("$") and _LETTER * len(label) > width
-    ax.set_xlabel(label, fontsize=_WORDS if long else 8.0)
+    label = axis_label(panel.row.symbol, panel.row.name, exponent, panel.row.unit)
+    long = not label.startswith("$") and _LETTER * len(label) > _WIDTH
+    ax.set_xlabel(label, fontsize=WORDS if long else 8.0)
     # what is pooled, every run determines: there is never both to say
     if panel.agree is not None:
-        _word(ax, "agree" if panel.agree else "DIFFER", "agreement")
+        corner_words(ax, "agree" if panel.agree else "DIFFER", "agreement", size=WORDS)
     if open_ := [curve.run for curve in panel.curves if curve.told == "open"]:
         # a wide curve may be too low for its hatching to be seen
         who = f"{len(open_)} runs" if len(open_) > 1 else _shortened(open_[0], _SHORT_NAME)
-        _word(ax, f"{who}: NOT determined", "open")
+        corner_words(ax, f"{who}: NOT determined", "open", size=WORDS)
 
 
-def _word(ax: Axes, words: str, gid: str) -> None:
-    said: dict[str, Any] = {"va": "top", "ha": "left", "fontsize": _WORDS}
-    ax.text(0.03, 0.97, words, transform=ax.transAxes, gid=gid, **said)
-
-
-def _area(curve: Curve) -> dict[str, Any]:
-    colour, _ = run_style(curve.number)
-    if curve.told == "data":
+def _area(told: Told, colour: str, hatch: str = OPEN_HATCH) -> Look:
+    if told == "data":
         return {"facecolor": colour, "alpha": 0.18, "linewidth": 0.0}
-    # two runs' hatches cross, and stay apart
-    hatch = "//////" if curve.number % 2 == 0 else "\\\\\\\\\\\\"
+    if told == "both":
+        return {"facecolor": "white", "edgecolor": colour}
     return {"facecolor": "none", "edgecolor": colour, "hatch": hatch, "linewidth": 0.0}
 
 
@@ -361,46 +324,70 @@ def _ends(curves: Sequence[Curve]) -> tuple[float, float]:
     return min(ends), max(ends)
 
 
-def _legend(
-    figure: Figure,
-    panels: Sequence[OverlayPanel],
-    curves: Mapping[str, int],
-    names: Sequence[str],
-    across: int,
-) -> None:
-    said: dict[str, Any] = {
-        "loc": "upper left",
-        "borderaxespad": 0.2,
-        "borderpad": 0.1,
-        "columnspacing": 1.4,
-        "labelspacing": 0.3,
-    }
-    lines = [
-        Line2D([], [], color=run_style(k)[0], linestyle=run_style(k)[1]) for k in curves.values()
-    ]
-    height = figure.get_figheight()
-    figure.legend(
-        lines,
-        names,
-        ncols=across,
-        handlelength=3.2,
-        bbox_to_anchor=(_LEFT / PAGE, 1.0 - 0.02 / height),
-        **said,
+def _handles(panels: Sequence[OverlayPanel]) -> list[Artist]:
+    """List lines of runs row by row, and below them what fillings mean, for three columns."""
+    curves = [curve for panel in panels for curve in panel.curves]
+    handles: list[Artist] = []
+    for run, number in {c.run: c.number for c in curves}.items():
+        colour, dashes = run_style(number)
+        handles.append(Line2D([], [], color=colour, linestyle=dashes, label=_shortened(run)))
+    found = {curve.told for curve in curves}
+    fillings = [Patch(**_area(how, _GREY), label=_TOLD[how]) for how in _TOLD if how in found]
+    blank = Line2D([], [], linestyle="none", label=" ")
+    handles += [blank] * (-len(handles) % _ACROSS)
+    handles += [*fillings, *[blank] * (_ACROSS - len(fillings))]
+    # a legend fills column by column
+    return [handle for k in range(_ACROSS) for handle in handles[k::_ACROSS]]
+
+
+def _draw(compared: ComparedRuns) -> Figure | None:
+    shown = overlay(compared)
+    return overlay_figure(shown) if shown.panels else None
+
+
+def overlay_caption(shown: Overlay) -> str:
+    """Say what is drawn, and what cannot be."""
+    caption = (
+        "Marginal posterior density of every run, the area below each curve being one: filled "
+        "where the data determine the quantity, not filled where the prior has a say or the data "
+        "tell from one side only, hatched where they leave it open: then it is prior and bounds "
+        "that are seen. What the data of no run determine is left out."
     )
-    grey = "#5e5e5e"
-    looks: dict[Told, dict[str, Any]] = {
-        "data": {"facecolor": grey, "alpha": 0.3},
-        "both": {"facecolor": "white", "edgecolor": grey},
-        "open": {"facecolor": "none", "edgecolor": grey, "hatch": "//////", "linewidth": 0.0},
-    }
-    found = {curve.told for panel in panels for curve in panel.curves}
-    shown = [how for how in _TOLD if how in found]
-    patches = [Patch(**looks[how], label=_TOLD[how]) for how in shown]
-    below = 0.02 + -(-len(names) // across) * _LINE
-    figure.legend(
-        handles=patches,
-        ncols=len(patches),
-        handlelength=1.8,
-        bbox_to_anchor=(_LEFT / PAGE, 1.0 - below / height),
-        **said,
-    )
+    if shown.without_draws:
+        names = ", ".join(shown.without_draws)
+        caption += f" In the table only, for no draws of them are kept: {names}."
+    for run, why in shown.left_out.items():
+        caption += f" Not shown: {run}, which {why}."
+    return caption
+
+
+def overlay_words(shown: Overlay) -> str:
+    """Say medians and intervals run by run; what is open has no numbers."""
+    said = []
+    for panel in shown.panels:
+        unit = f" in {panel.row.unit}" if panel.row.unit else ""
+        each = ", ".join(map(_curve_words, panel.curves))
+        agree = {None: "", True: "; they agree", False: "; they differ"}[panel.agree]
+        said.append(f"{panel.row.name}{unit}: {each}{agree}")
+    return f"{'. '.join(said)}."
+
+
+def _curve_words(curve: Curve) -> str:
+    if curve.told == "open":
+        return f"{curve.run} not determined by the data"
+    if curve.cell.status == "limit":
+        return f"{curve.run} {curve.cell.remark}, as far as the data tell"
+    low, high = curve.row.interval
+    by = "the data" if curve.told == "data" else TOGETHER
+    ends = f"{100 * curve.row.level:g} % from {low:.4g} to {high:.4g}"
+    return f"{curve.run} {curve.row.middle:.4g}, {ends}, determined by {by}"
+
+
+FIGURE = ComparisonFigure(
+    stem="overlay",
+    title="Posteriors of the runs, overlaid",
+    section="together",
+    draw=_draw,
+    caption=lambda compared: overlay_caption(overlay(compared)),
+    alternative=lambda compared: overlay_words(overlay(compared)),
+)

@@ -12,15 +12,18 @@ from scipy.special import ndtri
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.likelihood.likelihood import Outputs
 from bayesfric.report.figures.over_time import as_pixels, broken, draw_band, draw_measured
+from bayesfric.report.figures.registry import JudgedRun, RunFigure
 from bayesfric.report.figures.style import (
+    DASHED,
     PAGE,
     PALETTE,
     SMALL,
     Array,
-    AxesGrid,
+    Look,
     few_ticks,
-    margins,
-    paper_style,
+    legend_above,
+    paper_figure,
+    remark_below,
     shortened,
 )
 from bayesfric.report.summary.summary import LEVEL
@@ -30,11 +33,9 @@ _MOST = 3
 _DRAWS = 200
 # Numbers held at once while predicting: windows of the filter, 160 MB.
 _BUDGET = 20_000_000
-# Above so many outputs an inch, dots would hide the lines.
-_MOST_DOTS = 150.0
-
+# Above so many outputs in a figure's width, dots would hide the lines.
+_MOST_DOTS = 960.0
 _HEIGHT = 3.4
-_LEFT, _RIGHT, _BOTTOM, _TOP = 0.62, 0.14, 0.36, 0.36
 
 
 @dataclass(frozen=True)
@@ -67,13 +68,7 @@ class Predictive:
 
 
 def predictive(fit: Fit) -> list[Predictive]:
-    """Mean and standard deviation of the predicted outputs of every recording.
-
-    Parameters
-    ----------
-    fit
-        A finished fit.
-    """
+    """Mean and standard deviation of the predicted outputs of every recording."""
     flat = fit.posterior.flat(_DRAWS)
     n = len(flat)
     values = fit.target.chain_values(flat)
@@ -108,11 +103,6 @@ def prediction_figure(fit: Fit) -> Figure:
     its 90 % band, noise included; below, the residual and two noise scales on either side.
     Where outputs are missing (dead zone, excluded spans) the lines break.
 
-    Parameters
-    ----------
-    fit
-        A finished fit.
-
     Returns
     -------
     matplotlib.figure.Figure
@@ -121,122 +111,82 @@ def prediction_figure(fit: Fit) -> Figure:
     outputs = fit.target.likelihood.outputs
     shown = outputs[:_MOST]
     what, unit = outputs[0].quantity, outputs[0].unit
-    with paper_style():
-        figure = Figure(figsize=(PAGE, _HEIGHT))
+    with paper_figure(PAGE, _HEIGHT) as figure:
         axes = figure.subplots(
-            2,
-            len(shown),
-            squeeze=False,
-            sharex="col",
-            sharey="row",
-            gridspec_kw={
-                **margins(figure, left=_LEFT, right=_RIGHT, bottom=_BOTTOM, top=_TOP),
-                "wspace": 0.06,
-                "hspace": 0.08,
-                "height_ratios": (1.8, 1.0),
-            },
+            2, len(shown), squeeze=False, sharex="col", sharey="row", height_ratios=(1.8, 1.0)
         )
-        for r, (o, p) in enumerate(zip(shown, predictive(fit), strict=False)):
-            _torque(axes[0, r], o, p)
-            _residual(axes[1, r], o, p)
-            axes[1, r].set_xlabel("time (s)")
-            axes[1, r].set_xlim(float(o.time.min()), max(float(o.time.max()), o.time.min() + 1e-9))
-            few_ticks(axes[1, r].xaxis, 8 if len(shown) == 1 else 4)
-            axes[0, r].set_title(shortened(o.name), fontsize=SMALL, pad=2.5)
+        most_dots = _MOST_DOTS / len(shown)
+        for (above, below), o, p in zip(axes.T, shown, predictive(fit), strict=False):
+            _torque(above, o, p, most_dots)
+            _residual(below, o, p, most_dots)
+            below.set_xlabel("time (s)")
+            below.set_xlim(float(o.time.min()), max(float(o.time.max()), o.time.min() + 1e-9))
+            few_ticks(below.xaxis, 8 if len(shown) == 1 else 4)
+            above.set_title(shortened(o.name), fontsize=SMALL, pad=2.5)
         few_ticks(axes[0, 0].yaxis, 5)
         few_ticks(axes[1, 0].yaxis, 4)
         axes[0, 0].set_ylabel(f"{what} ({unit})")
         axes[1, 0].set_ylabel(f"residual ({unit})")
         figure.align_ylabels(axes[:, 0])
-        _legend(figure, axes, len(outputs))
+        legend_above(figure, [h for ax in axes[:, 0] for h in ax.get_legend_handles_labels()[0]])
+        if len(outputs) > _MOST:
+            remark_below(figure, f"first {_MOST} of {len(outputs)} recordings")
     return figure
 
 
-def _torque(ax: Axes, o: Outputs, p: Predictive) -> None:
+def _torque(ax: Axes, o: Outputs, p: Predictive, most_dots: float) -> None:
     draw_band(ax, o, *p.band(LEVEL), label=f"{100 * LEVEL:.0f} % predictive band", gid="band")
     time, measured, mean = broken(o, o.measured, p.mean)
     # wide below and thin above, so that both are seen where they agree
-    ax.plot(
-        time,
-        mean,
-        color=PALETTE[2],
-        linewidth=1.0 if as_pixels(o) else 1.5,
-        label="predictive mean",
-        rasterized=as_pixels(o),
-        gid="mean",
-    )
-    draw_measured(
-        ax,
-        time,
-        measured,
-        linewidth=0.5,
-        pixels=as_pixels(o),
-        marker=".",
-        markevery=_dots(ax, measured),
-        label="measured",
-        gid="measured",
-    )
+    width = 1.0 if as_pixels(o) else 1.5
+    named: Look = {"label": "predictive mean", "gid": "mean", "rasterized": as_pixels(o)}
+    ax.plot(time, mean, color=PALETTE[2], linewidth=width, **named)
+    dots = _dots(measured, most_dots)
+    named = {"marker": ".", "markevery": dots, "label": "measured", "gid": "measured"}
+    draw_measured(ax, time, measured, linewidth=0.5, pixels=as_pixels(o), **named)
 
 
-def _residual(ax: Axes, o: Outputs, p: Predictive) -> None:
+def _residual(ax: Axes, o: Outputs, p: Predictive, most_dots: float) -> None:
     # once more, for on the scale of the torque a good fit's band is a hairline
     draw_band(ax, o, *(end - p.mean for end in p.band(LEVEL)))
-    time, residual = broken(o, o.measured - p.mean)
-    draw_measured(
-        ax,
-        time,
-        residual,
-        linewidth=0.4,
-        pixels=as_pixels(o),
-        marker=".",
-        markevery=_dots(ax, residual),
-        gid="residual",
-    )
-    for side in (-2.0, 2.0):
-        broken_time, sigma = broken(o, side * p.sigma)
-        ax.plot(
-            broken_time,
-            sigma,
-            color=PALETTE[1],
-            linewidth=0.8,
-            linestyle=(0, (4.0, 1.5)),
-            label=r"$\pm 2\sigma$" if side > 0 else None,
-            gid="sigma",
-        )
+    time, residual, sigma = broken(o, o.measured - p.mean, p.sigma)
+    named: Look = {"marker": ".", "markevery": _dots(residual, most_dots), "gid": "residual"}
+    draw_measured(ax, time, residual, linewidth=0.4, pixels=as_pixels(o), **named)
+    look: Look = {"color": PALETTE[1], "linewidth": 0.8, "linestyle": DASHED, "gid": "sigma"}
+    ax.plot(time, -2.0 * sigma, **look)
+    ax.plot(time, 2.0 * sigma, label=r"$\pm 2\sigma$", **look)
 
 
-def _dots(ax: Axes, broken: Array) -> list[int]:
+def _dots(broken: Array, most: float) -> list[int]:
     """Which points to mark: all where there is room, else those no line reaches."""
     present = np.isfinite(broken)
-    inches = ax.get_position().width * PAGE
-    if present.sum() > _MOST_DOTS * inches:
+    if present.sum() > most:
         padded = np.concatenate([[False], present, [False]])
         present &= ~padded[:-2] & ~padded[2:]
     return [int(i) for i in np.flatnonzero(present)]
 
 
-def _legend(figure: Figure, axes: AxesGrid, n: int) -> None:
-    handles, labels = [], []
-    for ax in axes[:, 0]:
-        some, words = ax.get_legend_handles_labels()
-        handles += some
-        labels += words
-    figure.legend(
-        handles,
-        labels,
-        loc="upper left",
-        ncols=len(labels),
-        bbox_to_anchor=(_LEFT / PAGE, 1.0),
-        borderaxespad=0.2,
-        borderpad=0.2,
-        columnspacing=1.4,
-    )
-    if n > _MOST:
-        figure.text(
-            1.0 - _RIGHT / PAGE,
-            1.0 - 0.04 / _HEIGHT,
-            f"first {_MOST} of {n} recordings",
-            ha="right",
-            va="top",
-            fontsize=SMALL,
-        )
+def residuals_in_words(judged: JudgedRun) -> str:
+    """Say how large residuals are, recording by recording."""
+    fit = judged.summary.fit
+    said = f"Measured {fit.quantity} with predictive mean and 90 % band, and residuals below"
+    if fit.residual_rms is not None:
+        said += f"; residual rms {fit.residual_rms:.4g} {fit.unit}"
+    each = [
+        f"{name}: {row.outputs} outputs, rms {row.residual_rms:.4g} {fit.unit}"
+        for name, row in fit.recordings.items()
+        if row.outputs is not None and row.residual_rms is not None
+    ]
+    return ". ".join([said, *each]) + "."
+
+
+FIGURE = RunFigure(
+    stem="prediction",
+    title="Measured and predicted",
+    section="prediction",
+    draw=lambda run: prediction_figure(run.fit),
+    caption=(
+        "What was measured and what the posterior predicts, noise included, with residuals below."
+    ),
+    alternative=residuals_in_words,
+)

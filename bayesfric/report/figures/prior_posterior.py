@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,58 +12,47 @@ from matplotlib.lines import Line2D
 
 from bayesfric.inference.fit import Fit
 from bayesfric.report.comparison.cell import Cell, posterior_cells
+from bayesfric.report.figures.alternative import judgement
 from bayesfric.report.figures.marginal import draw_marginal, marginal_handles
 from bayesfric.report.figures.quantity import Quantity, not_shown, quantities
-from bayesfric.report.figures.style import PAGE, SMALL, add_panels, few_ticks, paper_style
+from bayesfric.report.figures.registry import JudgedRun, RunFigure
+from bayesfric.report.figures.style import (
+    PAGE,
+    corner_words,
+    few_ticks,
+    legend_above,
+    panel_grid,
+    paper_figure,
+    remark_below,
+)
+from bayesfric.report.summary.summary import LEVEL
 
 _COLUMNS = 4
 _MOST = 24
 # A prior this many times as wide as the posterior would leave it no room.
 _WIDEST = 6.0
-
-_LEFT, _RIGHT, _TOP, _BETWEEN = 0.10, 0.10, 0.26, 0.16
-_PANEL, _BELOW = 0.80, 0.42
-_WORDS = {
-    "data": "data",
-    "weak": "weak: prior and data",
-    "prior": "prior: NOT determined",
-}
+_ROW, _AROUND = 1.22, 0.3  # inches
+_WORDS = {"data": "data", "weak": "weak: prior and data", "prior": "prior: NOT determined"}
 
 
 def prior_posterior_figure(fit: Fit, summary: Mapping[str, Any]) -> Figure:
-    """Draw prior and posterior density of each sampled parameter.
+    """Draw prior and posterior density of each sampled parameter, a page wide.
 
     Densities are scaled to the panel. A panel shows the whole prior where that is at most
     some times as wide as the posterior, else the posterior with the prior passing through;
-    the ratio of the two sds stands beside the verdict.
-
-    Parameters
-    ----------
-    fit
-        A finished fit.
-    summary
-        From :func:`bayesfric.report.summary.summary.summarise`, for the verdicts.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        A page wide, four panels in a row, at most twenty-four.
+    the ratio of the two sds stands beside the verdict. At most twenty-four panels.
     """
     everything = quantities(fit)
     shown, left_out = everything[:_MOST], everything[_MOST:]
     judged = posterior_cells(summary)
     cells = [judged[q.name] for q in shown]
-    rows = -(-len(shown) // _COLUMNS)
-    height = _TOP + rows * (_PANEL + _BELOW)
-    with paper_style():
-        figure = Figure(figsize=(PAGE, height))
-        panels = add_panels(
-            figure, len(shown), _COLUMNS, left=_LEFT, right=_RIGHT, top=_TOP, between=_BETWEEN,
-            panel=_PANEL, below=_BELOW,
-        )  # fmt: skip
+    with paper_figure(PAGE, _AROUND + _ROW * -(-len(shown) // _COLUMNS), apart=0.05) as figure:
+        panels = panel_grid(figure, len(shown), _COLUMNS)
         for ax, q, cell in zip(panels, shown, cells, strict=True):
             _panel(ax, q, summary["parameters"][q.name], cell)
-        _legend(figure, cells, not_shown(left_out))
+        ratio = Line2D([], [], linestyle="none", label="1:n  sd of posterior to prior")
+        legend_above(figure, [*marginal_handles(cells), ratio])
+        remark_below(figure, not_shown(left_out))
     return figure
 
 
@@ -75,11 +64,9 @@ def _panel(ax: Axes, q: Quantity, row: Mapping[str, Any], cell: Cell) -> None:
     draw_marginal(ax, q, _range(q), cell=cell, headroom=1.35)
     few_ticks(ax.xaxis, 3, inner=True)
     ax.set_xlabel(q.label())
-    said: dict[str, Any] = {"va": "top", "fontsize": SMALL, "transform": ax.transAxes}
-    ax.text(0.03, 0.97, words, ha="left", gid="verdict", **said)
+    corner_words(ax, words, "verdict")
     if row["prior_sd"] and row["sd"] and row["prior_sd"] > _WIDEST * row["sd"]:
-        ratio = row["prior_sd"] / row["sd"]
-        ax.text(0.97, 0.97, rf"1:{_two_digits(ratio)}", ha="right", gid="ratio", **said)
+        corner_words(ax, f"1:{_two_digits(row['prior_sd'] / row['sd'])}", "ratio", "right")
 
 
 def _two_digits(x: float) -> str:
@@ -88,32 +75,35 @@ def _two_digits(x: float) -> str:
 
 def _range(q: Quantity) -> tuple[float, float]:
     """All of the posterior, and of the prior as much as leaves that half of the width or so."""
-    prior, draws = q.prior, q.draws / q.factor
-    assert prior is not None  # a sampled parameter has one
-    low, high = (float(x) for x in np.quantile(draws, [0.001, 0.999]))
-    margin = 0.08 * (high - low) or 0.05 * abs(low) or 1.0
-    low, high = low - margin, high + margin
-    # a bound is part of the prior, and the density beyond it is none
-    bounds = (prior.lower / q.factor, prior.upper / q.factor)
-    low, high = max(low, bounds[0]), min(high, bounds[1])
-    drawn = prior.draw(1000, np.random.default_rng(np.random.SeedSequence(0))) / q.factor
+    assert q.prior is not None  # a sampled parameter has one
+    low, high = q.nearly_all(0.08)
+    drawn = q.prior.draw(1000, np.random.default_rng(np.random.SeedSequence(0))) / q.factor
     first, last = (float(x) for x in np.quantile(drawn, [0.01, 0.99]))
     if last - first < _WIDEST * (high - low):
         low, high = min(low, first), max(high, last)
     return low, high
 
 
-def _legend(figure: Figure, cells: Sequence[Cell], remark: str) -> None:
-    ratio = Line2D([], [], linestyle="none", label="1:n  sd of posterior to prior")
-    figure.legend(
-        handles=[*marginal_handles(cells), ratio],
-        loc="upper left",
-        ncols=5,
-        bbox_to_anchor=(_LEFT / PAGE, 1.0),
-        borderaxespad=0.2,
-        borderpad=0.2,
-        columnspacing=1.2,
-        handlelength=1.8,
-    )
-    if remark:
-        figure.text(1.0 - _RIGHT / PAGE, 0.005, remark, ha="right", va="bottom", fontsize=SMALL)
+def _words(judged: JudgedRun) -> str:
+    parts = []
+    for row in judged.table.rows:
+        facts = judged.summary.parameters.get(row.name)
+        if facts is not None and facts.prior_sd and facts.sd:
+            ratio = f"posterior 1:{facts.prior_sd / facts.sd:.3g} as wide as its prior"
+            parts.append(f"{row.name}: {ratio}, {judgement(row)}")
+    return "; ".join(parts) + "."
+
+
+FIGURE = RunFigure(
+    stem="prior_posterior",
+    title="Prior and posterior",
+    section="posterior",
+    draw=lambda run: prior_posterior_figure(run.fit, run.summary),
+    caption=(
+        f"Prior (dashed) and posterior density of each parameter; dotted: {100 * LEVEL:.0f} % "
+        "interval; hatched where the data leave the parameter open. 1:n compares the sds of "
+        "posterior and prior. A posterior can be far narrower than its prior and open all the "
+        "same: then priors and bounds of other parameters confine it."
+    ),
+    alternative=_words,
+)

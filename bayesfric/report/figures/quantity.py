@@ -57,6 +57,15 @@ class Quantity:
         """Symbol and unit for an axis, with ``between`` between them."""
         return f"{self.symbol}{between}({self.scaled_unit})"
 
+    def nearly_all(self, margin: float) -> tuple[float, float]:
+        """Give an axis nearly all draws and a share of their width, nothing beyond the support."""
+        low, high = (float(v) for v in np.quantile(self.draws / self.factor, [0.001, 0.999]))
+        room = margin * (high - low) or 0.05 * abs(low) or 1.0
+        if self.prior is None:
+            return low - room, high + room
+        lower, upper = self.prior.lower / self.factor, self.prior.upper / self.factor
+        return max(low - room, min(lower, low)), min(high + room, max(upper, high))
+
 
 def quantities(fit: Fit) -> list[Quantity]:
     """List the sampled parameters of a fit, noise scales last."""
@@ -86,6 +95,4 @@ def combinations(fit: Fit) -> list[Quantity]:
 
 def not_shown(left_out: list[Quantity]) -> str:
     """Name what a figure leaves out; empty if that is nothing."""
-    if not left_out:
-        return ""
-    return "not shown: " + ", ".join(q.symbol for q in left_out)
+    return "not shown: " + ", ".join(q.symbol for q in left_out) if left_out else ""

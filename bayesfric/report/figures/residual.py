@@ -8,21 +8,31 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from bayesfric.inference.fit import Fit
+from bayesfric.report.figures.prediction import residuals_in_words
+from bayesfric.report.figures.registry import FinishedRun, JudgedRun, RunFigure
 from bayesfric.report.figures.style import (
     BAND,
+    DASHED,
     MEASURED,
     PAGE,
     PALETTE,
-    SMALL,
+    corner_words,
     few_ticks,
-    margins,
-    paper_style,
+    panel_grid,
+    paper_figure,
     power_of_ten,
     scaled_unit,
 )
-from bayesfric.report.summary.residual_analysis import Binned, ResidualAnalysis, residual_analysis
+from bayesfric.report.numbers import p_text
+from bayesfric.report.summary.residual_analysis import (
+    Binned,
+    ResidualAnalysis,
+    residual_analysis,
+    residual_words,
+)
+from bayesfric.report.text_templates import white_words
 
-_HEIGHT, _LEFT, _RIGHT, _TOP, _BOTTOM = 3.6, 0.55, 0.08, 0.08, 0.38
+_HEIGHT = 3.6
 _STRANGE = {"depends": ", NOT chance", "open": ", chance?", "none": ""}
 # Half width of a normal's 95 % interval, in sds.
 _HALF = float(stats.norm.ppf(0.975))
@@ -31,11 +41,6 @@ _HALF = float(stats.norm.ppf(0.975))
 def residual_figure(fit: Fit) -> Figure:
     """Draw autocorrelation, quantiles, and residuals against speed, load and angle.
 
-    Parameters
-    ----------
-    fit
-        A finished fit.
-
     Returns
     -------
     matplotlib.figure.Figure
@@ -43,30 +48,21 @@ def residual_figure(fit: Fit) -> Figure:
         95 % interval of their mean.
     """
     found = residual_analysis(fit)
-    with paper_style():
-        figure = Figure(figsize=(PAGE, _HEIGHT))
-        grid = figure.add_gridspec(
-            2,
-            6,
-            **margins(figure, left=_LEFT, right=_RIGHT, bottom=_BOTTOM, top=_TOP),
-            wspace=1.1,
-            hspace=0.34,
-        )
-        _draw_correlation(figure.add_subplot(grid[0, :4]), fit, found)
-        _draw_quantiles(figure.add_subplot(grid[0, 4:]), found)
+    with paper_figure(PAGE, _HEIGHT) as figure:
+        halves = figure.add_gridspec(2, 1)
+        upper = halves[0].subgridspec(1, 2, width_ratios=(2.0, 1.0))
+        _draw_correlation(figure.add_subplot(upper[0]), fit, found)
+        _draw_quantiles(figure.add_subplot(upper[1]), found)
         reach = max((float((abs(b.mean) + b.sd).max()) for b in found.against), default=1.0)
         exponent = power_of_ten(-reach, reach)
-        first: Axes | None = None
-        for k, binned in enumerate(found.against):
-            ax = figure.add_subplot(grid[1, 2 * k : 2 * k + 2], sharey=first)
+        lower = panel_grid(figure, len(found.against), max(len(found.against), 1), halves[1])
+        for ax, binned in zip(lower, found.against, strict=True):
             _draw_binned(ax, binned, 10.0**exponent)
             ax.set_ylim(-1.15 * reach / 10.0**exponent, 1.45 * reach / 10.0**exponent)
-            if first is None:
-                ax.set_ylabel(f"residual ({scaled_unit(exponent, found.unit)})")
-                few_ticks(ax.yaxis, 5)
-            else:
-                ax.tick_params(labelleft=False)
-            first = first or ax
+            few_ticks(ax.yaxis, 5)
+            ax.tick_params(labelleft=ax is lower[0])
+        if lower:
+            lower[0].set_ylabel(f"residual ({scaled_unit(exponent, found.unit)})")
     return figure
 
 
@@ -108,7 +104,7 @@ def _draw_correlation(ax: Axes, fit: Fit, found: ResidualAnalysis) -> None:
 
 def _draw_quantiles(ax: Axes, found: ResidualAnalysis) -> None:
     reach = 1.08 * float(np.abs(found.normal).max(initial=1.0))
-    ax.plot([-reach, reach], [-reach, reach], color=PALETTE[2], linestyle=(0, (4.0, 1.5)))
+    ax.plot([-reach, reach], [-reach, reach], color=PALETTE[2], linestyle=DASHED)
     ax.plot(
         found.normal, found.quantiles, color=MEASURED, linestyle="none", marker=".",
         markersize=2.2, gid="quantiles",
@@ -132,7 +128,35 @@ def _draw_binned(ax: Axes, b: Binned, factor: float) -> None:
     )  # fmt: skip
     ax.set_xlabel(f"{b.what} ({b.unit})")
     few_ticks(ax.xaxis, 5)
-    ax.text(
-        0.03, 0.96, f"{100 * b.explained:.2g} % of variance{_STRANGE[b.outcome]}",
-        ha="left", va="top", fontsize=SMALL, transform=ax.transAxes,
-    )  # fmt: skip
+    corner_words(ax, f"{100 * b.explained:.2g} % of variance{_STRANGE[b.outcome]}")
+
+
+def _caption(run: FinishedRun) -> str:
+    return (
+        "What the posterior mean leaves unexplained: autocorrelation, quantiles against those of a "
+        "normal, and residuals against speed, load and angle (thin: one sd; thick: 95 % interval "
+        "of the bin's mean; the share of variance that the bins' means hold is written in each "
+        "panel). " + " ".join(residual_words(run.fit))
+    )
+
+
+def _words(judged: JudgedRun) -> str:
+    noise = judged.summary.noise
+    parts = [residuals_in_words(judged)]
+    if noise.residual_lag1 is not None:
+        parts.append(f"Lag-1 autocorrelation of the residuals: {noise.residual_lag1:.2f}.")
+    test = noise.innovation_whiteness
+    if test is not None and test.p_value is not None:
+        parts.append(f"Innovations {white_words(test.white)} ({p_text(test.p_value)}).")
+    return " ".join(parts)
+
+
+FIGURE = RunFigure(
+    stem="residual",
+    title="What is left unexplained",
+    section="prediction",
+    place=1,
+    draw=lambda run: residual_figure(run.fit),
+    caption=_caption,
+    alternative=_words,
+)

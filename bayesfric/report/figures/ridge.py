@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
-from typing import Any
 
 import numpy as np
 from matplotlib import ticker
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
@@ -19,18 +17,23 @@ from bayesfric.estimates.torque import filtered_torque
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.prior.priors import Prior, fixed
 from bayesfric.mechanism.scaling import Scaling, scalings
+from bayesfric.report.figures.over_time import broken
+from bayesfric.report.figures.registry import JudgedRun, RunFigure
 from bayesfric.report.figures.style import (
+    DASHED,
+    DOTTED,
     PAGE,
     PALETTE,
     POSTERIOR,
     PRIOR,
-    SMALL,
     Array,
-    LineStyle,
+    Look,
+    corner_words,
     few_ticks,
-    margins,
+    legend_above,
     mathtext,
-    paper_style,
+    panel_grid,
+    paper_figure,
     power_of_ten,
     scaled_unit,
     shortened,
@@ -50,10 +53,12 @@ _MOST_NAMED = 3
 _DIGITS = ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0))
 
 _HEIGHT = 4.3
-_LEFT, _RIGHT, _BOTTOM, _TOP = 0.58, 0.10, 0.36, 0.30
 _LINE = PALETTE[0]
-_ENDS: tuple[LineStyle, LineStyle] = ((0, (4.0, 1.5)), (0, (1.0, 1.2)))
-_END_WORDS = (r"end $\alpha_2 = 1$", r"end $\alpha_1 = 1$")
+_ENDS = (r"end $\alpha_2 = 1$", r"end $\alpha_1 = 1$")
+_MARKER: Look = {
+    "linestyle": "none", "markerfacecolor": "white", "markeredgecolor": _LINE,
+    "markeredgewidth": 0.9,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,15 +96,7 @@ class Ridge:
 def ridge(fit: Fit) -> Ridge | None:
     """Follow the first scaling of a fit's chain through the posterior's median.
 
-    Parameters
-    ----------
-    fit
-        A finished fit.
-
-    Returns
-    -------
-    Ridge or None
-        Nothing for a chain without an element of two load losses.
+    ``None`` for a chain without an element of two load losses.
     """
     found = scalings(fit.chain)
     if not found:
@@ -123,11 +120,6 @@ def ridge_figure(fit: Fit) -> Figure | None:
     the middle and at the ends of that line, and the difference. A recording with a known
     mass tells the ends apart; the posterior is a spot on the line then.
 
-    Parameters
-    ----------
-    fit
-        A finished fit.
-
     Returns
     -------
     matplotlib.figure.Figure or None
@@ -136,100 +128,76 @@ def ridge_figure(fit: Fit) -> Figure | None:
     found = ridge(fit)
     if found is None:
         return None
-    drive, others = _quantities(fit, found.scaling, found.values)
+    drive, others = _quantities(fit, found)
     if not others:
         return None
-    with paper_style():
-        figure = Figure(figsize=(PAGE, _HEIGHT))
-        halves = figure.add_gridspec(
-            2,
-            1,
-            **margins(figure, left=_LEFT, right=_RIGHT, bottom=_BOTTOM, top=_TOP),
-            hspace=0.30,
-            height_ratios=(1.35, 1.0),
-        )
-        grid = halves[0].subgridspec(1, len(others), wspace=0.38)
-        for j, other in enumerate(others):
-            _pair(figure.add_subplot(grid[0, j]), fit, found, drive, other)
-        grid = halves[1].subgridspec(1, 2, wspace=0.24)
-        _torque(figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1]), fit, found)
-        _legend(figure, found)
+    with paper_figure(PAGE, _HEIGHT) as figure:
+        halves = figure.add_gridspec(2, 1, height_ratios=(1.35, 1.0))
+        upper = panel_grid(figure, len(others), len(others), halves[0])
+        for ax, other in zip(upper, others, strict=True):
+            _pair(ax, fit, found, drive, other)
+        left, right = panel_grid(figure, 2, 2, halves[1])
+        _torque(left, right, fit, found)
+        legend_above(figure, _handles(found))
     return figure
-
-
-def _same(x: Array) -> Array:
-    return x
 
 
 @dataclass(frozen=True)
 class _Quantity:
-    """An axis: how to get it from parameter vectors, and its prior in its logarithm."""
+    """An axis: a column of parameter vectors with its prior, or the alpha that follows from it.
+
+    ``sign`` is that of mu in ``1/alpha = 1 + sign mu``, eq. (6); zero where there is no alpha.
+    """
 
     name: str
     symbol: str
     unit: str
-    of: Callable[[Array], Array]
+    column: int
     prior: Prior
-    from_parameter: Callable[[Array], Array] = _same
-    to_parameter: Callable[[Array], Array] = _same
-    slope: Callable[[Array], Array] = _same
+    sign: float = 0.0
+
+    def of(self, values: Array) -> Array:
+        """Read it off parameter vectors."""
+        return self.shown(values[..., self.column])
+
+    def shown(self, x: Array) -> Array:
+        """Turn the parameter into what is shown; an irreversible gearbox has no alpha_2."""
+        if not self.sign:
+            return x
+        inverse = 1.0 + self.sign * x
+        return np.where(inverse > 0.0, 1.0 / np.where(inverse > 0.0, inverse, 1.0), np.nan)
 
     def log_density(self, x: Array) -> Array:
-        """Log prior density of the logarithm of the quantity at ``x``."""
-        return self.prior.log_density(self.to_parameter(x)) + np.log(self.slope(x))
-
-    def known(self) -> float:
-        """Value of a fixed one."""
-        return float(self.from_parameter(np.asarray(self.prior.value)))
-
-    def draw_prior(self, n: int, rng: np.random.Generator) -> Array:
-        """Draw from the prior."""
-        return self.from_parameter(self.prior.draw(n, rng))
+        """Log prior density of the logarithm of what is shown."""
+        if not self.sign:
+            return self.prior.log_density(x) + np.log(x)
+        # |d mu / d log alpha| = 1/alpha
+        return self.prior.log_density(self.sign * (1.0 / x - 1.0)) - np.log(x)
 
 
-def _quantities(fit: Fit, scaling: Scaling, values: Array) -> tuple[_Quantity, list[_Quantity]]:
-    names = fit.chain.names
+def _quantities(fit: Fit, found: Ridge) -> tuple[_Quantity, list[_Quantity]]:
+    names, scaling = fit.chain.names, found.scaling
     told = dict(zip(fit.posterior.names, fit.posterior.priors, strict=True))
-    at = dict(zip(names, values.tolist(), strict=True))
-    priors = {name: told.get(name) or fixed(at[name]) for name in scaling.names}
-
-    def alpha(name: str, symbol: str, sign: float) -> _Quantity:
-        column = names.index(name)
-        # eq. (6): 1/alpha_1 = 1 + mu_1, 1/alpha_2 = 1 - mu_2; d mu / d log alpha = 1/alpha
-        return _Quantity(
-            name,
-            symbol,
-            "",
-            lambda v: _inverse(1.0 + sign * v[..., column]),
-            priors[name],
-            lambda mu: _inverse(1.0 + sign * mu),
-            lambda x: sign * (1.0 / x - 1.0),
-            lambda x: 1.0 / x,
-        )
-
-    drive = alpha(scaling.drive, r"$\alpha_1$", 1.0)
     described = {p.name: p for p in fit.chain.parameters}
-    others: list[_Quantity] = []
-    for quantity in _SIBLINGS:
-        # the load's own before those of elements in between
-        for name in sorted(scaling.behind, key=lambda n: not n.startswith("load.")):
-            p = described[name]
-            if p.quantity != quantity or len(others) == 2:
-                continue
-            of = partial(_column, names.index(name))
-            others.append(_Quantity(name, mathtext(p.symbol, name), p.unit, of, priors[name]))
-    others.append(alpha(scaling.back, r"$\alpha_2$", -1.0))
+
+    def shown(name: str, alpha: str = "", sign: float = 0.0) -> _Quantity:
+        p, column = described[name], names.index(name)
+        prior = told.get(name) or fixed(float(found.values[column]))
+        symbol = alpha or mathtext(p.symbol, name)
+        return _Quantity(name, symbol, "" if alpha else p.unit, column, prior, sign)
+
+    # the load's own before those of elements in between
+    behind = sorted(scaling.behind, key=lambda name: not name.startswith("load."))
+    others = [
+        shown(name)
+        for quantity in _SIBLINGS
+        for name in behind
+        if described[name].quantity == quantity
+    ][:2]
+    others.append(shown(scaling.back, r"$\alpha_2$", -1.0))
     # what is zero, and the alpha_2 of an irreversible gearbox, have no logarithm
-    return drive, [q for q in others if float(q.of(values)) > 0.0]
-
-
-def _column(column: int, values: Array) -> Array:
-    return np.asarray(values[..., column])
-
-
-def _inverse(x: Array) -> Array:
-    """One over what is positive; an irreversible gearbox has no alpha_2."""
-    return np.where(x > 0.0, 1.0 / np.where(x > 0.0, x, 1.0), np.nan)
+    others = [q for q in others if float(q.of(found.values)) > 0.0]
+    return shown(scaling.drive, r"$\alpha_1$", 1.0), others
 
 
 def _pair(ax: Axes, fit: Fit, found: Ridge, x: _Quantity, y: _Quantity) -> None:
@@ -239,36 +207,18 @@ def _pair(ax: Axes, fit: Fit, found: Ridge, x: _Quantity, y: _Quantity) -> None:
     points = points[:, np.all(np.isfinite(points) & (points > 0.0), axis=0)]
     limits = [_limits(p, v) for p, v in zip(points, line, strict=True)]
     exponents = [power_of_ten(*pair) for pair in limits]
-    factors = [10.0**e for e in exponents]
+    factors = np.array([10.0**e for e in exponents])
     ax.set_xscale("log")
     ax.set_yscale("log")
     _prior(ax, fit, (x, y), limits, factors)
+    dots: Look = {"linestyle": "none", "marker": ".", "markersize": 2.2, "markeredgewidth": 0.0}
+    points, line = points / factors[:, None], line / factors[:, None]
     ax.plot(
-        points[0] / factors[0],
-        points[1] / factors[1],
-        linestyle="none",
-        marker=".",
-        markersize=2.2,
-        markeredgewidth=0.0,
-        color=POSTERIOR,
-        alpha=0.25,
-        rasterized=True,
-        zorder=2,
-        gid="posterior",
+        *points, color=POSTERIOR, alpha=0.25, rasterized=True, zorder=2, gid="posterior", **dots
     )
-    ax.plot(line[0] / factors[0], line[1] / factors[1], color=_LINE, zorder=3, gid="line")
+    ax.plot(*line, color=_LINE, zorder=3, gid="line")
     for k, marker in _marked(found):
-        ax.plot(
-            line[0, k] / factors[0],
-            line[1, k] / factors[1],
-            marker=marker,
-            markersize=5.0,
-            markerfacecolor="white",
-            markeredgecolor=_LINE,
-            markeredgewidth=0.9,
-            zorder=4,
-            gid=f"end {k}",
-        )
+        ax.plot(*line[:, k], marker=marker, markersize=5.0, zorder=4, gid=f"end {k}", **_MARKER)
     for axis, q, pair, exponent in zip(
         (ax.xaxis, ax.yaxis), (x, y), limits, exponents, strict=True
     ):
@@ -310,17 +260,18 @@ def _prior(
     fit: Fit,
     pair: tuple[_Quantity, _Quantity],
     limits: list[tuple[float, float]],
-    factors: list[float],
+    factors: Array,
 ) -> None:
     """Draw where half and nine tenths of the prior lie, or the line on which it is known."""
-    style: dict[str, Any] = {"color": PRIOR, "linestyle": (0, (4.0, 1.5)), "linewidth": 0.9}
+    style: Look = {"color": PRIOR, "linestyle": DASHED, "linewidth": 0.9}
     if any(q.prior.fixed for q in pair):
         for q, draw, factor in zip(pair, (ax.axvline, ax.axhline), factors, strict=True):
             if q.prior.fixed:
-                draw(q.known() / factor, gid="prior", **style)
+                known = float(q.shown(np.asarray(q.prior.value)))
+                draw(known / factor, gid="prior", **style)
         return
     rng = np.random.default_rng(np.random.SeedSequence(fit.posterior.seed, spawn_key=(4,)))
-    draws = [q.draw_prior(40_000, rng) for q in pair]
+    draws = [q.shown(q.prior.draw(40_000, rng)) for q in pair]
     x, y = (_grid(d, *ends) for d, ends in zip(draws, limits, strict=True))
     with np.errstate(divide="ignore", invalid="ignore"):
         density = pair[0].log_density(x)[None, :] + pair[1].log_density(y)[:, None]
@@ -328,24 +279,13 @@ def _prior(
     levels = np.quantile(drawn[np.isfinite(drawn)], [1.0 - mass for mass in reversed(_MASSES)])
     # a density, not its logarithm: that would be minus infinity beyond a bound
     height = np.exp(np.where(np.isfinite(density), density, -np.inf) - levels[1])
-    x, y = x / factors[0], y / factors[1]
-    top = max(float(height.max()), 1.0) * 2.0
+    places = (x / factors[0], y / factors[1], height)
     steps = [float(np.exp(levels[0] - levels[1])), 1.0]
-    shades = ax.contourf(
-        x, y, height, levels=[*steps, top], colors=[PRIOR, PRIOR], alpha=0.10, zorder=0
-    )
+    top = max(float(height.max()), 1.0) * 2.0
+    shades = ax.contourf(*places, levels=[*steps, top], colors=[PRIOR] * 2, alpha=0.10, zorder=0)
     shades.set_gid("prior mass")
-    edges = ax.contour(
-        x,
-        y,
-        height,
-        levels=steps,
-        colors=[PRIOR],
-        linestyles=[(0, (1.0, 1.2)), (0, (4.0, 1.5))],
-        linewidths=[0.7, 0.9],
-        zorder=1,
-    )
-    edges.set_gid("prior")
+    look: Look = {"linestyles": [DOTTED, DASHED], "linewidths": [0.7, 0.9]}
+    ax.contour(*places, levels=steps, colors=[PRIOR], zorder=1, **look).set_gid("prior")
 
 
 def _grid(draws: Array, low: float, high: float) -> Array:
@@ -360,24 +300,19 @@ def _torque(left: Axes, right: Axes, fit: Fit, found: Ridge) -> None:
     differences = found.differences
     r = int(np.argmax(differences)) if max(differences) > ROUNDING else 0
     o, torque = fit.observations[r], found.torque[r]
-    unit = "N m" if fit.chain.motor_motion == "rotary" else "N"
-    gaps = np.flatnonzero((np.diff(o.time) > 1.5 * o.period) | (np.diff(o.segment_of) != 0)) + 1
-    time = np.insert(o.time, gaps, np.nan)
-    low, middle, high = (np.insert(t, gaps, np.nan) for t in torque)
+    kind, unit = ("torque", "N m") if fit.chain.motor_motion == "rotary" else ("force", "N")
+    time, low, middle, high = broken(o, *torque)
     same = max(differences) <= ROUNDING
     exponent = -10 if same else power_of_ten(0.0, differences[r])
     left.plot(time, middle, color=PALETTE[3], linewidth=2.4, label="middle", gid="torque middle")
-    for t, dashes, words, colour in (
-        (low, _ENDS[0], _END_WORDS[0], _LINE),
-        (high, _ENDS[1], _END_WORDS[1], PALETTE[2]),
-    ):
-        left.plot(time, t, color=colour, linestyle=dashes, label=words, gid="torque")
-        right.plot(
-            time, (t - middle) / 10.0**exponent, color=colour, linestyle=dashes, gid="difference"
-        )
+    looks = ((DASHED, _LINE), (DOTTED, PALETTE[2]))
+    for t, (dashes, colour), words in zip((low, high), looks, _ENDS, strict=True):
+        look: Look = {"color": colour, "linestyle": dashes}
+        left.plot(time, t, label=words, gid="torque", **look)
+        right.plot(time, (t - middle) / 10.0**exponent, gid="difference", **look)
     reach = 1.0 if same else 1.08 * differences[r] / 10.0**exponent
     right.set_ylim(-1.2 * reach, 1.7 * reach)
-    left.set_ylabel(f"motor torque ({unit})" if unit == "N m" else f"motor force ({unit})")
+    left.set_ylabel(f"motor {kind} ({unit})")
     right.set_ylabel(f"difference ({scaled_unit(exponent, unit)})")
     for ax in (left, right):
         begin = float(o.time.min())
@@ -387,56 +322,54 @@ def _torque(left: Axes, right: Axes, fit: Fit, found: Ridge) -> None:
         few_ticks(ax.yaxis, 4)
     span = float(np.ptp(torque))
     left.set_ylim(float(torque.min()) - 0.08 * span, float(torque.max()) + 0.35 * span)
-    left.legend(loc="upper left", ncols=3, handlelength=2.2, columnspacing=1.2, borderaxespad=0.2)
+    left.legend(loc="upper left", ncols=3, handlelength=2.2)
     lines = [
         f"{shortened(one.name, 24)}: at most {difference:.2g} {unit}"
         for one, difference in zip(fit.observations, differences, strict=True)
     ]
     if len(lines) > _MOST_NAMED:
         lines = [*lines[: _MOST_NAMED - 1], f"and {len(lines) - _MOST_NAMED + 1} more"]
-    right.text(
-        0.02,
-        0.97,
-        "\n".join(lines),
-        transform=right.transAxes,
-        ha="left",
-        va="top",
-        fontsize=SMALL,
-        gid="largest",
-    )
+    corner_words(right, "\n".join(lines), "largest")
 
 
-def _legend(figure: Figure, found: Ridge) -> None:
-    low, high = found.bounds
-    ends: dict[str, Any] = {
-        "linestyle": "none",
-        "markerfacecolor": "white",
-        "markeredgecolor": _LINE,
-    }
-    handles = [
-        Line2D([], [], linestyle="none", marker=".", markersize=4.0, color=POSTERIOR),
-        Patch(facecolor="#f6e3d6", edgecolor=PRIOR, linestyle=(0, (4.0, 1.5)), linewidth=0.7),
-        Line2D([], [], color=_LINE),
-    ]
+def _handles(found: Ridge) -> list[Artist]:
     same = max(found.differences) <= ROUNDING
-    labels = [
-        "posterior",
-        "prior, 50 and 90 %",
-        "no torque changes" if same else "same torque unloaded",
+    dots: Look = {"linestyle": "none", "marker": ".", "markersize": 4.0}
+    prior: Look = {"facecolor": "#f6e3d6", "edgecolor": PRIOR, "linewidth": 0.7}
+    handles: list[Artist] = [
+        Line2D([], [], color=POSTERIOR, label="posterior", **dots),
+        Patch(linestyle=DASHED, label="prior, 50 and 90 %", **prior),
+        Line2D([], [], color=_LINE, label="no torque changes" if same else "same torque unloaded"),
     ]
-    if low > 0.0:
-        handles.append(Line2D([], [], marker="s", markersize=4.5, **ends))
-        labels.append(rf"{_END_WORDS[0]}, $k = 1/\alpha_2 = {low:.2f}$")
-    handles.append(Line2D([], [], marker="^", markersize=4.5, **ends))
-    labels.append(rf"{_END_WORDS[1]}, $k = 1/\alpha_1 = {high:.2f}$")
-    figure.legend(
-        handles,
-        labels,
-        loc="upper left",
-        ncols=len(labels),
-        bbox_to_anchor=(0.02 / PAGE, 1.0),
-        borderaxespad=0.2,
-        borderpad=0.2,
-        columnspacing=1.2,
-        handlelength=1.8,
-    )
+    for k, marker in _marked(found):
+        which, end, factor = (
+            (2, _ENDS[0], found.bounds[0]) if k == 0 else (1, _ENDS[1], found.bounds[1])
+        )
+        label = rf"{end}, $k = 1/\alpha_{which} = {factor:.2f}$"
+        handles.append(Line2D([], [], marker=marker, markersize=4.5, label=label, **_MARKER))
+    return handles
+
+
+def _words(judged: JudgedRun) -> str:
+    meanings = "; ".join(one.meaning for one in judged.summary.identifiability.null_directions)
+    if not meanings:
+        return "The data hold the scale between gearbox and leg; no null direction is left."
+    open_ = [
+        r.name for r in judged.table.rows if r.cell.status == "undetermined" and r.cell.converged
+    ]
+    left = f" Not determined by the data: {', '.join(open_)}." if open_ else ""
+    return f"Null directions: {meanings}.{left}"
+
+
+FIGURE = RunFigure(
+    stem="ridge",
+    title="The ridge: what can be scaled together without changing any torque",
+    section="ridge",
+    draw=lambda run: ridge_figure(run.fit),
+    caption=(
+        "Draws of the posterior against the line along which no torque changes, between the ends "
+        "that a passive gearbox sets. Below: the torque at both ends of the line and in its "
+        "middle, and their difference."
+    ),
+    alternative=_words,
+)

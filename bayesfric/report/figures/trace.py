@@ -6,26 +6,27 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.sampling.convergence import autocorrelation
 from bayesfric.report.figures.quantity import Quantity, not_shown, quantities
+from bayesfric.report.figures.registry import JudgedRun, RunFigure
 from bayesfric.report.figures.style import (
     PAGE,
     SMALL,
     Array,
+    Look,
     few_ticks,
+    legend_above,
     line_style,
-    margins,
-    paper_style,
+    paper_figure,
+    remark_below,
 )
 from bayesfric.report.summary.summary import LEVEL
 
 _MOST = 14
-_TALLEST = 9.0  # inches; a page
-_ROW = 0.72
-_LEFT, _RIGHT, _TOP, _BOTTOM = 1.22, 0.14, 0.30, 0.36
+# Inches: a page, a row, and what stands above and below.
+_TALLEST, _ROW, _AROUND = 9.0, 0.72, 0.66
 
 
 def trace_figure(fit: Fit) -> Figure:
@@ -34,11 +35,6 @@ def trace_figure(fit: Fit) -> Figure:
     On the left the median of each ensemble's walkers at every kept step and a
     90 % band over them; on the right the autocorrelation of the walkers over
     the lag in steps of the sampler.
-
-    Parameters
-    ----------
-    fit
-        A finished fit.
 
     Returns
     -------
@@ -49,34 +45,27 @@ def trace_figure(fit: Fit) -> Figure:
     everything = quantities(fit)
     shown, left_out = everything[:_MOST], everything[_MOST:]
     diagnostics = fit.posterior.diagnostics
-    with paper_style():
-        height = min(_TALLEST, _TOP + _BOTTOM + _ROW * len(shown))
-        figure = Figure(figsize=(PAGE, height))
-        axes = figure.subplots(
-            len(shown),
-            2,
-            squeeze=False,
-            sharex="col",
-            gridspec_kw={
-                **margins(figure, left=_LEFT, right=_RIGHT, bottom=_BOTTOM, top=_TOP),
-                "wspace": 0.17,
-                "hspace": 0.12,
-                "width_ratios": (2.0, 1.0),
-            },
-        )
+    ensembles, _, steps, _ = fit.posterior.draws.shape
+    with paper_figure(PAGE, min(_TALLEST, _AROUND + _ROW * len(shown))) as figure:
+        axes = figure.subplots(len(shown), 2, squeeze=False, sharex="col", width_ratios=(2.0, 1.0))
+        figure.align_ylabels(axes[:, 0])
         longest = _longest_lag(fit)
         for (left, right), q, tau in zip(axes, shown, diagnostics.tau, strict=False):
-            ensembles = fit.posterior[q.name]
-            _trace(left, q, ensembles / q.factor, diagnostics.thin)
-            _forgetting(right, ensembles, diagnostics.thin, float(tau), longest)
+            draws = fit.posterior[q.name]
+            _trace(left, q, draws / q.factor, diagnostics.thin)
+            _forgetting(right, draws, diagnostics.thin, float(tau), longest)
         axes[-1, 0].set_xlabel("step after warm-up")
         axes[-1, 1].set_xlabel("lag (steps)")
-        axes[-1, 0].set_xlim(0, max(diagnostics.thin * fit.posterior.draws.shape[2], 1))
+        axes[-1, 0].set_xlim(0, max(diagnostics.thin * steps, 1))
         axes[-1, 1].set_xlim(0, longest)
         few_ticks(axes[-1, 1].xaxis, 6)
-        for ax in axes[:, 0]:
-            ax.yaxis.set_label_coords(-0.42 / (ax.get_position().width * PAGE), 0.5)
-        _legend(figure, fit.posterior.draws.shape[0], not_shown(left_out))
+        # sixteen line styles differ; a legend of more would be longer than the page is wide
+        looks = enumerate(map(line_style, range(min(ensembles, 6))), start=1)
+        legend_above(
+            figure,
+            [Line2D([], [], color=c, linestyle=d, label=f"ensemble {k}") for k, (c, d) in looks],
+        )
+        remark_below(figure, not_shown(left_out))
     return figure
 
 
@@ -97,27 +86,21 @@ def _trace(ax: Axes, q: Quantity, draws: Array, thin: int) -> None:
 def _forgetting(ax: Axes, ensembles: Array, thin: int, tau: float, longest: float) -> None:
     ax.axhline(0.0, color="0.6", linewidth=0.5)
     for k, ensemble in enumerate(ensembles):
-        moving = _moving(ensemble)
+        # of walkers that never moved it is 0/0
+        moving = ensemble[np.ptp(ensemble, axis=1) > 0.0]
         if moving.shape[0] == 0:
             continue
         colour, dashes = line_style(k)
         rho = autocorrelation(moving)
         lags = thin * np.arange(rho.size)
         inside = lags <= longest + thin
-        ax.plot(
-            lags[inside], rho[inside], color=colour, linestyle=dashes, marker=".", markersize=2.0
-        )
+        look: Look = {"color": colour, "linestyle": dashes, "marker": ".", "markersize": 2.0}
+        ax.plot(lags[inside], rho[inside], **look)
     ax.set_ylim(-0.35, 1.1)
     ax.set_yticks([0.0, 0.5, 1.0])
     ax.set_ylabel("ACF")
     said = rf"$\tau$ = {tau:.3g} steps" if np.isfinite(tau) else "never moved"
     ax.text(0.97, 0.88, said, ha="right", va="top", fontsize=SMALL, transform=ax.transAxes)
-
-
-def _moving(ensemble: Array) -> Array:
-    """Leave walkers out that never moved: their autocorrelation is 0/0."""
-    moved: NDArray[np.bool_] = np.ptp(ensemble, axis=1) > 0.0
-    return ensemble[moved]
 
 
 def _longest_lag(fit: Fit) -> float:
@@ -128,29 +111,23 @@ def _longest_lag(fit: Fit) -> float:
     return float(max(min(wanted, d.thin * fit.posterior.draws.shape[2] / 2.0), d.thin))
 
 
-def _legend(figure: Figure, ensembles: int, remark: str) -> None:
-    # sixteen line styles differ; a legend of more would be longer than the page is wide
-    named = min(ensembles, 6)
-    handles = []
-    for k in range(named):
-        colour, dashes = line_style(k)
-        handles.append(Line2D([], [], color=colour, linestyle=dashes, label=f"ensemble {k + 1}"))
-    figure.legend(
-        handles=handles,
-        loc="upper left",
-        ncols=named,
-        bbox_to_anchor=(_LEFT / PAGE, 1.0),
-        borderaxespad=0.3,
-        borderpad=0.2,
-        columnspacing=1.2,
-        handlelength=2.4,
-    )
-    if remark:
-        figure.text(
-            1.0 - _RIGHT / PAGE,
-            1.0 - 0.05 / figure.get_figheight(),
-            remark,
-            ha="right",
-            va="top",
-            fontsize=SMALL,
-        )
+def _words(judged: JudgedRun) -> str:
+    each = [
+        f"{name}: R-hat {row.rhat:.4f}, {row.ess:.0f} independent draws"
+        for name, row in judged.summary.parameters.items()
+        if row.rhat is not None and row.ess is not None
+    ]
+    return f"Status {judged.summary.sampler.status}. " + "; ".join(each) + "."
+
+
+FIGURE = RunFigure(
+    stem="trace",
+    title="How the ensembles ran",
+    section="sampling",
+    draw=lambda run: trace_figure(run.fit),
+    caption=(
+        "Median and spread of the walkers of every ensemble along the steps kept, and the "
+        "autocorrelation of what the ensembles drew."
+    ),
+    alternative=_words,
+)

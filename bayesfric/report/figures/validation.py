@@ -12,14 +12,17 @@ from matplotlib.figure import Figure
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.predictive import Prediction
 from bayesfric.report.figures.over_time import as_pixels, broken, draw_band, draw_measured
+from bayesfric.report.figures.registry import FinishedRun, JudgedRun, RunFigure
 from bayesfric.report.figures.style import (
     BAND,
     COLUMN,
+    DASHED,
     PALETTE,
     SMALL,
     Array,
     few_ticks,
-    paper_style,
+    legend_above,
+    paper_figure,
     shortened,
 )
 from bayesfric.report.summary.validation import covered
@@ -38,13 +41,6 @@ def validation_figure(fit: Fit, summary: Mapping[str, Any]) -> Figure | None:
     they are too narrow; and the share of outputs inside intervals of every level, with two
     standard errors at three of them.
 
-    Parameters
-    ----------
-    fit
-        A finished fit.
-    summary
-        From :func:`bayesfric.report.summary.summary.summarise`.
-
     Returns
     -------
     matplotlib.figure.Figure or None
@@ -56,36 +52,26 @@ def validation_figure(fit: Fit, summary: Mapping[str, Any]) -> Figure | None:
     off = [abs(covered(pit, _LEVEL).mean() - _LEVEL) for pit in pits]
     worst = fit.held_out[int(np.argmax(off))]
     outputs = fit.target.likelihood.outputs[0]
-    with paper_style():
-        figure = Figure(figsize=(COLUMN, _HEIGHT))
-        grid = figure.add_gridspec(
-            2, 1, left=0.16, right=0.97, bottom=0.08, top=0.925, hspace=0.2, height_ratios=(1.9, 1)
-        )
-        upper = grid[0].subgridspec(2, 1, hspace=0.08, height_ratios=(1.5, 1.0))
-        above = figure.add_subplot(upper[0])
-        beneath = figure.add_subplot(upper[1], sharex=above)
+    with paper_figure(COLUMN, _HEIGHT) as figure:
+        above, beneath, transform, coverage = figure.subplot_mosaic(
+            [["above"] * 2, ["beneath"] * 2, ["transform", "coverage"]],
+            height_ratios=(1.5, 1.0, 1.3),
+        ).values()
+        beneath.sharex(above)
+        above.tick_params(labelbottom=False)
         _torque(above, beneath, worst)
         above.set_ylabel(f"{outputs.quantity} ({outputs.unit})")
         beneath.set_ylabel(f"residual ({outputs.unit})")
         beneath.set_xlabel("time (s)")
-        above.tick_params(labelbottom=False)
-        figure.align_ylabels([above, beneath])
-        figure.legend(
-            *above.get_legend_handles_labels(),
-            loc="upper left",
-            bbox_to_anchor=(0.14, 1.0),
-            ncols=2,
-            borderaxespad=0.2,
-            borderpad=0.2,
-        )
+        legend_above(figure, above.get_legend_handles_labels()[0])
         words = f"{shortened(worst.held_out.name)}, {worst.held_out.part}"
         if len(fit.held_out) > 1:
             words += f" (furthest off of {len(fit.held_out)})"
         above.set_title(words, fontsize=SMALL, pad=2.5)
-        lower = grid[1].subgridspec(1, 2, wspace=0.42)
         every = np.concatenate(pits)
-        _transform(figure.add_subplot(lower[0]), every)
-        _coverage(figure.add_subplot(lower[1]), summary["validation"]["pooled"], every)
+        _transform(transform, every)
+        _coverage(coverage, summary["validation"]["pooled"], every)
+        figure.align_ylabels([above, beneath])
     return figure
 
 
@@ -117,7 +103,7 @@ def _transform(ax: Axes, pit: Array) -> None:
     ax.stairs(
         counts * _BINS / pit.size, edges, fill=True, color=BAND, edgecolor=PALETTE[1], gid="pit"
     )
-    ax.axhline(1.0, color=PALETTE[2], linewidth=0.9, linestyle=(0, (4.0, 1.5)))
+    ax.axhline(1.0, color=PALETTE[2], linewidth=0.9, linestyle=DASHED)
     ax.set_xlim(0.0, 1.0)
     ax.set_xlabel("predicted probability of less")
     ax.set_ylabel("density")
@@ -129,7 +115,7 @@ def _coverage(ax: Axes, pooled: Mapping[str, Any], pit: Array) -> None:
     levels = np.linspace(0.0, 1.0, 101)
     # an interval of probability one covers everything
     shares = [100.0 * covered(pit, level).mean() for level in levels]
-    ax.plot([0.0, 100.0], [0.0, 100.0], color=PALETTE[2], linewidth=0.9, linestyle=(0, (4.0, 1.5)))
+    ax.plot([0.0, 100.0], [0.0, 100.0], color=PALETTE[2], linewidth=0.9, linestyle=DASHED)
     ax.plot(100.0 * levels, shares, color=PALETTE[1], gid="coverage")
     for level, one in pooled["coverage"].items():
         ax.errorbar(
@@ -148,3 +134,38 @@ def _coverage(ax: Axes, pooled: Mapping[str, Any], pit: Array) -> None:
     ax.set_ylabel("inside (%)")
     for axis in (ax.xaxis, ax.yaxis):
         axis.set_ticks([0.0, 50.0, 100.0])
+
+
+def _caption(run: FinishedRun) -> str:
+    names = ", ".join(f"{p.held_out.name} ({p.held_out.part})" for p in run.fit.held_out)
+    return (
+        f"Predicted and measured torque of what the fit did not see: {names}. Above: "
+        f"{100 * _LEVEL:.0f} % band of the posterior predictive, noise included. Below left: "
+        "predicted probability of less than was measured, level where predictions are right. "
+        "Below right: share of outputs inside central predictive intervals; bars: two standard "
+        "errors that account for correlation."
+    )
+
+
+def _words(judged: JudgedRun) -> str:
+    found = judged.summary.validation
+    if found is None:
+        return ""
+    parts = []
+    for name, row in {**found.parts, "all together": found.pooled}.items():
+        shares = ", ".join(
+            f"{100 * c.share:.1f} % in {100 * float(level):g} % intervals"
+            for level, c in row.coverage.items()
+        )
+        parts.append(f"{name}: {row.verdict}, {row.outputs} outputs, {shares}")
+    return "; ".join(parts) + "."
+
+
+FIGURE = RunFigure(
+    stem="validation",
+    title="What was held out, predicted",
+    section="held-out",
+    draw=lambda run: validation_figure(run.fit, run.summary),
+    caption=_caption,
+    alternative=_words,
+)

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import combinations
 from pathlib import Path
 
-from bayesfric.report.comparison.between_runs import PooledQuantity
-from bayesfric.report.comparison.comparison import Comparison
 from bayesfric.report.comparison.table import explained
-from bayesfric.report.figures.overlay import Overlay
-from bayesfric.report.page.figure_words import forest_figure_words, overlay_words
-from bayesfric.report.page.figures import read_figures
+from bayesfric.report.figures.registry import ComparedRuns, comparison_figures
+from bayesfric.report.page.figures import page_figures
 from bayesfric.report.page.provenance import Provenance
 from bayesfric.report.page.rendering import render
-from bayesfric.report.summary.record import Summary
 
 
 def shared_recordings(provenance: Mapping[str, Provenance | None]) -> list[tuple[str, str]]:
@@ -29,11 +25,8 @@ def _hashes(told: Provenance | None) -> set[str]:
 
 def compare_page(
     folder: Path,
-    found: Comparison,
-    runs: Mapping[str, Summary],
-    pooled: Sequence[PooledQuantity],
+    compared: ComparedRuns,
     provenance: Mapping[str, Provenance | None],
-    overlaid: Overlay | None = None,
 ) -> str:
     """Write the page of a comparison.
 
@@ -41,25 +34,18 @@ def compare_page(
     ----------
     folder
         Where ``figures/`` is; figures that are missing are left out.
-    found
-        The comparison.
-    runs
-        What each ``summary.json`` holds.
-    pooled
-        From :func:`bayesfric.report.comparison.between_runs.between_runs`.
+    compared
+        The runs, as read and checked.
     provenance
         Of each run, where it is known.
-    overlaid
-        From :func:`bayesfric.report.figures.overlay.overlay`, of several runs.
 
     Returns
     -------
     str
         HTML that fetches nothing.
     """
-    words = {"forest": forest_figure_words(found)}
-    if overlaid is not None and overlaid.panels:
-        words["overlay"] = overlay_words(overlaid)
+    found, runs, pooled = compared.found, compared.runs, compared.pooled
+    captions = {stem: one.caption_of(compared) for stem, one in comparison_figures().items()}
     return render(
         "compare.html.j2",
         title=" and ".join(runs) if len(runs) < 3 else f"{len(runs)} runs",
@@ -68,9 +54,9 @@ def compare_page(
         same=shared_recordings(provenance),
         provenance=provenance,
         unknown=[run for run, told in provenance.items() if not _hashes(told)],
-        without_draws=overlaid.left_out if overlaid is not None else {},
+        without_draws={run: one.missing for run, one in compared.draws.items() if one.missing},
         methods=found,
         explained=list(explained(found)),
-        figures=read_figures(folder / "figures", words),
+        figures=page_figures(folder, comparison_figures().values(), captions, compared),
         version=next(iter(runs.values())).bayesfric,
     )

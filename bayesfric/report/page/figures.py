@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, get_args
 
-from bayesfric.report.page.figure_words import FigureWords
+from bayesfric.report.figures.registry import Declared, Judged, Section
 from bayesfric.report.page.inline_svg import Drawing, inline_svg
 
 # Points; wider than a column of a paper, a figure needs a page's width to be read.
@@ -21,14 +22,15 @@ class PageFigure:
     ----------
     stem
         Its file's name, and its anchor behind ``figure-``.
-    words
-        Title, caption, text alternative.
+    title, caption
+        In words.
     drawing
-        The SVG.
+        The SVG, with its text alternative.
     """
 
     stem: str
-    words: FigureWords
+    title: str
+    caption: str
     drawing: Drawing
 
     @property
@@ -37,17 +39,45 @@ class PageFigure:
         return self.drawing.width > _COLUMN
 
 
-def read_figures(folder: Path, words: Mapping[str, FigureWords]) -> dict[str, PageFigure | None]:
-    """Read the named figures; those that were not drawn are ``None``.
+@dataclass
+class PageFigures:
+    """The figures of one section: those to show, and stems of those that the folder lacks."""
 
-    A file that is no drawing of this package is left out, as if it were not there.
+    shown: list[PageFigure] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
+
+
+def page_figures(
+    folder: Path,
+    figures: Iterable[Declared[Any, Judged]],
+    captions: Mapping[str, str],
+    judged: Judged,
+) -> dict[str, PageFigures]:
+    """Read figures, sorted by section of the page.
+
+    A file that is no drawing of this package counts as missing.
+
+    Parameters
+    ----------
+    folder
+        Holds ``figures/``.
+    figures
+        What may lie there.
+    captions
+        By stem; they come before what a figure declares of itself.
+    judged
+        What the text alternatives are made of.
     """
-    return {stem: _read(folder / f"{stem}.svg", stem, said) for stem, said in words.items()}
-
-
-def _read(path: Path, stem: str, words: FigureWords) -> PageFigure | None:
-    try:
-        text = path.read_text(encoding="utf-8")
-        return PageFigure(stem, words, inline_svg(text, f"{stem}-", words.alternative))
-    except (OSError, ValueError):
-        return None
+    sections = {section: PageFigures() for section in get_args(Section)}
+    for one in figures:
+        section = sections[one.section]
+        try:
+            text = (folder / "figures" / f"{one.stem}.svg").read_text(encoding="utf-8")
+            drawing = inline_svg(text, f"{one.stem}-", one.words(judged))
+        except (OSError, ValueError):
+            section.missing.append(one.stem)
+            continue
+        # older runs wrote only some captions down
+        caption = captions.get(one.stem, one.caption if isinstance(one.caption, str) else "")
+        section.shown.append(PageFigure(one.stem, one.title, caption, drawing))
+    return sections

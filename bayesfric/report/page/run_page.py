@@ -8,19 +8,13 @@ from pathlib import Path
 from bayesfric.report.alerts import alerts
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.comparison.table import explained
-from bayesfric.report.page.figure_words import Told, figure_words, written_captions
-from bayesfric.report.page.figures import read_figures
+from bayesfric.report.figures.registry import JudgedRun, read_captions, run_figures
+from bayesfric.report.page.figures import page_figures
 from bayesfric.report.page.findings import findings
 from bayesfric.report.page.provenance import read_provenance
 from bayesfric.report.page.rendering import render
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.record import Readable, Summary
-
-# In the order of the page.
-STEMS = (
-    "methods", "ridge", "prediction", "residual", "validation", "friction", "efficiency",
-    "prior_posterior", "corner", "trace",
-)  # fmt: skip
 
 
 def run_page(folder: Path, summary: Readable, name: str) -> str:
@@ -52,8 +46,8 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         read = read.model_copy(update={"may_be_simulated": _simulated(config)})
     table = parameter_table(read, name)
     methods = comparison({name: read})
-    captions = written_captions(_text(folder / "text" / "captions.md"))
-    told = Told(read, table, methods)
+    judged = JudgedRun(read, table, methods)
+    captions = read_captions(_text(folder / "text" / "captions.md"))
     return render(
         "run.html.j2",
         title=name,
@@ -64,9 +58,7 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         notes=table.notes_where(marked=False),
         methods=methods,
         explained=list(explained(methods)),
-        figures=read_figures(
-            folder / "figures", {stem: figure_words(stem, told, captions) for stem in STEMS}
-        ),
+        figures=page_figures(folder, run_figures().values(), captions, judged),
         provenance=read_provenance(folder),
         config=config,
         methods_text=_text(folder / "text" / "methods.txt").strip(),

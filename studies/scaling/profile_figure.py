@@ -21,8 +21,8 @@ from bayesfric.report.figures.style import (
     SMALL,
     Array,
     few_ticks,
-    margins,
-    paper_style,
+    panel_grid,
+    paper_figure,
 )
 from bayesfric.report.summary.summary import LEVEL
 
@@ -30,7 +30,6 @@ _ACROSS = 4
 _MOST = 16
 # Log-likelihood shown below the best; a chi-square of 12 lies outside any interval.
 _DEEPEST = -6.0
-_PANEL, _LEFT, _RIGHT, _BOTTOM, _TOP = 1.28, 0.50, 0.08, 0.36, 0.24
 
 
 def profile_figure(fit: Fit, found: Sequence[Profile] | None = None) -> Figure:
@@ -59,19 +58,11 @@ def profile_figure(fit: Fit, found: Sequence[Profile] | None = None) -> Figure:
     shown = list(found)[:_MOST]
     across = min(_ACROSS, max(len(shown), 1))
     rows = max(-(-len(shown) // across), 1)
-    height = _TOP + rows * _PANEL + (rows - 1) * _BOTTOM + _BOTTOM
-    with paper_style():
-        figure = Figure(figsize=(PAGE, height))
-        grid = figure.add_gridspec(
-            rows,
-            across,
-            **margins(figure, left=_LEFT, right=_RIGHT, bottom=_BOTTOM, top=_TOP),
-            wspace=0.08,
-            hspace=_BOTTOM / _PANEL,
-        )
+    with paper_figure(PAGE, 0.24 + rows * 1.64) as figure:
+        panels = panel_grid(figure, len(shown), across)
         symbols = {q.name: q.symbol for q in by_name.values()}
         for k, profile in enumerate(shown):
-            ax = figure.add_subplot(grid[k // across, k % across])
+            ax = panels[k]
             _panel(ax, profile, by_name[profile.name], symbols)
             if k % across == 0:
                 ax.set_ylabel(r"$\Delta$ log-likelihood")
@@ -157,14 +148,4 @@ def _legend(figure: Figure) -> None:
         "90 %, chi-square",
         "90 % of the posterior",
     ]
-    figure.legend(
-        handles,
-        labels,
-        loc="upper left",
-        ncols=4,
-        bbox_to_anchor=(_LEFT / PAGE, 1.0),
-        borderaxespad=0.2,
-        borderpad=0.2,
-        columnspacing=1.4,
-        handlelength=2.0,
-    )
+    figure.legend(handles, labels, loc="outside upper left", ncols=4)

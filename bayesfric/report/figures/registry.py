@@ -1,0 +1,141 @@
+"""What a figure declares of itself, and how the figures of this folder are found.
+
+A figure is one file of this folder that holds a :class:`RunFigure` or a
+:class:`ComparisonFigure`; files, captions and the page's words and sections follow from that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from pkgutil import iter_modules
+from typing import Any, Generic, Literal, TypeVar, get_args
+
+from matplotlib.figure import Figure
+
+from bayesfric.inference.fit import Fit
+from bayesfric.mechanism.parameter import effort_words
+from bayesfric.report.comparison.between_runs import PooledQuantity
+from bayesfric.report.comparison.comparison import Comparison
+from bayesfric.report.figures.run_draws import RunDraws
+from bayesfric.report.paper.tables import ParameterTable
+from bayesfric.report.summary.record import Summary
+
+# Of the pages of a run and of a comparison, in their order.
+Section = Literal[
+    "methods", "ridge", "prediction", "held-out", "friction", "efficiency", "posterior",
+    "sampling", "together", "side-by-side",
+]  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class FinishedRun:
+    """What a run's figures and captions are made of: the fit and its ``summary.json``."""
+
+    fit: Fit
+    summary: Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedRun:
+    """What text alternatives are made of, all of it from ``summary.json`` alone."""
+
+    summary: Summary
+    table: ParameterTable
+    methods: Comparison
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedRuns:
+    """What the figures of a comparison are made of; see ``bayesfric.report.comparison``."""
+
+    found: Comparison
+    runs: Mapping[str, Summary]
+    draws: Mapping[str, RunDraws]
+    pooled: Sequence[PooledQuantity] = ()
+
+
+Drawn = TypeVar("Drawn")
+Judged = TypeVar("Judged")
+
+
+@dataclass(frozen=True)
+class Declared(Generic[Drawn, Judged]):
+    """All that is known of one figure.
+
+    Attributes
+    ----------
+    stem
+        Its files' name.
+    title, section
+        What the page calls it, and where it stands there.
+    draw
+        Gives ``None`` where there is nothing to show.
+    caption
+        What is drawn, and what it says; words where it is the same for all.
+    alternative
+        The numbers it shows, for who cannot see them; none of what the data leave open.
+    place
+        Its order among those of its section.
+    """
+
+    stem: str
+    title: str
+    section: Section
+    draw: Callable[[Drawn], Figure | None]
+    caption: str | Callable[[Drawn], str]
+    alternative: Callable[[Judged], str]
+    place: int = 0
+
+    def caption_of(self, drawn: Drawn) -> str:
+        """Give the caption of one drawing."""
+        return self.caption if isinstance(self.caption, str) else self.caption(drawn)
+
+    def words(self, judged: Judged) -> str:
+        """Say title and numbers in place of the drawing."""
+        return f"{self.title}. {self.alternative(judged)}".strip()
+
+
+class RunFigure(Declared[FinishedRun, JudgedRun]):
+    """A figure of a run."""
+
+
+class ComparisonFigure(Declared[ComparedRuns, ComparedRuns]):
+    """A figure of a comparison of runs."""
+
+
+Kind = TypeVar("Kind", RunFigure, ComparisonFigure)
+
+
+def run_figures() -> dict[str, RunFigure]:
+    """Find the figures of a run, by stem in the order of the page."""
+    return _found(RunFigure)
+
+
+def comparison_figures() -> dict[str, ComparisonFigure]:
+    """Find the figures of a comparison, by stem in the order of the page."""
+    return _found(ComparisonFigure)
+
+
+@cache
+def _found(kind: type[Kind]) -> dict[str, Kind]:
+    folder = import_module(__package__)
+    modules = (import_module(f"{__package__}.{m.name}") for m in iter_modules(folder.__path__))
+    figures = {one for m in modules for one in vars(m).values() if isinstance(one, kind)}
+    order = get_args(Section)
+    rank = {one: (order.index(one.section), one.place, one.stem) for one in figures}
+    return {one.stem: one for one in sorted(figures, key=rank.__getitem__)}
+
+
+def captions(run: FinishedRun, figures: Sequence[RunFigure]) -> str:
+    """Write the captions of a run's figures as Markdown, one line each."""
+    lines = (f"**{one.stem}**: {one.caption_of(run)}\n" for one in figures)
+    return effort_words("\n".join(lines), run.fit.chain.motor_motion)
+
+
+def read_captions(markdown: str) -> dict[str, str]:
+    """Read back what :func:`captions` wrote, by stem."""
+    lines = (line[2:].partition("**: ") for line in markdown.splitlines() if line[:2] == "**")
+    return {stem: caption for stem, _, caption in lines if caption}

@@ -1,0 +1,74 @@
+"""A figure is one file: what it declares reaches folder, captions and page."""
+
+import sys
+from typing import get_args
+
+import pytest
+
+from bayesfric.report import figures, run_directory
+from bayesfric.report.figures import registry
+from bayesfric.report.figures.registry import Section, comparison_figures, read_captions
+from bayesfric.report.page.run_page import run_page
+from bayesfric.report.summary.summary import summarise
+
+from .page_reader import read_page
+
+FILE = """
+from bayesfric.report.figures.registry import RunFigure
+from bayesfric.report.figures.style import COLUMN, paper_figure
+
+
+def draw(run):
+    with paper_figure(COLUMN, 1.0) as figure:
+        figure.subplots().set_xlabel(f"{len(run.fit.posterior.names)} parameters (–)")
+    return figure
+
+
+FIGURE = RunFigure(
+    stem="made_up",
+    title="Made up",
+    section="friction",
+    draw=draw,
+    caption=lambda run: f"Torque of {run.fit.observations[0].name}: nothing is seen.",
+    alternative=lambda judged: f"{len(judged.table.rows)} rows.",
+)
+"""
+
+
+@pytest.fixture
+def one_more(tmp_path, monkeypatch):
+    """Put a file beside those of the package."""
+    (tmp_path / "more").mkdir()
+    (tmp_path / "more" / "made_up.py").write_text(FILE, encoding="utf-8")
+    monkeypatch.setattr(figures, "__path__", [*figures.__path__, str(tmp_path / "more")])
+    registry._found.cache_clear()
+    yield registry.run_figures()
+    sys.modules.pop("bayesfric.report.figures.made_up", None)
+    registry._found.cache_clear()
+
+
+def test_one_file_makes_a_figure(one_more, tmp_path, knee, monkeypatch):
+    monkeypatch.setattr(run_directory, "FIGURES", {"made_up": one_more["made_up"]})
+    run, summary = tmp_path / "run", summarise(knee)
+    run_directory.write_run(run, knee, summary, "", [])
+    files = {path.name for path in (run / "figures").iterdir()}
+    assert files == {"made_up.pdf", "made_up.svg", "made_up.png"}
+    caption = "Torque of run 0: nothing is seen."
+    written = read_captions((run / "text" / "captions.md").read_text(encoding="utf-8"))
+    assert written == {"made_up": caption}
+    page = read_page(run_page(run, summary, "run"))
+    (section,) = page.all("section", id="friction")
+    (figure,) = section.all("figure", id="figure-made_up")
+    assert caption in figure.text
+    (drawing,) = figure.all("svg")
+    assert drawing.attrs["aria-label"].startswith("Made up. ")
+
+
+def test_what_figures_declare():
+    both = {**run_directory.FIGURES, **comparison_figures()}
+    assert len(both) == len(run_directory.FIGURES) + len(comparison_figures())
+    assert {one.section for one in both.values()} == set(get_args(Section))
+    assert len({one.title for one in both.values()}) == len(both)
+    # the page's order
+    order = [get_args(Section).index(one.section) for one in run_directory.FIGURES.values()]
+    assert order == sorted(order)
