@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from bayesfric.commands.identify import local_picture
-from bayesfric.commands.problem import Problem
 from bayesfric.errors import BadInput
 from bayesfric.estimates.descent import few_threads
 from bayesfric.identifiability.advise import Advice, Ranking, Uncertainty, ranking
 from bayesfric.identifiability.candidates import Candidate
 from bayesfric.identifiability.plausible import points_around
+from bayesfric.model import Model
 from bayesfric.report.files import write_beside
 
 # Points besides the estimate that everything is simulated at.
@@ -52,14 +52,14 @@ def advice_file(name: str, output: Path | None, *, force: bool) -> Path:
 
 
 def advice(
-    problem: Problem, name: str, *, progress: Callable[[str], None] = lambda _: None
+    problem: Model, name: str, *, progress: Callable[[str], None] = lambda _: None
 ) -> Ranking:
     """Rank recordings to make next by what they would leave of one quantity.
 
     Parameters
     ----------
     problem
-        From :func:`bayesfric.commands.problem.read_problem`.
+        From :class:`bayesfric.model.Model`.
     name
         A free parameter or a derived quantity.
     progress
@@ -81,7 +81,7 @@ def advice(
         return ranking(target, [point, *others], local, options, name, progress=progress)
 
 
-def write_advice(found: Ranking, path: Path, problem: Problem, *, force: bool) -> bool:
+def write_advice(found: Ranking, path: Path, problem: Model, *, force: bool) -> bool:
     """Write the winning excitation: time and torque, their units in the second line.
 
     Returns
@@ -109,7 +109,7 @@ def write_advice(found: Ranking, path: Path, problem: Problem, *, force: bool) -
     return True
 
 
-def advice_record(found: Ranking, problem: Problem, written: Path | None) -> dict[str, Any]:
+def advice_record(found: Ranking, problem: Model, written: Path | None) -> dict[str, Any]:
     """Put a ranking into the form that ``--json`` prints; what is infinite is ``None``."""
     return {
         "config": str(problem.config.path),
@@ -155,7 +155,7 @@ def advice_record(found: Ranking, problem: Problem, written: Path | None) -> dic
     }
 
 
-def advice_text(found: Ranking, problem: Problem, written: Path | None) -> Iterator[str]:
+def advice_text(found: Ranking, problem: Model, written: Path | None) -> Iterator[str]:
     """Word a ranking for a person: what to do first, then the table."""
     unit = f" {found.unit}" if found.unit else ""
     value = f"{found.value:.4g}{unit}" if np.isfinite(found.now.data_sd) else "not determined yet"
@@ -258,7 +258,7 @@ def _candidate(one: Candidate, found: Ranking) -> dict[str, Any]:
     }
 
 
-def _described(one: Candidate, found: Ranking, problem: Problem) -> str:
+def _described(one: Candidate, found: Ranking, problem: Model) -> str:
     text = f"{one.form}, {one.amplitude:.3g} {_torque_unit(problem)}, {one.duration:.3g} s"
     if one.added_mass:
         at = f" at {one.radius:g} m" if problem.chain.load.motion == "rotary" else ""
@@ -266,7 +266,7 @@ def _described(one: Candidate, found: Ranking, problem: Problem) -> str:
     return f"{text}, with no mass added" if len(found.limits.masses) > 1 else text
 
 
-def _motion(one: Advice, problem: Problem) -> str:
+def _motion(one: Advice, problem: Model) -> str:
     unit = _length_unit(problem)
     low, high = (round(x, 6) + 0.0 for x in one.angles)
     drives = ", ".join(
@@ -279,7 +279,7 @@ def _motion(one: Advice, problem: Problem) -> str:
     return f"{text}; {drives}" if drives else text
 
 
-def _limits(found: Ranking, problem: Problem) -> str:
+def _limits(found: Ranking, problem: Model) -> str:
     unit, limits = _length_unit(problem), found.limits
     angles = (
         f"{limits.angles[0]:.3g} to {limits.angles[1]:.3g} {unit}"
@@ -333,11 +333,11 @@ def _relative(one: Uncertainty, found: Ranking) -> str:
     return f"{100 * one.sd / abs(found.value):.2g} %"
 
 
-def _torque_unit(problem: Problem) -> str:
+def _torque_unit(problem: Model) -> str:
     return "N m" if problem.chain.motor_motion == "rotary" else "N"
 
 
-def _length_unit(problem: Problem) -> str:
+def _length_unit(problem: Model) -> str:
     return "rad" if problem.chain.load.motion == "rotary" else "m"
 
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.commands.problem import Problem
 from bayesfric.estimates.descent import few_threads
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.output_error import output_error
@@ -26,6 +25,7 @@ from bayesfric.identifiability.remedies import HARDLY, WEAK
 from bayesfric.identifiability.words import capital, factor
 from bayesfric.inference.beforehand import beforehand
 from bayesfric.inference.target import Target
+from bayesfric.model import Model
 from bayesfric.recordings.trajectory import trajectory
 
 Array = NDArray[np.float64]
@@ -35,14 +35,14 @@ _NOTHING = 1.0
 
 
 def identification(
-    problem: Problem, *, progress: Callable[[str], None] = lambda _: None
+    problem: Model, *, progress: Callable[[str], None] = lambda _: None
 ) -> Identification:
     """Look at a problem's likelihood at its estimate and at other points.
 
     Parameters
     ----------
     problem
-        From :func:`bayesfric.commands.problem.read_problem`.
+        From :class:`bayesfric.model.Model`.
     progress
         Called with the name of each stage before it begins.
 
@@ -61,7 +61,7 @@ def identification(
 
 
 def local_picture(
-    problem: Problem, progress: Callable[[str], None]
+    problem: Model, progress: Callable[[str], None]
 ) -> tuple[Target, Point, LocalInformation]:
     """Estimate, and look at the likelihood there; see :func:`identification`."""
     with problem.config.named():
@@ -92,7 +92,7 @@ def open_directions(target: Target, parameters: Array) -> list[dict[str, Any]]:
     return [_direction_record(one) for one in found.directions]
 
 
-def identify_record(found: Identification, problem: Problem) -> dict[str, Any]:
+def identify_record(found: Identification, problem: Model) -> dict[str, Any]:
     """Put an identification into the form that ``--json`` prints; what is infinite is ``None``."""
     values = found.singular_values
     return {
@@ -164,7 +164,7 @@ def identify_record(found: Identification, problem: Problem) -> dict[str, Any]:
     }
 
 
-def identify_text(found: Identification, problem: Problem) -> Iterator[str]:
+def identify_text(found: Identification, problem: Model) -> Iterator[str]:
     """Word an identification for a person: first what cannot be told, then the tables."""
     null = [one for one in found.directions if one.null]
     weak = [one for one in found.directions if not one.null]
@@ -296,7 +296,7 @@ def speed_text(found: Identification) -> str:
     )
 
 
-def _estimate(problem: Problem, progress: Callable[[str], None]) -> dict[str, float]:
+def _estimate(problem: Model, progress: Callable[[str], None]) -> dict[str, float]:
     """Estimate by the method that the likelihood belongs to, load losses held by their priors.
 
     Where the load never drives the motor, nothing but noise says what is lost when it
@@ -398,7 +398,7 @@ def _relative(sd: float, value: float) -> str:
     return f"{100 * share:.2g} %" if share < _NOTHING else f"±{sd:.3g}"
 
 
-def _from_voltage(problem: Problem) -> Sequence[str]:
+def _from_voltage(problem: Model) -> Sequence[str]:
     """Names of the recordings whose torque was computed from a voltage."""
     names = []
     for r in problem.recordings:

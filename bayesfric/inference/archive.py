@@ -21,20 +21,18 @@ _PIECE = 2**20
 Groups = Mapping[str, Mapping[str, NDArray[Any]]]
 
 
-def write_archive(
-    path: Path,
+def make_archive(
     groups: Groups,
     *,
     dims: Mapping[str, list[str]],
     coords: Mapping[str, Any],
     attrs: Mapping[str, str],
-) -> None:
-    """Write groups of named arrays as NetCDF that any ArviZ reads.
+    described: Mapping[str, Mapping[str, str]] | None = None,
+) -> Any:
+    """Put groups of named arrays together as ArviZ has them.
 
     Parameters
     ----------
-    path
-        Where to; the folder exists.
     groups
         Group name to variable name to array. Variables of sampled groups begin
         with the dimensions ``chain`` and ``draw``.
@@ -44,11 +42,8 @@ def write_archive(
         Labels of the dimensions.
     attrs
         Root attributes.
-
-    Raises
-    ------
-    OSError
-        If there is no room for it, or the folder cannot be written to.
+    described
+        Attributes of the variables of that name in ``posterior`` and ``derived``.
     """
     options = {"dims": dict(dims), "coords": dict(coords)}
     named = {group: dict(variables) for group, variables in groups.items()}
@@ -57,14 +52,36 @@ def write_archive(
         # walkers are stored as chains, and there may well be more of them than kept draws
         warnings.filterwarnings("ignore", "More chains", UserWarning)
         warnings.filterwarnings("ignore", "Found chain dimension to be longer", UserWarning)
-        old = int(arviz.__version__.partition(".")[0]) < 1
-        data = arviz.from_dict(**named, **options) if old else arviz.from_dict(named, **options)
+        if int(arviz.__version__.partition(".")[0]) >= 1:
+            data = arviz.from_dict(named, **options)
+        else:
+            # a group of ours; 0.23 takes those it does not know from elsewhere only
+            derived = named.pop("derived", {})
+            data = arviz.from_dict(**named, **options)
+            if derived:
+                warnings.filterwarnings("ignore", "The group derived is not", UserWarning)
+                data.add_groups(derived=arviz.dict_to_dataset(derived))
     for group in groups:
         # a time stamp would make two runs of one seed differ
         data[group].attrs.pop("created_at", None)
+    for group in {"posterior", "derived"} & set(groups):
+        for name, found in data[group].data_vars.items():
+            found.attrs.update((described or {}).get(name, {}))
     data.attrs.clear()
     data.attrs.update(attrs)
-    arrays = [array for variables in named.values() for array in variables.values()]
+    return data
+
+
+def write_archive(path: Path, groups: Groups, **named: Any) -> None:
+    """Write what :func:`make_archive` makes of the same arguments, as NetCDF that any ArviZ reads.
+
+    Raises
+    ------
+    OSError
+        If there is no room for it, or the folder of ``path`` cannot be written to.
+    """
+    data = make_archive(groups, **named)
+    arrays = [array for variables in groups.values() for array in variables.values()]
     _try_room(path, sum(np.asarray(array).nbytes for array in arrays) + _TABLES)
     data.to_netcdf(str(path), engine="h5netcdf")
 

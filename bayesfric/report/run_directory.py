@@ -18,8 +18,10 @@ from numpy.typing import NDArray
 
 import bayesfric
 from bayesfric.errors import BadInput
+from bayesfric.estimates.torque import typical_load
 from bayesfric.inference.archive import as_chains, write_archive
 from bayesfric.inference.fit import Fit
+from bayesfric.mechanism.derived import derive
 from bayesfric.recordings.recording import Recording
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.figures.captions import captions
@@ -49,6 +51,8 @@ def _of_fit(draw: Callable[[Fit], Figure | None]) -> Draw:
     """Leave the summary aside."""
     return lambda fit, _: draw(fit)
 
+
+Array = NDArray[np.float64]
 
 FIGURES: dict[str, Draw] = {
     "corner": corner_figure,
@@ -155,6 +159,7 @@ def write_run(
     summary: dict[str, Any],
     config_text: str,
     recordings: list[Recording],
+    beside_it: Callable[[Path], None] = lambda _: None,
 ) -> None:
     """Write a run directory.
 
@@ -170,8 +175,11 @@ def write_run(
         The configuration as read.
     recordings
         For their SHA-256.
+    beside_it
+        Puts further files into the folder.
     """
     with made_beside(folder) as beside:
+        beside_it(beside)
         (beside / "config.toml").write_text(config_text, encoding="utf-8")
         (beside / "summary.json").write_text(
             json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False) + "\n",
@@ -183,7 +191,7 @@ def write_run(
         with two_at_once(figures) as save:
             # the largest first, and the draws while the second process saves it
             save(forest_figure(comparison({folder.name: summary})), "methods")
-            write_posterior(beside / "posterior.nc", fit, config_text, recordings)
+            write_posterior(beside / "posterior.nc", fit, summary, config_text, recordings)
             for stem, draw in FIGURES.items():
                 if (figure := draw(fit, summary)) is not None:
                     save(figure, stem)
@@ -203,12 +211,22 @@ def write_run(
         (beside / "report.html").write_text(page, encoding="utf-8")
 
 
-def write_posterior(path: Path, fit: Fit, config_text: str, recordings: list[Recording]) -> None:
-    """Write ``posterior.nc`` with all ArviZ groups.
+def write_posterior(
+    path: Path, fit: Fit, summary: Mapping[str, Any], config_text: str, recordings: list[Recording]
+) -> None:
+    """Write ``posterior.nc``; see :func:`archived`."""
+    write_archive(path, **archived(fit, summary, config_text, recordings))
+
+
+def archived(
+    fit: Fit, summary: Mapping[str, Any], config_text: str, recordings: list[Recording]
+) -> dict[str, Any]:
+    """Put together what :func:`~bayesfric.inference.archive.make_archive` takes of a run.
 
     ``posterior`` holds every kept draw, a walker being a chain; ``ensemble`` of
-    ``sample_stats`` says which walkers belong together. ``log_likelihood`` and
-    ``posterior_predictive`` hold a number for each output and a part of the draws.
+    ``sample_stats`` says which walkers belong together; ``derived`` follows from ``posterior``,
+    draw by draw. Variables of both have unit, symbol, meaning and verdict. ``log_likelihood``
+    and ``posterior_predictive`` hold a number for each output and a part of the draws.
     """
     posterior = fit.posterior
     chains = {name: as_chains(posterior[name]) for name in posterior.names}
@@ -218,11 +236,11 @@ def write_posterior(path: Path, fit: Fit, config_text: str, recordings: list[Rec
     rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(1,)))
     log_likelihood, predictive = _pointwise(fit, rng)
     outputs = fit.target.likelihood.outputs
-    dims = {o.name: [f"time_{o.name}"] for o in outputs}
-    write_archive(
-        path,
-        {
+    rows = {**summary["derived"], **summary["parameters"]}
+    return {
+        "groups": {
             "posterior": chains,
+            **_derived(fit, summary["derived"], (n_chains, n_draws)),
             "log_likelihood": log_likelihood,
             "sample_stats": {"lp": as_chains(posterior.log_density), "ensemble": ensemble},
             "posterior_predictive": predictive,
@@ -232,9 +250,9 @@ def write_posterior(path: Path, fit: Fit, config_text: str, recordings: list[Rec
                 for name, prior in zip(posterior.names, posterior.priors, strict=True)
             },
         },
-        dims=dims,
-        coords={f"time_{o.name}": o.time for o in outputs},
-        attrs={
+        "dims": {o.name: [f"time_{o.name}"] for o in outputs},
+        "coords": {f"time_{o.name}": o.time for o in outputs},
+        "attrs": {
             "bayesfric": bayesfric.__version__,
             "versions": json.dumps(
                 {"python": platform.python_version()}
@@ -243,8 +261,30 @@ def write_posterior(path: Path, fit: Fit, config_text: str, recordings: list[Rec
             "seed": str(posterior.seed),
             "config": config_text,
             "recordings": json.dumps({r.name: r.sha256 for r in recordings}),
+            "noise": json.dumps(summary["noise"]),
         },
-    )
+        "described": {
+            name: {
+                "units": row["unit"],
+                **{key: row[key] for key in ("symbol", "meaning", "verdict")},
+            }
+            for name, row in rows.items()
+        },
+    }
+
+
+def _derived(
+    fit: Fit, wanted: Mapping[str, Any], shape: tuple[int, int]
+) -> dict[str, dict[str, Array]]:
+    """Derive draw by draw what needs no recording to be derived, if anything; chains by draws."""
+    posterior = fit.posterior
+    middle = fit.target.chain_values(posterior.median[None])[0]
+    at_load = typical_load(fit.chain, fit.observations, middle)
+    values = fit.target.chain_values(posterior.draws.reshape(-1, len(posterior.names)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = derive(fit.chain, values, at_load)
+    derived = {q.name: q.values.reshape(shape) for q in found if q.name in wanted}
+    return {"derived": derived} if derived else {}
 
 
 def _pointwise(

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from bayesfric.commands.identify import identification, identify_record, identify_text
-from bayesfric.commands.problem import read_problem
 from bayesfric.config import read_config
+from bayesfric.model import Model
 
 from ..conftest import DATA, REPOSITORY
 from .bench import SMALL, has
@@ -48,7 +48,7 @@ def null(found):
 
 @pytest.fixture(scope="module")
 def knee():
-    problem = read_problem(read_config(FOLDER / "knee.toml"))
+    problem = Model.from_config(read_config(FOLDER / "knee.toml"))
     found = identification(problem)
     return identify_record(found, problem), list(identify_text(found, problem))
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesfric.commands.problem import read_problem
 from bayesfric.config import read_config
 from bayesfric.inference.archive import as_chains, read_archive
 from bayesfric.inference.likelihood.autoregression import simulated
+from bayesfric.model import Model
 from tests.conftest import REPOSITORY
 
 from .bench import SMALL
@@ -61,7 +61,7 @@ def test_the_example_of_the_readme_is_the_fit(remembering):
 
 
 def test_noise_that_is_to_be_chosen_is_not_silently_white(remembering):
-    problem = read_problem(read_config(remembering.folder / "knee.toml"))
+    problem = Model.from_config(read_config(remembering.folder / "knee.toml"))
     with pytest.raises(ValueError, match="white_target"):
         problem.target()
     noise = problem.config.tables.noise.model_copy(update={"model": "white"})

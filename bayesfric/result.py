@@ -1,0 +1,133 @@
+"""What sampling a model gives: the posterior, the numbers that sum it up, a run directory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bayesfric.errors import BadInput
+from bayesfric.inference.archive import make_archive
+from bayesfric.inference.fit import Fit
+from bayesfric.recordings.recording import Recording
+from bayesfric.report.run_directory import archived, check_free, write_run
+
+if TYPE_CHECKING:
+    from bayesfric.model import Model
+
+# Where the draws that Model.sample returned keep what they came from. Only they do: a copy, or
+# what was read from a file, may have been changed.
+_KEPT = "_bayesfric_result"
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """A sampled model.
+
+    Attributes
+    ----------
+    model
+        What was sampled.
+    fit
+        Draws and diagnostics, point estimates, predictions of what was held out.
+    summary
+        What ``summary.json`` holds, without the place of recordings.
+    """
+
+    model: Model
+    fit: Fit
+    summary: dict[str, Any]
+
+    @property
+    def recordings(self) -> list[Recording]:
+        """All that was read, also what was held out."""
+        return [*self.model.recordings, *(one.recording for one in self.model.held_out)]
+
+    def inference_data(self) -> Any:
+        """Give what ``posterior.nc`` holds, as ArviZ has it."""
+        text = self.model.config.text
+        data = make_archive(**archived(self.fit, self.summary, text, self.recordings))
+        object.__setattr__(data, _KEPT, self)
+        return data
+
+    def write(self, folder: Path) -> dict[str, Any]:
+        """Write a run directory, and give what its ``summary.json`` holds.
+
+        Raises
+        ------
+        BadInput
+            If the folder cannot be written to; nothing is left behind then.
+        """
+        origin = self.model.config.origin_of(self.recordings)
+        summary = self.summary | {"source": origin.model_dump(mode="json")}
+        write_run(folder, self.fit, summary, self.model.config.text, self.recordings)
+        return summary
+
+
+def result_of(posterior: Any) -> Result:
+    """Give what a posterior was made from.
+
+    Raises
+    ------
+    BadInput
+        If it is none that :meth:`bayesfric.Model.sample` returned.
+    """
+    if isinstance(posterior, Result):
+        return posterior
+    found = getattr(posterior, _KEPT, None)
+    if not isinstance(found, Result):
+        raise BadInput(
+            "posterior", "is none that Model.sample returned", "give that, and no copy of it"
+        )
+    return found
+
+
+def summary(posterior: Any) -> Any:
+    """Sum a posterior up.
+
+    Parameters
+    ----------
+    posterior
+        From :meth:`bayesfric.Model.sample`, or the folder of a finished run.
+
+    Returns
+    -------
+    Summary
+        Every number with its verdict; shows itself in a notebook.
+    """
+    if isinstance(posterior, str | Path):
+        from bayesfric.commands.compare import read_summary_file
+
+        return read_summary_file(Path(posterior))
+    return result_of(posterior).summary
+
+
+def report(posterior: Any, folder: Path | str, *, force: bool = False) -> Path:
+    """Write the run directory of a posterior, as ``bayesfric fit`` does.
+
+    Recordings that were given as arrays are saved in it, and its ``config.toml`` names them.
+
+    Parameters
+    ----------
+    posterior
+        From :meth:`bayesfric.Model.sample`.
+    folder
+        The run directory to make.
+    force
+        Keep an old run under another name.
+
+    Returns
+    -------
+    Path
+        The page to read.
+
+    Raises
+    ------
+    BadInput
+        If the folder is not free, or cannot be written to.
+    """
+    folder = Path(folder)
+    result = result_of(posterior)
+    check_free(folder, force=force)
+    result.write(folder)
+    return folder / "report.html"
