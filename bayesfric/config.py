@@ -26,8 +26,9 @@ from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.options import MechanismOptions
 from bayesfric.recordings.held_out import Validation
-from bayesfric.recordings.options import Processing, Source
-from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.processing import Processing
+from bayesfric.recordings.source import Source
 
 # What a configuration is called in a run directory.
 RUN_CONFIG = "config.toml"
@@ -173,11 +174,15 @@ class Config(BaseModel):
                 )
         return origin.folder
 
-    def origin_of(self, recordings: Sequence[Recording]) -> Origin:
+    def origin_of(self, recordings: Sequence[Measurement]) -> Origin:
         """Tell where all that was fitted is, so that it can be fitted again from elsewhere."""
         return Origin(
             folder=_absolute(self.folder),
-            recordings={r.name: Kept(file=_absolute(r.path), sha256=r.sha256) for r in recordings},
+            recordings={
+                r.name: Kept(file=_absolute(r.path), sha256=r.sha256)
+                for r in recordings
+                if r.path is not None
+            },
         )
 
     @property

@@ -9,8 +9,8 @@ import numpy as np
 
 from bayesfric.commands.problem import Problem
 from bayesfric.estimates.least_squares import least_squares
+from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
-from bayesfric.recordings.recording import Recording
 from bayesfric.report.alerts import DOUBTS
 from bayesfric.report.summary.doubts import doubts_before
 
@@ -36,7 +36,7 @@ def check(problem: Problem) -> dict[str, Any]:
             {
                 "name": recording.name,
                 "held_out": part,
-                "file": str(recording.path),
+                "file": recording.path and str(recording.path),
                 "sha256": recording.sha256,
                 "duration": float(recording.time[-1] - recording.time[0]),
                 "added_mass": recording.added_mass,
@@ -69,7 +69,7 @@ def check(problem: Problem) -> dict[str, Any]:
     }
 
 
-def _parts(problem: Problem) -> Iterator[tuple[Recording, Observation, str | None]]:
+def _parts(problem: Problem) -> Iterator[tuple[Measurement, Observation, str | None]]:
     """Everything read, with which part of a recording is held out where one is."""
     for recording, observation in zip(problem.recordings, problem.observations, strict=True):
         yield recording, observation, None

@@ -25,10 +25,11 @@ from bayesfric.inference.target import Target
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.derived import derive
 from bayesfric.recordings.held_out import HeldOut, divide
+from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
-from bayesfric.recordings.options import Source
 from bayesfric.recordings.read import read_recordings
 from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.source import Source
 from bayesfric.recordings.trajectory import trajectory
 
 
@@ -52,7 +53,7 @@ class Problem:
 
     config: Config
     chain: Chain
-    recordings: list[Recording]
+    recordings: list[Measurement]
     observations: list[Observation]
     priors: dict[str, Prior]
     held_out: tuple[HeldOut, ...] = ()
@@ -191,7 +192,7 @@ def read_problem(config: Config) -> Problem:
         raise BadInput(
             f"{config.path}: mechanism", "has no parameter", "give an element inertia or friction"
         )
-    recordings: list[Recording] = []
+    recordings: list[Measurement] = []
     folder = config.folder
     for number, source in enumerate(tables.recordings, start=1):
         recordings += _read(config, folder, chain, source, number)
@@ -261,7 +262,7 @@ def _residual_noise(noise: NoiseOptions, chosen: int) -> ResidualNoise:
     return Autoregressive(0 if noise.model == "white" else noise.order or chosen)
 
 
-def _changed_since(recording: Recording, origin: Origin) -> Recording:
+def _changed_since(recording: Measurement, origin: Origin) -> Measurement:
     """Warn of a file that is another one than the run was made of."""
     kept = origin.recordings.get(recording.name)
     if kept is None or kept.sha256 == recording.sha256:
@@ -272,7 +273,7 @@ def _changed_since(recording: Recording, origin: Origin) -> Recording:
 
 def _read(
     config: Config, folder: Path, chain: Chain, source: Source, number: int
-) -> list[Recording]:
+) -> list[Measurement]:
     place = f"recordings.{number}"
     if source.added_mass and not source.radius and chain.load.motion == "rotary":
         raise BadInput(
@@ -280,8 +281,7 @@ def _read(
         )
     try:
         return read_recordings(
-            source,
-            folder,
+            Recording(source, folder),
             ratio=chain.ratio,
             motion=chain.load.motion,
             motor_motion=chain.motor_motion,

@@ -20,7 +20,7 @@ import bayesfric
 from bayesfric.errors import BadInput
 from bayesfric.inference.archive import as_chains, write_archive
 from bayesfric.inference.fit import Fit
-from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.measurement import Measurement
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.figures.captions import captions
 from bayesfric.report.figures.corner import corner_figure
@@ -154,7 +154,7 @@ def write_run(
     fit: Fit,
     summary: dict[str, Any],
     config_text: str,
-    recordings: list[Recording],
+    recordings: list[Measurement],
 ) -> None:
     """Write a run directory.
 
@@ -203,7 +203,7 @@ def write_run(
         (beside / "report.html").write_text(page, encoding="utf-8")
 
 
-def write_posterior(path: Path, fit: Fit, config_text: str, recordings: list[Recording]) -> None:
+def write_posterior(path: Path, fit: Fit, config_text: str, recordings: list[Measurement]) -> None:
     """Write ``posterior.nc`` with all ArviZ groups.
 
     ``posterior`` holds every kept draw, a walker being a chain; ``ensemble`` of
