@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import json
 import re
 from collections.abc import Iterator, Mapping
@@ -15,6 +16,8 @@ from bayesfric.errors import BadInput
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.options import ElementOptions, LoadOptions
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.source import Source
 
 # What complaints about a model made in Python begin with.
 _MODEL = Path("Model")
@@ -44,6 +47,24 @@ def mechanism_table(joint: Chain) -> dict[str, Any]:
     return {**table, "load": _chosen(joint.load, LoadOptions), "elements": elements}
 
 
+def recording_table(recording: Recording, number: int) -> dict[str, Any]:
+    """Write a recording as the ``[[recordings]]`` table that reads it, once a run has saved it."""
+    source = recording.source
+    if not isinstance(source, Source):
+        source = recording.filed(saved_name(number))
+        return {"name": f"recording-{number}", **source.model_dump(mode="json", exclude_unset=True)}
+    folder = str(recording.folder.absolute())
+    files = [
+        str(Path(glob.escape(folder) if glob.has_magic(f) else folder, f)) for f in source.files
+    ]
+    return {**source.model_dump(mode="json", exclude_unset=True), "file": files}
+
+
+def saved_name(number: int) -> str:
+    """Name the file in a run directory of a recording that was given as a table in memory."""
+    return f"recordings/recording-{number}.csv"
+
+
 def _chosen(item: Any, options: type[BaseModel]) -> dict[str, Any]:
     given = {key: getattr(item, key) for key in options.model_fields}
     return {key: v for key, v in given.items() if v != options.model_fields[key].default}
@@ -71,13 +92,13 @@ def _lines(document: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _entries(table: Any, where: str) -> Iterator[str]:
-    """Write the keys of a table; what is ``None`` is left out."""
+    """Write the keys of a table; what is ``None`` or an empty table is left out."""
     if isinstance(table, BaseModel):
         table = table.model_dump(mode="json", exclude_unset=True)
     if not isinstance(table, Mapping):
         raise BadInput(where, f"got {table!r}", "give a table: a dict of keys")
     for key, value in table.items():
-        if value is not None:
+        if value is not None and not (isinstance(value, Mapping) and not value):
             yield f"{_key(str(key))} = {toml_value(value, f'{where}.{key}')}"
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.config import Config, read_config
-from bayesfric.config_text import config_of, mechanism_table, prior_value
+from bayesfric.config_text import config_of, mechanism_table, prior_value, recording_table
 from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.estimate import METHODS, Estimate, Method
 from bayesfric.estimates.input_error import input_error
@@ -120,20 +120,21 @@ class Model:
     def __init__(
         self,
         joint: Chain,
-        recordings: Sequence[Recording],
+        recordings: Recording | Sequence[Recording],
         *,
         noise: str | Mapping[str, Any] = "auto",
         priors: Mapping[str, Any] | None = None,
         **tables: Any,
     ) -> None:
+        recordings = [recordings] if isinstance(recordings, Recording) else recordings
         document = {
             "mechanism": mechanism_table(joint),
-            "recordings": [],
+            "recordings": [recording_table(r, n) for n, r in enumerate(recordings, start=1)],
             "noise": {"model": noise} if isinstance(noise, str) else noise,
             "priors": {name: prior_value(prior) for name, prior in (priors or {}).items()},
             **tables,
         }
-        self._read(config_of(document))
+        self._read(config_of(document), recordings)
 
     @classmethod
     def from_config(cls, config: Config | Path | str) -> Self:
@@ -142,9 +143,9 @@ class Model:
         model._read(config if isinstance(config, Config) else read_config(Path(config)))
         return model
 
-    def _read(self, config: Config) -> None:
-        self.config = config
-        found = prepare(config)
+    def _read(self, config: Config, recordings: Sequence[Recording] | None = None) -> None:
+        self.config, self.given = config, recordings or ()
+        found = prepare(config, recordings)
         self.chain, self.priors, self.held_out = found.chain, found.priors, found.held_out
         self.recordings, self.observations = found.recordings, found.observations
         self.references()  # refuses what they cannot be of

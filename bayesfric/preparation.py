@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from bayesfric.config import Config, NoiseOptions, Origin
 from bayesfric.errors import BadInput
@@ -16,8 +15,8 @@ from bayesfric.inference.likelihood.residual_noise import Autoregressive, Residu
 from bayesfric.inference.prior.priors import Prior
 from bayesfric.mechanism.chain import Chain
 from bayesfric.recordings.held_out import HeldOut, divide
+from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
-from bayesfric.recordings.options import Source
 from bayesfric.recordings.read import read_recordings
 from bayesfric.recordings.recording import Recording
 
@@ -27,19 +26,21 @@ class Prepared:
     """See the attributes of :class:`bayesfric.model.Model`."""
 
     chain: Chain
-    recordings: list[Recording]
+    recordings: list[Measurement]
     observations: list[Observation]
     priors: dict[str, Prior]
     held_out: tuple[HeldOut, ...]
 
 
-def prepare(config: Config) -> Prepared:
+def prepare(config: Config, recordings: Sequence[Recording] | None = None) -> Prepared:
     """Read every recording of a configuration, and prepare it.
 
     Parameters
     ----------
     config
         Whose tables are used.
+    recordings
+        Its recordings, where they are not all in files.
 
     Raises
     ------
@@ -55,10 +56,12 @@ def prepare(config: Config) -> Prepared:
         raise BadInput(
             f"{config.path}: mechanism", "has no parameter", "give an element inertia or friction"
         )
-    found: list[Recording] = []
-    folder = config.folder
-    for number, source in enumerate(tables.recordings, start=1):
-        found += _read(config, folder, chain, source, number)
+    found: list[Measurement] = []
+    if recordings is None:
+        folder = config.folder
+        recordings = [Recording(source, folder) for source in tables.recordings]
+    for number, recording in enumerate(recordings, start=1):
+        found += _read(config, chain, recording, number)
     if config.origin is not None:
         found = [_changed_since(r, config.origin) for r in found]
     _check_recordings(config, chain, found)
@@ -80,7 +83,7 @@ def prepare(config: Config) -> Prepared:
     return Prepared(chain, divided.recordings, observations, priors, divided.held_out)
 
 
-def _check_recordings(config: Config, chain: Chain, found: Sequence[Recording]) -> None:
+def _check_recordings(config: Config, chain: Chain, found: Sequence[Measurement]) -> None:
     """Refuse names that cannot be, and what cannot be held out."""
     for name, count in Counter(r.name for r in found).items():
         if count > 1:
@@ -124,7 +127,7 @@ def residual_noise(noise: NoiseOptions, chosen: int) -> ResidualNoise:
     return Autoregressive(0 if noise.model == "white" else noise.order or chosen)
 
 
-def _changed_since(recording: Recording, origin: Origin) -> Recording:
+def _changed_since(recording: Measurement, origin: Origin) -> Measurement:
     """Warn of a file that is another one than the run was made of."""
     kept = origin.recordings.get(recording.name)
     if kept is None or kept.sha256 == recording.sha256:
@@ -133,22 +136,20 @@ def _changed_since(recording: Recording, origin: Origin) -> Recording:
     return replace(recording, warnings=(*recording.warnings, text))
 
 
-def _read(
-    config: Config, folder: Path, chain: Chain, source: Source, number: int
-) -> list[Recording]:
-    place = f"recordings.{number}"
+def _read(config: Config, chain: Chain, recording: Recording, number: int) -> list[Measurement]:
+    place, source = f"recordings.{number}", recording.source
     if source.added_mass and not source.radius and chain.load.motion == "rotary":
         raise BadInput(
             f"{config.path}: {place}.added_mass", "has no radius", 'add radius, such as "0.35 m"'
         )
     try:
         return read_recordings(
-            source,
-            folder,
+            recording,
             ratio=chain.ratio,
             motion=chain.load.motion,
             motor_motion=chain.motor_motion,
             processing=config.tables.processing,
+            number=number,
         )
     except BadInput as error:
         # what is not about a file is about a key

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
+from bayesfric.config_text import saved_name
 from bayesfric.errors import BadInput
 from bayesfric.inference.archive import make_archive
 from bayesfric.inference.fit import Fit
-from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.tables import sha256
 from bayesfric.report.run_directory import archived, check_free, write_run
 
 if TYPE_CHECKING:
@@ -39,7 +42,7 @@ class Result:
     summary: dict[str, Any]
 
     @property
-    def recordings(self) -> list[Recording]:
+    def recordings(self) -> list[Measurement]:
         """All that was read, also what was held out."""
         return [*self.model.recordings, *(one.recording for one in self.model.held_out)]
 
@@ -58,9 +61,24 @@ class Result:
         BadInput
             If the folder cannot be written to; nothing is left behind then.
         """
-        origin = self.model.config.origin_of(self.recordings)
-        summary = self.summary | {"source": origin.model_dump(mode="json")}
-        write_run(folder, self.fit, summary, self.model.config.text, self.recordings)
+        config, measured = self.model.config, self.recordings
+        # what was given as a table in memory is saved in the run, where its configuration has it
+        files = {
+            recording.source.name or f"recording-{n}": (saved_name(n), recording)
+            for n, recording in enumerate(self.model.given, start=1)
+            if recording.table is not None
+        }
+        with TemporaryDirectory() as name:
+            for k, one in enumerate(measured):
+                if one.name in files:
+                    file, recording = files[one.name]
+                    made = Path(name, file)
+                    made.parent.mkdir(exist_ok=True)
+                    recording.saved(made)
+                    measured[k] = replace(one, path=folder / file, sha256=sha256(made))
+            origin = config.origin_of(measured, folder if self.model.given else config.folder)
+            summary = self.summary | {"source": origin.model_dump(mode="json")}
+            write_run(folder, self.fit, summary, config.text, measured, Path(name))
         return summary
 
 

@@ -19,8 +19,8 @@ from hypothesis import settings
 
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import parallel_filter
+from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
-from bayesfric.recordings.recording import Recording
 
 from .kernels import compile_likelihood, compile_simulation
 
@@ -47,7 +47,7 @@ def made_recording(time, position, torque, period, **more):
         "steps": (),
         "warnings": (),
     }
-    return Recording(time=time, position=position, torque=torque, period=period, **(given | more))
+    return Measurement(time=time, position=position, torque=torque, period=period, **(given | more))
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from bayesfric.model import Model
+from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
-from bayesfric.recordings.recording import Recording
 from bayesfric.report.alerts import DOUBTS
 from bayesfric.report.summary.doubts import doubts_before
 
@@ -34,7 +34,7 @@ def check(model: Model) -> dict[str, Any]:
             {
                 "name": recording.name,
                 "held_out": part,
-                "file": str(recording.path),
+                "file": recording.path and str(recording.path),
                 "sha256": recording.sha256,
                 "duration": float(recording.time[-1] - recording.time[0]),
                 "added_mass": recording.added_mass,
@@ -67,7 +67,7 @@ def check(model: Model) -> dict[str, Any]:
     }
 
 
-def _parts(model: Model) -> Iterator[tuple[Recording, Observation, str | None]]:
+def _parts(model: Model) -> Iterator[tuple[Measurement, Observation, str | None]]:
     """Everything read, with which part of a recording is held out where one is."""
     for recording, observation in zip(model.recordings, model.observations, strict=True):
         yield recording, observation, None

@@ -18,7 +18,7 @@ from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.held_out import Validation
-from bayesfric.recordings.options import Processing
+from bayesfric.recordings.processing import Processing
 
 
 def configuration(preset: str) -> str:

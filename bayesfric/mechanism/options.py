@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from bayesfric.errors import BadInput, nearest
+from bayesfric.errors import BadInput, Unfit, nearest
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import CoulombLoss, Element, Load, LoadLoss
 from bayesfric.mechanism.parameter import Motion
@@ -15,7 +15,7 @@ from bayesfric.mechanism.presets import PRESETS
 
 def _not_zero(value: float) -> float:
     if value == 0.0:
-        raise ValueError(f"give a number other than 0, got {value:g}")
+        raise Unfit("a number other than 0", f"got {value:g}")
     return value
 
 

@@ -22,8 +22,8 @@ from bayesfric.recordings.filters import (
     parallel_taps,
     reach_of,
 )
-from bayesfric.recordings.options import Processing
-from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.resolution import WIDEST, Resolution, lowpass_above, resolve
 
 _DEAD_SHARE = 0.01
@@ -107,7 +107,7 @@ class _Numbers:
     resolution: Resolution
 
 
-def observe(recording: Recording, processing: Processing) -> Observation:
+def observe(recording: Measurement, processing: Processing) -> Observation:
     """Filter, differentiate and decimate a recording.
 
     Parameters
@@ -216,7 +216,7 @@ class _Prepared:
 
 
 def _prepared(
-    recording: Recording, processing: Processing, numbers: _Numbers, share: float
+    recording: Measurement, processing: Processing, numbers: _Numbers, share: float
 ) -> _Prepared:
     segments, period = recording.segments, recording.period
     q = lowpass(recording.position, segments, numbers.fs, numbers.cutoff, processing.order)
@@ -249,7 +249,7 @@ def _prepared(
     )
 
 
-def _quieter(recording: Recording, processing: Processing, numbers: _Numbers) -> _Numbers:
+def _quieter(recording: Measurement, processing: Processing, numbers: _Numbers) -> _Numbers:
     """Lower the low-pass until the acceleration behind it is more than its noise."""
     band = _band(numbers) or numbers.fs / 2
     cutoff = numbers.cutoff
@@ -259,7 +259,7 @@ def _quieter(recording: Recording, processing: Processing, numbers: _Numbers) ->
     return replace(_settle(recording, lower), resolution=numbers.resolution)
 
 
-def _laid(recording: Recording, processing: Processing) -> tuple[_Numbers, _Prepared]:
+def _laid(recording: Measurement, processing: Processing) -> tuple[_Numbers, _Prepared]:
     """Settle the filters and lay the windows, in whichever way leaves enough of them."""
     numbers = _settle(recording, processing)
     made = _prepared(recording, processing, numbers, SMALL_SHARE)
@@ -272,7 +272,7 @@ def _laid(recording: Recording, processing: Processing) -> tuple[_Numbers, _Prep
     return numbers, made
 
 
-def settled(recording: Recording, processing: Processing) -> Processing:
+def settled(recording: Measurement, processing: Processing) -> Processing:
     """Write down what a recording's filters are, so that another part is treated alike.
 
     Raises
@@ -284,7 +284,7 @@ def settled(recording: Recording, processing: Processing) -> Processing:
     return processing.model_copy(update={"lowpass": numbers.cutoff, "decimate": numbers.factor})
 
 
-def window(recording: Recording, processing: Processing) -> tuple[int, int]:
+def window(recording: Measurement, processing: Processing) -> tuple[int, int]:
     """Count the samples that one output is made of, and from one output to the next.
 
     Raises
@@ -296,7 +296,7 @@ def window(recording: Recording, processing: Processing) -> tuple[int, int]:
     return parallel_length(numbers.factor, numbers.band, numbers.fs), numbers.factor
 
 
-def _settle(recording: Recording, processing: Processing) -> _Numbers:
+def _settle(recording: Measurement, processing: Processing) -> _Numbers:
     fs = 1 / recording.period
     where = f"recording '{recording.name}'"
     cutoff, factor, band = processing.lowpass, processing.decimate, processing.band
@@ -359,7 +359,7 @@ def _velocity_warnings(
     return [f"velocity: {said}? Inertia and speed losses come out wrong by such a factor"]
 
 
-def _resolution_warnings(numbers: _Numbers, recording: Recording) -> list[str]:
+def _resolution_warnings(numbers: _Numbers, recording: Measurement) -> list[str]:
     found = numbers.resolution
     if found.acceleration_ratio >= LEAST_RATIO:
         return []
@@ -381,7 +381,7 @@ def _dead_zone(processing: Processing, qd: NDArray[np.float64]) -> float:
 
 
 def _windows(
-    recording: Recording,
+    recording: Measurement,
     numbers: _Numbers,
     kept: tuple[tuple[int, int], ...],
     moving: NDArray[np.bool_],
@@ -492,7 +492,7 @@ def _band(numbers: _Numbers) -> float:
 def _told(
     numbers: _Numbers,
     processing: Processing,
-    recording: Recording,
+    recording: Measurement,
     settings: dict[str, float | int | str],
 ) -> list[str]:
     steps = []

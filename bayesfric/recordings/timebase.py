@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
 from bayesfric.recordings import units
-from bayesfric.recordings.options import Processing
+from bayesfric.recordings.processing import Processing
 
 Segments = tuple[tuple[int, int], ...]
 _SLOWEST = 1.0

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from pydantic import BeforeValidator, Field
 
-from bayesfric.errors import BadInput
+from bayesfric.errors import BadInput, Unfit
 
 if TYPE_CHECKING:
     import pint
@@ -39,7 +40,7 @@ class _Dimension:
     """The SI base units of a kind, and how to tell a user about it."""
 
     base: Mapping[str, int]
-    words: str
+    example: str
     # A torque constant is also quoted as its reciprocal speed constant, V s/rad
     any_angle: bool = False
 
@@ -114,34 +115,9 @@ def _base(text: str) -> tuple[float, tuple[tuple[str, float], ...]]:
         }
     except Exception as error:  # pint and its tokenizer raise a dozen unrelated types
         raise ValueError(f"'{text}' is not a known unit") from error
-    if not np.isfinite(factor):
+    if not math.isfinite(factor):
         raise ValueError(f"'{text}' is not a finite quantity")
     return factor, tuple(sorted(exponents.items()))
-
-
-def _product(texts: Sequence[str], kinds: Sequence[Kind]) -> float:
-    """Return the SI factor of a product of units, or raise ValueError naming what was expected."""
-    expected = " or ".join(_DIMENSIONS[kind].words for kind in kinds)
-    got = " times ".join(f"'{text}'" for text in texts)
-    factor = 1.0
-    powers: dict[str, float] = {}
-    for text in texts:
-        try:
-            part, exponents = _base(text)
-        except ValueError as error:
-            raise ValueError(f"expected {expected}, but {error}") from error
-        factor *= part
-        for name, power in exponents:
-            powers[name] = powers.get(name, 0.0) + power
-    powers = {name: power for name, power in powers.items() if power != 0}
-    for kind in kinds:
-        dimension = _DIMENSIONS[kind]
-        seen = dict(powers)
-        if dimension.any_angle:
-            seen.pop("radian", None)
-        if seen == dict(dimension.base):
-            return factor
-    raise ValueError(f"expected {expected}, got {got}")
 
 
 def quantity(text: str, *kinds: Kind) -> float:
@@ -161,39 +137,14 @@ def quantity(text: str, *kinds: Kind) -> float:
 
     Raises
     ------
-    ValueError
+    Unfit
         For an unknown unit or a wrong dimension, naming what was expected.
     """
     return _product([text], kinds)
 
 
-def parse(text: str, kind: Kind, where: str = "unit") -> float:
-    """Read a scalar with its unit, for a user's key.
-
-    Parameters
-    ----------
-    text
-        Such as ``"3.4 ohm"``.
-    kind
-        The kind of quantity expected.
-    where
-        The key at fault if it cannot be read.
-
-    Returns
-    -------
-    float
-        The value in SI units; a frequency in Hz.
-
-    Raises
-    ------
-    BadInput
-        For an unknown unit or a wrong dimension.
-    """
-    return scale([text], kind, where)
-
-
-def scale(units: Sequence[str], kind: Kind, where: str) -> float:
-    """Return the SI value of one count of a channel.
+def scale(units: Sequence[str], kind: Kind, where: str = "unit") -> float:
+    """Return the SI value of one count of a channel, or of a constant.
 
     Parameters
     ----------
@@ -216,41 +167,64 @@ def scale(units: Sequence[str], kind: Kind, where: str) -> float:
     """
     try:
         factor = _product(units, [kind])
-    except ValueError as error:
-        mend = f"give {_DIMENSIONS[kind].words}"
-        if kind == "angle" and "got '1" in str(error):
-            mend = "an angle needs its unit: write 'turn/4096', not '1/4096'"
+    except Unfit as error:
+        mend = f"give {error.wanted}"
+        with suppress(ValueError):
+            if kind == "angle" and not any(_base(text)[1] for text in units):
+                mend = "an angle needs its unit: write 'turn/4096', not '1/4096'"
         raise BadInput(where, str(error), mend) from error
     if not factor > 0:
-        got = " times ".join(f"'{text}'" for text in units)
         raise BadInput(
-            where, f"{got} is {factor:g}, not positive", "give a positive value; use sign = -1"
+            where,
+            f"{_listed(units)} is {factor:g}, not positive",
+            "give a positive value; use sign = -1",
         )
     return factor
 
 
-def convert(values: ArrayLike, unit: str, kind: Kind, where: str) -> NDArray[np.float64]:
-    """Convert raw values to SI units.
+def _product(texts: Sequence[str], kinds: Sequence[Kind]) -> float:
+    """Return the SI factor of a product of units that is of one of some kinds."""
+    expected = " or ".join(_DIMENSIONS[kind].example for kind in kinds)
+    factor = 1.0
+    powers: dict[str, float] = {}
+    for text in texts:
+        try:
+            part, exponents = _base(text)
+        except ValueError as error:
+            raise Unfit(expected, str(error)) from error
+        factor *= part
+        for name, power in exponents:
+            powers[name] = powers.get(name, 0.0) + power
+    powers = {name: power for name, power in powers.items() if power != 0}
+    for kind in kinds:
+        dimension = _DIMENSIONS[kind]
+        seen = dict(powers)
+        if dimension.any_angle:
+            seen.pop("radian", None)
+        if seen == dict(dimension.base):
+            return factor
+    raise Unfit(expected, f"got {_listed(texts)}")
 
-    Parameters
-    ----------
-    values
-        Raw values, shape (n,).
-    unit
-        Their unit; ``"turn/4096"`` and ``"9.84e-5 N m"`` are units too.
-    kind
-        The kind of quantity they are.
-    where
-        The key at fault if the unit is wrong.
 
-    Returns
-    -------
-    numpy.ndarray
-        The values in SI units, shape (n,).
+def _listed(texts: Sequence[str]) -> str:
+    return " times ".join(f"'{text}'" for text in texts)
 
-    Raises
-    ------
-    BadInput
-        For an unknown unit or a wrong dimension.
-    """
-    return np.asarray(values, dtype=np.float64) * scale([unit], kind, where)
+
+def _number(*kinds: Kind, off: bool = False) -> BeforeValidator:
+    """Return a validator that turns text with a unit into an SI number."""
+
+    def read(value: Any) -> Any:
+        if isinstance(value, bool):
+            raise Unfit("a number or text with a unit", f"got {value}")
+        if off and value == "off":
+            return 0.0
+        return quantity(value, *kinds) if isinstance(value, str) else value
+
+    return BeforeValidator(read)
+
+
+Seconds = Annotated[float, _number("time"), Field(ge=0, allow_inf_nan=False)]
+Hertz = Annotated[float, _number("frequency"), Field(gt=0, allow_inf_nan=False)]
+HertzOrOff = Annotated[float, _number("frequency", off=True), Field(ge=0, allow_inf_nan=False)]
+Kilograms = Annotated[float, _number("mass"), Field(ge=0, allow_inf_nan=False)]
+Metres = Annotated[float, _number("length"), Field(ge=0, allow_inf_nan=False)]

@@ -22,7 +22,7 @@ from bayesfric.estimates.torque import typical_load
 from bayesfric.inference.archive import as_chains, write_archive
 from bayesfric.inference.fit import Fit
 from bayesfric.mechanism.derived import derive
-from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.measurement import Measurement
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.figures.captions import captions
 from bayesfric.report.figures.corner import corner_figure
@@ -158,8 +158,8 @@ def write_run(
     fit: Fit,
     summary: dict[str, Any],
     config_text: str,
-    recordings: list[Recording],
-    beside_it: Callable[[Path], None] = lambda _: None,
+    recordings: list[Measurement],
+    saved: Path | None = None,
 ) -> None:
     """Write a run directory.
 
@@ -175,11 +175,12 @@ def write_run(
         The configuration as read.
     recordings
         For their SHA-256.
-    beside_it
-        Puts further files into the folder.
+    saved
+        A folder whose contents belong into it.
     """
     with made_beside(folder) as beside:
-        beside_it(beside)
+        if saved is not None:
+            shutil.copytree(saved, beside, dirs_exist_ok=True)
         (beside / "config.toml").write_text(config_text, encoding="utf-8")
         (beside / "summary.json").write_text(
             json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False) + "\n",
@@ -212,14 +213,18 @@ def write_run(
 
 
 def write_posterior(
-    path: Path, fit: Fit, summary: Mapping[str, Any], config_text: str, recordings: list[Recording]
+    path: Path,
+    fit: Fit,
+    summary: Mapping[str, Any],
+    config_text: str,
+    recordings: list[Measurement],
 ) -> None:
     """Write ``posterior.nc``; see :func:`archived`."""
     write_archive(path, **archived(fit, summary, config_text, recordings))
 
 
 def archived(
-    fit: Fit, summary: Mapping[str, Any], config_text: str, recordings: list[Recording]
+    fit: Fit, summary: Mapping[str, Any], config_text: str, recordings: list[Measurement]
 ) -> dict[str, Any]:
     """Put together what :func:`~bayesfric.inference.archive.make_archive` takes of a run.
 

@@ -21,8 +21,8 @@ from bayesfric.mechanism import excitation
 from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.recordings import Processing
 from bayesfric.recordings.observation import observe
-from bayesfric.recordings.options import Processing
 from tests.conftest import made_recording
 
 KNEE, AXIS = PRESETS["rabbit-knee"], PRESETS["motor-axis"]
