@@ -18,7 +18,7 @@ import pytest
 from hypothesis import settings
 
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.recordings.filters import parallel_filter
+from bayesfric.recordings.filters import lay_windows, parallel_taps
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 
@@ -96,7 +96,9 @@ def make_observation():
             chain, chain.vector(values), q, qd, qdd, added_mass=added_mass, radius=radius
         )
         torque = torque + sigma * rng.standard_normal(n)
-        taken = parallel_filter(((0, n),), factor, None, 1 / period, np.ones(n, dtype=bool))
+        taken = lay_windows(
+            parallel_taps(factor, None, 1 / period), ((0, n),), factor, np.ones(n, dtype=bool)
+        )
         return Observation(
             name=name,
             q=q,

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -35,45 +34,22 @@ Kind = Literal[
 ]
 
 
-@dataclass(frozen=True)
-class _Dimension:
-    """The SI base units of a kind, and how to tell a user about it."""
-
-    base: Mapping[str, int]
-    example: str
-    # A torque constant is also quoted as its reciprocal speed constant, V s/rad
-    any_angle: bool = False
-
-
-_DIMENSIONS: dict[Kind, _Dimension] = {
-    "time": _Dimension({"second": 1}, "a time like 's' or '5 ms'"),
-    "angle": _Dimension({"radian": 1}, "an angle like 'rad', 'deg' or 'turn/4096'"),
-    "length": _Dimension({"meter": 1}, "a length like 'm' or '2.5 mm'"),
-    "angular_speed": _Dimension(
-        {"radian": 1, "second": -1}, "an angular speed like 'rad/s', 'deg/s' or 'rpm'"
-    ),
-    "speed": _Dimension({"meter": 1, "second": -1}, "a speed like 'm/s' or 'mm/s'"),
-    "torque": _Dimension(
-        {"kilogram": 1, "meter": 2, "second": -2}, "a torque like 'N m' or '9.84e-5 N m'"
-    ),
-    "force": _Dimension({"kilogram": 1, "meter": 1, "second": -2}, "a force like 'N'"),
-    "current": _Dimension({"ampere": 1}, "a current like 'A' or 'mA'"),
-    "voltage": _Dimension(
-        {"kilogram": 1, "meter": 2, "second": -3, "ampere": -1}, "a voltage like 'V' or 'V/885'"
-    ),
-    "resistance": _Dimension(
-        {"kilogram": 1, "meter": 2, "second": -3, "ampere": -2}, "a resistance like '3.4 ohm'"
-    ),
-    "frequency": _Dimension({"second": -1}, "a frequency like '100 Hz'"),
-    "mass": _Dimension({"kilogram": 1}, "a mass like '2 kg'"),
-    "torque_constant": _Dimension(
-        {"kilogram": 1, "meter": 2, "second": -2, "ampere": -1},
-        "a torque constant like '0.32 N m/A'",
-        any_angle=True,
-    ),
-    "force_constant": _Dimension(
-        {"kilogram": 1, "meter": 1, "second": -2, "ampere": -1}, "a force constant like '35 N/A'"
-    ),
+# A unit of every kind, and how to tell a user about it.
+_KINDS: dict[Kind, tuple[str, str]] = {
+    "time": ("s", "a time like 's' or '5 ms'"),
+    "angle": ("rad", "an angle like 'rad', 'deg' or 'turn/4096'"),
+    "length": ("m", "a length like 'm' or '2.5 mm'"),
+    "angular_speed": ("rad/s", "an angular speed like 'rad/s', 'deg/s' or 'rpm'"),
+    "speed": ("m/s", "a speed like 'm/s' or 'mm/s'"),
+    "torque": ("N m", "a torque like 'N m' or '9.84e-5 N m'"),
+    "force": ("N", "a force like 'N'"),
+    "current": ("A", "a current like 'A' or 'mA'"),
+    "voltage": ("V", "a voltage like 'V' or 'V/885'"),
+    "resistance": ("ohm", "a resistance like '3.4 ohm'"),
+    "frequency": ("Hz", "a frequency like '100 Hz'"),
+    "mass": ("kg", "a mass like '2 kg'"),
+    "torque_constant": ("N m/A", "a torque constant like '0.32 N m/A'"),
+    "force_constant": ("N/A", "a force constant like '35 N/A'"),
 }
 
 # pint reads "Nm" as a number times a metre; everybody else means newton metre
@@ -121,49 +97,15 @@ def _base(text: str) -> tuple[float, tuple[tuple[str, float], ...]]:
 
 
 def quantity(text: str, *kinds: Kind) -> float:
-    """Read a scalar with its unit.
-
-    Parameters
-    ----------
-    text
-        Such as ``"100 Hz"`` or ``"0.35 m"``.
-    *kinds
-        The kinds of quantity that will do.
-
-    Returns
-    -------
-    float
-        The value in SI units; a frequency in Hz.
-
-    Raises
-    ------
-    Unfit
-        For an unknown unit or a wrong dimension, naming what was expected.
-    """
+    """Read a scalar with its unit, of one of some kinds, in SI and Hz, or raise `Unfit`."""
     return _product([text], kinds)
 
 
 def scale(units: Sequence[str], kind: Kind, where: str = "unit") -> float:
-    """Return the SI value of one count of a channel, or of a constant.
+    """Return the positive SI value of one count of a channel, or of a constant.
 
-    Parameters
-    ----------
-    units
-        The channel's unit and whatever multiplies it, e.g. ``["V", "35.15 N/V"]``.
-    kind
-        The kind of quantity their product must be.
-    where
-        The key at fault if it is not.
-
-    Returns
-    -------
-    float
-        The factor from raw values to SI units, positive.
-
-    Raises
-    ------
-    BadInput
-        For an unknown unit, a wrong dimension or a factor that is not positive.
+    ``units`` are its unit and whatever multiplies it: ``["V", "35.15 N/V"]``. What is of
+    another kind is bad input at ``where``.
     """
     try:
         factor = _product(units, [kind])
@@ -184,7 +126,7 @@ def scale(units: Sequence[str], kind: Kind, where: str = "unit") -> float:
 
 def _product(texts: Sequence[str], kinds: Sequence[Kind]) -> float:
     """Return the SI factor of a product of units that is of one of some kinds."""
-    expected = " or ".join(_DIMENSIONS[kind].example for kind in kinds)
+    expected = " or ".join(_KINDS[kind][1] for kind in kinds)
     factor = 1.0
     powers: dict[str, float] = {}
     for text in texts:
@@ -197,11 +139,9 @@ def _product(texts: Sequence[str], kinds: Sequence[Kind]) -> float:
             powers[name] = powers.get(name, 0.0) + power
     powers = {name: power for name, power in powers.items() if power != 0}
     for kind in kinds:
-        dimension = _DIMENSIONS[kind]
-        seen = dict(powers)
-        if dimension.any_angle:
-            seen.pop("radian", None)
-        if seen == dict(dimension.base):
+        # a torque constant is also quoted as its reciprocal speed constant, V s/rad
+        seen = {k: v for k, v in powers.items() if kind != "torque_constant" or k != "radian"}
+        if seen == dict(_base(_KINDS[kind][0])[1]):
             return factor
     raise Unfit(expected, f"got {_listed(texts)}")
 

@@ -16,7 +16,7 @@ from bayesfric.inference.fit import make_target, read_priors
 from bayesfric.mechanism import excitation
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.recordings.filters import parallel_filter
+from bayesfric.recordings.filters import lay_windows, parallel_taps
 from bayesfric.recordings.observation import Observation
 
 KNEE, AXIS = PRESETS["rabbit-knee"], PRESETS["motor-axis"]
@@ -41,7 +41,9 @@ SINE = excitation.sine(TIME, PEAK, 1.0)
 def recorded(torque, *, added_mass=0.0, radius=0.0, name="made-up"):
     """Motion and torque as they are: filtering would blur what the square wave's edges are."""
     motion = simulate(CHAIN, VALUES, torque, PERIOD, added_mass=added_mass, radius=radius)
-    taken = parallel_filter(((0, N),), 1, None, 1.0 / PERIOD, np.abs(motion.qd) > 0.01)
+    taken = lay_windows(
+        parallel_taps(1, None, 1.0 / PERIOD), ((0, N),), 1, np.abs(motion.qd) > 0.01
+    )
     return Observation(
         name=name,
         q=motion.q,
