@@ -13,8 +13,8 @@ from bayesfric.commands.identify import local_picture
 from bayesfric.commands.problem import Problem
 from bayesfric.errors import BadInput
 from bayesfric.estimates.descent import few_threads
-from bayesfric.identifiability.advise import Advice, Ranking, Uncertainty, ranking
 from bayesfric.identifiability.candidates import Candidate
+from bayesfric.identifiability.next_recording import Advice, Ranking, Uncertainty, ranking
 from bayesfric.identifiability.plausible import points_around
 from bayesfric.report.files import write_beside
 

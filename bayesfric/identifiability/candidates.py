@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
-from bayesfric.identifiability.options import AdviceOptions
+from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.identifiability.virtual_recording import (
     known_mass,
     longest_stretch,

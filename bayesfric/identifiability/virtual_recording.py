@@ -25,7 +25,11 @@ Array = NDArray[np.float64]
 _LONGEST_SAMPLES = 20_000
 _LONGEST = 10.0
 # Time constant of a current loop, as in the paper's bench.
-_LAG = 0.005
+LAG = 0.005
+# Sines that tell most, as multiples of how often the joint goes to and fro; and of a torque's
+# peak, the share of the square wave that carries them.
+LINES: Array = np.array([0.37, 0.73, 1.3, 2.9, 5.3])
+_SQUARE_SHARE = 0.6
 # A mass where the load tells none, kg and m, and the most that anyone would bolt on.
 _MASS, _RADIUS = 2.0, 0.35
 _MOST = 5.0
@@ -77,57 +81,17 @@ def known_mass(chain: Chain, values: Array) -> tuple[float, float]:
     return _two_digits(min(moment / radius, _MOST)), _two_digits(radius)
 
 
-def with_mass(
-    chain: Chain, values: Array, observation: Observation, added_mass: float, radius: float
-) -> Observation:
-    """Play the measured torque to the joint with a known mass on its load.
-
-    Raises
-    ------
-    ValueError
-        If the joint cannot be simulated, or then stands still.
-    """
-    cut = longest_stretch(observation)
-    return played(chain, values, observation, observation.torque[cut], added_mass, radius)
+def square_with_sines(time: Array, hertz: float, lines: Array) -> Array:
+    """Make a signal of peak one, a square wave with a multisine of ``lines`` Hz on it, ``(N,)``."""
+    return excitation.square(time, _SQUARE_SHARE, hertz) + (1.0 - _SQUARE_SHARE) * sines(
+        time, lines
+    )
 
 
-def with_torque(
-    chain: Chain, values: Array, observation: Observation, form: str, share: float = 1.0
-) -> Observation:
-    """Play another torque to the joint, with the recording's largest torque as its peak.
-
-    Parameters
-    ----------
-    chain, values, observation
-        The mechanism, its parameters ``(n_parameters,)``, and the recording that sets
-        rate, length, filter and peak.
-    form
-        ``square`` behind a current loop, ``square-multisine``, or ``same``.
-    share
-        Factor on the torque.
-
-    Raises
-    ------
-    ValueError
-        If the joint cannot be simulated, or then stands still.
-    """
-    cut = longest_stretch(observation)
-    measured = observation.torque[cut]
-    period = sample_period(observation)
-    time = period * np.arange(measured.size)
-    peak = share * float(np.quantile(np.abs(measured), 0.99))
-    hertz = pace(observation)
-    if form == "same":
-        torque = share * measured
-    elif form == "square":
-        torque = excitation.square(time, peak, hertz)
-    else:
-        many = excitation.multisine(time, 1.0, hertz * np.array([0.37, 0.73, 1.3, 2.9, 5.3]))
-        torque = excitation.square(time, 0.6 * peak, hertz)
-        torque = torque + many * 0.4 * peak / float(np.abs(many).max())
-    if form != "same":
-        torque = excitation.current_loop(torque, period, _LAG)
-    return played(chain, values, observation, torque, observation.added_mass, observation.radius)
+def sines(time: Array, lines: Array) -> Array:
+    """Make a multisine of peak one and ``lines`` Hz, ``(N,)``."""
+    made = excitation.multisine(time, 1.0, lines)
+    return np.asarray(made / max(float(np.abs(made).max()), 1e-12))
 
 
 def pace(observation: Observation) -> float:

@@ -158,6 +158,7 @@ def _read(source: Source, path: Path, name: str, drive: Drive, processing: Proce
         radius=source.radius,
         steps=tuple(steps),
         warnings=tuple(warnings),
+        torque_origin="voltage" if source.voltage else "current" if source.current else "measured",
     )
 
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from bayesfric.errors import BadInput
-from bayesfric.identifiability.advise import advise, ranking
+from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.identifiability.candidates import candidates, limits_of, longest, try_out
 from bayesfric.identifiability.local import local_information
-from bayesfric.identifiability.options import AdviceOptions
+from bayesfric.identifiability.next_recording import advise, ranking
 from bayesfric.identifiability.plausible import Point, points_around
 from bayesfric.identifiability.virtual_recording import known_mass, played
 from bayesfric.inference.fit import make_target, read_priors

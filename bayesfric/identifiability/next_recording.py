@@ -20,6 +20,7 @@ from bayesfric.estimates.assemble import open_directions
 from bayesfric.estimates.information import directions
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.torque import typical_load
+from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.identifiability.candidates import (
     Candidate,
     Limits,
@@ -29,10 +30,9 @@ from bayesfric.identifiability.candidates import (
     longest,
     try_out,
 )
+from bayesfric.identifiability.coverage import back_driven
 from bayesfric.identifiability.local import LocalInformation, local_information
-from bayesfric.identifiability.options import AdviceOptions
 from bayesfric.identifiability.plausible import Point
-from bayesfric.identifiability.recording_facts import back_driven
 from bayesfric.identifiability.virtual_recording import TorqueNoise, scaled_jacobian, torque_noise
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.chain import Chain
