@@ -126,7 +126,7 @@ def trials(
     noise = torque_noise(target, parameters, longest)
     rotary = chain.load.motion == "rotary"
     measured, period, hertz = base.torque[longest_stretch(base)], sample_period(base), pace(base)
-    time = period * np.arange(measured.size)
+    time = period * np.arange(measured.size, dtype=np.float64)
     peak = float(np.quantile(np.abs(measured), 0.99))
     told = {"peak": peak, "pace": hertz, "unit": "N m" if chain.motor_motion == "rotary" else "N"}
     there = base.added_mass, base.radius

@@ -73,7 +73,7 @@ def experiments(path: Path, name: str, folder: Path) -> dict[str, Any]:
                 "predicted": one.after.sd,
                 "sampled": sd,
                 "status": status,
-                "back_driven": {k: v[0] for k, v in one.back_driven.items()},
+                "back_driven": {k: v["mean"] for k, v in one.load_drives.items()},
             }
         )
         print(f"  {number:2d} {rows[-1]['form']} predicted {one.after.sd:.5f} sampled {sd:.5f}")
