@@ -166,19 +166,12 @@ def identify(
 
 
 def _advise(config: Path, name: str, output: Path | None, force: bool, as_json: bool) -> None:
-    from bayesfric.commands.advise import (
-        advice,
-        advice_file,
-        advice_record,
-        advice_text,
-        write_advice,
-    )
-    from bayesfric.inference.sampling.sampling import phase
+    from bayesfric.commands.advise import advice_file, advice_record, advice_text, write_advice
 
     model = _model(config)
     path = advice_file(name, output, force=force)
     with progress_shown(sys.stderr.isatty()) as progress:
-        found = advice(model, name, progress=lambda stage: progress(phase(stage)))
+        found = model.advise(name, progress=progress)
     written = path if write_advice(found, path, model, force=force) else None
     _print(advice_record(found, model, written), as_json, advice_text(found, model, written))
 

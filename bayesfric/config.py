@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from bayesfric.complaints import complaint, complaint_of
 from bayesfric.errors import BadInput
 from bayesfric.estimates.options import Estimation, Reference
-from bayesfric.identifiability.options import AdviceOptions
+from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.inference.likelihood.likelihood import LikelihoodMethod
 from bayesfric.inference.likelihood.noise_choice import MOST
 from bayesfric.inference.prior.noise import NoiseScale

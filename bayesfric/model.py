@@ -16,11 +16,19 @@ from numpy.typing import NDArray
 from bayesfric.config import Config, read_config
 from bayesfric.config_text import config_of, mechanism_table, prior_value, recording_table
 from bayesfric.errors import BadInput, nearest
+from bayesfric.estimates.descent import few_threads
 from bayesfric.estimates.estimate import METHODS, Estimate, Method
 from bayesfric.estimates.input_error import input_error
+from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import TotalsProjection, least_squares
 from bayesfric.estimates.output_error import output_error
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian
+from bayesfric.identifiability.identification import Identification, identify
+from bayesfric.identifiability.known_quantities import speed_term
+from bayesfric.identifiability.local import LocalInformation, local_information
+from bayesfric.identifiability.next_recording import Ranking, ranking
+from bayesfric.identifiability.plausible import Point, estimate_point, points_around
+from bayesfric.identifiability.sentences import plain
 from bayesfric.inference.beforehand import beforehand
 from bayesfric.inference.fit import fit, make_target, target_of
 from bayesfric.inference.likelihood.likelihood import Likelihood
@@ -42,7 +50,6 @@ from bayesfric.recordings.trajectory import Trajectory, trajectory
 if TYPE_CHECKING:
     import pandas as pd
 
-    from bayesfric.identifiability.identify import Identification
     from bayesfric.result import Result
 
 Array = NDArray[np.float64]
@@ -55,6 +62,8 @@ def silent(_: Progress) -> None:
 
 # Independent draws that are enough for an interval that only stands beside another.
 _WHITE_ESS = 2000.0
+# Points besides the estimate that recordings to make next are simulated at.
+_AROUND = 6
 
 
 @dataclass(frozen=True)
@@ -208,10 +217,18 @@ class Model:
                 found.append(self._output_error(found[-1], progress))
         return [estimate for estimate in found if estimate.method in methods]
 
-    def _output_error(self, start: Estimate, progress: Shown, **changes: Any) -> Estimate:
+    def _output_error(
+        self,
+        start: Estimate,
+        progress: Shown,
+        known: Knowledge | None = None,
+        max_seconds: float | None = None,
+    ) -> Estimate:
         progress(phase("output-error estimate"))
-        options = self.config.tables.estimation.model_copy(update=changes)
-        known, whole = beforehand(self.chain, self.priors), self.trajectories(np.inf)
+        options = self.config.tables.estimation
+        if max_seconds is not None:
+            options = options.model_copy(update={"max_seconds": max_seconds})
+        known, whole = known or beforehand(self.chain, self.priors), self.trajectories(np.inf)
         return output_error(self.chain, whole, self.observations, known, options, start)
 
     def estimate(self, *methods: Method) -> pd.DataFrame:
@@ -239,15 +256,95 @@ class Model:
         pairs = zip(self.recordings, self.observations, strict=True)
         return [trajectory(recording, observation, segment) for recording, observation in pairs]
 
-    def identification(self, *, progress: Shown = silent) -> Identification:
-        """Look at the likelihood at an estimate and around it, before anything is sampled."""
-        from bayesfric.commands.identify import identification
-
-        return identification(self, progress=lambda stage: progress(phase(stage)))
+    # What can be known
 
     def identify(self) -> pd.DataFrame:
-        """Tabulate what these recordings can tell of each parameter; see :meth:`identification`."""
-        return self.identification().frame  # type: ignore
+        """Tabulate what :meth:`identification` finds, a row for each parameter."""
+        return self.identification().frame
+
+    def identification(self, *, progress: Shown = silent) -> Identification:
+        """Tell what these recordings can and cannot determine, before anything is sampled.
+
+        The likelihood is looked at where an estimate is and at other plausible points.
+
+        Raises
+        ------
+        BadInput
+            If nothing can be estimated from these recordings.
+        """
+        target, point, local = self._local_picture(progress)
+        with self.config.named(), few_threads(self.observations):
+            others = points_around(target, point, local, self._stream(4))
+            from_voltage = [r.name for r in self.recordings if r.torque_origin == "voltage"]
+            speed = speed_term(target, point.parameters, from_voltage)
+            return identify(target, [point, *others], speed=speed)
+
+    def advise(self, name: str, *, progress: Shown = silent) -> Ranking:
+        """Rank recordings to make next by what they would leave of one quantity.
+
+        Parameters
+        ----------
+        name
+            A free parameter or a derived quantity.
+        progress
+            Called as work goes on.
+
+        Returns
+        -------
+        Ranking
+            ``frame`` is its table, the best first.
+
+        Raises
+        ------
+        BadInput
+            If nothing has that name, it is fixed, or nothing can be estimated here.
+        """
+        target, point, local = self._local_picture(progress)
+        with self.config.named(), few_threads(self.observations):
+            rng = self._stream(5)
+            others = points_around(target, point, local, rng, around=_AROUND, prior=0)
+            options = self.config.tables.advice
+            points = [point, *others]
+
+            def tell(stage: str) -> None:
+                progress(phase(stage))
+
+            return ranking(target, points, local, options, name, progress=tell)
+
+    def _stream(self, key: int) -> np.random.Generator:
+        """Random numbers of one analysis: the seed of the whole, in a stream of its own."""
+        seed = self.config.tables.sampling.seed
+        return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(key,)))
+
+    def _local_picture(self, progress: Shown) -> tuple[Target, Point, LocalInformation]:
+        """Look at the likelihood at an estimate by the method that it belongs to.
+
+        Load losses are held by their priors there. Where the load never drives the motor,
+        nothing but noise says what is lost when it does, and an estimate by the data alone ends
+        in a corner: a gearbox that cannot be driven back at all. What the data do tell outweighs
+        these priors by far.
+        """
+        tables = self.config.tables
+        known = beforehand(self.chain, self.priors)
+        losses = {
+            p.name: (prior.mean(), prior.sd())
+            for p in self.chain.parameters
+            if p.quantity in ("load_drive", "load_back")
+            and not (prior := self.priors[p.name]).fixed
+        }
+        finite = {name: pair for name, pair in losses.items() if np.isfinite(pair).all()}
+        known = replace(known, told={**finite, **known.told})
+        with self.config.named():
+            progress(phase("input-error estimate"))
+            found = input_error(self.chain, self.observations, known, tables.estimation)
+            if tables.likelihood.method == "output-error":
+                found = self._output_error(found, progress, known)
+        progress(phase("identifiability"))
+        place = dict(found.point)
+        target = self.target(place)
+        with self.config.named(), few_threads(self.observations):
+            point = estimate_point(target, place)
+            return target, point, local_information(target, point.parameters)
 
     # What is believed of it
 
@@ -331,9 +428,9 @@ class Model:
         simulated = tables.likelihood.method == "output-error"
         found, missing = self.estimates(("least-squares", "input-error"), progress=progress), []
         if simulated or output_error or tables.estimation.output_error:
-            patient = {"max_seconds": np.inf} if simulated else {}
+            most = np.inf if simulated else None
             try:
-                found.append(self._output_error(found[-1], progress, **patient))
+                found.append(self._output_error(found[-1], progress, max_seconds=most))
             except BadInput as error:
                 missing.append(f"no output-error estimate: {error.what}")
         points = [dict(e.point) for e in found if e.point]
@@ -416,7 +513,6 @@ class Model:
         BadInput
             For anything that cannot be used.
         """
-        from bayesfric.commands.identify import open_directions
         from bayesfric.report.summary.doubts import find_doubts, put_doubts
         from bayesfric.report.summary.noise import add_white_intervals, white_alternative
         from bayesfric.report.summary.summary import rms, spreads, summarise
@@ -447,8 +543,8 @@ class Model:
         put_doubts(summary, find_doubts(found, summary, begun.choice, compared))
         progress(phase("identifiability"))
         with suppress(BadInput):  # a simulation that fails there takes no result away
-            directions = open_directions(begun.target, found.posterior.median)
-            summary["identifiability"]["directions"] = directions
+            here = identify(begun.target, [Point("estimate", found.posterior.median)])
+            summary["identifiability"]["directions"] = plain(here.directions)
         summary["warnings"] += begun.missing
         # nothing in a file of samples tells; the configuration may
         summary["may_be_simulated"] = self.config.tables.simulation is not None

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+TorqueOrigin = Literal["measured", "current", "voltage"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +46,8 @@ class Measurement:
         One sentence for every choice made in reading.
     warnings
         One sentence for everything a user should look at.
+    torque_origin
+        What the torque was made of.
     """
 
     name: str
@@ -59,3 +64,4 @@ class Measurement:
     radius: float
     steps: tuple[str, ...]
     warnings: tuple[str, ...]
+    torque_origin: TorqueOrigin = "measured"

@@ -158,6 +158,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         radius=source.radius,
         steps=tuple(steps),
         warnings=tuple(warnings),
+        torque_origin="voltage" if source.voltage else "current" if source.current else "measured",
     )
 
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.commands.advise import advice
 from bayesfric.config import Config, parse_config, read_config
 from bayesfric.inference.fit import fit
 from bayesfric.mechanism.derived import derive
@@ -44,7 +43,7 @@ def experiments(path: Path, name: str, folder: Path) -> dict[str, Any]:
     """
     config = read_config(path)
     problem = Model.from_config(config)
-    found = advice(problem, name)
+    found = problem.advise(name)
     truth = PRESETS["rabbit-knee"].values
     bench = Simulation(encoder_counts=8192, encoder_side="motor", torque_noise=0.02)
     rows = []
@@ -72,7 +71,7 @@ def experiments(path: Path, name: str, folder: Path) -> dict[str, Any]:
                 "predicted": one.after.sd,
                 "sampled": sd,
                 "status": status,
-                "back_driven": {k: v[0] for k, v in one.back_driven.items()},
+                "back_driven": {k: v["mean"] for k, v in one.load_drives.items()},
             }
         )
         print(f"  {number:2d} {rows[-1]['form']} predicted {one.after.sd:.5f} sampled {sd:.5f}")

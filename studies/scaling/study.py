@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from experiments import experiments
 
-from bayesfric.commands.identify import identification
 from bayesfric.config import read_config
 from bayesfric.inference.fit import Fit, fit
 from bayesfric.mechanism.derived import derive
@@ -83,7 +82,7 @@ def row_of(summary: dict[str, Any], name: str) -> dict[str, Any] | None:
 
 def predicted(path: Path, summary: dict[str, Any]) -> dict[str, Any]:
     """Put standard deviations foretold by ``identify`` beside the sampled ones."""
-    found = identification(Model.from_config(read_config(path)))
+    found = Model.from_config(path).identification()
     rows = {}
     for one in found.parameters:
         sampled_row = summary["parameters"][one.name]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayesfric.commands.identify import identification, identify_record, identify_text
+from bayesfric.commands.identify import identify_record, identify_text
 from bayesfric.config import read_config
 from bayesfric.model import Model
 
@@ -49,7 +49,7 @@ def null(found):
 @pytest.fixture(scope="module")
 def knee():
     problem = Model.from_config(read_config(FOLDER / "knee.toml"))
-    found = identification(problem)
+    found = problem.identification()
     return identify_record(found, problem), list(identify_text(found, problem))
 
 

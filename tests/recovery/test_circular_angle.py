@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from bayesfric.commands.fit import fit
-from bayesfric.commands.identify import identification
 from bayesfric.config import parse_config
 from bayesfric.errors import BadInput
 from bayesfric.mechanism.inverse import inverse_torque
@@ -167,7 +166,7 @@ def test_more_than_a_turn_is_refused(tmp_path):
 
 def test_identify_draws_on_both_sides_of_pi(tmp_path):
     problem = Model.from_config(arm(tmp_path, np.pi))
-    found = identification(problem)
+    found = problem.identification()
     prospect = {p.name: p for p in found.parameters}[ANGLE]
     assert prospect.on_bound is None
     assert abs(round_the_circle(prospect.value - np.pi)) < 0.05

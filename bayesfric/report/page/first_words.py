@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from bayesfric.identifiability.words import capital, factor
+from bayesfric.identifiability.sentences import capital, factor
 from bayesfric.report.page.facts import Facts, OpenDirectionRow, RemedyRow
 from bayesfric.report.paper.methods_text import listed
 from bayesfric.report.paper.tables import ParameterRow, ParameterTable, counts

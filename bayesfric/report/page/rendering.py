@@ -11,7 +11,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from bayesfric.identifiability.words import capital
+from bayesfric.identifiability.sentences import capital
 from bayesfric.report.page.first_words import spaced
 from bayesfric.report.page.symbol import html_symbol
 from bayesfric.report.page.values import cell_html, number_html, p_html, plain, unit_html
