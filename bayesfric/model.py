@@ -515,6 +515,7 @@ class Model:
         """
         from bayesfric.report.summary.doubts import find_doubts, put_doubts
         from bayesfric.report.summary.noise import add_white_intervals, white_alternative
+        from bayesfric.report.summary.record import Identifiability
         from bayesfric.report.summary.summary import rms, spreads, summarise
         from bayesfric.result import Result
 
@@ -539,15 +540,20 @@ class Model:
                 white = sample(self.white_target(), quick, checkpoint=kept)
             if white.posterior.diagnostics.status != "unusable":
                 compared = spreads(white), rms(white)
-            add_white_intervals(summary, compared[0] if compared else None)
-        put_doubts(summary, find_doubts(found, summary, begun.choice, compared))
+            summary = add_white_intervals(summary, compared[0] if compared else None)
+        summary = put_doubts(summary, find_doubts(found, summary, begun.choice, compared))
         progress(phase("identifiability"))
+        update: dict[str, Any] = {
+            "warnings": [*summary.warnings, *begun.missing],
+            # nothing in a file of samples tells; the configuration may
+            "may_be_simulated": self.config.tables.simulation is not None,
+        }
         with suppress(BadInput):  # a simulation that fails there takes no result away
             here = identify(begun.target, [Point("estimate", found.posterior.median)])
-            summary["identifiability"]["directions"] = plain(here.directions)
-        summary["warnings"] += begun.missing
-        # nothing in a file of samples tells; the configuration may
-        summary["may_be_simulated"] = self.config.tables.simulation is not None
+            update["identifiability"] = Identifiability.model_validate(
+                summary.identifiability.as_dict() | {"directions": plain(here.directions)}
+            )
+        summary = summary.model_copy(update=update)
         return Result(self, found, summary)
 
     def sample(

@@ -7,6 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
+from bayesfric.commands.compare import read_summary_file
 from bayesfric.config_text import saved_name
 from bayesfric.errors import BadInput
 from bayesfric.inference.archive import make_archive
@@ -14,6 +15,7 @@ from bayesfric.inference.fit import Fit
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.tables import sha256
 from bayesfric.report.run_directory import archived, check_free, write_run
+from bayesfric.report.summary.record import Summary
 
 if TYPE_CHECKING:
     from bayesfric.model import Model
@@ -34,12 +36,12 @@ class Result:
     fit
         Draws and diagnostics, point estimates, predictions of what was held out.
     summary
-        What ``summary.json`` holds, without the place of recordings.
+        What ``summary.json`` holds, but for the place of recordings.
     """
 
     model: Model
     fit: Fit
-    summary: dict[str, Any]
+    summary: Summary
 
     @property
     def recordings(self) -> list[Measurement]:
@@ -53,7 +55,7 @@ class Result:
         object.__setattr__(data, _KEPT, self)
         return data
 
-    def write(self, folder: Path) -> dict[str, Any]:
+    def write(self, folder: Path) -> Summary:
         """Write a run directory, and give what its ``summary.json`` holds.
 
         Raises
@@ -77,7 +79,7 @@ class Result:
                     recording.saved(made)
                     measured[k] = replace(one, path=folder / file, sha256=sha256(made))
             origin = config.origin_of(measured, folder if self.model.given else config.folder)
-            summary = self.summary | {"source": origin.model_dump(mode="json")}
+            summary = self.summary.model_copy(update={"source": origin.model_dump(mode="json")})
             write_run(folder, self.fit, summary, config.text, measured, Path(name))
         return summary
 
@@ -100,7 +102,7 @@ def result_of(posterior: Any) -> Result:
     return found
 
 
-def summary(posterior: Any) -> Any:
+def summary(posterior: Any) -> Summary:
     """Sum a posterior up.
 
     Parameters
@@ -111,12 +113,10 @@ def summary(posterior: Any) -> Any:
     Returns
     -------
     Summary
-        Every number with its verdict; shows itself in a notebook.
+        Every number with its verdict; ``frame()`` is its table, which it shows in a notebook.
     """
     if isinstance(posterior, str | Path):
-        from bayesfric.commands.compare import read_summary_file
-
-        return read_summary_file(Path(posterior))
+        return Summary.read(read_summary_file(Path(posterior)), str(posterior))
     return result_of(posterior).summary
 
 

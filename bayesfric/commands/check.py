@@ -10,7 +10,7 @@ import numpy as np
 from bayesfric.model import Model
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
-from bayesfric.report.alerts import DOUBTS
+from bayesfric.report.alerts import doubt_text
 from bayesfric.report.summary.doubts import doubts_before
 
 
@@ -100,4 +100,4 @@ def check_text(found: dict[str, Any]) -> Iterator[str]:
         yield f"  {name:<28} {v['value']:>12.5g} ± {v['sd']:<9.2g} {v['unit']:<8} {v['meaning']}"
     yield f"  {'residual rms':<28} {totals['residual_rms']:>12.4g}"
     for doubt in found["doubts"]:
-        yield f"WARNING: {DOUBTS[doubt['kind']](doubt)}"
+        yield f"WARNING: {doubt_text(doubt)}"

@@ -16,7 +16,7 @@ from bayesfric.report.comparison.table import (
     comparison_dict,
     comparison_markdown,
 )
-from bayesfric.report.summary.read_back import read_summary
+from bayesfric.report.summary.record import Summary
 
 # A summary is a page or two of numbers; anything larger is some other file.
 _LARGEST = 20_000_000
@@ -60,7 +60,7 @@ def compare(
     check_free(output, force=None)
     found = comparison(summaries, estimates=estimates)
     figure = forest_figure(found)
-    checked = {name: read_summary(summary, name) for name, summary in summaries.items()}
+    checked = {name: Summary.read(summary, name) for name, summary in summaries.items()}
     provenance = {name: read_provenance(run) for name, run in zip(summaries, runs, strict=True)}
     # one recording seen by two runs would count twice
     pooled = [] if shared_recordings(provenance) else between_runs(checked)
@@ -86,7 +86,7 @@ def compare(
             save(overlay_figure(overlaid), beside / "figures", "overlay")
         if len(checked) > 1:
             (beside / "between-runs.csv").write_text(between_runs_csv(pooled), encoding="utf-8")
-        page = compare_page(beside, found, summaries, checked, pooled, provenance, overlaid)
+        page = compare_page(beside, found, checked, pooled, provenance, overlaid)
         (beside / "report.html").write_text(page, encoding="utf-8")
     return found
 

@@ -18,6 +18,9 @@ from numpy.typing import NDArray
 _TABLES = 2**18
 _PIECE = 2**20
 
+# Groups that are none of ArviZ's.
+_OWN = ("derived",)
+
 Groups = Mapping[str, Mapping[str, NDArray[Any]]]
 
 
@@ -27,9 +30,9 @@ def make_archive(
     dims: Mapping[str, list[str]],
     coords: Mapping[str, Any],
     attrs: Mapping[str, str],
-    described: Mapping[str, Mapping[str, str]] | None = None,
+    variable_attrs: Mapping[str, Mapping[str, Mapping[str, str]]] | None = None,
 ) -> Any:
-    """Put groups of named arrays together as ArviZ has them.
+    """Put groups of named arrays together as the installed ArviZ has them.
 
     Parameters
     ----------
@@ -42,8 +45,8 @@ def make_archive(
         Labels of the dimensions.
     attrs
         Root attributes.
-    described
-        Attributes of the variables of that name in ``posterior`` and ``derived``.
+    variable_attrs
+        What variables say of themselves, by group and name.
     """
     options = {"dims": dict(dims), "coords": dict(coords)}
     named = {group: dict(variables) for group, variables in groups.items()}
@@ -52,21 +55,23 @@ def make_archive(
         # walkers are stored as chains, and there may well be more of them than kept draws
         warnings.filterwarnings("ignore", "More chains", UserWarning)
         warnings.filterwarnings("ignore", "Found chain dimension to be longer", UserWarning)
-        if int(arviz.__version__.partition(".")[0]) >= 1:
-            data = arviz.from_dict(named, **options)
-        else:
-            # a group of ours; 0.23 takes those it does not know from elsewhere only
-            derived = named.pop("derived", {})
+        warnings.filterwarnings("ignore", ".* not defined in the InferenceData scheme", UserWarning)
+        if int(arviz.__version__.partition(".")[0]) < 1:
+            # groups of our own are no argument there
+            own = {group: named.pop(group) for group in _OWN if group in named}
             data = arviz.from_dict(**named, **options)
-            if derived:
-                warnings.filterwarnings("ignore", "The group derived is not", UserWarning)
-                data.add_groups(derived=arviz.dict_to_dataset(derived))
+            for group, variables in own.items():
+                data.add_groups({group: arviz.convert_to_dataset(variables)})
+            named |= own
+        else:
+            data = arviz.from_dict(named, **options)
     for group in groups:
         # a time stamp would make two runs of one seed differ
         data[group].attrs.pop("created_at", None)
-    for group in {"posterior", "derived"} & set(groups):
-        for name, found in data[group].data_vars.items():
-            found.attrs.update((described or {}).get(name, {}))
+    for group, told in (variable_attrs or {}).items():
+        for name, words in told.items() if group in named else ():
+            if name in named[group]:
+                data[group][name].attrs.update(words)
     data.attrs.clear()
     data.attrs.update(attrs)
     return data
@@ -100,7 +105,9 @@ def _try_room(path: Path, size: int) -> None:
 
 def read_archive(path: Path) -> Any:
     """Read what :func:`write_archive` wrote; groups are addressed as ``data["posterior"]``."""
-    return _arviz().from_netcdf(str(path), engine="h5netcdf")
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".* not defined in the InferenceData scheme", UserWarning)
+        return _arviz().from_netcdf(str(path), engine="h5netcdf")
 
 
 def as_chains(draws: NDArray[np.float64]) -> NDArray[np.float64]:

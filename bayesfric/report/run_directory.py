@@ -18,10 +18,8 @@ from numpy.typing import NDArray
 
 import bayesfric
 from bayesfric.errors import BadInput
-from bayesfric.estimates.torque import typical_load
 from bayesfric.inference.archive import as_chains, write_archive
 from bayesfric.inference.fit import Fit
-from bayesfric.mechanism.derived import derive
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.figures.captions import captions
@@ -39,6 +37,8 @@ from bayesfric.report.figures.validation import validation_figure
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.methods_text import methods_text
 from bayesfric.report.paper.summary_texts import summary_texts
+from bayesfric.report.summary.derived_quantities import coefficients
+from bayesfric.report.summary.record import PosteriorRow, Readable, Summary
 
 # Draws kept of the groups that hold a number for every draw and every output.
 _POINTWISE_DRAWS = 400
@@ -156,7 +156,7 @@ def _cannot(folder: Path, error: OSError) -> BadInput:
 def write_run(
     folder: Path,
     fit: Fit,
-    summary: dict[str, Any],
+    summary: Readable,
     config_text: str,
     recordings: list[Measurement],
     saved: Path | None = None,
@@ -178,12 +178,14 @@ def write_run(
     saved
         A folder whose contents belong into it.
     """
+    summary = Summary.read(summary)
+    as_json = summary.as_dict()
     with made_beside(folder) as beside:
         if saved is not None:
             shutil.copytree(saved, beside, dirs_exist_ok=True)
         (beside / "config.toml").write_text(config_text, encoding="utf-8")
         (beside / "summary.json").write_text(
-            json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False) + "\n",
+            json.dumps(as_json, indent=1, ensure_ascii=False, allow_nan=False) + "\n",
             encoding="utf-8",
         )
         figures = beside / "figures"
@@ -194,7 +196,7 @@ def write_run(
             save(forest_figure(comparison({folder.name: summary})), "methods")
             write_posterior(beside / "posterior.nc", fit, summary, config_text, recordings)
             for stem, draw in FIGURES.items():
-                if (figure := draw(fit, summary)) is not None:
+                if (figure := draw(fit, as_json)) is not None:
                     save(figure, stem)
                     drawn.append(stem)
         said = methods_text(fit, summary)
@@ -213,39 +215,36 @@ def write_run(
 
 
 def write_posterior(
-    path: Path,
-    fit: Fit,
-    summary: Mapping[str, Any],
-    config_text: str,
-    recordings: list[Measurement],
+    path: Path, fit: Fit, summary: Summary, config_text: str, recordings: list[Measurement]
 ) -> None:
     """Write ``posterior.nc``; see :func:`archived`."""
     write_archive(path, **archived(fit, summary, config_text, recordings))
 
 
 def archived(
-    fit: Fit, summary: Mapping[str, Any], config_text: str, recordings: list[Measurement]
+    fit: Fit, summary: Summary, config_text: str, recordings: list[Measurement]
 ) -> dict[str, Any]:
     """Put together what :func:`~bayesfric.inference.archive.make_archive` takes of a run.
 
-    ``posterior`` holds every kept draw, a walker being a chain; ``ensemble`` of
-    ``sample_stats`` says which walkers belong together; ``derived`` follows from ``posterior``,
-    draw by draw. Variables of both have unit, symbol, meaning and verdict. ``log_likelihood``
-    and ``posterior_predictive`` hold a number for each output and a part of the draws.
+    ``posterior`` holds every kept draw, a walker being a chain, and ``derived`` what follows from
+    it; their variables carry units, symbol, meaning and verdict. ``ensemble`` of
+    ``sample_stats`` says which walkers belong together. ``log_likelihood`` and
+    ``posterior_predictive`` hold a number for each output and a part of the draws.
     """
     posterior = fit.posterior
     chains = {name: as_chains(posterior[name]) for name in posterior.names}
     n_chains, n_draws = next(iter(chains.values())).shape
+    told = {name: _told(row) for name, row in summary.rows.items()}
     walkers = posterior.draws.shape[1]
     ensemble = np.repeat(np.arange(n_chains) // walkers, n_draws).reshape(n_chains, n_draws)
     rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(1,)))
     log_likelihood, predictive = _pointwise(fit, rng)
     outputs = fit.target.likelihood.outputs
-    rows = {**summary["derived"], **summary["parameters"]}
+    derived = _derived_draws(fit)
     return {
         "groups": {
             "posterior": chains,
-            **_derived(fit, summary["derived"], (n_chains, n_draws)),
+            **({"derived": derived} if derived else {}),
             "log_likelihood": log_likelihood,
             "sample_stats": {"lp": as_chains(posterior.log_density), "ensemble": ensemble},
             "posterior_predictive": predictive,
@@ -266,30 +265,35 @@ def archived(
             "seed": str(posterior.seed),
             "config": config_text,
             "recordings": json.dumps({r.name: r.sha256 for r in recordings}),
-            "noise": json.dumps(summary["noise"]),
+            "noise": json.dumps(summary.noise.as_dict()),
+            "fixed": json.dumps({name: row.as_dict() for name, row in summary.fixed.items()}),
+            "status": summary.sampler.status,
         },
-        "described": {
-            name: {
-                "units": row["unit"],
-                **{key: row[key] for key in ("symbol", "meaning", "verdict")},
-            }
-            for name, row in rows.items()
-        },
+        "variable_attrs": {"posterior": told, "derived": told, "prior": told},
     }
 
 
-def _derived(
-    fit: Fit, wanted: Mapping[str, Any], shape: tuple[int, int]
-) -> dict[str, dict[str, Array]]:
-    """Derive draw by draw what needs no recording to be derived, if anything; chains by draws."""
+def _derived_draws(fit: Fit) -> dict[str, NDArray[np.float64]]:
+    """Derive what follows draw by draw, ``(chains, draws)`` each.
+
+    Totals as least squares would see them need the recordings, and are in the summary only.
+    """
     posterior = fit.posterior
-    middle = fit.target.chain_values(posterior.median[None])[0]
-    at_load = typical_load(fit.chain, fit.observations, middle)
-    values = fit.target.chain_values(posterior.draws.reshape(-1, len(posterior.names)))
+    e, w, s, d = posterior.draws.shape
+    values = fit.target.chain_values(posterior.draws.reshape(-1, d))
+    made = coefficients(fit)
+    if not made.found:
+        return {}
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = derive(fit.chain, values, at_load)
-    derived = {q.name: q.values.reshape(shape) for q in found if q.name in wanted}
-    return {"derived": derived} if derived else {}
+        draws = made.values(values).reshape(-1, e * w, s)
+    return {q.name: x for q, x in zip(made.found, draws, strict=True)}
+
+
+def _told(row: PosteriorRow) -> dict[str, str]:
+    """Say what a variable is: unit, symbol, meaning, verdict and doubts."""
+    told = {"units": row.unit or "1", "symbol": row.symbol, "long_name": row.meaning}
+    told |= {"verdict": row.verdict, "doubted": ", ".join(row.doubted)}
+    return {key: text for key, text in told.items() if text}
 
 
 def _pointwise(

@@ -129,7 +129,7 @@ def fitted(recording: Recording) -> dict:
         table = np.column_stack([recording.time, recording.position, recording.torque])
         np.savetxt(folder / "recording.csv", table, "%.9g", ",", header="t,q,tau", comments="")
         (folder / "joint.toml").write_text(CONFIG, encoding="utf-8")
-        return Model.from_config(folder / "joint.toml").fit().summary
+        return Model.from_config(folder / "joint.toml").fit().summary.as_dict()
 
 
 def judged(summary: dict, truth: dict[str, float]) -> dict[str, dict]:

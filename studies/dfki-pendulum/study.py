@@ -37,7 +37,7 @@ def configuration(name: str) -> str:
 def fitted(text: str) -> dict:
     """Fit a configuration that lies in this folder; gives ``summary.json`` without its page."""
     config = parse_config(text, HERE / "study.toml")
-    return Model.from_config(config).fit().summary
+    return Model.from_config(config).fit().summary.as_dict()
 
 
 def told(summary: dict) -> dict:

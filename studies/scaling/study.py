@@ -57,7 +57,7 @@ def sampled(path: Path) -> tuple[Fit, dict[str, Any]]:
     near = problem.estimates(("least-squares", "input-error"))
     target = problem.target(dict(near[-1].point))
     found = fit(target, problem.config.tables.sampling, estimates=near)
-    return found, summarise(found)
+    return found, summarise(found).as_dict()
 
 
 def places(found: Fit) -> tuple[np.ndarray, float]:

@@ -9,8 +9,9 @@ import pytest
 from bayesfric.commands.check import check, check_text
 from bayesfric.commands.fit import fit_text
 from bayesfric.model import Model
-from bayesfric.report.alerts import DOUBTS
+from bayesfric.report.alerts import doubt_text
 from bayesfric.report.summary.doubts import find_doubts, put_doubts
+from bayesfric.report.summary.record import Spread, Summary
 from tests.conftest import REPOSITORY
 
 JOINT = """\
@@ -51,7 +52,7 @@ def fitted(tmp_path):
         path.write_text(JOINT.format(preset=preset, more=more), encoding="utf-8")
         model = Model.from_config(path)
         told = list(check_text(check(model)))
-        return model.fit().summary, told
+        return model.fit().summary.as_dict(), told
 
     return run
 
@@ -151,17 +152,20 @@ def test_an_honest_recording_raises_no_doubt(fitted):
 
 
 def summary_of(rows, status="reliable"):
-    return {
-        "parameters": rows,
-        "derived": {},
-        "fit": {"residual_rms": 1.0, "quantity": "motor torque", "explained": 0.99},
-        "noise": {"residual_lag1": 0.5},
-        "sampler": {"status": status},
-    }
+    return Summary.read(
+        {
+            "parameters": rows,
+            "derived": {},
+            "fit": {"residual_rms": 1.0, "quantity": "motor torque", "explained": 0.99},
+            "noise": {"residual_lag1": 0.5},
+            "sampler": {"status": status},
+        }
+    )
 
 
 def row(median, low, high, verdict="data"):
-    return {"median": median, "sd": (high - low) / 3.3, "interval": [low, high], "verdict": verdict}
+    spread = {"mean": median, "median": median, "sd": (high - low) / 3.3, "level": 0.9}
+    return spread | {"unit": "", "interval": [low, high], "verdict": verdict}
 
 
 class _Fit:
@@ -180,19 +184,19 @@ class _Fit:
 )
 def test_a_number_that_moves_with_the_noise_model_is_named(verdict, ends, status, told):
     summary = summary_of({"a.b": row(1.0, 0.9, 1.1, verdict), "c.d": row(2.0, 1.9, 2.1)}, status)
-    white = {"a.b": row(1.2, *ends), "c.d": row(2.0, 1.9, 2.1)}
+    white = {"a.b": Spread.read(row(1.2, *ends)), "c.d": Spread.read(row(2.0, 1.9, 2.1))}
     found = find_doubts(_Fit(), summary, white=(white, 1.0))
     assert [(one["kind"], one["parameters"]) for one in found] == [("noise", ["a.b"])] * told
-    put_doubts(summary, found)
-    assert (summary["sampler"]["status"] == "tentative") == told
-    verdicts = [one["verdict"] for one in summary["parameters"].values()]
+    summary = put_doubts(summary, found)
+    assert (summary.sampler.status == "tentative") == told
+    verdicts = [one.verdict for one in summary.parameters.values()]
     assert verdicts == ["weak" if told else verdict, "data"]
-    assert (summary["parameters"]["a.b"].get("doubted") == ["noise"]) == told
+    assert (summary.parameters["a.b"].doubted == ["noise"]) == told
 
 
 def test_residuals_that_rise_with_a_noise_model_make_all_of_it_doubtful():
     summary = summary_of({"a.b": row(1.0, 0.9, 1.1)})
-    (one,) = find_doubts(_Fit(), summary, white=(summary["parameters"], 0.8))
+    (one,) = find_doubts(_Fit(), summary, white=(summary.parameters, 0.8))
     assert (one["parameters"], one["rise"]) == (["a.b"], 1.25)
 
 
@@ -213,7 +217,7 @@ def test_residuals_that_rise_with_a_noise_model_make_all_of_it_doubtful():
     ],
 )
 def test_every_kind_is_worded_with_its_numbers(doubt, says):
-    words = DOUBTS[doubt["kind"]](doubt)
+    words = doubt_text(doubt)
     assert says in words
     assert "\n" not in words
     assert not words.endswith(".")
@@ -221,6 +225,6 @@ def test_every_kind_is_worded_with_its_numbers(doubt, says):
 
 def test_no_doubt_changes_nothing():
     summary = summary_of({"a.b": row(1.0, 0.9, 1.1)})
-    put_doubts(summary, find_doubts(_Fit(), summary))
-    assert summary["doubts"] == []
-    assert summary["sampler"]["status"] == "reliable"
+    summary = put_doubts(summary, find_doubts(_Fit(), summary))
+    assert summary.as_dict()["doubts"] == []
+    assert summary.sampler.status == "reliable"

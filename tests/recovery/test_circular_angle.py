@@ -11,7 +11,7 @@ from bayesfric.mechanism.presets import PRESETS
 from bayesfric.model import Model
 from bayesfric.report.comparison.between_runs import between_runs
 from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.summary.read_back import read_summary
+from bayesfric.report.summary.record import Summary
 
 SERVO = PRESETS["servo-pendulum"]
 ANGLE = "load.gravity_angle"
@@ -195,5 +195,5 @@ def test_runs_on_either_side_of_pi_agree(hanging):
     cell = row.cells["there: posterior"]
     assert abs(cell.disagreement) < 1.0
     assert cell.interval[0] < cell.value < cell.interval[1]
-    pooled = between_runs({k: read_summary(v, k) for k, v in (("a", here), ("b", there))})
+    pooled = between_runs({k: Summary.read(v, k) for k, v in (("a", here), ("b", there))})
     assert {q.name: q for q in pooled}[ANGLE].pool.agree

@@ -126,7 +126,7 @@ def written_run(tmp_path_factory):
         patch.setattr(run_directory, "FIGURES", {s: run_directory.FIGURES[s] for s in some})
         patch.setattr(run_directory, "forest_figure", lambda _: Figure(figsize=(3.0, 1.0)))
         config = '[simulation]\nnote = "</script><b>"\n'
-        summary = summarise(fit) | {"may_be_simulated": True}
+        summary = summarise(fit).as_dict() | {"may_be_simulated": True}
         run_directory.write_run(folder, fit, summary, config, [])
     return folder
 

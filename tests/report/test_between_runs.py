@@ -12,7 +12,7 @@ from scipy import stats
 from bayesfric.report.comparison.between_runs import between_runs, between_runs_csv, pool
 from bayesfric.report.page.compare_page import shared_recordings
 from bayesfric.report.page.provenance import Provenance
-from bayesfric.report.summary.read_back import read_summary
+from bayesfric.report.summary.record import Summary
 
 from .made_summaries import LEG, knee, loaded
 
@@ -85,7 +85,7 @@ def test_what_cannot_be_pooled(y, s):
 
 
 def checked(**summaries):
-    return {name: read_summary(summary, name) for name, summary in summaries.items()}
+    return {name: Summary.read(summary, name) for name, summary in summaries.items()}
 
 
 def test_only_what_every_runs_data_determine_is_pooled():

@@ -12,7 +12,7 @@ from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.bounds import bound_mend, bound_warning
-from bayesfric.report.summary.read_back import PosteriorRow
+from bayesfric.report.summary.record import PosteriorRow
 from bayesfric.report.summary.summary import summarise
 
 from .made_summaries import failed, knee, posterior_row
@@ -34,7 +34,9 @@ def summaries(make_observation):
         told = {"motor.viscous": [0.0, upper], "motor.coulomb": [0.0, 20.0]}
         priors = read_priors(chain, told, [observation])
         target = make_target(chain, [observation], priors, "shared")
-        return summarise(fit(target, Sampling(seed=2, min_ess=400, walkers=24, ensembles=2)))
+        return summarise(
+            fit(target, Sampling(seed=2, min_ess=400, walkers=24, ensembles=2))
+        ).as_dict()
 
     return {"narrow": summary(0.7 * VISCOUS), "wide": summary(10.0 * VISCOUS)}
 

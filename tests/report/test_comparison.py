@@ -18,8 +18,8 @@ from bayesfric.report.comparison.table import (
     comparison_dict,
     comparison_markdown,
     comparison_text,
-    number,
 )
+from bayesfric.report.numbers import text_value
 from bayesfric.report.paper.tables import methods_latex, parameter_table
 
 from .made_summaries import (
@@ -443,7 +443,7 @@ def test_csv_and_json_hold_the_same():
     ],
 )
 def test_numbers_are_rounded_by_their_sd(value, sd, printed):
-    assert number(value, sd) == printed
+    assert text_value(value, sd) == printed
 
 
 # -- bad input

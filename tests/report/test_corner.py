@@ -28,12 +28,12 @@ def by_gid(ax, gid):
 
 
 def drawn(fit, *chosen):
-    return corner_figure(fit, summarise(fit), *chosen)
+    return corner_figure(fit, summarise(fit).as_dict(), *chosen)
 
 
 def test_prior_is_drawn_in_the_posteriors_density_unit(knee):
     shown = quantities(knee)[:8]
-    summary = summarise(knee)
+    summary = summarise(knee).as_dict()
     for row in summary["parameters"].values():
         row["verdict"] = "data"
     figure = corner_figure(knee, summary, [q.name for q in shown])
@@ -58,7 +58,7 @@ def test_eight_by_default_and_the_rest_named(knee, many):
 
 def test_what_the_data_tell_comes_first(knee):
     """Combinations that no scaling changes, then parameters; what is open has no interval."""
-    summary = summarise(knee)
+    summary = summarise(knee).as_dict()
     figure = corner_figure(knee, summary)
     table = {row.name: row for row in parameter_table(summary).rows}
     symbols = [panels(figure)[7, j].get_xlabel().split("\n")[0] for j in range(8)]
@@ -84,7 +84,7 @@ def test_what_the_data_tell_comes_first(knee):
 
 
 def test_a_limit_has_one_end(knee):
-    summary = summarise(knee)
+    summary = summarise(knee).as_dict()
     row = summary["parameters"]["motor.viscous"]
     row |= {"verdict": "prior", "at_bound": "lower", "data_sd": 1e-9, "prior_sd": 1.0}
     figure = corner_figure(knee, summary, ["motor.viscous"])
@@ -94,7 +94,7 @@ def test_a_limit_has_one_end(knee):
 
 
 def test_ensembles_that_disagree_determine_nothing(knee):
-    figure = corner_figure(knee, failed(summarise(knee)))
+    figure = corner_figure(knee, failed(summarise(knee).as_dict()))
     for k in range(8):
         assert "posterior" not in {a.get_gid() for a in panels(figure)[k, k].get_children()}
     (legend,) = figure.legends
@@ -104,7 +104,7 @@ def test_ensembles_that_disagree_determine_nothing(knee):
 
 
 def test_nothing_open_shows_the_parameters_as_sampled(knee):
-    summary = summarise(knee)
+    summary = summarise(knee).as_dict()
     for row in summary["parameters"].values():
         row["verdict"] = "data"
     figure = corner_figure(knee, summary)

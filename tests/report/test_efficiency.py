@@ -41,7 +41,7 @@ def test_medians_are_equation_4_of_the_truth(curves):
 
 
 def test_the_summarys_efficiency_lies_on_the_curve(knee, curves):
-    derived = summarise(knee)["derived"]
+    derived = summarise(knee).as_dict()["derived"]
     for curve in curves:
         row = derived[curve.name]
         load = float(row["meaning"].partition(" at ")[2].split()[0])
@@ -72,7 +72,7 @@ def test_a_reference_stands_at_the_stated_load(knee):
     draw_fast(figure)
     (shown,) = [c for c in figure.axes[0].containers if c.get_label() or True][:1]
     assert shown.lines[0].get_ydata() == pytest.approx([0.7])
-    meaning = summarise(knee)["derived"]["gearbox.efficiency_drive"]["meaning"]
+    meaning = summarise(knee).as_dict()["derived"]["gearbox.efficiency_drive"]["meaning"]
     stated = float(meaning.partition(" at ")[2].split()[0])
     assert float(shown.lines[0].get_xdata()[0]) == pytest.approx(stated, rel=6e-3)
     words = [t.get_text() for t in figure.legends[0].get_texts()]

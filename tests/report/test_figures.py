@@ -28,7 +28,7 @@ from bayesfric.report.summary.summary import summarise
 
 
 def draw_corner(fit):
-    return corner_figure(fit, summarise(fit))
+    return corner_figure(fit, summarise(fit).as_dict())
 
 
 DRAW = {"corner": draw_corner, "prediction": prediction_figure, "trace": trace_figure}
@@ -136,7 +136,7 @@ FOR_PAPERS = {
 @pytest.mark.parametrize("stem", FOR_PAPERS)
 def test_figures_for_papers(stem, knee, tmp_path):
     """Printed size, nothing cut off or on top of each other, TrueType fonts, units, no title."""
-    summary = summarise(knee)
+    summary = summarise(knee).as_dict()
     figure = FOR_PAPERS[stem](knee, summary)
     assert figure.get_figwidth() in (COLUMN, PAGE)
     width, height = figure.bbox.size

@@ -45,7 +45,7 @@ def wanted(name):
 
 
 def pieces(fit):
-    summary = summarise(fit)
+    summary = summarise(fit).as_dict()
     said = methods_text(fit, summary)
     return {
         "methods.tex": said.latex,

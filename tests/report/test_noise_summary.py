@@ -13,8 +13,9 @@ from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.paper.methods_text import methods_text
 from bayesfric.report.summary import noise
-from bayesfric.report.summary.noise import add_white_intervals, correlation_warnings
-from bayesfric.report.summary.summary import summarise
+from bayesfric.report.summary.noise import add_white_intervals, correlation_warning
+from bayesfric.report.summary.record import Spread, Summary
+from bayesfric.report.summary.summary import estimate_summary, summarise
 from tests.report.made_summaries import posterior_row
 
 
@@ -28,7 +29,7 @@ def test_the_record_says_whether_noise_has_a_memory(make_observation, noise, ord
     priors = read_priors(chain, {}, [o], noise.quantities)
     target = make_target(chain, [o], priors, "shared", noise)
     sampling = Sampling(seed=1, max_steps=100, min_ess=1.0)
-    record = summarise(fit(target, sampling))["noise"]
+    record = summarise(fit(target, sampling)).as_dict()["noise"]
     assert record["order"] == order
     assert record["accounts_for_correlation"] is accounts
 
@@ -42,7 +43,7 @@ def test_what_one_in_twenty_would_be_is_not_said_to_pass(knee, monkeypatch, p_va
     assert Choice(0, tried).white == white
     (line,) = [text for text in noise.noise_lines(record) if "innovations" in text]
     assert ("innovations pass as white" in line) == white
-    said = methods_text(knee, summarise(knee) | {"noise": record}).plain
+    said = methods_text(knee, summarise(knee).as_dict() | {"noise": record}).plain
     assert ("NOT pass as white" in said) != white
 
 
@@ -50,29 +51,36 @@ def value(name, sd, sd_robust):
     return EstimatedValue(name, "", "", "", 1.0, sd, sd_robust)
 
 
-def test_each_interval_is_too_narrow_by_its_own_factor(knee):
+def test_each_interval_is_too_narrow_by_its_own_factor():
     """By the robust standard deviations, not by a factor that only a constant would have."""
+
+    def told_of(lag, estimates=()):
+        summary = {
+            "parameters": {},
+            "noise": {"model": "white", "innovation_lag1": lag},
+            "estimates": {one.method: estimate_summary(one) for one in estimates},
+        }
+        return correlation_warning(Summary.read(summary))
+
     values = (value("a", 0.1, 0.1), value("b", 0.1, 0.33), value("c", math.inf, 9.0))
     told = Estimate("input-error", values, 0.01, 100, "")
-    (text,) = correlation_warnings(replace(knee, estimates=(told,)), {"innovation_lag1": 0.8})
+    text = told_of(0.8, (told,))
     assert "these intervals are up to 3.3 times too narrow" in text
     # noise that swings can leave a number better known than white noise would have it
     better = replace(told, values=(value("a", 0.1, 0.05),))
-    (text,) = correlation_warnings(replace(knee, estimates=(better,)), {"innovation_lag1": 0.8})
+    text = told_of(0.8, (better,))
     assert "about 3.0 times too narrow" in text
     # without them that of a constant among first-order noise: sqrt(1.8/0.2) = 3
-    (text,) = correlation_warnings(replace(knee, estimates=()), {"innovation_lag1": 0.8})
+    text = told_of(0.8)
     assert "about 3.0 times too narrow" in text
-    assert not list(correlation_warnings(knee, {"innovation_lag1": 0.02}))
+    assert told_of(0.02) is None
 
 
 @pytest.mark.parametrize("usable", [True, False])
 def test_white_noise_that_did_not_converge_stands_beside_nothing(usable):
-    white = {"a.b": {"interval": [0.9, 1.1], "sd": 0.06}} if usable else None
-    summary = {
-        "parameters": {"a.b": posterior_row("", 1.0, 0.1)}, "derived": {}, "warnings": [],
-        "sampler": {"status": "reliable"},
-    }  # fmt: skip
-    add_white_intervals(summary, white)
+    spread = {"mean": 1.0, "interval": [0.9, 1.1], "sd": 0.06, "level": 0.9}
+    white = {"a.b": Spread.read(spread)} if usable else None
+    summary = Summary.read({"parameters": {"a.b": posterior_row("", 1.0, 0.1)}})
+    summary = add_white_intervals(summary, white).as_dict()
     assert ("white_interval" in summary["parameters"]["a.b"]) == usable
-    assert ["max_steps" in text for text in summary["warnings"]] == [True] * (not usable)
+    assert ["max_steps" in text for text in summary.get("warnings", ())] == [True] * (not usable)

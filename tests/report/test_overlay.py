@@ -20,7 +20,7 @@ from bayesfric.report.figures.overlay import density, overlay, overlay_figure
 from bayesfric.report.figures.run_draws import RunDraws, read_draws
 from bayesfric.report.figures.style import PAGE, run_style, save
 from bayesfric.report.page.figure_words import overlay_words
-from bayesfric.report.summary.read_back import read_summary
+from bayesfric.report.summary.record import Summary
 
 from .made_summaries import LEG, knee, loaded, posterior_row
 from .page_reader import read_page
@@ -81,7 +81,7 @@ def test_draws_that_are_all_the_same_have_a_place_and_no_density():
 
 def test_derived_draws_have_the_medians_of_the_summary(written_run):
     text = (written_run / "summary.json").read_text(encoding="utf-8")
-    summary = read_summary(json.loads(text), "run")
+    summary = Summary.read(json.loads(text), "run")
     found = read_draws(written_run, summary, lambda _: PRESETS["rabbit-knee"].chain())
     assert found.missing == ""
     assert set(summary.parameters) <= set(found.values)
@@ -100,14 +100,14 @@ def test_what_is_fixed_takes_part(written_run):
     raw = json.loads(text)
     row = raw["parameters"].pop("motor.inertia")
     raw["fixed"] = {"motor.inertia": {"unit": "kg m²", "value": row["median"]}}
-    summary = read_summary(raw, "run")
+    summary = Summary.read(raw, "run")
     found = read_draws(written_run, summary, lambda _: PRESETS["rabbit-knee"].chain())
     assert "motor.inertia" not in found.values
     # its share of the total no longer varies
     assert "total_drive.inertia" in found.values
     whole = read_draws(
         written_run,
-        read_summary(json.loads(text), "run"),
+        Summary.read(json.loads(text), "run"),
         lambda _: PRESETS["rabbit-knee"].chain(),
     )
     assert found.values["total_drive.inertia"].std() < whole.values["total_drive.inertia"].std()
@@ -149,7 +149,7 @@ def test_draws_that_are_no_good_are_left_out_by_name(written_run, tmp_path, kind
     shutil.copytree(written_run, tmp_path / "run")
     spoilt(kind)(tmp_path / "run" / "posterior.nc")
     text = (written_run / "summary.json").read_text(encoding="utf-8")
-    found = read_draws(tmp_path / "run", read_summary(json.loads(text), "run"), lambda _: None)
+    found = read_draws(tmp_path / "run", Summary.read(json.loads(text), "run"), lambda _: None)
     assert not found.values
     assert why in found.missing
 
@@ -166,7 +166,7 @@ def draws_of(summary, seed):
 
 def made(**summaries):
     """Overlay runs; what is ``None`` in place of draws is left out."""
-    runs = {name: read_summary(summary, name) for name, summary in summaries.items()}
+    runs = {name: Summary.read(summary, name) for name, summary in summaries.items()}
     draws = {name: draws_of(run, k) for k, (name, run) in enumerate(runs.items())}
     return comparison(summaries), runs, draws
 

@@ -14,7 +14,6 @@ from markupsafe import Markup
 
 from bayesfric.report import run_directory
 from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.page.facts import read_facts
 from bayesfric.report.page.figure_words import STEMS_IN_WORDS, Told, figure_words, text_of
 from bayesfric.report.page.inline_svg import inline_svg
 from bayesfric.report.page.run_page import STEMS, run_page
@@ -25,6 +24,7 @@ from bayesfric.report.paper.tables import (
     parameters_latex,
     parameters_markdown,
 )
+from bayesfric.report.summary.record import Summary
 
 from . import made_tables
 from .made_summaries import LEG, knee, loaded, old
@@ -178,7 +178,7 @@ def test_nothing_open_stands_bare(summary, tmp_path, which, run):
                 assert (low, high) != pair, (r.name, said)
     # the words for who cannot see the figures name them as open, without a number
     methods = comparison({which: told})
-    words = Told(read_facts(told, which), table, methods)
+    words = Told(Summary.read(told, which), table, methods)
     for stem in STEMS:
         said = figure_words(stem, words, {}).alternative
         for r in open_:

@@ -16,7 +16,7 @@ from .made_summaries import failed
 
 @pytest.fixture(scope="module")
 def drawn(knee):
-    summary = summarise(knee)
+    summary = summarise(knee).as_dict()
     return knee, summary, prior_posterior_figure(knee, summary)
 
 
@@ -73,7 +73,7 @@ def test_a_limit_is_told_as_one(drawn):
 
 def test_a_constant_parameter(make_fit):
     fit = make_fit(constant=("motor.viscous",), samples=400)
-    draw_fast(prior_posterior_figure(fit, summarise(fit)))
+    draw_fast(prior_posterior_figure(fit, summarise(fit).as_dict()))
 
 
 def test_ensembles_that_disagree_determine_nothing(drawn):

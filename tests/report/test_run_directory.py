@@ -145,7 +145,7 @@ def test_what_a_paper_takes_over(run):
 def test_what_is_left_open_is_in_no_table(tmp_path, make_fit, monkeypatch):
     monkeypatch.setattr(run_directory, "FIGURES", {})
     fit = make_fit(samples=400, ensembles=2)
-    summary = summarise(fit)
+    summary = summarise(fit).as_dict()
     write(tmp_path / "run", (fit, summary))
     markdown = (tmp_path / "run" / "tables" / "parameters.md").read_text(encoding="utf-8")
     open_ = [n for n, row in summary["parameters"].items() if row["verdict"] == "prior"]
@@ -310,7 +310,7 @@ def test_root_attributes_tell_where_it_came_from(folder, archive):
 @pytest.fixture(scope="module")
 def made(make_fit):
     made = make_fit(samples=400, ensembles=2)
-    return made, summarise(made)
+    return made, summarise(made).as_dict()
 
 
 @pytest.fixture

@@ -56,7 +56,7 @@ def fitted(chain, observations, texts=None):
         chain, observations, read_priors(chain, texts or {}, observations), "shared"
     )
     result = fit(target, Sampling(seed=1, min_ess=500))
-    return result, summarise(result)
+    return result, summarise(result).as_dict()
 
 
 @pytest.fixture(scope="module")
@@ -364,7 +364,7 @@ def test_a_gearbox_that_half_the_draws_call_irreversible(make_fit):
         joint__coulomb_positive=(5.0, 1e-9),
         joint__coulomb_negative=(5.0, 1e-9),
     )
-    summary = summarise(half)
+    summary = summarise(half).as_dict()
     row = summary["derived"]["gearbox.efficiency_back"]
     assert row["undefined_share"] == 0.5
     # what is left are the draws that do pass something back, all of them 0.99
@@ -377,7 +377,7 @@ def test_an_irreversible_gearbox_has_no_back_driving_efficiency(make_fit):
     irreversible = with_draws(
         make_fit(samples=600, ensembles=2), gearbox__load_back=(0.9999, 0.9998)
     )
-    summary = summarise(irreversible)
+    summary = summarise(irreversible).as_dict()
     row = summary["derived"].get("gearbox.efficiency_back")
     assert row is None or row["undefined_share"] == 1.0
     json.dumps(summary, allow_nan=False)
@@ -386,7 +386,7 @@ def test_an_irreversible_gearbox_has_no_back_driving_efficiency(make_fit):
 
 @pytest.mark.parametrize(("changes", "told"), [(None, False), (0.3, False), (57.0, True)])
 def test_a_linearisation_that_matters_is_told(knee_alone, changes, told):
-    summary = summarise(replace(knee_alone[0], linearisation=changes))
+    summary = summarise(replace(knee_alone[0], linearisation=changes)).as_dict()
     assert any("linearised" in text and "57" in text for text in summary["warnings"]) == told
     assert summary["likelihood"].get("linearisation") == changes
 
@@ -394,7 +394,7 @@ def test_a_linearisation_that_matters_is_told(knee_alone, changes, told):
 def test_what_has_converged_by_itself_is_told_where_the_whole_has_not(make_fit):
     """Ensembles apart in the first parameter: only what is made of it is lost."""
     fit = make_fit(samples=400)
-    assert all(row["converged"] for row in summarise(fit)["parameters"].values())
+    assert all(row["converged"] for row in summarise(fit).as_dict()["parameters"].values())
     posterior = fit.posterior
     d = posterior.diagnostics
     rhat = d.rhat.copy()
@@ -406,7 +406,7 @@ def test_what_has_converged_by_itself_is_told_where_the_whole_has_not(make_fit):
         draws=draws,
         diagnostics=replace(d, status="unusable", rhat=rhat, ess=np.full(rhat.size, 900.0)),
     )
-    summary = summarise(replace(fit, posterior=lost))
+    summary = summarise(replace(fit, posterior=lost)).as_dict()
     first, *others = posterior.names
     assert not summary["parameters"][first]["converged"]
     assert all(summary["parameters"][name]["converged"] for name in others)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +13,7 @@ from scipy.optimize import brentq
 
 from bayesfric.report.comparison.cell import has_converged
 from bayesfric.report.comparison.one_turn import on_one_turn
-from bayesfric.report.summary.read_back import PosteriorRow, RunSummary
+from bayesfric.report.summary.record import PosteriorRow, Summary, of_noise
 
 Array = NDArray[np.float64]
 
@@ -134,7 +132,7 @@ def _spread(y: Array, s: Array, tau2: float) -> float:
     return float(np.sum(weights * (y - np.average(y, weights=weights)) ** 2))
 
 
-def between_runs(runs: Mapping[str, RunSummary]) -> list[PooledQuantity]:
+def between_runs(runs: Mapping[str, Summary]) -> list[PooledQuantity]:
     """Pool every quantity that the data of every run determine.
 
     What any run's prior has a say in is left out: pooled, it would count one prior
@@ -146,7 +144,7 @@ def between_runs(runs: Mapping[str, RunSummary]) -> list[PooledQuantity]:
         Checked summaries by name, of recordings of their own.
     """
     tables = {
-        name: {**run.derived, **run.parameters}
+        name: run.rows
         for name, run in on_one_turn(runs).items()
         if run.sampler.status != "unusable"
     }
@@ -156,7 +154,7 @@ def between_runs(runs: Mapping[str, RunSummary]) -> list[PooledQuantity]:
     found = []
     for name in first:
         rows = {run: table[name] for run, table in tables.items() if name in table}
-        if name.startswith("noise.") or len(rows) < len(tables):
+        if of_noise(name) or len(rows) < len(tables):
             continue
         if any(row.verdict != "data" or not row.sd for row in rows.values()):
             continue
@@ -174,14 +172,13 @@ def between_runs(runs: Mapping[str, RunSummary]) -> list[PooledQuantity]:
 
 def between_runs_csv(found: Sequence[PooledQuantity]) -> str:
     """Lay pooled values out as CSV text, every number in full."""
-    out = io.StringIO()
+    import pandas as pd
+
     columns = ["name", "unit", "runs", "mean", "sd", "low", "high", "level"]
     columns += ["between_sd", "q", "p_value", "agree"]
-    writer = csv.DictWriter(out, columns, lineterminator="\n")
-    writer.writeheader()
+    lines = []
     for one in found:
         level = next(iter(one.runs.values())).level
         told = {"name": one.name, "unit": one.unit, "runs": len(one.runs), "level": level}
-        numbers = {key: getattr(one.pool, key) for key in (*columns[3:7], *columns[8:])}
-        writer.writerow(told | numbers)
-    return out.getvalue()
+        lines.append(told | asdict(one.pool) | {"agree": one.pool.agree})
+    return str(pd.DataFrame(lines, columns=columns).to_csv(index=False))

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 from bayesfric.report.summary.bounds import told_by_data
-from bayesfric.report.summary.read_back import EstimatedRow, PosteriorRow, read_summary
+from bayesfric.report.summary.record import (
+    Bound,
+    EstimatedRow,
+    PosteriorRow,
+    Readable,
+    Summary,
+)
 
 Status = Literal["determined", "undetermined", "bound", "limit", "known"]
 _NOT_DETERMINED = "not determined"
@@ -41,8 +46,9 @@ class Cell:
         Of a posterior.
     span
         What fits as well, where the number is open and that is known.
-    limit
-        End of the interval away from the bound, where ``status`` is ``limit``.
+    limit, at_bound
+        End of the interval away from the bound, and which bound that is, where ``status`` is
+        ``limit``.
     remark
         What else to know, in a few words.
     disagreement
@@ -61,6 +67,7 @@ class Cell:
     level: float | None = None
     span: tuple[float, float] | None = None
     limit: float | None = None
+    at_bound: Bound | None = None
     remark: str = ""
     disagreement: float | None = None
     converged: bool = True
@@ -119,14 +126,13 @@ def posterior_cell(row: PosteriorRow, accounts: bool, status: str = "reliable") 
     if row.at_bound is not None and row.verdict != "data" and told_by_data(row):
         limit = high if row.at_bound == "lower" else low
         words = f"{'at most' if row.at_bound == 'lower' else 'at least'} {limit:.3g}"
-        return Cell(row.middle, "limit", level=row.level, limit=limit, remark=words)
+        return Cell(
+            row.middle, "limit", level=row.level, limit=limit, at_bound=row.at_bound, remark=words
+        )
     if row.verdict == "prior":
         return left_open(row.middle, None, ": prior and bounds")
     remarks = [DOUBTFUL if row.doubted else TOGETHER] if row.verdict == "weak" else []
-    if row.at_bound is not None:
-        remarks.append(f"leans on its {row.at_bound} bound")
-    if row.undefined_share:
-        remarks.append(f"undefined in {100 * row.undefined_share:.0f} % of the draws")
+    remarks += row.beside
     return Cell(
         row.middle,
         "determined",
@@ -139,10 +145,10 @@ def posterior_cell(row: PosteriorRow, accounts: bool, status: str = "reliable") 
     )
 
 
-def posterior_cells(summary: Mapping[str, Any]) -> dict[str, Cell]:
+def posterior_cells(summary: Readable) -> dict[str, Cell]:
     """Judge every parameter and derived quantity of a summary."""
-    read = read_summary(summary, "summary.json")
+    read = Summary.read(summary)
     return {
         name: posterior_cell(row, read.accounts, read.sampler.status)
-        for name, row in {**read.derived, **read.parameters}.items()
+        for name, row in read.rows.items()
     }

@@ -16,7 +16,7 @@ from bayesfric.errors import BadInput
 from bayesfric.estimates.estimate import METHODS, Kind, Method
 from bayesfric.report.comparison.cell import Cell, estimate_cell, left_open, posterior_cell
 from bayesfric.report.comparison.one_turn import on_one_turn
-from bayesfric.report.summary.read_back import ReferenceRow, RunSummary, read_summary
+from bayesfric.report.summary.record import Readable, ReferenceRow, Summary, of_noise
 
 REFERENCE = "reference"
 # Standard deviations of the posterior beyond which an estimate is another one.
@@ -124,9 +124,7 @@ class _Facts:
         return any(cell.status != "known" for cell in self.cells.values())
 
 
-def comparison(
-    summaries: Mapping[str, Mapping[str, Any]], *, estimates: bool | None = None
-) -> Comparison:
+def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = None) -> Comparison:
     """Put the results of one or several runs side by side.
 
     Parameters
@@ -158,7 +156,7 @@ def comparison(
     than that says. An estimate of the same run saw the same data, so variances do not
     add: the larger of the two standard deviations counts.
     """
-    runs = on_one_turn({name: read_summary(one, name) for name, one in summaries.items()})
+    runs = on_one_turn({name: Summary.read(one, name) for name, one in summaries.items()})
     shown = len(runs) == 1 if estimates is None else estimates
     facts: dict[str, _Facts] = {}
     columns: list[Column] = []
@@ -171,7 +169,7 @@ def comparison(
         posteriors = [column.label for column in mine if column.kind == "posterior"]
         for column in mine:
             for quantity, cell in _cells(column, run):
-                if not quantity.startswith("noise."):
+                if not of_noise(quantity):
                     facts[quantity].cells[column.label] = cell
         for fact in facts.values():
             if not fact.gauge_free:
@@ -221,7 +219,7 @@ def _order(row: Row) -> int:
     return 3 if row.kind == "parameter" else 4
 
 
-def _gather(facts: dict[str, _Facts], run: str, summary: RunSummary) -> None:
+def _gather(facts: dict[str, _Facts], run: str, summary: Summary) -> None:
     """Collect what each quantity is, also from estimates that are not shown."""
 
     def tell(name: str, row: Any, kind: Kind, gauge_free: bool | None) -> _Facts:
@@ -244,7 +242,7 @@ def _gather(facts: dict[str, _Facts], run: str, summary: RunSummary) -> None:
             tell(name, value, value.kind or _kind(name, summary), value.gauge_free)
     for group in (summary.derived, summary.parameters):
         for name, row in group.items():
-            if name.startswith("noise."):
+            if of_noise(name):
                 continue
             fact = tell(name, row, _kind(name, summary), row.gauge_free)
             fact.meanings[run] = row.meaning
@@ -256,13 +254,13 @@ def _gather(facts: dict[str, _Facts], run: str, summary: RunSummary) -> None:
         tell(name, known, "parameter", None)
 
 
-def _kind(name: str, summary: RunSummary) -> Kind:
-    if name.startswith("total."):
+def _kind(name: str, summary: Summary) -> Kind:
+    if name.partition(".")[0] == "total":
         return "total"
     return "parameter" if name in summary.parameters else "derived"
 
 
-def _columns(run: str, summary: RunSummary, *, alone: bool, estimates: bool) -> Iterator[Column]:
+def _columns(run: str, summary: Summary, *, alone: bool, estimates: bool) -> Iterator[Column]:
     before = "" if alone else f"{run}: "
     for method in METHODS:
         if estimates and method in summary.estimates:
@@ -290,9 +288,9 @@ def _columns(run: str, summary: RunSummary, *, alone: bool, estimates: bool) -> 
         )
 
 
-def _cells(column: Column, summary: RunSummary) -> Iterator[tuple[str, Cell]]:
+def _cells(column: Column, summary: Summary) -> Iterator[tuple[str, Cell]]:
     if column.kind == "posterior":
-        for name, row in {**summary.derived, **summary.parameters}.items():
+        for name, row in summary.rows.items():
             yield name, posterior_cell(row, summary.accounts, summary.sampler.status)
         for name, known in summary.fixed.items():
             yield name, Cell(known.value, "known", remark="taken as known")
@@ -319,7 +317,7 @@ def _withhold(cells: dict[str, Cell], labels: list[str], posteriors: list[str]) 
 
 
 def _check_common(
-    facts: Mapping[str, _Facts], runs: Mapping[str, RunSummary], columns: list[Column]
+    facts: Mapping[str, _Facts], runs: Mapping[str, Summary], columns: list[Column]
 ) -> None:
     has: dict[str, set[str]] = {run: set() for run in runs}
     for column in columns:
@@ -342,7 +340,7 @@ def _check_common(
             )
 
 
-def _reliability(runs: Mapping[str, RunSummary]) -> Iterator[str]:
+def _reliability(runs: Mapping[str, Summary]) -> Iterator[str]:
     for name, run in runs.items():
         if run.sampler.status != "reliable":
             yield f"The posterior of {name} is {run.sampler.status}: it has not converged."
@@ -368,7 +366,7 @@ def _apart(rows: list[Row], column: Column) -> list[str]:
 
 
 def _add_references(
-    facts: Mapping[str, _Facts], runs: Mapping[str, RunSummary], notes: list[str]
+    facts: Mapping[str, _Facts], runs: Mapping[str, Summary], notes: list[str]
 ) -> Column | None:
     """Add the column of values from elsewhere, where they concern anything that is shown."""
     found: dict[str, tuple[str, ReferenceRow]] = {}

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from typing import TypeVar
 
 from bayesfric.mechanism.parameter import turned
-from bayesfric.report.summary.read_back import (
+from bayesfric.report.summary.record import (
     EstimatedRow,
     KnownRow,
     PosteriorRow,
     ReferenceRow,
-    RunSummary,
+    Summary,
 )
 
 Row = TypeVar("Row", EstimatedRow, KnownRow, PosteriorRow, ReferenceRow)
@@ -19,7 +19,7 @@ _PLACES = ("mean", "median", "value", "bound")
 _ENDS = ("interval", "span")
 
 
-def on_one_turn(runs: Mapping[str, RunSummary]) -> dict[str, RunSummary]:
+def on_one_turn(runs: Mapping[str, Summary]) -> dict[str, Summary]:
     """Bring every number of an angle by whole turns next to the first run's.
 
     Parameters
@@ -35,7 +35,7 @@ def on_one_turn(runs: Mapping[str, RunSummary]) -> dict[str, RunSummary]:
     return {key: _turned(run, towards) for key, run in runs.items()} if towards else dict(runs)
 
 
-def _turned(run: RunSummary, towards: Mapping[str, float]) -> RunSummary:
+def _turned(run: Summary, towards: Mapping[str, float]) -> Summary:
     def table(rows: Mapping[str, Row]) -> dict[str, Row]:
         return {
             name: _row(row, towards[name]) if name in towards else row for name, row in rows.items()

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import math
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bayesfric.report.comparison.cell import Cell
 from bayesfric.report.comparison.comparison import Comparison
+from bayesfric.report.numbers import text_rounded, text_value
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _WIDTH = 120
 # Characters of a cell's line: at least [0.00046688, 0.00046933], and words on few lines.
 _NARROWEST, _WIDEST = 24, 30
 _BETWEEN = "  "
 _PLAIN = "†"
+_COLUMNS = ["name", "unit", "symbol", "meaning", "kind", "gauge_free", "column", "run",
+    "column_kind", "status", "value", "sd", "sd_uncorrelated", "accounts_for_correlation", "low",
+    "high", "level", "span_low", "span_high", "limit", "disagreement", "remark"]  # fmt: skip
 
 
 def comparison_text(found: Comparison, width: int = _WIDTH) -> Iterator[str]:
@@ -65,80 +69,65 @@ def comparison_text(found: Comparison, width: int = _WIDTH) -> Iterator[str]:
 def comparison_markdown(found: Comparison) -> str:
     """Lay a comparison out as one Markdown table with what to know below it."""
     head = ["quantity", "unit", *(column.label for column in found.columns)]
-    lines = [_piped(head), _piped(["---", "---", *("---:" for _ in found.columns)], escape=False)]
+    lines = []
     for row in found.rows:
-        cells = []
+        cells = [_cell_parts(row.cells.get(column.label)) for column in found.columns]
+        shown = ["<br>".join(part.replace("<", "&lt;") for part in told) or "–" for told in cells]
+        lines.append([f"`{row.name}`", row.unit or "–", *shown])
+    rule = ["---", "---", *("---:" for _ in found.columns)]
+    return markdown_table(head, rule, lines, explained(found))
+
+
+def markdown_table(
+    head: Sequence[str], rule: Sequence[str], rows: Iterable[Sequence[str]], notes: Iterable[str]
+) -> str:
+    """Write a table in Markdown, with notes below it."""
+
+    def piped(cells: Sequence[str]) -> str:
+        return "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
+
+    table = [piped(head), piped(rule), *map(piped, rows)]
+    return "\n".join([*table, "", *(f"- {note}" for note in notes)]) + "\n"
+
+
+def comparison_frame(found: Comparison) -> pd.DataFrame:
+    """Lay a comparison out as a table with a line for each quantity and column."""
+    import pandas as pd
+
+    lines = []
+    for row in found.rows:
         for column in found.columns:
-            told = _cell_parts(row.cells.get(column.label))
-            cells.append("<br>".join(part.replace("<", "&lt;") for part in told) or "–")
-        lines.append(_piped([f"`{row.name}`", row.unit or "–", *cells]))
-    return "\n".join([*lines, "", *(f"- {line}" for line in explained(found))]) + "\n"
+            if (cell := row.cells.get(column.label)) is None:
+                continue
+            told = {key: getattr(row, key) for key in _COLUMNS[:6]} | asdict(cell)
+            told |= {"column": column.label, "run": column.run, "column_kind": column.kind}
+            told |= {"sd_uncorrelated": cell.sd_plain, "accounts_for_correlation": cell.accounts}
+            told["low"], told["high"] = cell.interval or (None, None)
+            told["span_low"], told["span_high"] = cell.span or (None, None)
+            lines.append(told)
+    return pd.DataFrame(lines, columns=_COLUMNS)
 
 
 def comparison_csv(found: Comparison) -> str:
     """Lay a comparison out as CSV text, one line for each quantity and column."""
-    out = io.StringIO()
-    columns = ["name", "unit", "symbol", "meaning", "kind", "gauge_free"]
-    columns += ["column", "run", "column_kind", "status", "value", "sd", "sd_uncorrelated"]
-    columns += ["accounts_for_correlation", "low", "high", "level", "span_low", "span_high"]
-    columns += ["limit", "disagreement", "remark"]
-    writer = csv.DictWriter(out, columns, lineterminator="\n")
-    writer.writeheader()
-    for row in found.rows:
-        for column in found.columns:
-            cell = row.cells.get(column.label)
-            if cell is None:
-                continue
-            low, high = cell.interval or (None, None)
-            span_low, span_high = cell.span or (None, None)
-            writer.writerow(
-                {
-                    **{key: getattr(row, key) for key in columns[:6]},
-                    "column": column.label,
-                    "run": column.run,
-                    "column_kind": column.kind,
-                    "status": cell.status,
-                    "value": cell.value,
-                    "sd": cell.sd,
-                    "sd_uncorrelated": cell.sd_plain,
-                    "accounts_for_correlation": cell.accounts,
-                    "low": low,
-                    "high": high,
-                    "level": cell.level,
-                    "span_low": span_low,
-                    "span_high": span_high,
-                    "limit": cell.limit,
-                    "disagreement": cell.disagreement,
-                    "remark": cell.remark,
-                }
-            )
-    return out.getvalue()
+    return str(comparison_frame(found).to_csv(index=False))
 
 
 def comparison_dict(found: Comparison) -> dict[str, Any]:
     """Put a comparison into strings, numbers, lists and dicts, ready for JSON."""
+
+    def listed(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        return {key: list(value) if isinstance(value, tuple) else value for key, value in pairs}
+
+    quantities = {row.name: asdict(row, dict_factory=listed) for row in found.rows}
+    for told in quantities.values():
+        del told["name"]
+        told["columns"] = told.pop("cells")
     return {
         "baseline": found.baseline,
         "columns": [asdict(column) for column in found.columns],
-        "quantities": {
-            row.name: {
-                "unit": row.unit,
-                "symbol": row.symbol,
-                "meaning": row.meaning,
-                "kind": row.kind,
-                "gauge_free": row.gauge_free,
-                "columns": {label: _cell_dict(cell) for label, cell in row.cells.items()},
-            }
-            for row in found.rows
-        },
+        "quantities": quantities,
         "notes": list(found.notes),
-    }
-
-
-def _cell_dict(cell: Cell) -> dict[str, Any]:
-    return {
-        key: list(value) if isinstance(value, tuple) else value
-        for key, value in asdict(cell).items()
     }
 
 
@@ -149,33 +138,14 @@ def _cell_parts(cell: Cell | None) -> list[str]:
     parts = []
     if cell.status not in ("undetermined", "limit"):
         plain = cell.status == "determined" and not cell.accounts
-        parts.append(number(cell.value, cell.sd) + (_PLAIN if plain else ""))
+        parts.append(text_value(cell.value, cell.sd) + (_PLAIN if plain else ""))
     if cell.interval is not None:
-        low, high = (_rounded(end, cell.sd) for end in cell.interval)
+        low, high = (text_rounded(end, cell.sd) for end in cell.interval)
         parts.append(f"[{low}, {high}]")
     if cell.disagreement is not None:
         # no -0.0
         parts.append(f"{round(cell.disagreement, 1) + 0.0:+.1f} sd")
     return [*parts, *([cell.remark] if cell.remark else [])]
-
-
-def number(value: float, sd: float | None) -> str:
-    """Print a value to the second digit of its standard deviation, and that with two."""
-    if not sd:
-        return f"{value:.5g}"
-    return f"{_rounded(value, sd)} ± {_rounded(sd, sd)}"
-
-
-def _rounded(value: float, sd: float | None) -> str:
-    if not sd or not value:
-        return f"{value:.5g}"
-    before, last = math.floor(math.log10(abs(value))), math.floor(math.log10(sd)) - 1
-    digits = before - last + 1
-    if digits < 1:
-        return f"{round(value, -last) + 0.0:.1g}"
-    if 0 <= before < 6:  # no 1.2e+02
-        digits = max(digits, before + 1)
-    return f"{value:#.{min(digits, 9)}g}".removesuffix(".")
 
 
 def _lines(
@@ -226,7 +196,3 @@ def explained(found: Comparison) -> Iterator[str]:
         if parts:
             yield f"{column.label}: {'; '.join(parts)}."
     yield from found.notes
-
-
-def _piped(parts: Sequence[str], *, escape: bool = True) -> str:
-    return "| " + " | ".join(p.replace("|", "\\|") if escape else p for p in parts) + " |"

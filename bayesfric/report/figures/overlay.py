@@ -32,7 +32,7 @@ from bayesfric.report.figures.style import (
     scaled_unit,
     shortened,
 )
-from bayesfric.report.summary.read_back import PosteriorRow, RunSummary
+from bayesfric.report.summary.record import PosteriorRow, Summary
 
 Array = NDArray[np.float64]
 Told = Literal["data", "both", "open"]
@@ -157,7 +157,7 @@ def density(draws: Array) -> tuple[Array, Array]:
 
 def overlay(
     found: Comparison,
-    runs: Mapping[str, RunSummary],
+    runs: Mapping[str, Summary],
     draws: Mapping[str, RunDraws],
     pooled: Sequence[PooledQuantity] = (),
 ) -> Overlay:
@@ -214,11 +214,11 @@ def overlay(
     return Overlay(tuple(panels), left_out, tuple(without))
 
 
-def _row(run: RunSummary, name: str) -> PosteriorRow:
+def _row(run: Summary, name: str) -> PosteriorRow:
     return run.parameters[name] if name in run.parameters else run.derived[name]
 
 
-def _told(row: Row, label: str, run: RunSummary) -> Told | None:
+def _told(row: Row, label: str, run: Summary) -> Told | None:
     """Judge as the table does; ``None`` where the run did not sample the quantity."""
     if label not in row.cells or not (row.name in run.parameters or row.name in run.derived):
         return None

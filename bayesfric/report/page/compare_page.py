@@ -2,36 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
-from typing import Any
 
 from bayesfric.report.comparison.between_runs import PooledQuantity
 from bayesfric.report.comparison.comparison import Comparison
 from bayesfric.report.comparison.table import explained
 from bayesfric.report.figures.overlay import Overlay
-from bayesfric.report.page.facts import Facts, read_facts
 from bayesfric.report.page.figure_words import forest_figure_words, overlay_words
 from bayesfric.report.page.figures import read_figures
 from bayesfric.report.page.provenance import Provenance
 from bayesfric.report.page.rendering import render
-from bayesfric.report.page.values import ends_html
-from bayesfric.report.summary.read_back import RunSummary
-
-
-@dataclass(frozen=True)
-class RunFacts:
-    """One run of a comparison.
-
-    ``verdicts`` counts the joint's parameters by ``data``, ``weak`` and ``prior``.
-    """
-
-    name: str
-    facts: Facts
-    verdicts: Mapping[str, int]
-    provenance: Provenance | None
+from bayesfric.report.summary.record import Summary
 
 
 def shared_recordings(provenance: Mapping[str, Provenance | None]) -> list[tuple[str, str]]:
@@ -47,8 +30,7 @@ def _hashes(told: Provenance | None) -> set[str]:
 def compare_page(
     folder: Path,
     found: Comparison,
-    summaries: Mapping[str, Mapping[str, Any]],
-    runs: Mapping[str, RunSummary],
+    runs: Mapping[str, Summary],
     pooled: Sequence[PooledQuantity],
     provenance: Mapping[str, Provenance | None],
     overlaid: Overlay | None = None,
@@ -61,8 +43,8 @@ def compare_page(
         Where ``figures/`` is; figures that are missing are left out.
     found
         The comparison.
-    summaries, runs
-        What each ``summary.json`` holds, as read and checked.
+    runs
+        What each ``summary.json`` holds.
     pooled
         From :func:`bayesfric.report.comparison.between_runs.between_runs`.
     provenance
@@ -78,58 +60,17 @@ def compare_page(
     words = {"forest": forest_figure_words(found)}
     if overlaid is not None and overlaid.panels:
         words["overlay"] = overlay_words(overlaid)
-    listed = [
-        RunFacts(name, read_facts(summaries[name], name), _verdicts(run), provenance.get(name))
-        for name, run in runs.items()
-    ]
-    same = shared_recordings(provenance)
     return render(
         "compare.html.j2",
         title=" and ".join(runs) if len(runs) < 3 else f"{len(runs)} runs",
-        runs=listed,
-        headline=list(_headline(listed, pooled, same)),
+        runs=runs,
         pooled=pooled,
-        disagree=[one for one in pooled if not one.pool.agree],
-        pool_ends={one.name: ends_html(one.pool.low, one.pool.high, one.pool.sd) for one in pooled},
-        same=same,
+        same=shared_recordings(provenance),
+        provenance=provenance,
         unknown=[run for run, told in provenance.items() if not _hashes(told)],
-        level=next((f"{100 * row.level:g}" for one in pooled for row in one.runs.values()), ""),
         without_draws=overlaid.left_out if overlaid is not None else {},
         methods=found,
         explained=list(explained(found)),
         figures=read_figures(folder / "figures", words),
-        version=listed[0].facts.bayesfric,
+        version=next(iter(runs.values())).bayesfric,
     )
-
-
-def _verdicts(run: RunSummary) -> dict[str, int]:
-    rows = [row for name, row in run.parameters.items() if not name.startswith("noise.")]
-    return {key: sum(row.verdict == key for row in rows) for key in ("data", "weak", "prior")}
-
-
-def _headline(
-    runs: Sequence[RunFacts], pooled: Sequence[PooledQuantity], same: Sequence[tuple[str, str]]
-) -> Iterator[str]:
-    if len(runs) == 1:
-        yield f"One run, {runs[0].name}: its methods and its posterior side by side."
-        return
-    yield f"{len(runs)} runs: {', '.join(run.name for run in runs)}."
-    if same:
-        yield (
-            "Some of them saw the same recording: they are not independent, and nothing is pooled."
-        )
-    elif not pooled:
-        yield "There is no quantity that the data of every run determine, so nothing is pooled."
-    else:
-        apart = sum(not one.pool.agree for one in pooled)
-        what = "quantity" if len(pooled) == 1 else "quantities"
-        yield f"The data of every run determine {len(pooled)} {what}."
-        if not apart:
-            yield "In all of them the runs agree within their intervals."
-        elif apart == len(pooled):
-            yield "In none of them do the runs agree within their intervals."
-        else:
-            yield (
-                f"In {len(pooled) - apart} of them the runs agree within their intervals, in "
-                f"{apart} they do not."
-            )

@@ -15,10 +15,11 @@ from bayesfric.report.comparison.cell import TOGETHER
 from bayesfric.report.comparison.comparison import Comparison
 from bayesfric.report.figures.captions import FIXED
 from bayesfric.report.figures.overlay import Curve, Overlay
-from bayesfric.report.page.facts import Facts
+from bayesfric.report.numbers import p_text
 from bayesfric.report.page.values import interval_html, value_html, verdict_words
 from bayesfric.report.paper.tables import ParameterRow, ParameterTable
-from bayesfric.report.summary.noise import p_words, white_words
+from bayesfric.report.summary.record import Summary
+from bayesfric.report.text_templates import white_words
 
 _CAPTION = re.compile(r"^\*\*(\w+)\*\*: (.+)$", re.MULTILINE)
 _RAISED = str.maketrans("0123456789-\u2212", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁻")
@@ -28,7 +29,7 @@ _RAISED = str.maketrans("0123456789-\u2212", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁻"
 class Told:
     """What words may draw on."""
 
-    facts: Facts
+    facts: Summary
     table: ParameterTable
     methods: Comparison
 
@@ -124,7 +125,7 @@ def _residual(told: Told) -> str:
         parts.append(f"Lag-1 autocorrelation of the residuals: {noise.residual_lag1:.2f}.")
     test = noise.innovation_whiteness
     if test is not None and test.p_value is not None:
-        parts.append(f"Innovations {white_words(test.white)} ({p_words(test.p_value)}).")
+        parts.append(f"Innovations {white_words(test.white)} ({p_text(test.p_value)}).")
     return " ".join(parts)
 
 

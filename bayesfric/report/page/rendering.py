@@ -11,11 +11,13 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from bayesfric.identifiability.sentences import capital
-from bayesfric.report.page.first_words import spaced
+from bayesfric.identifiability.sentences import capital, factor
+from bayesfric.report import numbers
+from bayesfric.report.page import values
 from bayesfric.report.page.symbol import html_symbol
-from bayesfric.report.page.values import cell_html, number_html, p_html, plain, unit_html
-from bayesfric.report.summary.noise import white_words
+from bayesfric.report.paper.tables import counts, parameter_table
+from bayesfric.report.summary.record import Summary
+from bayesfric.report.text_templates import FILTERS
 
 
 def render(template: str, **told: Any) -> str:
@@ -37,11 +39,14 @@ def render(template: str, **told: Any) -> str:
         "default-src 'none'; base-uri 'none'; form-action 'none'; img-src data:; "
         f"style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
     )
-    return (
-        _environment()
-        .get_template(template)
-        .render(style=Markup(style), script=Markup(script), policy=policy, **told)
-    )
+    fixed = {"style": Markup(style), "script": Markup(script), "policy": policy}
+    return _environment().get_template(template).render(**fixed, **told)
+
+
+def notebook_table(summary: Summary) -> str:
+    """Write what a notebook shows of a summary: every number with its verdict."""
+    template = _environment().get_template("notebook.html.j2")
+    return template.render(summary=summary, table=parameter_table(summary))
 
 
 @cache
@@ -58,14 +63,22 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {
-        "spaced": spaced,
-        "unit": unit_html,
+    environment.filters |= FILTERS | {
+        "spaced": numbers.spaced,
+        "unit": numbers.html_unit,
+        "interval": numbers.html_interval,
+        "p": numbers.html_p,
+        "sig": lambda x, digits=4: numbers.html_number(f"{x:.{digits}g}"),
+        "fixed": lambda x, digits=2: numbers.html_number(f"{x:.{digits}f}"),
         "capital": capital,
-        "white_words": white_words,
-        "cell": cell_html,
-        "p": p_html,
-        "sig": lambda x, digits=4: plain(f"{x:.{digits}g}"),
+        "factor": factor,
+        "cell": values.cell_html,
+        "counts": counts,
+        "value_of": values.value_html,
+        "interval_of": values.interval_html,
+        "white_of": values.white_html,
+        "verdict_of": values.verdict_words,
+        "kind_of": values.verdict_kind,
     }
-    environment.globals |= {"symbol": html_symbol, "number": number_html}
+    environment.globals |= {"symbol": html_symbol, "number": numbers.html_value}
     return environment

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.comparison.table import comparison_csv, comparison_markdown
 from bayesfric.report.paper.tables import (
@@ -14,10 +11,11 @@ from bayesfric.report.paper.tables import (
     parameters_latex,
     parameters_markdown,
 )
+from bayesfric.report.summary.record import Readable
 from bayesfric.report.summary.summary import summary_table
 
 
-def summary_texts(summary: Mapping[str, Any], run: str) -> dict[str, str]:
+def summary_texts(summary: Readable, run: str) -> dict[str, str]:
     """Lay a run's numbers out as its tables.
 
     Parameters

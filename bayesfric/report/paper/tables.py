@@ -6,18 +6,19 @@ of the prior and the bounds, and out of the table it would be quoted as a measur
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+
+import pandas as pd
 
 from bayesfric.report.comparison.cell import Cell, posterior_cell
 from bayesfric.report.comparison.comparison import Comparison
-from bayesfric.report.comparison.table import number as plain_number
+from bayesfric.report.comparison.table import markdown_table
+from bayesfric.report.numbers import LATEX, TEXT, Medium, latex_number, latex_value
 from bayesfric.report.paper import latex
 from bayesfric.report.summary.bounds import bound_mend
-from bayesfric.report.summary.read_back import PosteriorRow, RunSummary, read_summary
+from bayesfric.report.summary.noise import correlation_warning
+from bayesfric.report.summary.record import PosteriorRow, Readable, Summary, of_noise
 
 # Ends of the interval whose distances from the median differ by more than this are skewed.
 _SKEWED = 0.2
@@ -28,10 +29,10 @@ _GROUPS = {
     "known": "Taken as known",
 }
 _VERDICTS = {"data": "data", "weak": "data and prior", "prior": "prior"}
-COLUMNS = (
+COLUMNS = [
     "group", "name", "symbol", "meaning", "unit", "status", "verdict",
     "median", "mean", "sd", "low", "high", "level", "limit", "remark",
-)  # fmt: skip
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class ParameterRow:
     ----------
     group
         ``free`` (of scaling), ``parameter``, ``derived`` or ``known``.
-    name, symbol, meaning, unit
+    name, unit
         As in ``summary.json``.
     row
         The numbers; ``None`` of what was taken as known.
@@ -52,11 +53,19 @@ class ParameterRow:
 
     group: str
     name: str
-    symbol: str
-    meaning: str
     unit: str
     row: PosteriorRow | None
     cell: Cell
+
+    @property
+    def symbol(self) -> str:
+        """LaTeX without dollar signs; empty where it is not told."""
+        return self.row.symbol if self.row else ""
+
+    @property
+    def meaning(self) -> str:
+        """One line; empty where it is not told."""
+        return self.row.meaning if self.row else ""
 
     @property
     def skewed(self) -> bool:
@@ -66,6 +75,15 @@ class ParameterRow:
         low, high = self.row.interval
         down, up = self.row.median - low, high - self.row.median
         return abs(up - down) > _SKEWED * (up + down)
+
+    @property
+    def by(self) -> str:
+        """What settles it: ``data``, ``together`` (and prior), ``limit``, ``open`` or ``known``."""
+        if self.row is None:
+            return "known"
+        if self.cell.status == "determined":
+            return "data" if self.row.verdict == "data" else "together"
+        return "limit" if self.cell.status == "limit" else "open"
 
     @property
     def verdict(self) -> str:
@@ -79,19 +97,22 @@ class ParameterRow:
         """What to do about a bound that holds it."""
         return bound_mend(self.name, self.row) if self.row and self.cell.converged else ""
 
-
-@dataclass(frozen=True)
-class Counts:
-    """How many of some numbers are determined, and by what.
-
-    ``data``: by the data; ``together``: by data, prior and bounds; ``limits``: by the data,
-    on one side; ``open``: not by the data.
-    """
-
-    data: int
-    together: int
-    limits: int
-    open: int
+    def shown(self, medium: Medium) -> tuple[str, str]:
+        """Write value and interval; an open one has neither."""
+        if self.row is None:
+            return medium.number(self.cell.value, 5), medium.none
+        if self.cell.limit is not None:
+            sign = medium.limits[self.cell.at_bound == "upper"]
+            return sign + medium.number(self.cell.limit, 3), medium.none
+        if self.by == "open":
+            return f"{medium.none} ({self.verdict})", medium.none
+        if not self.row.sd:
+            return medium.number(self.row.middle, 5), medium.none
+        (low, high), sd = self.row.interval, self.row.sd
+        ends = medium.interval(low, high, sd)
+        if self.skewed:
+            return medium.ends(self.row.middle, low, high, sd), ends
+        return medium.value(self.row.middle, sd), ends
 
 
 @dataclass(frozen=True)
@@ -105,14 +126,10 @@ class ParameterTable:
     @property
     def joint(self) -> list[ParameterRow]:
         """Sampled parameters of the joint: without those of the noise."""
-        return [
-            row
-            for row in self.rows
-            if row.group == "parameter" and not row.name.startswith("noise.")
-        ]
+        return [r for r in self.rows if r.group == "parameter" and not of_noise(r.name)]
 
 
-def parameter_table(summary: Mapping[str, Any], run: str = "summary.json") -> ParameterTable:
+def parameter_table(summary: Readable, run: str = "summary.json") -> ParameterTable:
     """Judge every number of a summary for the table of parameters.
 
     Parameters
@@ -132,131 +149,83 @@ def parameter_table(summary: Mapping[str, Any], run: str = "summary.json") -> Pa
     BadInput
         Where the summary lacks something.
     """
-    read = read_summary(summary, run)
-    derived = [(name, row) for name, row in read.derived.items()]
-    groups: list[tuple[str, list[tuple[str, PosteriorRow]]]] = [
-        ("free", [(name, row) for name, row in derived if row.gauge_free]),
-        ("parameter", list(read.parameters.items())),
-        ("derived", [(name, row) for name, row in derived if not row.gauge_free]),
-    ]
+    read = Summary.read(summary, run)
+    groups = {
+        "free": {name: row for name, row in read.derived.items() if row.gauge_free},
+        "parameter": read.parameters,
+        "derived": {name: row for name, row in read.derived.items() if not row.gauge_free},
+    }
     rows = [
         ParameterRow(
-            group,
-            name,
-            row.symbol,
-            row.meaning,
-            row.unit,
-            row,
-            posterior_cell(row, read.accounts, read.sampler.status),
+            group, name, row.unit, row, posterior_cell(row, read.accounts, read.sampler.status)
         )
-        for group, members in groups
-        for name, row in members
+        for group, members in groups.items()
+        for name, row in members.items()
     ]
     rows += [
-        ParameterRow("known", name, "", "", known.unit, None, Cell(known.value, "known"))
+        ParameterRow("known", name, known.unit, None, Cell(known.value, "known"))
         for name, known in read.fixed.items()
     ]
-    levels = {row.level for _, members in groups for _, row in members}
-    level = levels.pop() if levels else 0.9
-    return ParameterTable(
-        tuple(rows), level, tuple(_notes(rows, read, level, list(summary.get("warnings", ()))))
-    )
+    return ParameterTable(tuple(rows), read.level, tuple(_notes(rows, read)))
 
 
-def counts(rows: Sequence[ParameterRow]) -> Counts:
-    """Count what is determined, and by what."""
-    status = [r.cell.status for r in rows]
-    data = sum(
-        r.cell.status == "determined" and r.row is not None and r.row.verdict == "data"
-        for r in rows
-    )
-    return Counts(
-        data,
-        status.count("determined") - data,
-        status.count("limit"),
-        status.count("undetermined"),
-    )
+def counts(rows: Sequence[ParameterRow]) -> dict[str, int]:
+    """Count numbers by what settles them: ``data``, ``together``, ``limit``, ``open``."""
+    by = [row.by for row in rows]
+    return {key: by.count(key) for key in ("data", "together", "limit", "open")}
 
 
-def _notes(
-    rows: list[ParameterRow], read: RunSummary, level: float, warnings: list[str]
-) -> Iterator[str]:
-    share = f"{100 * level:g} %"
+def _notes(rows: list[ParameterRow], read: Summary) -> Iterator[str]:
+    share = f"{100 * read.level:g} %"
     yield f"Values are medians with one standard deviation; intervals hold {share} of the posterior"
     if any(row.skewed and row.cell.status == "determined" for row in rows):
         yield (
             "Skewed posteriors have no standard deviation: their distances to the ends of the "
             "interval are given, or the interval alone"
         )
-    if any(row.cell.status == "undetermined" and row.cell.converged for row in rows):
-        yield "(prior): not determined by the data; the posterior is that of prior and bounds"
-    if any(row.cell.status == "limit" for row in rows):
-        side = f"{100 * (1.0 + level) / 2:g} %"
+    if any(row.by == "open" and row.cell.converged for row in rows):
+        yield OPEN_NOTE
+    if any(row.by == "limit" for row in rows):
+        side = f"{100 * (1.0 + read.level) / 2:g} %"
         yield f"Limits have {side} of the posterior between them and the bound the data push to"
-    for text in warnings:
-        # of noise that is not what the likelihood takes it for
-        if "taken for independent" in text:
-            yield text[0].upper() + text[1:]
+    if told := correlation_warning(read):
+        yield told[0].upper() + told[1:]
     if read.sampler.status == "unusable" or read.sampler.problems:
         yield f"The sampling is {read.sampler.status}: it has not converged"
 
 
+OPEN_NOTE = "(prior): not determined by the data; the posterior is that of prior and bounds"
+
+
 def parameters_csv(table: ParameterTable) -> str:
     """Lay the table out as CSV, every number in full; nothing in it where it is open."""
-    out = io.StringIO()
-    writer = csv.DictWriter(out, COLUMNS, lineterminator="\n")
-    writer.writeheader()
+    lines = []
     for r in table.rows:
-        told: dict[str, Any] = dict.fromkeys(COLUMNS)
-        told |= {"group": r.group, "name": r.name, "symbol": r.symbol, "meaning": r.meaning}
-        told |= {"unit": r.unit, "status": r.cell.status, "verdict": r.verdict}
-        told["remark"] = "; ".join(text for text in (r.cell.remark, r.mend) if text)
+        told = {key: getattr(r, key) for key in ("group", "name", "symbol", "meaning", "unit")}
+        remark = "; ".join(text for text in (r.cell.remark, r.mend) if text)
+        told |= {"status": r.cell.status, "verdict": r.verdict, "remark": remark}
         if r.row is None:
             told["median"] = r.cell.value
-        elif r.cell.status == "limit":
+        elif r.by == "limit":
             # one tail of the interval is on the bound's side
             told |= {"limit": r.cell.limit, "level": (1.0 + r.row.level) / 2.0}
-        elif r.cell.status == "determined":
-            low, high = r.row.interval
-            told |= {"median": r.row.median, "mean": r.row.mean, "sd": r.row.sd}
-            told |= {"low": low, "high": high, "level": r.row.level}
-        writer.writerow(told)
-    return out.getvalue()
+        elif r.by != "open":
+            told |= {key: getattr(r.row, key) for key in ("median", "mean", "sd", "level")}
+            told["low"], told["high"] = r.row.interval
+        lines.append(told)
+    return str(pd.DataFrame(lines, columns=COLUMNS).to_csv(index=False))
 
 
 def parameters_markdown(table: ParameterTable) -> str:
     """Lay the table out in Markdown."""
     head = ["quantity", "meaning", "value", f"{100 * table.level:g} % interval", "unit"]
-    lines = [_piped([*head, "determined by"]), _piped(["---", "---", *["---:"] * 2, "---", "---"])]
-    for r in table.rows:
-        value, ends = _plain(r)
-        cells = [f"`{r.name}`", r.meaning or "–", value, ends, r.unit or "–", r.verdict]
-        lines.append(_piped([cell.replace("|", r"\|") for cell in cells]))
-    return "\n".join([*lines, "", *(f"- {note}." for note in table.notes)]) + "\n"
-
-
-def _piped(cells: list[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
-
-
-def _plain(r: ParameterRow) -> tuple[str, str]:
-    if r.row is None:
-        return f"{r.cell.value:.5g}", "–"
-    if r.cell.status == "limit":
-        assert r.cell.limit is not None
-        return f"{'≤' if r.row.at_bound == 'lower' else '≥'} {r.cell.limit:.3g}", "–"
-    if r.cell.status == "undetermined" or r.row.median is None or not r.row.sd:
-        return f"– ({'prior' if r.cell.converged else 'not converged'})", "–"
-    last = latex.last_digit(r.row.sd)
-    low, high = (_decimal(end, last) for end in r.row.interval)
-    if r.skewed:
-        return _decimal(r.row.median, last), f"[{low}, {high}]"
-    return plain_number(r.row.median, r.row.sd), f"[{low}, {high}]"
-
-
-def _decimal(value: float, last: int) -> str:
-    exponent = latex.shared_exponent(value, last)
-    return latex.digits(value, last, exponent) + (f"e{exponent}" if exponent else "")
+    lines = [
+        [f"`{r.name}`", r.meaning or "–", *r.shown(TEXT), r.unit or "–", r.verdict]
+        for r in table.rows
+    ]
+    rule = ["---", "---", "---:", "---:", "---", "---"]
+    notes = [f"{note}." for note in table.notes]
+    return markdown_table([*head, "determined by"], rule, lines, notes)
 
 
 def parameters_latex(table: ParameterTable) -> str:
@@ -271,24 +240,20 @@ def parameters_latex(table: ParameterTable) -> str:
             group = r.group
             body.append(r"\midrule")
             body.append(rf"\multicolumn{{6}}{{@{{}}l}}{{\emph{{{_GROUPS[group]}}}}} \\")
-        value, ends = _latex(r)
-        name = latex.symbol(r.symbol, r.name)
-        words = latex.escaped(r.meaning or r.name)
-        cells = [name, words, value, ends, latex.unit(r.unit), latex.escaped(r.verdict)]
+        cells = [latex.symbol(r.symbol, r.name), latex.escaped(r.meaning or r.name)]
+        cells += [*r.shown(LATEX), latex.unit(r.unit), latex.escaped(r.verdict)]
         body.append(" & ".join(cells) + r" \\")
     share = rf"\qty{{{100 * table.level:g}}}{{\percent}}"
     head = rf"Symbol & Quantity & Value & {share} interval & Unit & Determined by \\"
     columns = r"@{}l>{\raggedright\arraybackslash}Xllll@{}"
-    return _table(
-        "Parameters of the joint", _sentence(table.notes), "tab:parameters", columns, head, body[1:]
-    )
+    words = ("Parameters of the joint", table.notes, "tab:parameters")
+    return _table(*words, columns, head, body[1:])
 
 
-def _sentence(notes: tuple[str, ...]) -> str:
-    return latex.escaped(". ".join(notes)).replace(r" \%", r"\,\%") + "."
-
-
-def _table(caption: str, notes: str, label: str, columns: str, head: str, body: list[str]) -> str:
+def _table(
+    caption: str, notes: Sequence[str], label: str, columns: str, head: str, body: list[str]
+) -> str:
+    below = latex.escaped(". ".join(notes)).replace(r" \%", r"\,\%") + "."
     # IEEE sets captions of tables in small capitals: a title can be read so, notes cannot
     kind, width = ("tabularx", r"{\textwidth}") if "X" in columns else ("tabular", "")
     lines = [
@@ -309,26 +274,10 @@ def _table(caption: str, notes: str, label: str, columns: str, head: str, body: 
         r"\bottomrule",
         rf"\end{{{kind}}}",
         r"\par\medskip",
-        rf"\parbox{{\textwidth}}{{\raggedright {notes}}}",
+        rf"\parbox{{\textwidth}}{{\raggedright {below}}}",
         r"\end{table*}",
     ]
     return "\n".join(lines) + "\n"
-
-
-def _latex(r: ParameterRow) -> tuple[str, str]:
-    if r.row is None:
-        return latex.number(r.cell.value), "---"
-    if r.cell.status == "limit":
-        assert r.cell.limit is not None
-        sign = r"\leq" if r.row.at_bound == "lower" else r"\geq"
-        return rf"${sign}$ {latex.number(float(f'{r.cell.limit:.3g}'))}", "---"
-    if r.cell.status == "undetermined" or r.row.median is None or not r.row.sd:
-        return f"--- ({'prior' if r.cell.converged else 'not converged'})", "---"
-    low, high = r.row.interval
-    ends = latex.interval(low, high, r.row.sd)
-    if r.skewed:
-        return latex.with_ends(r.row.median, low, high, r.row.sd), ends
-    return latex.with_sd(r.row.median, r.row.sd), ends
 
 
 def methods_latex(found: Comparison) -> str:
@@ -349,22 +298,23 @@ def methods_latex(found: Comparison) -> str:
         name = latex.symbol(row.symbol, row.name)
         body.append(" & ".join([name, latex.unit(row.unit), *cells]) + r" \\")
     head = " & ".join(["", "Unit", *(latex.escaped(c.label) for c in found.columns)]) + r" \\"
-    cells_ = [cell for row in found.rows for cell in row.cells.values()]
+    every = [row.cells.get(column.label) for row in found.rows for column in found.columns]
+    cells_ = [cell for cell in every if cell is not None]
+    told = {
+        "†: residuals taken for uncorrelated, too small where they are correlated": any(
+            c.status == "determined" and not c.accounts for c in cells_
+        ),
+        "---: not determined by the data": any(
+            c.status == "undetermined" and c.converged for c in cells_
+        ),
+        "n.c.: not converged": any(not c.converged for c in cells_),
+        "b: on its bound": any(c.status == "bound" for c in cells_),
+        "Empty: the method does not tell it": None in every,
+    }
     notes = ["One standard deviation in parentheses, accounting for correlated residuals"]
-    if any(c.status == "determined" and not c.accounts for c in cells_):
-        notes.append("†: residuals taken for uncorrelated, too small where they are correlated")
-    if any(c.status == "undetermined" and c.converged for c in cells_):
-        notes.append("---: not determined by the data")
-    if any(not c.converged for c in cells_):
-        notes.append("n.c.: not converged")
-    if any(c.status == "bound" for c in cells_):
-        notes.append("b: on its bound")
-    if any(column.label not in row.cells for row in found.rows for column in found.columns):
-        notes.append("Empty: the method does not tell it")
+    notes += [note for note, applies in told.items() if applies]
     columns = "@{}ll" + "l" * len(found.columns) + "@{}"
-    return _table(
-        "Estimates by method", _sentence(tuple(notes)), "tab:methods", columns, head, body
-    )
+    return _table("Estimates by method", notes, "tab:methods", columns, head, body)
 
 
 def _cell(cell: Cell | None) -> str:
@@ -372,11 +322,9 @@ def _cell(cell: Cell | None) -> str:
         return ""
     if cell.status == "undetermined":
         return "---" if cell.converged else "n.c."
-    if cell.status == "limit":
-        assert cell.limit is not None
-        sign = r"\geq" if cell.remark.startswith("at least") else r"\leq"
-        return rf"${sign}$ {latex.number(float(f'{cell.limit:.3g}'))}"
-    shown = latex.with_sd(cell.value, cell.sd) if cell.sd else latex.number(cell.value)
+    if cell.limit is not None:
+        return LATEX.limits[cell.at_bound == "upper"] + latex_number(cell.limit, 3)
+    shown = latex_value(cell.value, cell.sd) if cell.sd else latex_number(cell.value)
     if cell.status == "bound":
         return shown + r"\textsuperscript{b}"
     plain = cell.status == "determined" and not cell.accounts

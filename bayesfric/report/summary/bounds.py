@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from bayesfric.report.summary.read_back import PosteriorRow
+from bayesfric.report.summary.record import PosteriorRow
+from bayesfric.report.text_templates import sentence
 
 
 def told_by_data(row: PosteriorRow) -> bool:
@@ -20,26 +21,17 @@ def held(row: PosteriorRow) -> bool:
 def bound_mend(name: str, row: PosteriorRow) -> str:
     """Say what to do about the bound that holds a number; nothing where none does.
 
-    Parameters
-    ----------
-    name
-        Of the parameter.
-    row
-        Its numbers; runs of older versions do not tell where the bound is.
+    Runs of older versions do not tell where the bound is.
     """
     if not held(row) or row.bound is None:
         return ""
-    bound = f"{row.bound:.4g}{f' {row.unit}' if row.unit else ''}"
-    if row.bound_physical:
-        return (
-            f"it cannot be beyond {bound}, and the data cannot tell it from that: there is nothing "
-            "to widen, but where it cannot be that small, the model puts its effect elsewhere"
-        )
-    return f"widen priors.{name} beyond {bound}, unless that bound is physical"
+    bound = f"{row.bound:.4g} {row.unit}".strip()
+    kind = "physical bound" if row.bound_physical else "set bound"
+    return sentence(kind, {"name": name, "bound": bound})
 
 
 def bound_warning(name: str, row: PosteriorRow) -> str | None:
     """Warn of a bound that was set, not given by physics: it cuts the posterior off."""
     if row.bound_physical or not (mend := bound_mend(name, row)):
         return None
-    return f"{name} is held by the {row.at_bound} bound of its prior: {mend}"
+    return sentence("bound", {"name": name, "row": row, "mend": mend})

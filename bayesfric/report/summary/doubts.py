@@ -17,6 +17,7 @@ from bayesfric.estimates.information import CORRELATED
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.recordings.observation import LEAST_RATIO, Observation
+from bayesfric.report.summary.record import Doubt, Spread, Summary, of_noise, quantity_of
 
 # Share of the torque's variance that a model of the joint should explain, where what it leaves
 # is no white noise.
@@ -26,12 +27,15 @@ _RISE = 1.1
 # Robust standard deviations below zero that are no chance.
 _NEGATIVE = 3.0
 
-White = Mapping[str, Mapping[str, Any]]
+# What is never negative: by it energy is lost or stored.
+_LOSING = ("inertia", "viscous", "coulomb")
+
+White = Mapping[str, Spread]
 
 
 def find_doubts(
     fit: Fit,
-    summary: Mapping[str, Any],
+    summary: Summary,
     choice: Choice | None = None,
     white: tuple[White, float] | None = None,
 ) -> list[dict[str, Any]]:
@@ -54,14 +58,10 @@ def find_doubts(
     list of dict
         ``kind``, ``parameters`` and what else tells of each, for ``summary["doubts"]``.
     """
-    if summary["sampler"]["status"] == "unusable":
+    if summary.sampler.status == "unusable":
         return []  # there is no posterior to doubt
-    told = [
-        name
-        for group in ("parameters", "derived")
-        for name, row in summary[group].items()
-        if row["verdict"] == "data" and not name.startswith("noise.")
-    ]
+    rows = {**summary.parameters, **summary.derived}
+    told = [name for name, row in rows.items() if row.verdict == "data" and not of_noise(name)]
     found = [
         *_unexplained(summary),
         *doubts_before(fit.estimates[0], fit.observations),
@@ -72,24 +72,26 @@ def find_doubts(
     return [{"kind": one.pop("kind"), "parameters": one.pop("of", told), **one} for one in found]
 
 
-def put_doubts(summary: dict[str, Any], doubts: list[dict[str, Any]]) -> None:
+def put_doubts(summary: Summary, doubts: Sequence[Mapping[str, Any]]) -> Summary:
     """Put doubts into a summary: what they are of is not ``data``, the run not ``reliable``."""
-    summary["doubts"] = doubts
-    if not doubts:
-        return
-    if summary["sampler"]["status"] == "reliable":
-        summary["sampler"]["status"] = "tentative"
-    for group in ("parameters", "derived"):
-        for name, row in summary[group].items():
-            if kinds := [one["kind"] for one in doubts if name in one["parameters"]]:
-                row["doubted"] = kinds
-                row["verdict"] = "weak"
+    told = [Doubt.model_validate(one) for one in doubts]
+    if not told:
+        return summary.model_copy(update={"doubts": told})
+    kinds: dict[str, list[str]] = {}
+    for one in told:
+        for name in one.parameters:
+            kinds.setdefault(name, []).append(one.kind)
+    sampler = summary.sampler
+    if sampler.status == "reliable":
+        sampler = sampler.model_copy(update={"status": "tentative"})
+    changes = {name: {"doubted": of, "verdict": "weak"} for name, of in kinds.items()}
+    return summary.with_rows(changes, doubts=told, sampler=sampler)
 
 
-def _unexplained(summary: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    share, lag = summary["fit"].get("explained"), summary["noise"]["residual_lag1"]
+def _unexplained(summary: Summary) -> Iterator[dict[str, Any]]:
+    share, lag = summary.fit.explained, summary.noise.residual_lag1
     if share is not None and share < _EXPLAINED and lag is not None and lag > CORRELATED:
-        yield {"kind": "unexplained", "share": share, "quantity": summary["fit"]["quantity"]}
+        yield {"kind": "unexplained", "share": share, "quantity": summary.fit.quantity}
 
 
 def doubts_before(totals: Estimate, observations: Sequence[Observation]) -> list[dict[str, Any]]:
@@ -124,7 +126,7 @@ def _negative(totals: Estimate) -> Iterator[dict[str, Any]]:
     below = {
         v.name: v.value
         for v in totals.values
-        if v.name.rpartition(".")[2] in ("inertia", "viscous", "coulomb")
+        if quantity_of(v.name) in _LOSING
         and np.isfinite(v.sd_robust)
         and v.value < -_NEGATIVE * max(v.sd, v.sd_robust)
     }
@@ -146,18 +148,18 @@ def _memory(choice: Choice | None) -> Iterator[dict[str, Any]]:
 
 
 def _noise(
-    summary: Mapping[str, Any], told: list[str], white: tuple[White, float] | None
+    summary: Summary, told: list[str], white: tuple[White, float] | None
 ) -> Iterator[dict[str, Any]]:
     if white is None:
         return
     spreads, rms = white
-    rows = {**summary["parameters"], **summary["derived"]}
+    rows = summary.rows
     moved = {
-        name: spreads[name]["median"]
+        name: spreads[name].middle
         for name in told
-        if name in spreads and _apart(rows[name]["interval"], spreads[name]["interval"])
+        if name in spreads and _apart(rows[name].interval, spreads[name].interval)
     }
-    rise = summary["fit"]["residual_rms"] / rms if rms > 0.0 else 1.0
+    rise = (summary.fit.residual_rms or 0.0) / rms if rms > 0.0 else 1.0
     if rise > _RISE:
         yield {"kind": "noise", "rise": rise, "white": moved}
     elif moved:
@@ -169,9 +171,7 @@ def _apart(one: Sequence[float], other: Sequence[float]) -> bool:
     return one[1] < other[0] or other[1] < one[0]
 
 
-def _acceleration(
-    fit: Fit, summary: Mapping[str, Any], told: list[str]
-) -> Iterator[dict[str, Any]]:
+def _acceleration(fit: Fit, summary: Summary, told: list[str]) -> Iterator[dict[str, Any]]:
     power, noise = 0.0, 0.0
     for o in fit.observations:
         ratio = float(o.settings.get("acceleration_ratio", np.inf))
@@ -181,11 +181,11 @@ def _acceleration(
         return
     # about the share of an inertia that noise in its acceleration takes away
     lost = noise / power
-    rows = {**summary["parameters"], **summary["derived"]}
+    rows = summary.rows
     names = [
         name
         for name in told
-        if name.endswith(".inertia") and rows[name]["sd"] < lost * abs(rows[name]["median"])
+        if quantity_of(name) == "inertia" and rows[name].sd < lost * abs(rows[name].middle)
     ]
     if names and lost > 1.0 / LEAST_RATIO**2:
         yield {"kind": "acceleration", "ratio": float(lost**-0.5), "of": names}

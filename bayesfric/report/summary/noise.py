@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.estimates.estimate import Estimate
 from bayesfric.estimates.information import CORRELATED, lag_one
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.likelihood.autoregression import PASSES, ljung_box, predictors
 from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.mechanism.parameter import effort_words
+from bayesfric.report.summary.record import Likelihood, Noise, Spread, Summary, of_noise
+from bayesfric.report.text_templates import filled, sentence
 
 Array = NDArray[np.float64]
 
@@ -109,110 +110,66 @@ def noise_record(
     return record
 
 
-def add_white_intervals(
-    summary: dict[str, Any], white: Mapping[str, Mapping[str, Any]] | None
-) -> None:
+def add_white_intervals(summary: Summary, white: Mapping[str, Spread] | None) -> Summary:
     """Put beside every interval of a summary the one that white noise would have given.
 
     Parameters
     ----------
     summary
-        Changed: rows get ``white_interval`` and ``white_sd``, or ``warnings`` says why not.
+        Its rows get ``white_interval`` and ``white_sd``, or ``warnings`` says why not.
     white
         From :func:`bayesfric.report.summary.summary.spreads`, of the same problem with white noise;
         ``None`` if its sampling is unusable.
     """
     if white is None:
-        summary["warnings"].append(
-            "the sampling with white noise, for comparison only, did not converge, and its "
-            "intervals are left out: raise sampling.max_steps"
-        )
-        return
-    for group in ("parameters", "derived"):
-        for name, row in summary[group].items():
-            other = white.get(name)
-            if other is not None and not name.startswith("noise."):
-                row["white_interval"], row["white_sd"] = other["interval"], other["sd"]
+        warnings = [*summary.warnings, sentence("white unusable")]
+        return summary.model_copy(update={"warnings": warnings})
+    return summary.with_rows(
+        {
+            name: {"white_interval": other.interval, "white_sd": other.sd}
+            for name, other in white.items()
+            if not of_noise(name)
+        }
+    )
 
 
-def noise_lines(record: Mapping[str, Any]) -> Iterator[str]:
+def noise_lines(noise: Noise | Mapping[str, Any]) -> Iterator[str]:
     """Word the noise of a summary for a person."""
-    yield f"Noise: {record['model']}"
-    tried = record.get("order_chosen_from")
-    if tried and len(tried) > 1:
-        shown = ", ".join(f"AR({one['order']}) {one['bic']:.0f}" for one in tried[1:])
-        yield f"  order chosen by BIC; against white noise, 0: {shown}"
-    for name, coefficients in record.get("autoregression", {}).items():
-        yield f"  {name}: coefficients {', '.join(f'{c:.3f}' for c in coefficients)}"
-    test = record.get("innovation_whiteness")
-    if test is not None:
-        yield f"  innovations {white_words(test['white'])} (Ljung-Box {p_words(test['p_value'])})"
-
-
-def white_words(white: bool) -> str:
-    """Say of innovations whether they are white noise by their test."""
-    return "pass as white" if white else "do NOT pass as white: intervals may be too narrow"
-
-
-def p_words(p_value: float) -> str:
-    """Write a p-value; one too small for a floating-point number is not zero."""
-    return " ".join(("p", *p_parts(p_value)))
-
-
-def p_parts(p_value: float) -> tuple[str, str]:
-    """Give sign and number of a p-value."""
-    return ("=", f"{p_value:.2g}") if p_value > 0.0 else ("<", "1e-300")
+    yield from filled("noise.txt.j2", noise=Noise.read(noise)).splitlines()
 
 
 # A log-likelihood this uncertain moves an interval by about a standard deviation.
 _LINEAR = 1.0
 
 
-def linearisation_warnings(fit: Fit) -> Iterator[str]:
+def linearisation_warning(likelihood: Likelihood) -> str | None:
     """Warn where the output-error likelihood is another one at every draw."""
-    if fit.linearisation is None or fit.linearisation < _LINEAR:
-        return
-    yield (
-        "how torque noise moves the joint is linearised at the posterior's mode, and elsewhere in "
-        f"the posterior that changes the log-likelihood by {fit.linearisation:.2g} (below "
-        f"{_LINEAR:g} it would not matter): do not trust these intervals; take likelihood.method = "
-        '"input-error", or a motion that sticks and reverses less often'
-    )
+    change = likelihood.linearisation
+    if change is None or change < _LINEAR:
+        return None
+    return sentence("linearised", {"change": change, "least": _LINEAR})
 
 
-def correlation_warnings(fit: Fit, record: Mapping[str, Any]) -> Iterator[str]:
+def correlation_warning(summary: Summary) -> str | None:
     """Warn where residuals that count as independent are not, and by how much it matters."""
-    likelihood = fit.target.likelihood
+    noise, lag = summary.noise, summary.noise.innovation_lag1
     # drifting positions are correlated by their model; there it says nothing
-    if not isinstance(likelihood, TorqueLikelihood):
-        return
-    lag = record["innovation_lag1"]
-    if lag is None or lag < CORRELATED:
-        return
-    what = "innovations" if likelihood.noise.order else "residuals"
-    yield (
-        f"the {what} are correlated (lag 1: {lag:.2f}) but are taken for independent: "
-        f"{_too_narrow(() if likelihood.noise.order else fit.estimates, lag)}"
-    )
-
-
-def _too_narrow(estimates: Sequence[Estimate], lag: float) -> str:
-    """Say by how much intervals are too narrow, by estimates of the same kind where there are."""
+    if summary.likelihood.method != "input-error" or lag is None or lag < CORRELATED:
+        return None
+    # version 0.1.0 told the memory by its coefficients only
+    memory = bool(noise.order or noise.autoregression)
+    beside = summary.estimates.get("input-error")
+    # by estimates of the same kind where there are
     ratios = [
         v.sd_robust / v.sd
-        for e in estimates
-        if e.method == "input-error"
-        for v in e.values
-        if v.determined and v.sd > 0.0 and np.isfinite(v.sd_robust)
+        for v in (beside.parameters.values() if beside and not memory else ())
+        if v.determined and v.sd and v.sd_robust is not None
     ]
-    if max(ratios, default=0.0) > 1.0:
-        return (
-            f"these intervals are up to {max(ratios):.2g} times too narrow, as the input-error "
-            "estimate's robust sds over its plain ones say"
-        )
+    robust = max(ratios, default=0.0) > 1.0
     # the factor of a first-order autoregression
-    factor = np.sqrt((1.0 + lag) / (1.0 - min(lag, 0.99)))
-    return f"these intervals are about {factor:.1f} times too narrow"
+    times = max(ratios) if robust else np.sqrt((1.0 + lag) / (1.0 - min(lag, 0.99)))
+    values = {"memory": memory, "lag": lag, "times": times, "robust": robust}
+    return sentence("independent", values)
 
 
 def white_alternative(fit: Fit) -> bool:

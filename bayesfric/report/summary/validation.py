@@ -18,6 +18,8 @@ from bayesfric.inference.likelihood.likelihood import Outputs
 from bayesfric.inference.moments.residual_moments import follows
 from bayesfric.inference.predictive import Prediction
 from bayesfric.report.summary.noise import mean_lag
+from bayesfric.report.summary.record import Validation
+from bayesfric.report.text_templates import filled, sentence
 
 Array = NDArray[np.float64]
 
@@ -155,8 +157,10 @@ def _numbers(predictions: Sequence[Prediction], outputs: Outputs) -> dict[str, A
         "log_score": float(np.mean(np.concatenate([p.log_score for p in predictions]))),
         "discrepancy": _discrepancy(residual**2 - variance, at) if finite else None,
     }
-    numbers["verdict"], numbers["says"] = _verdict(numbers, shares[_JUDGED], outputs)
-    return numbers
+    verdict = _verdict(shares[_JUDGED])
+    judged = {"share": numbers["coverage"][f"{_JUDGED:g}"], "quantity": outputs.quantity}
+    says = sentence(verdict, numbers | judged | {"unit": outputs.unit})
+    return numbers | {"verdict": verdict, "says": says}
 
 
 def _discrepancy(excess: Array, at: NDArray[np.int64]) -> dict[str, Any]:
@@ -168,61 +172,18 @@ def _discrepancy(excess: Array, at: NDArray[np.int64]) -> dict[str, Any]:
     return {"value": value, "interval": [low, high], "level": _LEVEL}
 
 
-def _verdict(numbers: Mapping[str, Any], share: Share, outputs: Outputs) -> tuple[str, str]:
-    said = f"90 % intervals cover {_percent(share)} of the held-out {outputs.quantity}"
+def _verdict(share: Share) -> str:
     low, high = _PASSES
     if low <= share.value <= high:
-        return "covered", said
+        return "covered"
     if abs(share.value - _JUDGED) <= _SURE * share.error:
-        return "undecided", (
-            f"{said}: these {numbers['outputs']} outputs tell as much as "
-            f"{share.effective:.0f} independent ones, too few to call that off"
-        )
-    rms, sd, unit = numbers["residual_rms"], numbers["predictive_sd"], outputs.unit
-    if share.value > high:
-        beside = f" (rms {rms:.3g} against {sd:.3g} {unit})" if sd is not None else ""
-        return "too wide", f"{said}: it scatters less than predicted{beside}"
-    beyond = numbers["discrepancy"]
-    if beyond is not None and beyond["interval"][0] > 0.0:
-        first, last = beyond["interval"]
-        return "model discrepancy", (
-            f"{said}: it is off by {beyond['value']:.3g} {unit} [{first:.3g}, {last:.3g}] more "
-            "than noise and posterior explain"
-        )
-    return "model discrepancy", (
-        f"{said}: not that it is off by more than predicted in the mean, but by much at some "
-        "times and little at others, as no noise of one size is"
-    )
+        return "undecided"
+    return "too wide" if share.value > high else "model discrepancy"
 
 
-def validation_lines(record: Mapping[str, Any]) -> Iterator[str]:
+def validation_lines(record: Validation | Mapping[str, Any]) -> Iterator[str]:
     """Word what was held out and how well it was predicted, for a person."""
-    parts, pooled = record["parts"], record["pooled"]
-    whole = sum(part["held_out"] == "whole recording" for part in parts.values())
-    kinds = [f"{whole} whole recording{'s' if whole != 1 else ''}"] if whole else []
-    if ends := len(parts) - whole:
-        share = next(p["held_out"] for p in parts.values() if p["held_out"] != "whole recording")
-        kinds.append(f"the {share} of {ends} recording{'s' if ends != 1 else ''}")
-    yield f"Held out: {' and '.join(kinds)}, {pooled['outputs']} outputs"
-    yield f"  {pooled['verdict']}: {pooled['says']}"
-    others = [
-        f"{100 * float(level):g} %: {_percent(Share(c['share'], c['standard_error'], 0.0))}"
-        for level, c in pooled["coverage"].items()
-        if float(level) != _JUDGED
-    ]
-    yield f"  coverage of others: {', '.join(others)}"
-    if pooled["predictive_sd"] is not None:
-        yield (
-            f"  residual rms {pooled['residual_rms']:.4g} {record['unit']}, predicted "
-            f"{pooled['predictive_sd']:.4g} {record['unit']}"
-        )
-    for name, part in parts.items():
-        if len(parts) > 1 and part["verdict"] not in ("covered", "undecided"):
-            yield f"  {name}: {part['verdict']}, {part['says']}"
-
-
-def _percent(share: Share) -> str:
-    return f"{100 * share.value:.1f} ± {100 * share.error:.1f} %"
+    yield from filled("validation.txt.j2", found=Validation.read(record)).splitlines()
 
 
 def _rms(x: Array) -> float:

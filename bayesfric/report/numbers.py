@@ -1,0 +1,233 @@
+r"""How numbers are written, as plain text, in LaTeX (siunitx 3) and in HTML.
+
+An uncertainty has two digits, and sets the last digit of everything beside it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from decimal import ROUND_HALF_EVEN, Decimal
+from typing import NamedTuple
+
+from markupsafe import Markup, escape
+
+# Two digits of an uncertainty; a third tells nothing.
+_DIGITS = 2
+# Beyond these powers of ten a number is written with an exponent.
+_PLAIN = (-3, 4)
+
+
+class Medium(NamedTuple):
+    """How one medium writes an exact number, a value with its sd, skewed ones, and intervals.
+
+    ``limits`` are the signs of an upper and a lower limit, ``none`` what stands for no number.
+    """
+
+    number: Callable[[float, int], str]
+    value: Callable[[float, float], str]
+    ends: Callable[[float, float, float, float], str]
+    interval: Callable[[float, float, float], str]
+    limits: tuple[str, str]
+    none: str
+
+
+def last_digit(uncertainty: float) -> int:
+    """Power of ten of the last digit to print beside an uncertainty."""
+    if not (math.isfinite(uncertainty) and uncertainty > 0.0):
+        raise ValueError(f"{uncertainty} is no uncertainty")
+    place = math.floor(math.log10(uncertainty)) - (_DIGITS - 1)
+    # 0.0996 becomes 0.10: one digit less, or there would be three
+    if round(uncertainty / 10.0**place) >= 10**_DIGITS:
+        place += 1
+    return place
+
+
+def _rounded(value: float, last: int) -> Decimal:
+    """Round to a power of ten exactly as printed."""
+    found = Decimal(repr(value)).quantize(Decimal(1).scaleb(last), rounding=ROUND_HALF_EVEN)
+    # no -0.0
+    return abs(found) if found.is_zero() else found
+
+
+def _shared_exponent(value: float, last: int) -> int:
+    """Power of ten to take out of a number and everything printed beside it."""
+    at = max(math.floor(math.log10(abs(value))) if value else last, last)
+    # digits that are not known must not be written as zeros
+    return 0 if _PLAIN[0] <= at < _PLAIN[1] and last <= 0 else at
+
+
+def _digits(value: float, last: int, exponent: int) -> str:
+    return f"{_rounded(value, last).scaleb(-exponent):f}"
+
+
+def _with_sd(value: float, sd: float) -> tuple[str, str, int]:
+    last = last_digit(sd)
+    exponent = _shared_exponent(value, last)
+    return _digits(value, last, exponent), _digits(sd, last, exponent), exponent
+
+
+def _with_ends(value: float, low: float, high: float, sd: float) -> tuple[str, str, str, int]:
+    """Digits of a value and of its distances up and down, and the exponent."""
+    last = last_digit(sd)
+    exponent = _shared_exponent(value, last)
+    middle = _rounded(value, last)
+    up, down = _rounded(high, last) - middle, middle - _rounded(low, last)
+    above, below = (f"{x.scaleb(-exponent):f}" for x in (up, down))
+    return _digits(value, last, exponent), above, below, exponent
+
+
+def _interval(low: float, high: float, sd: float) -> tuple[list[str], int]:
+    last = last_digit(sd)
+    exponent = _shared_exponent(max(abs(low), abs(high)), last)
+    return [_digits(end, last, exponent) for end in (low, high)], exponent
+
+
+# -- plain text
+
+
+def text_value(value: float, sd: float | None) -> str:
+    """Print a value to the second digit of its standard deviation, and that with two."""
+    if not sd:
+        return f"{value:.5g}"
+    return f"{text_rounded(value, sd)} ± {text_rounded(sd, sd)}"
+
+
+def text_rounded(value: float, sd: float | None) -> str:
+    """Print a value to the second digit of a standard deviation."""
+    if not sd or not value:
+        return f"{value:.5g}"
+    before, last = math.floor(math.log10(abs(value))), math.floor(math.log10(sd)) - 1
+    digits = before - last + 1
+    if digits < 1:
+        return f"{round(value, -last) + 0.0:.1g}"
+    if 0 <= before < 6:  # no 1.2e+02
+        digits = max(digits, before + 1)
+    return f"{value:#.{min(digits, 9)}g}".removesuffix(".")
+
+
+def _text_digits(value: float, sd: float) -> str:
+    """Print a value to the last digit that a standard deviation sets, exponent and all."""
+    shown, _, exponent = _with_sd(value, sd)
+    return shown + _power(exponent)
+
+
+def p_text(p_value: float) -> str:
+    """Write a p-value; one too small for a floating-point number is not zero."""
+    return f"p = {p_value:.2g}" if p_value > 0.0 else "p < 1e-300"
+
+
+def spaced(x: float) -> str:
+    """Write a whole number with narrow spaces between thousands."""
+    return f"{x:,.0f}".replace(",", "\u202f")
+
+
+# -- LaTeX
+
+
+def latex_number(value: float, digits: int = 4) -> str:
+    r"""Write ``\num{...}`` with at most four digits."""
+    return rf"\num{{{value:.{min(digits, 4)}g}}}"
+
+
+def latex_value(value: float, sd: float) -> str:
+    r"""Write ``\num{4.618(36)e-4}``: the uncertainty in units of the last digits."""
+    shown, beside, exponent = _with_sd(value, sd)
+    last = last_digit(sd)
+    # the uncertainty in parentheses counts last digits; above the point it is written out
+    own = "." in shown or last == exponent
+    said = int(_rounded(sd, last).scaleb(-last)) if own else beside
+    return rf"\num{{{shown}({said}){_power(exponent)}}}"
+
+
+def latex_ends(value: float, low: float, high: float, sd: float) -> str:
+    """Write a value with its distances to both ends of an interval, for a skewed posterior."""
+    middle, above, below, exponent = _with_ends(value, low, high, sd)
+    shown = rf"\num{{{middle}}}^{{+\num{{{above}}}}}_{{-\num{{{below}}}}}"
+    return f"${shown}$" if not exponent else rf"$({shown})\times 10^{{{exponent}}}$"
+
+
+def latex_interval(low: float, high: float, sd: float) -> str:
+    """Write both ends to the digit that the sd sets."""
+    shown, exponent = _interval(low, high, sd)
+    # \num groups digits as it does in the value beside it
+    ends = ", ".join(rf"\num{{{end}}}" for end in shown)
+    return f"$[{ends}]$" if not exponent else rf"$[{ends}]\times 10^{{{exponent}}}$"
+
+
+def _power(exponent: int) -> str:
+    return f"e{exponent}" if exponent else ""
+
+
+# -- HTML
+
+
+def html_number(text: str) -> Markup:
+    """Set a number such as ``-1.2e-05`` with a minus sign and a power of ten."""
+    digits, _, power = text.partition("e")
+    return _scaled(escape(_signed(digits)), int(power or 0), brackets=False)
+
+
+def html_value(value: float, sd: float) -> Markup:
+    """Write a value to the second digit of its standard deviation, and that with two."""
+    shown, beside, exponent = _with_sd(value, sd)
+    return _scaled(Markup("{} ± {}").format(_signed(shown), beside), exponent)
+
+
+def html_ends(value: float, low: float, high: float, sd: float) -> Markup:
+    """Write a value with its distances to both ends of an interval, for a skewed posterior."""
+    middle, above, below, exponent = _with_ends(value, low, high, sd)
+    ends = Markup('<span class="ends"><sup>+{}</sup><sub>\u2212{}</sub></span>').format(
+        above, below
+    )
+    return _scaled(Markup("{} {}").format(_signed(middle), ends), exponent)
+
+
+def html_interval(low: float, high: float, sd: float) -> Markup:
+    """Write both ends of an interval to the digit that the standard deviation sets."""
+    shown, exponent = _interval(low, high, sd)
+    ends = Markup("[{}, {}]").format(*map(_signed, shown))
+    return _scaled(ends, exponent, brackets=False)
+
+
+def html_unit(unit: str) -> Markup:
+    """Keep a unit on one line; a dash where there is none."""
+    return escape(unit.replace(" ", "\u00a0") or "–")
+
+
+def html_p(p_value: float) -> Markup:
+    """Write the sign and the number of a p-value."""
+    _, sign, number = p_text(p_value).split()
+    return Markup("{} {}").format(sign, html_number(number))
+
+
+def _signed(text: str) -> str:
+    return text.replace("-", "\u2212")
+
+
+def _scaled(shown: Markup, exponent: int, *, brackets: bool = True) -> Markup:
+    if not exponent:
+        return shown
+    power = Markup("\u00a0×\u00a010<sup>{}</sup>").format(_signed(str(exponent)))
+    return (Markup("({})").format(shown) if brackets else shown) + power
+
+
+TEXT = Medium(
+    lambda value, digits: f"{value:.{digits}g}",
+    text_value,
+    lambda value, _, __, sd: _text_digits(value, sd),
+    lambda low, high, sd: f"[{_text_digits(low, sd)}, {_text_digits(high, sd)}]",
+    ("≤ ", "≥ "),
+    "–",
+)
+LATEX = Medium(
+    latex_number, latex_value, latex_ends, latex_interval, (r"$\leq$ ", r"$\geq$ "), "---"
+)
+HTML = Medium(
+    lambda value, digits: html_number(f"{value:.{digits}g}"),
+    html_value,
+    html_ends,
+    html_interval,
+    (Markup("≤\u00a0"), Markup("≥\u00a0")),
+    Markup("–"),
+)

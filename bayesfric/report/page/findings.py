@@ -1,0 +1,171 @@
+"""What a run found: what is known, what is open and why, and what to do next; as data.
+
+The template ``findings.html.j2`` words it.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from bayesfric.report.paper.tables import ParameterRow, ParameterTable
+from bayesfric.report.summary.record import OpenDirectionRow, RemedyRow, Summary
+
+# Lines of the list of what is known; the rest is in the table.
+_MOST = 8
+
+
+@dataclass(frozen=True)
+class OpenGroup:
+    """Parameters that are open for one reason.
+
+    ``lost``: not converged; ``direction``: ``meaning`` says along which, ``reasons`` why;
+    ``prior``: the data alone would leave them wide.
+    """
+
+    kind: Literal["lost", "direction", "prior"]
+    names: tuple[str, ...]
+    meaning: str = ""
+    reasons: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Findings:
+    """Everything on the first screen.
+
+    Attributes
+    ----------
+    joint, combined
+        Rows of the joint's parameters, and of what no scaling changes.
+    known, more
+        Rows the data determine, those of data, prior and bounds together among them, and the
+        number of such rows that are left to the table.
+    limits
+        Rows that the data bound on one side.
+    open
+        What they leave open, by reason.
+    lacks
+        Quantities that what the model leaves depends on.
+    try_auto
+        Whether a noise model with a memory was not tried and seems needed.
+    steps, directions
+        Remedies, the best first, each with how many of the ``directions`` it lifts;
+        ``directions`` is ``None`` where none were looked for.
+    command
+        Asks for advice on what is open; empty where there is nothing to ask for.
+    """
+
+    joint: list[ParameterRow]
+    combined: list[ParameterRow]
+    known: list[ParameterRow]
+    more: int
+    limits: list[ParameterRow]
+    open: list[OpenGroup]
+    lacks: list[str]
+    try_auto: bool
+    steps: list[tuple[RemedyRow, int]]
+    directions: int | None
+    command: str
+
+    @property
+    def lost(self) -> list[str]:
+        """Names of the joint's parameters that have not converged."""
+        return [row.name for row in self.joint if not row.cell.converged]
+
+
+def findings(table: ParameterTable, summary: Summary) -> Findings:
+    """Gather what the first screen of a run's page says."""
+    joint = table.joint
+    combined = [r for r in table.rows if r.group == "free"]
+    known = [r for r in [*combined, *joint] if r.cell.status == "determined"]
+    if any(r.by == "open" for r in joint):
+        # what data alone determine says more than what they share with the prior
+        known.sort(key=lambda r: r.by != "data")
+    else:  # then the joint's own parameters are what is asked for
+        known.sort(key=lambda r: r.group != "parameter")
+    white, directions = summary.noise.innovation_whiteness, summary.identifiability.directions
+    return Findings(
+        joint,
+        combined,
+        known[:_MOST],
+        max(0, len(known) - _MOST),
+        [r for r in [*joint, *combined] if r.by == "limit"],
+        list(_groups([*joint, *combined], summary)),
+        [lack.on for lack in summary.fit.lacks if lack.sure],
+        # where the order was chosen, auto itself found that no memory helps
+        not summary.accounts
+        and white is not None
+        and not white.white
+        and not summary.noise.order_chosen_from,
+        _steps(directions or []),
+        None if directions is None else len(directions),
+        _command(joint),
+    )
+
+
+def _groups(rows: Sequence[ParameterRow], summary: Summary) -> Iterator[OpenGroup]:
+    """Give each open parameter to the first direction that holds it."""
+    if lost := [r.name for r in rows if not r.cell.converged]:
+        yield OpenGroup("lost", tuple(lost))
+    left = [r.name for r in rows if r.by == "open" and r.cell.converged]
+    for exponents, meaning, reasons in _directions(summary):
+        members = [name for name in left if name in exponents or _alpha(name) in exponents]
+        if members:
+            left = [name for name in left if name not in members]
+            others = [name for name in exponents if name not in members]
+            # the names stand above the sentence that may begin with them
+            these = f"together with {', '.join(others)} these " if others else "these "
+            listed = f"{', '.join(exponents)} "
+            said = re.sub(rf"\A{re.escape(listed)}", these, meaning)
+            yield OpenGroup("direction", tuple(members), said, tuple(reasons))
+    if left:
+        yield OpenGroup("prior", tuple(left))
+
+
+def _directions(summary: Summary) -> Iterator[tuple[dict[str, float], str, list[str]]]:
+    found = summary.identifiability
+    for null in found.null_directions if found.directions is None else ():
+        yield null.parameters, null.meaning, []
+    for one in found.directions or ():
+        yield one.exponents, one.meaning, one.reasons
+
+
+def _alpha(name: str) -> str:
+    """Name the torque factor that a load loss sets: mu is open where alpha is."""
+    element, _, quantity = name.partition(".")
+    return f"{element}.alpha_{quantity.removeprefix('load_')}" if "load_" in quantity else name
+
+
+def _steps(directions: Sequence[OpenDirectionRow]) -> list[tuple[RemedyRow, int]]:
+    """List remedies, those that leave fewest directions open first, each one once."""
+    found: dict[str, tuple[RemedyRow, int]] = {}
+    for direction in directions:
+        for remedy in direction.remedies:
+            first, lifted = found.get(remedy.text, (remedy, 0))
+            found[remedy.text] = first, lifted + 1
+
+    def order(one: tuple[RemedyRow, int]) -> tuple[int, int, bool]:
+        remedy, lifted = one
+        after = len(directions) if remedy.open_after is None else remedy.open_after
+        # an experiment was simulated; a value from elsewhere has to be believed
+        return after, -lifted, remedy.kind == "known value"
+
+    return sorted(found.values(), key=order)
+
+
+def _command(joint: Sequence[ParameterRow]) -> str:
+    """Ask for advice on what is open, or else on what is known least."""
+    if not joint or not all(row.cell.converged for row in joint):
+        return ""
+
+    def known(row: ParameterRow) -> tuple[bool, float]:
+        spread = row.row.sd / abs(row.row.mean) if row.row and row.row.mean else 0.0
+        return row.by != "open", -spread
+
+    # a constant in the measurement is asked for last
+    asked = [row for row in joint if row.name.partition(".")[0] != "offset"] or joint
+    name = min(asked, key=known).name
+    return f"bayesfric identify YOUR-CONFIGURATION.toml --advise {shlex.quote(name)}"

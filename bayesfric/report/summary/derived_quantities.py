@@ -1,0 +1,191 @@
+"""Quantities that follow from the parameters: what draws, priors and data say of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.estimates.least_squares import TotalsProjection
+from bayesfric.estimates.torque import filtered_torque, typical_load
+from bayesfric.identifiability.local import LocalInformation, verdict
+from bayesfric.inference.fit import Fit
+from bayesfric.inference.sampling.convergence import (
+    autocorrelation_time,
+    effective_sample_size,
+    nested_rhat,
+    without_stuck,
+)
+from bayesfric.mechanism.derived import Derived, derive
+
+Array = NDArray[np.float64]
+
+LEVEL = 0.9
+# Samples times draws for the totals; more draws change nothing that is printed.
+_TOTALS_BUDGET = 50_000_000
+
+
+class Group(NamedTuple):
+    """Quantities computed alike.
+
+    ``found`` has the posterior's draws of each; ``values`` brings the chain's parameters
+    ``(n, n_parameters)`` to them, ``(k, n)``; ``most`` draws are enough to judge them by;
+    ``prior`` is how many of its draws, and the key of their random numbers.
+    """
+
+    found: list[Derived]
+    values: Callable[[Array], Array]
+    most: int
+    prior: tuple[int, int]
+
+
+def groups(fit: Fit) -> tuple[Group, Group]:
+    """Give totals, as least squares would find them in each draw's torque, and coefficients."""
+    return _totals(fit), coefficients(fit)
+
+
+def derived_rows(fit: Fit, local: LocalInformation) -> dict[str, dict[str, Any]]:
+    """Put all derived quantities into the form of ``summary.json``, by name."""
+    return {name: row for group in groups(fit) for name, row in _rows(fit, local, group)}
+
+
+def spread(x: Array) -> dict[str, Any]:
+    """Mean, sd, median and interval of draws; those that are no numbers do not count."""
+    x = x[np.isfinite(x)]
+    low, middle, high = np.quantile(x, [0.5 - LEVEL / 2, 0.5, 0.5 + LEVEL / 2])
+    return {
+        "mean": float(x.mean()),
+        "sd": float(x.std()),
+        "median": float(middle),
+        "interval": [float(low), float(high)],
+        "level": LEVEL,
+    }
+
+
+def _rows(fit: Fit, local: LocalInformation, group: Group) -> Iterator[tuple[str, dict[str, Any]]]:
+    if not group.found:
+        return
+    median, k = fit.posterior.median, len(fit.target.free)
+    steps = 1e-5 * np.maximum(np.abs(median[:k]), 1e-9)
+    n, key = group.prior
+    rng = np.random.default_rng(np.random.SeedSequence(fit.posterior.seed, spawn_key=(key,)))
+    drawn = np.stack([prior.draw(n, rng) for prior in fit.posterior.priors], axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        in_prior = group.values(fit.target.chain_values(drawn))
+        change = group.values(fit.target.chain_values(_moved(median, steps)))
+    gradients = (change[:, :k] - change[:, k:]) / (2.0 * steps)
+    sound = sound_quantities(fit, group.values, len(group.found), group.most)
+    for q, prior, gradient, converged in zip(group.found, in_prior, gradients, sound, strict=True):
+        told = local.data_sd_of(gradient, gauge_free=q.gauge_free)
+        yield (
+            q.name,
+            {
+                "unit": q.unit,
+                "symbol": q.symbol,
+                "meaning": q.meaning,
+                **spread(q.values),
+                "converged": bool(converged),
+                "verdict": verdict(_robust_sd(q.values), _robust_sd(prior), told),
+                "undefined_share": 1.0 - float(np.isfinite(q.values).mean()),
+                "gauge_free": q.gauge_free,
+            },
+        )
+
+
+def _totals(fit: Fit) -> Group:
+    """Give the totals of eq. (11) that are determined and no parameter."""
+    projection = TotalsProjection(fit.chain, fit.observations)
+    names = list(zip(projection.names, projection.labels, projection.open, strict=True))
+    wanted = [
+        i for i, (_, label, open_) in enumerate(names) if label not in fit.chain.names and not open_
+    ]
+
+    def values(parameters: Array) -> Array:
+        torques = [filtered_torque(fit.chain, o, parameters) for o in fit.observations]
+        return projection.solve(np.concatenate(torques, axis=1).T)[wanted]
+
+    most = max(400, _TOTALS_BUDGET // sum(o.q.size for o in fit.observations))
+    found = []
+    for i, draws in zip(wanted, values(fit.chain_draws(most)) if wanted else (), strict=True):
+        unit, symbol, meaning = projection.describe(names[i][0])
+        meaning += ", as a fit without load losses would find it"
+        found.append(Derived(names[i][1], unit, symbol, meaning, draws, gauge_free=True))
+    return Group(found, values, most, (300, 3))
+
+
+def coefficients(fit: Fit) -> Group:
+    """Give every quantity that has an interval, at the load at which efficiencies are stated."""
+    middle = fit.target.chain_values(fit.posterior.median[None])[0]
+    at_load = typical_load(fit.chain, fit.observations, middle)
+    # what no scaling changes comes first: it is what the torque tells
+    every = sorted(derive(fit.chain, fit.chain_draws(), at_load), key=lambda q: not q.gauge_free)
+    found = [q for q in every if _has_interval(q.values)]
+
+    def values(parameters: Array) -> Array:
+        of = {q.name: q.values for q in derive(fit.chain, parameters, at_load)}
+        return np.stack([of[q.name] for q in found])
+
+    return Group(found, values, fit.posterior.log_density.size, (2000, 2))
+
+
+def _has_interval(x: Array) -> bool:
+    """Whether a quantity is neither known, of fixed parameters only, nor missing in most draws."""
+    defined = x[np.isfinite(x)]
+    if defined.size < x.size:
+        return defined.size >= 0.5 * x.size
+    return bool(np.ptp(x) > 1e-12 * np.abs(x).max())
+
+
+def _moved(median: Array, steps: Array) -> Array:
+    """Vectors a step to either side in each free parameter, ``(2k, d)``."""
+    k = steps.size
+    moved = np.tile(median, (2 * k, 1))
+    index = np.arange(k)
+    moved[index, index] += steps
+    moved[k + index, index] -= steps
+    return moved
+
+
+def _robust_sd(x: Array) -> float:
+    """Estimate a sd from quartiles: alpha_2 = 1/(1 - mu_2) has no finite one under many priors."""
+    x = x[np.isfinite(x)]
+    low, high = np.quantile(x, [0.25, 0.75]) if x.size else (0.0, 0.0)
+    return float((high - low) / 1.349)
+
+
+def sound_quantities(
+    fit: Fit, values: Callable[[Array], Array], number: int, most: int
+) -> NDArray[np.bool_]:
+    """Judge quantities by R-hat and independent draws of their own, ``(number,)``.
+
+    What no scaling changes may be known where the parameters it is made of still wander.
+
+    Parameters
+    ----------
+    fit
+        A finished fit.
+    values
+        The chain's parameters ``(n, n_parameters)`` to the quantities, ``(number, n)``.
+    number
+        Of quantities.
+    most
+        Draws to look at.
+    """
+    diagnostics = fit.posterior.diagnostics
+    if diagnostics.status == "reliable":
+        return np.ones(number, dtype=np.bool_)
+    draws = without_stuck(fit.posterior.draws, diagnostics.acceptance)
+    ensembles, walkers, steps, d = draws.shape
+    draws = draws[:, :, :: max(1, -(-ensembles * walkers * steps // most))]
+    if draws.shape[2] < 2:
+        return np.zeros(number, dtype=np.bool_)
+    found = values(fit.target.chain_values(draws.reshape(-1, d)))
+    with np.errstate(invalid="ignore"):
+        middle = np.nanmedian(np.where(np.isfinite(found), found, np.nan), axis=1, keepdims=True)
+    # draws that do not have a quantity say nothing against it
+    found = np.where(np.isfinite(found), found, middle)
+    series = np.moveaxis(found.reshape(number, *draws.shape[:3]), 0, -1)
+    ess = effective_sample_size(series, autocorrelation_time(series))
+    return diagnostics.sound(nested_rhat(series), ess)

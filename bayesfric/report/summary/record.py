@@ -1,0 +1,466 @@
+"""What ``summary.json`` holds: one class that a fit fills and that the file is read back into.
+
+Tables, page, terminal and comparison are views of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+
+from bayesfric.complaints import complaint
+from bayesfric.errors import BadInput
+from bayesfric.estimates.estimate import Kind, Method
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+# JSON has lists only; a pair is one with a low and a high end.
+Pair = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
+NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
+Share = Annotated[FiniteFloat, Field(ge=0.0, le=1.0)]
+Bound = Literal["lower", "upper"]
+Name = Annotated[str, Field(min_length=1)]
+
+
+class Part(BaseModel):
+    """A piece of a summary. What is not set is not written: a run read and written is the same."""
+
+    # what other versions add is none of ours; what they lack has a default
+    model_config = ConfigDict(frozen=True, extra="ignore", strict=True, populate_by_name=True)
+
+    @classmethod
+    def read(cls, found: Self | Mapping[str, Any], where: str = "summary.json") -> Self:
+        """Check what a file or another piece of the package tells.
+
+        Parameters
+        ----------
+        found
+            Contents; what is one already is given back.
+        where
+            What to call it in complaints.
+
+        Raises
+        ------
+        BadInput
+            Naming the key, where something is missing or of another type.
+        """
+        if isinstance(found, cls):
+            return found
+        try:
+            return cls.model_validate(found)
+        except ValidationError as error:
+            said = complaint(Path(where), error, found, cls)
+            mend = "name a run that 'bayesfric fit' wrote, or fit it again"
+            raise BadInput(said.where, said.what, mend) from None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give strings, numbers, lists and dicts, as JSON has them."""
+        return self.model_dump(mode="json", exclude_unset=True, by_alias=True)
+
+
+class Open(Part):
+    """A piece that keeps keys of its own."""
+
+    model_config = ConfigDict(frozen=True, extra="allow", strict=True)
+
+
+class EstimatedRow(Part):
+    """One number of a point estimate; see :class:`bayesfric.estimates.estimate.EstimatedValue`."""
+
+    unit: str
+    symbol: str = ""
+    meaning: str = ""
+    value: FiniteFloat
+    sd: NotNegative | None = None
+    sd_robust: NotNegative | None = None
+    kind: Kind | None = None
+    gauge_free: bool | None = None
+    determined: bool | None = None
+    at_bound: Bound | None = None
+    span: Pair | None = None
+
+
+class EstimateTable(Part):
+    """A point estimate."""
+
+    parameters: dict[Name, EstimatedRow]
+    converged: bool = True
+    point: dict[Name, FiniteFloat] = Field(default_factory=dict)
+    residual_rms: NotNegative | None = None
+    residual_unit: str = ""
+    outputs: int | None = None
+    assumption: str = ""
+    notes: list[str] = Field(default_factory=list)
+
+
+class Spread(Part):
+    """Where the draws of one quantity lie."""
+
+    mean: FiniteFloat
+    sd: NotNegative
+    median: FiniteFloat | None = None
+    interval: Pair
+    level: Annotated[FiniteFloat, Field(gt=0.0, lt=1.0)]
+
+    @property
+    def middle(self) -> float:
+        """The number to print: the median, or of files that lack it the mean."""
+        return self.mean if self.median is None else self.median
+
+
+class PosteriorRow(Spread):
+    """One parameter or derived quantity of a posterior.
+
+    ``doubted`` are the kinds of doubts there are of it, ``white_interval`` what white noise would
+    have given, ``period`` that of an angle. Priors and diagnostics are of parameters only,
+    ``undefined_share`` (of the draws that do not have it) of derived quantities.
+    """
+
+    unit: str
+    symbol: str = ""
+    meaning: str = ""
+    rhat: FiniteFloat | None = None
+    ess: FiniteFloat | None = None
+    converged: bool | None = None
+    prior: str = ""
+    prior_default: bool = False
+    prior_sd: NotNegative | None = None
+    contraction: FiniteFloat | None = None
+    data_sd: NotNegative | None = None
+    verdict: Literal["data", "weak", "prior"]
+    at_bound: Bound | None = None
+    bound: FiniteFloat | None = None
+    bound_physical: bool | None = None
+    prior_sensitivity: FiniteFloat | None = None
+    likelihood_sensitivity: FiniteFloat | None = None
+    diagnosis: str | None = None
+    period: FiniteFloat | None = None
+    undefined_share: Share | None = None
+    gauge_free: bool | None = None
+    doubted: list[str] = Field(default_factory=list)
+    white_interval: Pair | None = None
+    white_sd: NotNegative | None = None
+
+    @property
+    def beside(self) -> list[str]:
+        """What to know of it besides its verdict."""
+        told = [f"leans on its {self.at_bound} bound"] if self.at_bound else []
+        if self.undefined_share:
+            told.append(f"undefined in {100 * self.undefined_share:.0f} % of the draws")
+        return told
+
+    @property
+    def narrowing(self) -> float | None:
+        """How many times narrower than its prior the posterior is."""
+        return self.prior_sd / self.sd if self.prior_sd and self.sd else None
+
+
+class KnownRow(Part):
+    """A parameter that was taken as known."""
+
+    unit: str
+    value: FiniteFloat
+
+
+class ReferenceRow(Part):
+    """A value from elsewhere: the manufacturer's, or from CAD."""
+
+    value: FiniteFloat
+    unit: str
+    sd: NotNegative | None = None
+    source: str = "reference"
+
+
+class Likelihood(Part):
+    """What the posterior compares with the recording, and how."""
+
+    method: Literal["input-error", "output-error"] = "input-error"
+    evaluation: str = ""
+    linearisation: FiniteFloat | None = None
+
+
+class NullDirection(Part):
+    """Parameters that change together without changing any predicted torque."""
+
+    parameters: dict[Name, FiniteFloat] = Field(default_factory=dict)
+    meaning: str
+
+
+class RemedyRow(Open):
+    """Something to do about an open direction."""
+
+    kind: str = ""
+    text: str
+    log_sd_after: NotNegative | None = None
+    open_after: int | None = None
+
+
+class OpenDirectionRow(Open):
+    """A null or weak direction, with why and what lifts it."""
+
+    kind: str = "null"
+    exponents: dict[Name, FiniteFloat] = Field(default_factory=dict)
+    meaning: str
+    reasons: list[str] = Field(default_factory=list)
+    remedies: list[RemedyRow] = Field(default_factory=list)
+
+
+class Identifiability(Part):
+    """What no recording of this kind can tell; ``directions`` is ``None`` in older runs."""
+
+    null_directions: list[NullDirection] = Field(default_factory=list)
+    singular_values: list[FiniteFloat] = Field(default_factory=list)
+    directions: list[OpenDirectionRow] | None = None
+
+
+class Tried(Part):
+    """One order of the noise that was looked at."""
+
+    order: int
+    bic: FiniteFloat
+    innovation_share: FiniteFloat | None = None
+    p_value: FiniteFloat | None = None
+
+
+class Whiteness(Part):
+    """Whether what the noise model does not foretell passes as white."""
+
+    test: str = ""
+    p_value: FiniteFloat | None = None
+    white: bool
+
+
+class Noise(Part):
+    """What residuals were taken for, and the evidence for it."""
+
+    model: str = "white"
+    parameters: list[str] = Field(default_factory=list)
+    order: int | None = None
+    accounts_for_correlation: bool | None = None
+    residual_lag1: FiniteFloat | None = None
+    innovation_lag1: FiniteFloat | None = None
+    innovation_whiteness: Whiteness | None = None
+    autoregression: dict[Name, list[FiniteFloat]] = Field(default_factory=dict)
+    order_chosen_from: list[Tried] = Field(default_factory=list)
+
+
+class Lack(Part):
+    """What the residuals' mean depends on, or may depend on."""
+
+    on: str
+    share: NotNegative
+    chance: FiniteFloat | None = None
+    p_value: FiniteFloat | None = None
+    sure: bool = True
+
+
+class RecordingRow(Open):
+    """How one recording was processed, and what is left of it."""
+
+    residual_rms: NotNegative | None = None
+    residual_lag1: FiniteFloat | None = None
+    outputs: int | None = None
+    sampling_rate: FiniteFloat | None = None
+    lowpass: FiniteFloat | None = None
+    band: FiniteFloat | None = None
+    decimate: int | None = None
+    n_samples: int | None = None
+    n_segments: int | None = None
+    dropped_trim: int | None = None
+    dropped_excluded: int | None = None
+    dropped_dead_zone: int | None = None
+
+
+class Residual(Part):
+    """What the posterior leaves unexplained, recording by recording."""
+
+    residual_rms: NotNegative | None = None
+    explained: FiniteFloat | None = None
+    unit: str = ""
+    quantity: str = "output"
+    lacks: list[Lack] = Field(default_factory=list)
+    integration_steps: int | None = None
+    discretisation_error: FiniteFloat | None = None
+    recordings: dict[Name, RecordingRow] = Field(default_factory=dict)
+
+
+class Coverage(Part):
+    """How much of what was held out lies in a predictive interval."""
+
+    share: FiniteFloat
+    standard_error: NotNegative
+    effective_outputs: FiniteFloat | None = None
+
+
+class Discrepancy(Part):
+    """By how much outputs are off beyond what noise and posterior explain."""
+
+    value: FiniteFloat
+    interval: Pair
+    level: FiniteFloat = 0.9
+
+
+class HeldOut(Part):
+    """How well one held-out part, or all of them, was predicted."""
+
+    held_out: str = "all together"
+    from_: FiniteFloat | None = Field(None, alias="from")
+    to: FiniteFloat | None = None
+    outputs: int
+    coverage: dict[str, Coverage]
+    residual_rms: NotNegative
+    predictive_sd: NotNegative | None = None
+    mean_standardised: FiniteFloat | None = None
+    mean_standardised_error: FiniteFloat | None = None
+    residual_lag1: FiniteFloat | None = None
+    log_score: FiniteFloat | None = None
+    discrepancy: Discrepancy | None = None
+    verdict: str
+    says: str
+
+    @property
+    def fine(self) -> bool:
+        """Whether there is nothing to warn of."""
+        return self.verdict in ("covered", "undecided")
+
+
+class Validation(Part):
+    """What was predicted and not fitted."""
+
+    predictive: str = ""
+    quantity: str = "output"
+    unit: str
+    parts: dict[Name, HeldOut]
+    pooled: HeldOut
+
+
+class Doubt(Open):
+    """A reason to doubt some parameters; each kind has further keys of its own."""
+
+    kind: str
+    parameters: list[str] = Field(default_factory=list)
+
+
+class Sampler(Part):
+    """How the posterior was sampled, and whether it can be relied on."""
+
+    status: str = "reliable"
+    problems: list[str] = Field(default_factory=list)
+    draws: int | None = None
+    walkers: int | None = None
+    ensembles: int | None = None
+    warmup: int | None = None
+    steps: int | None = None
+    thin: int | None = None
+    tau: FiniteFloat | None = None
+    min_ess: FiniteFloat | None = None
+    max_rhat: FiniteFloat | None = None
+    acceptance: FiniteFloat | None = None
+    stuck_walkers: int | None = None
+    not_finite: int | None = None
+    not_finite_share: FiniteFloat | None = None
+    coordinates: str = ""
+    seconds: FiniteFloat | None = None
+    seed: int | None = None
+
+
+class Summary(Part):
+    """Every number of a run, with what must be said of it."""
+
+    bayesfric: str = ""
+    parameters: dict[Name, PosteriorRow]
+    fixed: dict[Name, KnownRow] = Field(default_factory=dict)
+    derived: dict[Name, PosteriorRow] = Field(default_factory=dict)
+    estimates: dict[Method, EstimateTable] = Field(default_factory=dict)
+    references: dict[Name, ReferenceRow] = Field(default_factory=dict)
+    likelihood: Likelihood = Field(default_factory=Likelihood)
+    identifiability: Identifiability = Field(default_factory=Identifiability)
+    noise: Noise = Field(default_factory=Noise)
+    fit: Residual = Field(default_factory=Residual)
+    validation: Validation | None = None
+    warnings: list[str] = Field(default_factory=list)
+    sampler: Sampler = Field(default_factory=Sampler)
+    doubts: list[Doubt] = Field(default_factory=list)
+    may_be_simulated: bool | None = None
+    source: dict[str, Any] | None = None
+
+    @property
+    def accounts(self) -> bool:
+        """Whether the intervals account for correlated residuals."""
+        if self.noise.accounts_for_correlation is not None:
+            return self.noise.accounts_for_correlation
+        # version 0.1.0 told it by the coefficients only
+        return bool(self.noise.autoregression) or self.likelihood.method == "output-error"
+
+    @property
+    def rows(self) -> dict[str, PosteriorRow]:
+        """Derived quantities and parameters by name."""
+        return {**self.derived, **self.parameters}
+
+    @property
+    def joint(self) -> dict[str, PosteriorRow]:
+        """Sampled parameters of the joint: without those of the noise."""
+        return {n: row for n, row in self.parameters.items() if not of_noise(n)}
+
+    @property
+    def level(self) -> float:
+        """Share of the posterior that its intervals hold."""
+        return next((row.level for row in self.rows.values()), 0.9)
+
+    def with_rows(self, changes: Mapping[str, Mapping[str, Any]], **update: Any) -> Summary:
+        """Change keys of rows, by name of parameter or derived quantity, and other parts."""
+
+        def changed(rows: Mapping[str, PosteriorRow]) -> dict[str, PosteriorRow]:
+            return {n: row.model_copy(update=changes.get(n, {})) for n, row in rows.items()}
+
+        tables = {"parameters": changed(self.parameters), "derived": changed(self.derived)}
+        return self.model_copy(update=tables | update)
+
+    def frame(self) -> pd.DataFrame:
+        """Lay parameters, then derived quantities, out as a table with a line for each.
+
+        Returns
+        -------
+        pandas.DataFrame
+            ``name``, ``group`` and the keys of :class:`PosteriorRow`, ends of intervals in columns
+            of their own; ``doubted`` are kinds of doubts, joined.
+        """
+        import pandas as pd
+
+        return pd.DataFrame(list(self._lines()), columns=[*_FRAME])
+
+    def _lines(self) -> Iterator[dict[str, Any]]:
+        for group in ("parameters", "derived"):
+            for name, row in getattr(self, group).items():
+                low, high = row.interval
+                white_low, white_high = row.white_interval or (None, None)
+                ends = {"low": low, "high": high, "white_low": white_low, "white_high": white_high}
+                told = dict(row) | ends | {"doubted": ", ".join(row.doubted)}
+                yield {"name": name, "group": group} | told
+
+    def _repr_html_(self) -> str:
+        """Show the table with its verdicts in a notebook."""
+        from bayesfric.report.page.rendering import notebook_table
+
+        return notebook_table(self)
+
+
+_FRAME = ("name", "group", "unit", "symbol", "meaning", "median", "low", "high", "level", "verdict",
+    "doubted", "converged", "mean", "sd", "rhat", "ess", "prior", "prior_sd", "data_sd",
+    "contraction", "at_bound", "undefined_share", "prior_sensitivity", "likelihood_sensitivity",
+    "diagnosis", "gauge_free", "white_low", "white_high", "white_sd")  # fmt: skip
+Readable = Summary | Mapping[str, Any]
+
+
+def of_noise(name: str) -> bool:
+    """Whether a parameter is one of the noise."""
+    return name.partition(".")[0] == "noise"
+
+
+def quantity_of(name: str) -> str:
+    """Give the quantity that a name ends with: ``inertia`` of ``total.inertia``."""
+    return name.rpartition(".")[2]

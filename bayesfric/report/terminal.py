@@ -1,0 +1,49 @@
+"""A run's result as a terminal shows it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from bayesfric.report.alerts import alerts_of
+from bayesfric.report.comparison.cell import DOUBTFUL, TOGETHER, posterior_cells
+from bayesfric.report.summary.bounds import bound_mend
+from bayesfric.report.summary.noise import noise_lines
+from bayesfric.report.summary.record import Readable, Summary
+from bayesfric.report.summary.validation import validation_lines
+from bayesfric.report.text_templates import filled
+
+
+def fit_text(summary: Readable, folder: Path | str) -> Iterator[str]:
+    """Word a summary for a person, line by line.
+
+    Parameters
+    ----------
+    summary
+        What ``summary.json`` holds.
+    folder
+        Where it was written to.
+    """
+    read = Summary.read(summary)
+    cells = posterior_cells(read)
+    combined = {name: row for name, row in read.derived.items() if row.gauge_free}
+    parts = {
+        "What the motor feels, whatever the scale": combined,
+        "Parameters": read.parameters,
+    }
+    yield from filled(
+        "fit.txt.j2",
+        summary=read,
+        alerts=alerts_of(read),
+        parts=parts,
+        cells=cells,
+        lost=[name for rows in parts.values() for name in rows if not cells[name].converged],
+        mends={
+            name: bound_mend(name, row) for rows in parts.values() for name, row in rows.items()
+        },
+        noise=list(noise_lines(read.noise)),
+        held_out=list(validation_lines(read.validation)) if read.validation else [],
+        folder=folder,
+        doubtful=DOUBTFUL,
+        together=TOGETHER,
+    ).splitlines()

@@ -1,0 +1,71 @@
+"""Sentences and texts out of templates: what a run says is data until it is written."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cache
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from bayesfric.report.numbers import p_text
+
+
+def sentence(kind: str, values: Mapping[str, Any] | None = None) -> str:
+    """Word one kind of warning or doubt.
+
+    Parameters
+    ----------
+    kind
+        Name of its macro in ``templates/sentences.txt.j2``; spaces stand for underscores.
+    values
+        What it tells.
+
+    Returns
+    -------
+    str
+        Without a full stop; of a kind that only a newer version knows, its name and parameters.
+    """
+    macro = getattr(_sentences(), kind.replace(" ", "_"), None)
+    if macro is None:
+        return f"{kind}: {', '.join((values or {}).get('parameters', ()))}"
+    return str(macro(values or {})).strip()
+
+
+def filled(template: str, **values: Any) -> str:
+    """Fill a template of plain text; lines that only hold markup leave nothing."""
+    return text_environment().get_template(template).render(**values)
+
+
+def listed(parts: Sequence[str]) -> str:
+    """Join words: ``a, b and c``."""
+    parts = list(parts)
+    return " and ".join(filter(None, [", ".join(parts[:-1]), *parts[-1:]]))
+
+
+def white_words(white: bool) -> str:
+    """Say of innovations whether they are white noise by their test."""
+    return "pass as white" if white else "do NOT pass as white: intervals may be too narrow"
+
+
+# What templates of text and of pages have in common.
+FILTERS = {"p": p_text, "white": white_words, "listed": listed}
+
+
+@cache
+def text_environment() -> Environment:
+    """Give the environment of templates that make plain text."""
+    environment = Environment(
+        loader=PackageLoader("bayesfric.report"),
+        autoescape=False,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= FILTERS
+    return environment
+
+
+@cache
+def _sentences() -> Any:
+    return text_environment().get_template("sentences.txt.j2").module
