@@ -135,7 +135,9 @@ class Model:
         priors: Mapping[str, Any] | None = None,
         **tables: Any,
     ) -> None:
-        recordings = [recordings] if isinstance(recordings, Recording) else recordings
+        recordings = [recordings] if isinstance(recordings, Recording) else list(recordings)
+        if wrong := [one for one in recordings if not isinstance(one, Recording)]:
+            raise BadInput("Model: recordings", f"got {wrong[0]!r}", "give objects of Recording")
         document = {
             "mechanism": mechanism_table(joint),
             "recordings": [recording_table(r, n) for n, r in enumerate(recordings, start=1)],

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
+from weakref import ref
 
 from bayesfric.commands.compare import read_summary_file
 from bayesfric.config_text import saved_name
@@ -52,8 +53,11 @@ class Result:
         """Give what ``posterior.nc`` holds, as ArviZ has it."""
         text = self.model.config.text
         data = make_archive(**archived(self.fit, self.summary, text, self.recordings))
-        object.__setattr__(data, _KEPT, self)
+        object.__setattr__(data, _KEPT, (self, ref(data)))
         return data
+
+    def __deepcopy__(self, _: Any) -> Result:
+        return self
 
     def write(self, folder: Path) -> Summary:
         """Write a run directory, and give what its ``summary.json`` holds.
@@ -94,12 +98,14 @@ def result_of(posterior: Any) -> Result:
     """
     if isinstance(posterior, Result):
         return posterior
-    found = getattr(posterior, _KEPT, None)
-    if not isinstance(found, Result):
+    found, made = getattr(posterior, _KEPT, (None, lambda: None))
+    if found is None or made() is not posterior:
         raise BadInput(
-            "posterior", "is none that Model.sample returned", "give that, and no copy of it"
+            "posterior",
+            "is not what Model.sample returned",
+            "give that, and no copy or part of it",
         )
-    return found
+    return cast(Result, found)
 
 
 def summary(posterior: Any) -> Summary:
