@@ -1,3 +1,47 @@
-"""What a measured motor torque says about a joint, as posteriors."""
+"""What a measured motor torque says about a joint, as posteriors.
+
+A :class:`Joint` is made of :class:`Element` and :class:`Load`, a :class:`Recording` of files,
+arrays or a table; a :class:`Model` of both answers every question. What it samples goes to
+:func:`summary`, :mod:`plot` and :func:`report`.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from bayesfric import plot
+    from bayesfric.joint import Joint
+    from bayesfric.mechanism.element import Element, Load
+    from bayesfric.model import Model
+    from bayesfric.recordings.recording import Recording
+    from bayesfric.result import report, summary
 
 __version__ = "0.1.0"
+__all__ = ["Element", "Joint", "Load", "Model", "Recording", "plot", "report", "summary"]
+
+# Imported when first used: the command line must answer --help at once.
+_HOMES = {
+    "Element": "mechanism.element",
+    "Joint": "joint",
+    "Load": "mechanism.element",
+    "Model": "model",
+    "Recording": "recordings.recording",
+    "plot": "plot",
+    "report": "report",
+    "summary": "result",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'bayesfric' has no attribute {name!r}")
+    home = import_module(f"bayesfric.{_HOMES[name]}")
+    # modules stay: plot holds the figures, and report can be called
+    found = globals()[name] = home if name == _HOMES[name] else getattr(home, name)
+    return found
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

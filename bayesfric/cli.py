@@ -6,8 +6,7 @@ import json
 import shlex
 import sys
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,9 +15,10 @@ import typer
 
 import bayesfric
 from bayesfric.errors import BadInput, Interrupted
+from bayesfric.progress import progress_shown
 
 if TYPE_CHECKING:
-    from bayesfric.inference.sampling.sampling import Progress
+    from bayesfric.model import Model
 
 # Commands import what they need when they run, so that --help answers at once.
 app = typer.Typer(
@@ -96,10 +96,8 @@ def check(config: ConfigFile, as_json: AsJson = False) -> None:
     """Read everything; print what is measured, its quality and its problems."""
     from bayesfric.commands.check import check as run
     from bayesfric.commands.check import check_text
-    from bayesfric.commands.problem import read_problem
-    from bayesfric.config import read_config
 
-    found = run(read_problem(read_config(config)))
+    found = run(_model(config))
     _print(found, as_json, check_text(found))
 
 
@@ -121,17 +119,14 @@ def estimate(
     as_json: AsJson = False,
 ) -> None:
     """Point estimates by the paper's methods, with standard deviations."""
-    from bayesfric.commands.estimate import estimate_record, estimate_text, estimates
-    from bayesfric.commands.problem import read_problem
-    from bayesfric.config import read_config
+    from bayesfric.commands.estimate import estimate_record, estimate_text
     from bayesfric.estimates.estimate import METHODS
-    from bayesfric.inference.sampling.sampling import phase
 
-    problem = read_problem(read_config(config))
+    model = _model(config)
     wanted = [name for name in METHODS if method in (MethodChoice.all, name)]
-    with _progress_bar() as progress:
-        found = estimates(problem, wanted, progress=lambda name: progress(phase(name)))
-    _print(estimate_record(found, problem), as_json, estimate_text(found, problem))
+    with progress_shown(sys.stderr.isatty()) as progress:
+        found = model.estimates(wanted, progress=progress)
+    _print(estimate_record(found, model), as_json, estimate_text(found, model))
 
 
 @app.command()
@@ -153,10 +148,7 @@ def identify(
     as_json: AsJson = False,
 ) -> None:
     """Tell what these recordings can and cannot determine, and what would help."""
-    from bayesfric.commands.identify import identification, identify_record, identify_text
-    from bayesfric.commands.problem import read_problem
-    from bayesfric.config import read_config
-    from bayesfric.inference.sampling.sampling import phase
+    from bayesfric.commands.identify import identify_record, identify_text
 
     if advise is not None:
         _advise(config, advise, output, force, as_json)
@@ -167,30 +159,21 @@ def identify(
             "is for the excitation that --advise finds",
             "add --advise NAME",
         )
-    problem = read_problem(read_config(config))
-    with _progress_bar() as progress:
-        found = identification(problem, progress=lambda name: progress(phase(name)))
-    _print(identify_record(found, problem), as_json, identify_text(found, problem))
+    model = _model(config)
+    with progress_shown(sys.stderr.isatty()) as progress:
+        found = model.identification(progress=progress)
+    _print(identify_record(found, model), as_json, identify_text(found, model))
 
 
 def _advise(config: Path, name: str, output: Path | None, force: bool, as_json: bool) -> None:
-    from bayesfric.commands.advise import (
-        advice,
-        advice_file,
-        advice_record,
-        advice_text,
-        write_advice,
-    )
-    from bayesfric.commands.problem import read_problem
-    from bayesfric.config import read_config
-    from bayesfric.inference.sampling.sampling import phase
+    from bayesfric.commands.advise import advice_file, advice_record, advice_text, write_advice
 
-    problem = read_problem(read_config(config))
+    model = _model(config)
     path = advice_file(name, output, force=force)
-    with _progress_bar() as progress:
-        found = advice(problem, name, progress=lambda stage: progress(phase(stage)))
-    written = path if write_advice(found, path, problem, force=force) else None
-    _print(advice_record(found, problem, written), as_json, advice_text(found, problem, written))
+    with progress_shown(sys.stderr.isatty()) as progress:
+        found = model.advise(name, progress=progress)
+    written = path if write_advice(found, path, model, force=force) else None
+    _print(advice_record(found, model, written), as_json, advice_text(found, model, written))
 
 
 @app.command()
@@ -273,7 +256,7 @@ def _fit(
     from bayesfric.commands.fit import fit_text
 
     try:
-        with _progress_bar() as progress:
+        with progress_shown(sys.stderr.isatty()) as progress:
             summary = run(config(), folder, progress=progress, **options)
     except Interrupted as stopped:
         raise _Stopped(stopped) from None
@@ -297,29 +280,10 @@ class _Stopped(Exception):
         super().__init__(text)
 
 
-@contextmanager
-def _progress_bar() -> Iterator[Callable[[Progress], None]]:
-    """Show how far sampling has come, on stderr where that is a terminal."""
-    if not sys.stderr.isatty():
-        yield lambda _: None
-        return
-    from rich.console import Console
-    from rich.progress import Progress as Bar
-    from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
+def _model(config: Path) -> Model:
+    from bayesfric.model import Model
 
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("reading")
-
-        def show(progress: Progress) -> None:
-            text = progress.phase
-            if progress.steps:
-                text += f", {progress.steps} steps"
-            if progress.ess == progress.ess:  # not nan
-                text += f", {progress.ess:.0f} independent draws, R-hat {progress.rhat:.3f}"
-            bar.update(task, description=text)
-
-        yield show
+    return Model.from_config(config)
 
 
 def _print(found: Any, as_json: bool, lines: Any) -> None:

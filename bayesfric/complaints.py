@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from bayesfric.errors import BadInput, nearest
+from bayesfric.errors import BadInput, Unfit, nearest
 
 _LONGEST = 60
 
@@ -32,8 +32,6 @@ _BOUNDS = {
     "less_than": ("less than", "lt"),
     "less_than_equal": ("at most", "le"),
 }
-# How validators of this package word themselves: "expected a mass like '2 kg', got '2 m'".
-_EXPECTED = re.compile(r"(?:expected|give) (?P<mend>.+), (?:(?P<got>got .+)|but (?P<but>.+))")
 
 
 def complaint(path: Path, error: ValidationError, document: Any, model: Any) -> BadInput:
@@ -98,7 +96,12 @@ def _worded(errors: Sequence[Any]) -> tuple[str, str]:
     value = first["input"]
     kind = first["type"]
     if kind == "value_error":
-        return _own(str(first["ctx"]["error"]))
+        error = first["ctx"]["error"]
+        return (
+            (error.what, f"give {error.wanted}")
+            if isinstance(error, Unfit)
+            else (str(error), "correct it")
+        )
     if kind == "literal_error":
         expected = first["ctx"]["expected"]
         choices = re.findall(r"'([^']*)'", expected)
@@ -122,15 +125,6 @@ def _worded(errors: Sequence[Any]) -> tuple[str, str]:
     if isinstance(value, str) and "text" not in mend:
         mend += ", without quotes" + (" or unit" if "number" in mend else "")
     return f"got {_shown(value)}", f"give {mend}"
-
-
-def _own(message: str) -> tuple[str, str]:
-    """Split what a validator of this package says."""
-    if found := _EXPECTED.fullmatch(message):
-        return found["got"] or found["but"], f"give {found['mend']}"
-    if message.startswith("give "):
-        return "does not fit together", message
-    return message, "correct it"
 
 
 def _shown(value: Any) -> str:

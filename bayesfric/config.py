@@ -9,6 +9,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from bayesfric.complaints import complaint, complaint_of
 from bayesfric.errors import BadInput
 from bayesfric.estimates.options import Estimation, Reference
-from bayesfric.identifiability.options import AdviceOptions
+from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.inference.likelihood.likelihood import LikelihoodMethod
 from bayesfric.inference.likelihood.noise_choice import MOST
 from bayesfric.inference.prior.noise import NoiseScale
@@ -26,8 +27,9 @@ from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.options import MechanismOptions
 from bayesfric.recordings.held_out import Validation
-from bayesfric.recordings.options import Processing, Source
-from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.processing import Processing
+from bayesfric.recordings.source import Source
 
 # What a configuration is called in a run directory.
 RUN_CONFIG = "config.toml"
@@ -161,23 +163,35 @@ class Config(BaseModel):
         here, origin = self.path.parent, self.origin
         if origin is None:
             return here
-        kept = origin.recordings.values()
-        if all((here / os.path.relpath(one.file, origin.folder)).exists() for one in kept):
-            return here
+        patterns = [p for source in self.tables.recordings for p in source.files]
+        absolute = [p for p in patterns if Path(p).is_absolute()]
+        moves = {
+            name: here / os.path.relpath(one.file, origin.folder)
+            for name, one in origin.recordings.items()
+            if not any(str(one.file) == p or fnmatch(str(one.file), p) for p in absolute)
+        }
+        moved = all(file.exists() for file in moves.values())
         for name, one in origin.recordings.items():
-            if not one.file.exists():
+            if not one.file.exists() and not (moved and name in moves):
+                beside = f", or beside {self.path}" if name in moves else ""
                 raise BadInput(
                     f"{self.path}: recording {name!r}",
                     f"{one.file} is not there any more",
-                    f"put it back, or beside {self.path}; its SHA-256 is {one.sha256}",
+                    f"put it back{beside}; its SHA-256 is {one.sha256}",
                 )
-        return origin.folder
+        return here if moved else origin.folder
 
-    def origin_of(self, recordings: Sequence[Recording]) -> Origin:
-        """Tell where all that was fitted is, so that it can be fitted again from elsewhere."""
+    @staticmethod
+    def origin_of(recordings: Sequence[Measurement], folder: Path) -> Origin:
+        """Tell where all that was fitted is, so that it can be fitted again from elsewhere.
+
+        ``folder`` is what file names in the configuration are relative to.
+        """
         return Origin(
-            folder=_absolute(self.folder),
-            recordings={r.name: Kept(file=_absolute(r.path), sha256=r.sha256) for r in recordings},
+            folder=_absolute(folder),
+            recordings={
+                r.name: Kept(file=_absolute(r.path), sha256=r.sha256) for r in recordings if r.path
+            },
         )
 
     @property

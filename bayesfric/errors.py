@@ -35,6 +35,22 @@ class BadInput(Exception):
         super().__init__(f"{self.where}: {self.what}; {self.mend}")
 
 
+class Unfit(ValueError):
+    """An option's value that does not fit, for a model's validator to raise.
+
+    Parameters
+    ----------
+    wanted
+        What is expected: ``"a mass like '2 kg'"``.
+    what
+        What is there: ``"got '2 m'"``.
+    """
+
+    def __init__(self, wanted: str, what: str) -> None:
+        self.wanted, self.what = wanted, what
+        super().__init__(f"expected {wanted}, {what}")
+
+
 class Interrupted(KeyboardInterrupt):
     """The user asked to stop, and what was done so far is kept.
 

@@ -18,10 +18,10 @@ import pytest
 from hypothesis import settings
 
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.recordings.filters import parallel_filter
+from bayesfric.recordings.filters import lay_windows, parallel_taps
 from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
-from bayesfric.recordings.recording import Recording
 
 from .kernels import compile_likelihood, compile_simulation
 
@@ -47,7 +47,7 @@ def made_recording(time, position, torque, period, **more):
         "steps": (),
         "warnings": (),
     }
-    return Recording(time=time, position=position, torque=torque, period=period, **(given | more))
+    return Measurement(time=time, position=position, torque=torque, period=period, **(given | more))
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -96,7 +96,9 @@ def make_observation():
             chain, chain.vector(values), q, qd, qdd, inputs=Inputs(added_mass, radius, name)
         )
         torque = torque + sigma * rng.standard_normal(n)
-        taken = parallel_filter(((0, n),), factor, None, 1 / period, np.ones(n, dtype=bool))
+        taken = lay_windows(
+            parallel_taps(factor, None, 1 / period), ((0, n),), factor, np.ones(n, dtype=bool)
+        )
         return Observation(
             name=name,
             q=q,

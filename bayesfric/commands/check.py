@@ -7,15 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.commands.problem import Problem
-from bayesfric.estimates.least_squares import least_squares
+from bayesfric.model import Model
+from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
-from bayesfric.recordings.recording import Recording
 from bayesfric.report.alerts import doubt_text
 from bayesfric.report.summary.doubts import doubts_before
 
 
-def check(problem: Problem) -> dict[str, Any]:
+def check(model: Model) -> dict[str, Any]:
     """Collect everything there is to say before a fit.
 
     Raises
@@ -23,20 +22,19 @@ def check(problem: Problem) -> dict[str, Any]:
     BadInput
         If the motion cannot tell the totals of eq. (11) apart.
     """
-    with problem.config.named():
-        totals = least_squares(problem.chain, problem.observations)
+    (totals,) = model.estimates(["least-squares"])
     return {
-        "config": str(problem.config.path),
+        "config": str(model.config.path),
         "mechanism": {
-            "preset": problem.chain.preset,
-            "ratio": problem.chain.ratio,
-            "elements": [element.name for element in problem.chain.elements],
+            "preset": model.chain.preset,
+            "ratio": model.chain.ratio,
+            "elements": [element.name for element in model.chain.elements],
         },
         "recordings": [
             {
                 "name": recording.name,
                 "held_out": part,
-                "file": str(recording.path),
+                "file": recording.path and str(recording.path),
                 "sha256": recording.sha256,
                 "duration": float(recording.time[-1] - recording.time[0]),
                 "added_mass": recording.inputs.added_mass,
@@ -45,15 +43,15 @@ def check(problem: Problem) -> dict[str, Any]:
                 "steps": list(observation.steps),
                 "warnings": list(observation.warnings),
             }
-            for recording, observation, part in _parts(problem)
+            for recording, observation, part in _parts(model)
         ],
         "priors": {
             name: {"prior": prior.text, "default": prior.default}
-            for name, prior in problem.priors.items()
+            for name, prior in model.priors.items()
             # whether the noise remembers, the residuals of an estimate will say
             if not (name.startswith("noise.pacf_") and prior.default)
         },
-        "doubts": doubts_before(totals, problem.observations),
+        "doubts": doubts_before(totals, model.observations),
         "least_squares": {
             "residual_rms": totals.residual_rms,
             "parameters": {
@@ -69,11 +67,11 @@ def check(problem: Problem) -> dict[str, Any]:
     }
 
 
-def _parts(problem: Problem) -> Iterator[tuple[Recording, Observation, str | None]]:
+def _parts(model: Model) -> Iterator[tuple[Measurement, Observation, str | None]]:
     """Everything read, with which part of a recording is held out where one is."""
-    for recording, observation in zip(problem.recordings, problem.observations, strict=True):
+    for recording, observation in zip(model.recordings, model.observations, strict=True):
         yield recording, observation, None
-    for one in problem.held_out:
+    for one in model.held_out:
         yield one.recording, one.observation, one.part
 
 

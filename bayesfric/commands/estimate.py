@@ -2,109 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
-from bayesfric.commands.problem import Problem
-from bayesfric.errors import BadInput
-from bayesfric.estimates.estimate import METHODS, Estimate, Method
-from bayesfric.estimates.input_error import input_error
-from bayesfric.estimates.least_squares import least_squares
-from bayesfric.estimates.options import Estimation
-from bayesfric.estimates.output_error import output_error
-from bayesfric.inference.beforehand import beforehand
-from bayesfric.recordings.trajectory import trajectory
+from bayesfric.estimates.estimate import Estimate, Method
+from bayesfric.model import Model
 from bayesfric.report.summary.summary import estimate_summary
 
 
-def estimates(
-    problem: Problem,
-    methods: Sequence[Method] = METHODS,
-    *,
-    progress: Callable[[str], None] = lambda _: None,
-) -> list[Estimate]:
-    """Estimate a problem's parameters by one or more methods.
-
-    Parameters
-    ----------
-    problem
-        From :func:`bayesfric.commands.problem.read_problem`.
-    methods
-        Which; the output error starts from the input error's result.
-    progress
-        Called with the name of each method before it begins.
-
-    Raises
-    ------
-    BadInput
-        If a method cannot be used with these recordings.
-    """
-    chain, observations = problem.chain, problem.observations
-    options = problem.config.tables.estimation
-    knowledge = beforehand(chain, problem.priors)
-    found: list[Estimate] = []
-    with problem.config.named():
-        if "least-squares" in methods:
-            progress("least-squares")
-            found.append(least_squares(chain, observations))
-        if "input-error" in methods or "output-error" in methods:
-            progress("input-error")
-            direct = input_error(chain, observations, knowledge, options)
-            if "input-error" in methods:
-                found.append(direct)
-            if "output-error" in methods:
-                found.append(_output_error(problem, direct, options, progress))
-    return found
-
-
-def _output_error(
-    problem: Problem, start: Estimate, options: Estimation, progress: Callable[[str], None]
-) -> Estimate:
-    progress("output-error")
-    whole = [
-        trajectory(recording, observation, np.inf)
-        for recording, observation in zip(problem.recordings, problem.observations, strict=True)
-    ]
-    knowledge = beforehand(problem.chain, problem.priors)
-    return output_error(problem.chain, whole, problem.observations, knowledge, options, start)
-
-
-def estimates_beside(
-    problem: Problem, *, simulate: bool, progress: Callable[[str], None] = lambda _: None
-) -> tuple[list[Estimate], list[str]]:
-    """Estimate what stands beside a posterior, with a sentence for what cannot be had.
-
-    The output error simulates. It is asked for, or its likelihood needs a place to start from:
-    then however long it takes, as sampling that goes on later must start from the same place.
-    A mechanism that cannot be simulated still has a posterior of the torque.
-    """
-    tables = problem.config.tables
-    options = tables.estimation
-    found = estimates(problem, ("least-squares", "input-error"), progress=progress)
-    if tables.likelihood.method == "output-error":
-        options = options.model_copy(update={"max_seconds": np.inf})
-    elif not (simulate or options.output_error):
-        return found, []
-    try:
-        return [*found, _output_error(problem, found[-1], options, progress)], []
-    except BadInput as error:
-        return found, [f"no output-error estimate: {error.what}"]
-
-
-def estimate_record(found: Sequence[Estimate], problem: Problem) -> dict[str, Any]:
+def estimate_record(found: Sequence[Estimate], model: Model) -> dict[str, Any]:
     """Put estimates into the form of ``summary.json``."""
     return {
-        "config": str(problem.config.path),
+        "config": str(model.config.path),
         "estimates": {estimate.method: estimate_summary(estimate) for estimate in found},
-        "references": problem.references(),
+        "references": model.references(),
     }
 
 
-def estimate_text(found: Sequence[Estimate], problem: Problem) -> Iterator[str]:
+def estimate_text(found: Sequence[Estimate], model: Model) -> Iterator[str]:
     """Word estimates for a person, line by line."""
-    references = problem.references()
+    references = model.references()
     for estimate in found:
         yield _TITLES[estimate.method]
         yield (

@@ -12,14 +12,14 @@ from pydantic_core import PydanticUndefined
 from bayesfric.config import LikelihoodOptions, NoiseOptions
 from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.options import Estimation
-from bayesfric.identifiability.options import AdviceOptions
+from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.quantities import CHOICES, OPTION_MEANINGS
 from bayesfric.recordings.held_out import Validation
-from bayesfric.recordings.options import Processing
+from bayesfric.recordings.processing import Processing
 
 
 def configuration(preset: str) -> str:

@@ -13,11 +13,11 @@ from typing import Any
 
 import bayesfric
 from bayesfric.commands.lock import Taken, alone_in
-from bayesfric.commands.problem import Problem
 from bayesfric.commands.signals import Asked, asked_to_stop
 from bayesfric.errors import BadInput, Interrupted
 from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Sampling
+from bayesfric.model import Model
 
 
 class Unfinished:
@@ -40,15 +40,15 @@ class Unfinished:
         """Tell whether a sampler is at work."""
         return any(c.walking for c in self._samplings)
 
-    def sampling(self, name: str, problem: Problem, settings: Sampling) -> Checkpoint:
+    def sampling(self, model: Model, name: str, settings: Sampling) -> Checkpoint:
         """Give the checkpoint of one sampling.
 
         Parameters
         ----------
+        model, settings
+            What is sampled, and how.
         name
             Of the sampling, as a file may be called.
-        problem, settings
-            What is sampled, and how.
 
         Raises
         ------
@@ -61,7 +61,7 @@ class Unfinished:
         checkpoint = Checkpoint(
             self._place,
             name,
-            _facts(problem, settings),
+            _facts(model, settings),
             asked_to_stop=lambda: self.asked.by is not None,
         )
         self._samplings.append(checkpoint)
@@ -166,12 +166,12 @@ def _cannot(error: OSError, folder: Path, kept: bool) -> BadInput:
     return BadInput(str(error.filename or folder), f"cannot be written ({reason})", mend)
 
 
-def _facts(problem: Problem, settings: Sampling) -> dict[str, Any]:
+def _facts(model: Model, settings: Sampling) -> dict[str, Any]:
     """Put together what a sampling's steps depend on."""
-    tables = json.loads(problem.config.tables.model_dump_json())
+    tables = json.loads(model.config.tables.model_dump_json())
     return {
         "version": _versions(),
-        "recording": {r.name: r.sha256 for r in problem.recordings},
+        "recording": {r.name: r.sha256 for r in model.recordings},
         "configuration": tables | {"sampling": settings.model_dump(mode="json")},
     }
 

@@ -10,20 +10,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
-from bayesfric.identifiability.options import AdviceOptions
+from bayesfric.identifiability.advice_options import AdviceOptions
+from bayesfric.identifiability.sentences import Statement, stated
 from bayesfric.identifiability.virtual_recording import (
+    LINES,
     known_mass,
     longest_stretch,
     pace,
     played,
     sample_period,
+    sines,
+    square_with_sines,
 )
 from bayesfric.mechanism import excitation
 from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.forward import RunsAway
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
 CandidateKind = Literal["excitation", "known mass", "longer"]
+Limit = Literal["torque", "speed", "angles", "positions", "runs_away"]
 
 # Speed limit over the fastest that was measured, if none is given.
 _FASTER = 1.2
@@ -35,9 +41,7 @@ _AMPLITUDES = (1.0, 0.6)
 # Frequencies, as multiples of how often the joint went to and fro.
 _PACES = (0.5, 1.0, 2.0)
 _CHIRPS = ((0.25, 2.0), (0.5, 5.0))
-_LINES = {"slow multisine": (0.13, 0.29, 0.53, 0.97, 1.9), "multisine": (0.37, 0.73, 1.3, 2.9, 5.3)}
-# Share of the square wave in the peak of a square wave with a multisine.
-_SQUARE_SHARE = 0.6
+_LINES = {"slow multisine": np.array([0.13, 0.29, 0.53, 0.97, 1.9]), "multisine": LINES}
 # What breaks a limit is made this much smaller, and at most so often.
 _SMALLER = 0.85
 _TRIES = 12
@@ -64,7 +68,7 @@ class Limits:
     start
         Position at which the joint rests when the recording begins, rad or m: where gravity
         holds it, else where the longest recording began.
-    seen
+    recorded_angles
         Lowest and highest position of the recordings, rad or m.
     """
 
@@ -75,7 +79,7 @@ class Limits:
     lag: float
     masses: tuple[tuple[float, float], ...]
     start: float
-    seen: tuple[float, float]
+    recorded_angles: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +91,7 @@ class Candidate:
     kind
         ``excitation``, ``known mass`` or ``longer``.
     form
-        In words, without the amplitude.
+        Name of the signal, without the amplitude.
     amplitude
         Largest command, N m or N.
     command
@@ -102,6 +106,8 @@ class Candidate:
         Position and speed at the first sample, rad or m and s.
     made
         For ``longer``: the recording there is, one more of which would be made.
+    lowered, because_of
+        Factor on the torque that it took to keep the limits, and which limit that was.
     """
 
     kind: CandidateKind
@@ -115,10 +121,23 @@ class Candidate:
     q0: float
     qd0: float
     made: Observation | None = None
+    lowered: float = 1.0
+    because_of: Limit | None = None
 
-    def smaller(self, factor: float) -> Candidate:
-        """Make the same with a smaller torque."""
-        return replace(self, amplitude=self.amplitude * factor, command=self.command * factor)
+    def smaller(self, factor: float, limit: Limit | None) -> Candidate:
+        """Make the same with a smaller torque, for the sake of a limit."""
+        return replace(
+            self,
+            amplitude=self.amplitude * factor,
+            command=self.command * factor,
+            lowered=factor,
+            because_of=limit,
+        )
+
+    @property
+    def limit(self) -> Statement | None:
+        """Limit that it took less torque to keep."""
+        return stated("limit", self.because_of) if self.because_of else None
 
     @property
     def duration(self) -> float:
@@ -238,23 +257,12 @@ def candidates(observations: Sequence[Observation], limits: Limits) -> Iterator[
             shape[-1] = 0.0
             for share in _AMPLITUDES:
                 peak = share * limits.torque
-                yield Candidate(
-                    kind,
-                    form,
-                    peak,
-                    peak * shape,
-                    period,
-                    limits.lag,
-                    mass,
-                    radius,
-                    limits.start,
-                    0.0,
-                )
+                signal = peak, peak * shape, period, limits.lag
+                yield Candidate(kind, form, *signal, mass, radius, limits.start, 0.0)
 
 
 def _shapes(time: Array, hertz: float) -> Iterator[tuple[str, Array]]:
     """Make signals of peak one."""
-    many = {name: hertz * np.array(lines) for name, lines in _LINES.items()}
     for pace_ in _PACES:
         f = pace_ * hertz
         yield f"square wave at {f:.3g} Hz", excitation.square(time, 1.0, f)
@@ -265,57 +273,19 @@ def _shapes(time: Array, hertz: float) -> Iterator[tuple[str, Array]]:
             f"chirp from {first:.3g} to {last:.3g} Hz",
             excitation.chirp(time, 1.0, first, last),
         )
-    for name, lines in many.items():
+    for name, multiples in _LINES.items():
+        lines = hertz * multiples
         span = f"of {lines.size} sines from {lines[0]:.2g} to {lines[-1]:.2g} Hz"
-        sines = excitation.multisine(time, 1.0, lines)
-        sines /= max(float(np.abs(sines).max()), 1e-12)
-        yield f"{name} {span}", sines
+        yield f"{name} {span}", sines(time, lines)
         for pace_ in _PACES[:2]:
-            square = excitation.square(time, _SQUARE_SHARE, pace_ * hertz)
-            yield (
-                f"square wave at {pace_ * hertz:.3g} Hz with a {name} {span}",
-                square + (1.0 - _SQUARE_SHARE) * sines,
-            )
-
-
-@dataclass(frozen=True, eq=False)
-class TriedOut:
-    """A candidate, played at every point within the limits.
-
-    Attributes
-    ----------
-    candidate
-        With its torque as it was in the end.
-    recordings
-        What would be recorded, one for each point.
-    lowered
-        Factor on the torque that it took to keep the limits; one where none.
-    reason
-        Which limit that was; empty where none.
-    """
-
-    candidate: Candidate
-    recordings: tuple[Observation, ...]
-    lowered: float = 1.0
-    reason: str = ""
-
-    @property
-    def speed(self) -> float:
-        """Fastest at any point, rad/s or m/s."""
-        return max(float(np.abs(o.qd).max()) for o in self.recordings)
-
-    @property
-    def angles(self) -> tuple[float, float]:
-        """Lowest and highest position at any point, rad or m."""
-        return (
-            min(float(o.q.min()) for o in self.recordings),
-            max(float(o.q.max()) for o in self.recordings),
-        )
+            f = pace_ * hertz
+            form = f"square wave at {f:.3g} Hz with a {name} {span}"
+            yield form, square_with_sines(time, f, lines)
 
 
 def try_out(
     chain: Chain, vectors: Array, base: Observation, candidate: Candidate, limits: Limits
-) -> TriedOut | str:
+) -> tuple[Candidate, tuple[Observation, ...]] | Statement:
     """Play a candidate at every point, lowering its torque until it keeps the limits.
 
     Parameters
@@ -331,68 +301,56 @@ def try_out(
 
     Returns
     -------
-    TriedOut or str
-        The latter says why it is no use: a limit that it breaks however small, or that it
+    tuple of Candidate and recordings, or Statement
+        The candidate with its torque as it was in the end, and what would be recorded at
+        each point. Or why it is no use: a limit that it breaks however small, or that it
         leaves the joint at rest.
     """
+    broken: Limit | None
     if candidate.made is not None:  # as it was made it would be made again, or not at all
         broken = _broken(candidate.made, limits, chain)
-        broken = "the torque limit" if candidate.amplitude > limits.torque else broken
-        return broken or TriedOut(candidate, (candidate.made,) * len(vectors))
-    factor, reason, order = 1.0, "", list(range(len(vectors)))
+        broken = "torque" if candidate.amplitude > limits.torque else broken
+        return stated("limit", broken) if broken else (candidate, (candidate.made,) * len(vectors))
+    limit: Limit | None = None
+    factor, order = 1.0, list(range(len(vectors)))
     for _ in range(_TRIES):
-        trial = candidate.smaller(factor)
+        trial = candidate.smaller(factor, limit)
         torque = excitation.current_loop(trial.command, trial.period, trial.lag)
+        bolted = trial.added_mass, trial.radius, (trial.q0, trial.qd0)
         found: dict[int, Observation] = {}
-        broken = ""
         for i in order:
             try:
-                found[i] = played(
-                    chain,
-                    vectors[i],
-                    base,
-                    torque,
-                    trial.added_mass,
-                    trial.radius,
-                    (trial.q0, trial.qd0),
-                )
-            except ValueError as error:
-                if "runs away" not in str(error):
-                    low = f" once lowered to {100 * factor:.0f} % for {reason}" if reason else ""
-                    return f"{error}{low}"
-                broken = "the joint runs away"
-            else:
+                found[i] = played(chain, vectors[i], base, torque, *bolted)
                 broken = _broken(found[i], limits, chain)
+            except RunsAway:
+                broken = "runs_away"
+            except ValueError as error:
+                name = stated("limit", limit) if limit else None
+                return stated("limit", "stopped", error=str(error), limit=name, share=factor)
             if broken:
                 # the point that broke a limit will be the first to say whether it still does
                 order = [i, *(j for j in order if j != i)]
+                limit, factor = broken, factor * _SMALLER
                 break
-        if not broken:
-            kept = tuple(found[i] for i in range(len(vectors)))
-            return TriedOut(trial, kept, factor, reason)
-        reason, factor = broken, factor * _SMALLER
-    return f"{reason}, even with {100 * factor / _SMALLER:.0f} % of the torque"
+        else:
+            return trial, tuple(found[i] for i in range(len(vectors)))
+    name = stated("limit", str(limit))
+    return stated("limit", "always", limit=name, share=factor / _SMALLER)
 
 
-def _broken(recording: Observation, limits: Limits, chain: Chain) -> str:
+def _broken(recording: Observation, limits: Limits, chain: Chain) -> Limit | None:
     if float(np.abs(recording.qd).max()) > limits.speed:
-        return "the speed limit"
-    if limits.angles is not None and not (
-        limits.angles[0] <= float(recording.q.min())
-        and float(recording.q.max()) <= limits.angles[1]
-    ):
-        return "the angle limits" if chain.load.motion == "rotary" else "the limits of position"
-    return ""
+        return "speed"
+    low, high = limits.angles or (-np.inf, np.inf)
+    if low <= float(recording.q.min()) and float(recording.q.max()) <= high:
+        return None
+    return "angles" if chain.load.motion == "rotary" else "positions"
 
 
 def _hanging(chain: Chain, values: Array, near: float) -> float:
     """Position at which gravity holds the load, rad; where there is no gravity, ``near``."""
-    names = chain.names
-    if "load.first_moment" not in names:
+    of = dict(zip(chain.names, values.tolist(), strict=True))
+    if "load.first_moment" not in of:
         return near
-    angle = (
-        float(values[names.index("load.gravity_angle")]) if "load.gravity_angle" in names else 0.0
-    )
-    if chain.load.gravity < 0.0:
-        angle += np.pi
+    angle = of.get("load.gravity_angle", 0.0) + (np.pi if chain.load.gravity < 0.0 else 0.0)
     return float(-angle + 2.0 * np.pi * np.round((near + angle) / (2.0 * np.pi)))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from bayesfric.estimates.information import directions
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.identifiability.local import LocalInformation, units_of
+from bayesfric.identifiability.sentences import Statement, stated
 from bayesfric.identifiability.virtual_recording import TorqueNoise, scaled_jacobian, torque_noise
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.scaling import scalings
@@ -32,16 +33,24 @@ class UnknownMass:
 
     Attributes
     ----------
-    exponents
+    exponents_without
         What could then be multiplied by powers of one factor together with the mass, and no
         torque would change; empty where torque tells the mass itself.
-    owed
+    determines
         Parameters whose sd from the data would be infinite, or more than three times what
         it is.
     """
 
-    exponents: dict[str, float]
-    owed: tuple[str, ...]
+    exponents_without: dict[str, float]
+    determines: tuple[str, ...]
+
+    def meaning(self, *, all_told: bool) -> Statement | None:
+        """Say what rests on the mass; ``all_told`` where nothing is open with it."""
+        if not self.determines:
+            return stated("known_mass", "not_needed") if all_told else None
+        powers = self.exponents_without
+        scaled = tuple(powers) if all(abs(x - 1.0) < 1e-5 for x in powers.values()) else ()
+        return stated("known_mass", "determines", determines=self.determines, scaled=scaled)
 
 
 @dataclass(frozen=True)
@@ -52,15 +61,19 @@ class SpeedTerm:
     ----------
     recordings
         Names of the recordings whose torque comes from a voltage.
-    same
+    same_as_back_emf
         Parameters whose effect has the same shape exactly.
     explained
         Share of the term's square that some change of parameters makes up for.
     """
 
     recordings: tuple[str, ...]
-    same: tuple[str, ...]
+    same_as_back_emf: tuple[str, ...]
     explained: float
+
+    def meaning(self, among: int) -> Statement:
+        """Say what is confounded; ``among`` recordings in all."""
+        return stated("voltage", "back_emf", among=among, **vars(self))
 
 
 def _heavier(o: Observation, factor: float) -> Observation:

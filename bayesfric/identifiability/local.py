@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -14,6 +14,7 @@ from bayesfric.estimates.assemble import open_directions
 from bayesfric.estimates.information import NULL, Directions, directions
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.torque import torque_jacobian
+from bayesfric.identifiability.sentences import Statement, stated
 from bayesfric.inference.target import Target
 
 Array = NDArray[np.float64]
@@ -42,12 +43,14 @@ class NullDirection:
     exponents
         Parameter (or alpha) and its relative change, the largest being one; a
         parameter that is next to zero changes in units of its prior sd.
-    meaning
-        The same in words.
     """
 
     exponents: dict[str, float]
-    meaning: str
+
+    @property
+    def meaning(self) -> str:
+        """The same in words."""
+        return str(null_meaning(self.exponents))
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +73,8 @@ class LocalInformation:
     data_sd
         ``(d,)`` standard deviation that the data alone would leave, in the
         parameter's unit; infinite where a null direction touches it.
-    null_directions
-        What no torque can tell.
     null_rows
-        ``(n_null, d)`` the same in units, the largest entry of each being one.
+        ``(n_null, d)`` what no torque can tell, in units, the largest entry of each being one.
     directions
         Of the Jacobian over the noise scale, in log parameters.
     from_theory
@@ -86,18 +87,35 @@ class LocalInformation:
     shifted: NDArray[np.bool_]
     effects: Array
     data_sd: Array
-    null_directions: tuple[NullDirection, ...]
     null_rows: Array
     directions: Directions
     from_theory: int = 0
 
     @property
+    def null_directions(self) -> tuple[NullDirection, ...]:
+        """What no torque can tell, by name."""
+        return tuple(
+            NullDirection(
+                {
+                    label: float(round(x, 9))
+                    for label, x in zip(self.labels, row, strict=True)
+                    if abs(x) > 1e-5
+                }
+            )
+            for row in self.null_rows
+        )
+
+    @property
+    def told(self) -> Array:
+        """Jacobian ``(rank, d)`` with the same information in units, null directions left out."""
+        found, kept = self.directions, ~self.directions.null
+        return np.asarray(found.rows[kept] * found.singular_values[kept, None])
+
+    @property
     def information(self) -> Array:
         """Fisher information ``(d, d)`` in those units; exactly nothing along null directions."""
-        found = self.directions
-        kept = ~found.null
-        scaled = found.rows[kept] * found.singular_values[kept, None]
-        return np.asarray(scaled.T @ scaled)
+        told = self.told
+        return np.asarray(told.T @ told)
 
     def data_sd_of(self, gradient: Array, *, gauge_free: bool = False) -> float:
         """Give the sd that the data alone would leave of a function of the parameters.
@@ -142,9 +160,7 @@ def local_information(target: Target, parameters: Array) -> LocalInformation:
     chain = target.likelihood.chain
     at = target.chain_values(parameters[None])[0]
     known = Knowledge({n: float(x) for n, x in zip(chain.names, at, strict=True) if n not in free})
-    open_ = open_directions(
-        chain, known, target.likelihood.observations, target.chain_values(parameters[None])[0]
-    )
+    open_ = open_directions(chain, known, target.likelihood.observations, at)
     jacobian = jacobian_of(target, parameters, units, scales)
     if not np.isfinite(jacobian).all():
         raise BadInput(
@@ -164,7 +180,6 @@ def local_information(target: Target, parameters: Array) -> LocalInformation:
         shifted,
         np.linalg.norm(jacobian, axis=0),
         np.full(units.size, np.nan),
-        tuple(describe(labels, row) for row in rows),
         rows,
         found,
         len(open_),
@@ -206,10 +221,8 @@ def in_natural_units(
     small = np.isfinite(local.data_sd) & (np.abs(value) < local.data_sd) & ~loss
     small &= np.abs(value) < floor
     units = np.where(small, floor, local.units)
-    d = local.directions
-    told = np.where(d.null, 0.0, d.singular_values)[:, None] * d.rows
     ratio = units / local.units
-    found = directions(told * ratio, np.ones(k), d.tolerance)
+    found = directions(local.told * ratio, np.ones(k), local.directions.tolerance)
     return replace(
         local,
         units=units,
@@ -336,19 +349,11 @@ def _sparse(rows: Array) -> Array:
     return np.array([row / row[int(np.argmax(np.abs(row)))] for row in basis]).reshape(rows.shape)
 
 
-def describe(labels: Sequence[str], row: Array) -> NullDirection:
-    """Word a null direction ``(d,)`` whose entries are powers of one factor."""
-    row = row / row[int(np.argmax(np.abs(row)))]
-    exponents = {
-        label: float(round(x, 9)) for label, x in zip(labels, row, strict=True) if abs(x) > 1e-5
-    }
-    same = all(abs(x - 1.0) < 1e-5 for x in exponents.values())
-    names = ", ".join(exponents)
-    if same and len(exponents) > 1:
-        meaning = f"{names} can all be multiplied by one factor: no torque changes"
-    elif len(exponents) == 1:
-        meaning = f"{names} does not show in the torque at all"
+def null_meaning(exponents: Mapping[str, float]) -> Statement:
+    """Say what a null direction is whose entries are powers of one factor, the largest one."""
+    if len(exponents) == 1:
+        kind = "unseen"
     else:
-        terms = ", ".join(f"{name} by k^{x:.3g}" for name, x in exponents.items())
-        meaning = f"scaling {terms} together changes no torque, for k near 1"
-    return NullDirection(exponents, meaning)
+        same = all(abs(x - 1.0) < 1e-5 for x in exponents.values())
+        kind = "factor" if same else "powers"
+    return stated("meaning", kind, exponents=exponents)

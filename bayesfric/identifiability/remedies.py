@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesfric.identifiability.coverage import Coverage
 from bayesfric.identifiability.local import LocalInformation
-from bayesfric.identifiability.recording_facts import RecordingFacts
+from bayesfric.identifiability.sentences import Statement, stated
 from bayesfric.identifiability.virtual_recording import (
+    LAG,
+    LINES,
     known_mass,
+    longest_stretch,
     pace,
+    played,
+    sample_period,
     scaled_jacobian,
+    square_with_sines,
     torque_noise,
-    with_mass,
-    with_torque,
 )
 from bayesfric.inference.target import Target
-from bayesfric.recordings.observation import Observation
+from bayesfric.mechanism import excitation
 
 Array = NDArray[np.float64]
 RemedyKind = Literal["known value", "known mass", "excitation"]
@@ -47,10 +52,10 @@ class Remedy:
     kind
         ``known value``, ``known mass`` or ``excitation``.
     text
-        In words.
+        What to do.
     parameters
         For a known value: any one of these.
-    left
+    log_sd_after
         Sd of the logarithm along the direction once it is done; ``None`` for a known value.
     open_after
         Number of directions, null or weak, that are then still open; of known values the
@@ -58,9 +63,9 @@ class Remedy:
     """
 
     kind: RemedyKind
-    text: str
+    text: Statement
     parameters: tuple[str, ...]
-    left: float | None
+    log_sd_after: float | None
     open_after: int
 
 
@@ -77,17 +82,12 @@ class Trial:
     """
 
     kind: RemedyKind
-    text: str
+    text: Statement
     information: Array
 
 
-def open_count(information: Array) -> int:
-    """Count the directions, null or weak, of a Fisher information ``(d, d)``."""
-    return _open_counts(information)[1]
-
-
-def _open_counts(information: Array) -> tuple[int, int]:
-    """Count null directions, and null or weak ones."""
+def open_counts(information: Array) -> tuple[int, int]:
+    """Count the null directions of a Fisher information ``(d, d)``, and null or weak ones."""
     if not information.size:
         return 0, 0
     values, vectors = np.linalg.eigh(information)
@@ -100,7 +100,7 @@ def trials(
     target: Target,
     parameters: Array,
     local: LocalInformation,
-    facts: Sequence[RecordingFacts],
+    coverage: Sequence[Coverage],
     *,
     rare: bool,
 ) -> list[Trial]:
@@ -114,63 +114,50 @@ def trials(
         ``(d,)`` the estimate, noise scales last.
     local
         Of the target there.
-    facts
-        Of the recordings, which decide what is worth trying.
+    coverage
+        Of the recordings, which decides what is worth trying.
     rare
         Whether the load may hardly ever have driven the motor.
     """
     chain, observations = target.likelihood.chain, target.likelihood.observations
     values = target.chain_values(parameters[None])[0]
-    longest = max(range(len(observations)), key=lambda r: facts[r].outputs)
+    longest = max(range(len(observations)), key=lambda r: coverage[r].outputs)
     base = observations[longest]
     noise = torque_noise(target, parameters, longest)
+    rotary = chain.load.motion == "rotary"
+    measured, period, hertz = base.torque[longest_stretch(base)], sample_period(base), pace(base)
+    time = period * np.arange(measured.size, dtype=np.float64)
+    peak = float(np.quantile(np.abs(measured), 0.99))
+    told = {"peak": peak, "pace": hertz, "unit": "N m" if chain.motor_motion == "rotary" else "N"}
+    there = base.inputs.added_mass, base.inputs.radius
 
-    mass, radius = known_mass(chain, values)
-    where = f" at {radius:g} m" if chain.load.motion == "rotary" else ""
-    makers: list[tuple[RemedyKind, str, Callable[[], Observation]]] = []
-    carried = {(f.added_mass, f.radius) for f in facts}
-    if len(carried) == 1:
-        more = "another" if base.inputs.added_mass else "a"
-        makers.append(
-            (
-                "known mass",
-                f"another recording with {more} known added mass (added_mass, radius), "
-                f"such as {mass:g} kg{where}",
-                lambda: with_mass(chain, values, base, mass, radius),
-            )
-        )
-    unit = "N m" if chain.motor_motion == "rotary" else "N"
-    peak = float(np.quantile(np.abs(base.torque), 0.99))
-    level = f"of {peak:.2g} {unit} at {pace(base):.2g} Hz"
+    wanted: list[tuple[RemedyKind, Statement, Array, tuple[float, float]]] = []
+
+    def excite(form: str, torque: Array) -> None:
+        wanted.append(("excitation", stated("remedy", form, **told), torque, there))
+
+    if len({(one.added_mass, one.radius) for one in coverage}) == 1:
+        mass, radius = known_mass(chain, values)
+        bolted = {
+            "again": bool(base.inputs.added_mass),
+            "mass": mass,
+            "radius": radius,
+            "rotary": rotary,
+        }
+        text = stated("remedy", "known_mass", **bolted)
+        wanted.append(("known mass", text, measured, (mass, radius)))
     if rare:
-        makers.append(
-            (
-                "excitation",
-                f"an excitation in which the load drives the motor, such as a square wave {level}",
-                lambda: with_torque(chain, values, base, "square"),
-            )
-        )
-    if rare or any(f.piecewise_constant for f in facts):
-        makers.append(
-            (
-                "excitation",
-                "a torque that is not piecewise constant, such as a square wave plus a "
-                f"multisine {level}",
-                lambda: with_torque(chain, values, base, "square-multisine"),
-            )
-        )
-    if chain.load.motion == "rotary" and max(f.turn for f in facts) < _SMALL_TURN:
-        makers.append(
-            (
-                "excitation",
-                "a motion that turns the load further, such as half as much torque again",
-                lambda: with_torque(chain, values, base, "same", 1.5),
-            )
-        )
+        shape = excitation.square(time, peak, hertz)
+        excite("square", excitation.current_loop(shape, period, LAG))
+    if rare or any(one.piecewise_constant for one in coverage):
+        shape = peak * square_with_sines(time, hertz, hertz * LINES)
+        excite("square_multisine", excitation.current_loop(shape, period, LAG))
+    if rotary and max(one.turn for one in coverage) < _SMALL_TURN:
+        excite("same", 1.5 * measured)
     found = []
-    for kind, text, make in makers:
+    for kind, text, torque, (mass, radius) in wanted:
         try:
-            recording = make()
+            recording = played(chain, values, base, torque, mass, radius)
         except ValueError:
             continue  # the joint cannot be simulated, or would stand still: nothing to propose
         rows = scaled_jacobian(target, recording, values, local.units, noise)
@@ -200,28 +187,24 @@ def remedies(local: LocalInformation, row: Array, tried: Sequence[Trial]) -> tup
     """
     information = local.information
     before = left_along(information, row)
-    nulls, opens = _open_counts(information)
+    nulls, opens = open_counts(information)
     null = not np.isfinite(before)
     found = []
     members = np.flatnonzero(np.abs(row) >= _MEMBER * np.abs(row).max())
     helping = {}
     for j in members:
         rest = np.delete(np.delete(information, j, axis=0), j, axis=1)
-        left = _open_counts(rest)
+        left = open_counts(rest)
         if left[1] < opens or (null and left[0] < nulls):
             helping[int(j)] = left[1]
     if helping:
         names = tuple(local.names[j] for j in helping)
-        text = (
-            f"fix {names[0]}, or give it a prior from a data sheet or CAD"
-            if len(names) == 1
-            else f"fix, or give a prior from a data sheet or CAD to, one of {', '.join(names)}"
-        )
+        text = stated("remedy", "known_value", names=names)
         found.append(Remedy("known value", text, names, None, min(helping.values())))
     for trial in tried:
         along = left_along(information + trial.information, row)
         if along < WEAK and along < _WORTH * before:
-            count = open_count(information + trial.information)
+            count = open_counts(information + trial.information)[1]
             found.append(Remedy(trial.kind, trial.text, (), along, count))
     return tuple(found)
 

@@ -14,8 +14,8 @@ from bayesfric.inference.moments.residual_moments import follows
 from bayesfric.inference.target import Target
 from bayesfric.mechanism import excitation
 from bayesfric.mechanism.chain import Chain
-from bayesfric.mechanism.forward import Motion, simulate
-from bayesfric.mechanism.inverse import inverse_torque, load_torque
+from bayesfric.mechanism.forward import simulate
+from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import derivative, lay_windows, lowpass
 from bayesfric.recordings.observation import Observation, moving_samples
 
@@ -25,7 +25,11 @@ Array = NDArray[np.float64]
 _LONGEST_SAMPLES = 20_000
 _LONGEST = 10.0
 # Time constant of a current loop, as in the paper's bench.
-_LAG = 0.005
+LAG = 0.005
+# Sines that tell most, as multiples of how often the joint goes to and fro; and of a torque's
+# peak, the share of the square wave that carries them.
+LINES: Array = np.array([0.37, 0.73, 1.3, 2.9, 5.3])
+_SQUARE_SHARE = 0.6
 # A mass where the load tells none, kg and m, and the most that anyone would bolt on.
 _MASS, _RADIUS = 2.0, 0.35
 _MOST = 5.0
@@ -55,81 +59,33 @@ def known_mass(chain: Chain, values: Array) -> tuple[float, float]:
         kg and m, whose inertia and first moment come to those of the load where it has both
         and is not too heavy; where it has neither, to the inertia of the whole.
     """
-    # at rest and upright the load's torque is its inertia; level and still, its moment
-    inertia = float(
-        load_torque(chain, values, [0.0], [1.0])[0] - load_torque(chain, values, [0.0], [0.0])[0]
-    )
+    of = dict(zip(chain.names, values.tolist(), strict=True))
+    inertia, moment = of.get("load.inertia", 0.0), of.get("load.first_moment", 0.0)
     # all inertia there is, seen at the joint, for a load that is no parameter of its own
     still = inverse_torque(chain, values, [0.0, 0.0], [0.0, 0.0], [0.0, 1.0])
     felt = inertia if inertia > 0.0 else float(chain.ratio * (still[1] - still[0]))
-    if chain.load.motion == "linear":
-        return (_two_digits(min(felt, _MOST)) if felt > 0.0 else _MASS), 0.0
-    names = chain.names
-    moment = (
-        float(values[names.index("load.first_moment")]) if "load.first_moment" in names else 0.0
-    )
-    if moment <= 0.0:
-        return (_two_digits(min(felt / _RADIUS**2, _MOST)) if felt > 0.0 else _MASS), _RADIUS
-    if inertia <= 0.0:
-        radius = _RADIUS if moment > 0.1 else 0.1
-        return _two_digits(min(moment / radius, _MOST)), radius
-    radius = float(np.clip(inertia / moment, 0.05, 1.0))
+    radius = 0.0 if chain.load.motion == "linear" else _RADIUS
+    if radius == 0.0 or moment <= 0.0:
+        mass = felt / (radius**2 or 1.0)
+        return (_two_digits(min(mass, _MOST)) if felt > 0.0 else _MASS), radius
+    if inertia > 0.0:
+        radius = float(np.clip(inertia / moment, 0.05, 1.0))
+    elif moment <= 0.1:
+        radius = 0.1
     return _two_digits(min(moment / radius, _MOST)), _two_digits(radius)
 
 
-def with_mass(
-    chain: Chain, values: Array, observation: Observation, added_mass: float, radius: float
-) -> Observation:
-    """Play the measured torque to the joint with a known mass on its load.
-
-    Raises
-    ------
-    ValueError
-        If the joint cannot be simulated, or then stands still.
-    """
-    cut = longest_stretch(observation)
-    return played(chain, values, observation, observation.torque[cut], added_mass, radius)
-
-
-def with_torque(
-    chain: Chain, values: Array, observation: Observation, form: str, share: float = 1.0
-) -> Observation:
-    """Play another torque to the joint, with the recording's largest torque as its peak.
-
-    Parameters
-    ----------
-    chain, values, observation
-        The mechanism, its parameters ``(n_parameters,)``, and the recording that sets
-        rate, length, filter and peak.
-    form
-        ``square`` behind a current loop, ``square-multisine``, or ``same``.
-    share
-        Factor on the torque.
-
-    Raises
-    ------
-    ValueError
-        If the joint cannot be simulated, or then stands still.
-    """
-    cut = longest_stretch(observation)
-    measured = observation.torque[cut]
-    period = sample_period(observation)
-    time = period * np.arange(measured.size)
-    peak = share * float(np.quantile(np.abs(measured), 0.99))
-    hertz = pace(observation)
-    if form == "same":
-        torque = share * measured
-    elif form == "square":
-        torque = excitation.square(time, peak, hertz)
-    else:
-        many = excitation.multisine(time, 1.0, hertz * np.array([0.37, 0.73, 1.3, 2.9, 5.3]))
-        torque = excitation.square(time, 0.6 * peak, hertz)
-        torque = torque + many * 0.4 * peak / float(np.abs(many).max())
-    if form != "same":
-        torque = excitation.current_loop(torque, period, _LAG)
-    return played(
-        chain, values, observation, torque, observation.inputs.added_mass, observation.inputs.radius
+def square_with_sines(time: Array, hertz: float, lines: Array) -> Array:
+    """Make a signal of peak one, a square wave with a multisine of ``lines`` Hz on it, ``(N,)``."""
+    return excitation.square(time, _SQUARE_SHARE, hertz) + (1.0 - _SQUARE_SHARE) * sines(
+        time, lines
     )
+
+
+def sines(time: Array, lines: Array) -> Array:
+    """Make a multisine of peak one and ``lines`` Hz, ``(N,)``."""
+    made = excitation.multisine(time, 1.0, lines)
+    return np.asarray(made / max(float(np.abs(made).max()), 1e-12))
 
 
 def pace(observation: Observation) -> float:
@@ -257,11 +213,19 @@ def played(
         substeps=4,
     )
     period, size = sample_period(observation), torque.size
-    q, qd, qdd = _as_filtered(motion, observation)
-    trim = int(observation.settings.get("trim_samples", 0))
+    told, whole = observation.settings, ((0, torque.size),)
+    q, qd, qdd = motion.q, motion.qd, motion.qdd
+    cutoff, order = float(told.get("lowpass", 0.0)), int(told.get("order", 0))
+    if cutoff and order:  # filtered and differentiated like the recording, so that it blurs as much
+        reach = int(told.get("reach", 1))
+        q = lowpass(q, whole, 1.0 / period, cutoff, order)
+        qd = derivative(q, whole, period, reach)
+        qdd = derivative(qd, whole, period, reach)
+    slow = 0.01 * float(np.quantile(np.abs(observation.qd), 0.99))
+    trim = int(told.get("trim_samples", 0))
     step = max(round(observation.period / period), 1)
-    guard = int(observation.settings.get("guard", size))
-    moving = moving_samples(qd, ((0, size),), _dead_zone(observation), guard)
+    guard = int(told.get("guard", size))
+    moving = moving_samples(qd, whole, float(told.get("dead_zone", slow)), guard)
     kept = (trim, max(size - trim, trim))
     chosen = lay_windows(observation.filter.taps, (kept,), step, moving & (motion.qd != 0.0))
     if chosen.n_outputs < _FEWEST:
@@ -281,26 +245,6 @@ def played(
         stamps=motion.time,
         inputs=inputs,
     )
-
-
-def _as_filtered(motion: Motion, observation: Observation) -> tuple[Array, Array, Array]:
-    """Filter and differentiate a motion like the recording's, so that it blurs as much."""
-    told = observation.settings
-    cutoff, order = float(told.get("lowpass", 0.0)), int(told.get("order", 0))
-    if not cutoff or not order:
-        return motion.q, motion.qd, motion.qdd
-    whole, period = ((0, motion.q.size),), sample_period(observation)
-    q = lowpass(motion.q, whole, 1.0 / period, cutoff, order)
-    reach = int(told.get("reach", 1))
-    qd = derivative(q, whole, period, reach)
-    return q, qd, derivative(qd, whole, period, reach)
-
-
-def _dead_zone(observation: Observation) -> float:
-    told = observation.settings.get("dead_zone")
-    if told is not None:
-        return float(told)
-    return 0.01 * float(np.quantile(np.abs(observation.qd), 0.99))
 
 
 def _two_digits(x: float) -> float:

@@ -24,21 +24,18 @@ _OWN = ("derived",)
 Groups = Mapping[str, Mapping[str, NDArray[Any]]]
 
 
-def write_archive(
-    path: Path,
+def make_archive(
     groups: Groups,
     *,
     dims: Mapping[str, list[str]],
     coords: Mapping[str, Any],
     attrs: Mapping[str, str],
     variable_attrs: Mapping[str, Mapping[str, Mapping[str, str]]] | None = None,
-) -> None:
-    """Write groups of named arrays as NetCDF that any ArviZ reads.
+) -> Any:
+    """Put groups of named arrays together as the installed ArviZ has them.
 
     Parameters
     ----------
-    path
-        Where to; the folder exists.
     groups
         Group name to variable name to array. Variables of sampled groups begin
         with the dimensions ``chain`` and ``draw``.
@@ -50,11 +47,6 @@ def write_archive(
         Root attributes.
     variable_attrs
         What variables say of themselves, by group and name.
-
-    Raises
-    ------
-    OSError
-        If there is no room for it, or the folder cannot be written to.
     """
     options = {"dims": dict(dims), "coords": dict(coords)}
     named = {group: dict(variables) for group, variables in groups.items()}
@@ -82,7 +74,19 @@ def write_archive(
                 data[group][name].attrs.update(words)
     data.attrs.clear()
     data.attrs.update(attrs)
-    arrays = [array for variables in named.values() for array in variables.values()]
+    return data
+
+
+def write_archive(path: Path, groups: Groups, **named: Any) -> None:
+    """Write what :func:`make_archive` makes of the same arguments, as NetCDF that any ArviZ reads.
+
+    Raises
+    ------
+    OSError
+        If there is no room for it, or the folder of ``path`` cannot be written to.
+    """
+    data = make_archive(groups, **named)
+    arrays = [array for variables in groups.values() for array in variables.values()]
     _try_room(path, sum(np.asarray(array).nbytes for array in arrays) + _TABLES)
     data.to_netcdf(str(path), engine="h5netcdf")
 

@@ -37,6 +37,10 @@ Hold = Literal["linear", "zero"]
 _MAX_SUBSTEPS = 64
 
 
+class RunsAway(ValueError):
+    """A simulated joint left every range that could be meant."""
+
+
 @dataclass(frozen=True)
 class Motion:
     """A simulated motion.
@@ -368,7 +372,7 @@ class _Run:
             self.counts,
         )
         if done < torque.size:
-            raise ValueError(
+            raise RunsAway(
                 f"the joint runs away: beyond {RUNAWAY:g} rad or m after {done * period:g} s"
             )
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model
 
-from bayesfric.errors import BadInput, nearest
+from bayesfric.errors import BadInput, Unfit, nearest
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import STANDARD_GRAVITY, Element, Load, changed
 from bayesfric.mechanism.presets import PRESETS
@@ -16,7 +16,7 @@ from bayesfric.mechanism.quantities import CHOICES, LOAD_CHOICES, OPTION_MEANING
 
 def _not_zero(value: float) -> float:
     if value == 0.0:
-        raise ValueError(f"give a number other than 0, got {value:g}")
+        raise Unfit("a number other than 0", f"got {value:g}")
     return value
 
 

@@ -28,22 +28,7 @@ Feedback = Literal["sign of speed", "position error"]
 
 
 def check_moves(values: NDArray[np.float64], where: str, what: str) -> None:
-    """Refuse a signal that never changes.
-
-    Parameters
-    ----------
-    values
-        The signal, shape (n,).
-    where
-        File and column.
-    what
-        What the signal is.
-
-    Raises
-    ------
-    BadInput
-        If all values are the same.
-    """
+    """Refuse a signal that never changes; ``where`` names it, ``what`` says what it is."""
     if np.ptp(values) == 0:
         raise BadInput(
             where,
@@ -53,15 +38,7 @@ def check_moves(values: NDArray[np.float64], where: str, what: str) -> None:
 
 
 def check_not_huge(values: NDArray[np.float64], where: str, what: str) -> None:
-    """Refuse a signal with a value that no joint has, or that left floating point.
-
-    Parameters are as for :func:`check_moves`.
-
-    Raises
-    ------
-    BadInput
-        If an absolute value is 1e15 or more, in SI units.
-    """
+    """Refuse a signal with a value, in SI, that no joint has, or that left floating point."""
     fine = np.abs(values) < _HUGE
     if not fine.all():
         raise BadInput(
@@ -72,35 +49,14 @@ def check_not_huge(values: NDArray[np.float64], where: str, what: str) -> None:
 
 
 def check_size(values: NDArray[np.float64], where: str, what: str) -> None:
-    """Refuse a signal of a size that no joint has: its products would leave floating point.
-
-    Parameters are as for :func:`check_moves`.
-
-    Raises
-    ------
-    BadInput
-        If the largest absolute value is below 1e-15 or above 1e15, in SI units.
-    """
+    """Refuse a signal of a size that no joint has: its products would leave floating point."""
     largest = float(np.abs(values).max())
     if not 1 / _HUGE < largest < _HUGE:
         raise BadInput(where, f"the {what} is at most {largest:.3g} in SI units", "check its unit")
 
 
 def clipped(values: NDArray[np.float64], what: str) -> list[str]:
-    """Warn if a signal stays at its largest or smallest value.
-
-    Parameters
-    ----------
-    values
-        Raw signal, shape (n,).
-    what
-        What the signal is.
-
-    Returns
-    -------
-    list of str
-        One warning a limit at which at least 1 % of the samples lie, in runs of 4 and more.
-    """
+    """Warn of each limit of a raw signal at which 1 % of the samples lie, in runs of 4 and more."""
     warnings = []
     for word, limit in (("maximum", values.max()), ("minimum", values.min())):
         if 2 * abs(limit) < np.abs(values).max():
@@ -115,18 +71,7 @@ def clipped(values: NDArray[np.float64], what: str) -> list[str]:
 
 
 def quantisation(values: NDArray[np.float64]) -> float | None:
-    """Return the step of a coarsely quantised signal.
-
-    Parameters
-    ----------
-    values
-        The signal, shape (n,).
-
-    Returns
-    -------
-    float or None
-        The step, or None if the signal has too many values to be coarse.
-    """
+    """Return the step of a coarsely quantised signal; None if it has too many values for that."""
     levels = np.unique(values)
     if not 3 <= len(levels) <= len(values) / 3:
         return None
@@ -137,19 +82,9 @@ def quantisation(values: NDArray[np.float64]) -> float | None:
 
 
 def unwrapped(angle: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
-    """Undo the jumps of an angle that is told within one turn.
+    """Undo the jumps of an angle in rad that is told within one turn, and count them.
 
-    Parameters
-    ----------
-    angle
-        Of the shaft the encoder is on, rad, shape (n,).
-
-    Returns
-    -------
-    values : numpy.ndarray
-        The angle without jumps, beginning where it began; the same array where it has none.
-    jumps : int
-        How many there were.
+    It is that of the shaft the encoder is on, and begins where it began.
     """
     steps = np.diff(angle)
     jumps = np.abs(steps) > np.pi
@@ -169,20 +104,10 @@ def unwrapped(angle: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
 def speed_mismatch(
     velocity: NDArray[np.float64], differentiated: NDArray[np.float64], usable: NDArray[np.bool_]
 ) -> float | None:
-    """Compare a measured velocity with the differentiated position.
+    """Compare a measured velocity with the differentiated position, filtered alike.
 
-    Parameters
-    ----------
-    velocity, differentiated
-        Shape (n,), filtered alike.
-    usable
-        Samples to compare, shape (n,).
-
-    Returns
-    -------
-    float or None
-        Factor between them where it is no factor of one: beyond 10 %, and more than the two
-        series' own scatter explains. 0 where they have nothing to do with each other.
+    Returns the factor between them where it is no factor of one: beyond 10 %, and more than the two
+    series' own scatter explains. 0 where they have nothing to do with each other.
     """
     v, d = velocity[usable], differentiated[usable]
     power, other = float(v @ v), float(d @ d)
@@ -205,22 +130,7 @@ def feedback(
 
     Such a law and the joint's own cannot be told apart: a torque that is a constant times the
     sign of speed looks like Coulomb friction, one that falls with position like negative gravity.
-
-    Parameters
-    ----------
-    torque
-        As measured, shape (n,).
-    position, velocity
-        Of the joint, shape (n,).
-    usable
-        Samples to look at, shape (n,).
-
-    Returns
-    -------
-    law : Feedback
-        What the torque follows.
-    share : float
-        Of the samples, or of the torque's variance, that it explains.
+    Returns the law, and the share of the samples or of the torque's variance that it explains.
     """
     t, q, v = torque[usable], position[usable], velocity[usable]
     if t.size < _LEAST_SEEN or not np.ptp(t) > 0.0:

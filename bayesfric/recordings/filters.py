@@ -25,22 +25,7 @@ _REACH = (4, 24)
 
 
 def check_cutoff(cutoff: float, fs: float, where: str) -> None:
-    """Refuse a cut-off that the sampling cannot carry.
-
-    Parameters
-    ----------
-    cutoff
-        Cut-off in Hz.
-    fs
-        Sampling rate in Hz.
-    where
-        The key that set it.
-
-    Raises
-    ------
-    BadInput
-        If the cut-off is not below half the sampling rate, or below a millionth of it.
-    """
+    """Refuse a cut-off in Hz that the sampling cannot carry; ``where`` is the key that set it."""
     if cutoff < _LOWEST_CUTOFF * fs:
         raise BadInput(
             where,
@@ -104,21 +89,11 @@ def lowpass(
 
 
 def differentiator(reach: int) -> NDArray[np.float64]:
-    """Weights of the derivative that is exact for polynomials of degree ``2 reach``.
+    """Weights ``(2 reach + 1,)`` of the derivative that is exact for degree ``2 reach``.
 
     Of all odd kernels of that length it is flattest at low frequencies: at ``w`` rad a sample
     its gain lacks ``(reach!)^2 / (2 reach + 1)! (2 sin(w/2))^(2 reach)`` or so of ``w`` (Fornberg,
     Math. Comp. 51, 1988). Central differences are ``reach = 1``, and lack ``w^2/6``.
-
-    Parameters
-    ----------
-    reach
-        Neighbours on either side.
-
-    Returns
-    -------
-    numpy.ndarray
-        Shape (2 reach + 1,), for a period of one.
     """
     weights = np.zeros(2 * reach + 1)
     for k in range(1, reach + 1):
@@ -130,19 +105,9 @@ def differentiator(reach: int) -> NDArray[np.float64]:
 
 
 def exact_reach(cutoff: float, fs: float) -> int:
-    """Neighbours that a derivative needs so that its gain is right up to a frequency.
+    """Neighbours, from 4 to 24, that make a derivative's gain right within 1e-4 up to a cut-off.
 
-    Parameters
-    ----------
-    cutoff
-        In Hz; 0 for a signal without low-pass, of which nothing is known.
-    fs
-        Sampling rate in Hz.
-
-    Returns
-    -------
-    int
-        From 4 to 24: the gain is right within 1e-4 up to the cut-off, where 24 suffice.
+    It is 0 for a signal without low-pass, of which nothing is known.
     """
     least, most = _REACH
     w = 2.0 * np.pi * cutoff / fs
@@ -272,10 +237,7 @@ def _windowed(
 
 
 def parallel_length(factor: int, band: float | None, fs: float) -> int:
-    """Return how many weights :func:`parallel_taps` has, without making them.
-
-    Parameters and what is raised are as there.
-    """
+    """Return how many weights :func:`parallel_taps` has, without making them."""
     if band is None and factor == 1:
         return 1
     nyquist = fs / (2 * factor)
@@ -287,26 +249,10 @@ def parallel_length(factor: int, band: float | None, fs: float) -> int:
 
 
 def parallel_taps(factor: int, band: float | None, fs: float) -> NDArray[np.float64]:
-    """Design the weights of a parallel filter.
+    """Design the weights ``(L,)`` of a parallel filter, L odd; they sum to 1.
 
-    Parameters
-    ----------
-    factor
-        Samples an output.
-    band
-        Cut-off in Hz; None for half the decimated rate, or no filter if nothing is decimated.
-    fs
-        Sampling rate in Hz.
-
-    Returns
-    -------
-    numpy.ndarray
-        Weights that sum to 1, shape (L,), L odd.
-
-    Raises
-    ------
-    BadInput
-        If the cut-off is not below half the sampling rate.
+    ``factor`` is samples an output. ``band`` is the cut-off in Hz; None for half the decimated
+    rate, or no filter if nothing is decimated.
     """
     length = parallel_length(factor, band, fs)
     if length == 1:
@@ -319,42 +265,6 @@ def parallel_taps(factor: int, band: float | None, fs: float) -> NDArray[np.floa
     return np.asarray(taps / taps.sum())
 
 
-def parallel_filter(
-    segments: Sequence[tuple[int, int]],
-    factor: int,
-    band: float | None,
-    fs: float,
-    usable: NDArray[np.bool_],
-) -> ParallelFilter:
-    """Lay windows of a parallel filter over the usable samples.
-
-    Parameters
-    ----------
-    segments
-        Half-open ranges; every window lies fully inside one.
-    factor
-        Samples from one window's start to the next.
-    band
-        Cut-off in Hz; None for half the decimated rate, or no filter if nothing is decimated.
-    fs
-        Sampling rate in Hz.
-    usable
-        Samples that may be used, shape (N,). Others count for nothing, and windows with more
-        than 2 % of their weight on such samples are left out.
-
-    Returns
-    -------
-    ParallelFilter
-        Possibly without outputs.
-
-    Raises
-    ------
-    BadInput
-        If the cut-off is not below half the sampling rate.
-    """
-    return lay_windows(parallel_taps(factor, band, fs), segments, factor, usable)
-
-
 def lay_windows(
     taps: NDArray[np.float64],
     segments: Sequence[tuple[int, int]],
@@ -362,9 +272,25 @@ def lay_windows(
     usable: NDArray[np.bool_],
     largest_share: float = SMALL_SHARE,
 ) -> ParallelFilter:
-    """Lay windows of given weights ``(L,)`` as :func:`parallel_filter` does.
+    """Lay windows of a parallel filter over the usable samples.
 
-    ``largest_share`` of a window's weight may lie on samples that are not usable.
+    Parameters
+    ----------
+    taps
+        Weights of a window, shape (L,).
+    segments
+        Half-open ranges; every window lies fully inside one.
+    factor
+        Samples from one window's start to the next.
+    usable
+        Samples that may be used, shape (N,); others count for nothing.
+    largest_share
+        Windows with more of their weight on samples that are not usable are left out.
+
+    Returns
+    -------
+    ParallelFilter
+        Possibly without outputs.
     """
     length = len(taps)
     parts = [np.arange(a, b - length + 1, factor, dtype=np.int64) for a, b in segments]

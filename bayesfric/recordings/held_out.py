@@ -10,9 +10,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from bayesfric.errors import BadInput, nearest
+from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation, observe, settled, window
-from bayesfric.recordings.options import Processing
-from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.processing import Processing
 
 # Outputs left out before a held-out end, beyond one window of the parallel filter: noise that
 # remembers its predecessors must have forgotten them.
@@ -54,7 +54,7 @@ class HeldOut:
         ``whole recording``, or ``last 20 %``.
     """
 
-    recording: Recording
+    recording: Measurement
     observation: Observation
     part: str
 
@@ -76,13 +76,13 @@ class Divided:
         To be predicted.
     """
 
-    recordings: list[Recording]
+    recordings: list[Measurement]
     observations: list[Observation]
     held_out: tuple[HeldOut, ...]
 
 
 def divide(
-    recordings: Sequence[Recording], processing: Processing, validation: Validation
+    recordings: Sequence[Measurement], processing: Processing, validation: Validation
 ) -> Divided:
     """Prepare recordings, and keep out of the fit what is to be predicted.
 
@@ -113,7 +113,7 @@ def divide(
             )
     if set(names) == set(validation.recordings):
         raise BadInput("validation.recordings", "holds out every recording", "leave one to fit")
-    fitted: list[Recording] = []
+    fitted: list[Measurement] = []
     observations: list[Observation] = []
     held_out: list[HeldOut] = []
     for recording in recordings:
@@ -133,8 +133,8 @@ def divide(
 
 
 def _without_end(
-    recording: Recording, processing: Processing, share: float
-) -> tuple[Recording, Observation, HeldOut]:
+    recording: Measurement, processing: Processing, share: float
+) -> tuple[Measurement, Observation, HeldOut]:
     """Hold out the last share of the samples, with a gap before it."""
     where = "validation.hold_out"
     n = recording.time.size
@@ -174,7 +174,7 @@ def _without_end(
     return rest, o, HeldOut(end, replace(predicted, warnings=()), part)
 
 
-def _check(recording: Recording, o: Observation, where: str, whose: str) -> None:
+def _check(recording: Measurement, o: Observation, where: str, whose: str) -> None:
     if not np.ptp(recording.position) > 0.0:
         raise BadInput(where, f"{whose}: the joint never moves", "hold out another part")
     if o.measured.size < _LEAST:
@@ -186,7 +186,7 @@ def _check(recording: Recording, o: Observation, where: str, whose: str) -> None
         )
 
 
-def _piece(r: Recording, begin: int, end: int, least: int) -> Recording:
+def _piece(r: Measurement, begin: int, end: int, least: int) -> Measurement:
     """Cut a recording to samples ``begin`` to ``end``; a segment's stump goes, as in reading."""
     cut = [(max(a, begin), min(b, end)) for a, b in r.segments if a < end and b > begin]
     kept = [(a, b) for a, b in cut if b - a >= least] or cut

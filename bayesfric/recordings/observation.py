@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,10 +23,11 @@ from bayesfric.recordings.filters import (
     reach_of,
 )
 from bayesfric.recordings.inputs import Inputs
-from bayesfric.recordings.options import Processing
-from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.resolution import WIDEST, Resolution, lowpass_above, resolve
 
+Segments = tuple[tuple[int, int], ...]
 _DEAD_SHARE = 0.01
 _TRIM_SAMPLES = 10
 # Samples beside a rest that are not used, at least; and of a rest.
@@ -103,14 +104,20 @@ class _Numbers:
     cutoff: float
     factor: int
     band: float | None
-    trim: float
     trim_samples: int
     reach: int
     guard: int
     resolution: Resolution
 
+    @property
+    def used_band(self) -> float:
+        """Hz of the parallel filter; 0 for none."""
+        if self.band is not None:
+            return self.band
+        return self.fs / (2 * self.factor) if self.factor > 1 else 0.0
 
-def observe(recording: Recording, processing: Processing) -> Observation:
+
+def observe(recording: Measurement, processing: Processing) -> Observation:
     """Filter, differentiate and decimate a recording.
 
     Parameters
@@ -139,40 +146,30 @@ def observe(recording: Recording, processing: Processing) -> Observation:
         )
     q, qd, chosen = made.q, made.qd, made.filter
     segments, period = recording.segments, recording.period
-    warnings = list(recording.warnings)
-    decimated = numbers.fs / numbers.factor
-    if numbers.band is not None and numbers.band > decimated / 2:
-        warnings.append(
-            f"band: {numbers.band:.6g} Hz is above half the decimated rate ({decimated / 2:.6g} Hz)"
-            ", so higher frequencies fold back"
-        )
-    if numbers.factor > 1 and numbers.band is not None and numbers.band < 0.4 * decimated:
-        fitting = max(1, int(numbers.fs / (2.0 * numbers.band)))
-        warnings.append(
-            f"band: {numbers.band:.6g} Hz is below half the decimated rate ({decimated / 2:.6g} "
-            f"Hz), so neighbouring outputs share noise and intervals come out too narrow; "
-            f"decimate = {fitting} would fit"
-        )
-    warnings += _resolution_warnings(numbers, recording)
     compared = made.compared & ~recording.excluded
+    warnings = [*recording.warnings, *_band_warnings(numbers)]
+    warnings += _resolution_warnings(numbers.resolution, recording)
     if recording.velocity is not None:
         warnings += _velocity_warnings(qd, derivative(q, segments, period, numbers.reach), compared)
     law = checks.feedback(recording.torque, q, qd, compared)
-    borders = np.array([a for a, _ in segments], dtype=np.int64)
-    centres = chosen.centres
+    found = numbers.resolution
+    ratios = {"speed_ratio": found.speed_ratio, "acceleration_ratio": found.acceleration_ratio}
     settings: dict[str, float | int | str] = {
         "sampling_rate": numbers.fs,
         "lowpass": numbers.cutoff,
         "order": processing.order,
         "decimate": numbers.factor,
-        "band": _band(numbers),
+        "band": numbers.used_band,
         "differentiation": processing.differentiation,
         "reach": numbers.reach,
         "guard": numbers.guard,
-        **_resolved(numbers.resolution),
+        "band_by": found.reason,
+        "noise_seen": found.noise,
+        # no noise seen is no number
+        **{key: ratio for key, ratio in ratios.items() if np.isfinite(ratio)},
         **({} if law is None else {"feedback": law[0]}),
         "dead_zone": made.dead_zone,
-        "trim": numbers.trim,
+        "trim": numbers.trim_samples * period,
         "trim_samples": numbers.trim_samples,
         "resample": processing.resample,
         "gap": processing.gap,
@@ -182,100 +179,30 @@ def observe(recording: Recording, processing: Processing) -> Observation:
         "n_samples": len(q),
         "n_segments": len(segments),
         "n_outputs": chosen.n_outputs,
-        **made.counts,
+        **made.dropped,
     }
+    borders = np.array([a for a, _ in segments], dtype=np.int64)
     return Observation(
         name=recording.name,
         q=q,
         qd=qd,
-        qdd=made.qdd,
+        qdd=derivative(qd, segments, period, numbers.reach),
         torque=recording.torque,
         filter=chosen,
-        time=recording.time[centres],
+        time=recording.time[chosen.centres],
         measured=chosen.apply(recording.torque),
-        speed=qd[centres],
+        speed=qd[chosen.centres],
         period=numbers.factor * period,
         segment_of=np.searchsorted(borders, chosen.starts, side="right").astype(np.int64) - 1,
         stamps=recording.time,
-        inputs=recording.inputs,
-        steps=(*recording.steps, *_told(numbers, processing, recording, settings)),
+        inputs=replace(recording.inputs, recording=recording.name),
+        steps=(*recording.steps, *_told(numbers, recording, settings)),
         warnings=tuple(warnings),
         settings=settings,
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Prepared:
-    """A motion ``(N,)``, filtered and differentiated, and the windows laid over it."""
-
-    q: NDArray[np.float64]
-    qd: NDArray[np.float64]
-    qdd: NDArray[np.float64]
-    compared: NDArray[np.bool_]
-    dead_zone: float
-    filter: ParallelFilter
-    included: int
-    counts: dict[str, int]
-
-
-def _prepared(
-    recording: Recording, processing: Processing, numbers: _Numbers, share: float
-) -> _Prepared:
-    segments, period = recording.segments, recording.period
-    q = lowpass(recording.position, segments, numbers.fs, numbers.cutoff, processing.order)
-    if recording.velocity is None:
-        qd = derivative(q, segments, period, numbers.reach)
-    else:
-        qd = lowpass(recording.velocity, segments, numbers.fs, numbers.cutoff, processing.order)
-    kept = tuple(
-        (a + numbers.trim_samples, max(b - numbers.trim_samples, a + numbers.trim_samples))
-        for a, b in segments
-    )
-    inside = np.zeros(len(q), dtype=np.bool_)
-    for a, b in kept:
-        inside[a:b] = True
-    dead_zone = _dead_zone(processing, qd[inside])
-    moving = moving_samples(qd, segments, dead_zone, numbers.guard)
-    if share > SMALL_SHARE and numbers.cutoff:
-        # no window is lost by it: the low-pass smears the jolt of a reversal over half a period
-        moving &= ~_near(~moving, round(0.5 * numbers.fs / numbers.cutoff))
-    chosen, counts = _windows(recording, numbers, kept, moving, share)
-    return _Prepared(
-        q,
-        qd,
-        derivative(qd, segments, period, numbers.reach),
-        inside & moving,
-        dead_zone,
-        chosen,
-        chosen.n_outputs + counts["dropped_dead_zone"],
-        counts,
-    )
-
-
-def _quieter(recording: Recording, processing: Processing, numbers: _Numbers) -> _Numbers:
-    """Lower the low-pass until the acceleration behind it is more than its noise."""
-    band = _band(numbers) or numbers.fs / 2
-    cutoff = numbers.cutoff
-    while cutoff > 2.0 * band and resolve(recording, cutoff).acceleration_ratio < LEAST_RATIO:
-        cutoff = max(cutoff / 1.5, 2.0 * band)
-    lower = processing.model_copy(update={"lowpass": cutoff, "decimate": numbers.factor})
-    return replace(_settle(recording, lower), resolution=numbers.resolution)
-
-
-def _laid(recording: Recording, processing: Processing) -> tuple[_Numbers, _Prepared]:
-    """Settle the filters and lay the windows, in whichever way leaves enough of them."""
-    numbers = _settle(recording, processing)
-    made = _prepared(recording, processing, numbers, SMALL_SHARE)
-    if made.filter.n_outputs < max(_LEFT * made.included, _LEAST_LEFT):
-        # A narrow band's long windows nearly all touch a reversal: rather lose samples then. The
-        # gaps they leave fold noise from above the band into it, which the low-pass must take off.
-        if processing.lowpass is None:
-            numbers = _quieter(recording, processing, numbers)
-        made = _prepared(recording, processing, numbers, LARGE_SHARE)
-    return numbers, made
-
-
-def settled(recording: Recording, processing: Processing) -> Processing:
+def settled(recording: Measurement, processing: Processing) -> Processing:
     """Write down what a recording's filters are, so that another part is treated alike.
 
     Raises
@@ -287,19 +214,39 @@ def settled(recording: Recording, processing: Processing) -> Processing:
     return processing.model_copy(update={"lowpass": numbers.cutoff, "decimate": numbers.factor})
 
 
-def window(recording: Recording, processing: Processing) -> tuple[int, int]:
-    """Count the samples that one output is made of, and from one output to the next.
-
-    Raises
-    ------
-    BadInput
-        For a cut-off the sampling rate cannot carry.
-    """
+def window(recording: Measurement, processing: Processing) -> tuple[int, int]:
+    """Count the samples that one output is made of, and from one output to the next."""
     numbers = _settle(recording, processing)
     return parallel_length(numbers.factor, numbers.band, numbers.fs), numbers.factor
 
 
-def _settle(recording: Recording, processing: Processing) -> _Numbers:
+@dataclass(frozen=True, eq=False)
+class _Prepared:
+    """A motion ``(N,)``, filtered and differentiated, and the windows laid over it."""
+
+    q: NDArray[np.float64]
+    qd: NDArray[np.float64]
+    compared: NDArray[np.bool_]
+    dead_zone: float
+    filter: ParallelFilter
+    dropped: dict[str, int]
+
+
+def _laid(recording: Measurement, processing: Processing) -> tuple[_Numbers, _Prepared]:
+    """Settle the filters and lay the windows, in whichever way leaves enough of them."""
+    numbers = _settle(recording, processing)
+    made = _prepared(recording, processing, numbers, SMALL_SHARE)
+    count = made.filter.n_outputs
+    if count < max(_LEFT * (count + made.dropped["dropped_dead_zone"]), _LEAST_LEFT):
+        # A narrow band's long windows nearly all touch a reversal: rather lose samples then. The
+        # gaps they leave fold noise from above the band into it, which the low-pass must take off.
+        if processing.lowpass is None:
+            numbers = _quieter(recording, processing, numbers)
+        made = _prepared(recording, processing, numbers, LARGE_SHARE)
+    return numbers, made
+
+
+def _settle(recording: Measurement, processing: Processing) -> _Numbers:
     fs = 1 / recording.period
     where = f"recording '{recording.name}'"
     cutoff, factor, band = processing.lowpass, processing.decimate, processing.band
@@ -322,57 +269,46 @@ def _settle(recording: Recording, processing: Processing) -> _Numbers:
     if cutoff:
         check_cutoff(cutoff, fs, f"{where}, lowpass")
     reach = reach_of(processing.differentiation, cutoff, fs)
+    one_period = int(np.ceil(fs / cutoff - 1e-9)) if cutoff else 0
     if processing.trim is None:
-        samples = max(_TRIM_SAMPLES, 2 * reach, int(np.ceil(fs / cutoff - 1e-9)) if cutoff else 0)
+        trim = max(_TRIM_SAMPLES, 2 * reach, one_period)
     else:
         # more than there are would only cost memory
-        samples = int(np.ceil(min(processing.trim * fs, len(recording.time)) - 1e-9))
-    trim = samples * recording.period
-    guard = max(_GUARD, int(np.ceil(fs / cutoff - 1e-9)) if cutoff else 0)
-    return _Numbers(fs, cutoff, factor, band, trim, samples, reach, guard, resolution)
+        trim = int(np.ceil(min(processing.trim * fs, len(recording.time)) - 1e-9))
+    return _Numbers(fs, cutoff, factor, band, trim, reach, max(_GUARD, one_period), resolution)
 
 
-def _resolved(found: Resolution) -> dict[str, float | int | str]:
-    """Give what is a number of what a recording resolves."""
-    told: dict[str, float | int | str] = {"band_by": found.reason, "noise_seen": found.noise}
-    # no noise seen is no number
-    if np.isfinite(found.speed_ratio):
-        told["speed_ratio"] = found.speed_ratio
-    if np.isfinite(found.acceleration_ratio):
-        told["acceleration_ratio"] = found.acceleration_ratio
-    return told
+def _quieter(recording: Measurement, processing: Processing, numbers: _Numbers) -> _Numbers:
+    """Lower the low-pass until the acceleration behind it is more than its noise."""
+    band = numbers.used_band or numbers.fs / 2
+    cutoff = numbers.cutoff
+    while cutoff > 2.0 * band and resolve(recording, cutoff).acceleration_ratio < LEAST_RATIO:
+        cutoff = max(cutoff / 1.5, 2.0 * band)
+    lower = processing.model_copy(update={"lowpass": cutoff, "decimate": numbers.factor})
+    return replace(_settle(recording, lower), resolution=numbers.resolution)
 
 
-def _velocity_warnings(
-    velocity: NDArray[np.float64],
-    differentiated: NDArray[np.float64],
-    compared: NDArray[np.bool_],
-) -> list[str]:
-    factor = checks.speed_mismatch(velocity, differentiated, compared)
-    if factor is None:
-        return []
-    if factor == 0.0:
-        said = "has nothing to do with the differentiated position: is it the right column"
+def _prepared(
+    recording: Measurement, processing: Processing, numbers: _Numbers, share: float
+) -> _Prepared:
+    """Filter the motion and lay the windows; ``share`` as in `lay_windows`."""
+    segments, trim = recording.segments, numbers.trim_samples
+    q = lowpass(recording.position, segments, numbers.fs, numbers.cutoff, processing.order)
+    if recording.velocity is None:
+        qd = derivative(q, segments, recording.period, numbers.reach)
     else:
-        said = (
-            f"is {factor:.3g} times the differentiated position: are its unit, sign and side right"
-        )
-        if abs(abs(factor) * np.pi / 180.0 - 1.0) < 0.05:
-            said = f"is {factor:.3g} times the differentiated position: is it in deg/s"
-    return [f"velocity: {said}? Inertia and speed losses come out wrong by such a factor"]
-
-
-def _resolution_warnings(numbers: _Numbers, recording: Recording) -> list[str]:
-    found = numbers.resolution
-    if found.acceleration_ratio >= LEAST_RATIO:
-        return []
-    what = "position" if recording.velocity is None else "velocity"
-    return [
-        f"{what}: its noise or steps ({found.noise:.2g}, one sd) make the acceleration in the band "
-        f"to {found.band:.3g} Hz only {found.acceleration_ratio:.2g} times as large as its own "
-        f"noise, at least {LEAST_RATIO:g} are wanted: inertia comes out too small; lower band, "
-        "or record a faster motion or a finer position"
-    ]
+        qd = lowpass(recording.velocity, segments, numbers.fs, numbers.cutoff, processing.order)
+    kept = tuple((a + trim, max(b - trim, a + trim)) for a, b in segments)
+    inside = np.zeros(len(q), dtype=np.bool_)
+    for a, b in kept:
+        inside[a:b] = True
+    dead_zone = _dead_zone(processing, qd[inside])
+    moving = moving_samples(qd, segments, dead_zone, numbers.guard)
+    if share > SMALL_SHARE and numbers.cutoff:
+        # no window is lost by it: the low-pass smears the jolt of a reversal over half a period
+        moving &= ~_near(~moving, round(0.5 * numbers.fs / numbers.cutoff))
+    chosen, dropped = _windows(recording, numbers, kept, moving, share)
+    return _Prepared(q, qd, inside & moving, dead_zone, chosen, dropped)
 
 
 def _dead_zone(processing: Processing, qd: NDArray[np.float64]) -> float:
@@ -384,15 +320,14 @@ def _dead_zone(processing: Processing, qd: NDArray[np.float64]) -> float:
 
 
 def _windows(
-    recording: Recording,
+    recording: Measurement,
     numbers: _Numbers,
-    kept: tuple[tuple[int, int], ...],
+    kept: Segments,
     moving: NDArray[np.bool_],
     share: float,
 ) -> tuple[ParallelFilter, dict[str, int]]:
-    """Lay the windows, and count what every setting took away; ``share`` as in `lay_windows`."""
+    """Lay the windows, and count what every setting took away."""
     everything = np.ones(len(moving), dtype=np.bool_)
-
     where = f"recording '{recording.name}'"
     length = parallel_length(numbers.factor, numbers.band, numbers.fs)
     longest = max(b - a for a, b in recording.segments)
@@ -406,7 +341,7 @@ def _windows(
         )
     taps = parallel_taps(numbers.factor, numbers.band, numbers.fs)
 
-    def lay(segments: tuple[tuple[int, int], ...], usable: NDArray[np.bool_]) -> ParallelFilter:
+    def lay(segments: Segments, usable: NDArray[np.bool_]) -> ParallelFilter:
         return lay_windows(taps, segments, numbers.factor, usable, share)
 
     whole = lay(recording.segments, everything).n_outputs
@@ -414,15 +349,16 @@ def _windows(
     # the low-pass carries what was excluded a little way past its borders, as past a segment's
     parts = without_excluded(kept, _near(recording.excluded, numbers.trim_samples))
     included = lay(parts, everything).n_outputs
-    final = lay(parts, moving)
     if trimmed == 0:
         raise BadInput(
             f"{where}, trim",
-            f"trim = {numbers.trim:.3g} s leaves no segment of {length} samples",
+            f"trim = {numbers.trim_samples * recording.period:.3g} s leaves no segment of {length} "
+            "samples",
             "trim less, decimate less, or record longer",
         )
     if included == 0:
         raise BadInput(f"{where}, exclude", "the excluded spans leave no output", "exclude less")
+    final = lay(parts, moving)
     return final, {
         "dropped_trim": whole - trimmed,
         "dropped_excluded": trimmed - included,
@@ -449,18 +385,10 @@ def moving_samples(
         reversal.
     """
     moving = np.abs(qd) >= dead_zone
-    rests = _rests(~moving, segments, guard)
+    rests = np.zeros_like(moving)
+    for a, b in without_excluded(segments, moving):
+        rests[a:b] = b - a >= guard
     return moving if not rests.any() else moving & ~_near(rests, guard)
-
-
-def _rests(
-    slow: NDArray[np.bool_], segments: Sequence[tuple[int, int]], least: int
-) -> NDArray[np.bool_]:
-    """Flag slow samples that ``least`` or more of follow each other: a rest, no reversal."""
-    found = np.zeros_like(slow)
-    for a, b in without_excluded(segments, ~slow):
-        found[a:b] = b - a >= least
-    return found
 
 
 def _near(flags: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
@@ -472,69 +400,91 @@ def _near(flags: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
     return np.asarray(inside > 0)
 
 
-def without_excluded(
-    segments: Sequence[tuple[int, int]], excluded: NDArray[np.bool_]
-) -> tuple[tuple[int, int], ...]:
+def without_excluded(segments: Sequence[tuple[int, int]], excluded: NDArray[np.bool_]) -> Segments:
     """Split segments at excluded samples, so that no window touches one."""
     parts: list[tuple[int, int]] = []
     for a, b in segments:
-        flags = np.concatenate([[True], excluded[a:b], [True]]).astype(np.int8)
-        change = np.diff(flags)
-        begins = a + np.flatnonzero(change == -1)
-        ends = a + np.flatnonzero(change == 1)
-        parts.extend(zip(begins.tolist(), ends.tolist(), strict=True))
+        change = np.diff(np.concatenate([[True], excluded[a:b], [True]]).astype(np.int8))
+        begins, ends = np.flatnonzero(change == -1), np.flatnonzero(change == 1)
+        parts.extend(zip((a + begins).tolist(), (a + ends).tolist(), strict=True))
     return tuple(parts)
 
 
-def _band(numbers: _Numbers) -> float:
-    if numbers.band is not None:
-        return numbers.band
-    return numbers.fs / (2 * numbers.factor) if numbers.factor > 1 else 0.0
+def _band_warnings(numbers: _Numbers) -> Iterator[str]:
+    band, decimated = numbers.band, numbers.fs / numbers.factor
+    if band is not None and band > decimated / 2:
+        yield (
+            f"band: {band:.6g} Hz is above half the decimated rate ({decimated / 2:.6g} Hz)"
+            ", so higher frequencies fold back"
+        )
+    if numbers.factor > 1 and band is not None and band < 0.4 * decimated:
+        yield (
+            f"band: {band:.6g} Hz is below half the decimated rate ({decimated / 2:.6g} "
+            f"Hz), so neighbouring outputs share noise and intervals come out too narrow; "
+            f"decimate = {max(1, int(numbers.fs / (2.0 * band)))} would fit"
+        )
+
+
+def _resolution_warnings(found: Resolution, recording: Measurement) -> Iterator[str]:
+    if found.acceleration_ratio < LEAST_RATIO:
+        yield (
+            f"{'position' if recording.velocity is None else 'velocity'}: its noise or steps "
+            f"({found.noise:.2g}, one sd) make the acceleration in the band "
+            f"to {found.band:.3g} Hz only {found.acceleration_ratio:.2g} times as large as its own "
+            f"noise, at least {LEAST_RATIO:g} are wanted: inertia comes out too small; lower band, "
+            "or record a faster motion or a finer position"
+        )
+
+
+def _velocity_warnings(
+    velocity: NDArray[np.float64],
+    differentiated: NDArray[np.float64],
+    compared: NDArray[np.bool_],
+) -> Iterator[str]:
+    factor = checks.speed_mismatch(velocity, differentiated, compared)
+    if factor is None:
+        return
+    said = f"is {factor:.3g} times the differentiated position: "
+    if factor == 0.0:
+        said = "has nothing to do with the differentiated position: is it the right column"
+    elif abs(abs(factor) * np.pi / 180.0 - 1.0) < 0.05:
+        said += "is it in deg/s"
+    else:
+        said += "are its unit, sign and side right"
+    yield f"velocity: {said}? Inertia and speed losses come out wrong by such a factor"
 
 
 def _told(
-    numbers: _Numbers,
-    processing: Processing,
-    recording: Recording,
-    settings: dict[str, float | int | str],
-) -> list[str]:
-    steps = []
-    if numbers.cutoff:
-        steps.append(
-            f"low-pass: zero-phase Butterworth of order {processing.order} at "
-            f"{numbers.cutoff:.4g} Hz ({numbers.fs:.4g} Hz sampling)"
-        )
-    else:
-        steps.append("low-pass: none")
-    used = "differentiated position" if recording.velocity is None else "measured velocity"
-    steps.append(
-        f"velocity: {used}; acceleration: differentiated "
-        + ("by central differences" if numbers.reach == 1 else f"by {2 * numbers.reach + 1} points")
+    numbers: _Numbers, recording: Measurement, settings: dict[str, float | int | str]
+) -> Iterator[str]:
+    yield (
+        f"low-pass: zero-phase Butterworth of order {settings['order']} at "
+        f"{numbers.cutoff:.4g} Hz ({numbers.fs:.4g} Hz sampling)"
+        if numbers.cutoff
+        else "low-pass: none"
     )
+    used = "differentiated position" if recording.velocity is None else "measured velocity"
+    how = "central differences" if numbers.reach == 1 else f"{2 * numbers.reach + 1} points"
+    yield f"velocity: {used}; acceleration: differentiated by {how}"
     found = numbers.resolution
     ratios = [
-        f"{what} {ratio:.3g}"
-        for what, ratio in (
-            ("speed", found.speed_ratio),
-            ("acceleration", found.acceleration_ratio),
-        )
-        if np.isfinite(ratio)
+        f"{what} {settings[key]:.3g}"
+        for what in ("speed", "acceleration")
+        if (key := f"{what}_ratio") in settings
     ]
     if ratios:
-        steps.append(
+        yield (
             f"signal to noise in the band to {found.band:.3g} Hz (rms): {', '.join(ratios)}; noise "
             f"of a sample {found.noise:.2g}"
         )
-    steps.append(f"trim: {numbers.trim_samples} samples off both ends of every segment")
-    if settings["taps"] == 1:
-        steps.append("parallel filter: none, every sample is an output")
-    else:
-        steps.append(
-            f"parallel filter: {settings['taps']} taps, cut-off {_band(numbers):.4g} Hz, "
-            f"one output in {numbers.factor} samples"
-        )
-    steps.append(
+    yield f"trim: {numbers.trim_samples} samples off both ends of every segment"
+    yield (
+        "parallel filter: none, every sample is an output"
+        if settings["taps"] == 1
+        else f"parallel filter: {settings['taps']} taps, cut-off {numbers.used_band:.4g} Hz, "
+        f"one output in {numbers.factor} samples"
+    )
+    yield (
         f"dead zone: below {settings['dead_zone']:.3g} (joint speed), "
         f"{settings['dropped_dead_zone']} outputs left out; {settings['n_outputs']} remain"
     )
-    return steps

@@ -1,11 +1,9 @@
-"""From files to recordings in SI units on the joint side."""
+"""From files and tables in memory to measurements in SI units on the joint side."""
 
 from __future__ import annotations
 
-import glob
-from collections import Counter
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+import hashlib
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,35 +19,34 @@ from bayesfric.recordings.channels import (
     check_columns,
     drive_signal,
     joint_signal,
-    lengths,
-    same_length,
     scaled,
     signed,
 )
+from bayesfric.recordings.find_files import find_files
 from bayesfric.recordings.inputs import Inputs
-from bayesfric.recordings.options import Processing, Source
+from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.source import Columns, Source
 from bayesfric.recordings.tables import Table, read_table, sha256
 from bayesfric.recordings.timebase import Grid, check_order, make_grid
 
 
 def read_recordings(
-    source: Source,
-    folder: Path,
+    recording: Recording,
     *,
     ratio: float,
     motion: Motion,
     motor_motion: Motion = "rotary",
     processing: Processing,
-) -> list[Recording]:
-    """Read all recordings of a source.
+    number: int = 1,
+) -> list[Measurement]:
+    """Read all files of a recording, or its table in memory.
 
     Parameters
     ----------
-    source
-        Files, channels and spans.
-    folder
-        Folder that the files' names are relative to.
+    recording
+        Files or a table, channels and spans.
     ratio
         Motor motion per joint motion (rad/rad, rad/m, ...).
     motion
@@ -59,10 +56,12 @@ def read_recordings(
     processing
         Its gap, jitter, resample and min_samples are used, and lowpass and order for the motor
         speed of a voltage channel.
+    number
+        Names a table in memory that has no name, among others.
 
     Returns
     -------
-    list of Recording
+    list of Measurement
         One a file, in the order of the source, sorted inside a pattern.
 
     Raises
@@ -74,52 +73,55 @@ def read_recordings(
         raise BadInput("ratio", f"{ratio} is no gear ratio", "give a finite number other than 0")
     drive = Drive(ratio, motion, motor_motion)
     if isinstance(processing.dead_zone, str):
-        units.parse(processing.dead_zone, VELOCITY[motion], "processing, dead_zone")
-    paths = _expand(source, folder)
-    if source.name is not None:
-        if len(paths) > 1:
-            raise BadInput(
-                f"name = '{source.name}'",
-                f"one name for {len(paths)} files",
-                "leave name out, or give every file its own entry",
-            )
-        names = [source.name]
-    else:
-        names = _names(paths)
-    recordings = []
-    for path, name in zip(paths, names, strict=True):
+        units.scale([processing.dead_zone], VELOCITY[motion], "processing, dead_zone")
+    source = recording.source
+    if recording.table is not None:
+        name = source.name or f"recording-{number}"
+        table = replace(recording.table, where=f"recording {name!r}")
+        found = _read(source, table, drive, processing)
+        return [replace(found, name=name, sha256=_sha256(source, table))]
+    assert isinstance(source, Source)
+    measurements = []
+    for path, name in find_files(source, recording.folder):
         try:
-            recordings.append(_read(source, path, name, drive, processing))
+            found = _read(source, read_table(path, source), drive, processing)
         except MemoryError as error:
             raise BadInput(
                 str(path), "needs more memory than there is", "split it, or save fewer columns"
             ) from error
-    return recordings
+        measurements.append(replace(found, name=name, path=path, sha256=sha256(path)))
+    return measurements
+
+
+def _sha256(source: Columns, table: Table) -> str:
+    """SHA-256 of the columns used."""
+    digest = hashlib.sha256()
+    for column in source.columns:
+        digest.update(f"{column}\0".encode())
+        digest.update(table.column(column).astype("<f8").tobytes())
+    return digest.hexdigest()
 
 
 # what overflows is refused by its size
 @np.errstate(all="ignore")
-def _read(source: Source, path: Path, name: str, drive: Drive, processing: Processing) -> Recording:
-    table = read_table(path, source)
+def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -> Measurement:
     steps = list(table.notes)
-    position, step = joint_signal(source.position, table, drive)
+    check_columns(source, table)
+    position, step = joint_signal(source.position, "position", table, drive)
     steps.append(step)
     time = _time(source, table, len(position))
-    chosen = _chosen(source, time, str(path))
+    chosen = _chosen(source, time, table.where)
     part = slice(*chosen)
     checks.check_not_huge(position, table.label(source.position.column), "position")
     velocity = None
     if source.velocity is not None:
-        velocity, step = joint_signal(source.velocity, table, drive)
+        velocity, step = joint_signal(source.velocity, "velocity", table, drive)
         checks.check_not_huge(velocity, table.label(source.velocity.column), "velocity")
-        same_length(source.velocity, velocity, source.position, position, table)
         steps.append(step)
     channel, signal, kind = drive_signal(source, table, drive)
-    check_columns(source, table)
-    same_length(channel, signal, source.position, position, table)
     checks.check_not_huge(signal, table.label(channel.column), kind)
 
-    grid = make_grid(time, chosen, processing, str(path))
+    grid = make_grid(time, chosen, processing, table.where)
     checks.check_moves(position[part], table.label(source.position.column), "position")
     checks.check_moves(signal[part], table.label(channel.column), kind)
     warnings = [*grid.warnings, *checks.clipped(signed(channel, table)[part], kind)]
@@ -137,17 +139,15 @@ def _read(source: Source, path: Path, name: str, drive: Drive, processing: Proce
     checks.check_size(torque, table.label(channel.column), "torque")
     excluded = _excluded(source, grid.time, warnings)
     if source.valid is not None:
-        flag = table.column(source.valid)
-        if len(flag) != len(position):
-            raise lengths(table, source.valid, len(flag), source.position.column, len(position))
+        valid = table.column(source.valid) != 0
         # between a valid and an invalid stamp the grid is not valid either
-        excluded |= grid.linear((flag != 0).astype(np.float64)) < 1.0
+        excluded |= grid.linear(valid.astype(np.float64)) < 1.0
     if excluded.any():
         steps.append(f"exclude: {int(excluded.sum())} of {len(excluded)} samples not compared")
-    return Recording(
-        name=name,
-        path=path,
-        sha256=sha256(path),
+    return Measurement(
+        name="",
+        path=None,
+        sha256="",
         time=grid.time,
         position=joint,
         velocity=speed,
@@ -155,89 +155,19 @@ def _read(source: Source, path: Path, name: str, drive: Drive, processing: Proce
         segments=grid.segments,
         period=grid.period,
         excluded=excluded,
-        inputs=Inputs(source.added_mass, source.radius, name),
+        inputs=Inputs(source.added_mass, source.radius),
         steps=tuple(steps),
         warnings=tuple(warnings),
+        torque_origin="voltage" if source.voltage else "current" if source.current else "measured",
     )
 
 
-def _expand(source: Source, folder: Path) -> list[Path]:
-    patterns = [source.file] if isinstance(source.file, str) else source.file
-    paths: list[Path] = []
-    for pattern in patterns:
-        if (folder / pattern).exists() or not glob.has_magic(pattern):
-            paths.append(folder / pattern)
-            continue
-        matches = sorted(path for path in _matching(pattern, folder) if path.is_file())
-        if not matches:
-            raise BadInput(
-                f"file = '{pattern}'",
-                f"no file in {folder} matches it",
-                "check the pattern and the folder",
-            )
-        paths.extend(matches)
-    for path in paths:
-        if not _is_text(str(path)):
-            raise BadInput(str(path), "its name is not UTF-8", "rename the file")
-    # a file named twice, say by two patterns, would count its measurements twice
-    return list(dict.fromkeys(paths))
-
-
-def _matching(pattern: str, folder: Path) -> Iterator[Path]:
-    """Find files as the shell does; ** enters no linked folder, which may hold itself."""
-    anchor = Path(pattern).anchor
-    root = Path(anchor) if anchor else folder
-    relative = pattern[len(anchor) :]
-    # a last ** means folders only in some versions of Python
-    parts = Path(relative).parts
-    if parts and parts[-1] == "**":
-        relative += "/*"
-    hidden = any(part.startswith(".") for part in parts)
-    try:
-        for path in root.glob(relative):
-            if hidden or not any(p.startswith(".") for p in path.relative_to(root).parts):
-                yield path
-    except (ValueError, NotImplementedError) as error:
-        raise BadInput(
-            f"file = '{pattern}'", f"is no pattern ({error})", "write ** between slashes"
-        ) from None
-
-
-def _is_text(name: str) -> bool:
-    try:
-        name.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
-
-
-def _names(paths: Sequence[Path]) -> list[str]:
-    names = [path.stem for path in paths]
-    depth = max((len(path.parts) for path in paths), default=0)
-    for level in range(1, depth):
-        doubled = {name for name, count in Counter(names).items() if count > 1}
-        if not doubled:
-            break
-        names = [
-            "/".join((*path.parts[-1 - level : -1], path.stem)) if name in doubled else name
-            for path, name in zip(paths, names, strict=True)
-        ]
-    doubled = {name for name, count in Counter(names).items() if count > 1}
-    # left over are files that differ in their suffix only
-    return [
-        "/".join(path.parts[-2:]) if name in doubled else name
-        for path, name in zip(paths, names, strict=True)
-    ]
-
-
-def _time(source: Source, table: Table, count: int) -> NDArray[np.float64]:
+def _time(source: Columns, table: Table, count: int) -> NDArray[np.float64]:
     if source.time is None:
         if source.rate is None:
-            raise BadInput(str(table.path), "has neither time nor rate", "give one of them")
+            raise BadInput(table.where, "has neither time nor rate", "give one of them")
         return np.arange(count) / source.rate
     time = scaled(source.time, table, "time", "time")
-    if len(time) != count:
-        raise lengths(table, source.time.column, len(time), source.position.column, count)
     where = table.label(source.time.column)
     check_order(time, where, table.row)
     checks.check_not_huge(time, where, "time")
@@ -247,7 +177,7 @@ def _time(source: Source, table: Table, count: int) -> NDArray[np.float64]:
     return since
 
 
-def _chosen(source: Source, time: NDArray[np.float64], where: str) -> tuple[int, int]:
+def _chosen(source: Columns, time: NDArray[np.float64], where: str) -> tuple[int, int]:
     first = 0 if source.start is None else int(np.searchsorted(time, source.start, "left"))
     last = len(time) if source.stop is None else int(np.searchsorted(time, source.stop, "right"))
     if source.start is not None and first >= len(time):
@@ -261,7 +191,7 @@ def _chosen(source: Source, time: NDArray[np.float64], where: str) -> tuple[int,
 
 
 def _torque(
-    source: Source,
+    source: Columns,
     signal: NDArray[np.float64],
     position: NDArray[np.float64],
     velocity: NDArray[np.float64] | None,
@@ -275,8 +205,8 @@ def _torque(
         return signal, f"{what}: current times {source.current.torque_constant}"
     if source.voltage is None:
         return signal, f"{what}: as measured"
-    constant = units.parse(source.voltage.torque_constant, CONSTANT[drive.motor_motion])
-    resistance = units.parse(source.voltage.resistance, "resistance")
+    constant = units.scale([source.voltage.torque_constant], CONSTANT[drive.motor_motion])
+    resistance = units.scale([source.voltage.resistance], "resistance")
     origin = "measured"
     if velocity is None:
         origin = "differentiated"
@@ -292,7 +222,7 @@ def _torque(
     )
 
 
-def _excluded(source: Source, time: NDArray[np.float64], warnings: list[str]) -> NDArray[np.bool_]:
+def _excluded(source: Columns, time: NDArray[np.float64], warnings: list[str]) -> NDArray[np.bool_]:
     excluded = np.zeros(len(time), dtype=np.bool_)
     for start, stop in source.exclude:
         span = (time >= start) & (time <= stop)

@@ -1,60 +1,215 @@
-"""One recording in SI units on a uniform time base."""
+"""A recording as a user gives it: a file or columns in memory, and what its numbers mean."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import glob
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
+from pydantic import ValidationError
 
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.complaints import complaint_of
+from bayesfric.errors import BadInput, nearest
+from bayesfric.recordings.source import SI, Columns, Source
+from bayesfric.recordings.tables.table import Table, column_cells
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_CHANNELS = ("time", "position", "velocity", "torque", "current", "voltage")
+_CONSTANTS = ("torque_constant", "resistance")
+_Keys = TypeVar("_Keys", bound=Columns)
+Column = str | int | Mapping[str, Any]
+Side = Literal["motor", "joint"]
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What was measured in one file.
+    """One or more recorded files, or a table in memory, with the meaning of its columns.
+
+    A model reads it for its joint, with the same checks for all three. Make one by
+    :meth:`from_arrays`, :meth:`from_dataframe` or :meth:`from_file`; what these take besides is
+    called as in a ``[[recordings]]`` table of a configuration (``name``, ``added_mass``,
+    ``radius``, ``rate``, ``start``, ``stop``, ``exclude``, ``valid``), and numbers may be text
+    with a unit there too. ``torque_constant`` and ``resistance`` are those of the ``current`` or
+    ``voltage`` channel that is given in place of ``torque``.
 
     Parameters
     ----------
-    name
-        Unique among the recordings of a source.
-    path
-        The file.
-    sha256
-        Of the file, hexadecimal.
-    time
-        Seconds since the file's first stamp, shape (n,); it begins after 0 if a start was given.
-    position
-        Of the joint, rad or m, shape (n,).
-    velocity
-        Of the joint, rad/s or m/s, shape (n,), or None if not recorded.
-    torque
-        Of the motor as measured, N m or N, shape (n,).
-    segments
-        Half-open index ranges without gaps; together they are all n samples.
-    period
-        Sampling period in s, the same in every segment.
-    excluded
-        True where a sample must not be compared with the model, shape (n,).
-    inputs
-        What the joint feels besides its motion.
-    steps
-        One sentence for every choice made in reading.
-    warnings
-        One sentence for everything a user should look at.
+    source
+        What the columns mean, and for files which they are.
+    folder
+        That file names are relative to.
+    table
+        Columns in memory.
     """
 
-    name: str
-    path: Path
-    sha256: str
-    time: NDArray[np.float64]
-    position: NDArray[np.float64]
-    velocity: NDArray[np.float64] | None
-    torque: NDArray[np.float64]
-    segments: tuple[tuple[int, int], ...]
-    period: float
-    excluded: NDArray[np.bool_]
-    inputs: Inputs
-    steps: tuple[str, ...]
-    warnings: tuple[str, ...]
+    source: Columns
+    folder: Path = field(default_factory=Path)
+    table: Table | None = None
+
+    @classmethod
+    def from_arrays(
+        cls,
+        time: ArrayLike | None,
+        position: ArrayLike,
+        torque: ArrayLike | None = None,
+        *,
+        units: Mapping[str, str] | None = None,
+        side: Side | None = None,
+        **keys: Any,
+    ) -> Recording:
+        """Take columns from arrays.
+
+        Parameters
+        ----------
+        time
+            Shape (n,); None if ``rate`` is given.
+        position, torque
+            Shape (n,). In place of torque, ``current`` or ``voltage`` may be given.
+        units
+            By channel, such as ``{"time": "ms", "position": "deg"}``; SI where none is given.
+        side
+            Of position and velocity; may be left out only if the gear ratio is 1.
+        **keys
+            ``velocity``, ``current``, ``voltage`` and ``valid``, arrays of shape (n,); and what
+            else there is to say.
+
+        Raises
+        ------
+        BadInput
+            For a key or value that cannot be used.
+        """
+        keys |= {"time": time, "position": position, "torque": torque}
+        names = [key for key in (*_CHANNELS, "valid") if keys.get(key) is not None]
+        # what is changed later is not what was recorded
+        arrays = [np.array(keys[name]) for name in names]
+        source = _checked(Columns, keys | {name: name for name in names}, units, side)
+        return cls(source, table=Table("recording", names, arrays.__getitem__))
+
+    @classmethod
+    def from_dataframe(
+        cls,
+        frame: pd.DataFrame,
+        *,
+        position: Column,
+        time: Column | None = None,
+        torque: Column | None = None,
+        units: Mapping[str, str] | None = None,
+        side: Side | None = None,
+        **keys: Any,
+    ) -> Recording:
+        """Take columns from a DataFrame.
+
+        Parameters
+        ----------
+        frame
+            One row a sample.
+        position, time, torque
+            Name of a column, or its number from 1, or a table of keys as in a configuration:
+            ``{"column": "q", "unit": "turn/4096", "sign": -1}``. Without time give ``rate``, and
+            without torque ``current`` or ``voltage``.
+        units, side
+            As in :meth:`from_arrays`.
+        **keys
+            ``velocity``, ``current``, ``voltage`` and ``valid``, columns as well; and what else
+            there is to say.
+
+        Raises
+        ------
+        BadInput
+            For a key or value that cannot be used.
+        """
+        keys |= {"position": position, "time": time, "torque": torque}
+        names = [str(name) for name in frame.columns]
+        columns = [column_cells(frame.iloc[:, i]).copy() for i in range(len(names))]
+        table = Table("recording", names, columns.__getitem__)
+        return cls(_checked(Columns, keys, units, side), table=table)
+
+    @classmethod
+    def from_file(
+        cls,
+        path: str | Path,
+        *,
+        position: Column,
+        time: Column | None = None,
+        torque: Column | None = None,
+        units: Mapping[str, str] | None = None,
+        side: Side | None = None,
+        **keys: Any,
+    ) -> Recording:
+        """Take a file, or all that match a pattern, whose format goes by the suffix.
+
+        Parameters
+        ----------
+        path
+            A file; ``*``, ``?`` and ``**`` are wildcards.
+        position, time, torque, units, side, **keys
+            As in :meth:`from_dataframe`, and ``format``, ``delimiter``, ``header``, ``decimal``,
+            ``skip_rows`` and ``table``.
+
+        Raises
+        ------
+        BadInput
+            For a key or value that cannot be used; the file is opened later.
+        """
+        keys |= {"file": str(path), "position": position, "time": time, "torque": torque}
+        return cls(_checked(Source, keys, units, side))
+
+    def saved(self, path: Path) -> Recording:
+        """Write the columns used of a table in memory as CSV, and return that file's recording.
+
+        Reading it gives the same measurement to the last bit.
+        """
+        import pandas as pd
+
+        if self.table is None:
+            raise ValueError("the recording is in files already")
+        names = self._header.items()
+        frame = pd.DataFrame({name: self.table.column(column) for column, name in names})
+        frame.to_csv(path, index=False)
+        return type(self)(self.filed(glob.escape(path.name)), path.parent)
+
+    def filed(self, file: str) -> Source:
+        """Give the keys of the recording once :meth:`saved` has made it a file of that name."""
+        keys = self.source.model_dump(exclude_unset=True, exclude_none=True)
+        for key in self.source.channels:
+            found = [k for k in ("column", "times") if k in keys[key]]
+            keys[key] |= {k: self._header[keys[key][k]] for k in found}
+        if "valid" in keys:
+            keys["valid"] = self._header[keys["valid"]]
+        return Source(file=file, **keys)
+
+    @property
+    def _header(self) -> dict[str | int, str]:
+        return {c: c if isinstance(c, str) else f"column {c}" for c in self.source.columns}
+
+
+def _checked(
+    kind: type[_Keys], keys: Mapping[str, Any], units: Mapping[str, str] | None, side: Side | None
+) -> _Keys:
+    """Check what is said of a recording as a ``[[recordings]]`` table is checked."""
+    document = {key: value for key, value in keys.items() if value is not None}
+    for key in _CHANNELS:
+        if key in document:
+            given = document[key]
+            channel = dict(given) if isinstance(given, Mapping) else {"column": given}
+            channel.setdefault("unit", (units or {}).get(key, SI))
+            if side is not None and key in ("position", "velocity"):
+                channel.setdefault("side", side)
+            if key in ("current", "voltage"):
+                channel |= {k: document.pop(k) for k in _CONSTANTS if k in document}
+            document[key] = channel
+    whose = f"recording {keys['name']!r}" if keys.get("name") else "recording"
+    for key in units or {}:
+        if key not in document or key not in _CHANNELS:
+            known = [name for name in _CHANNELS if name in document]
+            raise BadInput(f"{whose}: units.{key}", "no such channel is given", nearest(key, known))
+    try:
+        return kind.model_validate(document)
+    except ValidationError as error:
+        raise complaint_of(f"{whose}: ", whose, error, document, kind) from None

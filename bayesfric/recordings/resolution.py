@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.measurement import Measurement
 
 Array = NDArray[np.float64]
 Reason = Literal["sampling", "position", "torque", "length"]
@@ -83,7 +83,7 @@ class _Spectra:
     torque: Array
 
 
-def resolve(recording: Recording, band: float | None = None) -> Resolution:
+def resolve(recording: Measurement, band: float | None = None) -> Resolution:
     """Look at the spectra of a recording.
 
     Parameters
@@ -124,7 +124,7 @@ def lowpass_above(band: float, fs: float) -> float:
     return min(_ABOVE * band, _HIGHEST * fs)
 
 
-def _choose(recording: Recording, seen: _Spectra, variance: float) -> tuple[float, Reason]:
+def _choose(recording: Measurement, seen: _Spectra, variance: float) -> tuple[float, Reason]:
     """Take the widest band that position, torque and sampling allow."""
     fs, f = 1.0 / recording.period, seen.frequency
     ends: list[tuple[float, Reason]] = [(WIDEST * fs, "sampling")]
@@ -149,7 +149,7 @@ def _choose(recording: Recording, seen: _Spectra, variance: float) -> tuple[floa
     return (band, reason) if band >= least else (least, "length")
 
 
-def _steps(recording: Recording) -> float:
+def _steps(recording: Measurement) -> float:
     """Variance of the rounding of a position that is read in steps; 0 where none is seen."""
     levels = np.unique(recording.position if recording.velocity is None else recording.velocity)
     if not 3 <= levels.size <= recording.time.size / 3:
@@ -163,7 +163,7 @@ def _floor(seen: _Spectra, fs: float) -> float:
     return float(np.median(seen.motion[quiet] / seen.noise[quiet])) if quiet.any() else 0.0
 
 
-def _spectra(recording: Recording) -> _Spectra | None:
+def _spectra(recording: Measurement) -> _Spectra | None:
     from scipy.signal import welch
 
     fs = 1.0 / recording.period

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
 from bayesfric.recordings import units
-from bayesfric.recordings.options import Processing
+from bayesfric.recordings.processing import Processing
 
+Array = NDArray[np.float64]
 Segments = tuple[tuple[int, int], ...]
 _SLOWEST = 1.0
 _FASTEST = 1e-6
@@ -43,84 +44,37 @@ class Grid:
         One sentence for every choice made, and for everything to look at.
     """
 
-    stamps: NDArray[np.float64]
+    stamps: Array
     pieces: Segments
-    time: NDArray[np.float64]
+    time: Array
     segments: Segments
     period: float
     resampled: bool
     steps: tuple[str, ...]
     warnings: tuple[str, ...]
 
-    def linear(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Bring a signal onto the grid by linear interpolation.
-
-        Parameters
-        ----------
-        values
-            One value a stamp, shape (n,).
-
-        Returns
-        -------
-        numpy.ndarray
-            Shape (m,).
-        """
+    def linear(self, values: Array) -> Array:
+        """Bring a signal ``(n,)`` onto the grid ``(m,)`` by linear interpolation."""
         return self._bring(values, np.interp)
 
-    def smooth(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Bring a signal onto the grid by PCHIP, which keeps its slope continuous.
+    def smooth(self, values: Array) -> Array:
+        """Bring a signal onto the grid by PCHIP, which keeps its slope continuous."""
+        from scipy.interpolate import pchip_interpolate
 
-        Parameters
-        ----------
-        values
-            One value a stamp, shape (n,).
+        return self._bring(values, lambda x, xp, fp: np.asarray(pchip_interpolate(xp, fp, x)))
 
-        Returns
-        -------
-        numpy.ndarray
-            Shape (m,).
-        """
-
-        def pchip(
-            x: NDArray[np.float64], xp: NDArray[np.float64], fp: NDArray[np.float64]
-        ) -> NDArray[np.float64]:
-            from scipy.interpolate import PchipInterpolator
-
-            return np.asarray(PchipInterpolator(xp, fp)(x), dtype=np.float64)
-
-        return self._bring(values, pchip)
-
-    def _bring(
-        self,
-        values: NDArray[np.float64],
-        interpolate: Callable[..., NDArray[np.float64]],
-    ) -> NDArray[np.float64]:
-        parts = []
-        for (a, b), (lo, hi) in zip(self.pieces, self.segments, strict=True):
-            if self.resampled:
-                parts.append(interpolate(self.time[lo:hi], self.stamps[a:b], values[a:b]))
-            else:
-                parts.append(values[a:b])
+    def _bring(self, values: Array, interpolate: Callable[[Array, Array, Array], Array]) -> Array:
+        parts = [values[a:b] for a, b in self.pieces]
+        if self.resampled:
+            parts = [
+                interpolate(self.time[lo:hi], self.stamps[a:b], part)
+                for part, (a, b), (lo, hi) in zip(parts, self.pieces, self.segments, strict=True)
+            ]
         return np.concatenate(parts)
 
 
-def check_order(time: NDArray[np.float64], where: str, row: Callable[[int], str]) -> None:
-    """Refuse time stamps that do not increase.
-
-    Parameters
-    ----------
-    time
-        Time stamps, shape (n,).
-    where
-        File and column.
-    row
-        Names a row by its index.
-
-    Raises
-    ------
-    BadInput
-        For a stamp that repeats the one before it or lies before it.
-    """
+def check_order(time: Array, where: str, row: Callable[[int], str]) -> None:
+    """Refuse time stamps that do not increase; ``row`` names a row by its index."""
     steps = np.diff(time)
     if np.all(steps > 0):
         return
@@ -138,10 +92,8 @@ def check_order(time: NDArray[np.float64], where: str, row: Callable[[int], str]
     )
 
 
-def make_grid(
-    time: NDArray[np.float64], chosen: tuple[int, int], processing: Processing, where: str
-) -> Grid:
-    """Find segments and put a uniform grid over them.
+def make_grid(time: Array, chosen: tuple[int, int], processing: Processing, where: str) -> Grid:
+    """Find segments without gaps, and put a uniform grid over them.
 
     Parameters
     ----------
@@ -154,22 +106,47 @@ def make_grid(
     where
         The file, for messages.
 
-    Returns
-    -------
-    Grid
-        The uniform time base.
-
     Raises
     ------
     BadInput
-        If no segment has enough samples.
+        If no segment has enough samples, or the period is none of a recording.
     """
+    steps: list[str] = []
+    warnings: list[str] = []
+    pieces, median = _pieces(time, chosen, processing, where, steps, warnings)
+    inside = np.concatenate([np.diff(time[a:b]) for a, b in pieces])
+    mean = float(np.mean(inside))
+    jitter = float(np.sqrt(np.mean((inside - mean) ** 2)) / mean)
+    period, resampled, told = _choose(jitter, mean, median, processing, warnings)
+    steps.append(f"time: {chosen[1] - chosen[0]} samples, {told}")
+    if not _POSSIBLE[0] <= period <= _POSSIBLE[1]:
+        raise BadInput(where, f"the sampling period is {period:.3g} s", "check the unit of time")
+    if not _FASTEST <= period <= _SLOWEST:
+        warnings.append(f"time: the sampling period is {period:.3g} s; is the unit of time right?")
+    times = [time[a:b] for a, b in pieces]
+    if resampled:
+        times = _resampled(times, period, processing.min_samples, where)
+    ends = np.cumsum([len(part) for part in times]).tolist()
+    segments = tuple(pairwise([0, *ends]))
+    told_all = (tuple(steps), tuple(warnings))
+    return Grid(time, pieces, np.concatenate(times), segments, period, resampled, *told_all)
+
+
+def _pieces(
+    time: Array,
+    chosen: tuple[int, int],
+    processing: Processing,
+    where: str,
+    steps: list[str],
+    warnings: list[str],
+) -> tuple[Segments, float]:
+    """Divide the stamps at gaps, and give the median step."""
     first, last = chosen
-    count = last - first
-    if count < max(processing.min_samples, 2):
+    count, least = last - first, processing.min_samples
+    if count < max(least, 2):
         raise BadInput(
             where,
-            f"has {count} samples, fewer than min_samples = {processing.min_samples}",
+            f"has {count} samples, fewer than min_samples = {least}",
             "record longer, or check start and stop",
         )
     intervals = np.diff(time[first:last])
@@ -181,72 +158,47 @@ def make_grid(
         )
     median = float(np.median(intervals))
     borders = first + 1 + np.flatnonzero(intervals > processing.gap * median)
-    edges = [first, *borders.tolist(), last]
-    found = list(pairwise(edges))
-    pieces = tuple((a, b) for a, b in found if b - a >= processing.min_samples)
+    found = list(pairwise([first, *borders.tolist(), last]))
+    pieces = tuple((a, b) for a, b in found if b - a >= least)
     if not pieces:
         longest = max(b - a for a, b in found)
         raise BadInput(
             where,
-            f"time gaps leave no segment of min_samples = {processing.min_samples}"
+            f"time gaps leave no segment of min_samples = {least}"
             f" (the longest of {len(found)} has {longest})",
             "record without gaps, or raise gap",
         )
-    steps: list[str] = []
-    warnings: list[str] = []
     if len(found) > 1:
         steps.append(f"time: gaps split the recording into {len(found)} segments")
     if len(pieces) < len(found):
         lost = count - sum(b - a for a, b in pieces)
         warnings.append(
-            f"time: {len(found) - len(pieces)} segments of fewer than {processing.min_samples} "
+            f"time: {len(found) - len(pieces)} segments of fewer than {least} "
             f"samples left out ({lost} samples)"
         )
-    inside = np.concatenate([np.diff(time[a:b]) for a, b in pieces])
-    mean = float(np.mean(inside))
-    jitter = float(np.sqrt(np.mean((inside - mean) ** 2)) / mean)
-    period, resampled, told = _choose(jitter, mean, median, processing, warnings)
-    steps.append(f"time: {count} samples, {told}")
-    if not _POSSIBLE[0] <= period <= _POSSIBLE[1]:
-        raise BadInput(where, f"the sampling period is {period:.3g} s", "check the unit of time")
-    if not _FASTEST <= period <= _SLOWEST:
-        warnings.append(f"time: the sampling period is {period:.3g} s; is the unit of time right?")
-    times: list[NDArray[np.float64]] = []
-    segments: list[tuple[int, int]] = []
-    begin = 0
-    for a, b in pieces:
-        if resampled:
-            # the tolerance keeps a last stamp that lies on the grid but for rounding
-            n = int(np.floor((time[b - 1] - time[a]) / period + 1e-9)) + 1
-            if begin + n > _MOST_SAMPLES:
-                raise BadInput(
-                    where,
-                    f"resampling to {period:.3g} s makes more than {_MOST_SAMPLES} samples",
-                    "choose a longer period in resample",
-                )
-            part = np.minimum(time[a] + period * np.arange(n), time[b - 1])
-        else:
-            part = time[a:b]
-        if len(part) < processing.min_samples:
+    return pieces, median
+
+
+def _resampled(stamps: list[Array], period: float, least: int, where: str) -> list[Array]:
+    times: list[Array] = []
+    for part in stamps:
+        # the tolerance keeps a last stamp that lies on the grid but for rounding
+        n = int(np.floor((part[-1] - part[0]) / period + 1e-9)) + 1
+        if sum(map(len, times)) + n > _MOST_SAMPLES:
             raise BadInput(
                 where,
-                f"resampling to {period:.3g} s leaves {len(part)} samples in a segment, fewer than "
-                f"min_samples = {processing.min_samples}",
+                f"resampling to {period:.3g} s makes more than {_MOST_SAMPLES} samples",
+                "choose a longer period in resample",
+            )
+        if n < least:
+            raise BadInput(
+                where,
+                f"resampling to {period:.3g} s leaves {n} samples in a segment, fewer than "
+                f"min_samples = {least}",
                 "choose a shorter period in resample",
             )
-        times.append(part)
-        segments.append((begin, begin + len(part)))
-        begin += len(part)
-    return Grid(
-        stamps=time,
-        pieces=pieces,
-        time=np.concatenate(times),
-        segments=tuple(segments),
-        period=period,
-        resampled=resampled,
-        steps=tuple(steps),
-        warnings=tuple(warnings),
-    )
+        times.append(np.minimum(part[0] + period * np.arange(n), part[-1]))
+    return times
 
 
 def _choose(

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
 from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation, without_excluded
-from bayesfric.recordings.recording import Recording
 
 # Two initial states come off every segment; what is shorter would say next to nothing.
 _LEAST_SAMPLES = 20
@@ -63,7 +63,7 @@ class Trajectory:
         return np.repeat(np.arange(len(self.segments)), np.diff(self.segments, axis=1)[:, 0])
 
 
-def trajectory(recording: Recording, observation: Observation, length: float) -> Trajectory:
+def trajectory(recording: Measurement, observation: Observation, length: float) -> Trajectory:
     """Cut a recording into segments for the output error.
 
     Parameters
@@ -99,7 +99,7 @@ def trajectory(recording: Recording, observation: Observation, length: float) ->
         segments=segments,
         q0=observation.q[starts],
         qd0=observation.qd[starts],
-        inputs=recording.inputs,
+        inputs=observation.inputs,
     )
 
 

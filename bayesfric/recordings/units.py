@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from contextlib import suppress
 from functools import cache
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from pydantic import BeforeValidator, Field
 
-from bayesfric.errors import BadInput
+from bayesfric.errors import BadInput, Unfit
 
 if TYPE_CHECKING:
     import pint
@@ -34,45 +34,22 @@ Kind = Literal[
 ]
 
 
-@dataclass(frozen=True)
-class _Dimension:
-    """The SI base units of a kind, and how to tell a user about it."""
-
-    base: Mapping[str, int]
-    words: str
-    # A torque constant is also quoted as its reciprocal speed constant, V s/rad
-    any_angle: bool = False
-
-
-_DIMENSIONS: dict[Kind, _Dimension] = {
-    "time": _Dimension({"second": 1}, "a time like 's' or '5 ms'"),
-    "angle": _Dimension({"radian": 1}, "an angle like 'rad', 'deg' or 'turn/4096'"),
-    "length": _Dimension({"meter": 1}, "a length like 'm' or '2.5 mm'"),
-    "angular_speed": _Dimension(
-        {"radian": 1, "second": -1}, "an angular speed like 'rad/s', 'deg/s' or 'rpm'"
-    ),
-    "speed": _Dimension({"meter": 1, "second": -1}, "a speed like 'm/s' or 'mm/s'"),
-    "torque": _Dimension(
-        {"kilogram": 1, "meter": 2, "second": -2}, "a torque like 'N m' or '9.84e-5 N m'"
-    ),
-    "force": _Dimension({"kilogram": 1, "meter": 1, "second": -2}, "a force like 'N'"),
-    "current": _Dimension({"ampere": 1}, "a current like 'A' or 'mA'"),
-    "voltage": _Dimension(
-        {"kilogram": 1, "meter": 2, "second": -3, "ampere": -1}, "a voltage like 'V' or 'V/885'"
-    ),
-    "resistance": _Dimension(
-        {"kilogram": 1, "meter": 2, "second": -3, "ampere": -2}, "a resistance like '3.4 ohm'"
-    ),
-    "frequency": _Dimension({"second": -1}, "a frequency like '100 Hz'"),
-    "mass": _Dimension({"kilogram": 1}, "a mass like '2 kg'"),
-    "torque_constant": _Dimension(
-        {"kilogram": 1, "meter": 2, "second": -2, "ampere": -1},
-        "a torque constant like '0.32 N m/A'",
-        any_angle=True,
-    ),
-    "force_constant": _Dimension(
-        {"kilogram": 1, "meter": 1, "second": -2, "ampere": -1}, "a force constant like '35 N/A'"
-    ),
+# A unit of every kind, and how to tell a user about it.
+_KINDS: dict[Kind, tuple[str, str]] = {
+    "time": ("s", "a time like 's' or '5 ms'"),
+    "angle": ("rad", "an angle like 'rad', 'deg' or 'turn/4096'"),
+    "length": ("m", "a length like 'm' or '2.5 mm'"),
+    "angular_speed": ("rad/s", "an angular speed like 'rad/s', 'deg/s' or 'rpm'"),
+    "speed": ("m/s", "a speed like 'm/s' or 'mm/s'"),
+    "torque": ("N m", "a torque like 'N m' or '9.84e-5 N m'"),
+    "force": ("N", "a force like 'N'"),
+    "current": ("A", "a current like 'A' or 'mA'"),
+    "voltage": ("V", "a voltage like 'V' or 'V/885'"),
+    "resistance": ("ohm", "a resistance like '3.4 ohm'"),
+    "frequency": ("Hz", "a frequency like '100 Hz'"),
+    "mass": ("kg", "a mass like '2 kg'"),
+    "torque_constant": ("N m/A", "a torque constant like '0.32 N m/A'"),
+    "force_constant": ("N/A", "a force constant like '35 N/A'"),
 }
 
 # pint reads "Nm" as a number times a metre; everybody else means newton metre
@@ -114,143 +91,80 @@ def _base(text: str) -> tuple[float, tuple[tuple[str, float], ...]]:
         }
     except Exception as error:  # pint and its tokenizer raise a dozen unrelated types
         raise ValueError(f"'{text}' is not a known unit") from error
-    if not np.isfinite(factor):
+    if not math.isfinite(factor):
         raise ValueError(f"'{text}' is not a finite quantity")
     return factor, tuple(sorted(exponents.items()))
 
 
+def quantity(text: str, *kinds: Kind) -> float:
+    """Read a scalar with its unit, of one of some kinds, in SI and Hz, or raise `Unfit`."""
+    return _product([text], kinds)
+
+
+def scale(units: Sequence[str], kind: Kind, where: str = "unit") -> float:
+    """Return the positive SI value of one count of a channel, or of a constant.
+
+    ``units`` are its unit and whatever multiplies it: ``["V", "35.15 N/V"]``. What is of
+    another kind is bad input at ``where``.
+    """
+    try:
+        factor = _product(units, [kind])
+    except Unfit as error:
+        mend = f"give {error.wanted}"
+        with suppress(ValueError):
+            if kind == "angle" and not any(_base(text)[1] for text in units):
+                mend = "an angle needs its unit: write 'turn/4096', not '1/4096'"
+        raise BadInput(where, str(error), mend) from error
+    if not factor > 0:
+        raise BadInput(
+            where,
+            f"{_listed(units)} is {factor:g}, not positive",
+            "give a positive value; use sign = -1",
+        )
+    return factor
+
+
 def _product(texts: Sequence[str], kinds: Sequence[Kind]) -> float:
-    """Return the SI factor of a product of units, or raise ValueError naming what was expected."""
-    expected = " or ".join(_DIMENSIONS[kind].words for kind in kinds)
-    got = " times ".join(f"'{text}'" for text in texts)
+    """Return the SI factor of a product of units that is of one of some kinds."""
+    expected = " or ".join(_KINDS[kind][1] for kind in kinds)
     factor = 1.0
     powers: dict[str, float] = {}
     for text in texts:
         try:
             part, exponents = _base(text)
         except ValueError as error:
-            raise ValueError(f"expected {expected}, but {error}") from error
+            raise Unfit(expected, str(error)) from error
         factor *= part
         for name, power in exponents:
             powers[name] = powers.get(name, 0.0) + power
     powers = {name: power for name, power in powers.items() if power != 0}
     for kind in kinds:
-        dimension = _DIMENSIONS[kind]
-        seen = dict(powers)
-        if dimension.any_angle:
-            seen.pop("radian", None)
-        if seen == dict(dimension.base):
+        # a torque constant is also quoted as its reciprocal speed constant, V s/rad
+        seen = {k: v for k, v in powers.items() if kind != "torque_constant" or k != "radian"}
+        if seen == dict(_base(_KINDS[kind][0])[1]):
             return factor
-    raise ValueError(f"expected {expected}, got {got}")
+    raise Unfit(expected, f"got {_listed(texts)}")
 
 
-def quantity(text: str, *kinds: Kind) -> float:
-    """Read a scalar with its unit.
-
-    Parameters
-    ----------
-    text
-        Such as ``"100 Hz"`` or ``"0.35 m"``.
-    *kinds
-        The kinds of quantity that will do.
-
-    Returns
-    -------
-    float
-        The value in SI units; a frequency in Hz.
-
-    Raises
-    ------
-    ValueError
-        For an unknown unit or a wrong dimension, naming what was expected.
-    """
-    return _product([text], kinds)
+def _listed(texts: Sequence[str]) -> str:
+    return " times ".join(f"'{text}'" for text in texts)
 
 
-def parse(text: str, kind: Kind, where: str = "unit") -> float:
-    """Read a scalar with its unit, for a user's key.
+def _number(*kinds: Kind, off: bool = False) -> BeforeValidator:
+    """Return a validator that turns text with a unit into an SI number."""
 
-    Parameters
-    ----------
-    text
-        Such as ``"3.4 ohm"``.
-    kind
-        The kind of quantity expected.
-    where
-        The key at fault if it cannot be read.
+    def read(value: Any) -> Any:
+        if isinstance(value, bool):
+            raise Unfit("a number or text with a unit", f"got {value}")
+        if off and value == "off":
+            return 0.0
+        return quantity(value, *kinds) if isinstance(value, str) else value
 
-    Returns
-    -------
-    float
-        The value in SI units; a frequency in Hz.
-
-    Raises
-    ------
-    BadInput
-        For an unknown unit or a wrong dimension.
-    """
-    return scale([text], kind, where)
+    return BeforeValidator(read)
 
 
-def scale(units: Sequence[str], kind: Kind, where: str) -> float:
-    """Return the SI value of one count of a channel.
-
-    Parameters
-    ----------
-    units
-        The channel's unit and whatever multiplies it, e.g. ``["V", "35.15 N/V"]``.
-    kind
-        The kind of quantity their product must be.
-    where
-        The key at fault if it is not.
-
-    Returns
-    -------
-    float
-        The factor from raw values to SI units, positive.
-
-    Raises
-    ------
-    BadInput
-        For an unknown unit, a wrong dimension or a factor that is not positive.
-    """
-    try:
-        factor = _product(units, [kind])
-    except ValueError as error:
-        mend = f"give {_DIMENSIONS[kind].words}"
-        if kind == "angle" and "got '1" in str(error):
-            mend = "an angle needs its unit: write 'turn/4096', not '1/4096'"
-        raise BadInput(where, str(error), mend) from error
-    if not factor > 0:
-        got = " times ".join(f"'{text}'" for text in units)
-        raise BadInput(
-            where, f"{got} is {factor:g}, not positive", "give a positive value; use sign = -1"
-        )
-    return factor
-
-
-def convert(values: ArrayLike, unit: str, kind: Kind, where: str) -> NDArray[np.float64]:
-    """Convert raw values to SI units.
-
-    Parameters
-    ----------
-    values
-        Raw values, shape (n,).
-    unit
-        Their unit; ``"turn/4096"`` and ``"9.84e-5 N m"`` are units too.
-    kind
-        The kind of quantity they are.
-    where
-        The key at fault if the unit is wrong.
-
-    Returns
-    -------
-    numpy.ndarray
-        The values in SI units, shape (n,).
-
-    Raises
-    ------
-    BadInput
-        For an unknown unit or a wrong dimension.
-    """
-    return np.asarray(values, dtype=np.float64) * scale([unit], kind, where)
+Seconds = Annotated[float, _number("time"), Field(ge=0, allow_inf_nan=False)]
+Hertz = Annotated[float, _number("frequency"), Field(gt=0, allow_inf_nan=False)]
+HertzOrOff = Annotated[float, _number("frequency", off=True), Field(ge=0, allow_inf_nan=False)]
+Kilograms = Annotated[float, _number("mass"), Field(ge=0, allow_inf_nan=False)]
+Metres = Annotated[float, _number("length"), Field(ge=0, allow_inf_nan=False)]

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from decimal import ROUND_HALF_EVEN, Decimal
-from typing import NamedTuple
 
 from markupsafe import Markup, escape
 
@@ -18,7 +18,8 @@ _DIGITS = 2
 _PLAIN = (-3, 4)
 
 
-class Medium(NamedTuple):
+@dataclass(frozen=True)
+class Medium:
     """How one medium writes an exact number, a value with its sd, skewed ones, and intervals.
 
     ``limits`` are the signs of an upper and a lower limit, ``none`` what stands for no number.

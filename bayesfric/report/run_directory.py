@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ import bayesfric
 from bayesfric.errors import BadInput
 from bayesfric.inference.archive import as_chains, write_archive
 from bayesfric.inference.fit import Fit
-from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.measurement import Measurement
 from bayesfric.report.figures.files import two_at_once
 from bayesfric.report.figures.registry import FinishedRun, captions, run_figures
 from bayesfric.report.page.run_page import run_page
@@ -31,6 +32,7 @@ from bayesfric.report.summary.record import PosteriorRow, Readable, Summary
 _POINTWISE_DRAWS = 400
 
 FIGURES = run_figures()
+Array = NDArray[np.float64]
 
 
 def check_free(folder: Path, *, force: bool | None) -> None:
@@ -124,7 +126,8 @@ def write_run(
     fit: Fit,
     summary: Readable,
     config_text: str,
-    recordings: list[Recording],
+    recordings: list[Measurement],
+    saved: Path | None = None,
 ) -> None:
     """Write a run directory.
 
@@ -140,10 +143,14 @@ def write_run(
         The configuration as read.
     recordings
         For their SHA-256.
+    saved
+        A folder whose contents belong into it.
     """
     summary = Summary.read(summary)
     as_json = summary.as_dict()
     with made_beside(folder) as beside:
+        if saved is not None:
+            shutil.copytree(saved, beside, dirs_exist_ok=True)
         (beside / "config.toml").write_text(config_text, encoding="utf-8")
         (beside / "summary.json").write_text(
             json.dumps(as_json, indent=1, ensure_ascii=False, allow_nan=False) + "\n",
@@ -175,9 +182,16 @@ def write_run(
 
 
 def write_posterior(
-    path: Path, fit: Fit, summary: Summary, config_text: str, recordings: list[Recording]
+    path: Path, fit: Fit, summary: Summary, config_text: str, recordings: list[Measurement]
 ) -> None:
-    """Write ``posterior.nc`` with all ArviZ groups.
+    """Write ``posterior.nc``; see :func:`archived`."""
+    write_archive(path, **archived(fit, summary, config_text, recordings))
+
+
+def archived(
+    fit: Fit, summary: Summary, config_text: str, recordings: list[Measurement]
+) -> dict[str, Any]:
+    """Put together what :func:`~bayesfric.inference.archive.make_archive` takes of a run.
 
     ``posterior`` holds every kept draw, a walker being a chain, and ``derived`` what follows from
     it; their variables carry units, symbol, meaning and verdict. ``ensemble`` of
@@ -193,11 +207,9 @@ def write_posterior(
     rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(1,)))
     log_likelihood, predictive = _pointwise(fit, rng)
     outputs = fit.target.likelihood.outputs
-    dims = {o.name: [f"time_{o.name}"] for o in outputs}
     derived = _derived_draws(fit)
-    write_archive(
-        path,
-        {
+    return {
+        "groups": {
             "posterior": chains,
             **({"derived": derived} if derived else {}),
             "log_likelihood": log_likelihood,
@@ -209,9 +221,9 @@ def write_posterior(
                 for name, prior in zip(posterior.names, posterior.priors, strict=True)
             },
         },
-        dims=dims,
-        coords={f"time_{o.name}": o.time for o in outputs},
-        attrs={
+        "dims": {o.name: [f"time_{o.name}"] for o in outputs},
+        "coords": {f"time_{o.name}": o.time for o in outputs},
+        "attrs": {
             "bayesfric": bayesfric.__version__,
             "versions": json.dumps(
                 {"python": platform.python_version()}
@@ -224,8 +236,8 @@ def write_posterior(
             "fixed": json.dumps({name: row.as_dict() for name, row in summary.fixed.items()}),
             "status": summary.sampler.status,
         },
-        variable_attrs={"posterior": told, "derived": told, "prior": told},
-    )
+        "variable_attrs": {"posterior": told, "derived": told, "prior": told},
+    }
 
 
 def _derived_draws(fit: Fit) -> dict[str, NDArray[np.float64]]:

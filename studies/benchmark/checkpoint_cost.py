@@ -13,9 +13,9 @@ import time
 from pathlib import Path
 
 from bayesfric.commands.demo import demo_config
-from bayesfric.commands.problem import read_problem
 from bayesfric.inference.fit import fit
 from bayesfric.inference.sampling.checkpoint import Checkpoint
+from bayesfric.model import Model
 
 
 def main() -> None:
@@ -25,7 +25,7 @@ def main() -> None:
     parser.add_argument("--min-ess", type=float, default=200_000.0, help="longer than the demo")
     options = parser.parse_args()
     config = demo_config()
-    target = read_problem(config).white_target()
+    target = Model.from_config(config).white_target()
     settings = config.tables.sampling.model_copy(update={"min_ess": options.min_ess})
     spent = [0.0]
     save = Checkpoint.save

@@ -14,7 +14,6 @@ other versions. It uses nothing of the package but ``fit``: with ``PYTHONPATH`` 
 from __future__ import annotations
 
 import argparse
-import importlib
 import json
 import tempfile
 from dataclasses import dataclass
@@ -123,18 +122,14 @@ def _loop(path, speed, n, inertia, viscous, coulomb, offset, stiffness, damping,
 
 def fitted(recording: Recording) -> dict:
     """Fit a recording with the defaults, over a CSV file as users do; gives ``summary.json``."""
-    command = importlib.import_module("bayesfric.commands.fit")
-    # pages and figures of some hundred runs are not looked at
-    command.write_run = lambda *_: None
-    command.open_directions = lambda *_: []
-    from bayesfric.config import read_config
+    from bayesfric.model import Model
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         table = np.column_stack([recording.time, recording.position, recording.torque])
         np.savetxt(folder / "recording.csv", table, "%.9g", ",", header="t,q,tau", comments="")
         (folder / "joint.toml").write_text(CONFIG, encoding="utf-8")
-        return command.fit(read_config(folder / "joint.toml"), folder / "run")
+        return Model.from_config(folder / "joint.toml").fit().summary.as_dict()
 
 
 def judged(summary: dict, truth: dict[str, float]) -> dict[str, dict]:

@@ -6,12 +6,11 @@
 from __future__ import annotations
 
 import json
-import tempfile
 import time
 from pathlib import Path
 
-from bayesfric.commands import fit as command
 from bayesfric.config import parse_config
+from bayesfric.model import Model
 
 HERE = Path(__file__).resolve().parent
 RECORDINGS = ("ddp", "dircol", "ilqr", "es500", "sac", "es1kg")
@@ -38,12 +37,7 @@ def configuration(name: str) -> str:
 def fitted(text: str) -> dict:
     """Fit a configuration that lies in this folder; gives ``summary.json`` without its page."""
     config = parse_config(text, HERE / "study.toml")
-    with tempfile.TemporaryDirectory() as folder:
-        write, command.write_run = command.write_run, lambda *_: None
-        try:
-            return command.fit(config, Path(folder) / "run")
-        finally:
-            command.write_run = write
+    return Model.from_config(config).fit().summary.as_dict()
 
 
 def told(summary: dict) -> dict:

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from bayesfric.commands.problem import read_problem
 from bayesfric.config import parse_config
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.inference.likelihood.autoregression import burg, ljung_box, whitened
 from bayesfric.inference.moments.residual_moments import follows
+from bayesfric.model import Model
 
 CONFIG = Path(__file__).resolve().parent / "emps-white.toml"
 CHOICES = ((10, 100), (20, 100), (25, 100), (40, 100), (40, 25), (100, 100))
@@ -28,7 +28,7 @@ def main() -> None:
     for decimate, lowpass in CHOICES:
         changed = text.replace("decimate = 10", f"decimate = {decimate}")
         changed = changed.replace('"100 Hz"', f'"{lowpass} Hz"')
-        problem = read_problem(parse_config(changed, CONFIG))
+        problem = Model.from_config(parse_config(changed, CONFIG))
         (o,) = problem.observations
         regressors = TotalsProjection(problem.chain, problem.observations).regressors
         runs = follows(o)

@@ -145,7 +145,7 @@ def _table_target(reader: str, folder: Path) -> Callable[[bytes], None]:
     """Read a recording; the first byte chooses what the configuration says about it."""
     import numpy as np
 
-    from bayesfric.recordings import Processing, Source, observe, read_recordings
+    from bayesfric.recordings import Processing, Recording, Source, observe, read_recordings
 
     path = folder / "input" / f"run.{reader}"
     by_name = {"time": "t", "position": "q", "torque": "tau"}
@@ -175,7 +175,7 @@ def _table_target(reader: str, folder: Path) -> Callable[[bytes], None]:
         source = sources[data[0] % len(sources)] if data else sources[0]
         with np.errstate(all="ignore"):
             for recording in read_recordings(
-                source, path.parent, ratio=1.0, motion="rotary", processing=processing
+                Recording(source, path.parent), ratio=1.0, motion="rotary", processing=processing
             ):
                 observe(recording, processing)
 

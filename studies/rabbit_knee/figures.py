@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from bayesfric.commands.problem import Problem
 from bayesfric.estimates.estimate import Estimate
 from bayesfric.mechanism.forward import simulate
+from bayesfric.model import Model
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.figures.forest import forest_figure
 from bayesfric.report.figures.style import (
@@ -29,7 +29,7 @@ from bayesfric.report.figures.style import (
 _SHOWN = 4.0
 
 
-def fit_figure(problem: Problem, estimate: Estimate) -> Figure:
+def fit_figure(problem: Model, estimate: Estimate) -> Figure:
     """Counterpart of Fig. 6: measured and simulated angle, one simulation, never restarted."""
     (recording,) = problem.recordings
     chain = problem.chain

@@ -34,10 +34,10 @@ from bayesfric.estimates.torque import filtered_torque
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.recordings import Processing
 from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation, observe
-from bayesfric.recordings.options import Processing
-from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.trajectory import trajectory
 
 HERE = Path(__file__).resolve().parent
@@ -46,12 +46,12 @@ PRESET = PRESETS["rabbit-knee"]
 CONDITIONS = Simulation(seed=0)
 
 
-def recording(conditions: Simulation) -> Recording:
+def recording(conditions: Simulation) -> Measurement:
     """Simulate a recording of the knee, in memory."""
     chain = PRESET.chain()
     columns, _, _ = record(chain, conditions)
     n = columns["time"].size
-    return Recording(
+    return Measurement(
         name="knee",
         path=Path("simulated"),
         sha256="",

@@ -15,14 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.commands.estimate import estimates
 from bayesfric.commands.fit import fit
-from bayesfric.commands.problem import Problem, read_problem
 from bayesfric.config import Config, read_config
 from bayesfric.estimates.estimate import METHODS, Estimate
 from bayesfric.inference.archive import read_archive
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.model import Model
 from bayesfric.report.figures.style import save
 from figures import cutoff_figure, fit_figure, forest
 
@@ -82,7 +81,7 @@ def compared(chain: Any, values: np.ndarray) -> np.ndarray:
     )
 
 
-def sampled(config: Config, folder: Path, problem: Problem) -> tuple[dict[str, Any], np.ndarray]:
+def sampled(config: Config, folder: Path, problem: Model) -> tuple[dict[str, Any], np.ndarray]:
     """Sample a posterior; its summary and draws of the chain's parameters."""
     if folder.exists():
         shutil.rmtree(folder)
@@ -105,15 +104,15 @@ def at_cutoff(config: Config, cutoff: float) -> dict[str, Estimate]:
     """Estimate with another cut-off frequency of the low-pass, in Hz."""
     processing = config.tables.processing.model_copy(update={"lowpass": cutoff})
     tables = config.tables.model_copy(update={"processing": processing})
-    problem = read_problem(config.model_copy(update={"tables": tables}))
-    return {e.method: e for e in estimates(problem, ("input-error", "output-error"))}
+    problem = Model.from_config(config.model_copy(update={"tables": tables}))
+    return {e.method: e for e in problem.estimates(("input-error", "output-error"))}
 
 
 def main() -> None:
     """Run the study."""
     config = read_config(HERE / "knee.toml")
-    problem = read_problem(config)
-    found = {e.method: e for e in estimates(problem)}
+    problem = Model.from_config(config)
+    found = {e.method: e for e in problem.estimates()}
     runs = ROOT / "studies-runs"
     runs.mkdir(exist_ok=True)
     posteriors = {
@@ -168,7 +167,7 @@ def _table(
 
 
 def _section_4_4(
-    problem: Problem, found: dict[str, Estimate], posteriors: dict[str, Any]
+    problem: Model, found: dict[str, Estimate], posteriors: dict[str, Any]
 ) -> dict[str, Any]:
     chain = problem.chain
     columns: dict[str, Any] = {

@@ -7,14 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.commands.advise import advice
-from bayesfric.commands.estimate import estimates
-from bayesfric.commands.problem import read_problem
 from bayesfric.config import Config, parse_config, read_config
 from bayesfric.inference.fit import fit
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.model import Model
 
 # Far enough for the sd of an sd to be 2 %; a posterior that mixes slowly ends ``tentative``.
 ESS, MOST_STEPS = 2000.0, 2000
@@ -44,8 +42,8 @@ def experiments(path: Path, name: str, folder: Path) -> dict[str, Any]:
         For the recordings.
     """
     config = read_config(path)
-    problem = read_problem(config)
-    found = advice(problem, name)
+    problem = Model.from_config(config)
+    found = problem.advise(name)
     truth = PRESETS["rabbit-knee"].values
     bench = Simulation(encoder_counts=8192, encoder_side="motor", torque_noise=0.02)
     rows = []
@@ -73,7 +71,7 @@ def experiments(path: Path, name: str, folder: Path) -> dict[str, Any]:
                 "predicted": one.after.sd,
                 "sampled": sd,
                 "status": status,
-                "back_driven": {k: v[0] for k, v in one.back_driven.items()},
+                "back_driven": {k: v["mean"] for k, v in one.load_drives.items()},
             }
         )
         print(f"  {number:2d} {rows[-1]['form']} predicted {one.after.sd:.5f} sampled {sd:.5f}")
@@ -92,11 +90,11 @@ def _sampled(config: Config, file: Path, candidate: Any, name: str) -> tuple[flo
     if candidate.added_mass:
         added += MASS.format(mass=candidate.added_mass, radius=candidate.radius)
     text = config.text.replace("\n[sampling]", added + "\n[sampling]")
-    problem = read_problem(parse_config(text, config.path))
+    problem = Model.from_config(parse_config(text, config.path))
     settings = problem.config.tables.sampling.model_copy(
         update={"min_ess": ESS, "max_steps": MOST_STEPS}
     )
-    near = estimates(problem, ("least-squares", "input-error"))
+    near = problem.estimates(("least-squares", "input-error"))
     result = fit(problem.target(dict(near[-1].point)), settings, estimates=near)
     values = {q.name: q.values for q in derive(result.chain, result.chain_draws(), 1.0)}
     return float(values[name].std()), result.posterior.diagnostics.status

@@ -17,14 +17,12 @@ import numpy as np
 from experiments import experiments
 from profile_figure import profile_figure
 
-from bayesfric.commands.estimate import estimates
-from bayesfric.commands.identify import identification
-from bayesfric.commands.problem import read_problem
 from bayesfric.config import read_config
 from bayesfric.inference.fit import Fit, fit
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
+from bayesfric.model import Model
 from bayesfric.report.figures.ridge import ridge, ridge_figure
 from bayesfric.report.figures.style import save
 from bayesfric.report.summary.summary import summarise
@@ -55,8 +53,8 @@ def truths(chain: Any) -> dict[str, float]:
 
 def sampled(path: Path) -> tuple[Fit, dict[str, Any]]:
     """Sample a configuration as ``bayesfric fit`` does, without its point estimates."""
-    problem = read_problem(read_config(path))
-    near = estimates(problem, ("least-squares", "input-error"))
+    problem = Model.from_config(read_config(path))
+    near = problem.estimates(("least-squares", "input-error"))
     target = problem.target(dict(near[-1].point))
     found = fit(target, problem.config.tables.sampling, estimates=near)
     return found, summarise(found).as_dict()
@@ -84,7 +82,7 @@ def row_of(summary: dict[str, Any], name: str) -> dict[str, Any] | None:
 
 def predicted(path: Path, summary: dict[str, Any]) -> dict[str, Any]:
     """Put standard deviations foretold by ``identify`` beside the sampled ones."""
-    found = identification(read_problem(read_config(path)))
+    found = Model.from_config(path).identification()
     rows = {}
     for one in found.parameters:
         sampled_row = summary["parameters"][one.name]

@@ -10,11 +10,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from bayesfric.commands.estimate import estimates
-from bayesfric.commands.problem import read_problem
 from bayesfric.config import parse_config
 from bayesfric.inference.fit import fit
 from bayesfric.inference.predictive import predict_held_out
+from bayesfric.model import Model
 from bayesfric.report.summary.validation import validation_record
 
 PATH = Path(__file__).with_name("xl330-held-out.toml")
@@ -42,8 +41,8 @@ def held_out(gain: int, noise: str) -> tuple[str, dict[str, Any]]:
             "noise": tables.noise.model_copy(update=NOISES[noise]),
         }
     )
-    problem = read_problem(config.model_copy(update={"tables": tables}))
-    found = estimates(problem, ("least-squares", "input-error"))
+    problem = Model.from_config(config.model_copy(update={"tables": tables}))
+    found = problem.estimates(("least-squares", "input-error"))
     points = [dict(e.point) for e in found if e.point]
     result = fit(problem.target(points[0]), tables.sampling, estimates=found)
     predictions = predict_held_out(result.target, result.posterior, problem.held_out)

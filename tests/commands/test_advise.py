@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayesfric.recordings.options import Processing, Source
+from bayesfric.recordings import Processing, Recording, Source
 from bayesfric.recordings.read import read_recordings
 
 from .bench import cases, has
@@ -55,8 +55,7 @@ def test_the_winning_excitation_is_a_file_that_can_be_played(axis):
         torque={"column": "torque", "unit": "N m"},
     )
     (read,) = read_recordings(
-        source,
-        axis.folder,
+        Recording(source, axis.folder),
         ratio=1.0,
         motion="rotary",
         motor_motion="rotary",

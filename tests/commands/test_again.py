@@ -64,7 +64,7 @@ def test_a_recording_that_moved_is_named_with_its_sha(bench, run):
     (source,) = json.loads((run / "summary.json").read_text())["source"]["recordings"].values()
     assert source == {"file": str(file), "sha256": digest}
     moved = file.rename(file.with_name("elsewhere.csv"))
-    for command in ("check", "fit"):
+    for command in ("check", "identify", "estimate", "fit"):
         has(bench.refused(command, "run/config.toml"), str(file), digest, "run/config.toml")
     # where the mend says
     moved.rename(run / "small.csv")

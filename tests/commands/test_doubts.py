@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from bayesfric.commands.check import check, check_text
-from bayesfric.commands.fit import fit, fit_text
-from bayesfric.commands.problem import read_problem
-from bayesfric.config import read_config
+from bayesfric.commands.fit import fit_text
+from bayesfric.model import Model
 from bayesfric.report.alerts import doubt_text
 from bayesfric.report.summary.doubts import find_doubts, put_doubts
 from bayesfric.report.summary.record import Spread, Summary
@@ -42,9 +41,8 @@ def closed_loop():
 
 
 @pytest.fixture
-def fitted(tmp_path, monkeypatch):
+def fitted(tmp_path):
     """Write a recording, check and fit it; nobody looks at figures and pages here."""
-    monkeypatch.setattr("bayesfric.commands.fit.write_run", lambda *_: None)
 
     def run(t, q, torque, preset="motor-axis", more=""):
         np.savetxt(
@@ -52,9 +50,9 @@ def fitted(tmp_path, monkeypatch):
         )
         path = tmp_path / "joint.toml"
         path.write_text(JOINT.format(preset=preset, more=more), encoding="utf-8")
-        config = read_config(path)
-        told = list(check_text(check(read_problem(config))))
-        return fit(config, tmp_path / "run"), told
+        model = Model.from_config(path)
+        told = list(check_text(check(model)))
+        return model.fit().summary.as_dict(), told
 
     return run
 

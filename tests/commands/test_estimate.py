@@ -5,9 +5,9 @@ import re
 
 import pytest
 
-from bayesfric.commands.problem import read_problem
 from bayesfric.config import read_config
 from bayesfric.errors import BadInput
+from bayesfric.model import Model
 
 from .bench import SMALL, cases, has
 
@@ -120,7 +120,7 @@ def test_bad_references(bench, old, new, words):
 def test_the_output_error_likelihood_needs_a_point(small):
     text = CONFIG + '\n[likelihood]\nmethod = "output-error"\n'
     small.config(text)
-    problem = read_problem(read_config(small.folder / "c.toml"))
+    problem = Model.from_config(read_config(small.folder / "c.toml"))
     with pytest.raises(ValueError, match="point"):
         problem.target()
     assert {"noise.torque", "noise.position"} <= set(problem.priors)
@@ -129,4 +129,4 @@ def test_the_output_error_likelihood_needs_a_point(small):
 def test_a_noise_prior_of_the_other_likelihood_is_refused(small):
     small.config(CONFIG + '\n[priors]\n"noise.torque" = [0, 1]\n')
     with pytest.raises(BadInput, match=r"noise\.torque"):
-        read_problem(read_config(small.folder / "c.toml"))
+        Model.from_config(read_config(small.folder / "c.toml"))

@@ -10,9 +10,9 @@ import pytest
 
 from bayesfric.commands.demo import demo_config
 from bayesfric.commands.fit import fit, fit_text
-from bayesfric.commands.problem import read_problem
 from bayesfric.config import read_config
 from bayesfric.inference.archive import read_archive
+from bayesfric.model import Model
 
 from .bench import SMALL, simulated, without_figures
 
@@ -213,7 +213,7 @@ def test_a_name_that_cannot_be_stored_is_refused_or_stored(bench, folder, name):
 
 def test_the_demo_reads_what_the_package_holds():
     config = demo_config()
-    problem = read_problem(config)
+    problem = Model.from_config(config)
     assert problem.chain.preset == "rabbit-knee"
     (recording,) = problem.recordings
     assert recording.path.name == "knee.csv"

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayesfric.commands.identify import identification, identify_record, identify_text
-from bayesfric.commands.problem import read_problem
+from bayesfric.commands.identify import identify_record, identify_text
 from bayesfric.config import read_config
+from bayesfric.model import Model
 
 from ..conftest import DATA, REPOSITORY
 from .bench import SMALL, has
@@ -48,8 +48,8 @@ def null(found):
 
 @pytest.fixture(scope="module")
 def knee():
-    problem = read_problem(read_config(FOLDER / "knee.toml"))
-    found = identification(problem)
+    problem = Model.from_config(read_config(FOLDER / "knee.toml"))
+    found = problem.identification()
     return identify_record(found, problem), list(identify_text(found, problem))
 
 

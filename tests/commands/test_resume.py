@@ -349,12 +349,12 @@ def test_handlers_are_put_back(here, number):
 
 
 def test_before_sampling_nothing_is_kept(here, monkeypatch):
-    from bayesfric.commands import fit as command
+    from bayesfric.model import Model
 
     def interrupted(*_, **__):
         os.kill(os.getpid(), signal.SIGTERM)
 
-    monkeypatch.setattr(command, "estimates_beside", interrupted)
+    monkeypatch.setattr(Model, "begin", interrupted)
     ended = here.run("fit", "few.toml", "-o", "run")
     assert (ended.code, ended.out) == (143, "")
     assert ended.err == "bayesfric: interrupted, nothing was written\n"

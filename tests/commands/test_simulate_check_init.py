@@ -13,7 +13,7 @@ from bayesfric import cli
 from bayesfric.commands.simulate import simulate
 from bayesfric.config import read_config
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.recordings.options import Processing
+from bayesfric.recordings import Processing
 from tests.conftest import REPOSITORY
 
 from .bench import CONFIG

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from bayesfric.errors import BadInput
-from bayesfric.recordings.options import Processing, Source
+from bayesfric.recordings import Processing, Recording, Source
 from bayesfric.recordings.read import read_recordings
 from bayesfric.recordings.tables import npz, read_table
 from tests.commands.bench import CONFIG, has
@@ -336,7 +336,7 @@ def test_wide_but_possible(folder, columns):
     with at_most(SECONDS):
         source = Source.model_validate({"file": "run.csv", **SOURCE})
         (read,) = read_recordings(
-            source, folder, ratio=1.0, motion="rotary", processing=Processing()
+            Recording(source, folder), ratio=1.0, motion="rotary", processing=Processing()
         )
     assert len(read.time) == 110
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from bayesfric.errors import BadInput
-from bayesfric.identifiability.advise import advise, ranking
+from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.identifiability.candidates import candidates, limits_of, longest, try_out
 from bayesfric.identifiability.local import local_information
-from bayesfric.identifiability.options import AdviceOptions
+from bayesfric.identifiability.next_recording import ranking
 from bayesfric.identifiability.plausible import Point, points_around
 from bayesfric.identifiability.virtual_recording import known_mass, played
 from bayesfric.inference.fit import make_target, read_priors
@@ -21,9 +21,9 @@ from bayesfric.mechanism import excitation
 from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.recordings import Processing
 from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.observation import observe
-from bayesfric.recordings.options import Processing
 from tests.conftest import made_recording
 
 KNEE, AXIS = PRESETS["rabbit-knee"], PRESETS["motor-axis"]
@@ -136,8 +136,8 @@ def test_sds_are_those_of_a_linear_model(make_observation):
     limits = limits_of(options, chain, [o], values)
     checked = 0
     for one in found.advices:
-        tried = try_out(chain, values[None], o, one.candidate, limits)
-        both = np.concatenate([columns(o), columns(tried.recordings[0])])
+        _, (tried,) = try_out(chain, values[None], o, one.candidate, limits)
+        both = np.concatenate([columns(o), columns(tried)])
         told = both.T @ both
         assert one.after.data_sd == pytest.approx(np.sqrt(np.linalg.inv(told)[1, 1]), rel=1e-6)
         whole = np.sqrt(np.linalg.inv(told + prior)[1, 1])
@@ -170,16 +170,20 @@ def test_every_limit_is_kept(square):
     assert found.advices
     # the recording there is was faster: one more like it would break the limits, too
     assert square.torque.max() > 0.7
-    assert [reason for one, reason in found.dropped if one.made is not None] == ["the torque limit"]
+    assert [str(why) for one, why in found.dropped if one.made is not None] == ["the torque limit"]
     for one in found.advices:
         assert np.abs(one.candidate.command).max() <= 0.7 * (1.0 + 1e-12)
         assert one.candidate.command[-1] == 0.0
-        assert one.speed <= 1.2
+        assert one.peak_speed <= 1.2
         assert -0.4 <= one.angles[0] < one.angles[1] <= 0.9
-        assert (one.lowered < 1.0) == bool(one.reason)
-    assert any(one.reason == "the speed limit" for one in found.advices)
+        assert (one.candidate.lowered < 1.0) == bool(one.candidate.because_of)
+    assert any(one.candidate.because_of == "speed" for one in found.advices)
     # what had to be lowered is not proposed once more with less
-    forms = [(one.candidate.form, one.candidate.added_mass) for one in found.advices if one.reason]
+    forms = [
+        (one.candidate.form, one.candidate.added_mass)
+        for one in found.advices
+        if one.candidate.because_of
+    ]
     for form in set(forms):
         amplitudes = [
             one.candidate.amplitude
@@ -188,7 +192,7 @@ def test_every_limit_is_kept(square):
         ]
         assert len(set(amplitudes)) == len(amplitudes)
     for _, reason in found.dropped:
-        assert reason
+        assert str(reason)
 
 
 def test_what_cannot_move_is_dropped_and_said_so(square):
@@ -199,7 +203,7 @@ def test_what_cannot_move_is_dropped_and_said_so(square):
     assert found.advices == ()
     assert not found.determined
     assert not found.worth
-    reasons = {one.kind: reason for one, reason in found.dropped}
+    reasons = {one.kind: str(reason) for one, reason in found.dropped}
     assert set(reasons) == {"longer", "excitation", "known mass"}
     assert reasons.pop("longer") == "the torque limit"
     assert set(reasons.values()) == {"the joint hardly moves"}
@@ -272,8 +276,8 @@ def test_an_advice_gives_its_recording_back(knee):
 def test_nothing_depends_on_chance(square):
     options = AdviceOptions(masses=())
     target, point, local = problem(square)
-    first, second = (advise(target, [point], local, options, "load.inertia") for _ in range(2))
-    assert [one.after for one in first] == [one.after for one in second]
+    first, second = (ranking(target, [point], local, options, "load.inertia") for _ in range(2))
+    assert [one.after for one in first.advices] == [one.after for one in second.advices]
 
 
 def test_bad_names_and_limits_are_refused(square):

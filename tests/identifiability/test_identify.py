@@ -5,18 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesfric.identifiability.identify import expected_covariance, identify
+from bayesfric.identifiability.coverage import coverage_of
+from bayesfric.identifiability.identification import expected_covariance, identify
 from bayesfric.identifiability.known_quantities import speed_term
 from bayesfric.identifiability.local import local_information
 from bayesfric.identifiability.plausible import Point, estimate_point, points_around
-from bayesfric.identifiability.recording_facts import recording_facts
-from bayesfric.identifiability.remedies import WEAK, left_along, open_count
-from bayesfric.identifiability.virtual_recording import with_mass
+from bayesfric.identifiability.remedies import WEAK, left_along, open_counts
+from bayesfric.identifiability.virtual_recording import played
 from bayesfric.inference.fit import make_target, read_priors
 from bayesfric.mechanism import excitation
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.recordings.filters import parallel_filter
+from bayesfric.recordings.filters import lay_windows, parallel_taps
 from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.observation import Observation
 
@@ -42,7 +42,9 @@ SINE = excitation.sine(TIME, PEAK, 1.0)
 def recorded(torque, *, added_mass=0.0, radius=0.0, name="made-up"):
     """Motion and torque as they are: filtering would blur what the square wave's edges are."""
     motion = simulate(CHAIN, VALUES, torque, PERIOD, inputs=Inputs(added_mass, radius))
-    taken = parallel_filter(((0, N),), 1, None, 1.0 / PERIOD, np.abs(motion.qd) > 0.01)
+    taken = lay_windows(
+        parallel_taps(1, None, 1.0 / PERIOD), ((0, N),), 1, np.abs(motion.qd) > 0.01
+    )
     return Observation(
         name=name,
         q=motion.q,
@@ -96,8 +98,8 @@ def test_lagged_square_torque_leaves_the_papers_scaling_and_nothing_else(lagged)
     zero = np.array([label not in SCALED for label in lagged.local.labels])
     np.testing.assert_allclose(lagged.local.null_rows[0][zero], 0.0, atol=1e-6)
     assert lagged.directions[0] is null
-    assert null.null_at == len(lagged.origins) > 8
-    assert "can all be multiplied by one factor" in null.meaning
+    assert null.null_at_points == len(lagged.origins) > 8
+    assert "can all be multiplied by one factor" in str(null.meaning)
 
 
 def test_an_ideal_square_wave_leaves_three(lagged):
@@ -130,8 +132,8 @@ def test_an_ideal_square_wave_leaves_three(lagged):
     row = np.array([change.get(label, 0.0) for label in found.local.labels])
     null_space = np.linalg.qr(found.local.null_rows.T)[0]
     np.testing.assert_allclose(null_space @ (null_space.T @ row), row, atol=1e-6 * abs(row).max())
-    assert all("piecewise constant" in one.reasons[0] for one in null[1:])
-    assert all(any("multisine" in r.text for r in one.remedies) for one in null[1:])
+    assert all("piecewise constant" in str(one.reasons[0]) for one in null[1:])
+    assert all(any("multisine" in str(r.text) for r in one.remedies) for one in null[1:])
 
 
 def test_with_a_sine_the_load_never_drives(sine):
@@ -139,8 +141,8 @@ def test_with_a_sine_the_load_never_drives(sine):
     assert back.at_estimate == 0.0
     alone = next(one for one in sine.directions if set(one.exponents) == {"gearbox.alpha_back"})
     assert alone.null
-    assert "never drives" in alone.reasons[0] or "hardly ever drives" in alone.reasons[0]
-    assert any("load drives the motor" in r.text for r in alone.remedies)
+    assert "ever drives" in str(alone.reasons[0])
+    assert any("load drives the motor" in str(r.text) for r in alone.remedies)
     # five totals are all that a motor that always drives can tell
     assert sine.null_counts[0] == len(CHAIN.names) - 5
     rows = {one.name: one for one in sine.parameters}
@@ -153,7 +155,7 @@ def test_with_a_sine_the_load_never_drives(sine):
 
 
 def test_where_the_picture_changes_it_is_said(sine):
-    assert any("matters only where the load drives" in text for text in sine.notes)
+    assert any("matters only where the load drives" in str(text) for text in sine.notes)
     assert len(set(sine.null_counts)) > 1
 
 
@@ -170,7 +172,7 @@ def test_what_is_proposed_does_it(lagged):
     for name in fixed.parameters:
         known = look(plain, texts={name: KNEE.values[name]}, others=False)
         assert known.null_counts == (0,)
-    loaded = with_mass(CHAIN, VALUES, plain, 2.0, 0.35)
+    loaded = played(CHAIN, VALUES, plain, plain.torque, 2.0, 0.35)
     both = look(plain, loaded, others=False)
     assert both.null_counts == (0,)
     assert all(np.isfinite(one.data_sd) for one in both.parameters)
@@ -182,11 +184,13 @@ def test_the_known_mass_is_what_the_scale_rests_on():
         recorded(1.4 * LAGGED, added_mass=2.0, radius=0.35, name="loaded"),
         others=False,
     )
-    assert set(found.mass.exponents) == set(SCALED)
-    np.testing.assert_allclose(list(found.mass.exponents.values()), 1.0, atol=1e-6)
-    assert {"load.first_moment", "load.inertia", "gearbox.load_drive"} <= set(found.mass.owed)
-    assert not {name for name in found.mass.owed if name.startswith("motor")}
-    assert look(recorded(LAGGED), others=False).mass is None
+    assert set(found.known_mass.exponents_without) == set(SCALED)
+    np.testing.assert_allclose(list(found.known_mass.exponents_without.values()), 1.0, atol=1e-6)
+    assert {"load.first_moment", "load.inertia", "gearbox.load_drive"} <= set(
+        found.known_mass.determines
+    )
+    assert not {name for name in found.known_mass.determines if name.startswith("motor")}
+    assert look(recorded(LAGGED), others=False).known_mass is None
 
 
 def test_the_same_mass_everywhere_counts_as_load():
@@ -200,14 +204,14 @@ def test_the_same_mass_everywhere_counts_as_load():
     expected |= {"load.inertia": 1.0 + 2.0 * 0.35**2 / inertia}
     whole = expected["load.first_moment"]
     assert null.exponents == pytest.approx({n: x / whole for n, x in expected.items()}, abs=1e-6)
-    assert found.mass.owed == ()
-    assert any("another known added mass" in r.text for r in null.remedies)
+    assert found.known_mass.determines == ()
+    assert any("another known added mass" in str(r.text) for r in null.remedies)
 
 
 def test_a_back_emf_has_the_shape_of_viscous_loss():
     target, parameters = problem(recorded(LAGGED))
     found = speed_term(target, parameters, ["made-up"])
-    assert found.same == ("motor.viscous",)
+    assert found.same_as_back_emf == ("motor.viscous",)
     assert found.explained == pytest.approx(1.0, abs=1e-9)
     assert speed_term(target, parameters, ["another"]) is None
 
@@ -294,8 +298,8 @@ def test_facts_of_a_recording():
         o.qd > 0, of["joint.coulomb_positive"], -of["joint.coulomb_negative"]
     )
     at = o.filter.centres
-    (facts,) = recording_facts(CHAIN, [o], VALUES, np.array([SIGMA]))
-    assert facts.back_driven["gearbox"] == np.mean(((leg + bearing) * o.qd)[at] < 0)
+    (facts,) = coverage_of(CHAIN, [o], VALUES, np.array([SIGMA]))
+    assert facts.load_drives["gearbox"] == np.mean(((leg + bearing) * o.qd)[at] < 0)
     assert facts.turn == np.ptp(o.q[at])
     assert facts.piecewise_constant
 
@@ -310,7 +314,7 @@ def test_piecewise_constant_torque_is_recognised(torque, sigma, expected):
     noisy = replace(
         o, measured=o.measured + sigma * np.random.default_rng(0).standard_normal(o.time.size)
     )
-    (facts,) = recording_facts(CHAIN, [noisy], VALUES, np.array([sigma]))
+    (facts,) = coverage_of(CHAIN, [noisy], VALUES, np.array([sigma]))
     assert facts.piecewise_constant is expected
     assert (facts.at_levels is None) == (sigma > 0.1)
 
@@ -318,8 +322,8 @@ def test_piecewise_constant_torque_is_recognised(torque, sigma, expected):
 def test_open_directions_are_counted_by_what_they_leave():
     sharp, weak = 100.0, 0.9 / WEAK
     rotation = np.linalg.qr(np.random.default_rng(2).standard_normal((3, 3)))[0]
-    assert open_count(np.diag([sharp, sharp, 0.0]) ** 2) == 1
-    assert open_count(np.diag([sharp, weak, 0.0]) ** 2) == 2
-    assert open_count(rotation @ np.diag([sharp, sharp, 0.0]) ** 2 @ rotation.T) == 1
+    assert open_counts(np.diag([sharp, sharp, 0.0]) ** 2) == (1, 1)
+    assert open_counts(np.diag([sharp, weak, 0.0]) ** 2) == (1, 2)
+    assert open_counts(rotation @ np.diag([sharp, sharp, 0.0]) ** 2 @ rotation.T) == (1, 1)
     assert left_along(np.diag([4.0, 1.0]), np.array([1.0, 0.0])) == pytest.approx(0.5)
     assert left_along(np.diag([4.0, 0.0]), np.array([0.0, 1.0])) == np.inf

@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from bayesfric.errors import BadInput
-from bayesfric.recordings import Channel, Position, Processing, Source, Torque, read_recordings
+from bayesfric.recordings import (
+    Channel,
+    Position,
+    Processing,
+    Recording,
+    Source,
+    Torque,
+    read_recordings,
+)
 
 
 def swing(n=200, period=0.01):
@@ -50,8 +58,7 @@ def numbered(file="run.csv", **changes):
 
 def read(folder, used=None, *, ratio=1.0, motion="rotary", processing=None, **more):
     return read_recordings(
-        used or source(),
-        folder,
+        Recording(used or source(), folder),
         ratio=ratio,
         motion=motion,
         processing=processing or Processing(),

@@ -6,7 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayesfric.errors import BadInput
-from bayesfric.recordings.filters import derivative, exact_reach, lowpass, parallel_filter
+from bayesfric.recordings.filters import (
+    derivative,
+    exact_reach,
+    lay_windows,
+    lowpass,
+    parallel_taps,
+)
 
 FS = 1000.0
 
@@ -50,7 +56,7 @@ def test_cutoff_at_nyquist_is_refused(cutoff):
     with pytest.raises(BadInput, match="half the sampling rate"):
         lowpass(np.zeros(100), [(0, 100)], FS, cutoff, 4)
     with pytest.raises(BadInput, match="half the sampling rate"):
-        parallel_filter([(0, 100)], 1, cutoff, FS, np.ones(100, dtype=bool))
+        lay_windows(parallel_taps(1, cutoff, FS), [(0, 100)], 1, np.ones(100, dtype=bool))
 
 
 @given(*[st.floats(-5, 5)] * 3, st.floats(1e-3, 1.0))
@@ -119,7 +125,7 @@ def test_parallel_filter(factor, band, edges, seed):
     pieces = list(zip(edges[::2], edges[1::2], strict=False))
     rng = np.random.default_rng(seed)
     usable = rng.random(400) > 0.01
-    used = parallel_filter(pieces, factor, band, FS, usable)
+    used = lay_windows(parallel_taps(factor, band, FS), pieces, factor, usable)
     length = len(used.taps)
     assert used.taps.sum() == pytest.approx(1)
     assert length % 2 == 1
@@ -148,19 +154,19 @@ def test_parallel_filter(factor, band, edges, seed):
 
 
 def test_no_unusable_sample_loses_no_window():
-    used = parallel_filter([(0, 1000)], 10, None, FS, np.ones(1000, dtype=bool))
+    used = lay_windows(parallel_taps(10, None, FS), [(0, 1000)], 10, np.ones(1000, dtype=bool))
     assert len(used.taps) == 81
     assert used.starts.tolist() == list(range(0, 920, 10))
-    alone = parallel_filter([(3, 9)], 1, None, FS, np.ones(10, dtype=bool))
+    alone = lay_windows(parallel_taps(1, None, FS), [(3, 9)], 1, np.ones(10, dtype=bool))
     assert alone.taps.tolist() == [1.0]
     assert alone.starts.tolist() == [3, 4, 5, 6, 7, 8]
-    narrow = parallel_filter([(0, 4000)], 10, 5.0, FS, np.ones(4000, dtype=bool))
+    narrow = lay_windows(parallel_taps(10, 5.0, FS), [(0, 4000)], 10, np.ones(4000, dtype=bool))
     assert len(narrow.taps) == 801
 
 
 def test_parallel_filter_halves_at_its_cutoff():
     t = np.arange(5000) / FS
-    used = parallel_filter([(0, 5000)], 10, None, FS, np.ones(5000, dtype=bool))
+    used = lay_windows(parallel_taps(10, None, FS), [(0, 5000)], 10, np.ones(5000, dtype=bool))
     centres = t[used.centres]
     wave = np.sin(2 * np.pi * 50 * t + 0.4)
     expected = 0.5 * np.sin(2 * np.pi * 50 * centres + 0.4)

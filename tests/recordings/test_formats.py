@@ -8,10 +8,11 @@ import pandas as pd
 import pytest
 from scipy.io import savemat
 
-from bayesfric.recordings import Channel, Current, Position, Torque, Voltage, units
+from bayesfric.recordings import Channel, Current, Position, Torque, Voltage, tables, units
 from bayesfric.recordings.tables import read_table, sha256
+from bayesfric.recordings.tables.reader import readers
 
-from .samples import lines, numbered, read, source, swing, write
+from .samples import has, lines, numbered, read, refused, source, swing, write
 
 HEADER = "t,q,tau"
 
@@ -177,10 +178,10 @@ def test_recorder_preamble_of_a_real_file(data):
     assert table.column(2)[:2].tolist() == [-15.0, -10.0]
     assert table.column("Torque actual value averaged")[:2].tolist() == [-10.6, -10.9]
     assert len(table.column(3)) == 500
-    seconds = units.convert(table.column(1), "ms", "time", "time")
+    seconds = table.column(1) * units.scale(["ms"], "time", "time")
     assert seconds[1] == pytest.approx(0.0512)
     # the recorder writes per cent of 9.84 mN m
-    torque = units.convert(table.column(3), "9.84e-5 N m", "torque", "torque")
+    torque = table.column(3) * units.scale(["9.84e-5 N m"], "torque", "torque")
     assert torque[0] == pytest.approx(-0.106 * 9.84e-3)
     assert table.row(0) == "row 1 (line 15)"
 
@@ -257,3 +258,27 @@ def test_a_million_rows_in_about_a_second(tmp_path):
     columns = [table.column(name) for name in ("t", "q", "tau")]
     assert time.perf_counter() - begin < 5
     np.testing.assert_allclose(np.transpose(columns), values, rtol=1e-14)
+
+
+def test_a_format_is_one_file(tmp_path, monkeypatch):
+    (tmp_path / "raw_floats.py").write_text(
+        "import numpy as np\n"
+        "from bayesfric.recordings.tables.reader import Reader\n"
+        "from bayesfric.recordings.tables.table import Table\n"
+        "def read(path, options):\n"
+        "    columns = np.fromfile(path).reshape(3, -1)\n"
+        "    return Table(str(path), ['t', 'q', 'tau'], columns.__getitem__)\n"
+        "READER = Reader('raw', ('.raw',), read)\n"
+    )
+    t, q, tau = swing()
+    np.concatenate([t, q, tau]).tofile(tmp_path / "run.raw")
+    message = refused(tmp_path, source("run.raw"))
+    has(message, "'.raw'", "csv, json, mat, npz, parquet")
+    monkeypatch.setattr(tables, "__path__", [*tables.__path__, str(tmp_path)])
+    readers.cache_clear()
+    try:
+        np.testing.assert_array_equal(read(tmp_path, source("run.raw"))[0].torque, tau)
+        assert read(tmp_path, source("run.raw", format="raw"))[0].name == "run"
+    finally:
+        monkeypatch.undo()
+        readers.cache_clear()

@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bayesfric.recordings import Processing, Torque, observe
+from bayesfric.recordings import Position, Processing, Torque, Velocity, observe
 from bayesfric.recordings.checks import feedback, unwrapped
-from bayesfric.recordings.options import Position, Velocity
 from tests.conftest import made_recording
 from tests.recordings.samples import has, read, refused, source, write
 

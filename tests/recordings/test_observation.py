@@ -10,6 +10,7 @@ from bayesfric.recordings import (
     Channel,
     Position,
     Processing,
+    Recording,
     Source,
     Torque,
     observe,
@@ -167,8 +168,7 @@ def test_published_estimates_of_a_real_axis(data):
     )
     processing = Processing(lowpass="100 Hz", decimate=10, dead_zone=0)
     found = read_recordings(
-        source,
-        data / "emps",
+        Recording(source, data / "emps"),
         ratio=1,
         motion="linear",
         motor_motion="linear",

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from bayesfric.errors import BadInput
+from bayesfric.recordings import Processing
 from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.observation import observe
-from bayesfric.recordings.options import Processing
 from bayesfric.recordings.trajectory import divided, trajectory
 from tests.conftest import made_recording
 

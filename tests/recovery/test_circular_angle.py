@@ -3,14 +3,12 @@
 import numpy as np
 import pytest
 
-from bayesfric.commands.estimate import estimates
 from bayesfric.commands.fit import fit
-from bayesfric.commands.identify import identification
-from bayesfric.commands.problem import read_problem
 from bayesfric.config import parse_config
 from bayesfric.errors import BadInput
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.model import Model
 from bayesfric.report.comparison.between_runs import between_runs
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.summary.record import Summary
@@ -135,8 +133,8 @@ def test_a_turned_zero_changes_nothing_but_the_angle(turned, hanging):
     ],
 )
 def test_a_prior_may_lie_on_any_branch(tmp_path, angle, prior):
-    problem = read_problem(arm(tmp_path, angle, prior))
-    for found in estimates(problem):
+    problem = Model.from_config(arm(tmp_path, angle, prior))
+    for found in problem.estimates():
         if found.point:
             value = dict(found.point)[ANGLE]
             assert abs(round_the_circle(value - angle)) < 0.05
@@ -144,7 +142,7 @@ def test_a_prior_may_lie_on_any_branch(tmp_path, angle, prior):
     given = problem.priors[ANGLE]
     within = given.turned(float(angle))
     assert given.lower <= within <= given.upper
-    point = dict(estimates(problem, ("input-error",))[0].point)
+    point = dict(problem.estimates(("input-error",))[0].point)
     target = problem.target(point)
     used = target.priors[target.free.index(ANGLE)]
     # far from any cut where the prior leaves the branch open
@@ -161,14 +159,14 @@ def test_a_part_of_the_circle_bounds_and_can_be_widened(tmp_path):
 
 def test_more_than_a_turn_is_refused(tmp_path):
     with pytest.raises(BadInput, match="more than one turn") as caught:
-        read_problem(arm(tmp_path, 0.0, "[-4.0, 4.0]"))
+        Model.from_config(arm(tmp_path, 0.0, "[-4.0, 4.0]"))
     assert ANGLE in caught.value.where
     assert caught.value.mend
 
 
 def test_identify_draws_on_both_sides_of_pi(tmp_path):
-    problem = read_problem(arm(tmp_path, np.pi))
-    found = identification(problem)
+    problem = Model.from_config(arm(tmp_path, np.pi))
+    found = problem.identification()
     prospect = {p.name: p for p in found.parameters}[ANGLE]
     assert prospect.on_bound is None
     assert abs(round_the_circle(prospect.value - np.pi)) < 0.05
@@ -176,8 +174,10 @@ def test_identify_draws_on_both_sides_of_pi(tmp_path):
 
 def test_an_arm_may_be_mounted_upside_down(tmp_path):
     """Gravity of the other sign is an angle of pi."""
-    problem = read_problem(arm(tmp_path, np.pi, mechanism="[mechanism.load]\ngravity = -9.80665"))
-    for found in estimates(problem):
+    problem = Model.from_config(
+        arm(tmp_path, np.pi, mechanism="[mechanism.load]\ngravity = -9.80665")
+    )
+    for found in problem.estimates():
         if found.point:
             assert dict(found.point)[ANGLE] == pytest.approx(0.0, abs=0.05)
             moment = SERVO.values["load.first_moment"]

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayesfric.commands.problem import read_problem
 from bayesfric.commands.simulate import simulate
 from bayesfric.config import parse_config
 from bayesfric.inference.fit import fit, make_target
 from bayesfric.inference.prior.priors import fixed
 from bayesfric.inference.sampling.start import climb
+from bayesfric.model import Model
 
 COLUMNS = """
 [[recordings]]
@@ -110,7 +110,7 @@ def case(request, tmp_path_factory):
     text = mechanism + COLUMNS.format(side=side) + rest + "\n[sampling]\nmin_ess = 600\n"
     config = parse_config(text, Path(folder) / "case.toml")
     truth = simulate(config, folder / "recording.csv")
-    problem = read_problem(config)
+    problem = Model.from_config(config)
     return problem, fit(problem.white_target(), config.tables.sampling), truth, terms
 
 

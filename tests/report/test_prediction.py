@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bayesfric.report.figures.prediction as module
-from bayesfric.recordings.options import Processing
+from bayesfric.recordings import Processing
 from bayesfric.report.figures.prediction import prediction_figure, predictive
 from bayesfric.report.figures.style import save
 

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from bayesfric.inference.fit import read_priors, target_of
 from bayesfric.inference.likelihood.residual_noise import Autoregressive
-from bayesfric.recordings.options import Processing
+from bayesfric.recordings import Processing
 from bayesfric.report.figures.residual import residual_figure
 from bayesfric.report.figures.style import PAGE
 from bayesfric.report.summary.residual_analysis import (

@@ -14,12 +14,12 @@ from matplotlib.figure import Figure
 
 import bayesfric
 from bayesfric.commands.fit import fit
-from bayesfric.commands.problem import read_problem
 from bayesfric.commands.report import report
 from bayesfric.commands.simulate import simulate
 from bayesfric.config import parse_config, read_config
 from bayesfric.errors import BadInput
 from bayesfric.inference.archive import read_archive
+from bayesfric.model import Model
 from bayesfric.report import run_directory
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.paper.tables import (
@@ -106,7 +106,7 @@ def archive(run):
 
 @pytest.fixture(scope="module")
 def problem(folder):
-    return read_problem(read_config(folder / "axis.toml"))
+    return Model.from_config(read_config(folder / "axis.toml"))
 
 
 def test_the_files_of_the_design(run):

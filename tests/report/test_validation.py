@@ -11,8 +11,8 @@ from bayesfric.inference.likelihood.autoregression import autocovariance, simula
 from bayesfric.inference.likelihood.residual_noise import StudentT
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.recordings import Processing
 from bayesfric.recordings.held_out import Validation, divide
-from bayesfric.recordings.options import Processing
 from bayesfric.report.figures.style import COLUMN, save
 from bayesfric.report.figures.validation import validation_figure
 from bayesfric.report.summary.validation import share_of, validation_lines, validation_record

@@ -39,12 +39,8 @@ def test_what_is_called_data_is_not_far_from_the_truth():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("lowpass", [10.0, 0.0])
-def test_a_few_more_recordings_say_the_same(study, monkeypatch, lowpass):
+def test_a_few_more_recordings_say_the_same(study, lowpass):
     """Seeds that the study does not use."""
-    from bayesfric.commands import fit as command
-
-    monkeypatch.setattr(command, "write_run", command.write_run)
-    monkeypatch.setattr(command, "open_directions", command.open_directions)
     for seed in range(1000, 1006):
         recording = study.recorded(seed, lowpass)
         for name, one in study.judged(study.fitted(recording), recording.truth).items():

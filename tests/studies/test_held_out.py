@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesfric.commands.problem import read_problem
 from bayesfric.config import read_config
 from bayesfric.inference.predictive import predict_held_out
+from bayesfric.model import Model
 from bayesfric.report.summary.validation import validation_record
 from tests.conftest import DATA, REPOSITORY
 
@@ -25,7 +25,7 @@ def predicted(name):
 
 def test_the_gain_that_is_held_out():
     """The files themselves tell which runs have position gain 400."""
-    problem = read_problem(read_config(REPOSITORY / "studies/xl330/xl330-held-out.toml"))
+    problem = Model.from_config(read_config(REPOSITORY / "studies/xl330/xl330-held-out.toml"))
     gains = {
         path.stem: json.loads(path.read_text())["kp"]
         for path in (DATA / "xl330-pendulum").glob("*.json")

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from bayesfric.commands.problem import read_problem
 from bayesfric.config import read_config
 from bayesfric.inference.fit import fit
+from bayesfric.model import Model
 from tests.conftest import REPOSITORY
 
 pytestmark = pytest.mark.usefixtures("real_data")
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.usefixtures("real_data")
 
 def run(name):
     config = read_config(REPOSITORY / "studies" / name)
-    problem = read_problem(config)
+    problem = Model.from_config(config)
     result = fit(problem.target(), config.tables.sampling)
     assert result.posterior.diagnostics.status == "reliable"
     return problem, result
@@ -63,7 +63,7 @@ def test_xl330_has_load_friction():
 def test_xl330_voltage_is_signed_duty_times_supply_less_back_emf():
     """Torque of the first run by hand from the log: two's complement, kt V/R - kt² qd/R."""
     config = read_config(REPOSITORY / "studies" / "xl330" / "xl330.toml")
-    problem = read_problem(config)
+    problem = Model.from_config(config)
     recording = problem.recordings[0]
     entries = json.loads(recording.path.read_text())["entries"]
     time = np.array([e["timestamp"] for e in entries])

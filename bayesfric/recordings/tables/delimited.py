@@ -5,40 +5,27 @@ from __future__ import annotations
 import codecs
 import io
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
-from bayesfric.recordings.tables.layout import Layout, TextOptions, find_layout, split
-from bayesfric.recordings.tables.table import Table, check_names
+from bayesfric.recordings.tables.layout import Layout, find_layout, split
+from bayesfric.recordings.tables.reader import Reader, TableOptions
+from bayesfric.recordings.tables.table import Table, check_names, column_cells
 
 _HEAD_LINES = 400
 _HEAD_CHARACTERS = 1_000_000
 _BLANK_LINE = re.compile(r"\n[ \r]*\n")
 
 
-def read_delimited(path: Path, options: TextOptions) -> Table:
-    """Read a delimited text file.
+def read_delimited(path: Path, options: TableOptions) -> Table:
+    """Read UTF-8, or UTF-16 with a byte order mark; pandas takes the numbers out.
 
-    Parameters
-    ----------
-    path
-        The file: UTF-8, or UTF-16 with a byte order mark.
-    options
-        Delimiter, header, decimal mark and lines to skip; None is found out.
-
-    Returns
-    -------
-    Table
-        The columns, with line numbers.
-
-    Raises
-    ------
-    BadInput
-        For a wrong encoding, no rows, rows of different length or doubled column names.
+    Promised to hostile input, which pandas is not: a wrong encoding, rows of different length,
+    quoted cells over several lines and doubled names are refused with their line.
     """
     text = _decode(path)
     if not text.strip():
@@ -46,20 +33,18 @@ def read_delimited(path: Path, options: TextOptions) -> Table:
     head = _head(text, options.skip_rows)
     layout = find_layout(path, head, options)
     line = layout.first if layout.header_line is None else layout.header_line
-    check_names(path, layout.names, f"line {line + 1}")
+    check_names(str(path), layout.names, f"line {line + 1}")
     body = text[sum(len(line) + 1 for line in head[: layout.first]) :].rstrip()
-    lines = None
+    lines: Sequence[int] = range(layout.first + 1, layout.first + body.count("\n") + 2)
     if _BLANK_LINE.search(body):
         # the C reader drops blank lines, and row numbers must still lead to the right line
-        kept = [(i, line) for i, line in enumerate(body.split("\n")) if line.strip()]
-        lines = np.array([layout.first + 1 + i for i, _ in kept], dtype=np.int64)
+        kept = [(n, line) for n, line in zip(lines, body.split("\n"), strict=True) if line.strip()]
+        lines = [n for n, _ in kept]
         body = "\n".join(line for _, line in kept)
-    columns = _parse(path, body, layout, options.decimal, lines)
     return Table(
-        path=path,
-        names=layout.names,
-        load=columns.__getitem__,
-        first_line=layout.first + 1,
+        str(path),
+        layout.names,
+        _parse(path, body, layout, options.decimal, lines).__getitem__,
         lines=lines,
         header_line=None if layout.header_line is None else layout.header_line + 1,
         decimal=options.decimal,
@@ -100,19 +85,15 @@ def _decode(path: Path) -> str:
 
 
 def _parse(
-    path: Path, body: str, layout: Layout, decimal: str, lines: NDArray[np.int64] | None
+    path: Path, body: str, layout: Layout, decimal: str, lines: Sequence[int]
 ) -> list[NDArray[Any]]:
     # pandas takes a third of a second to import, which only reading should cost
     import pandas as pd
 
-    def line_of(index: int) -> int:
-        return layout.first + 1 + index if lines is None else int(lines[index])
-
-    separator = r"\s+" if layout.delimiter == "whitespace" else layout.delimiter
     try:
         frame = pd.read_csv(
             io.BytesIO(body.encode()),
-            sep=separator,
+            sep=r"\s+" if layout.delimiter == "whitespace" else layout.delimiter,
             header=None,
             decimal=decimal,
             na_filter=False,
@@ -121,19 +102,18 @@ def _parse(
             engine="c",
         )
     except (pd.errors.ParserError, ValueError) as error:
-        _refuse_ragged(path, body, layout, line_of)
+        _refuse_ragged(path, body, layout, lines)
         raise BadInput(
             str(path), f"is not readable as CSV ({error})", "check its rows and quotes"
         ) from error
-    rows = body.count("\n") + 1
     last = frame.iloc[:, -1]
     suspicious = last.dtype.kind not in "biuf" and bool((last.isna() | (last == "")).any())
-    if suspicious or len(frame) != rows or frame.shape[1] != layout.width:
-        _refuse_ragged(path, body, layout, line_of)
-    if len(frame) != rows:
+    if suspicious or frame.shape != (len(lines), layout.width):
+        _refuse_ragged(path, body, layout, lines)
+    if len(frame) != len(lines):
         raise BadInput(
             str(path),
-            f"has {rows} lines but {len(frame)} rows: a quoted cell runs over several lines",
+            f"has {len(lines)} lines but {len(frame)} rows: a quoted cell runs over several lines",
             "close the quotes",
         )
     if frame.shape[1] != layout.width:
@@ -142,21 +122,18 @@ def _parse(
             f"has {layout.width} columns in some lines and {frame.shape[1]} in others",
             "give its delimiter, or write it with commas",
         )
-    return [np.asarray(_cells(frame.iloc[:, i])) for i in range(frame.shape[1])]
+    return [column_cells(frame.iloc[:, i]) for i in range(frame.shape[1])]
 
 
-def _cells(series: Any) -> NDArray[Any]:
-    if series.dtype.kind in "biuf":
-        return np.asarray(series.to_numpy())
-    return np.asarray(series.to_numpy(dtype=object, na_value=None))
-
-
-def _refuse_ragged(path: Path, body: str, layout: Layout, line_of: Any) -> None:
+def _refuse_ragged(path: Path, body: str, layout: Layout, lines: Sequence[int]) -> None:
     for index, line in enumerate(body.split("\n")):
         count = len(split(line, layout.delimiter))
         if count != layout.width:
             raise BadInput(
-                f"{path}, row {index + 1} (line {line_of(index)})",
+                f"{path}, row {index + 1} (line {lines[index]})",
                 f"has {count} cells, the table has {layout.width} columns",
                 "correct the row, or cut the file there",
             )
+
+
+READER = Reader("csv", (".csv", ".tsv", ".txt", ".dat"), read_delimited, whole=True)

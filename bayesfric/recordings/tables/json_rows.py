@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,29 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
+from bayesfric.recordings.tables.reader import Reader, TableOptions
 from bayesfric.recordings.tables.table import Table, check_names
 
 
-def read_json(path: Path, table: str | None) -> Table:
-    """Read a JSON file.
+def read_json(path: Path, options: TableOptions) -> Table:
+    """Read a list of objects, or an object of lists; one column a key.
 
-    Parameters
-    ----------
-    path
-        The file, UTF-8.
-    table
-        Dotted path of keys to a list of objects or an object of lists; None for the file's own,
-        or for the only list of objects in it.
+    Either lies at the path of keys that ``options.table`` gives, or is the file's own, or the
+    only list of objects in it. True and false become 1 and 0.
 
-    Returns
-    -------
-    Table
-        One column a key; true and false become 1 and 0.
-
-    Raises
-    ------
-    BadInput
-        For a damaged file, a key that is not there, or data of another shape.
+    Promised to hostile input: a key written twice, a row without a key and a file nested too
+    deep are refused and named; pandas takes the last, fills up, or fails.
     """
     try:
         text = path.read_bytes().decode("utf-8-sig")
@@ -53,10 +41,8 @@ def read_json(path: Path, table: str | None) -> Table:
         raise BadInput(
             str(path), f"is not readable JSON ({type(error).__name__})", "export it again"
         ) from error
-    found, where = _find(path, data, table)
-    if isinstance(found, list):
-        return _from_rows(path, found, where)
-    return _from_columns(path, found, where)
+    found, where = _find(path, data, options.table)
+    return (_from_rows if isinstance(found, list) else _from_columns)(path, found, where)
 
 
 class _Doubled(dict[str, Any]):
@@ -121,7 +107,7 @@ def _from_rows(path: Path, rows: list[Any], where: str) -> Table:
             raise BadInput(
                 f"{path}, {where}, row {index + 1}", "is no object", "give a list of objects"
             )
-        check_names(path, row.keys_written, f"{where}, row {index + 1}")
+        check_names(str(path), row.keys_written, f"{where}, row {index + 1}")
         names.update(dict.fromkeys(row))
 
     def cells(name: str) -> NDArray[Any]:
@@ -134,24 +120,18 @@ def _from_rows(path: Path, rows: list[Any], where: str) -> Table:
                 )
         return _objects([row[name] for row in rows])
 
-    return _table(path, list(names), cells)
+    return Table(str(path), list(names), lambda i: cells(list(names)[i]))
 
 
-def _from_columns(path: Path, columns: Any, where: str) -> Table:
-    if isinstance(columns, _Doubled):
-        check_names(path, columns.keys_written, where)
-
-    def cells(name: str) -> NDArray[Any]:
-        value = columns[name]
-        return _objects(value) if isinstance(value, list) else np.asarray(None)
-
-    return _table(path, list(columns), cells)
-
-
-def _table(path: Path, names: list[str], cells: Callable[[str], NDArray[Any]]) -> Table:
-    check_names(path, names)
+def _from_columns(path: Path, columns: _Doubled, where: str) -> Table:
+    check_names(str(path), columns.keys_written, where)
+    values = list(columns.values())
 
     def load(index: int) -> NDArray[Any]:
-        return cells(names[index])
+        value = values[index]
+        return _objects(value) if isinstance(value, list) else np.asarray(None)
 
-    return Table(path=path, names=tuple(names), load=load)
+    return Table(str(path), list(columns), load)
+
+
+READER = Reader("json", (".json",), read_json, whole=True)

@@ -1,4 +1,9 @@
-"""Finding delimiter, header and first row of a delimited text file."""
+"""Finding delimiter, header and first row of a delimited text file.
+
+Promised to hostile input, which pandas' own sniffing is not: a decimal comma, a row of numbers
+above the table and a header of another width are refused with their line, instead of read as
+something else; lines above the table and a row of units are skipped and told.
+"""
 
 from __future__ import annotations
 
@@ -6,35 +11,18 @@ import csv
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple
 
 from bayesfric.errors import BadInput
+from bayesfric.recordings.tables.reader import TableOptions
 from bayesfric.recordings.tables.table import is_number
 
 _CANDIDATES = (",", ";", "\t", "|", "whitespace")
 _LONGEST_LINE = 1_000_000
+_NO_TABLE = "check delimiter, decimal and skip_rows, or whether this is a text table at all"
 _MISSING = {"", "nan", "na", "n/a", "null", "none", "inf", "-inf", "-", "--", "?"}
-
-
-class TextOptions(Protocol):
-    """The part of a source that speaks about delimited text."""
-
-    @property
-    def delimiter(self) -> str | None:
-        """The character between columns, 'tab', 'whitespace', or None to find it."""
-
-    @property
-    def header(self) -> bool | None:
-        """Whether there is a header, or None to find out."""
-
-    @property
-    def decimal(self) -> str:
-        """The decimal mark."""
-
-    @property
-    def skip_rows(self) -> int:
-        """Lines to skip at the beginning."""
 
 
 @dataclass(frozen=True)
@@ -65,21 +53,16 @@ class Layout:
     notes: tuple[str, ...]
 
 
+class _Row(NamedTuple):
+    """A line that is not blank: its index from 0, its cells, and which of them are numbers."""
+
+    line: int
+    cells: list[str]
+    numbers: list[bool]
+
+
 def split(line: str, delimiter: str) -> list[str]:
-    """Split one line into its cells.
-
-    Parameters
-    ----------
-    line
-        The line without its end.
-    delimiter
-        One character, or ``"whitespace"``.
-
-    Returns
-    -------
-    list of str
-        The cells, stripped of quotes and surrounding spaces.
-    """
+    """Split a line into its cells, without quotes and surrounding spaces."""
     if delimiter == "whitespace":
         return [cell.strip('"') for cell in line.split()]
     if '"' not in line:
@@ -91,36 +74,23 @@ def split(line: str, delimiter: str) -> list[str]:
     return [cell.strip() for cell in cells]
 
 
-def find_layout(path: Path, head: Sequence[str], options: TextOptions) -> Layout:
-    """Find the layout from a file's first lines.
-
-    Parameters
-    ----------
-    path
-        The file, for messages.
-    head
-        Its first lines.
-    options
-        What the user said; None is found out.
-
-    Returns
-    -------
-    Layout
-        Delimiter, columns, header and first row.
+def find_layout(path: Path, head: Sequence[str], options: TableOptions) -> Layout:
+    """Find the layout from a file's first lines; what ``options`` say is not guessed.
 
     Raises
     ------
     BadInput
         If there is no row of numbers, the header does not fit, or a line is too long.
     """
-    for i, text in enumerate(head[options.skip_rows :], start=options.skip_rows + 1):
+    lines = [(i, text) for i, text in enumerate(head) if i >= options.skip_rows]
+    for i, text in lines:
         if len(text) > _LONGEST_LINE:
             raise BadInput(
-                f"{path}, line {i}",
+                f"{path}, line {i + 1}",
                 f"has {len(text)} characters",
                 "write one row a sample, with the recording's columns only",
             )
-    lines = [(i, text) for i, text in enumerate(head) if i >= options.skip_rows and text.strip()]
+    lines = [(i, text) for i, text in lines if text.strip()]
     if not lines:
         raise BadInput(
             str(path),
@@ -131,85 +101,73 @@ def find_layout(path: Path, head: Sequence[str], options: TextOptions) -> Layout
     delimiter = {"tab": "\t", " ": "whitespace"}.get(delimiter, delimiter)
     if options.delimiter is None and options.decimal == ".":
         _refuse_decimal_comma(path, lines, delimiter)
-    rows = [(i, split(text, delimiter)) for i, text in lines]
-    flags = [[is_number(cell, options.decimal) for cell in cells] for _, cells in rows]
+    rows = [
+        _Row(i, cells, [is_number(cell, options.decimal) for cell in cells])
+        for i, cells in ((i, split(text, delimiter)) for i, text in lines)
+    ]
     if options.header is not None:
-        begin = 1 if options.header else 0
-        if begin >= len(rows):
-            raise _only_header(path)
-        width = len(rows[0][1])
+        header, first = (0, 1) if options.header else (None, 0)
+        width, notes = len(rows[0].cells), list[str]()
     else:
-        width = _width(flags)
-        if width == 0:
-            raise _only_header(path) if len(rows) <= 2 else _no_numbers(path, rows)
-        fitting = (n for n, f in enumerate(flags) if len(f) == width and 2 * sum(f) >= width)
-        begin = next(fitting, -1)
-        if begin < 0:
+        width = _width([row.numbers for row in rows])
+        if width == 0 and len(rows) > 2:
             raise BadInput(
-                f"{path}, line {rows[-1][0] + 1}",
-                "in no row is half of the cells numbers",
-                "check delimiter, decimal and skip_rows, or whether this is a text table at all",
+                f"{path}, line {rows[-1].line + 1}",
+                f"no cell is a number ('{rows[-1].cells[0][:40]}')",
+                _NO_TABLE,
             )
-    return _with_header(path, rows, flags, begin, width, delimiter, options)
+        header, first, notes = _find_header(path, rows, width) if width else (0, len(rows), [])
+    if first >= len(rows):
+        raise BadInput(
+            str(path), "holds a header but no row of numbers", "check the recorder's export"
+        )
+    names, line = [""] * width, None
+    if header is not None:
+        line, names, _ = rows[header]
+        names[0] = names[0].lstrip("#").strip()
+    return Layout(delimiter, width, tuple(names), line, rows[first].line, tuple(notes))
 
 
-def _with_header(
-    path: Path,
-    rows: Sequence[tuple[int, list[str]]],
-    flags: Sequence[Sequence[bool]],
-    begin: int,
-    width: int,
-    delimiter: str,
-    options: TextOptions,
-) -> Layout:
-    notes = []
-    if options.header is None:
-        for n in range(begin):
-            # a row of numbers above the rest can only be data that would be lost unseen
-            if all(flags[n]):
-                raise BadInput(
-                    f"{path}, line {rows[n][0] + 1}",
-                    f"has {len(flags[n])} cells, the rows below have {width}",
-                    "correct the row, or set skip_rows if it is no row of the table",
-                )
-            if len(flags[n]) == width and any(flags[n]):
-                begin = n
-                break
-        top = begin
-        while top > 0 and len(flags[top - 1]) == width and not any(flags[top - 1]):
-            top -= 1
-        if top == begin and top > 0:
-            _refuse_lost_header(path, rows[:top], flags[:top], width)
-        header = top if top < begin else None
-        if header is not None and begin - header == 2 and _is_units(rows[header + 1][1]):
-            notes.append(f"line {rows[header + 1][0] + 1} taken as a row of units and skipped")
-        elif header is not None:
-            begin = header + 1
-        if top > 0:
-            notes.append(f"{rows[top][0]} lines above the table skipped")
-    else:
-        header = 0 if options.header else None
-    first = rows[begin][0]
-    if header is None:
-        return Layout(delimiter, width, ("",) * width, None, first, tuple(notes))
-    names = list(rows[header][1])
-    names[0] = names[0].lstrip("#").strip()
-    return Layout(delimiter, width, tuple(names), rows[header][0], first, tuple(notes))
-
-
-def _refuse_lost_header(
-    path: Path,
-    rows: Sequence[tuple[int, list[str]]],
-    flags: Sequence[Sequence[bool]],
-    width: int,
-) -> None:
-    for n, (line, cells) in enumerate(rows):
-        if len(cells) == width > 1 and all(cells) and n + 1 < len(rows) and any(flags[n + 1]):
+def _find_header(path: Path, rows: Sequence[_Row], width: int) -> tuple[int | None, int, list[str]]:
+    """Find header and first row of the table of ``width`` columns, with what there is to say."""
+    like = [len(row.cells) == width for row in rows]
+    fitting = (n for n, row in enumerate(rows) if like[n] and 2 * sum(row.numbers) >= width)
+    begin = next(fitting, -1)
+    if begin < 0:
+        raise BadInput(
+            f"{path}, line {rows[-1].line + 1}", "in no row is half of the cells numbers", _NO_TABLE
+        )
+    for n, row in enumerate(rows[:begin]):
+        # a row of numbers above the rest can only be data that would be lost unseen
+        if all(row.numbers):
             raise BadInput(
-                f"{path}, line {rows[n + 1][0] + 1}",
-                f"has {len(rows[n + 1][1])} cells, the header in line {line + 1} has {width}",
+                f"{path}, line {row.line + 1}",
+                f"has {len(row.cells)} cells, the rows below have {width}",
                 "correct the row, or set skip_rows if it is no row of the table",
             )
+        if like[n] and any(row.numbers):
+            begin = n
+            break
+    top = begin
+    while top > 0 and like[top - 1] and not any(rows[top - 1].numbers):
+        top -= 1
+    notes = []
+    header = top if top < begin else None
+    if header is None:
+        for above, row in pairwise(rows[:top]):
+            if len(above.cells) == width > 1 and all(above.cells) and any(row.numbers):
+                raise BadInput(
+                    f"{path}, line {row.line + 1}",
+                    f"has {len(row.cells)} cells, the header in line {above.line + 1} has {width}",
+                    "correct the row, or set skip_rows if it is no row of the table",
+                )
+    elif begin - header == 2 and not any(c.casefold() in _MISSING for c in rows[header + 1].cells):
+        notes.append(f"line {rows[header + 1].line + 1} taken as a row of units and skipped")
+    else:
+        begin = header + 1
+    if top > 0:
+        notes.append(f"{rows[top].line} lines above the table skipped")
+    return header, begin, notes
 
 
 def _find_delimiter(lines: Sequence[str], decimal: str) -> str:
@@ -239,10 +197,6 @@ def _width(flags: Sequence[Sequence[bool]]) -> int:
     return width if weight else 0
 
 
-def _is_units(cells: Sequence[str]) -> bool:
-    return not any(cell.casefold() in _MISSING for cell in cells)
-
-
 def _refuse_decimal_comma(path: Path, lines: Sequence[tuple[int, str]], delimiter: str) -> None:
     def readable(text: str, by: str, decimal: str) -> bool:
         cells = split(text, by)
@@ -258,17 +212,3 @@ def _refuse_decimal_comma(path: Path, lines: Sequence[tuple[int, str]], delimite
                     "its numbers have a decimal comma",
                     'set decimal = ","',
                 )
-
-
-def _only_header(path: Path) -> BadInput:
-    return BadInput(
-        str(path), "holds a header but no row of numbers", "check the recorder's export"
-    )
-
-
-def _no_numbers(path: Path, rows: Sequence[tuple[int, list[str]]]) -> BadInput:
-    return BadInput(
-        f"{path}, line {rows[-1][0] + 1}",
-        f"no cell is a number ('{rows[-1][1][0][:40]}')",
-        "check delimiter, decimal and skip_rows, or whether this is a text table at all",
-    )

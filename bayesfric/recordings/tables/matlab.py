@@ -9,42 +9,23 @@ import numpy as np
 
 from bayesfric.errors import BadInput
 from bayesfric.recordings.tables.matlab_structure import check_structure
-from bayesfric.recordings.tables.table import Table, check_names
+from bayesfric.recordings.tables.reader import Reader, TableOptions
+from bayesfric.recordings.tables.table import Table
 
 # All variables are unpacked, whichever are used.
 _LARGEST = 2**29
 
 
-def read_matlab(path: Path, table: str | None) -> Table:
-    """Read a MATLAB file of version 5 to 7.
+def read_matlab(path: Path, options: TableOptions) -> Table:
+    """Read a file of version 5 to 7, one column a vector of any orientation.
 
-    Parameters
-    ----------
-    path
-        The file.
-    table
-        Name of the struct (or dotted path of structs) that holds the vectors; None for the
-        file's own variables.
-
-    Returns
-    -------
-    Table
-        One column a variable or field; vectors of any orientation.
-
-    Raises
-    ------
-    BadInput
-        For a version 7.3 file, a damaged one, one of more than 512 MiB unpacked, or a struct
-        that is not there.
+    Promised to hostile input: its structure is walked before scipy sees it, and no more than
+    512 MiB are unpacked.
     """
     with path.open("rb") as file:
         start = file.read(128)
     if start.startswith(b"MATLAB 7.3") or b"\x89HDF" in start:
-        raise BadInput(
-            str(path),
-            "is a MATLAB 7.3 file",
-            "save it in MATLAB with save(..., '-v7')",
-        )
+        raise BadInput(str(path), "is a MATLAB 7.3 file", "save it with save(..., '-v7')")
     from scipy.io import loadmat
 
     try:
@@ -57,17 +38,16 @@ def read_matlab(path: Path, table: str | None) -> Table:
             "export it again with save(..., '-v7')",
         ) from error
     variables = {key: value for key, value in content.items() if not key.startswith("__")}
-    if table is not None:
-        variables = _struct(path, variables, table)
+    if options.table is not None:
+        variables = _struct(path, variables, options.table)
     if not variables:
         raise BadInput(str(path), "holds no variables", "check the export")
-    check_names(path, list(variables), "variables")
     values = list(variables.values())
 
     def load(index: int) -> np.ndarray[Any, Any]:
         return np.asarray(values[index])
 
-    return Table(path=path, names=tuple(variables), load=load)
+    return Table(str(path), list(variables), load, names_at="variables")
 
 
 def _struct(path: Path, variables: dict[str, Any], table: str) -> dict[str, Any]:
@@ -80,3 +60,6 @@ def _struct(path: Path, variables: dict[str, Any], table: str) -> dict[str, Any]
             raise BadInput(f"{path}, table '{table}'", f"'{key}' {kind}", f"it has {known}")
         variables = {name: getattr(found, name) for name in fields}
     return variables
+
+
+READER = Reader("mat", (".mat",), read_matlab, whole=True)

@@ -9,31 +9,19 @@ from typing import Any
 import numpy as np
 
 from bayesfric.errors import BadInput
-from bayesfric.recordings.tables.table import Table, check_names
+from bayesfric.recordings.tables.reader import Reader, TableOptions
+from bayesfric.recordings.tables.table import Table
 
+# Bytes when unpacked, of all columns and of one: 2**25 numbers are nine hours at 1 kHz.
 LARGEST = 4 * 2**30
-# 2**25 numbers: nine hours at 1 kHz
 LARGEST_COLUMN = 2**28
 
 
-def read_npz(path: Path) -> Table:
-    """Read a NumPy archive.
+def read_npz(path: Path, _: TableOptions) -> Table:
+    """Read an archive, one column an array, each when asked for.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Returns
-    -------
-    Table
-        One column an array; arrays are read when asked for.
-
-    Raises
-    ------
-    BadInput
-        For a damaged file, one larger than 4 GiB unpacked, an array larger than 256 MiB,
-        doubled names, or pickled arrays.
+    Promised to hostile input: nothing is unpacked before its size is known (4 GiB in all, 256 MiB
+    an array), and no pickle is opened.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -43,16 +31,9 @@ def read_npz(path: Path) -> Table:
         raise
     except Exception as error:  # zipfile raises struct.error, NotImplementedError ... when damaged
         raise _damaged(path, error) from error
-    size = sum(sizes)
-    if size > LARGEST:
-        raise BadInput(
-            str(path),
-            f"would unpack to {size / 2**30:.1f} GiB, more than {LARGEST / 2**30:.0f} GiB",
-            "save only the recording's arrays",
-        )
+    check_unpacked(path, sum(sizes))
     if not names:
         raise BadInput(str(path), "holds no arrays", "check the export")
-    check_names(path, names, "archive")
 
     def load(index: int) -> np.ndarray[Any, Any]:
         if sizes[index] > LARGEST_COLUMN:
@@ -74,7 +55,17 @@ def read_npz(path: Path) -> Table:
                 ) from error
             raise _damaged(path, error) from error
 
-    return Table(path=path, names=tuple(names), load=load)
+    return Table(str(path), names, load, names_at="archive")
+
+
+def check_unpacked(path: Path, size: int) -> None:
+    """Refuse a file of more than 4 GiB when unpacked."""
+    if size > LARGEST:
+        raise BadInput(
+            str(path),
+            f"would unpack to {size / 2**30:.1f} GiB, more than {LARGEST / 2**30:.0f} GiB",
+            "save only the recording's columns",
+        )
 
 
 def _damaged(path: Path, error: Exception) -> BadInput:
@@ -85,3 +76,6 @@ def _damaged(path: Path, error: Exception) -> BadInput:
         f"is not a readable NPZ file ({type(error).__name__}: {reason})",
         "save it again with numpy.savez",
     )
+
+
+READER = Reader("npz", (".npz",), read_npz)

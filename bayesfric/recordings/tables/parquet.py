@@ -9,32 +9,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
-from bayesfric.recordings.tables.npz import LARGEST, LARGEST_COLUMN
-from bayesfric.recordings.tables.table import Table, check_names
+from bayesfric.recordings.tables.npz import LARGEST_COLUMN, check_unpacked
+from bayesfric.recordings.tables.reader import Reader, TableOptions
+from bayesfric.recordings.tables.table import Table
 
 
-def read_parquet(path: Path) -> Table:
-    """Read a Parquet file.
+def read_parquet(path: Path, _: TableOptions) -> Table:
+    """Read a file, one column a field, each when asked for.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Returns
-    -------
-    Table
-        One column a field; columns are read when asked for.
-
-    Raises
-    ------
-    BadInput
-        For a damaged file, one larger than 4 GiB unpacked, more than 2**25 rows, doubled
-        names, or a column asked for that holds lists, tables, times or bytes.
+    Promised to hostile input: nothing is unpacked before its size is known (4 GiB, 2**25 rows).
     """
     # pyarrow takes long to import, which only reading Parquet should cost
     import pyarrow as pa
     import pyarrow.parquet as pq
+
+    def damaged(error: Exception) -> BadInput:
+        return BadInput(
+            str(path),
+            f"is not a readable Parquet file ({type(error).__name__}: {error})",
+            "export it again; the file may be cut off",
+        )
 
     try:
         with pq.ParquetFile(path) as file:
@@ -44,21 +38,13 @@ def read_parquet(path: Path) -> Table:
             rows = int(file.metadata.num_rows)
             types = list(file.schema_arrow.types)
     except (pa.ArrowException, OSError, ValueError) as error:
-        raise _damaged(path, error) from error
-    check_names(path, names, "schema")
+        raise damaged(error) from error
     # repeated values take no room in the file, but their rows do in memory
     if rows > LARGEST_COLUMN // 8:
         raise BadInput(
-            str(path),
-            f"has {rows} rows, more than {LARGEST_COLUMN // 8}",
-            "split the recording",
+            str(path), f"has {rows} rows, more than {LARGEST_COLUMN // 8}", "split the recording"
         )
-    if size > LARGEST:
-        raise BadInput(
-            str(path),
-            f"would unpack to {size / 2**30:.1f} GiB, more than {LARGEST / 2**30:.0f} GiB",
-            "save only the recording's columns",
-        )
+    check_unpacked(path, size)
 
     def load(index: int) -> NDArray[Any]:
         kind = types[index]
@@ -79,14 +65,9 @@ def read_parquet(path: Path) -> Table:
                 return np.array([float(value) for value in column.to_pylist()])
             return np.asarray(column.to_numpy())
         except (pa.ArrowException, OSError, ValueError, KeyError) as error:
-            raise _damaged(path, error) from error
+            raise damaged(error) from error
 
-    return Table(path=path, names=tuple(names), load=load)
+    return Table(str(path), names, load, names_at="schema")
 
 
-def _damaged(path: Path, error: Exception) -> BadInput:
-    return BadInput(
-        str(path),
-        f"is not a readable Parquet file ({type(error).__name__}: {error})",
-        "export it again; the file may be cut off",
-    )
+READER = Reader("parquet", (".parquet",), read_parquet)

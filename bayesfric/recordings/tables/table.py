@@ -1,12 +1,15 @@
-"""A table of numbers as it stands in a file, with names for what is wrong in it."""
+"""A table of numbers as it stands in a file, with names for what is wrong in it.
+
+Promised to hostile input: a cell that is no plain finite number is refused with its column, row
+and line, whatever pandas, NumPy or Python would make of it.
+"""
 
 from __future__ import annotations
 
 import difflib
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -15,26 +18,15 @@ from numpy.typing import NDArray
 from bayesfric.errors import BadInput
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
 _MOST_NAMES = 20
 _MOST_COLUMNS = 10_000
 _LONGEST_NAME = 60
+_PLAIN = (bool, int, float, np.integer, np.floating, np.bool_)
 
 
 def is_number(text: str, decimal: str = ".") -> bool:
-    """Tell whether a cell's text is a plain decimal number.
-
-    Parameters
-    ----------
-    text
-        The cell.
-    decimal
-        The decimal mark.
-
-    Returns
-    -------
-    bool
-        True for ``"1"``, ``"-2.5e-3"``; False for ``""``, ``"nan"``, ``"0x1F"``, ``"1_0"``.
-    """
+    """Tell whether text is a plain decimal number: ``-2.5e-3``; not ``nan``, ``0x1F``, ``1_0``."""
     text = text.strip()
     if decimal != ".":
         if "." in text:
@@ -45,21 +37,21 @@ def is_number(text: str, decimal: str = ".") -> bool:
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of one file.
+    """Columns of one file, or in memory.
 
     Parameters
     ----------
-    path
-        The file.
+    where
+        The file, or what stands for it in messages.
     names
-        One name a column, empty for a column without one.
+        One name a column, empty for a column without one; no name comes twice.
     load
         Gives the raw cells of a column by its index from 0: a numeric array (n,), or an object
         array (n,) if some cell is no number.
-    first_line
-        Line of the first row in a text file, from 1; None for other formats.
+    names_at
+        What holds the names, for messages.
     lines
-        Line of every row (n,), if they do not simply follow each other.
+        Line of every row (n,) in a text file.
     header_line
         Line of the header, if there is one.
     decimal
@@ -68,38 +60,28 @@ class Table:
         One sentence for every choice made in reading.
     """
 
-    path: Path
-    names: tuple[str, ...]
+    where: str
+    names: Sequence[str]
     load: Callable[[int], NDArray[Any]]
-    first_line: int | None = None
-    lines: NDArray[np.int64] | None = None
+    names_at: str = "header"
+    lines: Sequence[int] | None = None
     header_line: int | None = None
     decimal: str = "."
     notes: tuple[str, ...] = ()
+    _columns: dict[int, NDArray[np.float64]] = field(default_factory=dict, init=False)
+
+    def __post_init__(self) -> None:
+        check_names(self.where, self.names, self.names_at)
 
     def row(self, index: int) -> str:
-        """Name a row the way a user counts.
-
-        Parameters
-        ----------
-        index
-            Row from 0.
-
-        Returns
-        -------
-        str
-            Such as ``"row 17 (line 31)"``, or ``"row 17"`` if the file has no lines.
-        """
-        if self.lines is not None:
-            return f"row {index + 1} (line {int(self.lines[index])})"
-        if self.first_line is not None:
-            return f"row {index + 1} (line {self.first_line + index})"
-        return f"row {index + 1}"
+        """Name a row, given from 0, the way a user counts: ``"row 17 (line 31)"``."""
+        line = "" if self.lines is None else f" (line {self.lines[index]})"
+        return f"row {index + 1}{line}"
 
     def label(self, key: str | int) -> str:
         """Return ``"file, column 'name'"`` for messages."""
         shown = f"'{key}'" if isinstance(key, str) else str(key)
-        return f"{self.path}, column {shown}"
+        return f"{self.where}, column {shown}"
 
     def column(self, key: str | int) -> NDArray[np.float64]:
         """Return a column's numbers.
@@ -119,7 +101,12 @@ class Table:
         BadInput
             If there is no such column, or a cell is empty, no number, NaN or infinite.
         """
-        cells = self.load(self.place(key))
+        place = self.place(key)
+        if place not in self._columns:
+            self._columns[place] = self._checked(self.load(place), key)
+        return self._columns[place]
+
+    def _checked(self, cells: NDArray[Any], key: str | int) -> NDArray[np.float64]:
         if cells.ndim != 1:
             shape = " x ".join(str(n) for n in cells.shape) or "one value"
             raise BadInput(
@@ -127,9 +114,9 @@ class Table:
             )
         if cells.dtype.kind in "biuf":
             with np.errstate(all="ignore"):  # a long double may become infinite
-                values = cells.astype(np.float64)
+                values = cells.astype(np.float64, copy=False)
         elif cells.dtype.kind == "O":
-            values = self._numbers(cells, key)
+            values = np.array([self._number(cell, key, i) for i, cell in enumerate(cells)], float)
         else:
             raise BadInput(
                 self.label(key), f"holds {cells.dtype.name}, not numbers", "export it as numbers"
@@ -140,26 +127,22 @@ class Table:
             raise self._bad_cell(key, index, f"holds {_shown(cells[index])}, not a finite number")
         return values
 
-    def _numbers(self, cells: NDArray[Any], key: str | int) -> NDArray[np.float64]:
-        values = np.empty(len(cells))
-        for index, cell in enumerate(cells):
-            if isinstance(cell, str):
-                if not is_number(cell, self.decimal):
-                    raise self._bad_cell(key, index, _complaint(cell))
-                cell = cell.strip().replace(self.decimal, ".")
-            elif cell is None:
-                raise self._bad_cell(key, index, "is empty")
-            elif not isinstance(cell, bool | int | float | np.integer | np.floating | np.bool_):
-                raise self._bad_cell(key, index, f"holds {_shown(cell)}, not a number")
-            try:
-                values[index] = float(cell)
-            except (OverflowError, TypeError) as error:
-                raise self._bad_cell(key, index, f"holds {_shown(cell)}, not a number") from error
-        return values
+    def _number(self, cell: Any, key: str | int, index: int) -> float:
+        if cell is None or (isinstance(cell, str) and not cell.strip()):
+            raise self._bad_cell(key, index, "is empty")
+        if isinstance(cell, str) and is_number(cell, self.decimal):
+            return float(cell.strip().replace(self.decimal, "."))
+        try:
+            if isinstance(cell, _PLAIN):
+                return float(cell)
+        except OverflowError:
+            pass
+        comma = isinstance(cell, str) and _DECIMAL_COMMA.fullmatch(cell)
+        raise self._bad_cell(key, index, f"holds {_shown(cell)}, not a number", bool(comma))
 
-    def _bad_cell(self, key: str | int, index: int, what: str) -> BadInput:
+    def _bad_cell(self, key: str | int, index: int, what: str, comma: bool = False) -> BadInput:
         mend = "correct the cell, or cut the row out of the file"
-        if self.decimal == "." and re.search(r"'[+-]?\d+,\d+'", what):
+        if comma and self.decimal == ".":
             mend = 'set decimal = "," if the comma is the decimal mark'
         return BadInput(f"{self.label(key)}, {self.row(index)}", what, mend)
 
@@ -171,49 +154,35 @@ class Table:
         BadInput
             If there is none of that name or number.
         """
-        named = [name for name in self.names if name]
+        if isinstance(key, str) and key and key in self.names:
+            return list(self.names).index(key)
+        count, named = len(self.names), [name for name in self.names if name]
         if isinstance(key, int):
-            if 1 <= key <= len(self.names):
+            if 1 <= key <= count:
                 return key - 1
+            what = f"does not exist, the file has {count} columns"
+        elif not named:
+            what = "does not exist, the columns have no names"
+        else:
+            line = f" (header in line {self.header_line})" if self.header_line is not None else ""
             raise BadInput(
-                self.label(key),
-                f"does not exist, the file has {len(self.names)} columns",
-                f"give a number from 1 to {len(self.names)}",
+                self.label(key), f"does not exist{line}", f"{_nearest(key, named)}{_listed(named)}"
             )
-        if key in self.names and key:
-            return self.names.index(key)
-        if not named:
-            raise BadInput(
-                self.label(key),
-                "does not exist, the columns have no names",
-                f"give a number from 1 to {len(self.names)}",
-            )
-        line = f" (header in line {self.header_line})" if self.header_line is not None else ""
-        raise BadInput(
-            self.label(key), f"does not exist{line}", f"{_nearest(key, named)}{_listed(named)}"
-        )
+        raise BadInput(self.label(key), what, f"give a number from 1 to {count}")
 
 
-def check_names(path: Path, names: Sequence[str], where: str = "header") -> None:
-    """Refuse two columns of one name, and more columns than a recording has.
+def column_cells(series: Any) -> NDArray[Any]:
+    """Take the cells out of a pandas column, numbers where it holds nothing else."""
+    if series.dtype.kind in "biuf" and isinstance(series.dtype, np.dtype):
+        return np.array(series)
+    return np.asarray(series.to_numpy(dtype=object, na_value=None))
 
-    Parameters
-    ----------
-    path
-        The file.
-    names
-        The columns' names; empty ones do not count.
-    where
-        What holds the names.
 
-    Raises
-    ------
-    BadInput
-        If a name comes twice, or there are more than 10 000.
-    """
+def check_names(where: str, names: Sequence[str], names_at: str) -> None:
+    """Refuse two columns of one name, and more columns than a recording has."""
     if len(names) > _MOST_COLUMNS:
         raise BadInput(
-            f"{path}, {where}",
+            f"{where}, {names_at}",
             f"has {len(names)} columns, more than {_MOST_COLUMNS}",
             "save only the recording's columns, one row a sample",
         )
@@ -221,7 +190,7 @@ def check_names(path: Path, names: Sequence[str], where: str = "header") -> None
     for number, name in enumerate(names, start=1):
         if name and name in seen:
             raise BadInput(
-                f"{path}, {where}",
+                f"{where}, {names_at}",
                 f"columns {seen[name]} and {number} are both named '{name}'",
                 "rename one of them",
             )
@@ -248,7 +217,3 @@ def _shown(cell: object) -> str:
         return "a table"
     text = repr(cell.item() if isinstance(cell, np.generic) else cell)
     return text if len(text) <= 60 else text[:57] + "..."
-
-
-def _complaint(cell: str) -> str:
-    return f"holds {_shown(cell)}, not a number" if cell.strip() else "is empty"

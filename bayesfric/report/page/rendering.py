@@ -11,7 +11,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from bayesfric.identifiability.words import capital, factor
+from bayesfric.identifiability.sentences import capital, factor
 from bayesfric.report import numbers
 from bayesfric.report.page import values
 from bayesfric.report.page.symbol import html_symbol

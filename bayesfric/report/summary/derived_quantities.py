@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,8 @@ LEVEL = 0.9
 _TOTALS_BUDGET = 50_000_000
 
 
-class Group(NamedTuple):
+@dataclass(frozen=True)
+class Group:
     """Quantities computed alike.
 
     ``found`` has the posterior's draws of each; ``values`` brings the chain's parameters

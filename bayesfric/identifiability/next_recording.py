@@ -9,10 +9,12 @@ over these points, as the expected variance is what a Bayesian design minimises
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput, nearest
@@ -20,19 +22,20 @@ from bayesfric.estimates.assemble import open_directions
 from bayesfric.estimates.information import directions
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.torque import typical_load
+from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.identifiability.candidates import (
     Candidate,
     Limits,
-    TriedOut,
     candidates,
     limits_of,
     longest,
     try_out,
 )
+from bayesfric.identifiability.coverage import back_driven
+from bayesfric.identifiability.identification import moved_beside, prior_rows
 from bayesfric.identifiability.local import LocalInformation, local_information
-from bayesfric.identifiability.options import AdviceOptions
 from bayesfric.identifiability.plausible import Point
-from bayesfric.identifiability.recording_facts import back_driven
+from bayesfric.identifiability.sentences import Statement, plain, stated
 from bayesfric.identifiability.virtual_recording import TorqueNoise, scaled_jacobian, torque_noise
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.chain import Chain
@@ -46,6 +49,8 @@ Array = NDArray[np.float64]
 _ROUNDING = 1e-13
 # Anything that a candidate leaves of the sd above this share is not worth the effort.
 WORTH = 0.95
+# Candidates that the text lists; JSON has them all.
+_LISTED = 8
 
 
 @dataclass(frozen=True)
@@ -56,6 +61,8 @@ class Uncertainty:
     ----------
     sd
         Of the posterior: recordings and prior together; infinite where neither confines it.
+    relative_sd
+        The same as a share of the value; ``None`` where the recordings leave that open.
     data_sd
         That the recordings alone leave; infinite where they leave it open at any point.
     least, most
@@ -63,6 +70,7 @@ class Uncertainty:
     """
 
     sd: float
+    relative_sd: float | None
     data_sd: float
     least: float
     most: float
@@ -78,50 +86,29 @@ class Advice:
         What to play, and with which mass.
     after
         How well the quantity would be known then.
-    back_driven
-        Element with a load loss, and the mean, least and largest share of moving outputs
-        in which the load drives it.
-    speed
+    load_drives
+        Element with a load loss, and the ``mean``, ``least`` and ``most`` of the share of moving
+        outputs in which the load drives it.
+    peak_speed
         Fastest at any point, rad/s or m/s.
     angles
         Lowest and highest position at any point, rad or m.
-    lowered
-        Factor on the torque that it took to keep the limits; one where none.
-    reason
-        Which limit that was.
     """
 
     candidate: Candidate
     after: Uncertainty
-    back_driven: dict[str, tuple[float, float, float]]
-    speed: float
+    load_drives: dict[str, dict[str, float]]
+    peak_speed: float
     angles: tuple[float, float]
-    lowered: float
-    reason: str
 
     def recording(
         self, chain: Chain, values: Array, options: Simulation, seed: int
     ) -> dict[str, Array]:
-        """Simulate what a bench would record.
+        """Simulate what a bench would record, the true parameters being ``(n_parameters,)``.
 
-        Parameters
-        ----------
-        chain, values
-            The mechanism and its true parameters, ``(n_parameters,)``.
-        options
-            Encoder and noise are used; sample rate, current loop and mass are the candidate's.
-        seed
-            Of the noise.
-
-        Returns
-        -------
-        dict
-            ``time`` s, ``position`` rad or m on the encoder's side, ``torque`` N m or N.
-
-        Raises
-        ------
-        ValueError
-            If the joint runs away.
+        Of the ``options`` encoder and noise are used; sample rate, current loop and mass are
+        the candidate's. Gives ``time`` s, ``position`` rad or m on the encoder's side, and
+        ``torque`` N m or N; raises ``ValueError`` if the joint runs away.
         """
         one = self.candidate
         told = {"rate": 1.0 / one.period, "lag": one.lag}
@@ -144,8 +131,8 @@ class Ranking:
 
     Attributes
     ----------
-    name, unit, meaning
-        Of the quantity.
+    quantity, unit, meaning
+        What is to be known.
     value
         At the estimate; it means nothing where ``now.data_sd`` is infinite.
     now
@@ -160,13 +147,13 @@ class Ranking:
         Number of parameter vectors that all was simulated at.
     """
 
-    name: str
+    quantity: str
     unit: str
     meaning: str
     value: float
     now: Uncertainty
     advices: tuple[Advice, ...]
-    dropped: tuple[tuple[Candidate, str], ...]
+    dropped: tuple[tuple[Candidate, Statement], ...]
     limits: Limits
     points: int
 
@@ -183,6 +170,89 @@ class Ranking:
             return False
         return best.sd < WORTH * self.now.sd or not np.isfinite(self.now.sd)
 
+    @property
+    def verdict(self) -> Statement:
+        """Whether any candidate is worth making."""
+        best = self.advices[0].after if self.advices else None
+        if best is None:
+            kind = "not_playable"
+        elif not np.isfinite(best.sd):
+            kind = "no_sd"
+        elif not self.determined:
+            kind = "undetermined"
+        elif not self.worth:
+            kind = "not_worth"
+        elif not np.isfinite(best.data_sd):
+            kind = "left_to_priors"
+        elif not np.isfinite(self.now.data_sd):
+            kind = "would_determine"
+        else:
+            kind = "would_leave"
+        share = best.sd / self.now.sd if best else float("nan")
+        with_masses = any(mass for mass, _ in self.limits.masses)
+        return stated("advice", kind, name=self.quantity, share=share, with_masses=with_masses)
+
+    @property
+    def listed(self) -> Iterator[tuple[int, Advice]]:
+        """The first few with their ranks, then the first of each kind that is not there."""
+        seen: set[tuple[str, float]] = set()
+        for rank, one in enumerate(self.advices, start=1):
+            kind = (one.candidate.kind, one.candidate.added_mass)
+            if rank <= _LISTED or kind not in seen:
+                yield rank, one
+            seen.add(kind)
+
+    def _described(self, one: Candidate) -> dict[str, Any]:
+        return {
+            "kind": one.kind,
+            "form": one.form,
+            "peak_torque": one.amplitude,
+            "duration": one.duration,
+            "added_mass": one.added_mass,
+            "radius": one.radius,
+            "start": one.q0 if one.made is not None else self.limits.start,
+        }
+
+    def as_json(self) -> dict[str, Any]:
+        """Give what ``identify --advise --json`` prints; what is infinite is ``None``."""
+        masses = [one for one in self.limits.masses if one[0]]
+        rows = [
+            {
+                **self._described(one.candidate),
+                "rank": rank,
+                **{name: value for name, value in vars(one).items() if name != "candidate"},
+                "torque_lowered_to": one.candidate.lowered,
+                "because_of": one.candidate.limit,
+            }
+            for rank, one in enumerate(self.advices, start=1)
+        ]
+        dropped = [{**self._described(one), "reason": why} for one, why in self.dropped]
+        found: dict[str, Any] = plain(
+            {
+                "quantity": self.quantity,
+                "unit": self.unit,
+                "meaning": self.meaning,
+                "value": self.value,
+                "determined": bool(np.isfinite(self.now.data_sd)),
+                "now": self.now,
+                "points": self.points,
+                "limits": {**vars(self.limits), "masses": masses},
+                "verdict": self.verdict,
+                "candidates": rows,
+                "dropped": dropped,
+            }
+        )
+        return found
+
+    @property
+    def frame(self) -> pd.DataFrame:
+        """One row a candidate, the best first."""
+        return pd.json_normalize(self.as_json()["candidates"]).set_index("rank")
+
+    def _repr_html_(self) -> str:
+        """Show the table in a notebook."""
+        return str(self.frame.to_html(float_format="{:.4g}".format))
+
 
 @dataclass(frozen=True, eq=False)
 class _At:
@@ -194,30 +264,16 @@ class _At:
         ``(n_parameters,)``.
     local
         Of the target.
-    rows
-        ``(rank, d)`` with ``rows' rows`` the Fisher information of what was recorded.
     prior
-        ``(d, d)`` the same of the priors.
+        ``(d, d)`` rows with the information of the priors.
     gradient
         ``(d,)`` of the quantity, by changes of one in the local units.
     """
 
     values: Array
     local: LocalInformation
-    rows: Array
     prior: Array
     gradient: Array
-
-
-def advise(
-    target: Target,
-    points: Sequence[Point],
-    local: LocalInformation,
-    options: AdviceOptions,
-    name: str,
-) -> tuple[Advice, ...]:
-    """Rank candidates for the next recording, the best first; see :func:`ranking`."""
-    return ranking(target, points, local, options, name).advices
 
 
 def ranking(
@@ -257,20 +313,19 @@ def ranking(
     first = points[0].parameters
     at_estimate = target.chain_values(first[None])[0]
     load = typical_load(chain, observations, at_estimate)
-    unit, meaning = check_quantity(target, name, first, load)
-    value = _values(target, name, first[None], load)[0]
-    sds = np.array([p.sd() for p in target.priors[: len(target.free)]])
+    unit, meaning = _described(target, name, first, load)
+    value = float(_values(target, name, first[None], load)[0])
     there = []
     for p in points:
         try:
             found = local if p is points[0] else local_information(target, p.parameters)
-            there.append(_at(target, p, found, sds, name, load))
+            there.append(_at(target, p, found, name, load))
         except BadInput:
             if p is points[0]:
                 raise
     limits = limits_of(options, chain, observations, at_estimate)
     base = longest(observations)
-    number = next(i for i, o in enumerate(target.likelihood.observations) if o is base)
+    number = next(i for i, o in enumerate(observations) if o is base)
     noise = torque_noise(target, first, number)
     vectors = np.stack([one.values for one in there])
     advices, dropped = [], []
@@ -281,53 +336,60 @@ def ranking(
             continue  # more than this breaks a limit, as was found; or this does not move
         progress(f"simulating {candidate.form}")
         tried = try_out(chain, vectors, base, candidate, limits)
-        if isinstance(tried, str):
+        if isinstance(tried, Statement):
             dropped.append((candidate, tried))
             least[same] = 0.0
             continue
-        if tried.reason:
-            least[same] = tried.candidate.amplitude
-        advices.append(_advice(target, there, tried, noise))
+        tried_one, recordings = tried
+        if tried_one.because_of:
+            least[same] = tried_one.amplitude
+        sds = [_sds(target, at, o, noise) for at, o in zip(there, recordings, strict=True)]
+        shares = [
+            back_driven(chain, [o], at.values[None])
+            for at, o in zip(there, recordings, strict=True)
+        ]
+        low, high = zip(*((float(o.q.min()), float(o.q.max())) for o in recordings), strict=True)
+        advices.append(
+            Advice(
+                tried_one,
+                _averaged(sds, value),
+                {
+                    element: {
+                        "mean": float(x.mean()),
+                        "least": float(x.min()),
+                        "most": float(x.max()),
+                    }
+                    for element in shares[0]
+                    if (x := np.concatenate([share[element] for share in shares])).size
+                },
+                max(float(np.abs(o.qd).max()) for o in recordings),
+                (min(low), max(high)),
+            )
+        )
     advices.sort(key=lambda one: (one.after.sd, one.after.data_sd))
-    now = _averaged([_sds(target, one) for one in there])
+    now = _averaged([_sds(target, one) for one in there], value)
     return Ranking(
         name, unit, meaning, value, now, tuple(advices), tuple(dropped), limits, len(there)
     )
 
 
-def check_quantity(target: Target, name: str, parameters: Array, load: float) -> tuple[str, str]:
-    """Give unit and meaning of a quantity that can be advised on.
-
-    Parameters
-    ----------
-    target
-        Likelihood, priors and noise.
-    name
-        What the user asked for.
-    parameters
-        ``(d,)`` any possible vector.
-    load
-        Joint torque at which efficiencies are stated, N m or N.
-
-    Raises
-    ------
-    BadInput
-        If nothing has that name, or it is known already.
-    """
+def _described(target: Target, name: str, parameters: Array, load: float) -> tuple[str, str]:
+    """Give unit and meaning of what can be advised on, at possible parameters ``(d,)``."""
     chain = target.likelihood.chain
     where = f"--advise {name}"
     described = {p.name: (p.unit, p.meaning) for p in chain.parameters}
-    made = {q.name: q for q in derive(chain, target.chain_values(parameters[None]), load)}
+    values = target.chain_values(parameters[None])
+    made = {q.name: q for q in derive(chain, values, load)}
     described |= {q.name: (q.unit, q.meaning) for q in made.values()}
     if name not in described:
         raise BadInput(
             where, "no parameter or derived quantity has that name", nearest(name, described)
         )
     if name in chain.names and name not in target.free:
-        known = target.chain_values(parameters[None])[0, chain.names.index(name)]
         raise BadInput(
             where,
-            f"is fixed at {known:.6g} by its prior, so no experiment changes it",
+            f"is fixed at {values[0, chain.names.index(name)]:.6g} by its prior, so no experiment "
+            "changes it",
             f"give priors.{name} a width, or ask for another quantity",
         )
     if name in made and not np.isfinite(made[name].values).all():
@@ -343,21 +405,11 @@ def _values(target: Target, name: str, parameters: Array, load: float) -> Array:
     return next(q.values for q in made if q.name == name)
 
 
-def _at(
-    target: Target, point: Point, local: LocalInformation, sds: Array, name: str, load: float
-) -> _At:
-    """Look at one point; ``sds`` ``(d,)`` are the priors'."""
-    k = len(target.free)
-    d = local.directions
-    rows = d.rows[~d.null] * d.singular_values[~d.null, None]
+def _at(target: Target, point: Point, local: LocalInformation, name: str, load: float) -> _At:
     # central differences, exact up to rounding for what is next to linear
-    steps = 1e-5 * np.abs(local.units)
-    moved = np.tile(point.parameters, (2 * k, 1))
-    index = np.arange(k)
-    moved[index, index] += steps
-    moved[k + index, index] -= steps
-    values = _values(target, name, moved, load)
-    gradient = (values[:k] - values[k:]) / (2.0 * steps) * local.units
+    moved, widths = moved_beside(local, point.parameters)
+    up, down = _values(target, name, moved, load).reshape(2, -1)
+    gradient = (up - down) / widths * local.units
     if not np.isfinite(gradient).all():
         raise BadInput(
             f"--advise {name}", "cannot be differentiated here", "ask for another quantity"
@@ -368,36 +420,8 @@ def _at(
             "is made of fixed values only, so no experiment changes it",
             "give them priors with a width, or ask for another quantity",
         )
-    ratio = np.abs(local.units) / sds
-    prior = np.diag(np.where(np.isfinite(ratio), ratio, 0.0))
-    return _At(target.chain_values(point.parameters[None])[0], local, rows, prior, gradient)
-
-
-def _advice(
-    target: Target,
-    there: Sequence[_At],
-    tried: TriedOut,
-    noise: TorqueNoise,
-) -> Advice:
-    chain = target.likelihood.chain
-    sds, shares = [], []
-    for one, recording in zip(there, tried.recordings, strict=True):
-        sds.append(_sds(target, one, recording, noise))
-        shares.append(back_driven(chain, [recording], one.values[None]))
-    back = {
-        name: (float(x.mean()), float(x.min()), float(x.max()))
-        for name in shares[0]
-        if (x := np.concatenate([share[name] for share in shares])).size
-    }
-    return Advice(
-        tried.candidate,
-        _averaged(sds),
-        back,
-        tried.speed,
-        tried.angles,
-        tried.lowered,
-        tried.reason,
-    )
+    values = target.chain_values(point.parameters[None])[0]
+    return _At(values, local, prior_rows(target, local), gradient)
 
 
 def _sds(
@@ -410,7 +434,7 @@ def _sds(
     """
     chain, observations = target.likelihood.chain, list(target.likelihood.observations)
     k = len(target.free)
-    rows, known = at.rows, None
+    rows, known = at.local.told, None
     if added is not None and noise is not None:
         more = scaled_jacobian(target, added, at.values, at.local.units, noise)
         rows = np.concatenate([rows, more])
@@ -433,7 +457,9 @@ def _sds(
     return left(both.solve(at.gradient)), left(told.solve(at.gradient))
 
 
-def _averaged(sds: Sequence[tuple[float, float]]) -> Uncertainty:
+def _averaged(sds: Sequence[tuple[float, float]], value: float) -> Uncertainty:
     both = np.array(sds)
-    sd, data_sd = np.sqrt(np.mean(both**2, axis=0))
-    return Uncertainty(float(sd), float(data_sd), float(both[:, 0].min()), float(both[:, 0].max()))
+    sd, data_sd = np.sqrt(np.mean(both**2, axis=0)).tolist()
+    # a share of a value that is not determined would mean nothing
+    relative = sd / abs(value) if np.isfinite(data_sd) and value != 0.0 else None
+    return Uncertainty(sd, relative, data_sd, float(both[:, 0].min()), float(both[:, 0].max()))

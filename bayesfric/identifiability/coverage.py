@@ -1,9 +1,9 @@
-"""What was done to the joint: who drove whom, how far it turned, what shape the torque had."""
+"""What a recording went through: who drove whom, how far it turned, what shape the torque had."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,8 @@ _LITTLE = 0.05
 
 
 @dataclass(frozen=True)
-class RecordingFacts:
-    """Facts about one recording, at the point estimate where they need one.
+class Coverage:
+    """What one recording went through, at the point estimate where that needs one.
 
     Attributes
     ----------
@@ -36,12 +36,14 @@ class RecordingFacts:
         Number of outputs.
     moving
         Share of them in which the joint moves.
-    back_driven
+    load_drives
         Element with a load loss, and the share of moving outputs in which the load
         drives it.
     at_levels
         Share of outputs that lie at one of at most four levels of torque; ``None`` where
         noise hides it.
+    piecewise_constant
+        Whether nearly all outputs do.
     turn
         Range of the joint's position, rad or m.
     steady
@@ -53,23 +55,44 @@ class RecordingFacts:
     name: str
     outputs: int
     moving: float
-    back_driven: dict[str, float]
+    load_drives: dict[str, float]
     at_levels: float | None
+    piecewise_constant: bool
     turn: float
     steady: float
     added_mass: float
     radius: float
 
-    @property
-    def piecewise_constant(self) -> bool:
-        """Whether nearly all outputs lie at a few levels of torque."""
-        return self.at_levels is not None and self.at_levels > 0.9
+
+@dataclass(frozen=True)
+class BackDriving:
+    """How often the load drives one element, as a share of the moving outputs.
+
+    Attributes
+    ----------
+    element
+        Its name.
+    two
+        Whether it loses more, or less, when the load drives it.
+    at_estimate
+        Share at the estimate.
+    plausible
+        Least and largest share over the estimate and the points that suit the data.
+    anywhere
+        Least and largest share over all points.
+    """
+
+    element: str
+    two: bool
+    at_estimate: float
+    plausible: tuple[float, float]
+    anywhere: tuple[float, float]
 
 
-def recording_facts(
+def coverage_of(
     chain: Chain, observations: Sequence[Observation], values: Array, noise: Array
-) -> tuple[RecordingFacts, ...]:
-    """Collect the facts of every recording.
+) -> tuple[Coverage, ...]:
+    """Look at every recording.
 
     Parameters
     ----------
@@ -83,15 +106,16 @@ def recording_facts(
     found = []
     for o, sigma in zip(observations, noise.tolist(), strict=True):
         shares = back_driven(chain, [o], values[None])
-        q = o.q[o.filter.centres]
+        levels = _at_levels(o.measured, sigma)
         found.append(
-            RecordingFacts(
+            Coverage(
                 name=o.name,
                 outputs=int(o.measured.size),
                 moving=float(np.mean(o.qd[o.filter.centres] != 0.0)),
-                back_driven={name: float(share[0]) for name, share in shares.items()},
-                at_levels=_at_levels(o.measured, sigma),
-                turn=float(np.ptp(q)),
+                load_drives={name: float(share[0]) for name, share in shares.items()},
+                at_levels=levels,
+                piecewise_constant=levels is not None and levels > 0.9,
+                turn=float(np.ptp(o.q[o.filter.centres])),
                 steady=_steady(chain, o, values),
                 added_mass=o.inputs.added_mass,
                 radius=o.inputs.radius,
@@ -132,6 +156,24 @@ def back_driven(
     return found
 
 
+def back_driving(
+    chain: Chain,
+    observations: Sequence[Observation],
+    vectors: Array,
+    plausible: NDArray[np.bool_],
+) -> tuple[BackDriving, ...]:
+    """Look at vectors ``(n, n_parameters)``, the estimate first; ``plausible`` suit the data."""
+    two = {element.name: element.load_loss == "two" for element in chain.elements}
+    return tuple(
+        BackDriving(name, two[name], float(share[0]), _ends(share[plausible]), _ends(share))
+        for name, share in back_driven(chain, observations, vectors).items()
+    )
+
+
+def _ends(share: Array) -> tuple[float, float]:
+    return float(share.min()), float(share.max())
+
+
 def _behind(chain: Chain, i: int, o: Observation, at: NDArray[np.int64], values: Array) -> Array:
     """Torque at the output of element ``i``, ``(n, len(at))``."""
     q, qd, qdd = o.q[at], o.qd[at], o.qdd[at]
@@ -170,7 +212,7 @@ def _at_levels(torque: Array, sigma: float) -> float | None:
 
 def _steady(chain: Chain, o: Observation, values: Array) -> float:
     """Share of outputs in which the torque would be the same without acceleration."""
-    still = Observation(**{**vars(o), "qdd": np.zeros_like(o.qdd)})
+    still = replace(o, qdd=np.zeros_like(o.qdd))
     whole = filtered_torque(chain, o, values[None])[0]
     without = filtered_torque(chain, still, values[None])[0]
     return float(np.mean(np.abs(whole - without) < _LITTLE * np.abs(whole)))

@@ -6,7 +6,8 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from bayesfric.recordings.options import Kilograms, Metres
+from bayesfric.errors import Unfit
+from bayesfric.recordings.units import Kilograms, Metres
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -59,7 +60,5 @@ class AdviceOptions(BaseModel):
     @classmethod
     def _rising(cls, value: tuple[float, float] | None) -> tuple[float, float] | None:
         if value is not None and not value[0] < value[1]:
-            raise ValueError(
-                f"expected two angles, the smaller one first, got [{value[0]:g}, {value[1]:g}]"
-            )
+            raise Unfit("two angles, the smaller one first", f"got [{value[0]:g}, {value[1]:g}]")
         return value

@@ -1,0 +1,130 @@
+"""Python objects as the text of a configuration, which is what a model is made from."""
+
+from __future__ import annotations
+
+import glob
+import json
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from bayesfric.config import Config, parse_config
+from bayesfric.errors import BadInput
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.options import ElementOptions, LoadOptions
+from bayesfric.mechanism.presets import PRESETS
+from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.source import Source
+
+# What complaints about a model made in Python begin with.
+_MODEL = Path("Model")
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def config_of(document: Mapping[str, Any]) -> Config:
+    """Write tables as a configuration, and check it as if it had been read.
+
+    Raises
+    ------
+    BadInput
+        With the key and the mend, for anything that cannot be used.
+    """
+    return parse_config("\n".join(_lines(document)), _MODEL)
+
+
+def mechanism_table(joint: Chain) -> dict[str, Any]:
+    """Write a joint as the ``[mechanism]`` table that makes it."""
+    offset = "per-recording" if joint.own_offsets else joint.offset
+    table: dict[str, Any] = {"offset": offset, "gain": joint.gain}
+    if joint.preset in PRESETS:
+        base = PRESETS[joint.preset].chain()
+        if (base.elements, base.load) == (joint.elements, joint.load):
+            return {"preset": joint.preset, **table}
+    elements = {one.name: _chosen(one, ElementOptions) for one in joint.elements}
+    return {**table, "load": _chosen(joint.load, LoadOptions), "elements": elements}
+
+
+def recording_table(recording: Recording, number: int) -> dict[str, Any]:
+    """Write a recording as the ``[[recordings]]`` table that reads it, once a run has saved it."""
+    source = recording.source
+    if not isinstance(source, Source):
+        source = recording.filed(saved_name(number))
+        return {"name": f"recording-{number}", **source.model_dump(mode="json", exclude_unset=True)}
+    folder = str(recording.folder.absolute())
+    files = [
+        str(Path(glob.escape(folder) if glob.has_magic(f) else folder, f)) for f in source.files
+    ]
+    return {**source.model_dump(mode="json", exclude_unset=True), "file": files}
+
+
+def saved_name(number: int) -> str:
+    """Name the file in a run directory of a recording that was given as a table in memory."""
+    return f"recordings/recording-{number}.csv"
+
+
+def _chosen(item: Any, options: type[BaseModel]) -> dict[str, Any]:
+    given = {**vars(item), **item.choices}
+    return {
+        key: v
+        for key, v in given.items()
+        if key in options.model_fields and v != options.model_fields[key].default
+    }
+
+
+def prior_value(prior: Any) -> Any:
+    """Write a prior as a configuration does; a frozen distribution of SciPy by its name."""
+    family = getattr(prior, "dist", None)
+    if family is None:
+        return prior
+    shapes, loc, scale = family._parse_args(*prior.args, **prior.kwds)
+    names = (family.shapes or "").replace(",", " ").split()
+    values = {**dict(zip(names, shapes, strict=True)), "loc": loc, "scale": scale}
+    return {"distribution": family.name, **{key: float(x) for key, x in values.items()}}
+
+
+def _lines(document: Mapping[str, Any]) -> Iterator[str]:
+    for key, table in document.items():
+        several = isinstance(table, list)
+        for number, part in enumerate(table if several else [table], start=1):
+            where = f"{_MODEL}: {key}" + (f".{number}" if several else "")
+            yield f"[[{_key(key)}]]" if several else f"[{_key(key)}]"
+            yield from _entries(part, where)
+            yield ""
+
+
+def _entries(table: Any, where: str) -> Iterator[str]:
+    """Write the keys of a table; what is ``None`` or an empty table is left out."""
+    if isinstance(table, BaseModel):
+        table = table.model_dump(mode="json", exclude_unset=True)
+    if not isinstance(table, Mapping):
+        raise BadInput(where, f"got {table!r}", "give a table: a dict of keys")
+    for key, value in table.items():
+        if value is not None and not (isinstance(value, Mapping) and not value):
+            yield f"{_key(str(key))} = {toml_value(value, f'{where}.{key}')}"
+
+
+def _key(key: str) -> str:
+    return key if _BARE.fullmatch(key) else toml_value(key)
+
+
+def toml_value(value: Any, where: str = "") -> str:
+    """Write one value; reading it gives the same number.
+
+    Raises
+    ------
+    BadInput
+        Naming ``where``, if a configuration cannot hold it.
+    """
+    value = value.tolist() if hasattr(value, "tolist") else value  # NumPy's
+    if isinstance(value, bool | int | float):
+        return repr(value).lower()
+    if isinstance(value, str | Path):
+        return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(toml_value(one, where) for one in value)}]"
+    if isinstance(value, Mapping | BaseModel):
+        return f"{{ {', '.join(_entries(value, where))} }}"
+    raise BadInput(where, f"got {type(value).__name__}", "give a number, text, a list or a table")

@@ -1,0 +1,385 @@
+"""What recordings can and cannot tell, before anything is sampled.
+
+The Jacobian of the observed quantity over its noise, in logarithms of the parameters,
+is taken at the estimate and at other vectors that may be true. A direction is *null*
+where its singular value is below 1e-7 of the largest, which is a thousand times what
+rounding makes of an exact zero (1e-6 for a simulated position); it is *weak* where the
+data leave the logarithm of a parameter more than 0.5.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from bayesfric.errors import BadInput
+from bayesfric.estimates.torque import typical_load
+from bayesfric.identifiability.coverage import BackDriving, Coverage, back_driving, coverage_of
+from bayesfric.identifiability.known_quantities import SpeedTerm, UnknownMass, unknown_mass
+from bayesfric.identifiability.local import (
+    LocalInformation,
+    Verdict,
+    in_natural_units,
+    local_information,
+    verdict,
+)
+from bayesfric.identifiability.open_directions import OpenDirection, open_directions
+from bayesfric.identifiability.plausible import Origin, Point
+from bayesfric.identifiability.remedies import HARDLY, WEAK, trials
+from bayesfric.identifiability.sentences import Statement, plain, stated
+from bayesfric.inference.target import Target
+from bayesfric.mechanism.derived import derive
+
+Array = NDArray[np.float64]
+
+# On a bound, up to rounding.
+_ON_BOUND = 1e-6
+
+
+@dataclass(frozen=True)
+class Prospect:
+    """One parameter or derived quantity and how well it would be known.
+
+    Attributes
+    ----------
+    name, unit, meaning
+        As everywhere.
+    value
+        At the estimate; it means nothing where ``data_sd`` is infinite.
+    data_sd
+        What the data alone would leave.
+    expected_sd
+        Data and prior together.
+    prior_sd
+        Of the prior; ``nan`` for derived quantities.
+    verdict
+        To be expected of the posterior; ``None`` for derived quantities.
+    on_bound
+        ``lower`` or ``upper`` where the estimate stands on a bound: there these sds, made
+        for a normal posterior, are too wide.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    value: float
+    data_sd: float
+    expected_sd: float
+    prior_sd: float = float("nan")
+    verdict: Verdict | None = None
+    on_bound: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """Everything that the local picture says.
+
+    Attributes
+    ----------
+    method
+        ``input-error`` or ``output-error``.
+    origins
+        Where each point comes from; the estimate first.
+    singular_values
+        ``(n_points, d)``, largest first.
+    null_counts
+        Number of null directions at each point.
+    local
+        The local picture at the estimate.
+    directions
+        Null ones first, then weak ones, the weakest first.
+    parameters, combinations
+        Prospects: free parameters and noise scales; what they amount to, of which no
+        scaling changes any, best known first.
+    recordings, back_driving
+        What the recordings went through, and how often the load drove.
+    known_mass
+        What rests on the added mass being known, where there is one.
+    voltage
+        Parameters that a back-EMF cannot be told from; set by who knows of a voltage.
+    notes
+        What changes from point to point.
+    """
+
+    method: str
+    origins: tuple[Origin, ...]
+    singular_values: Array
+    null_counts: tuple[int, ...]
+    local: LocalInformation
+    directions: tuple[OpenDirection, ...]
+    parameters: tuple[Prospect, ...]
+    combinations: tuple[Prospect, ...]
+    recordings: tuple[Coverage, ...]
+    back_driving: tuple[BackDriving, ...]
+    known_mass: UnknownMass | None
+    voltage: SpeedTerm | None
+    notes: tuple[Statement, ...]
+
+    @property
+    def frame(self) -> pd.DataFrame:
+        """One row a parameter: how well it would be known, by what, and with what it is open."""
+        found = pd.DataFrame([vars(one) for one in self.parameters]).set_index("name")
+        labels = dict(zip(self.local.names, self.local.labels, strict=True))
+        found["open_with"] = [
+            ", ".join(
+                dict.fromkeys(
+                    other
+                    for one in self.directions
+                    if labels[name] in one.exponents
+                    for other in one.exponents
+                    if other != labels[name]
+                )
+            )
+            for name in found.index
+        ]
+        return found
+
+    def _repr_html_(self) -> str:
+        """Show the table in a notebook."""
+        return str(self.frame.to_html(float_format="{:.4g}".format))
+
+    @property
+    def determined(self) -> list[Prospect]:
+        """Combinations that the data tell, whatever else they do not."""
+        return [one for one in self.combinations if one.data_sd < WEAK * abs(one.value)]
+
+    @property
+    def ranges(self) -> list[tuple[float, float, float]]:
+        """Singular values: at the estimate, least and largest."""
+        values = self.singular_values
+        return list(zip(values[0], values.min(axis=0), values.max(axis=0), strict=True))
+
+    @property
+    def remarks(self) -> list[Statement]:
+        """What is to be said of back-driving, of the known mass and of a voltage."""
+        mass, voltage = self._mass_meaning, self._voltage_meaning
+        return [*map(self._seen, self.back_driving), *(one for one in (mass, voltage) if one)]
+
+    def _seen(self, one: BackDriving) -> Statement:
+        """Say how often the load drives an element."""
+        loss = f"{one.element}.load_back"
+        prior = any(row.name == loss and row.verdict == "prior" for row in self.parameters)
+        least, most = one.plausible
+        unsure = least == 0.0 and prior
+        kind = "never" if most == 0.0 else "seen"
+        if kind == "seen" and (unsure or one.at_estimate < HARDLY):
+            kind = "hardly"
+        return stated("back_driving", kind, prior=prior, certain=not unsure, **vars(one))
+
+    @property
+    def _mass_meaning(self) -> Statement | None:
+        all_told = not any(one.null for one in self.directions)
+        return self.known_mass.meaning(all_told=all_told) if self.known_mass else None
+
+    @property
+    def _voltage_meaning(self) -> Statement | None:
+        return self.voltage.meaning(len(self.recordings)) if self.voltage else None
+
+    def as_json(self) -> dict[str, Any]:
+        """Give what ``bayesfric identify --json`` prints; what is infinite is ``None``."""
+        at, least, largest = zip(*self.ranges, strict=True) if self.ranges else ((), (), ())
+        derived = ("prior_sd", "verdict", "on_bound")
+        found = {
+            "method": self.method,
+            "points": Counter(self.origins),
+            "thresholds": {
+                "null": self.local.directions.tolerance,
+                "weak_log_sd": WEAK,
+                "hardly_ever": HARDLY,
+            },
+            "directions": self.directions,
+            "singular_values": {
+                "at_estimate": at,
+                "least": least,
+                "largest": largest,
+                "null_at_each_point": self.null_counts,
+            },
+            "combinations": {p.name: _without(p, "name", *derived) for p in self.combinations},
+            "parameters": {p.name: _without(p, "name") for p in self.parameters},
+            "back_driving": {
+                one.element: _without(one, "element", "two") | {"meaning": self._seen(one)}
+                for one in self.back_driving
+            },
+            "recordings": self.recordings,
+            "known_mass": self.known_mass
+            and {**vars(self.known_mass), "meaning": self._mass_meaning or ""},
+            "voltage": self.voltage and {**vars(self.voltage), "meaning": self._voltage_meaning},
+            "notes": self.notes,
+        }
+        return {name: plain(value) for name, value in found.items()}
+
+
+def _without(record: Any, *names: str) -> dict[str, Any]:
+    return {name: value for name, value in vars(record).items() if name not in names}
+
+
+def identify(
+    target: Target, points: Sequence[Point], *, speed: SpeedTerm | None = None
+) -> Identification:
+    """Find out what the recordings can tell.
+
+    Parameters
+    ----------
+    target
+        Likelihood, priors and noise.
+    points
+        The estimate first, then others that may be true; see
+        :func:`bayesfric.identifiability.plausible.points_around`.
+    speed
+        What a back-EMF is confounded with, where the torque comes from a voltage.
+
+    Raises
+    ------
+    BadInput
+        If a simulation fails beside the estimate.
+    """
+    chain, observations = target.likelihood.chain, target.likelihood.observations
+    estimate = points[0].parameters
+    points, locals_ = _locals(target, points)
+    local = locals_[0]
+    vectors = target.chain_values(np.stack([p.parameters for p in points]))
+    noise = target.noise.scales(estimate[None, len(target.free) :])[0]
+    coverage = coverage_of(chain, observations, vectors[0], noise[:, 0])
+    plausible = np.array([p.origin != "prior" for p in points])
+    back = back_driving(chain, observations, vectors, plausible)
+    rare = any(one.plausible[0] < HARDLY for one in back)
+    tried = trials(target, estimate, local, coverage, rare=rare)
+    units = {p.name: p.unit for p in chain.parameters}
+    return Identification(
+        target.likelihood.method,
+        tuple(p.origin for p in points),
+        np.abs([one.directions.singular_values for one in locals_]),
+        tuple(int(one.directions.null.sum()) for one in locals_),
+        local,
+        tuple(open_directions(locals_, units, coverage, back, tried)),
+        _parameters(target, estimate, local),
+        _combinations(target, estimate, local, typical_load(chain, observations, vectors[0])),
+        coverage,
+        back,
+        unknown_mass(target, estimate, local),
+        speed,
+        tuple(_changes(locals_, back, plausible)),
+    )
+
+
+def _locals(target: Target, points: Sequence[Point]) -> tuple[list[Point], list[LocalInformation]]:
+    """Look at every point; those beside which a simulation fails are left out."""
+    kept, found = [], []
+    for p in points:
+        try:
+            local = local_information(target, p.parameters)
+        except BadInput:
+            if p is points[0]:
+                raise
+            continue
+        kept.append(p)
+        found.append(in_natural_units(target, p.parameters, local))
+    return kept, found
+
+
+def prior_rows(target: Target, local: LocalInformation) -> Array:
+    """Jacobian ``(k, k)`` with the information of the priors, in the local units."""
+    sds = np.array([p.sd() for p in target.priors[: len(target.free)]])
+    ratio = np.abs(local.units) / sds
+    return np.diag(np.where(np.isfinite(ratio), ratio, 0.0))
+
+
+def expected_covariance(target: Target, local: LocalInformation) -> Array:
+    """Covariance of the free parameters that data and priors would leave, ``(k, k)``.
+
+    The inverse of the Fisher information plus the priors' ``1/sd²``, in the local units.
+    A parameter that neither confines makes all of it infinite along its direction.
+    """
+    values, vectors = np.linalg.eigh(local.information + prior_rows(target, local) ** 2)
+    open_ = values <= 1e-15 * values[-1]
+    inverse = np.where(open_, 0.0, 1.0 / np.where(open_, 1.0, values))
+    covariance = (vectors * inverse) @ vectors.T
+    for i in np.flatnonzero(open_):
+        touched = np.abs(vectors[:, i]) > 1e-6
+        covariance[np.ix_(touched, touched)] = np.inf
+    return np.asarray(covariance)
+
+
+def moved_beside(local: LocalInformation, parameters: Array) -> tuple[Array, Array]:
+    """Move each free parameter of ``(d,)`` up, then down: ``(2 k, d)``, and the widths ``(k,)``."""
+    steps = 1e-5 * np.abs(local.units)
+    k = steps.size
+    moved = np.tile(parameters, (2 * k, 1))
+    index = np.arange(k)
+    moved[index, index] += steps
+    moved[k + index, index] -= steps
+    return moved, 2.0 * steps
+
+
+def _parameters(target: Target, estimate: Array, local: LocalInformation) -> tuple[Prospect, ...]:
+    described = {p.name: p for p in target.likelihood.chain.parameters}
+    expected = np.sqrt(np.diag(expected_covariance(target, local))) * np.abs(local.units)
+    rows = []
+    for j, (name, prior) in enumerate(zip(target.free, target.priors, strict=False)):
+        prior_sd, value = float(prior.sd()), float(estimate[j])
+        sds = float(expected[j]), prior_sd, float(local.data_sd[j])
+        width = _ON_BOUND * max(abs(value), prior_sd if np.isfinite(prior_sd) else 0.0)
+        low, high = prior.limits
+        bound = "lower" if value - low <= width else None
+        bound = "upper" if high - value <= width else bound
+        p = described[name]
+        rows.append(
+            Prospect(name, p.unit, p.meaning, value, sds[2], sds[0], prior_sd, verdict(*sds), bound)
+        )
+    return tuple(rows)
+
+
+def _combinations(
+    target: Target, estimate: Array, local: LocalInformation, load: float
+) -> tuple[Prospect, ...]:
+    """Derive what the parameters amount to, best known first."""
+    moved, widths = moved_beside(local, estimate)
+    covariance = expected_covariance(target, local)
+    found = []
+    vectors = target.chain_values(np.concatenate([moved, estimate[None]]))
+    for q in derive(target.likelihood.chain, vectors, load):
+        up, down = q.values[:-1].reshape(2, -1)
+        value, gradient = float(q.values[-1]), (up - down) / widths
+        if not np.isfinite(value) or not np.isfinite(gradient).all() or not gradient.any():
+            continue
+        scaled = gradient * local.units
+        used = scaled != 0.0
+        expected = float(scaled[used] @ covariance[np.ix_(used, used)] @ scaled[used])
+        expected_sd = float(np.sqrt(expected)) if expected >= 0.0 else float("inf")
+        data_sd = local.data_sd_of(gradient)
+        found.append(Prospect(q.name, q.unit, q.meaning, value, data_sd, expected_sd))
+    return tuple(sorted(found, key=lambda one: one.data_sd / max(abs(one.value), 1e-300)))
+
+
+def _changes(
+    locals_: Sequence[LocalInformation], back: Sequence[BackDriving], plausible: NDArray[np.bool_]
+) -> Iterator[Statement]:
+    """Say where the local picture at the estimate is not that of other points."""
+    counts = np.array([int(one.directions.null.sum()) for one in locals_], dtype=np.int_)
+    near = counts[plausible]
+    if np.ptp(counts):
+        yield stated(
+            "note",
+            "null_counts",
+            at=int(counts[0]),
+            near=(int(near.min()), int(near.max())),
+            suiting=near.size,
+            all=(int(counts.min()), int(counts.max())),
+            points=counts.size,
+        )
+    for one in back:
+        least, most = one.anywhere
+        if one.two and least == 0.0 < most:
+            yield stated(
+                "note",
+                "back_driving",
+                name=f"{one.element}.load_back",
+                element=one.element,
+                most=most,
+            )

@@ -1,0 +1,196 @@
+"""Directions in which the data leave parameters open: which, why, and what would lift them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.identifiability.coverage import BackDriving, Coverage
+from bayesfric.identifiability.local import LocalInformation, null_meaning
+from bayesfric.identifiability.remedies import HARDLY, WEAK, Remedy, Trial, left_along, remedies
+from bayesfric.identifiability.sentences import Statement, stated
+
+Array = NDArray[np.float64]
+
+# Entries of a null direction smaller than this are rounding.
+_ROUNDING = 1e-5
+# Entries of a weak direction smaller than this share of the largest are not named.
+_NAMED = 0.2
+
+
+@dataclass(frozen=True)
+class OpenDirection:
+    """Parameters that can change together, and the data say little or nothing.
+
+    Attributes
+    ----------
+    kind
+        ``null`` where nothing changes at all, else ``weak``.
+    exponents
+        Parameter or alpha and its power of one factor; of those in ``in_units`` the change
+        in their unit that goes with the factor e.
+    in_units
+        Parameters next to zero, of which no logarithm is taken, and their unit.
+    log_sd
+        Sd that the data leave of the factor's logarithm; infinite for a null direction.
+    meaning, reasons
+        What can change, and why it does not show.
+    remedies
+        What lifts it.
+    null_at_points, open_at_points
+        At how many points it is null, and at how many it is null or weak.
+    """
+
+    kind: Literal["null", "weak"]
+    exponents: dict[str, float]
+    in_units: dict[str, str]
+    log_sd: float
+    meaning: Statement
+    reasons: tuple[Statement, ...]
+    remedies: tuple[Remedy, ...]
+    null_at_points: int
+    open_at_points: int
+
+    @property
+    def null(self) -> bool:
+        """Whether it changes no output at all."""
+        return self.kind == "null"
+
+
+def open_directions(
+    locals_: Sequence[LocalInformation],
+    units: Mapping[str, str],
+    coverage: Sequence[Coverage],
+    back: Sequence[BackDriving],
+    tried: Sequence[Trial],
+) -> Iterator[OpenDirection]:
+    """List null directions first, then weak ones, the weakest first.
+
+    Parameters
+    ----------
+    locals_
+        At every point looked at, the estimate first.
+    units
+        Unit of each parameter.
+    coverage, back
+        What the recordings went through, and how often the load drove.
+    tried
+        From :func:`bayesfric.identifiability.remedies.trials`.
+    """
+    local = locals_[0]
+    rows = list(_open_rows(local))
+    for number, (row, null) in enumerate(rows):
+        theory = number < local.from_theory
+        others = [one for one, other in rows if other == null or other]
+        at = [(theory, theory) if theory else _open_among(one, others, row) for one in locals_]
+        least = _ROUNDING if null else _NAMED
+        named = [j for j, x in enumerate(row) if abs(x) > least]
+        in_units = {local.labels[j]: units[local.labels[j]] for j in named if local.shifted[j]}
+        exponents = {
+            local.labels[j]: float(row[j] * local.units[j])
+            if local.shifted[j]
+            else float(round(row[j], 9 if null else 3))
+            for j in named
+        }
+        log_sd = np.inf if null else left_along(local.information, row)
+        if not null:
+            more = bool(np.any(np.abs(row[row != 0.0]) <= least))
+            told = {"exponents": exponents, "in_units": in_units, "log_sd": log_sd, "more": more}
+            meaning = stated("meaning", "weak", **told)
+        elif in_units and len(exponents) > 1:
+            meaning = stated("meaning", "shifts", exponents=exponents, in_units=in_units)
+        else:
+            meaning = null_meaning(exponents)
+        yield OpenDirection(
+            "null" if null else "weak",
+            exponents,
+            in_units,
+            log_sd,
+            meaning,
+            tuple(_reasons(local, row, null, theory, coverage, back)),
+            remedies(local, row, tried),
+            sum(one for one, _ in at),
+            sum(one for _, one in at),
+        )
+
+
+def _open_rows(local: LocalInformation) -> Iterator[tuple[Array, bool]]:
+    """Null and weak directions in the local units, the largest entry of each one."""
+    for row in local.null_rows:
+        yield row, True
+    d = local.directions
+    told = [
+        (s, row) for s, row, null in zip(d.singular_values, d.rows, d.null, strict=True) if not null
+    ]
+    for value, row in reversed(told):
+        if np.abs(row).max() > WEAK * value:
+            sparse = _without(row, local.null_rows)
+            yield sparse / sparse[int(np.argmax(np.abs(sparse)))], False
+
+
+def _without(row: Array, null: Array) -> Array:
+    """Take null directions off a direction, which changes no output, to make it short.
+
+    The sum of absolute entries is least where one of them is zero, so those are tried.
+    """
+    for other in null:
+        hits = np.flatnonzero(np.abs(other) > 1e-6)
+        choices = [row] + [row - row[c] / other[c] * other for c in hits]
+        row = min(choices, key=lambda one: float(np.abs(one).sum()))
+    return row
+
+
+def _open_among(there: LocalInformation, rows: Sequence[Array], row: Array) -> tuple[bool, bool]:
+    """Say whether the members of a direction are null, and null or weak, at another point.
+
+    Their powers may differ from point to point; what counts is whether changes of these
+    parameters alone can leave the output as it is, in as many ways as at the estimate.
+    """
+    members = np.abs(row) > _ROUNDING
+    ways = sum(bool(np.all(np.abs(other[~members]) <= _ROUNDING)) for other in rows)
+    d = there.directions
+    told = np.concatenate([there.told[:, members], np.zeros((members.sum(), members.sum()))])
+    values, vectors = np.linalg.svd(told, full_matrices=False)[1:]
+    null = values <= d.tolerance * float(d.singular_values[0])
+    weak = np.abs(vectors).max(axis=1) > WEAK * values
+    return int(null.sum()) >= ways, int((null | weak).sum()) >= ways
+
+
+def _reasons(
+    local: LocalInformation,
+    row: Array,
+    null: bool,
+    theory: bool,
+    coverage: Sequence[Coverage],
+    back: Sequence[BackDriving],
+) -> list[Statement]:
+    """Say why a direction is open; ``theory`` where it is the scaling of section 4.2."""
+    members = {name for name, x in zip(local.names, row, strict=True) if abs(x) > _NAMED}
+    if theory:
+        return [stated("reason", "scaling", with_mass=all(one.added_mass for one in coverage))]
+    found = []
+    for one in back:
+        least, most = one.plausible
+        if least < HARDLY:
+            told = {"element": one.element, "at_estimate": one.at_estimate}
+            found.append(stated("reason", "hardly_driven", **told, least=least, most=most))
+            if len(members) > 1:
+                found.append(stated("reason", "alike", element=one.element))
+    if len(members) > 1 and all(one.piecewise_constant for one in coverage):
+        levels = min(one.at_levels or 0.0 for one in coverage)
+        found.append(stated("reason", "piecewise_constant", null=null, at_levels=levels))
+    turn = max(one.turn for one in coverage)
+    if members & {"load.first_moment", "load.gravity_angle"} and turn < 1.0:
+        found.append(stated("reason", "small_turn", turn=turn))
+    steady = min(one.steady for one in coverage)
+    if any(name.endswith("inertia") for name in members) and steady > 0.8:
+        found.append(stated("reason", "steady", steady=steady))
+    if not found and null and len(members) == 1:
+        found.append(stated("reason", "unseen", name=members.pop()))
+    elif not found:
+        found.append(stated("reason", "same_shape" if len(members) > 1 else "small"))
+    return found

@@ -1,0 +1,596 @@
+"""A joint and what was measured of it: every question that can be asked of the two."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.config import Config, read_config
+from bayesfric.config_text import config_of, mechanism_table, prior_value, recording_table
+from bayesfric.errors import BadInput, nearest
+from bayesfric.estimates.descent import few_threads
+from bayesfric.estimates.estimate import METHODS, Estimate, Method
+from bayesfric.estimates.input_error import input_error
+from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.least_squares import TotalsProjection, least_squares
+from bayesfric.estimates.output_error import output_error
+from bayesfric.estimates.torque import filtered_torque, torque_jacobian
+from bayesfric.identifiability.identification import Identification, identify
+from bayesfric.identifiability.known_quantities import speed_term
+from bayesfric.identifiability.local import LocalInformation, local_information
+from bayesfric.identifiability.next_recording import Ranking, ranking
+from bayesfric.identifiability.plausible import Point, estimate_point, points_around
+from bayesfric.identifiability.sentences import plain
+from bayesfric.inference.beforehand import beforehand
+from bayesfric.inference.fit import fit, make_target, target_of
+from bayesfric.inference.likelihood.likelihood import Likelihood
+from bayesfric.inference.likelihood.noise_choice import Choice, choose_order
+from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
+from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.moments.residual_moments import follows
+from bayesfric.inference.predictive import predict_held_out
+from bayesfric.inference.sampling.checkpoint import Checkpoint
+from bayesfric.inference.sampling.sampling import Progress, Sampling, phase
+from bayesfric.inference.target import Target
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.derived import derive
+from bayesfric.preparation import prepare, residual_noise
+from bayesfric.progress import progress_shown
+from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.trajectory import Trajectory, trajectory
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from bayesfric.result import Result
+
+Array = NDArray[np.float64]
+Shown = Callable[[Progress], None]
+
+
+def silent(_: Progress) -> None:
+    """Tell nobody how far work has come."""
+
+
+# Independent draws that are enough for an interval that only stands beside another.
+_WHITE_ESS = 2000.0
+# Points besides the estimate that recordings to make next are simulated at.
+_AROUND = 6
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """What sampling starts from.
+
+    Attributes
+    ----------
+    estimates
+        Point estimates, least squares first.
+    missing
+        A sentence for each that was wanted and cannot be had.
+    choice
+        How the order of the noise was chosen, where it was.
+    target
+        The log-posterior.
+    """
+
+    estimates: list[Estimate]
+    missing: list[str]
+    choice: Choice | None
+    target: Target
+
+
+class Model:
+    """A joint and its recordings, with what is believed beforehand.
+
+    Parameters
+    ----------
+    joint
+        The mechanism.
+    recordings
+        One or more.
+    noise
+        The model of the torque residuals (``"auto"``, ``"white"``, ``"autoregressive"``,
+        ``"student-t"``), or a whole ``[noise]`` table.
+    priors
+        By parameter: a number fixes, a pair is uniform; a frozen distribution of
+        :mod:`scipy.stats`, or the text of a configuration.
+    tables
+        The other tables of a configuration, as dicts of the same keys: ``processing``,
+        ``references``, ``estimation``, ``likelihood``, ``sampling``, ``validation``, ``advice``.
+
+    Attributes
+    ----------
+    config
+        The configuration that says the same.
+    chain
+        The mechanism, with the offsets of the recordings.
+    recordings, observations
+        Those to be fitted, as read and as prepared, in the same order.
+    priors
+        Of every parameter and noise scale.
+    held_out
+        What is to be predicted and not fitted.
+
+    Raises
+    ------
+    BadInput
+        For anything that cannot be used; it names the key.
+    """
+
+    def __init__(
+        self,
+        joint: Chain,
+        recordings: Recording | Sequence[Recording],
+        *,
+        noise: str | Mapping[str, Any] = "auto",
+        priors: Mapping[str, Any] | None = None,
+        **tables: Any,
+    ) -> None:
+        recordings = [recordings] if isinstance(recordings, Recording) else list(recordings)
+        if wrong := [one for one in recordings if not isinstance(one, Recording)]:
+            raise BadInput("Model: recordings", f"got {wrong[0]!r}", "give objects of Recording")
+        document = {
+            "mechanism": mechanism_table(joint),
+            "recordings": [recording_table(r, n) for n, r in enumerate(recordings, start=1)],
+            "noise": {"model": noise} if isinstance(noise, str) else noise,
+            "priors": {name: prior_value(prior) for name, prior in (priors or {}).items()},
+            **tables,
+        }
+        self._read(config_of(document), recordings)
+
+    @classmethod
+    def from_config(cls, config: Config | Path | str) -> Self:
+        """Read what a configuration names; a finished run's ``config.toml`` is one."""
+        model = cls.__new__(cls)
+        model._read(config if isinstance(config, Config) else read_config(Path(config)))
+        return model
+
+    def _read(self, config: Config, recordings: Sequence[Recording] | None = None) -> None:
+        self.config, self.given = config, recordings or ()
+        found = prepare(config, recordings)
+        self.chain, self.priors, self.held_out = found.chain, found.priors, found.held_out
+        self.recordings, self.observations = found.recordings, found.observations
+        self.references()  # refuses what they cannot be of
+
+    def references(self) -> dict[str, dict[str, Any]]:
+        """Values to compare with, by name of what they are of.
+
+        Raises
+        ------
+        BadInput
+            If one is of something that no result of this mechanism is.
+        """
+        units = {p.name: p.unit for p in self.chain.parameters}
+        middle = np.ones((1, len(self.chain.names)))
+        units |= {q.name: q.unit for q in derive(self.chain, middle, 1.0)}
+        projection = TotalsProjection(self.chain, self.observations)
+        for name, label in zip(projection.names, projection.labels, strict=True):
+            units[label] = projection.describe(name)[0]
+        found = {}
+        for name, reference in self.config.references.items():
+            if name not in units:
+                raise BadInput(
+                    f"{self.config.path}: references.{name}",
+                    "no result of this mechanism has that name",
+                    nearest(name, units),
+                )
+            found[name] = {**reference.model_dump(), "unit": units[name]}
+        return found
+
+    # What a point estimate says
+
+    def estimates(
+        self, methods: Sequence[Method] = METHODS, *, progress: Shown = silent
+    ) -> list[Estimate]:
+        """Estimate the parameters by one or more of the paper's methods.
+
+        Parameters
+        ----------
+        methods
+            Which; the output error starts from the input error's result.
+        progress
+            Called before each method begins.
+
+        Raises
+        ------
+        BadInput
+            If a method cannot be used with these recordings.
+        """
+        found = []
+        with self.config.named():
+            if "least-squares" in methods:
+                progress(phase("least-squares estimate"))
+                found.append(least_squares(self.chain, self.observations))
+            if "input-error" in methods or "output-error" in methods:
+                progress(phase("input-error estimate"))
+                options = self.config.tables.estimation
+                known = beforehand(self.chain, self.priors)
+                found.append(input_error(self.chain, self.observations, known, options))
+            if "output-error" in methods:
+                found.append(self._output_error(found[-1], progress))
+        return [estimate for estimate in found if estimate.method in methods]
+
+    def _output_error(
+        self,
+        start: Estimate,
+        progress: Shown,
+        known: Knowledge | None = None,
+        max_seconds: float | None = None,
+    ) -> Estimate:
+        progress(phase("output-error estimate"))
+        options = self.config.tables.estimation
+        if max_seconds is not None:
+            options = options.model_copy(update={"max_seconds": max_seconds})
+        known, whole = known or beforehand(self.chain, self.priors), self.trajectories(np.inf)
+        return output_error(self.chain, whole, self.observations, known, options, start)
+
+    def estimate(self, *methods: Method) -> pd.DataFrame:
+        """Tabulate what :meth:`estimates` finds, a row for each method and number.
+
+        Columns are those of ``estimates`` in ``summary.json``; what these recordings do not
+        determine has no value, but a ``span`` that fits as well.
+        """
+        import pandas as pd
+
+        from bayesfric.report.summary.summary import estimate_summary
+
+        rows = {
+            (one.method, name): row
+            for one in self.estimates(methods or METHODS)
+            for name, row in estimate_summary(one)["parameters"].items()
+        }
+        frame = pd.DataFrame.from_dict(rows, orient="index")
+        frame.index.names = ["method", "name"]
+        frame.loc[~frame["determined"], ["value", "sd", "sd_robust"]] = np.nan
+        return frame.droplevel("method") if len(methods) == 1 else frame
+
+    def trajectories(self, segment: float) -> list[Trajectory]:
+        """Fitted recordings as a simulation follows them, starting anew every ``segment`` s."""
+        pairs = zip(self.recordings, self.observations, strict=True)
+        return [trajectory(recording, observation, segment) for recording, observation in pairs]
+
+    # What can be known
+
+    def identify(self) -> pd.DataFrame:
+        """Tabulate what :meth:`identification` finds, a row for each parameter."""
+        return self.identification().frame
+
+    def identification(self, *, progress: Shown = silent) -> Identification:
+        """Tell what these recordings can and cannot determine, before anything is sampled.
+
+        The likelihood is looked at where an estimate is and at other plausible points.
+
+        Raises
+        ------
+        BadInput
+            If nothing can be estimated from these recordings.
+        """
+        target, point, local = self._local_picture(progress)
+        with self.config.named(), few_threads(self.observations):
+            others = points_around(target, point, local, self._stream(4))
+            from_voltage = [r.name for r in self.recordings if r.torque_origin == "voltage"]
+            speed = speed_term(target, point.parameters, from_voltage)
+            return identify(target, [point, *others], speed=speed)
+
+    def advise(self, name: str, *, progress: Shown = silent) -> Ranking:
+        """Rank recordings to make next by what they would leave of one quantity.
+
+        Parameters
+        ----------
+        name
+            A free parameter or a derived quantity.
+        progress
+            Called as work goes on.
+
+        Returns
+        -------
+        Ranking
+            ``frame`` is its table, the best first.
+
+        Raises
+        ------
+        BadInput
+            If nothing has that name, it is fixed, or nothing can be estimated here.
+        """
+        target, point, local = self._local_picture(progress)
+        with self.config.named(), few_threads(self.observations):
+            rng = self._stream(5)
+            others = points_around(target, point, local, rng, around=_AROUND, prior=0)
+            options = self.config.tables.advice
+            points = [point, *others]
+
+            def tell(stage: str) -> None:
+                progress(phase(stage))
+
+            return ranking(target, points, local, options, name, progress=tell)
+
+    def _stream(self, key: int) -> np.random.Generator:
+        """Random numbers of one analysis: the seed of the whole, in a stream of its own."""
+        seed = self.config.tables.sampling.seed
+        return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(key,)))
+
+    def _local_picture(self, progress: Shown) -> tuple[Target, Point, LocalInformation]:
+        """Look at the likelihood at an estimate by the method that it belongs to.
+
+        Load losses are held by their priors there. Where the load never drives the motor,
+        nothing but noise says what is lost when it does, and an estimate by the data alone ends
+        in a corner: a gearbox that cannot be driven back at all. What the data do tell outweighs
+        these priors by far.
+        """
+        tables = self.config.tables
+        known = beforehand(self.chain, self.priors)
+        losses = {
+            p.name: (prior.mean(), prior.sd())
+            for p in self.chain.parameters
+            if p.quantity in ("load_drive", "load_back")
+            and not (prior := self.priors[p.name]).fixed
+        }
+        finite = {name: pair for name, pair in losses.items() if np.isfinite(pair).all()}
+        known = replace(known, told={**finite, **known.told})
+        with self.config.named():
+            progress(phase("input-error estimate"))
+            found = input_error(self.chain, self.observations, known, tables.estimation)
+            if tables.likelihood.method == "output-error":
+                found = self._output_error(found, progress, known)
+        progress(phase("identifiability"))
+        place = dict(found.point)
+        target = self.target(place)
+        with self.config.named(), few_threads(self.observations):
+            point = estimate_point(target, place)
+            return target, point, local_information(target, point.parameters)
+
+    # What is believed of it
+
+    def target(
+        self, point: Mapping[str, float] | None = None, choice: Choice | None = None
+    ) -> Target:
+        """Log-posterior, in the coordinates that the sampler sees.
+
+        Parameters
+        ----------
+        point
+            Values near the mode, where the output-error likelihood takes its derivatives,
+            and whose residuals say which noise there is.
+        choice
+            What :meth:`noise_choice` gives at the point, where it was asked already.
+
+        Raises
+        ------
+        ValueError
+            Where there is something to take or to choose at the point, and none is given.
+        """
+        tables = self.config.tables
+        if tables.likelihood.method == "input-error":
+            if point is None and choice is None and self._chooses_noise:
+                raise ValueError(
+                    "which noise there is, the residuals of a point estimate say: give one, or "
+                    "take white_target() for white noise"
+                )
+            choice = choice or self.noise_choice(point)
+            noise = residual_noise(tables.noise, choice.order if choice else 0)
+            likelihood: Likelihood = TorqueLikelihood(self.chain, self.observations, noise)
+        elif point is None:
+            raise ValueError("the output-error likelihood needs a point estimate")
+        else:
+            whole = self.trajectories(tables.likelihood.segment)
+            with self.config.named():
+                likelihood = PositionLikelihood(
+                    self.chain, whole, self.observations, self.chain.vector(point)
+                )
+        return target_of(likelihood, self.priors, tables.noise.scale).uncut_at(point or {})
+
+    def white_target(self) -> Target:
+        """Log-posterior of the torque with white noise, whatever the configuration asks for."""
+        scale = self.config.tables.noise.scale
+        return make_target(self.chain, self.observations, self.priors, scale)
+
+    def noise_choice(self, point: Mapping[str, float] | None) -> Choice | None:
+        """Choose the noise that the torque residuals of a point ask for, if it is not told."""
+        if point is None or not self._chooses_noise:
+            return None
+        values = self.chain.vector(point)
+        residuals = [
+            o.measured - filtered_torque(self.chain, o, values[None])[0] for o in self.observations
+        ]
+        # prior sds of the chain's parameters, 0 of fixed ones; 1 of those without any
+        sds = np.array([self.priors[name].sd() for name in self.chain.names])
+        sds = np.where(np.isfinite(sds), sds, 1.0)
+        steps = np.where(sds > 0.0, 1e-6 * np.maximum(np.abs(values), 1e-3 * sds), 0.0)
+        effects = torque_jacobian(self.chain, self.observations, values, steps) * sds
+        return choose_order(
+            residuals,
+            [follows(o) for o in self.observations],
+            self.config.tables.noise.scale == "per-recording",
+            effects=np.split(effects, np.cumsum([r.size for r in residuals])[:-1]),
+        )
+
+    @property
+    def _chooses_noise(self) -> bool:
+        noise, likelihood = self.config.tables.noise, self.config.tables.likelihood
+        wanted = noise.model == "auto" or (noise.model == "autoregressive" and noise.order is None)
+        return wanted and likelihood.method == "input-error"
+
+    def begin(self, *, output_error: bool = False, progress: Shown = silent) -> Beginning:
+        """Estimate, choose the noise, and make the log-posterior that is sampled.
+
+        The output error simulates. It is asked for, or its likelihood needs a place to start
+        from: then however long it takes, as sampling that goes on later must start from the
+        same place. A mechanism that cannot be simulated still has a posterior of the torque.
+        """
+        tables = self.config.tables
+        simulated = tables.likelihood.method == "output-error"
+        found, missing = self.estimates(("least-squares", "input-error"), progress=progress), []
+        if simulated or output_error or tables.estimation.output_error:
+            most = np.inf if simulated else None
+            try:
+                found.append(self._output_error(found[-1], progress, max_seconds=most))
+            except BadInput as error:
+                missing.append(f"no output-error estimate: {error.what}")
+        points = [dict(e.point) for e in found if e.point]
+        choice = self.noise_choice(points[0])
+        return Beginning(found, missing, choice, self._first_target(points, choice))
+
+    def _first_target(self, points: Sequence[Mapping[str, float]], choice: Choice | None) -> Target:
+        """Make the log-posterior; where it simulates, near the first point that can be simulated.
+
+        The simulation is linearised there first, and anew at every mode this leads to.
+        """
+        for point in points[:-1]:
+            with suppress(BadInput):
+                return self.target(point, choice)
+        return self.target(points[-1], choice)
+
+    @cached_property
+    def _begun(self) -> Beginning:
+        return self.begin()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Sampled parameters in the order of :meth:`log_density`, noise scales last."""
+        return self._begun.target.names
+
+    def log_density(self, theta: Any) -> Any:
+        """Log of the posterior density, not normalised, for any other sampler.
+
+        Parameters
+        ----------
+        theta
+            ``(d,)`` or ``(n, d)`` parameters in SI units in the order of :attr:`names`, or a
+            mapping from these names to numbers.
+
+        Returns
+        -------
+        float or ndarray
+            One number for each vector; ``-inf`` where it is impossible.
+        """
+        target = self._begun.target
+        if isinstance(theta, Mapping):
+            if set(theta) != set(target.names):
+                raise BadInput("theta", "names other parameters", f"name {', '.join(target.names)}")
+            theta = [theta[name] for name in target.names]
+        values = np.asarray(theta, dtype=np.float64)
+        rows = np.atleast_2d(values)
+        if rows.ndim != 2 or rows.shape[1] != len(target.names):
+            what = f"has the shape {values.shape}"
+            raise BadInput("theta", what, f"give {len(target.names)} numbers, as Model.names says")
+        density = target.log_prior(rows)
+        density[np.isnan(density)] = -np.inf
+        if (possible := density > -np.inf).any():
+            likely = target.log_likelihood(rows[possible])
+            density[possible] += np.where(np.isfinite(likely), likely, -np.inf)
+        return density if values.ndim == 2 else float(density[0])
+
+    def fit(
+        self,
+        *,
+        seed: int | None = None,
+        output_error: bool = False,
+        progress: Shown = silent,
+        checkpoint: Callable[[str, Sampling], Checkpoint | None] = lambda *_: None,
+    ) -> Result:
+        """Sample the posterior, and sum it up.
+
+        Parameters
+        ----------
+        seed
+            Replaces the configuration's.
+        output_error
+            Make the output-error estimate too, as ``estimation.output_error`` asks for it.
+        progress
+            Called as work goes on.
+        checkpoint
+            Gives each sampling, by its name and settings, a place to keep its steps.
+
+        Raises
+        ------
+        BadInput
+            For anything that cannot be used.
+        """
+        from bayesfric.report.summary.doubts import find_doubts, put_doubts
+        from bayesfric.report.summary.noise import add_white_intervals, white_alternative
+        from bayesfric.report.summary.record import Identifiability
+        from bayesfric.report.summary.summary import rms, spreads, summarise
+        from bayesfric.result import Result
+
+        sampling = self.config.tables.sampling
+        if seed is not None:
+            sampling = sampling.model_copy(update={"seed": seed})
+        kept = checkpoint("posterior", sampling)
+        begun = self.begin(output_error=output_error, progress=progress)
+        sample = partial(fit, estimates=begun.estimates, progress=progress)
+        with self.config.named():
+            found = sample(begun.target, sampling, checkpoint=kept)
+        if self.held_out:
+            held_out = predict_held_out(found.target, found.posterior, self.held_out)
+            found = replace(found, held_out=held_out)
+        summary = summarise(found, self.references(), begun.choice)
+        compared = None
+        if white_alternative(found):
+            progress(phase("the same with white noise"))
+            quick = sampling.model_copy(update={"min_ess": min(sampling.min_ess, _WHITE_ESS)})
+            kept = checkpoint("white-noise", quick)
+            with self.config.named():
+                white = sample(self.white_target(), quick, checkpoint=kept)
+            if white.posterior.diagnostics.status != "unusable":
+                compared = spreads(white), rms(white)
+            summary = add_white_intervals(summary, compared[0] if compared else None)
+        summary = put_doubts(summary, find_doubts(found, summary, begun.choice, compared))
+        progress(phase("identifiability"))
+        update: dict[str, Any] = {
+            "warnings": [*summary.warnings, *begun.missing],
+            # nothing in a file of samples tells; the configuration may
+            "may_be_simulated": self.config.tables.simulation is not None,
+        }
+        with suppress(BadInput):  # a simulation that fails there takes no result away
+            here = identify(begun.target, [Point("estimate", found.posterior.median)])
+            update["identifiability"] = Identifiability.model_validate(
+                summary.identifiability.as_dict() | {"directions": plain(here.directions)}
+            )
+        summary = summary.model_copy(update=update)
+        return Result(self, found, summary)
+
+    def sample(
+        self,
+        *,
+        seed: int | None = None,
+        output_error: bool = False,
+        progress: bool | Shown = False,
+    ) -> Any:
+        """Sample the posterior as ``bayesfric fit`` does.
+
+        Parameters
+        ----------
+        seed
+            Replaces that of the table ``sampling``.
+        output_error
+            Make the output-error estimate too.
+        progress
+            Whether to show a bar, or what to call as work goes on.
+
+        Returns
+        -------
+        InferenceData or DataTree
+            What ``posterior.nc`` holds; :func:`bayesfric.summary`, :mod:`bayesfric.plot` and
+            :func:`bayesfric.report` take it.
+        """
+        with progress_shown(progress) as tell:
+            return self.fit(seed=seed, output_error=output_error, progress=tell).inference_data()
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><td>{escape(name)}</td><td>{escape(p.text)}</td>"
+            f"<td>{'default' if p.default else 'given'}</td></tr>"
+            for name, p in self.priors.items()
+        )
+        seen = ", ".join(f"{escape(o.name)}: {len(o.time)} outputs" for o in self.observations)
+        head = "<tr><th>parameter</th><th>prior</th><th></th></tr>"
+        return f"<p>{seen}</p><table><thead>{head}</thead><tbody>{rows}</tbody></table>"

@@ -1,0 +1,32 @@
+"""The figures of a report, one function each: ``bayesfric.plot.friction(posterior)``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from bayesfric.errors import BadInput, nearest
+from bayesfric.report.figures.registry import FinishedRun, run_figures
+from bayesfric.result import result_of
+
+
+def __getattr__(name: str) -> Callable[[Any], Figure]:
+    if name.startswith("__") or name not in run_figures():
+        raise AttributeError(f"there is no figure {name!r}; {nearest(name, run_figures())}")
+
+    def draw(posterior: Any) -> Figure:
+        result = result_of(posterior)
+        figure = run_figures()[name].draw(FinishedRun(result.fit, result.summary.as_dict()))
+        if figure is None:
+            raise BadInput(f"plot.{name}", "there is nothing to show", "draw another figure")
+        return figure
+
+    draw.__name__ = draw.__qualname__ = name
+    draw.__doc__ = f"Draw {name.replace('_', ' ')} of what :meth:`bayesfric.Model.sample` returned."
+    return draw
+
+
+def __dir__() -> list[str]:
+    return sorted(run_figures())

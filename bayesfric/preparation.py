@@ -1,0 +1,181 @@
+"""From a configuration to what was measured, prepared, and what is believed of it beforehand."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from bayesfric.config import Config, NoiseOptions, Origin
+from bayesfric.errors import BadInput
+from bayesfric.inference.fit import read_priors
+from bayesfric.inference.likelihood.noise_choice import MOST
+from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
+from bayesfric.inference.likelihood.residual_noise import Autoregressive, ResidualNoise, StudentT
+from bayesfric.inference.prior.priors import Prior
+from bayesfric.mechanism.chain import Chain
+from bayesfric.recordings.held_out import HeldOut, divide
+from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.read import read_recordings
+from bayesfric.recordings.recording import Recording
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """See the attributes of :class:`bayesfric.model.Model`."""
+
+    chain: Chain
+    recordings: list[Measurement]
+    observations: list[Observation]
+    priors: dict[str, Prior]
+    held_out: tuple[HeldOut, ...]
+
+
+def prepare(config: Config, recordings: Sequence[Recording] | None = None) -> Prepared:
+    """Read every recording of a configuration, and prepare it.
+
+    Parameters
+    ----------
+    config
+        Whose tables are used.
+    recordings
+        Its recordings, where they are not all in files.
+
+    Raises
+    ------
+    BadInput
+        For anything that cannot be used.
+    """
+    tables = config.tables
+    with config.named():
+        chain = tables.mechanism.chain()
+    if not tables.recordings:
+        raise BadInput(str(config.path), "names no recording", "add a [[recordings]] table")
+    if not chain.parameters:
+        raise BadInput(
+            f"{config.path}: mechanism", "has no parameter", "give an element inertia or friction"
+        )
+    found: list[Measurement] = []
+    if recordings is None:
+        folder = config.folder
+        recordings = [Recording(source, folder) for source in tables.recordings]
+    for number, recording in enumerate(recordings, start=1):
+        found += _read(config, chain, recording, number)
+    if config.origin is not None:
+        found = [_changed_since(r, config.origin) for r in found]
+    _check_recordings(config, chain, found)
+    with config.named():
+        divided = divide(found, tables.processing, tables.validation)
+        observations = divided.observations
+    if tables.mechanism.offset == "per-recording":
+        chain = replace(chain, own_offsets=tuple(o.name for o in observations))
+    with config.named():
+        outputs = sum(len(o.time) for o in observations)
+        if outputs < len(chain.parameters):
+            raise BadInput(
+                ", ".join(f"recording {o.name!r}" for o in observations),
+                f"too short: {outputs} outputs after filtering, {len(chain.parameters)} parameters",
+                "record longer, or decimate less",
+            )
+        _check_names(config, chain)
+        priors = read_priors(chain, config.priors, observations, _noise_quantities(config))
+    return Prepared(chain, divided.recordings, observations, priors, divided.held_out)
+
+
+def _check_recordings(config: Config, chain: Chain, found: Sequence[Measurement]) -> None:
+    """Refuse names that cannot be, and what cannot be held out."""
+    for name, count in Counter(r.name for r in found).items():
+        if count > 1:
+            raise BadInput(
+                f"{config.path}: recordings",
+                f"{count} are called {name!r}",
+                "give each a name of its own with name = ...",
+            )
+        # posterior.nc names arrays after recordings, beside those named after parameters
+        if "/" in name or name in {*chain.names, "chain", "draw", "lp", "ensemble"}:
+            raise BadInput(
+                f"{config.path}: recordings",
+                f"a recording cannot be called {name!r}",
+                "give it another name with name = ...",
+            )
+    tables = config.tables
+    wanted = tables.validation.recordings or tables.validation.hold_out is not None
+    if wanted and tables.likelihood.method == "output-error":
+        raise BadInput(
+            f"{config.path}: validation",
+            "is not offered for the output-error likelihood",
+            'leave it out, or set likelihood.method = "input-error"',
+        )
+
+
+def _noise_quantities(config: Config) -> tuple[str, ...]:
+    """Noise scales that may have a prior."""
+    tables = config.tables
+    if tables.likelihood.method == "output-error":
+        return PositionLikelihood.noise_quantities
+    noise = tables.noise
+    if noise.order is not None and noise.model in ("white", "student-t"):
+        raise BadInput("noise.order", f"{noise.model} noise has none", "leave it out")
+    return residual_noise(noise, MOST).quantities
+
+
+def residual_noise(noise: NoiseOptions, chosen: int) -> ResidualNoise:
+    """Make the noise that a configuration asks for; of order ``chosen`` where it names none."""
+    if noise.model == "student-t":
+        return StudentT()
+    return Autoregressive(0 if noise.model == "white" else noise.order or chosen)
+
+
+def _changed_since(recording: Measurement, origin: Origin) -> Measurement:
+    """Warn of a file that is another one than the run was made of."""
+    kept = origin.recordings.get(recording.name)
+    if kept is None or kept.sha256 == recording.sha256:
+        return recording
+    text = f"changed since the run was made: its SHA-256 was {kept.sha256}"
+    return replace(recording, warnings=(*recording.warnings, text))
+
+
+def _read(config: Config, chain: Chain, recording: Recording, number: int) -> list[Measurement]:
+    place, source = f"recordings.{number}", recording.source
+    if source.added_mass and not source.radius and chain.load.motion == "rotary":
+        raise BadInput(
+            f"{config.path}: {place}.added_mass", "has no radius", 'add radius, such as "0.35 m"'
+        )
+    try:
+        return read_recordings(
+            recording,
+            ratio=chain.ratio,
+            motion=chain.load.motion,
+            motor_motion=chain.motor_motion,
+            processing=config.tables.processing,
+            number=number,
+        )
+    except BadInput as error:
+        # what is not about a file is about a key
+        key = error.where.partition(" = ")[0].partition(",")[0]
+        if key in ("file", "name"):
+            with config.named(place):
+                raise
+        if key == "processing":
+            with config.named():
+                raise
+        raise
+    except OSError as error:
+        raise BadInput(
+            f"{config.path}: {place}.file",
+            f"cannot be read ({error.strerror})",
+            "check the file's name",
+        ) from None
+
+
+def _check_names(config: Config, chain: Chain) -> None:
+    """Refuse a table that stands for a prior but names no distribution."""
+    for name in config.priors:
+        parameter = name.rpartition(".")[0]
+        if parameter in chain.names or parameter.startswith("noise."):
+            raise BadInput(
+                f"priors.{parameter}",
+                "its table names no distribution",
+                'write for example {distribution = "norm", loc = 0.4, scale = 0.05}',
+            )

@@ -1,0 +1,211 @@
+"""The ``[[recordings]]`` table: where a recording is, and what its columns mean."""
+
+from __future__ import annotations
+
+from typing import Literal, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from bayesfric.errors import Unfit
+from bayesfric.recordings import units
+from bayesfric.recordings.tables.reader import Options, TableOptions
+from bayesfric.recordings.units import Hertz, Kilograms, Metres, Seconds
+
+# Unit of numbers that are in SI already, whether the joint turns or slides.
+SI = "SI"
+
+
+def _is(text: str | None, *kinds: units.Kind) -> str | None:
+    """Check a text's dimension but keep the text, for kinds settled only by the mechanism."""
+    if text is not None and not units.quantity(text, *kinds) > 0:
+        raise Unfit("a positive value", f"got '{text}'")
+    return text
+
+
+class Channel(Options):
+    """One measured signal: which column it is in and what its numbers mean."""
+
+    column: str | int = Field(description="Column: its name in the header, or its number from 1.")
+    unit: str = Field(
+        description="Unit of the raw numbers, such as 'rad', 'rpm', 'N m', 'turn/4096', "
+        "'9.84e-5 N m' (then a raw 1 is that much), or 'SI' for the SI unit."
+    )
+    sign: Literal[1, -1] = Field(default=1, description="-1 turns the signal around.")
+    twos_complement: int | None = Field(
+        default=None,
+        ge=2,
+        le=53,
+        description="Bits of a signed number recorded as unsigned: values from 2**(bits-1) up "
+        "get 2**bits subtracted.",
+    )
+    times: str | int | None = Field(
+        default=None,
+        description="A further column multiplied in sample by sample, such as the supply voltage "
+        "that a duty cycle refers to.",
+    )
+    times_unit: str = Field(
+        default="", description="Unit of the column in 'times'; empty for a plain number."
+    )
+
+    @field_validator("column", "times")
+    @classmethod
+    def _number_from_one(cls, value: str | int | None) -> str | int | None:
+        if isinstance(value, int) and value < 1:
+            raise ValueError(f"columns are numbered from 1, got {value}")
+        return value
+
+
+class Position(Channel):
+    """The position channel, of the joint or of the motor."""
+
+    side: Literal["motor", "joint"] | None = Field(
+        default=None,
+        description="Where it is measured; may be left out only if the gear ratio is 1.",
+    )
+
+
+class Velocity(Channel):
+    """The velocity channel, of the joint or of the motor."""
+
+    side: Literal["motor", "joint"] | None = Field(
+        default=None,
+        description="Where it is measured; may be left out only if the gear ratio is 1.",
+    )
+
+
+class Torque(Channel):
+    """The motor torque (or force) itself, or a signal proportional to it."""
+
+    constant: str | None = Field(
+        default=None, description="What turns the signal into a torque, such as '35.15 N/V'."
+    )
+
+
+class Current(Channel):
+    """The motor current."""
+
+    torque_constant: str = Field(description="Torque per current, such as '0.32 N m/A'.")
+
+    @field_validator("torque_constant")
+    @classmethod
+    def _dimension(cls, value: str) -> str | None:
+        return _is(value, "torque_constant", "force_constant")
+
+
+class Voltage(Channel):
+    """The motor voltage; torque = kt V/R - kt**2 (motor speed)/R."""
+
+    torque_constant: str = Field(description="Torque per current kt, such as '0.354 N m/A'.")
+    resistance: str = Field(description="Winding resistance R, such as '3.4 ohm'.")
+
+    @field_validator("torque_constant")
+    @classmethod
+    def _dimension(cls, value: str) -> str | None:
+        return _is(value, "torque_constant", "force_constant")
+
+    @field_validator("resistance")
+    @classmethod
+    def _resistance(cls, value: str) -> str | None:
+        return _is(value, "resistance")
+
+
+class Columns(Options):
+    """What the columns of a table mean, and what is known besides."""
+
+    time: Channel | None = Field(default=None, description="The time channel.")
+    rate: Hertz | None = Field(
+        default=None,
+        description="Sampling rate in Hz, or text such as '1 kHz', if there is no time channel.",
+    )
+    position: Position = Field(description="The position channel.")
+    velocity: Velocity | None = Field(
+        default=None,
+        description="The velocity channel; if given it is used in place of the differentiated "
+        "position.",
+    )
+    torque: Torque | None = Field(default=None, description="The torque channel, or ...")
+    current: Current | None = Field(default=None, description="... the current channel, or ...")
+    voltage: Voltage | None = Field(default=None, description="... the voltage channel.")
+    start: Seconds | None = Field(
+        default=None, description="Leave out what lies before, in seconds from the first stamp."
+    )
+    stop: Seconds | None = Field(
+        default=None, description="Leave out what lies after, in seconds from the first stamp."
+    )
+    exclude: tuple[tuple[Seconds, Seconds], ...] = Field(
+        default=(),
+        description="Spans [start, stop] in seconds from the first stamp that are not compared "
+        "with the model; nor is what lies closer to them than the trim.",
+    )
+    valid: str | int | None = Field(
+        default=None,
+        description="Column that is 0 or false where the torque is not what the motor gave, such "
+        "as a 'torque enabled' flag; samples there are not compared with the model.",
+    )
+    added_mass: Kilograms = Field(
+        default=0.0, description="Known mass added for the recording, kg."
+    )
+    radius: Metres = Field(default=0.0, description="Distance of the added mass from the axis, m.")
+    name: str | None = Field(
+        default=None,
+        min_length=1,
+        description="Name of the recording; the file's stem if left out.",
+    )
+
+    @field_validator("exclude")
+    @classmethod
+    def _forward(cls, value: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+        for start, stop in value:
+            if not start < stop:
+                raise ValueError(f"a span must end after it starts, got [{start:g}, {stop:g}]")
+        return value
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if (self.time is None) == (self.rate is None):
+            found = "neither" if self.time is None else "both"
+            raise Unfit(
+                "exactly one of 'time' (a channel) and 'rate' (like '1 kHz')", f"got {found}"
+            )
+        given = [key for key in ("torque", "current", "voltage") if getattr(self, key) is not None]
+        if len(given) != 1:
+            found = " and ".join(f"'{key}'" for key in given) or "none"
+            raise Unfit("exactly one of 'torque', 'current', 'voltage'", f"got {found}")
+        if self.start is not None and self.stop is not None and not self.start < self.stop:
+            raise ValueError(f"'stop' ({self.stop:g} s) must lie after 'start' ({self.start:g} s)")
+        return self
+
+    @property
+    def channels(self) -> dict[str, Channel]:
+        """The channels that are given, by key."""
+        keys = ("time", "position", "velocity", "torque", "current", "voltage")
+        return {key: found for key in keys if (found := getattr(self, key)) is not None}
+
+    @property
+    def columns(self) -> list[str | int]:
+        """Every column that is read."""
+        channels = self.channels.values()
+        found = [c for one in channels for c in (one.column, one.times) if c is not None]
+        return found if self.valid is None else [*found, self.valid]
+
+
+class Source(TableOptions, Columns):
+    """One or more files of the same layout, each giving one recording."""
+
+    file: str | list[str] = Field(
+        description="File or files, relative to the configuration's folder; may hold wildcards "
+        "(*, ?, **)."
+    )
+
+    @property
+    def files(self) -> list[str]:
+        """Names and patterns of files."""
+        return [self.file] if isinstance(self.file, str) else self.file
+
+    @field_validator("file")
+    @classmethod
+    def _some_file(cls, value: str | list[str]) -> str | list[str]:
+        files = [value] if isinstance(value, str) else value
+        if not files or not all(files):
+            raise ValueError("names no file")
+        return value

@@ -1,0 +1,157 @@
+"""What sampling a model gives: the posterior, the numbers that sum it up, a run directory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, cast
+from weakref import ref
+
+from bayesfric.commands.compare import read_summary_file
+from bayesfric.config_text import saved_name
+from bayesfric.errors import BadInput
+from bayesfric.inference.archive import make_archive
+from bayesfric.inference.fit import Fit
+from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.tables import sha256
+from bayesfric.report.run_directory import archived, check_free, write_run
+from bayesfric.report.summary.record import Summary
+
+if TYPE_CHECKING:
+    from bayesfric.model import Model
+
+# Where the draws that Model.sample returned keep what they came from. Only they do: a copy, or
+# what was read from a file, may have been changed.
+_KEPT = "_bayesfric_result"
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """A sampled model.
+
+    Attributes
+    ----------
+    model
+        What was sampled.
+    fit
+        Draws and diagnostics, point estimates, predictions of what was held out.
+    summary
+        What ``summary.json`` holds, but for the place of recordings.
+    """
+
+    model: Model
+    fit: Fit
+    summary: Summary
+
+    @property
+    def recordings(self) -> list[Measurement]:
+        """All that was read, also what was held out."""
+        return [*self.model.recordings, *(one.recording for one in self.model.held_out)]
+
+    def inference_data(self) -> Any:
+        """Give what ``posterior.nc`` holds, as ArviZ has it."""
+        text = self.model.config.text
+        data = make_archive(**archived(self.fit, self.summary, text, self.recordings))
+        object.__setattr__(data, _KEPT, (self, ref(data)))
+        return data
+
+    def __deepcopy__(self, _: Any) -> Result:
+        return self
+
+    def write(self, folder: Path) -> Summary:
+        """Write a run directory, and give what its ``summary.json`` holds.
+
+        Raises
+        ------
+        BadInput
+            If the folder cannot be written to; nothing is left behind then.
+        """
+        config, measured = self.model.config, self.recordings
+        # what was given as a table in memory is saved in the run, where its configuration has it
+        files = {
+            recording.source.name or f"recording-{n}": (saved_name(n), recording)
+            for n, recording in enumerate(self.model.given, start=1)
+            if recording.table is not None
+        }
+        with TemporaryDirectory() as name:
+            for k, one in enumerate(measured):
+                if one.name in files:
+                    file, recording = files[one.name]
+                    made = Path(name, file)
+                    made.parent.mkdir(exist_ok=True)
+                    recording.saved(made)
+                    measured[k] = replace(one, path=folder / file, sha256=sha256(made))
+            origin = config.origin_of(measured, folder if self.model.given else config.folder)
+            summary = self.summary.model_copy(update={"source": origin.model_dump(mode="json")})
+            write_run(folder, self.fit, summary, config.text, measured, Path(name))
+        return summary
+
+
+def result_of(posterior: Any) -> Result:
+    """Give what a posterior was made from.
+
+    Raises
+    ------
+    BadInput
+        If it is none that :meth:`bayesfric.Model.sample` returned.
+    """
+    if isinstance(posterior, Result):
+        return posterior
+    found, made = getattr(posterior, _KEPT, (None, lambda: None))
+    if found is None or made() is not posterior:
+        raise BadInput(
+            "posterior",
+            "is not what Model.sample returned",
+            "give that, and no copy or part of it",
+        )
+    return cast(Result, found)
+
+
+def summary(posterior: Any) -> Summary:
+    """Sum a posterior up.
+
+    Parameters
+    ----------
+    posterior
+        From :meth:`bayesfric.Model.sample`, or the folder of a finished run.
+
+    Returns
+    -------
+    Summary
+        Every number with its verdict; ``frame()`` is its table, which it shows in a notebook.
+    """
+    if isinstance(posterior, str | Path):
+        return Summary.read(read_summary_file(Path(posterior)), str(posterior))
+    return result_of(posterior).summary
+
+
+def report(posterior: Any, folder: Path | str, *, force: bool = False) -> Path:
+    """Write the run directory of a posterior, as ``bayesfric fit`` does.
+
+    Recordings that were given as arrays are saved in it, and its ``config.toml`` names them.
+
+    Parameters
+    ----------
+    posterior
+        From :meth:`bayesfric.Model.sample`.
+    folder
+        The run directory to make.
+    force
+        Keep an old run under another name.
+
+    Returns
+    -------
+    Path
+        The page to read.
+
+    Raises
+    ------
+    BadInput
+        If the folder is not free, or cannot be written to.
+    """
+    folder = Path(folder)
+    result = result_of(posterior)
+    check_free(folder, force=force)
+    result.write(folder)
+    return folder / "report.html"

@@ -1,0 +1,147 @@
+"""Recordings made in Python: from arrays, a DataFrame or a file, they are one thing."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from bayesfric.errors import BadInput
+from bayesfric.recordings import Channel, Processing, Recording, Source, Torque, read_recordings
+
+from .samples import has, lines, source, swing, write
+
+T, Q, TAU = swing()
+ARRAYS = ("time", "position", "torque", "excluded")
+
+
+def measured(recording, *, ratio=1.0, motion="rotary", number=1, **processing):
+    (found,) = read_recordings(
+        recording,
+        ratio=ratio,
+        motion=motion,
+        motor_motion=motion,
+        processing=Processing(**processing),
+        number=number,
+    )
+    return found
+
+
+def same(one, other):
+    assert all(getattr(one, k).tobytes() == getattr(other, k).tobytes() for k in ARRAYS)
+    assert (one.steps, one.warnings, one.segments) == (other.steps, other.warnings, other.segments)
+    assert (one.added_mass, one.radius) == (other.added_mass, other.radius)
+
+
+def refused(make):
+    with pytest.raises(BadInput) as caught:
+        measured(make())
+    return str(caught.value)
+
+
+def test_arrays_a_dataframe_and_its_file_are_the_same_bytes(tmp_path):
+    frame = pd.DataFrame({"t": T, "note": "x", "q": Q, "tau": TAU})
+    columns = {"time": "t", "position": "q", "torque": "tau"}
+    keys = {"added_mass": "2 kg", "radius": 0.35, "exclude": [[0.2, "300 ms"]]}
+    units = {"position": "deg", "torque": "mN m"}
+    frame.to_csv(tmp_path / "run.csv", index=False)
+    arrays = measured(Recording.from_arrays(T, Q, TAU, units=units, **keys))
+    table = measured(Recording.from_dataframe(frame, **columns, units=units, **keys))
+    file = measured(Recording.from_file(tmp_path / "run.csv", **columns, units=units, **keys))
+    configured = source(
+        position={"column": "q", "unit": "deg"}, torque=Torque(column="tau", unit="mN m"), **keys
+    )
+    for other in (table, file, measured(Recording(configured, tmp_path))):
+        same(arrays, other)
+    assert (arrays.added_mass, arrays.excluded.sum()) == (2.0, 11)
+    assert (arrays.path, file.path) == (None, tmp_path / "run.csv")
+    assert (arrays.name, file.name) == ("recording-1", "run")
+    assert len(arrays.sha256) == 64
+    assert arrays.sha256 == measured(Recording.from_arrays(T, Q, TAU)).sha256
+    assert arrays.sha256 != measured(Recording.from_arrays(T, Q, TAU + 1e-12)).sha256
+
+
+def test_what_is_changed_later_was_not_recorded():
+    position = Q.copy()
+    frame = pd.DataFrame({"t": T, "q": Q, "tau": TAU})
+    recordings = [
+        Recording.from_arrays(T, position, TAU),
+        Recording.from_dataframe(frame, time="t", position="q", torque="tau"),
+    ]
+    position += 1.0
+    frame["q"] += 1.0
+    for one in recordings:
+        assert measured(one).position[0] == Q[0]
+
+
+def test_a_current_of_a_geared_motor():
+    recording = Recording.from_arrays(
+        1e3 * T,
+        10.0 * Q,
+        current=TAU / 0.5,
+        velocity=10.0 * np.gradient(Q, T),
+        valid=T < 1.5,
+        units={"time": "ms"},
+        torque_constant="0.5 N m/A",
+        side="motor",
+        name="knee",
+    )
+    found = measured(recording, ratio=10.0)
+    assert found.name == "knee"
+    assert found.position == pytest.approx(Q)
+    assert found.torque == pytest.approx(TAU)
+    assert found.excluded.sum() == np.sum(T >= 1.5)
+    slides = measured(Recording.from_arrays(None, Q, TAU, rate="100 Hz"), motion="linear")
+    assert slides.period == pytest.approx(0.01)
+
+
+def test_a_table_in_memory_is_kept_as_a_file(tmp_path):
+    frame = pd.DataFrame({"t": T, "note": "x", "q": Q, "u": TAU, "bus": 24.0, "on": T > 0.1})
+    recording = Recording.from_dataframe(
+        frame,
+        time=1,
+        position={"column": "q", "unit": "turn/4096", "sign": -1},
+        torque={"column": 4, "unit": "mN m/V", "times": "bus", "times_unit": "V"},
+        valid="on",
+        name="knee",
+    )
+    saved = recording.saved(tmp_path / "knee [1].csv")
+    one, other = measured(recording), measured(saved)
+    same(one, other)
+    assert other.name == "knee"
+    assert isinstance(saved.source, Source)
+
+
+@pytest.mark.parametrize(
+    ("make", "parts"),
+    [
+        (lambda: Recording.from_arrays(T, Q), ["recording: got none; give exactly one of"]),
+        (lambda: Recording.from_arrays(T, Q, TAU[1:]), ["'recording-1'", "'torque'", "199 values"]),
+        (lambda: Recording.from_arrays(T, np.c_[Q, Q], TAU), ["'position'", "200 x 2"]),
+        (lambda: Recording.from_arrays(T, Q * np.nan, TAU), ["'position', row 1", "nan"]),
+        (lambda: Recording.from_arrays(T, Q, TAU, units={"torque": "A"}), ["got 'A'", "'N m'"]),
+        (lambda: Recording.from_arrays(T, Q, TAU, units={"torqe": "A"}), ["mean 'torque'?"]),
+        (lambda: Recording.from_arrays(T, Q, TAU, mass=2.0), ["recording: mass", "unknown key"]),
+        (lambda: Recording.from_arrays(T, Q, TAU, name="a", radius="2 kg"), ["'a': radius", "m'"]),
+        (lambda: Recording.from_arrays(T[::-1], Q, TAU), ["goes back in time"]),
+        (
+            lambda: Recording.from_dataframe(
+                pd.DataFrame({"t": T, "q": Q}), time="t", position="q", torque="tau"
+            ),
+            ["'recording-1', column 'tau'", "it has 't', 'q'"],
+        ),
+    ],
+)
+def test_refused_as_a_file_is(make, parts):
+    has(refused(make), *parts)
+
+
+def test_the_number_names_what_has_no_name():
+    assert measured(Recording.from_arrays(T, Q, TAU), number=3).name == "recording-3"
+
+
+def test_si_is_for_numbers_as_they_are(tmp_path):
+    write(tmp_path, "\n".join(lines()))
+    unit = {"column": "tau", "unit": "SI", "constant": "2 N m/A"}
+    message = refused(lambda: Recording(source(torque=unit), tmp_path))
+    has(message, "'SI' is not a known unit")
+    found = measured(Recording(source(time=Channel(column="t", unit="SI")), tmp_path))
+    assert found.period == pytest.approx(0.01)

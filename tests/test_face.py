@@ -1,0 +1,249 @@
+"""The Python face: the same numbers as the command line, on arrays, tables and files."""
+
+import hashlib
+import json
+import re
+import shutil
+import subprocess
+import sys
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+import bayesfric as bf
+from bayesfric.config_text import config_of, mechanism_table, prior_value
+from bayesfric.errors import BadInput
+from bayesfric.inference.archive import read_archive
+from bayesfric.mechanism.presets import PRESETS
+from tests.commands.bench import Bench, without_figures
+from tests.conftest import REPOSITORY
+
+# imported before fixtures take the figures away
+PLOT = bf.plot
+TRUTH = {"motor.inertia": 0.01, "motor.viscous": 0.05, "motor.coulomb": 0.2, "offset": 0.02}
+QUICK = {"min_ess": 400, "ensembles": 2, "walkers": 24}
+
+
+@pytest.fixture
+def bench(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    without_figures(monkeypatch)
+    return Bench(tmp_path, monkeypatch, capfd)
+
+
+def axis():
+    """A plain axis, not made by a preset."""
+    motor = bf.Element("motor", inertia=True, coulomb="symmetric", viscous=True)
+    return bf.Joint([motor], bf.Load(), offset=True)
+
+
+def measured(seed=0, n=2000):
+    """Exact motion of an axis, with noise of the torque."""
+    t = np.arange(n) / 500.0
+    q, qd, qdd = np.zeros(n), np.zeros(n), np.zeros(n)
+    for w, a in ((3.1, 0.8), (10.7, 0.3), (24.0, 0.05)):
+        q, qd, qdd = (
+            q + a * np.sin(w * t),
+            qd + a * w * np.cos(w * t),
+            qdd - a * w**2 * np.sin(w * t),
+        )
+    inertia, viscous, coulomb, offset = TRUTH.values()
+    noise = 0.01 * np.random.default_rng(seed).standard_normal(n)
+    return t, q, inertia * qdd + viscous * qd + coulomb * np.sign(qd) + offset + noise
+
+
+def arrays(seed=0, **more):
+    return bf.Recording.from_arrays(*measured(seed), **more)
+
+
+def same_draws(first, second):
+    assert set(first.data_vars) == set(second.data_vars)
+    for name in first.data_vars:
+        assert first[name].values.tobytes() == second[name].values.tobytes(), name
+
+
+def test_the_example_of_the_readme_is_the_fit(bench):
+    text = (REPOSITORY / "README.md").read_text()
+    (code,) = re.findall(r"<!-- python-example -->\n```python\n(.*?)```\n<!-- end -->", text, re.S)
+    shutil.copy(Path(str(files("bayesfric") / "examples")) / "knee.csv", bench.folder)
+    told = {}
+    exec(compile(code, "README.md", "exec"), told)
+    (bench.folder / "own.toml").write_text("""
+[mechanism]
+preset = "rabbit-knee"
+[[recordings]]
+file = "knee.csv"
+time = { column = "time", unit = "s" }
+position = { column = "position", unit = "rad", side = "motor" }
+torque = { column = "torque", unit = "N m" }
+[priors]
+"motor.inertia" = { distribution = "norm", loc = 3.6e-4, scale = 2e-5 }
+""")
+    ended = bench.run("fit", "own.toml", "-o", "own-run", "--seed", "1")
+    assert ended.code == 0, ended
+    kept = read_archive(bench.folder / "own-run" / "posterior.nc")
+    same_draws(kept["posterior"], told["post"]["posterior"])
+    same_draws(kept["derived"], told["post"]["derived"])
+    inertia = told["post"].posterior["motor.inertia"]
+    assert inertia.attrs["units"] == "kg m²"
+    assert inertia.attrs["verdict"] in ("data", "weak", "prior")
+
+
+def test_arrays_and_tables_find_the_truth_and_make_a_run_of_their_own(bench):
+    t, q, tau = measured(seed=2)
+    table = pd.DataFrame({"stamp": 1e3 * t, "angle": np.degrees(q), "tau": tau})
+    named = {"time": "stamp", "position": "angle", "torque": "tau"}
+    two = bf.Recording.from_dataframe(
+        table, **named, units={"time": "ms", "position": "deg"}, name="two"
+    )
+    model = bf.Model(axis(), [arrays(1), two], sampling=QUICK, references={"offset": 0.02})
+    posterior = model.sample(seed=3)
+    for name, value in TRUTH.items():
+        draws = posterior.posterior[name].values
+        assert abs(draws.mean() - value) < 5 * draws.std() + 0.02 * value, name
+    run = bench.folder / "run"
+    assert bf.report(posterior, run) == run / "report.html"
+    source = json.loads((run / "summary.json").read_text())["source"]["recordings"]
+    assert set(source) == {"recording-1", "two"}
+    for kept in source.values():
+        assert hashlib.sha256(Path(kept["file"]).read_bytes()).hexdigest() == kept["sha256"]
+    # wherever it is carried to
+    shutil.move(run, bench.folder / "elsewhere")
+    again = bf.Model.from_config(bench.folder / "elsewhere" / "config.toml")
+    assert all(not o.warnings for o in again.observations)
+    same_draws(again.sample(seed=3)["posterior"], posterior["posterior"])
+    assert bf.summary(bench.folder / "elsewhere").parameters == bf.summary(posterior).parameters
+
+
+def test_a_file_elsewhere_and_arrays_make_one_run(bench):
+    t, q, tau = measured(seed=2)
+    far = bench.folder / "far"
+    far.mkdir()
+    pd.DataFrame({"t": t, "q": q, "tau": tau}).to_csv(far / "two.csv", index=False)
+    two = bf.Recording.from_file("far/two.csv", time="t", position="q", torque="tau")
+    model = bf.Model(axis(), [arrays(1), two], noise="white", sampling=QUICK)
+    bf.report(model.sample(), "run")
+    shutil.move("run", far / "run")
+    assert bench.run("check", "far/run/config.toml").code == 0
+    digest = hashlib.sha256((far / "two.csv").read_bytes()).hexdigest()
+    (far / "two.csv").rename(far / "three.csv")
+    for command in ("check", "identify", "estimate", "fit"):
+        message = bench.refused(command, "far/run/config.toml")
+        assert str(far / "two.csv") in message
+        assert digest in message
+
+
+def test_log_density_is_the_posterior_that_is_sampled():
+    model = bf.Model(axis(), arrays(), noise="white", priors={"motor.viscous": (0.0, 1.0)})
+    posterior = model.sample(seed=1)
+    rows = np.stack([posterior.posterior[name].values[0, :5] for name in model.names], axis=1)
+    target = model.white_target()
+    expected = target.log_prior(rows) + target.log_likelihood(rows)
+    np.testing.assert_allclose(model.log_density(rows), expected)
+    one = dict(zip(model.names, rows[0], strict=True))
+    assert model.log_density(one) == pytest.approx(expected[0])
+    assert model.log_density(one | {"motor.viscous": 2.0}) == -np.inf
+    assert model.log_density(one | {"motor.inertia": -1.0}) == -np.inf
+    with pytest.raises(BadInput, match="names other parameters"):
+        model.log_density({"motor.inertia": 1.0})
+    with pytest.raises(BadInput, match="5 numbers"):
+        model.log_density([1.0, 2.0])
+
+
+def test_point_estimates_and_what_can_be_known_are_tables():
+    model = bf.Model(axis(), [arrays()])
+    found = model.estimate("input-error")
+    assert found.loc["motor.inertia", "value"] == pytest.approx(0.01, rel=0.02)
+    assert list(found.index.names) == ["name"]
+    assert {"least-squares", "input-error"} == set(
+        model.estimate("least-squares", "input-error").index.get_level_values("method")
+    )
+    assert model.identify().loc["motor.inertia", "verdict"] == "data"
+
+
+def test_figures_and_summaries_are_of_what_was_sampled():
+    posterior = bf.Model(axis(), arrays(), noise="white", sampling=QUICK).sample()
+    assert "friction" in dir(PLOT)
+    assert bf.plot.friction(posterior).axes
+    assert "motor.inertia" in bf.summary(posterior)._repr_html_()
+    with pytest.raises(AttributeError, match="friction"):
+        bf.plot.frictoin(posterior)
+    with pytest.raises(BadInput, match=r"Model\.sample"):
+        bf.report(posterior.sel(draw=[0, 1]), "run")
+
+
+def test_objects_show_themselves():
+    model = bf.Model(axis(), arrays(name="<one>"))
+    assert "&lt;one&gt;" in model._repr_html_()
+    assert "motor.inertia" in model._repr_html_()
+    assert "motor.inertia" in axis()._repr_html_()
+
+
+@pytest.mark.parametrize(
+    ("keywords", "told"),
+    [
+        ({"sampling": {"min_es": 3}}, "sampling.min_es: unknown key; did you mean 'min_ess'"),
+        ({"samplin": {}}, "samplin: unknown key; did you mean 'sampling'"),
+        ({"sampling": 3}, "sampling: got 3; give a table"),
+        ({"noise": "blue"}, "noise.model: got 'blue'"),
+        ({"likelihood": {"method": object()}}, "likelihood.method: got object"),
+        ({"priors": {"motor.inertai": 1}}, "priors.motor.inertai: .* mean 'motor.inertia'"),
+        ({"priors": {"motor.inertia": "x"}}, "priors.motor.inertia: 'x' is no prior"),
+        ({"priors": {"motor.inertia": stats.norm}}, "priors.motor.inertia: got norm_gen"),
+        (
+            {"priors": {"motor.inertia": np.float64(-1)}},
+            "priors.motor.inertia: -1 is no possible",
+        ),
+        ({"references": {"x": 1}}, "references.x: no result of this mechanism"),
+    ],
+)
+def test_bad_keywords_are_named(keywords, told):
+    with pytest.raises(BadInput, match=told):
+        bf.Model(axis(), arrays(), **keywords)
+
+
+def test_bad_recordings_and_joints_are_named():
+    with pytest.raises(BadInput, match="names no recording"):
+        bf.Model(axis(), [])
+    with pytest.raises(BadInput, match="2 are called 'one'"):
+        bf.Model(axis(), [arrays(name="one"), arrays(name="one")])
+    with pytest.raises(BadInput, match="give objects of Recording"):
+        bf.Model(axis(), ["knee.csv"])
+    with pytest.raises(BadInput, match="did you mean 'rabbit-knee'"):
+        bf.Joint.preset("rabit-knee")
+
+
+@pytest.mark.parametrize(
+    "prior",
+    [stats.norm(3.3e-4, 2e-5), stats.gamma(2.0, scale=1e-4), stats.truncnorm(a=0, b=2, loc=1)],
+)
+def test_a_frozen_distribution_is_its_text(prior):
+    text = prior_value(prior)
+    again = getattr(stats, text.pop("distribution"))(**text)
+    x = prior.ppf([0.1, 0.5, 0.9])
+    np.testing.assert_array_equal(again.logpdf(x), prior.logpdf(x))
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_joint_is_its_text(name):
+    preset = PRESETS[name].chain()
+    joint = bf.Joint.preset(name)
+    for made in (joint, bf.Joint(joint.elements, joint.load, offset=joint.offset)):
+        chain = config_of({"mechanism": mechanism_table(made)}).tables.mechanism.chain()
+        assert (chain.elements, chain.load) == (preset.elements, preset.load)
+        assert (chain.offset, chain.preset) == (preset.offset, made.preset)
+
+
+def test_importing_it_imports_nothing_heavy():
+    code = (
+        "import sys, bayesfric; print('numpy' in sys.modules, sorted(bayesfric.__all__)); "
+        "import bayesfric.cli; print('numpy' in sys.modules)"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    first, second = out.stdout.splitlines()
+    assert first == f"False {sorted(bf.__all__)}"
+    assert second == "False"
