@@ -400,11 +400,7 @@ def _relative(sd: float, value: float) -> str:
 
 def _from_voltage(problem: Problem) -> Sequence[str]:
     """Names of the recordings whose torque was computed from a voltage."""
-    names = []
-    for r in problem.recordings:
-        if any("kt V/R" in step for step in r.steps):
-            names.append(r.name)
-    return names
+    return [r.name for r in problem.recordings if r.drive == "voltage"]
 
 
 def _number(x: float) -> float | None:

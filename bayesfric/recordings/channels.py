@@ -122,6 +122,5 @@ def drive_signal(
         constant_kind = CONSTANT[drive.motor_motion]
         factor = units.scale([source.current.torque_constant], constant_kind, where)
         return source.current, current * factor, "current"
-    if source.voltage is not None:
-        return source.voltage, scaled(source.voltage, table, "voltage", "voltage"), "voltage"
-    raise BadInput(table.where, "has no drive channel", "give one of torque, current and voltage")
+    assert source.voltage is not None
+    return source.voltage, scaled(source.voltage, table, "voltage", "voltage"), "voltage"

@@ -43,6 +43,8 @@ class Measurement:
         One sentence for every choice made in reading.
     warnings
         One sentence for everything a user should look at.
+    drive
+        What the torque was measured as: torque, force, current or voltage.
     """
 
     name: str
@@ -59,3 +61,4 @@ class Measurement:
     radius: float
     steps: tuple[str, ...]
     warnings: tuple[str, ...]
+    drive: str = "torque"
