@@ -179,7 +179,7 @@ class Columns(Options):
         return found if self.valid is None else [*found, self.valid]
 
 
-class Source(TableOptions, Columns):
+class Source(Columns, TableOptions):
     """One or more files of the same layout, each giving one recording."""
 
     file: str | list[str] = Field(
