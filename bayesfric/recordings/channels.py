@@ -86,7 +86,7 @@ def scaled(
 
 
 def joint_signal(
-    channel: Position | Velocity, key: str, table: Table, drive: Drive
+    channel: Position, key: str, table: Table, drive: Drive
 ) -> tuple[NDArray[np.float64], str]:
     """Return the joint's position or velocity in SI units, shape (n,), and how it came about."""
     if channel.side is None and (drive.ratio != 1 or drive.motion != drive.motor_motion):
@@ -98,10 +98,10 @@ def joint_signal(
         )
     motor = channel.side == "motor"
     motion = drive.motor_motion if motor else drive.motion
-    kinds = POSITION if isinstance(channel, Position) else VELOCITY
+    kinds = VELOCITY if isinstance(channel, Velocity) else POSITION
     values = scaled(channel, table, kinds[motion], key)
     step = f"{key}: of the motor, divided by {drive.ratio:g}" if motor else f"{key}: of the joint"
-    if isinstance(channel, Position) and motion == "rotary":
+    if kinds is POSITION and motion == "rotary":
         values, jumps = unwrapped(values)
         if jumps:
             step += f"; jumps by a turn at {jumps} places, unwrapped"
@@ -122,6 +122,5 @@ def drive_signal(
         constant_kind = CONSTANT[drive.motor_motion]
         factor = units.scale([source.current.torque_constant], constant_kind, where)
         return source.current, current * factor, "current"
-    if source.voltage is not None:
-        return source.voltage, scaled(source.voltage, table, "voltage", "voltage"), "voltage"
-    raise BadInput(table.where, "has no drive channel", "give one of torque, current and voltage")
+    assert source.voltage is not None
+    return source.voltage, scaled(source.voltage, table, "voltage", "voltage"), "voltage"

@@ -48,7 +48,7 @@ def lowpass(
     cutoff: float,
     order: int,
 ) -> NDArray[np.float64]:
-    """Low-pass a signal forwards and backwards in every segment.
+    """Low-pass a signal forwards and backwards in every segment, without phase shift.
 
     Parameters
     ----------
@@ -62,11 +62,6 @@ def lowpass(
         Cut-off of the Butterworth filter in Hz: -3 dB a pass, -6 dB in all. 0 for no filter.
     order
         Order of the Butterworth filter, one pass.
-
-    Returns
-    -------
-    numpy.ndarray
-        The filtered signal, shape (n,), without phase shift.
 
     Raises
     ------
@@ -141,13 +136,9 @@ def derivative(
     period
         Sampling period in s.
     reach
-        Neighbours on either side, see :func:`differentiator`; 1 for central differences.
-
-    Returns
-    -------
-    numpy.ndarray
-        Shape (n,). Nearer to a segment's end than ``reach`` as many neighbours count as there
-        are, and at the end itself the one-sided formula of second order.
+        Neighbours on either side, see :func:`differentiator`; 1 for central differences. Nearer to
+        a segment's end as many count as there are, and at the end itself the one-sided formula of
+        second order.
     """
     result = np.zeros_like(values)
     for a, b in segments:
@@ -204,18 +195,7 @@ class ParallelFilter:
         return self.starts + len(self.taps) // 2
 
     def apply(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Filter and decimate a signal.
-
-        Parameters
-        ----------
-        x
-            One or more signals, shape (..., N).
-
-        Returns
-        -------
-        numpy.ndarray
-            Shape (..., M).
-        """
+        """Filter and decimate one or more signals, shape (..., N) to (..., M)."""
         x = np.asarray(x, dtype=np.float64)
         if len(self.taps) == 1:
             return np.asarray(x[..., self.starts] * (self.taps[0] * self.gains))

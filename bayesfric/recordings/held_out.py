@@ -66,15 +66,7 @@ class HeldOut:
 
 @dataclass(frozen=True, eq=False)
 class Divided:
-    """Recordings, divided into what is fitted and what is held out.
-
-    Attributes
-    ----------
-    recordings, observations
-        To be fitted, as read and as prepared, in the same order.
-    held_out
-        To be predicted.
-    """
+    """What is fitted, as read and as prepared in the same order, and what is to be predicted."""
 
     recordings: list[Measurement]
     observations: list[Observation]

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.recordings.inputs import Inputs
-
-TorqueOrigin = Literal["measured", "current", "voltage"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +43,8 @@ class Measurement:
         One sentence for every choice made in reading.
     warnings
         One sentence for everything a user should look at.
-    torque_origin
-        What the torque was made of.
+    drive
+        What the torque was measured as: torque, force, current or voltage.
     """
 
     name: str
@@ -63,4 +60,4 @@ class Measurement:
     inputs: Inputs
     steps: tuple[str, ...]
     warnings: tuple[str, ...]
-    torque_origin: TorqueOrigin = "measured"
+    drive: str = "torque"

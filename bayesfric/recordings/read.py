@@ -158,14 +158,13 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         inputs=Inputs(source.added_mass, source.radius),
         steps=tuple(steps),
         warnings=tuple(warnings),
-        torque_origin="voltage" if source.voltage else "current" if source.current else "measured",
+        drive=kind,
     )
 
 
 def _time(source: Columns, table: Table, count: int) -> NDArray[np.float64]:
     if source.time is None:
-        if source.rate is None:
-            raise BadInput(table.where, "has neither time nor rate", "give one of them")
+        assert source.rate is not None
         return np.arange(count) / source.rate
     time = scaled(source.time, table, "time", "time")
     where = table.label(source.time.column)

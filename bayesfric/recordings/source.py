@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from bayesfric.errors import Unfit
 from bayesfric.recordings import units
@@ -15,11 +15,19 @@ from bayesfric.recordings.units import Hertz, Kilograms, Metres, Seconds
 SI = "SI"
 
 
-def _is(text: str | None, *kinds: units.Kind) -> str | None:
+def _text_of(*kinds: units.Kind) -> AfterValidator:
     """Check a text's dimension but keep the text, for kinds settled only by the mechanism."""
-    if text is not None and not units.quantity(text, *kinds) > 0:
-        raise Unfit("a positive value", f"got '{text}'")
-    return text
+
+    def check(text: str) -> str:
+        if not units.quantity(text, *kinds) > 0:
+            raise Unfit("a positive value", f"got '{text}'")
+        return text
+
+    return AfterValidator(check)
+
+
+TorqueConstant = Annotated[str, _text_of("torque_constant", "force_constant")]
+Resistance = Annotated[str, _text_of("resistance")]
 
 
 class Channel(Options):
@@ -64,13 +72,8 @@ class Position(Channel):
     )
 
 
-class Velocity(Channel):
+class Velocity(Position):
     """The velocity channel, of the joint or of the motor."""
-
-    side: Literal["motor", "joint"] | None = Field(
-        default=None,
-        description="Where it is measured; may be left out only if the gear ratio is 1.",
-    )
 
 
 class Torque(Channel):
@@ -84,29 +87,16 @@ class Torque(Channel):
 class Current(Channel):
     """The motor current."""
 
-    torque_constant: str = Field(description="Torque per current, such as '0.32 N m/A'.")
-
-    @field_validator("torque_constant")
-    @classmethod
-    def _dimension(cls, value: str) -> str | None:
-        return _is(value, "torque_constant", "force_constant")
+    torque_constant: TorqueConstant = Field(description="Torque per current, such as '0.32 N m/A'.")
 
 
 class Voltage(Channel):
     """The motor voltage; torque = kt V/R - kt**2 (motor speed)/R."""
 
-    torque_constant: str = Field(description="Torque per current kt, such as '0.354 N m/A'.")
-    resistance: str = Field(description="Winding resistance R, such as '3.4 ohm'.")
-
-    @field_validator("torque_constant")
-    @classmethod
-    def _dimension(cls, value: str) -> str | None:
-        return _is(value, "torque_constant", "force_constant")
-
-    @field_validator("resistance")
-    @classmethod
-    def _resistance(cls, value: str) -> str | None:
-        return _is(value, "resistance")
+    torque_constant: TorqueConstant = Field(
+        description="Torque per current kt, such as '0.354 N m/A'."
+    )
+    resistance: Resistance = Field(description="Winding resistance R, such as '3.4 ohm'.")
 
 
 class Columns(Options):
@@ -189,7 +179,7 @@ class Columns(Options):
         return found if self.valid is None else [*found, self.valid]
 
 
-class Source(TableOptions, Columns):
+class Source(Columns, TableOptions):
     """One or more files of the same layout, each giving one recording."""
 
     file: str | list[str] = Field(

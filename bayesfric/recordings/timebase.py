@@ -24,24 +24,11 @@ _MOST_SAMPLES = 10_000_000
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """A uniform time base made from time stamps.
+    """A uniform time base in s made from time stamps.
 
-    Parameters
-    ----------
-    stamps
-        Measured times in s, shape (n,).
-    pieces
-        Half-open ranges of the stamps that are used.
-    time
-        Times of the grid in s, shape (m,).
-    segments
-        Half-open ranges of the grid, one a piece.
-    period
-        Step of the grid in s.
-    resampled
-        Whether the grid's times differ from the stamps.
-    steps, warnings
-        One sentence for every choice made, and for everything to look at.
+    ``stamps`` (n,) are used in the half-open ranges ``pieces``; ``time`` (m,) is the grid, with a
+    range of ``segments`` a piece. ``steps`` and ``warnings`` hold a sentence for every choice made,
+    and for everything to look at.
     """
 
     stamps: Array

@@ -104,13 +104,7 @@ def trajectory(recording: Measurement, observation: Observation, length: float) 
 
 
 def divided(whole: Trajectory, observation: Observation, length: float) -> Trajectory:
-    """Cut the segments of a trajectory into shorter ones, as in :func:`trajectory`.
-
-    Raises
-    ------
-    BadInput
-        If no piece would have enough samples.
-    """
+    """Cut the segments of a trajectory into shorter ones, as in :func:`trajectory`."""
     pieces = [(int(a), int(b)) for a, b in whole.segments]
     segments = _cut(pieces, whole.period, length, observation.qd)
     if not len(segments):
