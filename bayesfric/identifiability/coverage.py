@@ -92,16 +92,9 @@ class BackDriving:
 def coverage_of(
     chain: Chain, observations: Sequence[Observation], values: Array, noise: Array
 ) -> tuple[Coverage, ...]:
-    """Look at every recording.
+    """Look at every recording, the chain's parameters being ``values`` ``(n_parameters,)``.
 
-    Parameters
-    ----------
-    chain, observations
-        The mechanism and its prepared recordings.
-    values
-        ``(n_parameters,)`` in the order of ``chain.names``.
-    noise
-        ``(R,)`` noise scale of the torque, N m or N.
+    ``noise`` ``(R,)`` are the scales of the torque's, N m or N.
     """
     found = []
     for o, sigma in zip(observations, noise.tolist(), strict=True):
@@ -127,20 +120,10 @@ def coverage_of(
 def back_driven(
     chain: Chain, observations: Sequence[Observation], values: Array
 ) -> dict[str, Array]:
-    """How often the load drives each element that has a load loss.
+    """How often the load drives each element that has a load loss, ``(n,)`` for as many vectors.
 
-    Parameters
-    ----------
-    chain, observations
-        The mechanism and its prepared recordings.
-    values
-        ``(n, n_parameters)`` in the order of ``chain.names``.
-
-    Returns
-    -------
-    dict
-        By element, ``(n,)`` share of all moving outputs in which the torque behind it
-        times the speed is negative, eq. (6).
+    The share of all moving outputs in which the torque behind it times the speed is negative,
+    eq. (6). ``values`` ``(n, n_parameters)`` are the chain's.
     """
     found = {}
     for i, element in enumerate(chain.elements):

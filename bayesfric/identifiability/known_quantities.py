@@ -15,6 +15,7 @@ from bayesfric.identifiability.sentences import Statement, stated
 from bayesfric.identifiability.virtual_recording import TorqueNoise, scaled_jacobian, torque_noise
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.scaling import scalings
+from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
 
@@ -78,59 +79,40 @@ class SpeedTerm:
 def unknown_mass(target: Target, parameters: Array, local: LocalInformation) -> UnknownMass | None:
     """Look at the torque as if the added masses were known but for one common factor.
 
-    Parameters
-    ----------
-    target
-        Likelihood, priors and noise.
-    parameters
-        ``(d,)`` the estimate, noise scales last.
-    local
-        Of the target there.
-
-    Returns
-    -------
-    UnknownMass or None
-        ``None`` where no recording has an added mass.
+    At the estimate ``(d,)``, noise scales last; ``None`` where no recording has a mass.
     """
-    likelihood = target.likelihood
-    observations = likelihood.observations
+    chain, observations = target.likelihood.chain, target.likelihood.observations
     if not any(o.added_mass for o in observations):
         return None
     jacobian, noise = _torque_jacobian(target, parameters)
     values = target.chain_values(parameters[None])
-    column = [
-        one.whitened(
-            (
-                filtered_torque(
-                    likelihood.chain, replace(o, added_mass=o.added_mass * (1.0 + _STEP)), values
-                )
-                - filtered_torque(
-                    likelihood.chain, replace(o, added_mass=o.added_mass * (1.0 - _STEP)), values
-                )
-            )[0]
-            / (2.0 * _STEP),
-            o,
-        )
-        for o, one in zip(observations, noise, strict=True)
-    ]
+
+    def by_mass(o: Observation) -> Array:
+        masses = (o.added_mass * (1.0 + _STEP), o.added_mass * (1.0 - _STEP))
+        more, less = (filtered_torque(chain, replace(o, added_mass=m), values)[0] for m in masses)
+        return np.asarray((more - less) / (2.0 * _STEP))
+
+    column = [one.whitened(by_mass(o), o) for o, one in zip(observations, noise, strict=True)]
     whole = np.column_stack([jacobian, np.concatenate(column)])
     k = len(target.free)
     # what theory says is taken out: where the direction of power changes inside a step, a
     # derivative is off by enough to make a determined direction of a null one
     open_ = local.null_rows[: local.from_theory]
-    scaled = np.column_stack([open_, np.zeros(len(open_))])
-    with_mass = _scalings_with_mass(target, values[0], local)
-    found = directions(whole, np.ones(k + 1), known_null=np.concatenate([scaled, with_mass]))
+    # scalings of load and mass together; a known parameter takes them away, as it does the load's
+    columns = [chain.names.index(name) for name in target.free]
+    with_mass = [
+        np.append(s.tangent(values[0])[columns] / local.units, 1.0)
+        for s in scalings(chain)
+        if set(s.names) <= set(target.free)
+    ]
+    known_null = np.array([*(np.append(row, 0.0) for row in open_), *with_mass])
+    found = directions(whole, np.ones(k + 1), known_null=known_null.reshape(-1, k + 1))
     known = directions(jacobian, np.ones(k), known_null=open_)
     exponents: dict[str, float] = {}
     for row in found.rows[found.null]:
         if abs(row[k]) > 1e-6:
-            scaled = row / row[k]
-            exponents = {
-                label: float(round(x, 9))
-                for label, x in zip(local.labels, scaled, strict=False)
-                if abs(x) > 1e-5
-            }
+            scaled = zip(local.labels, row / row[k], strict=False)
+            exponents = {label: float(round(x, 9)) for label, x in scaled if abs(x) > 1e-5}
     owed = []
     for name, one in zip(target.free, np.eye(k + 1)[:k], strict=True):
         before, after = known.solve(one[:k]), found.solve(one)
@@ -139,21 +121,6 @@ def unknown_mass(target: Target, parameters: Array, local: LocalInformation) -> 
         if after is None or after @ one > _OWES**2 * (before @ one[:k]):
             owed.append(name)
     return UnknownMass(exponents, tuple(owed))
-
-
-def _scalings_with_mass(target: Target, values: Array, local: LocalInformation) -> Array:
-    """Scalings of the load and the added mass together, in local units and the mass's logarithm.
-
-    A known parameter takes them away, as it does those of the load alone.
-    """
-    chain = target.likelihood.chain
-    columns = [chain.names.index(name) for name in target.free]
-    rows = [
-        np.append(s.tangent(values)[columns] / local.units, 1.0)
-        for s in scalings(chain)
-        if set(s.names) <= set(target.free)
-    ]
-    return np.array(rows).reshape(-1, len(columns) + 1)
 
 
 def speed_term(target: Target, parameters: Array, recordings: Sequence[str]) -> SpeedTerm | None:
@@ -169,20 +136,16 @@ def speed_term(target: Target, parameters: Array, recordings: Sequence[str]) -> 
     parameters
         ``(d,)`` the estimate, noise scales last.
     recordings
-        Names of the recordings whose torque comes from a voltage.
-
-    Returns
-    -------
-    SpeedTerm or None
-        ``None`` where no recording does.
+        Names of the recordings whose torque comes from a voltage; ``None`` comes of none.
     """
     observations = target.likelihood.observations
-    if not any(o.name in recordings for o in observations):
+    told = tuple(o.name for o in observations if o.name in recordings)
+    if not told:
         return None
     jacobian, noise = _torque_jacobian(target, parameters)
     term = np.concatenate(
         [
-            one.whitened(o.filter.apply(o.qd) * (o.name in recordings), o)
+            one.whitened(o.filter.apply(o.qd) * (o.name in told), o)
             for o, one in zip(observations, noise, strict=True)
         ]
     )
@@ -190,24 +153,18 @@ def speed_term(target: Target, parameters: Array, recordings: Sequence[str]) -> 
     sizes = np.linalg.norm(jacobian, axis=0)
     unit = jacobian / np.where(sizes > 0.0, sizes, 1.0)
     apart = np.linalg.norm(unit - np.outer(term, term @ unit), axis=0)
-    same = tuple(
-        name
-        for name, sine, size in zip(target.free, apart, sizes, strict=True)
-        if size > 0.0 and sine < _SAME
-    )
+    same = np.flatnonzero((sizes > 0.0) & (apart < _SAME))
     rest = term - unit @ np.linalg.lstsq(unit, term, rcond=1e-9)[0]
-    told = tuple(o.name for o in observations if o.name in recordings)
-    return SpeedTerm(told, same, float(1.0 - rest @ rest))
+    return SpeedTerm(told, tuple(target.free[j] for j in same), float(1.0 - rest @ rest))
 
 
 def _torque_jacobian(target: Target, parameters: Array) -> tuple[Array, list[TorqueNoise]]:
     """Jacobian of the torque over its noise, whatever the likelihood is of, and that noise."""
-    likelihood = target.likelihood
-    units, _, _ = units_of(target, parameters[: len(target.free)])
+    observations, at = target.likelihood.observations, units_of(target, parameters)
     values = target.chain_values(parameters[None])[0]
-    noise = [torque_noise(target, parameters, r) for r in range(len(likelihood.observations))]
+    noise = [torque_noise(target, parameters, r) for r in range(len(observations))]
     blocks = [
-        scaled_jacobian(target, o, values, units, one)
-        for o, one in zip(likelihood.observations, noise, strict=True)
+        scaled_jacobian(target, o, values, at, one)
+        for o, one in zip(observations, noise, strict=True)
     ]
     return np.concatenate(blocks), noise

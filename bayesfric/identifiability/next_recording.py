@@ -436,7 +436,7 @@ def _sds(
     k = len(target.free)
     rows, known = at.local.told, None
     if added is not None and noise is not None:
-        more = scaled_jacobian(target, added, at.values, at.local.units, noise)
+        more = scaled_jacobian(target, added, at.values, at.local, noise)
         rows = np.concatenate([rows, more])
         fixed = {
             n: float(x) for n, x in zip(chain.names, at.values, strict=True) if n not in target.free

@@ -155,7 +155,7 @@ def trials(
             recording = played(chain, values, base, torque, mass, radius)
         except ValueError:
             continue  # the joint cannot be simulated, or would stand still: nothing to propose
-        rows = scaled_jacobian(target, recording, values, local.units, noise)
+        rows = scaled_jacobian(target, recording, values, local, noise)
         gained = rows.T @ rows
         if np.isfinite(gained).all():
             found.append(Trial(kind, text, gained))
