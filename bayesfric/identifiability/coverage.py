@@ -26,67 +26,29 @@ _LITTLE = 0.05
 
 @dataclass(frozen=True)
 class Coverage:
-    """What one recording went through, at the point estimate where that needs one.
-
-    Attributes
-    ----------
-    name
-        Of the recording.
-    outputs
-        Number of outputs.
-    moving
-        Share of them in which the joint moves.
-    load_drives
-        Element with a load loss, and the share of moving outputs in which the load
-        drives it.
-    at_levels
-        Share of outputs that lie at one of at most four levels of torque; ``None`` where
-        noise hides it.
-    piecewise_constant
-        Whether nearly all outputs do.
-    turn
-        Range of the joint's position, rad or m.
-    steady
-        Share of moving outputs in which inertia takes less than a twentieth of the torque.
-    added_mass, radius
-        kg and m.
-    """
+    """What one recording went through, at the point estimate where that needs one."""
 
     name: str
     outputs: int
-    moving: float
-    load_drives: dict[str, float]
-    at_levels: float | None
-    piecewise_constant: bool
-    turn: float
-    steady: float
-    added_mass: float
-    radius: float
+    moving: float  # share of outputs in which the joint moves
+    load_drives: dict[str, float]  # share of those in which the load drives an element with a loss
+    at_levels: float | None  # share at one of at most four levels of torque, if noise lets see it
+    piecewise_constant: bool  # whether nearly all outputs are
+    turn: float  # range of the joint's position, rad or m
+    steady: float  # share of outputs in which inertia takes less than a twentieth of the torque
+    added_mass: float  # kg
+    radius: float  # m
 
 
 @dataclass(frozen=True)
 class BackDriving:
-    """How often the load drives one element, as a share of the moving outputs.
-
-    Attributes
-    ----------
-    element
-        Its name.
-    two
-        Whether it loses more, or less, when the load drives it.
-    at_estimate
-        Share at the estimate.
-    plausible
-        Least and largest share over the estimate and the points that suit the data.
-    anywhere
-        Least and largest share over all points.
-    """
+    """How often the load drives one element, as a share of the moving outputs."""
 
     element: str
-    two: bool
+    two: bool  # whether it has two load losses, one for each who drives
     at_estimate: float
-    plausible: tuple[float, float]
-    anywhere: tuple[float, float]
+    plausible: tuple[float, float]  # least and largest over the points that suit the data
+    anywhere: tuple[float, float]  # and over all points
 
 
 def coverage_of(

@@ -29,19 +29,12 @@ _OWES = 3.0
 
 @dataclass(frozen=True)
 class UnknownMass:
-    """What would be left if the added mass were not known.
+    """What would be left if the added mass were not known."""
 
-    Attributes
-    ----------
-    exponents_without
-        What could then be multiplied by powers of one factor together with the mass, and no
-        torque would change; empty where torque tells the mass itself.
-    determines
-        Parameters whose sd from the data would be infinite, or more than three times what
-        it is.
-    """
-
+    # what could then be multiplied by powers of one factor together with the mass, and no torque
+    # would change; empty where torque tells the mass itself
     exponents_without: dict[str, float]
+    # parameters whose sd from the data would be infinite, or more than three times what it is
     determines: tuple[str, ...]
 
     def meaning(self, *, all_told: bool) -> Statement | None:
@@ -55,21 +48,11 @@ class UnknownMass:
 
 @dataclass(frozen=True)
 class SpeedTerm:
-    """What a torque proportional to speed, such as a back-EMF's, cannot be told from.
+    """What a torque proportional to speed, such as a back-EMF's, cannot be told from."""
 
-    Attributes
-    ----------
-    recordings
-        Names of the recordings whose torque comes from a voltage.
-    same_as_back_emf
-        Parameters whose effect has the same shape exactly.
-    explained
-        Share of the term's square that some change of parameters makes up for.
-    """
-
-    recordings: tuple[str, ...]
-    same_as_back_emf: tuple[str, ...]
-    explained: float
+    recordings: tuple[str, ...]  # those whose torque comes from a voltage
+    same_as_back_emf: tuple[str, ...]  # parameters whose effect has the same shape exactly
+    explained: float  # share of the term's square that some change of parameters makes up for
 
     def meaning(self, among: int) -> Statement:
         """Say what is confounded; ``among`` recordings in all."""
@@ -126,17 +109,9 @@ def unknown_mass(target: Target, parameters: Array, local: LocalInformation) -> 
 def speed_term(target: Target, parameters: Array, recordings: Sequence[str]) -> SpeedTerm | None:
     """Compare a torque proportional to speed with what the parameters can do.
 
-    The torque computed from a voltage is ``kt V/R - kt² (motor speed)/R``; an error of
-    ``kt²/R`` adds a term proportional to speed.
-
-    Parameters
-    ----------
-    target
-        Likelihood, priors and noise.
-    parameters
-        ``(d,)`` the estimate, noise scales last.
-    recordings
-        Names of the recordings whose torque comes from a voltage; ``None`` comes of none.
+    The torque computed from a voltage is ``kt V/R - kt² (motor speed)/R``; an error of ``kt²/R``
+    adds a term proportional to speed. At the estimate ``(d,)``, noise scales last; ``None`` where
+    none of the named ``recordings``, whose torque comes from a voltage, is there.
     """
     observations = target.likelihood.observations
     told = tuple(o.name for o in observations if o.name in recordings)

@@ -28,25 +28,15 @@ _SETTLED = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Profile log-likelihood of one parameter.
-
-    Attributes
-    ----------
-    name
-        Of the parameter.
-    values
-        ``(m,)`` rising, in the parameter's unit.
-    drop
-        ``(m,)`` largest log-likelihood with the parameter held at each value, minus the
-        largest of all: zero at the best value, never positive.
-    on_bound
-        For each value, which other parameters stand on a bound there. Bounds that an open
-        scale can be moved away from do not count.
-    """
+    """Profile log-likelihood of one parameter."""
 
     name: str
-    values: Array
+    values: Array  # (m,) rising, in the parameter's unit
+    # (m,) largest log-likelihood with the parameter held at each value, minus the largest of all:
+    # zero at the best value, never positive
     drop: Array
+    # for each value, which other parameters stand on a bound there; those that an open scale can be
+    # moved away from do not count
     on_bound: tuple[tuple[str, ...], ...]
 
 
