@@ -186,15 +186,15 @@ class _Search:
 
 def _walk(search: _Search, name: str, grid: Array, best: _Point) -> list[_Point]:
     """Fit at every value of a grid, from the one nearest to the best fit to both sides."""
-    column = search.problem.chain.names.index(name)
-    nearest = int(np.argmin(np.abs(grid - best.values[column])))
+    chain = search.problem.chain
+    nearest = int(np.argmin(np.abs(grid - best.values[chain.names.index(name)])))
     points: dict[int, _Point] = {}
     for order in (range(nearest, grid.size), range(nearest - 1, -1, -1)):
         before = best if order.start == nearest else points[nearest]
         for k in order:
             search.hold(name, float(grid[k]))
             begin = max(
-                _neighbours(search.problem.chain, name, before.values, float(grid[k])),
+                _neighbours(chain, name, before.values, float(grid[k])),
                 key=lambda values: search.height(search.problem.inside(values)),
             )
             before = points[k] = search.fit(begin)
