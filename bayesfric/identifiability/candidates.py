@@ -49,80 +49,38 @@ _TRIES = 12
 
 @dataclass(frozen=True)
 class Limits:
-    """Between what the next recording has to stay.
+    """Between what the next recording has to stay."""
 
-    Attributes
-    ----------
-    torque
-        Largest command, N m or N.
-    speed
-        Of the joint, rad/s or m/s.
-    angles
-        Lowest and highest position, rad or m; ``None`` for no limit.
-    duration
-        s.
-    lag
-        Time constant of the current loop, s.
-    masses
-        kg and m of each known mass that may be bolted on; ``(0, 0)`` for none is one of them.
-    start
-        Position at which the joint rests when the recording begins, rad or m: where gravity
-        holds it, else where the longest recording began.
-    recorded_angles
-        Lowest and highest position of the recordings, rad or m.
-    """
-
-    torque: float
-    speed: float
-    angles: tuple[float, float] | None
-    duration: float
-    lag: float
+    torque: float  # largest command, N m or N
+    speed: float  # of the joint, rad/s or m/s
+    angles: tuple[float, float] | None  # lowest and highest position, rad or m, if there is a limit
+    duration: float  # s
+    lag: float  # time constant of the current loop, s
+    # kg and m of each known mass that may be bolted on; (0, 0) for none is one of them
     masses: tuple[tuple[float, float], ...]
+    # where the joint rests when the recording begins, rad or m: where gravity holds it, else where
+    # the longest recording began
     start: float
-    recorded_angles: tuple[float, float]
+    recorded_angles: tuple[float, float]  # lowest and highest of the recordings, rad or m
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A command for the motor, and what is bolted to the load meanwhile.
-
-    Attributes
-    ----------
-    kind
-        ``excitation``, ``known mass`` or ``longer``.
-    form
-        Name of the signal, without the amplitude.
-    amplitude
-        Largest command, N m or N.
-    command
-        ``(N,)`` N m or N.
-    period
-        From one sample of it to the next, s.
-    lag
-        Time constant of the current loop, s.
-    added_mass, radius
-        kg and m.
-    q0, qd0
-        Position and speed at the first sample, rad or m and s.
-    made
-        For ``longer``: the recording there is, one more of which would be made.
-    lowered, because_of
-        Factor on the torque that it took to keep the limits, and which limit that was.
-    """
+    """A command for the motor, and what is bolted to the load meanwhile."""
 
     kind: CandidateKind
-    form: str
-    amplitude: float
-    command: Array
-    period: float
-    lag: float
-    added_mass: float
-    radius: float
-    q0: float
+    form: str  # name of the signal, without the amplitude
+    amplitude: float  # largest command, N m or N
+    command: Array  # (N,) N m or N
+    period: float  # from one sample of it to the next, s
+    lag: float  # time constant of the current loop, s
+    added_mass: float  # kg
+    radius: float  # m
+    q0: float  # position and speed at the first sample, rad or m and s
     qd0: float
-    made: Observation | None = None
-    lowered: float = 1.0
-    because_of: Limit | None = None
+    made: Observation | None = None  # for "longer": what there is, one more of which would be made
+    lowered: float = 1.0  # factor on the torque that it took to keep the limits
+    because_of: Limit | None = None  # which limit that was
 
     def smaller(self, factor: float, limit: Limit | None) -> Candidate:
         """Make the same with a smaller torque, for the sake of a limit."""
@@ -155,14 +113,7 @@ def limits_of(
 ) -> Limits:
     """Settle every limit that the configuration leaves out.
 
-    Parameters
-    ----------
-    options
-        The ``[advice]`` table.
-    chain, observations
-        The mechanism and its prepared recordings.
-    values
-        ``(n_parameters,)`` at the estimate; a mass is chosen to suit them.
+    A mass is chosen to suit the chain's ``values`` ``(n_parameters,)`` at the estimate.
 
     Raises
     ------
@@ -220,13 +171,7 @@ def longest(observations: Sequence[Observation]) -> Observation:
 def candidates(observations: Sequence[Observation], limits: Limits) -> Iterator[Candidate]:
     """List everything that is worth trying.
 
-    Parameters
-    ----------
-    observations
-        The prepared recordings.
-    limits
-        From :func:`limits_of`; whether a candidate keeps those of speed and angle is
-        known only once it is played, see :func:`try_out`.
+    Whether one keeps the limits of speed and angle is known once it is played, see :func:`try_out`.
     """
     base = longest(observations)
     period, hertz = sample_period(base), pace(base)
@@ -288,23 +233,9 @@ def try_out(
 ) -> tuple[Candidate, tuple[Observation, ...]] | Statement:
     """Play a candidate at every point, lowering its torque until it keeps the limits.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    vectors
-        ``(n_points, n_parameters)``.
-    base
-        The recording whose filter and dead zone are used.
-    candidate, limits
-        What to play, and what to keep.
-
-    Returns
-    -------
-    tuple of Candidate and recordings, or Statement
-        The candidate with its torque as it was in the end, and what would be recorded at
-        each point. Or why it is no use: a limit that it breaks however small, or that it
-        leaves the joint at rest.
+    ``vectors`` ``(n_points, n_parameters)`` are the chain's; ``base`` is the recording whose filter
+    and dead zone are used. Gives the candidate with its torque as it was in the end and what would
+    be recorded at each point, or says why it is no use.
     """
     broken: Limit | None
     if candidate.made is not None:  # as it was made it would be made again, or not at all

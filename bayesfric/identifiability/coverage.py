@@ -26,82 +26,37 @@ _LITTLE = 0.05
 
 @dataclass(frozen=True)
 class Coverage:
-    """What one recording went through, at the point estimate where that needs one.
-
-    Attributes
-    ----------
-    name
-        Of the recording.
-    outputs
-        Number of outputs.
-    moving
-        Share of them in which the joint moves.
-    load_drives
-        Element with a load loss, and the share of moving outputs in which the load
-        drives it.
-    at_levels
-        Share of outputs that lie at one of at most four levels of torque; ``None`` where
-        noise hides it.
-    piecewise_constant
-        Whether nearly all outputs do.
-    turn
-        Range of the joint's position, rad or m.
-    steady
-        Share of moving outputs in which inertia takes less than a twentieth of the torque.
-    added_mass, radius
-        kg and m.
-    """
+    """What one recording went through, at the point estimate where that needs one."""
 
     name: str
     outputs: int
-    moving: float
-    load_drives: dict[str, float]
-    at_levels: float | None
-    piecewise_constant: bool
-    turn: float
-    steady: float
-    added_mass: float
-    radius: float
+    moving: float  # share of outputs in which the joint moves
+    load_drives: dict[str, float]  # share of those in which the load drives an element with a loss
+    at_levels: float | None  # share at one of at most four levels of torque, if noise lets see it
+    piecewise_constant: bool  # whether nearly all outputs are
+    turn: float  # range of the joint's position, rad or m
+    steady: float  # share of outputs in which inertia takes less than a twentieth of the torque
+    added_mass: float  # kg
+    radius: float  # m
 
 
 @dataclass(frozen=True)
 class BackDriving:
-    """How often the load drives one element, as a share of the moving outputs.
-
-    Attributes
-    ----------
-    element
-        Its name.
-    two
-        Whether it loses more, or less, when the load drives it.
-    at_estimate
-        Share at the estimate.
-    plausible
-        Least and largest share over the estimate and the points that suit the data.
-    anywhere
-        Least and largest share over all points.
-    """
+    """How often the load drives one element, as a share of the moving outputs."""
 
     element: str
-    two: bool
+    two: bool  # whether it has two load losses, one for each who drives
     at_estimate: float
-    plausible: tuple[float, float]
-    anywhere: tuple[float, float]
+    plausible: tuple[float, float]  # least and largest over the points that suit the data
+    anywhere: tuple[float, float]  # and over all points
 
 
 def coverage_of(
     chain: Chain, observations: Sequence[Observation], values: Array, noise: Array
 ) -> tuple[Coverage, ...]:
-    """Look at every recording.
+    """Look at every recording, the chain's parameters being ``values`` ``(n_parameters,)``.
 
-    Parameters
-    ----------
-    chain, observations
-        The mechanism and its prepared recordings.
-    values
-        ``(n_parameters,)`` in the order of ``chain.names``.
-    noise
-        ``(R,)`` noise scale of the torque, N m or N.
+    ``noise`` ``(R,)`` are the scales of the torque's, N m or N.
     """
     found = []
     for o, sigma in zip(observations, noise.tolist(), strict=True):
@@ -127,20 +82,10 @@ def coverage_of(
 def back_driven(
     chain: Chain, observations: Sequence[Observation], values: Array
 ) -> dict[str, Array]:
-    """How often the load drives each element that has a load loss.
+    """How often the load drives each element that has a load loss, ``(n,)`` for as many vectors.
 
-    Parameters
-    ----------
-    chain, observations
-        The mechanism and its prepared recordings.
-    values
-        ``(n, n_parameters)`` in the order of ``chain.names``.
-
-    Returns
-    -------
-    dict
-        By element, ``(n,)`` share of all moving outputs in which the torque behind it
-        times the speed is negative, eq. (6).
+    The share of all moving outputs in which the torque behind it times the speed is negative,
+    eq. (6). ``values`` ``(n, n_parameters)`` are the chain's.
     """
     found = {}
     for i, element in enumerate(chain.elements):

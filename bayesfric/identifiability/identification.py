@@ -125,18 +125,17 @@ class Identification:
     def frame(self) -> pd.DataFrame:
         """One row a parameter: how well it would be known, by what, and with what it is open."""
         found = pd.DataFrame([vars(one) for one in self.parameters]).set_index("name")
-        labels = dict(zip(self.local.names, self.local.labels, strict=True))
         found["open_with"] = [
             ", ".join(
                 dict.fromkeys(
                     other
                     for one in self.directions
-                    if labels[name] in one.exponents
+                    if label in one.exponents
                     for other in one.exponents
-                    if other != labels[name]
+                    if other != label
                 )
             )
-            for name in found.index
+            for label in self.local.labels
         ]
         return found
 
@@ -158,8 +157,8 @@ class Identification:
     @property
     def remarks(self) -> list[Statement]:
         """What is to be said of back-driving, of the known mass and of a voltage."""
-        mass, voltage = self._mass_meaning, self._voltage_meaning
-        return [*map(self._seen, self.back_driving), *(one for one in (mass, voltage) if one)]
+        found = [*map(self._seen, self.back_driving), self._mass_meaning, self._voltage_meaning]
+        return [one for one in found if one]
 
     def _seen(self, one: BackDriving) -> Statement:
         """Say how often the load drives an element."""
@@ -183,33 +182,28 @@ class Identification:
 
     def as_json(self) -> dict[str, Any]:
         """Give what ``bayesfric identify --json`` prints; what is infinite is ``None``."""
-        at, least, largest = zip(*self.ranges, strict=True) if self.ranges else ((), (), ())
-        derived = ("prior_sd", "verdict", "on_bound")
+        names = ("at_estimate", "least", "largest")
+        values = (
+            dict(zip(names, zip(*self.ranges, strict=True), strict=True)) if self.ranges else {}
+        )
+        null = {"null": self.local.directions.tolerance}
+        mass, voltage = self.known_mass, self.voltage
+        derived = ("name", "prior_sd", "verdict", "on_bound")
         found = {
             "method": self.method,
             "points": Counter(self.origins),
-            "thresholds": {
-                "null": self.local.directions.tolerance,
-                "weak_log_sd": WEAK,
-                "hardly_ever": HARDLY,
-            },
+            "thresholds": {**null, "weak_log_sd": WEAK, "hardly_ever": HARDLY},
             "directions": self.directions,
-            "singular_values": {
-                "at_estimate": at,
-                "least": least,
-                "largest": largest,
-                "null_at_each_point": self.null_counts,
-            },
-            "combinations": {p.name: _without(p, "name", *derived) for p in self.combinations},
+            "singular_values": {**values, "null_at_each_point": self.null_counts},
+            "combinations": {p.name: _without(p, *derived) for p in self.combinations},
             "parameters": {p.name: _without(p, "name") for p in self.parameters},
             "back_driving": {
                 one.element: _without(one, "element", "two") | {"meaning": self._seen(one)}
                 for one in self.back_driving
             },
             "recordings": self.recordings,
-            "known_mass": self.known_mass
-            and {**vars(self.known_mass), "meaning": self._mass_meaning or ""},
-            "voltage": self.voltage and {**vars(self.voltage), "meaning": self._voltage_meaning},
+            "known_mass": mass and {**vars(mass), "meaning": self._mass_meaning or ""},
+            "voltage": voltage and {**vars(voltage), "meaning": self._voltage_meaning},
             "notes": self.notes,
         }
         return {name: plain(value) for name, value in found.items()}
@@ -361,25 +355,11 @@ def _changes(
     locals_: Sequence[LocalInformation], back: Sequence[BackDriving], plausible: NDArray[np.bool_]
 ) -> Iterator[Statement]:
     """Say where the local picture at the estimate is not that of other points."""
-    counts = np.array([int(one.directions.null.sum()) for one in locals_], dtype=np.int_)
-    near = counts[plausible]
-    if np.ptp(counts):
-        yield stated(
-            "note",
-            "null_counts",
-            at=int(counts[0]),
-            near=(int(near.min()), int(near.max())),
-            suiting=near.size,
-            all=(int(counts.min()), int(counts.max())),
-            points=counts.size,
-        )
+    counts = [int(one.directions.null.sum()) for one in locals_]
+    near = [count for count, one in zip(counts, plausible, strict=True) if one]
+    if min(counts) < max(counts):
+        yield stated("note", "null_counts", near=near, all=counts)
     for one in back:
         least, most = one.anywhere
         if one.two and least == 0.0 < most:
-            yield stated(
-                "note",
-                "back_driving",
-                name=f"{one.element}.load_back",
-                element=one.element,
-                most=most,
-            )
+            yield stated("note", "back_driving", element=one.element, most=most)

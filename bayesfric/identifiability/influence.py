@@ -5,6 +5,9 @@ sensitivity with power-scaling", Statistics and Computing 34:57 (2024). The prio
 parameters' together), or the likelihood, is raised to a power ``alpha`` near one; the
 draws at hand, weighted by ``p^(alpha - 1)``, then stand for the posterior this would give.
 
+ArviZ has the same, under one name before 1.0 and another after; this serves both, and
+gives no number, but no warning either, where draws do not move.
+
 Bounds stay where they are whatever the power: what keeps a parameter between them is no
 prior in this sense. Whether the data determined a parameter is the verdict's to say.
 """
@@ -16,6 +19,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import rel_entr
 
 from bayesfric.inference.fit import Fit
 
@@ -64,47 +68,26 @@ class Influence:
 
 
 def influence(fit: Fit) -> dict[str, Influence]:
-    """Measure what prior and likelihood do to every sampled parameter.
+    """Measure what prior and likelihood do to every sampled parameter, by its name.
 
-    Parameters
-    ----------
-    fit
-        A finished fit; at most 2000 of its draws, evenly spread, are looked at.
-
-    Returns
-    -------
-    dict
-        By name, in the order of ``fit.posterior.names``.
+    At most 2000 of the fit's draws, evenly spread, are looked at.
     """
     draws = fit.posterior.flat(_DRAWS)
-    log_prior, log_likelihood = fit.target.log_prior(draws), fit.target.log_likelihood(draws)
+    components = np.stack([fit.target.log_prior(draws), fit.target.log_likelihood(draws)])
     # a draw that rounding put on a bound may have no density; it weighs nothing
-    sound = np.isfinite(log_prior) & np.isfinite(log_likelihood)
-    if sound.sum() < _FEWEST:
-        return dict.fromkeys(fit.posterior.names, Influence(np.nan, np.nan))
-    by_prior = sensitivity(draws[sound], log_prior[sound])
-    by_likelihood = sensitivity(draws[sound], log_likelihood[sound])
-    return {
-        name: Influence(float(p), float(q))
-        for name, p, q in zip(fit.posterior.names, by_prior, by_likelihood, strict=True)
-    }
+    sound = np.isfinite(components).all(axis=0)
+    found = np.full((2, draws.shape[1]), np.nan)
+    if sound.sum() >= _FEWEST:
+        found = np.stack([sensitivity(draws[sound], one[sound]) for one in components])
+    names = fit.posterior.names
+    return {name: Influence(*pair) for name, pair in zip(names, found.T.tolist(), strict=True)}
 
 
 def sensitivity(draws: Array, log_component: Array) -> Array:
     """Differentiate the distance from the posterior by the binary logarithm of the power.
 
-    Parameters
-    ----------
-    draws
-        ``(n, d)`` posterior draws.
-    log_component
-        ``(n,)`` log density of what is raised to a power, at each draw; constants do not
-        matter.
-
-    Returns
-    -------
-    ndarray
-        ``(d,)``, mean of both directions; ``nan`` for a parameter whose draws are all equal.
+    Of draws ``(n, d)`` and the log density ``(n,)`` of what is raised to a power, up to a
+    constant. Gives ``(d,)``, the mean of both directions; ``nan`` where draws are all equal.
     """
     down = scaled_distance(draws, log_component, 1.0 / (1.0 + _DELTA))
     up = scaled_distance(draws, log_component, 1.0 + _DELTA)
@@ -112,23 +95,11 @@ def sensitivity(draws: Array, log_component: Array) -> Array:
 
 
 def scaled_distance(draws: Array, log_component: Array, alpha: float) -> Array:
-    """Measure how far the posterior moves when one component is raised to a power.
+    """Measure how far the posterior moves when one component is raised to a power ``alpha``.
 
-    Parameters
-    ----------
-    draws
-        ``(n, d)`` posterior draws.
-    log_component
-        ``(n,)`` log density of that component at each draw.
-    alpha
-        The power.
-
-    Returns
-    -------
-    ndarray
-        ``(d,)`` normalised cumulative Jensen-Shannon distance between the draws and the
-        same draws with the weights ``p^(alpha - 1)``: 0 where nothing moves, at most 1.
-        It is the larger one of ``x`` and ``-x``.
+    Gives ``(d,)`` normalised cumulative Jensen-Shannon distances between the draws and the
+    same draws with the weights ``p^(alpha - 1)``: 0 where nothing moves, at most 1. Each is
+    the larger one of ``x`` and ``-x``.
     """
     log_weights = (alpha - 1.0) * log_component
     weights = np.exp(log_weights - log_weights.max())
@@ -137,19 +108,14 @@ def scaled_distance(draws: Array, log_component: Array, alpha: float) -> Array:
     steps = np.diff(np.take_along_axis(draws, order, axis=0), axis=0)
     n = draws.shape[0]
     before = (np.arange(1, n) / n)[:, None]
-    after = np.cumsum(weights[order], axis=0)[:-1]
     # rounding must not carry a share beyond one
-    after = np.minimum(after, 1.0)
-    return np.maximum(_distance(before, after, steps), _distance(1.0 - before, 1.0 - after, steps))
-
-
-def _distance(p: Array, q: Array, steps: Array) -> Array:
-    """Cumulative Jensen-Shannon distance of step functions over their upper bound, ``(d,)``.
-
-    In the sum of both directions the paper's terms in the integral of ``Q - P`` cancel.
-    """
-    middle = 0.5 * (p + q)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        terms = p * np.log2(p / middle) + np.where(q > 0.0, q * np.log2(q / middle), 0.0)
-        divergence = np.sum(terms * steps, axis=0) / np.sum((p + q) * steps, axis=0)
-    return np.asarray(np.sqrt(np.maximum(divergence, 0.0)))
+    after = np.minimum(np.cumsum(weights[order], axis=0)[:-1], 1.0)
+    found = []
+    for p, q in ((before, after), (1.0 - before, 1.0 - after)):
+        # in the sum of both directions the paper's terms in the integral of Q - P cancel
+        middle = 0.5 * (p + q)
+        terms = (rel_entr(p, middle) + rel_entr(q, middle)) / np.log(2.0)
+        with np.errstate(invalid="ignore"):
+            divergence = np.sum(terms * steps, axis=0) / np.sum((p + q) * steps, axis=0)
+        found.append(np.sqrt(np.maximum(divergence, 0.0)))
+    return np.asarray(np.maximum(*found))

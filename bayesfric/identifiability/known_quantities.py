@@ -29,19 +29,12 @@ _OWES = 3.0
 
 @dataclass(frozen=True)
 class UnknownMass:
-    """What would be left if the added mass were not known.
+    """What would be left if the added mass were not known."""
 
-    Attributes
-    ----------
-    exponents_without
-        What could then be multiplied by powers of one factor together with the mass, and no
-        torque would change; empty where torque tells the mass itself.
-    determines
-        Parameters whose sd from the data would be infinite, or more than three times what
-        it is.
-    """
-
+    # what could then be multiplied by powers of one factor together with the mass, and no torque
+    # would change; empty where torque tells the mass itself
     exponents_without: dict[str, float]
+    # parameters whose sd from the data would be infinite, or more than three times what it is
     determines: tuple[str, ...]
 
     def meaning(self, *, all_told: bool) -> Statement | None:
@@ -55,21 +48,11 @@ class UnknownMass:
 
 @dataclass(frozen=True)
 class SpeedTerm:
-    """What a torque proportional to speed, such as a back-EMF's, cannot be told from.
+    """What a torque proportional to speed, such as a back-EMF's, cannot be told from."""
 
-    Attributes
-    ----------
-    recordings
-        Names of the recordings whose torque comes from a voltage.
-    same_as_back_emf
-        Parameters whose effect has the same shape exactly.
-    explained
-        Share of the term's square that some change of parameters makes up for.
-    """
-
-    recordings: tuple[str, ...]
-    same_as_back_emf: tuple[str, ...]
-    explained: float
+    recordings: tuple[str, ...]  # those whose torque comes from a voltage
+    same_as_back_emf: tuple[str, ...]  # parameters whose effect has the same shape exactly
+    explained: float  # share of the term's square that some change of parameters makes up for
 
     def meaning(self, among: int) -> Statement:
         """Say what is confounded; ``among`` recordings in all."""
@@ -83,55 +66,40 @@ def _heavier(o: Observation, factor: float) -> Observation:
 def unknown_mass(target: Target, parameters: Array, local: LocalInformation) -> UnknownMass | None:
     """Look at the torque as if the added masses were known but for one common factor.
 
-    Parameters
-    ----------
-    target
-        Likelihood, priors and noise.
-    parameters
-        ``(d,)`` the estimate, noise scales last.
-    local
-        Of the target there.
-
-    Returns
-    -------
-    UnknownMass or None
-        ``None`` where no recording has an added mass.
+    At the estimate ``(d,)``, noise scales last; ``None`` where no recording has a mass.
     """
-    likelihood = target.likelihood
-    observations = likelihood.observations
+    chain, observations = target.likelihood.chain, target.likelihood.observations
     if not any(o.inputs.added_mass for o in observations):
         return None
     jacobian, noise = _torque_jacobian(target, parameters)
     values = target.chain_values(parameters[None])
-    column = [
-        one.whitened(
-            (
-                filtered_torque(likelihood.chain, _heavier(o, 1.0 + _STEP), values)
-                - filtered_torque(likelihood.chain, _heavier(o, 1.0 - _STEP), values)
-            )[0]
-            / (2.0 * _STEP),
-            o,
-        )
-        for o, one in zip(observations, noise, strict=True)
-    ]
+
+    def by_mass(o: Observation) -> Array:
+        beside = (_heavier(o, 1.0 + _STEP), _heavier(o, 1.0 - _STEP))
+        more, less = (filtered_torque(chain, one, values)[0] for one in beside)
+        return np.asarray((more - less) / (2.0 * _STEP))
+
+    column = [one.whitened(by_mass(o), o) for o, one in zip(observations, noise, strict=True)]
     whole = np.column_stack([jacobian, np.concatenate(column)])
     k = len(target.free)
     # what theory says is taken out: where the direction of power changes inside a step, a
     # derivative is off by enough to make a determined direction of a null one
     open_ = local.null_rows[: local.from_theory]
-    scaled = np.column_stack([open_, np.zeros(len(open_))])
-    with_mass = _scalings_with_mass(target, values[0], local)
-    found = directions(whole, np.ones(k + 1), known_null=np.concatenate([scaled, with_mass]))
+    # scalings of load and mass together; a known parameter takes them away, as it does the load's
+    columns = [chain.names.index(name) for name in target.free]
+    with_mass = [
+        np.append(s.tangent(values[0])[columns] / local.units, 1.0)
+        for s in scalings(chain)
+        if set(s.names) <= set(target.free)
+    ]
+    known_null = np.array([*(np.append(row, 0.0) for row in open_), *with_mass])
+    found = directions(whole, np.ones(k + 1), known_null=known_null.reshape(-1, k + 1))
     known = directions(jacobian, np.ones(k), known_null=open_)
     exponents: dict[str, float] = {}
     for row in found.rows[found.null]:
         if abs(row[k]) > 1e-6:
-            scaled = row / row[k]
-            exponents = {
-                label: float(round(x, 9))
-                for label, x in zip(local.labels, scaled, strict=False)
-                if abs(x) > 1e-5
-            }
+            scaled = zip(local.labels, row / row[k], strict=False)
+            exponents = {label: float(round(x, 9)) for label, x in scaled if abs(x) > 1e-5}
     owed = []
     for name, one in zip(target.free, np.eye(k + 1)[:k], strict=True):
         before, after = known.solve(one[:k]), found.solve(one)
@@ -142,48 +110,21 @@ def unknown_mass(target: Target, parameters: Array, local: LocalInformation) -> 
     return UnknownMass(exponents, tuple(owed))
 
 
-def _scalings_with_mass(target: Target, values: Array, local: LocalInformation) -> Array:
-    """Scalings of the load and the added mass together, in local units and the mass's logarithm.
-
-    A known parameter takes them away, as it does those of the load alone.
-    """
-    chain = target.likelihood.chain
-    columns = [chain.names.index(name) for name in target.free]
-    rows = [
-        np.append(s.tangent(values)[columns] / local.units, 1.0)
-        for s in scalings(chain)
-        if set(s.names) <= set(target.free)
-    ]
-    return np.array(rows).reshape(-1, len(columns) + 1)
-
-
 def speed_term(target: Target, parameters: Array, recordings: Sequence[str]) -> SpeedTerm | None:
     """Compare a torque proportional to speed with what the parameters can do.
 
-    The torque computed from a voltage is ``kt V/R - kt² (motor speed)/R``; an error of
-    ``kt²/R`` adds a term proportional to speed.
-
-    Parameters
-    ----------
-    target
-        Likelihood, priors and noise.
-    parameters
-        ``(d,)`` the estimate, noise scales last.
-    recordings
-        Names of the recordings whose torque comes from a voltage.
-
-    Returns
-    -------
-    SpeedTerm or None
-        ``None`` where no recording does.
+    The torque computed from a voltage is ``kt V/R - kt² (motor speed)/R``; an error of ``kt²/R``
+    adds a term proportional to speed. At the estimate ``(d,)``, noise scales last; ``None`` where
+    none of the named ``recordings``, whose torque comes from a voltage, is there.
     """
     observations = target.likelihood.observations
-    if not any(o.name in recordings for o in observations):
+    told = tuple(o.name for o in observations if o.name in recordings)
+    if not told:
         return None
     jacobian, noise = _torque_jacobian(target, parameters)
     term = np.concatenate(
         [
-            one.whitened(o.filter.apply(o.qd) * (o.name in recordings), o)
+            one.whitened(o.filter.apply(o.qd) * (o.name in told), o)
             for o, one in zip(observations, noise, strict=True)
         ]
     )
@@ -191,24 +132,18 @@ def speed_term(target: Target, parameters: Array, recordings: Sequence[str]) -> 
     sizes = np.linalg.norm(jacobian, axis=0)
     unit = jacobian / np.where(sizes > 0.0, sizes, 1.0)
     apart = np.linalg.norm(unit - np.outer(term, term @ unit), axis=0)
-    same = tuple(
-        name
-        for name, sine, size in zip(target.free, apart, sizes, strict=True)
-        if size > 0.0 and sine < _SAME
-    )
+    same = np.flatnonzero((sizes > 0.0) & (apart < _SAME))
     rest = term - unit @ np.linalg.lstsq(unit, term, rcond=1e-9)[0]
-    told = tuple(o.name for o in observations if o.name in recordings)
-    return SpeedTerm(told, same, float(1.0 - rest @ rest))
+    return SpeedTerm(told, tuple(target.free[j] for j in same), float(1.0 - rest @ rest))
 
 
 def _torque_jacobian(target: Target, parameters: Array) -> tuple[Array, list[TorqueNoise]]:
     """Jacobian of the torque over its noise, whatever the likelihood is of, and that noise."""
-    likelihood = target.likelihood
-    units, _, _ = units_of(target, parameters[: len(target.free)])
+    observations, at = target.likelihood.observations, units_of(target, parameters)
     values = target.chain_values(parameters[None])[0]
-    noise = [torque_noise(target, parameters, r) for r in range(len(likelihood.observations))]
+    noise = [torque_noise(target, parameters, r) for r in range(len(observations))]
     blocks = [
-        scaled_jacobian(target, o, values, units, one)
-        for o, one in zip(likelihood.observations, noise, strict=True)
+        scaled_jacobian(target, o, values, at, one)
+        for o, one in zip(observations, noise, strict=True)
     ]
     return np.concatenate(blocks), noise

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -16,6 +16,8 @@ from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.torque import torque_jacobian
 from bayesfric.identifiability.sentences import Statement, stated
 from bayesfric.inference.target import Target
+from bayesfric.mechanism.chain import Chain
+from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
 Verdict = Literal["data", "weak", "prior"]
@@ -29,9 +31,45 @@ _NULL_SIMULATED = 1e-6
 # Values below this share of their prior sd are next to zero: those that are zero or
 # positive, and those of either sign.
 _SMALL = 1e-3
+_SMALL_SIGNED = 1e-2
 # Share of the measured torque that counts as one for values the data cannot tell from zero.
 _FELT = 0.1
-_SMALL_SIGNED = 1e-2
+# Entries of a null direction smaller than this do not belong to it.
+_ROUNDING = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class LocalUnits:
+    """What counts as a change of one, in logarithms wherever there is one.
+
+    Attributes
+    ----------
+    names
+        Free parameters of the chain.
+    labels
+        What a change of one is called: the parameter, or its alpha for load losses.
+    units
+        ``(d,)`` change of each parameter that counts as one: its own value, so that ones
+        are changes of logarithms; something else where the value is next to zero.
+    shifted
+        ``(d,)`` where it is something else.
+    """
+
+    names: tuple[str, ...]
+    labels: tuple[str, ...]
+    units: Array
+    shifted: NDArray[np.bool_]
+
+    def moved(self, values: Array, step: Array) -> Array:
+        """Move free parameters ``(d,)`` by a step in these units, along logarithms."""
+        grown = np.exp(np.clip(step, -50.0, 50.0))
+        out = np.where(self.shifted, values + step * self.units, values * grown)
+        for j, label in enumerate(self.labels):
+            if label.endswith(".alpha_drive"):
+                out[j] = (1.0 + values[j]) / grown[j] - 1.0
+            elif label.endswith(".alpha_back"):
+                out[j] = 1.0 - (1.0 - values[j]) / grown[j]
+        return np.asarray(out)
 
 
 @dataclass(frozen=True)
@@ -54,22 +92,11 @@ class NullDirection:
 
 
 @dataclass(frozen=True, eq=False)
-class LocalInformation:
-    """Fisher information of the torque near one parameter vector.
+class LocalInformation(LocalUnits):
+    """Fisher information of the torque near one parameter vector, in :class:`LocalUnits`.
 
     Attributes
     ----------
-    names
-        Free parameters of the chain.
-    labels
-        What a change of one is called: the parameter, or its alpha for load losses.
-    units
-        ``(d,)`` change of each parameter that counts as one: its own value, so that ones
-        are changes of logarithms; something else where the value is next to zero.
-    shifted
-        ``(d,)`` where it is something else.
-    effects
-        ``(d,)`` root of the summed squares that a change of one makes, in noise sds.
     data_sd
         ``(d,)`` standard deviation that the data alone would leave, in the
         parameter's unit; infinite where a null direction touches it.
@@ -81,11 +108,6 @@ class LocalInformation:
         How many null directions, the first ones, are scalings that hold at every point.
     """
 
-    names: tuple[str, ...]
-    labels: tuple[str, ...]
-    units: Array
-    shifted: NDArray[np.bool_]
-    effects: Array
     data_sd: Array
     null_rows: Array
     directions: Directions
@@ -99,7 +121,7 @@ class LocalInformation:
                 {
                     label: float(round(x, 9))
                     for label, x in zip(self.labels, row, strict=True)
-                    if abs(x) > 1e-5
+                    if abs(x) > _ROUNDING
                 }
             )
             for row in self.null_rows
@@ -139,29 +161,20 @@ class LocalInformation:
 
 
 def local_information(target: Target, parameters: Array) -> LocalInformation:
-    """Look at the likelihood near one vector of sampled parameters.
-
-    Parameters
-    ----------
-    target
-        Likelihood, priors and noise.
-    parameters
-        ``(d,)``, noise scales last.
+    """Look at the likelihood near one vector ``(d,)`` of sampled parameters, noise scales last.
 
     Raises
     ------
     BadInput
         If a simulation fails beside these parameters.
     """
-    free = target.free
-    point = parameters[: len(free)]
-    scales = target.noise.scales(parameters[None, len(free) :])[0]
-    units, labels, shifted = units_of(target, point)
-    chain = target.likelihood.chain
-    at = target.chain_values(parameters[None])[0]
-    known = Knowledge({n: float(x) for n, x in zip(chain.names, at, strict=True) if n not in free})
-    open_ = open_directions(chain, known, target.likelihood.observations, at)
-    jacobian = jacobian_of(target, parameters, units, scales)
+    chain, observations = target.likelihood.chain, target.likelihood.observations
+    at = units_of(target, parameters)
+    units = at.units
+    values = target.chain_values(parameters[None])[0]
+    fixed = {n: float(x) for n, x in zip(chain.names, values, strict=True) if n not in target.free}
+    scalings = open_directions(chain, Knowledge(fixed), observations, values) / units
+    jacobian = jacobian_of(target, parameters, units)
     if not np.isfinite(jacobian).all():
         raise BadInput(
             "identifiability",
@@ -169,22 +182,14 @@ def local_information(target: Target, parameters: Array) -> LocalInformation:
             'use method = "input-error", or priors that keep parameters off their bounds',
         )
     tolerance = NULL if target.likelihood.method == "input-error" else _NULL_SIMULATED
-    found = directions(jacobian, np.ones(units.size), tolerance, known_null=open_ / units)
+    found = directions(jacobian, np.ones(units.size), tolerance, known_null=scalings)
     # the Jacobian was taken in these units already
     found = replace(found, units=units)
-    rows = _null_basis(found.rows[found.null], open_ / units)
-    local = LocalInformation(
-        tuple(free),
-        tuple(labels),
-        units,
-        shifted,
-        np.linalg.norm(jacobian, axis=0),
-        np.full(units.size, np.nan),
-        rows,
-        found,
-        len(open_),
-    )
-    return replace(local, data_sd=np.array([local.data_sd_of(one) for one in np.eye(units.size)]))
+    rows = _null_basis(found.rows[found.null], scalings)
+    unknown = np.full(units.size, np.nan)
+    local = LocalInformation(**vars(at), data_sd=unknown, null_rows=rows, directions=found)
+    sds = np.array([local.data_sd_of(one) for one in np.eye(units.size)])
+    return replace(local, data_sd=sds, from_theory=len(scalings))
 
 
 def in_natural_units(
@@ -195,41 +200,41 @@ def in_natural_units(
     Of a value that may as well be zero, the logarithm says nothing. Where the sd from the
     data is finite and larger than the value, a change that makes a tenth of the measured
     torque counts as one instead (or the prior's sd, if that is less). Null directions do
-    not touch such parameters.
-
-    Parameters
-    ----------
-    target, parameters
-        As for :func:`local_information`.
-    local
-        What it found.
+    not touch such parameters. Arguments are those of :func:`local_information` and its result.
     """
     likelihood = target.likelihood
     values = target.chain_values(parameters[None])[0]
-    k = len(target.free)
-    columns = [likelihood.chain.names.index(name) for name in target.free]
-    steps = np.zeros(values.size)
-    steps[columns] = _STEP * np.abs(local.units)
-    jacobian = torque_jacobian(likelihood.chain, likelihood.observations, values, steps)
-    effect = np.linalg.norm(jacobian[:, columns], axis=0)
+    jacobian = torque_changes(likelihood.chain, likelihood.observations, values, local)
+    effect = np.linalg.norm(jacobian, axis=0)
     measured = np.concatenate([o.measured for o in likelihood.observations])
+    k = len(local.names)
     sds = np.array([p.sd() for p in target.priors[:k]])
     with np.errstate(divide="ignore"):
         floor = np.fmin(_FELT * np.linalg.norm(measured) / effect, sds)
-    loss = np.array([name != label for name, label in zip(local.names, local.labels, strict=True)])
-    value = parameters[:k]
-    small = np.isfinite(local.data_sd) & (np.abs(value) < local.data_sd) & ~loss
-    small &= np.abs(value) < floor
-    units = np.where(small, floor, local.units)
-    ratio = units / local.units
-    found = directions(local.told * ratio, np.ones(k), local.directions.tolerance)
-    return replace(
-        local,
-        units=units,
-        shifted=local.shifted | small,
-        effects=local.effects * np.abs(ratio),
-        directions=replace(found, units=units),
+    size = np.abs(parameters[:k])
+    small = np.isfinite(local.data_sd) & (size < local.data_sd) & (size < floor)
+    small &= np.array(
+        [name == label for name, label in zip(local.names, local.labels, strict=True)]
     )
+    units = np.where(small, floor, local.units)
+    d = local.directions
+    found = directions(local.told * (units / local.units), np.ones(k), d.tolerance)
+    return replace(
+        local, units=units, shifted=local.shifted | small, directions=replace(found, units=units)
+    )
+
+
+def torque_changes(
+    chain: Chain, observations: Sequence[Observation], values: Array, at: LocalUnits
+) -> Array:
+    """Differentiate the filtered torque by the free parameters, per their unit, ``(n_outputs, d)``.
+
+    ``values`` ``(n_parameters,)`` are the chain's; recordings need not be the target's.
+    """
+    columns = [chain.names.index(name) for name in at.names]
+    steps = np.zeros(values.size)
+    steps[columns] = _STEP * np.abs(at.units)
+    return torque_jacobian(chain, observations, values, steps)[:, columns]
 
 
 def verdict(posterior_sd: float, prior_sd: float, data_sd: float) -> Verdict:
@@ -257,40 +262,39 @@ def verdict(posterior_sd: float, prior_sd: float, data_sd: float) -> Verdict:
     return "data" if 0.85 < share < 1.5 and left < 0.5 else "weak"
 
 
-def units_of(target: Target, point: Array) -> tuple[Array, list[str], NDArray[np.bool_]]:
-    """Step that counts as one, in each parameter's unit, and what it then is.
+def units_of(target: Target, parameters: Array) -> LocalUnits:
+    """Say what counts as one at sampled parameters ``(d,)``.
 
     Logarithms for parameters that cannot be negative; for load losses the
     logarithm of alpha, in which the paper's scaling is one straight line. A value next
     to zero, as on a bound, has no logarithm worth the name: there the prior sd counts
-    as one, and the third array says so.
+    as one.
     """
-    units = np.empty(point.size)
-    shifted = np.zeros(point.size, dtype=np.bool_)
+    units = parameters[: len(target.free)].copy()
+    shifted = np.zeros(units.size, dtype=np.bool_)
     labels = []
-    chain = target.likelihood.chain
-    support = {p.name: p for p in chain.parameters}
-    for j, name in enumerate(target.free):
-        element, _, quantity = name.rpartition(".")
-        if quantity == "load_drive":
-            units[j] = -(1.0 + point[j])  # alpha_1 = 1/(1 + mu_1)
-            labels.append(f"{element}.alpha_drive")
-        elif quantity == "load_back":
+    described = {p.name: p for p in target.likelihood.chain.parameters}
+    for j, (name, value) in enumerate(zip(target.free, units.tolist(), strict=True)):
+        p = described[name]
+        labels.append(
+            name.replace(".load_drive", ".alpha_drive").replace(".load_back", ".alpha_back")
+        )
+        if p.quantity == "load_drive":
+            units[j] = -(1.0 + value)  # alpha_1 = 1/(1 + mu_1)
+        elif p.quantity == "load_back":
             # alpha_2 = 1/(1 - mu_2), endless where the gearbox is irreversible
-            units[j] = 1.0 - point[j] if abs(1.0 - point[j]) > 1e-3 else 1e-3
-            labels.append(f"{element}.alpha_back")
+            units[j] = 1.0 - value if abs(1.0 - value) > 1e-3 else 1e-3
         else:
             sd = target.priors[j].sd()
             sd = sd if np.isfinite(sd) else 1.0
-            small = _SMALL if support[name].lower == 0.0 else _SMALL_SIGNED
-            shifted[j] = abs(point[j]) <= small * sd
-            units[j] = sd if shifted[j] else point[j]
-            labels.append(name)
-    return units, labels, shifted
+            small = _SMALL if p.lower == 0.0 else _SMALL_SIGNED
+            if abs(value) <= small * sd:
+                units[j], shifted[j] = sd, True
+    return LocalUnits(target.free, tuple(labels), units, shifted)
 
 
-def jacobian_of(target: Target, parameters: Array, units: Array, scales: Array) -> Array:
-    """Differentiate the modelled outputs over their noise, ``(n_outputs, d)``.
+def jacobian_of(target: Target, parameters: Array, units: Array) -> Array:
+    """Differentiate the modelled outputs over their noise, ``(n_outputs, d)``, per unit.
 
     The torque is linear in nearly every parameter, so central differences are
     exact up to rounding except where a step changes the direction of power.
@@ -299,16 +303,16 @@ def jacobian_of(target: Target, parameters: Array, units: Array, scales: Array) 
     support = {p.name: (p.lower, p.upper) for p in target.likelihood.chain.parameters}
     low, high = np.array([support[name] for name in target.free]).T
     point, steps = parameters[:k], _STEP * units
-    plus, minus = np.tile(parameters, (k, 1)), np.tile(parameters, (k, 1))
+    both = np.tile(parameters, (2 * k, 1))
     index = np.arange(k)
     # on a bound one side alone: nothing can be simulated beyond it
-    plus[index, index] = np.clip(point + steps, low, high)
-    minus[index, index] = np.clip(point - steps, low, high)
-    widths = (plus[index, index] - minus[index, index]) / units
-    both = target.chain_values(np.concatenate([plus, minus]))
+    both[index, index] = np.clip(point + steps, low, high)
+    both[k + index, index] = np.clip(point - steps, low, high)
+    widths = (both[index, index] - both[k + index, index]) / units
+    scales = target.noise.scales(parameters[None, k:])[0]
     blocks = [
         (output[:k] - output[k:]) / widths[:, None]
-        for output in target.likelihood.standardised(both, scales)
+        for output in target.likelihood.standardised(target.chain_values(both), scales)
     ]
     return np.concatenate(blocks, axis=1).T
 
@@ -326,15 +330,11 @@ def _null_basis(rows: Array, theory: Array) -> Array:
             rest = rest[:0]
             break
         choices = [
-            _sparse(_independent(rest - np.outer(rest[:, c] / row[c], row), len(rest) - 1))
+            _sparse(np.linalg.svd(rest - np.outer(rest[:, c] / row[c], row))[2][: len(rest) - 1])
             for c in np.flatnonzero(np.abs(row) > 1e-6)
         ]
         rest = min(choices, key=lambda basis: float(np.abs(basis).sum()))
     return np.array([*named, *_sparse(rest)]).reshape(-1, rows.shape[1])
-
-
-def _independent(rows: Array, rank: int) -> Array:
-    return np.asarray(np.linalg.svd(rows)[2][:rank])
 
 
 def _sparse(rows: Array) -> Array:
@@ -351,9 +351,6 @@ def _sparse(rows: Array) -> Array:
 
 def null_meaning(exponents: Mapping[str, float]) -> Statement:
     """Say what a null direction is whose entries are powers of one factor, the largest one."""
-    if len(exponents) == 1:
-        kind = "unseen"
-    else:
-        same = all(abs(x - 1.0) < 1e-5 for x in exponents.values())
-        kind = "factor" if same else "powers"
+    same = all(abs(x - 1.0) < _ROUNDING for x in exponents.values())
+    kind = "unseen" if len(exponents) == 1 else "factor" if same else "powers"
     return stated("meaning", kind, exponents=exponents)

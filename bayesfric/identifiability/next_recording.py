@@ -55,51 +55,25 @@ _LISTED = 8
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """How well the quantity is known, root mean square over the points.
+    """How well the quantity is known, root mean square over the points."""
 
-    Attributes
-    ----------
-    sd
-        Of the posterior: recordings and prior together; infinite where neither confines it.
-    relative_sd
-        The same as a share of the value; ``None`` where the recordings leave that open.
-    data_sd
-        That the recordings alone leave; infinite where they leave it open at any point.
-    least, most
-        Of the posterior sd over the points.
-    """
-
-    sd: float
-    relative_sd: float | None
-    data_sd: float
-    least: float
+    sd: float  # recordings and prior together; infinite where neither confines it
+    relative_sd: float | None  # the same as a share of the value, if recordings determine that
+    data_sd: float  # of the recordings alone; infinite where they leave it open at any point
+    least: float  # of the sd over the points
     most: float
 
 
 @dataclass(frozen=True, eq=False)
 class Advice:
-    """One recording that could be made next, and what it would do.
-
-    Attributes
-    ----------
-    candidate
-        What to play, and with which mass.
-    after
-        How well the quantity would be known then.
-    load_drives
-        Element with a load loss, and the ``mean``, ``least`` and ``most`` of the share of moving
-        outputs in which the load drives it.
-    peak_speed
-        Fastest at any point, rad/s or m/s.
-    angles
-        Lowest and highest position at any point, rad or m.
-    """
+    """One recording that could be made next, and what it would do."""
 
     candidate: Candidate
-    after: Uncertainty
+    after: Uncertainty  # how well the quantity would be known then
+    # element with a load loss: mean, least and most of the share in which the load drives it
     load_drives: dict[str, dict[str, float]]
-    peak_speed: float
-    angles: tuple[float, float]
+    peak_speed: float  # fastest at any point, rad/s or m/s
+    angles: tuple[float, float]  # lowest and highest position at any point, rad or m
 
     def recording(
         self, chain: Chain, values: Array, options: Simulation, seed: int
@@ -203,46 +177,25 @@ class Ranking:
             seen.add(kind)
 
     def _described(self, one: Candidate) -> dict[str, Any]:
-        return {
-            "kind": one.kind,
-            "form": one.form,
-            "peak_torque": one.amplitude,
-            "duration": one.duration,
-            "added_mass": one.added_mass,
-            "radius": one.radius,
-            "start": one.q0 if one.made is not None else self.limits.start,
-        }
+        start = one.q0 if one.made is not None else self.limits.start
+        found = {"kind": one.kind, "form": one.form, "peak_torque": one.amplitude}
+        found |= {"duration": one.duration, "added_mass": one.added_mass, "radius": one.radius}
+        return found | {"start": start}
 
     def as_json(self) -> dict[str, Any]:
         """Give what ``identify --advise --json`` prints; what is infinite is ``None``."""
+        rows = []
+        for rank, one in enumerate(self.advices, start=1):
+            row = self._described(one.candidate) | {"rank": rank} | vars(one)
+            row |= {"torque_lowered_to": one.candidate.lowered, "because_of": one.candidate.limit}
+            rows.append({name: value for name, value in row.items() if name != "candidate"})
         masses = [one for one in self.limits.masses if one[0]]
-        rows = [
-            {
-                **self._described(one.candidate),
-                "rank": rank,
-                **{name: value for name, value in vars(one).items() if name != "candidate"},
-                "torque_lowered_to": one.candidate.lowered,
-                "because_of": one.candidate.limit,
-            }
-            for rank, one in enumerate(self.advices, start=1)
-        ]
-        dropped = [{**self._described(one), "reason": why} for one, why in self.dropped]
-        found: dict[str, Any] = plain(
-            {
-                "quantity": self.quantity,
-                "unit": self.unit,
-                "meaning": self.meaning,
-                "value": self.value,
-                "determined": bool(np.isfinite(self.now.data_sd)),
-                "now": self.now,
-                "points": self.points,
-                "limits": {**vars(self.limits), "masses": masses},
-                "verdict": self.verdict,
-                "candidates": rows,
-                "dropped": dropped,
-            }
-        )
-        return found
+        found = {name: getattr(self, name) for name in ("quantity", "unit", "meaning", "value")}
+        found |= {"determined": bool(np.isfinite(self.now.data_sd)), "now": self.now}
+        found |= {"points": self.points, "limits": {**vars(self.limits), "masses": masses}}
+        found |= {"verdict": self.verdict, "candidates": rows}
+        found["dropped"] = [{**self._described(one), "reason": why} for one, why in self.dropped]
+        return {name: plain(value) for name, value in found.items()}
 
     @property
     def frame(self) -> pd.DataFrame:
@@ -256,24 +209,12 @@ class Ranking:
 
 @dataclass(frozen=True, eq=False)
 class _At:
-    """One point: what is known there, in logarithms of the parameters.
+    """One point: what is known there, in logarithms of the parameters."""
 
-    Attributes
-    ----------
-    values
-        ``(n_parameters,)``.
-    local
-        Of the target.
-    prior
-        ``(d, d)`` rows with the information of the priors.
-    gradient
-        ``(d,)`` of the quantity, by changes of one in the local units.
-    """
-
-    values: Array
+    values: Array  # (n_parameters,)
     local: LocalInformation
-    prior: Array
-    gradient: Array
+    prior: Array  # (d, d) rows with the information of the priors
+    gradient: Array  # (d,) of the quantity, by changes of one in the local units
 
 
 def ranking(
@@ -436,7 +377,7 @@ def _sds(
     k = len(target.free)
     rows, known = at.local.told, None
     if added is not None and noise is not None:
-        more = scaled_jacobian(target, added, at.values, at.local.units, noise)
+        more = scaled_jacobian(target, added, at.values, at.local, noise)
         rows = np.concatenate([rows, more])
         fixed = {
             n: float(x) for n, x in zip(chain.names, at.values, strict=True) if n not in target.free

@@ -70,16 +70,7 @@ def open_directions(
 ) -> Iterator[OpenDirection]:
     """List null directions first, then weak ones, the weakest first.
 
-    Parameters
-    ----------
-    locals_
-        At every point looked at, the estimate first.
-    units
-        Unit of each parameter.
-    coverage, back
-        What the recordings went through, and how often the load drove.
-    tried
-        From :func:`bayesfric.identifiability.remedies.trials`.
+    ``locals_`` are of every point looked at, the estimate first; ``units`` those of parameters.
     """
     local = locals_[0]
     rows = list(_open_rows(local))

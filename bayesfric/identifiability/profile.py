@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from bayesfric.estimates.assemble import bounds_met, open_scalings
+from bayesfric.estimates.assemble import bounds_met, centred
 from bayesfric.estimates.descent import Terms, TorqueProblem, descend, few_threads
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.inference.fit import Fit
@@ -28,25 +28,15 @@ _SETTLED = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Profile log-likelihood of one parameter.
-
-    Attributes
-    ----------
-    name
-        Of the parameter.
-    values
-        ``(m,)`` rising, in the parameter's unit.
-    drop
-        ``(m,)`` largest log-likelihood with the parameter held at each value, minus the
-        largest of all: zero at the best value, never positive.
-    on_bound
-        For each value, which other parameters stand on a bound there. Bounds that an open
-        scale can be moved away from do not count.
-    """
+    """Profile log-likelihood of one parameter."""
 
     name: str
-    values: Array
+    values: Array  # (m,) rising, in the parameter's unit
+    # (m,) largest log-likelihood with the parameter held at each value, minus the largest of all:
+    # zero at the best value, never positive
     drop: Array
+    # for each value, which other parameters stand on a bound there; those that an open scale can be
+    # moved away from do not count
     on_bound: tuple[tuple[str, ...], ...]
 
 
@@ -56,22 +46,12 @@ def profiles(fit: Fit, points: int = 15) -> tuple[Profile, ...]:
     Priors enter by their supports alone. Whichever likelihood was sampled, this is the
     torque's, with white noise.
 
-    Parameters
-    ----------
-    fit
-        A finished fit.
-    points
-        Values of each parameter, evenly over the central 99 % of its posterior.
-
-    Returns
-    -------
-    tuple of Profile
-        In the order of ``fit.target.free``. A parameter whose draws are all equal has none.
+    Each has so many ``points``, evenly over the central 99 % of its posterior; a parameter whose
+    draws are all equal has no profile.
     """
     target = fit.target
-    flat = fit.posterior.flat()
-    ends = np.quantile(flat, [0.005, 0.5, 0.995], axis=0)
-    middle = fit.target.chain_values(ends[1][None])[0]
+    ends = np.quantile(fit.posterior.flat(), [0.005, 0.5, 0.995], axis=0)
+    middle = target.chain_values(ends[1][None])[0]
     known = dict(zip(fit.chain.names, middle.tolist(), strict=True))
     knowledge = Knowledge(
         fixed={name: value for name, value in known.items() if name not in target.free},
@@ -115,15 +95,9 @@ def profile_likelihoods(
     grids
         Rising values of the parameters to profile.
     starts
-        Vectors ``(n_parameters,)`` in the order of ``chain.names`` to look for the best
-        fit from, at least one.
+        Vectors ``(n_parameters,)`` to look for the best fit from, at least one.
     own_noise
         Whether each recording has a noise scale of its own.
-
-    Returns
-    -------
-    tuple of Profile
-        In the order of ``grids``.
     """
     with few_threads(observations):
         whole = _Search(chain, observations, knowledge, own_noise)
@@ -167,7 +141,6 @@ class _Search:
         own_noise: bool,
     ) -> None:
         self.problem = TorqueProblem(chain, observations, knowledge)
-        self.open = open_scalings(chain, knowledge, observations)
         sizes = [o.measured.size for o in observations]
         self._borders = np.cumsum(sizes)[:-1] if own_noise else np.array([], dtype=np.int64)
 
@@ -181,55 +154,47 @@ class _Search:
         x = problem.inside(values)
         height = self.height(x)
         for _ in range(_ROUNDS if x.size else 0):
-            x = descend(problem, Terms(self._weights(x)), x).x
+            sizes, squares = self._parts(x)
+            scales = np.sqrt(squares / sizes)
+            # one over the noise scale of each output, times a constant
+            weights = np.repeat(scales.min() / scales, sizes)
+            x = descend(problem, Terms(weights), x).x
             before, height = height, self.height(x)
             # one noise scale needs no second round
             if not self._borders.size or height - before <= _SETTLED:
                 break
         found = problem.vector(x)
-        bounds = bounds_met(x, problem.lower, problem.upper)
-        if bounds.any() and self.open:
-            moved = found
-            for scaling in self.open:
-                moved = scaling.scaled(moved, scaling.middle(moved))
-            at = moved[problem.columns]
-            if np.all(at >= problem.lower) and np.all(at <= problem.upper):
-                bounds = bounds_met(at, problem.lower, problem.upper)
+        # bounds that an open scale can be moved away from do not count
+        moved = centred(problem.chain, problem.knowledge, problem.observations, found)
+        bounds = bounds_met(moved[problem.columns], problem.lower, problem.upper)
         names = tuple(n for n, b in zip(problem.free, bounds, strict=True) if b)
         return _Point(found, height, names)
 
     def height(self, x: Array) -> float:
         """Log-likelihood at its best noise scales, up to a constant."""
-        parts = self._parts(x)
-        return float(sum(-0.5 * part.size * np.log(self._squares(part)) for part in parts))
+        sizes, squares = self._parts(x)
+        return float(-0.5 * sizes @ np.log(squares))
 
-    def _parts(self, x: Array) -> list[Array]:
-        return list(np.split(self.problem.residual(x), self._borders))
-
-    def _squares(self, part: Array) -> float:
+    def _parts(self, x: Array) -> tuple[NDArray[np.int64], Array]:
+        """Count the outputs that share a noise scale, and sum their squares."""
+        parts = np.split(self.problem.residual(x), self._borders)
         # a recording without noise has rounding for residuals
-        return max(float(part @ part), self.problem.rounding, 1e-300)
-
-    def _weights(self, x: Array) -> Array:
-        """One over the noise scale of each output, times a constant."""
-        if not self._borders.size:
-            return np.ones(self.problem.measured.size)
-        parts = self._parts(x)
-        scales = np.array([np.sqrt(self._squares(part) / part.size) for part in parts])
-        return np.repeat(scales.min() / scales, [part.size for part in parts])
+        least = max(self.problem.rounding, 1e-300)
+        squares = np.array([max(float(part @ part), least) for part in parts])
+        return np.array([part.size for part in parts]), squares
 
 
 def _walk(search: _Search, name: str, grid: Array, best: _Point) -> list[_Point]:
     """Fit at every value of a grid, from the one nearest to the best fit to both sides."""
-    column = search.problem.chain.names.index(name)
-    nearest = int(np.argmin(np.abs(grid - best.values[column])))
+    chain = search.problem.chain
+    nearest = int(np.argmin(np.abs(grid - best.values[chain.names.index(name)])))
     points: dict[int, _Point] = {}
     for order in (range(nearest, grid.size), range(nearest - 1, -1, -1)):
         before = best if order.start == nearest else points[nearest]
         for k in order:
             search.hold(name, float(grid[k]))
             begin = max(
-                _neighbours(search.problem.chain, name, before.values, float(grid[k])),
+                _neighbours(chain, name, before.values, float(grid[k])),
                 key=lambda values: search.height(search.problem.inside(values)),
             )
             before = points[k] = search.fit(begin)

@@ -71,19 +71,11 @@ class Remedy:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One more recording, simulated at the estimate with the recordings' noise.
-
-    Attributes
-    ----------
-    kind, text
-        As in :class:`Remedy`.
-    information
-        ``(d, d)`` that its torque would add, in the local units.
-    """
+    """One more recording, simulated at the estimate with the recordings' noise."""
 
     kind: RemedyKind
     text: Statement
-    information: Array
+    information: Array  # (d, d) that its torque would add, in the local units
 
 
 def open_counts(information: Array) -> tuple[int, int]:
@@ -106,18 +98,8 @@ def trials(
 ) -> list[Trial]:
     """Simulate the recordings that could help here.
 
-    Parameters
-    ----------
-    target
-        Likelihood, priors and noise.
-    parameters
-        ``(d,)`` the estimate, noise scales last.
-    local
-        Of the target there.
-    coverage
-        Of the recordings, which decides what is worth trying.
-    rare
-        Whether the load may hardly ever have driven the motor.
+    At the estimate ``(d,)``, noise scales last. What is worth trying, the ``coverage`` of the
+    recordings there are decides, and whether the load drove the motor ``rare``-ly.
     """
     chain, observations = target.likelihood.chain, target.likelihood.observations
     values = target.chain_values(parameters[None])[0]
@@ -160,7 +142,7 @@ def trials(
             recording = played(chain, values, base, torque, mass, radius)
         except ValueError:
             continue  # the joint cannot be simulated, or would stand still: nothing to propose
-        rows = scaled_jacobian(target, recording, values, local.units, noise)
+        rows = scaled_jacobian(target, recording, values, local, noise)
         gained = rows.T @ rows
         if np.isfinite(gained).all():
             found.append(Trial(kind, text, gained))
@@ -168,22 +150,10 @@ def trials(
 
 
 def remedies(local: LocalInformation, row: Array, tried: Sequence[Trial]) -> tuple[Remedy, ...]:
-    """Find what lifts one direction.
+    """Find what lifts one direction ``(d,)`` in the local units, known values first.
 
-    Parameters
-    ----------
-    local
-        Of the target at the estimate.
-    row
-        ``(d,)`` the direction in the local units.
-    tried
-        From :func:`trials`.
-
-    Returns
-    -------
-    tuple of Remedy
-        Known values first. A recording is only named if it leaves less than
-        :data:`WEAK` along the direction and half of what was left before.
+    A recording is only named if it leaves less than :data:`WEAK` along the direction and half of
+    what was left before.
     """
     information = local.information
     before = left_along(information, row)

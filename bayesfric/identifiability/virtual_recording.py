@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.estimates.torque import torque_jacobian
+from bayesfric.identifiability.local import LocalUnits, torque_changes
 from bayesfric.inference.likelihood.residual_noise import Autoregressive, ResidualNoise
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.moments.residual_moments import follows
@@ -44,20 +44,10 @@ def sample_period(observation: Observation) -> float:
 
 
 def known_mass(chain: Chain, values: Array) -> tuple[float, float]:
-    """Choose a mass and a radius about as heavy as the load itself, rounded.
+    """Choose a mass, kg, and a radius, m, about as heavy as the load itself, rounded.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    values
-        ``(n_parameters,)``.
-
-    Returns
-    -------
-    tuple of float
-        kg and m, whose inertia and first moment come to those of the load where it has both
-        and is not too heavy; where it has neither, to the inertia of the whole.
+    Their inertia and first moment come to those of the load where it has both and is not too
+    heavy; where it has neither, to the inertia of the whole. ``values`` ``(n_parameters,)``.
     """
     of = dict(zip(chain.names, values.tolist(), strict=True))
     inertia, moment = of.get("load.inertia", 0.0), of.get("load.first_moment", 0.0)
@@ -124,35 +114,14 @@ def torque_noise(target: Target, parameters: Array, number: int) -> TorqueNoise:
 
 
 def scaled_jacobian(
-    target: Target, observation: Observation, values: Array, units: Array, noise: TorqueNoise
+    target: Target, observation: Observation, values: Array, at: LocalUnits, noise: TorqueNoise
 ) -> Array:
-    """Differentiate a recording's filtered torque over its noise by the free parameters.
+    """Differentiate a recording's filtered torque over its noise, ``(n_outputs, k)`` per unit.
 
-    Its square is the recording's Fisher information.
-
-    Parameters
-    ----------
-    target
-        Says which parameters are free.
-    observation
-        The recording; none of the target's, maybe.
-    values
-        ``(n_parameters,)`` in the order of the chain's names.
-    units
-        ``(k,)`` of the free parameters: what counts as a change of one.
-    noise
-        Of the filtered output.
-
-    Returns
-    -------
-    ndarray
-        ``(n_outputs, k)``, in units.
+    Its square is the recording's Fisher information. The recording may be none of the target's;
+    ``values`` ``(n_parameters,)`` are the chain's.
     """
-    chain = target.likelihood.chain
-    columns = [chain.names.index(name) for name in target.free]
-    steps = np.zeros(values.size)
-    steps[columns] = 1e-6 * units
-    jacobian = torque_jacobian(chain, [observation], values, steps)[:, columns] * units
+    jacobian = torque_changes(target.likelihood.chain, [observation], values, at) * at.units
     return noise.whitened(jacobian.T, observation).T
 
 

@@ -1,5 +1,6 @@
 """What recordings can tell, where theory says so: simulated knee, Table 3 of the paper."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -152,6 +153,17 @@ def test_with_a_sine_the_load_never_drives(sine):
     assert rows["gearbox.load_back"].expected_sd == pytest.approx(
         rows["gearbox.load_back"].prior_sd, rel=1e-6
     )
+
+
+def test_a_table_says_by_parameter_what_determines_it_and_json_holds_no_infinity(sine):
+    frame = sine.frame
+    assert list(frame.index) == [one.name for one in sine.parameters]
+    assert frame.loc["gearbox.load_back", "verdict"] == "prior"
+    assert set(frame.loc["load.inertia", "open_with"].split(", ")) >= set(SCALED) - {"load.inertia"}
+    assert "load.inertia" in sine._repr_html_()
+    told = json.loads(json.dumps(sine.as_json(), allow_nan=False))
+    assert told["parameters"]["gearbox.load_back"]["data_sd"] is None
+    assert all(isinstance(text, str) for one in told["directions"] for text in one["reasons"])
 
 
 def test_where_the_picture_changes_it_is_said(sine):
