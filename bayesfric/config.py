@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -19,8 +19,9 @@ from bayesfric.errors import BadInput
 from bayesfric.estimates.options import Estimation, Reference
 from bayesfric.identifiability.options import AdviceOptions
 from bayesfric.inference.likelihood.likelihood import LikelihoodMethod
-from bayesfric.inference.likelihood.noise_choice import MOST
-from bayesfric.inference.prior.noise import NoiseScale
+from bayesfric.inference.noise import NOISE_MODELS
+from bayesfric.inference.noise.autoregressive import MOST
+from bayesfric.inference.noise.scale import NoiseScale
 from bayesfric.inference.prior.priors import PriorText
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.experiment import Simulation
@@ -28,6 +29,11 @@ from bayesfric.mechanism.options import MechanismOptions
 from bayesfric.recordings.held_out import Validation
 from bayesfric.recordings.options import Processing, Source
 from bayesfric.recordings.recording import Recording
+
+if TYPE_CHECKING:
+    NoiseName = str
+else:
+    NoiseName = Literal[tuple(NOISE_MODELS)]
 
 # What a configuration is called in a run directory.
 RUN_CONFIG = "config.toml"
@@ -46,7 +52,7 @@ class NoiseOptions(BaseModel):
     scale: NoiseScale = Field(
         "per-recording", description="one noise scale for each recording, or one shared by all"
     )
-    model: Literal["auto", "white", "autoregressive", "student-t"] = Field(
+    model: NoiseName = Field(
         "auto",
         description="of torque residuals; auto is autoregressive with the order that the "
         "residuals of the estimate ask for, white where they ask for none",

@@ -9,6 +9,7 @@ import numpy as np
 
 from bayesfric.commands.problem import Problem
 from bayesfric.estimates.least_squares import least_squares
+from bayesfric.inference.noise import SCALES
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.recording import Recording
 from bayesfric.report.alerts import DOUBTS
@@ -25,6 +26,7 @@ def check(problem: Problem) -> dict[str, Any]:
     """
     with problem.config.named():
         totals = least_squares(problem.chain, problem.observations)
+    unsettled = {f"noise.{scale.name}" for scale in SCALES.values() if scale.chosen}
     return {
         "config": str(problem.config.path),
         "mechanism": {
@@ -51,7 +53,7 @@ def check(problem: Problem) -> dict[str, Any]:
             name: {"prior": prior.text, "default": prior.default}
             for name, prior in problem.priors.items()
             # whether the noise remembers, the residuals of an estimate will say
-            if not (name.startswith("noise.pacf_") and prior.default)
+            if not (prior.default and name in unsettled)
         },
         "doubts": doubts_before(totals, problem.observations),
         "least_squares": {

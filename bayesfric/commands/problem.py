@@ -16,10 +16,12 @@ from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian
 from bayesfric.inference.fit import make_target, read_priors, target_of
-from bayesfric.inference.likelihood.noise_choice import MOST, Choice, choose_order
+from bayesfric.inference.likelihood.noise_choice import Choice, choose_order
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
-from bayesfric.inference.likelihood.residual_noise import Autoregressive, ResidualNoise, StudentT
 from bayesfric.inference.moments.residual_moments import follows
+from bayesfric.inference.noise import NOISE_MODELS
+from bayesfric.inference.noise.autoregressive import MOST
+from bayesfric.inference.noise.residual_noise import ResidualNoise
 from bayesfric.inference.prior.priors import Prior
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.chain import Chain
@@ -141,8 +143,7 @@ class Problem:
     @property
     def _chooses_noise(self) -> bool:
         tables = self.config.tables
-        noise = tables.noise
-        wanted = noise.model == "auto" or (noise.model == "autoregressive" and noise.order is None)
+        wanted = NOISE_MODELS[tables.noise.model].chooses(tables.noise.order)
         return wanted and tables.likelihood.method == "input-error"
 
     def _noise(self, choice: Choice | None) -> ResidualNoise:
@@ -247,18 +248,17 @@ def _noise_quantities(config: Config) -> tuple[str, ...]:
     """Noise scales that may have a prior."""
     tables = config.tables
     if tables.likelihood.method == "output-error":
-        return PositionLikelihood.noise_quantities
+        return PositionLikelihood.noise.quantities
     noise = tables.noise
-    if noise.order is not None and noise.model in ("white", "student-t"):
+    if noise.order is not None and NOISE_MODELS[noise.model].order == "none":
         raise BadInput("noise.order", f"{noise.model} noise has none", "leave it out")
     return _residual_noise(noise, MOST).quantities
 
 
 def _residual_noise(noise: NoiseOptions, chosen: int) -> ResidualNoise:
     """Make the noise that a configuration asks for; of order ``chosen`` where it names none."""
-    if noise.model == "student-t":
-        return StudentT()
-    return Autoregressive(0 if noise.model == "white" else noise.order or chosen)
+    model = NOISE_MODELS[noise.model]
+    return model.make(0 if model.order == "none" else noise.order or chosen)
 
 
 def _changed_since(recording: Recording, origin: Origin) -> Recording:

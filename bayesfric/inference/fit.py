@@ -13,12 +13,13 @@ from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.estimate import Estimate
 from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.inference.likelihood.likelihood import Likelihood
-from bayesfric.inference.likelihood.residual_noise import ResidualNoise
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.noise import SCALES
+from bayesfric.inference.noise.residual_noise import ResidualNoise
+from bayesfric.inference.noise.scale import NoiseScale, noise_of
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.predictive import Prediction
-from bayesfric.inference.prior.defaults import default_noise_prior, default_prior, measured_scales
-from bayesfric.inference.prior.noise import NoiseScale, noise_model, support
+from bayesfric.inference.prior.defaults import default_prior, measured_scales
 from bayesfric.inference.prior.priors import Prior, PriorText, read_prior
 from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Progress, Sampling, sample
@@ -146,12 +147,8 @@ def read_priors(
         else default_prior(chain, p, scales)
         for p in chain.parameters
     }
-    for name, (low, high) in zip(noises, map(support, noise), strict=True):
-        priors[name] = (
-            read_prior(name, texts[name], lower=low, upper=high)
-            if name in texts
-            else default_noise_prior(name, scales)
-        )
+    for name, quantity in zip(noises, noise, strict=True):
+        priors[name] = SCALES[quantity].read_prior(texts, scales)
         if priors[name].fixed:
             raise BadInput(f"priors.{name}", "cannot be fixed", "give a narrow range instead")
     if all(priors[name].fixed for name in chain.names):
@@ -181,7 +178,7 @@ def target_of(
     ``priors`` is what :func:`read_priors` gives for the likelihood's noise scales.
     """
     recordings = [o.name for o in likelihood.observations]
-    noise = noise_model(recordings, likelihood.noise_quantities, priors, noise_scale)
+    noise = noise_of(recordings, likelihood.noise.scales, priors, noise_scale)
     return Target(likelihood, priors, noise)
 
 
@@ -398,7 +395,7 @@ def _noise_starts(target: Target, size: float) -> NDArray[np.float64]:
     likelihood = target.likelihood
     assert isinstance(likelihood, TorqueLikelihood)
     starts = likelihood.noise.starts(size)
-    columns = [likelihood.noise_quantities.index(kind) for kind in target.noise.quantities]
+    columns = [likelihood.noise.quantities.index(kind) for kind in target.noise.quantities]
     return np.asarray(starts[:, columns])
 
 

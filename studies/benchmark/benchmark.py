@@ -31,8 +31,8 @@ from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import least_squares
 from bayesfric.estimates.options import Estimation
 from bayesfric.inference.fit import fit, target_of
-from bayesfric.inference.likelihood.residual_noise import Autoregressive
 from bayesfric.inference.moments.fast_moments import fast_moments
+from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.inference.prior.priors import read_prior
 from bayesfric.inference.sampling.sampling import Progress, Sampling
 from bayesfric.inference.target import Target

@@ -9,6 +9,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesfric.inference.noise.scale import NoiseDescription
 from bayesfric.mechanism.chain import Chain
 from bayesfric.recordings.observation import Observation
 
@@ -52,14 +53,18 @@ class Likelihood(Protocol):
     """How probable the measurements are, given the joint's parameters.
 
     Noise scales are handed over as ``(n, R, Q)``: vectors, recordings, and the
-    quantities named by ``noise_quantities``.
+    :attr:`noise`'s own.
     """
 
     chain: Chain
     observations: tuple[Observation, ...]
     outputs: tuple[Outputs, ...]
     method: LikelihoodMethod
-    noise_quantities: tuple[str, ...]
+
+    @property
+    def noise(self) -> NoiseDescription:
+        """What it takes for noise."""
+        ...
 
     def about(self, values: Array) -> Likelihood:
         """Give the same likelihood with its approximations made near ``(n_parameters,)``."""

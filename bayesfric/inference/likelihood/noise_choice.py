@@ -24,13 +24,11 @@ from bayesfric.inference.likelihood.autoregression import (
     variances,
     whitened,
 )
-from bayesfric.inference.prior.noise import MEMORY
+from bayesfric.inference.noise.autoregressive import MEMORY, MOST
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-# Longest memory that is tried.
-MOST = 4
 # Correlations that the test of what is left looks at, beyond those fitted.
 _LAGS = 10
 # What a memory must gain over none: less is hardly evidence (Kass and Raftery, JASA 90, 1995).

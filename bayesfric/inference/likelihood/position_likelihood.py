@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
 from bayesfric.inference.likelihood.likelihood import LikelihoodMethod, Outputs, normal_terms
+from bayesfric.inference.noise.position import PositionNoise
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.recordings.observation import Observation
@@ -98,7 +99,7 @@ class PositionLikelihood:
     """
 
     method: LikelihoodMethod = "output-error"
-    noise_quantities: tuple[str, ...] = ("torque", "position")
+    noise = PositionNoise()
 
     def __init__(
         self,

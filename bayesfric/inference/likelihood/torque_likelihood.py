@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.inference.likelihood.likelihood import LikelihoodMethod, Outputs
-from bayesfric.inference.likelihood.residual_noise import Autoregressive, ResidualNoise
 from bayesfric.inference.moments.fast_moments import FastMoments, fast_moments
 from bayesfric.inference.moments.residual_moments import PlainMoments, ResidualMoments, follows
+from bayesfric.inference.noise.autoregressive import Autoregressive
+from bayesfric.inference.noise.residual_noise import ResidualNoise
 from bayesfric.mechanism.chain import Chain
 from bayesfric.recordings.observation import Observation
 
@@ -64,7 +65,6 @@ class TorqueLikelihood:
         )
         self.sizes = np.array([o.measured.size for o in self.observations])
         self.noise: ResidualNoise = Autoregressive() if noise is None else noise
-        self.noise_quantities = self.noise.quantities
         self._plain = PlainMoments(chain, self.observations, self.noise.order)
         # sample by sample; see :meth:`prepared`
         self.moments: ResidualMoments = self._plain

@@ -15,6 +15,7 @@ from typing import Any
 
 import bayesfric
 from bayesfric.inference.fit import Fit
+from bayesfric.inference.noise import SCALES
 from bayesfric.mechanism.element import Element
 from bayesfric.mechanism.parameter import effort_words
 from bayesfric.recordings.observation import Observation
@@ -230,10 +231,9 @@ def _likelihood(fit: Fit, summary: Mapping[str, Any]) -> Iterator[str]:
             f"The order of its memory was chosen from {min(orders)} to {max(orders)} by the "
             "Bayesian information criterion."
         )
-    if any(kind.startswith("pacf_") for kind in noise.quantities):
-        yield "Its coefficients are told by partial autocorrelations [@barndorff1973]."
-    if "dof" in noise.quantities:
-        yield "The degrees of freedom of its Student-t have the prior of [@juarez2010]."
+    yield from dict.fromkeys(
+        SCALES[kind].remark for kind in noise.quantities if SCALES[kind].remark
+    )
     if (lag := summary["noise"].get("residual_lag1")) is not None:
         yield f"The residuals' lag-1 correlation is {lag:.2f}."
     test = summary["noise"].get("innovation_whiteness")

@@ -21,7 +21,7 @@ from bayesfric.inference.fit import Fit
 from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
-from bayesfric.inference.prior.noise import support
+from bayesfric.inference.noise import SCALES
 from bayesfric.mechanism.derived import Derived, derive
 from bayesfric.mechanism.parameter import TURN
 from bayesfric.report.summary.bounds import bound_warning
@@ -238,7 +238,7 @@ def _parameters(fit: Fit, flat: Array, local: LocalInformation) -> dict[str, Any
     noise = fit.target.noise
     for name, symbol, quantity in zip(noise.names, noise.symbols, noise.quantities, strict=True):
         described[name] = (noise_unit(fit, quantity), symbol, noise_meaning(fit, quantity))
-        possible[name] = support(quantity)
+        possible[name] = (SCALES[quantity].lower, SCALES[quantity].upper)
     rows = {}
     moved_by = influence(fit)
     sound = d.sound(d.rhat, d.ess)

@@ -1,21 +1,16 @@
-"""What residuals of the motor torque are: white, autoregressive, or white with outliers.
-
-Each model has scales, ``(n, R, Q)``, ``sigma`` first, as
-:class:`bayesfric.inference.likelihood.likelihood.Likelihood` hands them over.
-"""
+"""White and autoregressive noise of torque residuals."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy import stats
 from scipy.linalg import toeplitz
-from scipy.special import gammaln, polygamma
 
 from bayesfric.inference.likelihood.autoregression import (
     ages,
@@ -26,90 +21,41 @@ from bayesfric.inference.likelihood.autoregression import (
     whitened,
 )
 from bayesfric.inference.moments.residual_moments import Moments, PlainMoments, ResidualMoments
+from bayesfric.inference.noise.residual_noise import SIGMA, NoiseModel, ResidualNoise
+from bayesfric.inference.noise.scale import Scale
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 _LOG_2PI = math.log(2.0 * math.pi)
+# Largest partial autocorrelation that the package takes for noise by itself. What remembers more
+# in a band that the motion fills is no noise but something the model lacks: a memory beyond
+# would take all that is slow for noise, the motion's own effects among it.
+MEMORY = 0.95
+# Longest memory that is tried where none is told.
+MOST = 4
+_INNOVATION = replace(
+    SIGMA, meaning="sd of the noise's innovations, what its memory does not foretell"
+)
 
 
-class ResidualNoise(Protocol):
-    """A noise model of torque residuals."""
-
-    @property
-    def quantities(self) -> tuple[str, ...]:
-        """Names of its scales."""
-        ...
-
-    @property
-    def order(self) -> int:
-        """Predecessors of a residual that tell something of it."""
-        ...
-
-    @property
-    def description(self) -> str:
-        """In words, for the record."""
-        ...
-
-    @property
-    def gaussian(self) -> bool:
-        """Whether lagged products of residuals are all that the density asks for."""
-        ...
-
-    def log_density_of(
-        self, plain: PlainMoments, moments: ResidualMoments, values: Array, scales: Array
-    ) -> Array:
-        """Log density of all residuals of parameter vectors, ``(n,)``.
-
-        Parameters
-        ----------
-        plain, moments
-            What goes through every sample, and what computes the same moments faster.
-        values
-            ``(n, n_parameters)``
-        scales
-            ``(n, R, Q)``
-        """
-        ...
-
-    def standard(self, residual: Array, follows: Flags, scales: Array) -> tuple[Array, Array]:
-        """Turn residuals ``(..., M)`` into uncorrelated ones of variance one.
-
-        ``scales`` ``(Q,)``. Gives them and the ``(M,)`` sds they were divided by. It is
-        linear in the residuals.
-        """
-        ...
-
-    def log_terms(self, standard: Array, sds: Array, scales: Array) -> Array:
-        """Log densities of residuals, from what :meth:`standard` gives, ``(..., M)``."""
-        ...
-
-    def sd(self, scales: Array) -> float:
-        """Spread of one residual, ``scales`` ``(Q,)``; infinite where it has none."""
-        ...
-
-    def marginal(self, scales: Array) -> Any:
-        """SciPy's distribution of one residual by itself, of shape ``(n, 1)``.
-
-        ``scales`` ``(n, Q)``.
-        """
-        ...
-
-    def draw(self, follows: Flags, scales: Array, rng: np.random.Generator) -> Array:
-        """Draw residuals, one series for each row of ``scales`` ``(n, Q)``, ``(n, M)``."""
-        ...
-
-    def information(self, scales: Array, outputs: int) -> Array:
-        """Fisher information of ``scales`` ``(Q,)`` from so many outputs, ``(Q, Q)``."""
-        ...
-
-    def starts(self, sigma: float) -> Array:
-        """Scales to start a search from where residuals are ``sigma`` large, ``(k, Q)``."""
-        ...
+def _pacf(lag: int) -> Scale:
+    return Scale(
+        f"pacf_{lag}",
+        rf"\phi_{{{lag}{lag}}}",
+        f"partial autocorrelation of the noise at lag {lag}",
+        lambda _: [-MEMORY, MEMORY],
+        lower=-1.0,
+        upper=1.0,
+        unit="",
+        shared=True,
+        chosen=True,
+        remark="Its coefficients are told by partial autocorrelations [@barndorff1973].",
+    )
 
 
 @dataclass(frozen=True)
-class Autoregressive:
+class Autoregressive(ResidualNoise):
     """Gaussian noise in which a residual remembers ``order`` before it; white for none.
 
     ``sigma`` is the sd of the innovations, what the memory does not foretell;
@@ -117,12 +63,17 @@ class Autoregressive:
     """
 
     order: int = 0
-    gaussian: ClassVar[bool] = True
+    gaussian = True
 
     @property
-    def quantities(self) -> tuple[str, ...]:
-        """Names of the scales."""
-        return ("sigma", *(f"pacf_{k}" for k in range(1, self.order + 1)))
+    def scales(self) -> tuple[Scale, ...]:
+        """See :class:`ResidualNoise`."""
+        return (_INNOVATION if self.order else SIGMA, *(_pacf(k + 1) for k in range(self.order)))
+
+    @property
+    def accounts_for_correlation(self) -> bool:
+        """See :class:`ResidualNoise`."""
+        return self.order > 0
 
     @property
     def description(self) -> str:
@@ -219,89 +170,6 @@ class Autoregressive:
         return out
 
 
-@dataclass(frozen=True)
-class StudentT:
-    """Uncorrelated noise with outliers: Student's t with ``dof`` degrees of freedom.
-
-    ``sigma`` is its scale, the sd of the normal it comes close to for many degrees.
-    """
-
-    quantities: tuple[str, ...] = ("sigma", "dof")
-    order: int = 0
-    gaussian: ClassVar[bool] = False
-
-    @property
-    def description(self) -> str:
-        """In words, for the record."""
-        return "Student-t"
-
-    def log_density_of(
-        self,
-        plain: PlainMoments,
-        moments: ResidualMoments,  # noqa: ARG002
-        values: Array,
-        scales: Array,
-    ) -> Array:
-        """See :class:`ResidualNoise`; outliers have no moments to sum."""
-        return self.log_density(plain.student_terms(values, scales), plain.counts, scales)
-
-    def log_density(self, terms: Array, sizes: NDArray[np.int64], scales: Array) -> Array:
-        """Log density of all residuals, ``(n,)``.
-
-        Parameters
-        ----------
-        terms
-            ``(n, R)`` sums of ``log(1 + r²/(dof sigma²))``.
-        sizes
-            ``(R,)`` numbers of residuals.
-        scales
-            ``(n, R, 2)``
-        """
-        sigma, dof = scales[..., 0], scales[..., 1]
-        constant = gammaln((dof + 1.0) / 2.0) - gammaln(dof / 2.0) - 0.5 * np.log(dof * math.pi)
-        total = sizes * (constant - np.log(sigma)) - (dof + 1.0) / 2.0 * terms
-        return np.asarray(total.sum(axis=1))
-
-    def standard(self, residual: Array, follows: Flags, scales: Array) -> tuple[Array, Array]:
-        """See :class:`ResidualNoise`; of scale, not variance, one."""
-        return residual / scales[0], np.full(follows.size + 1, scales[0])
-
-    def log_terms(self, standard: Array, sds: Array, scales: Array) -> Array:
-        """See :class:`ResidualNoise`."""
-        dof = scales[1]
-        constant = gammaln((dof + 1.0) / 2.0) - gammaln(dof / 2.0) - 0.5 * math.log(dof * math.pi)
-        return np.asarray(constant - np.log(sds) - (dof + 1.0) / 2.0 * np.log1p(standard**2 / dof))
-
-    def sd(self, scales: Array) -> float:
-        """See :class:`ResidualNoise`."""
-        sigma, dof = scales
-        return float(sigma * math.sqrt(dof / (dof - 2.0))) if dof > 2.0 else math.inf
-
-    def marginal(self, scales: Array) -> Any:
-        """See :class:`ResidualNoise`."""
-        return stats.t(scales[:, 1:2], scale=scales[:, :1])
-
-    def draw(self, follows: Flags, scales: Array, rng: np.random.Generator) -> Array:
-        """See :class:`ResidualNoise`."""
-        n = len(scales)
-        return np.asarray(
-            scales[:, :1] * rng.standard_t(scales[:, 1:2], size=(n, follows.size + 1))
-        )
-
-    def information(self, scales: Array, outputs: int) -> Array:
-        """See :class:`ResidualNoise` (Lange, Little and Taylor, JASA 84, 1989, appendix B)."""
-        sigma, dof = scales
-        scale = 2.0 * dof / ((dof + 3.0) * sigma**2)
-        both = -2.0 / (sigma * (dof + 1.0) * (dof + 3.0))
-        degrees = polygamma(1, dof / 2.0) - polygamma(1, (dof + 1.0) / 2.0)
-        degrees = 0.25 * (degrees - 2.0 * (dof + 5.0) / (dof * (dof + 1.0) * (dof + 3.0)))
-        return outputs * np.array([[scale, both], [both, float(degrees)]])
-
-    def starts(self, sigma: float) -> Array:
-        """See :class:`ResidualNoise`."""
-        return np.array([[sigma, 10.0], [0.5 * sigma, 3.0]])
-
-
 @njit(cache=True)
 def _form(coefficients: Array, k: int, products: Array, reverse: bool) -> float:
     """Sum of squares of what a predictor from ``k`` predecessors leaves."""
@@ -354,3 +222,11 @@ def _log_density(
                 squares / sigma**2 + logs + outputs * (2.0 * math.log(sigma) + _LOG_2PI)
             )
     return out
+
+
+SCALES = (SIGMA, *(_pacf(lag) for lag in range(1, 10)))
+MODELS = (
+    NoiseModel("auto", Autoregressive, order="chosen"),
+    NoiseModel("white", Autoregressive),
+    NoiseModel("autoregressive", Autoregressive, order="given or chosen"),
+)
