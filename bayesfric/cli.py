@@ -16,6 +16,7 @@ import typer
 
 import bayesfric
 from bayesfric.errors import BadInput, Interrupted
+from bayesfric.estimates.methods import ESTIMATORS
 
 if TYPE_CHECKING:
     from bayesfric.inference.sampling.sampling import Progress
@@ -103,32 +104,28 @@ def check(config: ConfigFile, as_json: AsJson = False) -> None:
     _print(found, as_json, check_text(found))
 
 
-class MethodChoice(StrEnum):
-    """What ``--method`` takes."""
-
-    least_squares = "least-squares"
-    input_error = "input-error"
-    output_error = "output-error"
-    all = "all"
+if TYPE_CHECKING:
+    MethodChoice = str
+    _ALL = "all"
+else:
+    MethodChoice = StrEnum("MethodChoice", {name: name for name in (*ESTIMATORS, "all")})
+    _ALL = MethodChoice("all")
 
 
 @app.command()
 def estimate(
     config: ConfigFile,
-    method: Annotated[
-        MethodChoice, typer.Option(help="which of the paper's methods")
-    ] = MethodChoice.all,
+    method: Annotated[MethodChoice, typer.Option(help="which of the paper's methods")] = _ALL,
     as_json: AsJson = False,
 ) -> None:
     """Point estimates by the paper's methods, with standard deviations."""
     from bayesfric.commands.estimate import estimate_record, estimate_text, estimates
     from bayesfric.commands.problem import read_problem
     from bayesfric.config import read_config
-    from bayesfric.estimates.estimate import METHODS
     from bayesfric.inference.sampling.sampling import phase
 
     problem = read_problem(read_config(config))
-    wanted = [name for name in METHODS if method in (MethodChoice.all, name)]
+    wanted = [name for name in ESTIMATORS if method in ("all", name)]
     with _progress_bar() as progress:
         found = estimates(problem, wanted, progress=lambda name: progress(phase(name)))
     _print(estimate_record(found, problem), as_json, estimate_text(found, problem))

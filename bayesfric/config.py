@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from bayesfric.complaints import complaint, complaint_of
 from bayesfric.errors import BadInput
-from bayesfric.estimates.options import Estimation, Reference
+from bayesfric.estimates.estimation import Estimation, Reference
 from bayesfric.identifiability.options import AdviceOptions
 from bayesfric.inference.likelihood.likelihood import LikelihoodMethod
 from bayesfric.inference.noise import NOISE_MODELS

@@ -3,72 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from bayesfric.commands.problem import Problem
 from bayesfric.errors import BadInput
-from bayesfric.estimates.estimate import METHODS, Estimate, Method
-from bayesfric.estimates.input_error import input_error
-from bayesfric.estimates.least_squares import least_squares
-from bayesfric.estimates.options import Estimation
-from bayesfric.estimates.output_error import output_error
-from bayesfric.inference.beforehand import beforehand
-from bayesfric.recordings.trajectory import trajectory
+from bayesfric.estimates.estimate import METHODS, Estimate
+from bayesfric.estimates.methods import ESTIMATORS, estimate_by
 from bayesfric.report.summary.summary import estimate_summary
 
 
 def estimates(
     problem: Problem,
-    methods: Sequence[Method] = METHODS,
+    methods: Sequence[str] = METHODS,
     *,
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[Estimate]:
     """Estimate a problem's parameters by one or more methods.
 
-    Parameters
-    ----------
-    problem
-        From :func:`bayesfric.commands.problem.read_problem`.
-    methods
-        Which; the output error starts from the input error's result.
-    progress
-        Called with the name of each method before it begins.
+    ``progress`` is called with the name of each method before it begins.
 
     Raises
     ------
     BadInput
         If a method cannot be used with these recordings.
     """
-    chain, observations = problem.chain, problem.observations
-    options = problem.config.tables.estimation
-    knowledge = beforehand(chain, problem.priors)
-    found: list[Estimate] = []
     with problem.config.named():
-        if "least-squares" in methods:
-            progress("least-squares")
-            found.append(least_squares(chain, observations))
-        if "input-error" in methods or "output-error" in methods:
-            progress("input-error")
-            direct = input_error(chain, observations, knowledge, options)
-            if "input-error" in methods:
-                found.append(direct)
-            if "output-error" in methods:
-                found.append(_output_error(problem, direct, options, progress))
-    return found
-
-
-def _output_error(
-    problem: Problem, start: Estimate, options: Estimation, progress: Callable[[str], None]
-) -> Estimate:
-    progress("output-error")
-    whole = [
-        trajectory(recording, observation, np.inf)
-        for recording, observation in zip(problem.recordings, problem.observations, strict=True)
-    ]
-    knowledge = beforehand(problem.chain, problem.priors)
-    return output_error(problem.chain, whole, problem.observations, knowledge, options, start)
+        return list(estimate_by(methods, problem.given(), progress=progress).values())
 
 
 def estimates_beside(
@@ -76,21 +39,26 @@ def estimates_beside(
 ) -> tuple[list[Estimate], list[str]]:
     """Estimate what stands beside a posterior, with a sentence for what cannot be had.
 
-    The output error simulates. It is asked for, or its likelihood needs a place to start from:
+    An estimate that simulates is asked for, or the likelihood needs it as a place to start from:
     then however long it takes, as sampling that goes on later must start from the same place.
     A mechanism that cannot be simulated still has a posterior of the torque.
     """
     tables = problem.config.tables
-    options = tables.estimation
-    found = estimates(problem, ("least-squares", "input-error"), progress=progress)
-    if tables.likelihood.method == "output-error":
-        options = options.model_copy(update={"max_seconds": np.inf})
-    elif not (simulate or options.output_error):
-        return found, []
-    try:
-        return [*found, _output_error(problem, found[-1], options, progress)], []
-    except BadInput as error:
-        return found, [f"no output-error estimate: {error.what}"]
+    given = problem.given()
+    simulating = [one.name for one in ESTIMATORS.values() if one.simulates]
+    plain = [name for name in METHODS if name not in simulating]
+    found = {e.method: e for e in estimates(problem, plain, progress=progress)}
+    if tables.likelihood.method in simulating:
+        given = replace(given, options=given.options.model_copy(update={"max_seconds": np.inf}))
+    elif not (simulate or tables.estimation.output_error):
+        simulating = []
+    missing = []
+    for name in simulating:
+        try:
+            found |= estimate_by([name], given, found, progress=progress)
+        except BadInput as error:
+            missing.append(f"no {name} estimate: {error.what}")
+    return list(found.values()), missing
 
 
 def estimate_record(found: Sequence[Estimate], problem: Problem) -> dict[str, Any]:
@@ -106,7 +74,7 @@ def estimate_text(found: Sequence[Estimate], problem: Problem) -> Iterator[str]:
     """Word estimates for a person, line by line."""
     references = problem.references()
     for estimate in found:
-        yield _TITLES[estimate.method]
+        yield ESTIMATORS[estimate.method].title
         yield (
             f"  {estimate.n_outputs} residuals, rms {estimate.residual_rms:.4g} "
             f"{estimate.residual_unit}. {estimate.assumption}."
@@ -117,13 +85,6 @@ def estimate_text(found: Sequence[Estimate], problem: Problem) -> Iterator[str]:
         for note in estimate.notes:
             yield f"  {note}"
         yield ""
-
-
-_TITLES: dict[Method, str] = {
-    "least-squares": "Least squares, section 4.1, eq. (11): what the motor feels",
-    "input-error": "Direct minimisation of the input error, section 4.2",
-    "output-error": "Output error of a simulation (recursive identification), section 4.3",
-}
 
 
 def _row(v: Any, reference: dict[str, Any] | None, converged: bool) -> str:

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from bayesfric.commands.problem import Problem
 from bayesfric.estimates.descent import few_threads
-from bayesfric.estimates.input_error import input_error
-from bayesfric.estimates.output_error import output_error
+from bayesfric.estimates.methods import estimate_by
 from bayesfric.identifiability.identify import (
     Identification,
     OpenDirection,
@@ -24,9 +23,7 @@ from bayesfric.identifiability.local import LocalInformation, local_information
 from bayesfric.identifiability.plausible import Point, estimate_point, points_around
 from bayesfric.identifiability.remedies import HARDLY, WEAK
 from bayesfric.identifiability.words import capital, factor
-from bayesfric.inference.beforehand import beforehand
 from bayesfric.inference.target import Target
-from bayesfric.recordings.trajectory import trajectory
 
 Array = NDArray[np.float64]
 
@@ -303,27 +300,19 @@ def _estimate(problem: Problem, progress: Callable[[str], None]) -> dict[str, fl
     does, and an estimate by the data alone ends in a corner: a gearbox that cannot be driven
     back at all. What the data do tell outweighs these priors by far.
     """
-    tables = problem.config.tables
-    chain, observations = problem.chain, problem.observations
-    known = beforehand(chain, problem.priors)
+    method = problem.config.tables.likelihood.method
+    given = problem.given()
     losses = {
         name: (prior.mean(), prior.sd())
-        for element in chain.elements
+        for element in problem.chain.elements
         for name in (f"{element.name}.load_drive", f"{element.name}.load_back")
         if (prior := problem.priors.get(name)) is not None and not prior.fixed
     }
     finite = {name: pair for name, pair in losses.items() if np.isfinite(pair).all()}
-    knowledge = replace(known, told={**finite, **known.told})
-    progress("input-error estimate")
-    found = input_error(chain, observations, knowledge, tables.estimation)
-    if tables.likelihood.method == "output-error":
-        progress("output-error estimate")
-        whole = [
-            trajectory(recording, observation, np.inf)
-            for recording, observation in zip(problem.recordings, observations, strict=True)
-        ]
-        found = output_error(chain, whole, observations, knowledge, tables.estimation, found)
-    return dict(found.point)
+    knowledge = replace(given.knowledge, told={**finite, **given.knowledge.told})
+    given = replace(given, knowledge=knowledge)
+    found = estimate_by([method], given, progress=lambda name: progress(f"{name} estimate"))
+    return dict(found[method].point)
 
 
 def _headline(null: int, weak: int, recordings: int) -> str:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from bayesfric.config import Config, NoiseOptions, Origin
 from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.least_squares import TotalsProjection
+from bayesfric.estimates.methods import Given
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian
 from bayesfric.inference.fit import make_target, read_priors, target_of
 from bayesfric.inference.likelihood.noise_choice import Choice, choose_order
@@ -22,6 +23,7 @@ from bayesfric.inference.moments.residual_moments import follows
 from bayesfric.inference.noise import NOISE_MODELS
 from bayesfric.inference.noise.autoregressive import MOST
 from bayesfric.inference.noise.residual_noise import ResidualNoise
+from bayesfric.inference.prior.as_knowledge import as_knowledge
 from bayesfric.inference.prior.priors import Prior
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.chain import Chain
@@ -31,7 +33,7 @@ from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.options import Source
 from bayesfric.recordings.read import read_recordings
 from bayesfric.recordings.recording import Recording
-from bayesfric.recordings.trajectory import trajectory
+from bayesfric.recordings.trajectory import Trajectory, trajectory
 
 
 @dataclass(frozen=True)
@@ -97,10 +99,7 @@ class Problem:
         with self.config.named():
             likelihood = PositionLikelihood(
                 self.chain,
-                [
-                    trajectory(r, o, tables.likelihood.segment)
-                    for r, o in zip(self.recordings, self.observations, strict=True)
-                ],
+                self.trajectories(tables.likelihood.segment),
                 self.observations,
                 self.chain.vector(point),
             )
@@ -148,6 +147,23 @@ class Problem:
 
     def _noise(self, choice: Choice | None) -> ResidualNoise:
         return _residual_noise(self.config.tables.noise, choice.order if choice else 0)
+
+    def trajectories(self, segment: float = np.inf) -> list[Trajectory]:
+        """Make what a simulation needs of the recordings, cut after ``segment`` seconds."""
+        return [
+            trajectory(r, o, segment)
+            for r, o in zip(self.recordings, self.observations, strict=True)
+        ]
+
+    def given(self) -> Given:
+        """Put together what point estimates are made from."""
+        return Given(
+            self.chain,
+            self.observations,
+            as_knowledge(self.chain, self.priors),
+            self.config.tables.estimation,
+            self.trajectories,
+        )
 
     def references(self) -> dict[str, dict[str, Any]]:
         """Values to compare with, by name of what they are of.

@@ -20,10 +20,10 @@ from bayesfric.estimates.assemble import (
 )
 from bayesfric.estimates.descent import ROUNDING, Found, Terms, TorqueProblem, descend, few_threads
 from bayesfric.estimates.estimate import Estimate
+from bayesfric.estimates.estimation import Estimation
+from bayesfric.estimates.huber import HUBER, robust_sd
 from bayesfric.estimates.information import CORRELATED, Information, lag_one
 from bayesfric.estimates.knowledge import Knowledge
-from bayesfric.estimates.options import Estimation
-from bayesfric.estimates.robust import HUBER, robust_sd
 from bayesfric.estimates.torque import places
 from bayesfric.estimates.torque_form import scale_known, torque_form
 from bayesfric.estimates.variable_projection import VariableProjection

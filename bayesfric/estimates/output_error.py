@@ -19,11 +19,11 @@ from bayesfric.estimates.assemble import (
     units_of,
 )
 from bayesfric.estimates.estimate import Estimate
+from bayesfric.estimates.estimation import Estimation
+from bayesfric.estimates.huber import HUBER, robust_sd
 from bayesfric.estimates.information import LEAST_GROUPS, Information
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import least_squares, starting_values
-from bayesfric.estimates.options import Estimation
-from bayesfric.estimates.robust import HUBER, robust_sd
 from bayesfric.estimates.shooting import Shooting, choose_substeps, resolution, step_error
 from bayesfric.estimates.shooting_fit import (
     Frame,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.estimate import Estimate
 from bayesfric.estimates.least_squares import least_squares, starting_values
+from bayesfric.estimates.methods import ESTIMATORS
 from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.noise import SCALES
@@ -217,7 +218,8 @@ def fit(
     progress(Progress("searching the mode", 0, float("nan"), float("nan")))
     rng = np.random.default_rng(np.random.SeedSequence(sampling.seed, spawn_key=(2**31,)))
     # what only stands beside the posterior, and may be cut off by the clock, must not move it
-    begin = [e for e in estimates if e.method != "output-error" or e.method == likelihood.method]
+    beside = {one.name for one in ESTIMATORS.values() if one.simulates} - {likelihood.method}
+    begin = [e for e in estimates if e.method not in beside]
     points = _points(target, begin)
     target = target.uncut_at(points[0])
     prior_draws = np.stack([prior.draw(500, rng) for prior in target.priors], axis=1)

@@ -26,10 +26,10 @@ import numpy as np
 import problem
 from run_rivals import disagreement, run_rivals
 
+from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import least_squares
-from bayesfric.estimates.options import Estimation
 from bayesfric.inference.fit import fit, target_of
 from bayesfric.inference.moments.fast_moments import fast_moments
 from bayesfric.inference.noise.autoregressive import Autoregressive

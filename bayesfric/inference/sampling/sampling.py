@@ -32,10 +32,10 @@ from bayesfric.inference.sampling.moves import (
     LearningMove,
     SurrogateMove,
 )
-from bayesfric.inference.sampling.no_number import beside_posterior, complaint
 from bayesfric.inference.sampling.proposal import Proposal
 from bayesfric.inference.sampling.start import Start
 from bayesfric.inference.sampling.surrogate import Surrogate
+from bayesfric.inference.sampling.undefined_likelihood import beside_posterior, complaint
 from bayesfric.inference.target import Target
 
 Array = NDArray[np.float64]

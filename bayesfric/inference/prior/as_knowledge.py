@@ -14,7 +14,7 @@ from bayesfric.mechanism.chain import Chain
 _RANGES = frozenset({"uniform", "loguniform", "halfnorm", "reciprocal"})
 
 
-def beforehand(chain: Chain, priors: Mapping[str, Prior]) -> Knowledge:
+def as_knowledge(chain: Chain, priors: Mapping[str, Prior]) -> Knowledge:
     """Take from the priors what a point estimate may use.
 
     A fixed prior is a known value; the support of a prior is a bound. A prior that
