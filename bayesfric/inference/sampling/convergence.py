@@ -43,14 +43,18 @@ def nested_rhat(draws: NDArray[np.float64]) -> NDArray[np.float64]:
         ``(d,)``; 1 where the ensembles agree, infinite for a constant
         parameter whose ensembles differ.
     """
-    walker_means = draws.mean(axis=2)
-    between_walkers = walker_means.var(axis=1, ddof=1)
-    within_walkers = draws.var(axis=2, ddof=1).mean(axis=1)
-    within = (between_walkers + within_walkers).mean(axis=0)
-    between = walker_means.mean(axis=1).var(axis=0, ddof=1)
+    from arviz_stats.base import array_stats  # takes a while, and few commands need it
+
+    ensembles, walkers, steps, d = draws.shape
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.where(between == 0.0, 0.0, between / within)
-    return np.asarray(np.sqrt(1.0 + ratio))
+        found = array_stats.rhat_nested(
+            draws.reshape(-1, steps, d),
+            superchain_ids=np.repeat(np.arange(ensembles), walkers),
+            method="identity",
+            chain_axis=0,
+            draw_axis=1,
+        )
+    return np.where(np.ptp(draws, axis=(0, 1, 2)) == 0.0, 1.0, found)
 
 
 def autocorrelation_time(draws: NDArray[np.float64]) -> NDArray[np.float64]:
