@@ -73,21 +73,9 @@ def centred(
 
 
 def units_of(chain: Chain, free: Sequence[str], values: Array) -> Array:
-    """Say what counts as a change of one: the value itself; for load losses that of alpha.
+    """Say what counts as a change of one, ``(len(free),)``: the value; for load losses alpha.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    free
-        Names of the free parameters.
-    values
-        ``(n_parameters,)`` in the order of ``chain.names``.
-
-    Returns
-    -------
-    ndarray
-        ``(len(free),)``, never zero.
+    ``values`` is ``(n_parameters,)`` in the order of ``chain.names``; no unit is zero.
     """
     units = np.empty(len(free))
     for j, name in enumerate(free):

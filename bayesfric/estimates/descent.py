@@ -128,20 +128,11 @@ def descend(
     lower: Array | None = None,
     upper: Array | None = None,
 ) -> Found:
-    """Search downhill (Levenberg-Marquardt with exact limits).
+    """Search downhill from ``x`` ``(d,)`` (Levenberg-Marquardt with exact limits).
 
-    Every step solves the linear problem within the limits, so what a limit stops stands
-    on it to the last digit. Huber's loss is a sequence of weighted squares, each of which
-    lies above it and touches it where it is taken.
-
-    Parameters
-    ----------
-    problem, terms
-        What is summed up.
-    x
-        ``(d,)`` free parameters to start from, within the limits.
-    lower, upper
-        ``(d,)`` limits; those of the problem where left out.
+    Every step solves the linear problem within the limits, those of the problem where left out, so
+    what a limit stops stands on it to the last digit. Huber's loss is a sequence of weighted
+    squares, each of which lies above it and touches it where it is taken.
     """
     lower = problem.lower if lower is None else lower
     upper = problem.upper if upper is None else upper
@@ -184,17 +175,11 @@ def descend(
 
 
 def _packed(jacobian: Array, residual: Array) -> tuple[Array, Array, Array]:
-    """Shrink a linear problem to ``(d, d)``, in units that change the residual by one.
+    """Shrink a linear problem to ``(d, d)``, in units ``(d,)`` that change the residual by one.
 
-    From the eigenvectors of ``J'J``: the QR of many rows is more exact, but its threads
-    wait for each other on a busy machine, and a search only needs a direction.
-
-    Returns
-    -------
-    matrix : (d, d)
-    target : (d,)
-    size : (d,)
-        The units; infinite for what does not show.
+    From the eigenvectors of ``J'J``: the QR of many rows is more exact, but its threads wait for
+    each other on a busy machine, and a search only needs a direction. The unit of what does not
+    show is infinite.
     """
     norms = np.linalg.norm(jacobian, axis=0)
     with np.errstate(divide="ignore"):

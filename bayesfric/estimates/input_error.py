@@ -22,7 +22,7 @@ from bayesfric.estimates.descent import ROUNDING, Found, Terms, TorqueProblem, d
 from bayesfric.estimates.estimate import Estimate
 from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.huber import HUBER, robust_sd
-from bayesfric.estimates.information import CORRELATED, Information, lag_one
+from bayesfric.estimates.information import CORRELATED, Information, Scatter, lag_one
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.torque import places
 from bayesfric.estimates.torque_form import scale_known, torque_form
@@ -267,7 +267,7 @@ def _information(problem: TorqueProblem, terms: Terms, x: Array) -> Information:
         known_null=open_directions(
             problem.chain, problem.knowledge, problem.observations, problem.vector(x)
         ),
-        inflation=inflation,
+        scatter=Scatter(inflation=inflation),
     )
 
 

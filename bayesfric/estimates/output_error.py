@@ -21,7 +21,7 @@ from bayesfric.estimates.assemble import (
 from bayesfric.estimates.estimate import Estimate
 from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.huber import HUBER, robust_sd
-from bayesfric.estimates.information import LEAST_GROUPS, Information
+from bayesfric.estimates.information import LEAST_GROUPS, Information, Scatter
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.estimates.shooting import Shooting, choose_substeps, resolution, step_error
@@ -140,20 +140,11 @@ def output_error(
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fit with segments of one length.
+    """A fit with segments of one length, s.
 
-    Attributes
-    ----------
-    length
-        Of the segments, s.
-    frame, weights, solution
-        The problem and where its descent ended, scalings in their middle.
-    information
-        Of the free parameters, bounds left out: beside one, others would look far too certain.
-    at_bound
-        ``(d,)``: -1 on the lower bound, 1 on the upper, else 0.
-    error
-        Discretisation error of the position, rad or m.
+    ``information`` is of the free parameters, bounds left out: beside one, others would look far
+    too certain. ``at_bound`` ``(d,)``: -1 on the lower bound, 1 on the upper, else 0. ``error``:
+    of the discretisation, rad or m.
     """
 
     length: float
@@ -166,13 +157,7 @@ class Fit:
 
 
 class OutputError:
-    """Fits of simulated to measured position with segments of any length.
-
-    Parameters
-    ----------
-    chain, trajectories, observations, knowledge, options
-        As for :func:`output_error`.
-    """
+    """Fits of simulated to measured position with segments of any length."""
 
     def __init__(
         self,
@@ -397,14 +382,16 @@ class OutputError:
             projected[:, 0],
             frame.units,
             places=frame.shooting.places,
-            groups=frame.shooting.segment_of,
             known=frame.told,
             known_null=open_directions(
                 self.chain, self.knowledge, self.observations, solution.values
             ),
             tolerance=_NULL,
-            lost=linear.elimination.lost,
-            least_sigma=float(np.min(weights.rows * self.grain[frame.shooting.recording_of])),
+            scatter=Scatter(
+                frame.shooting.segment_of,
+                linear.elimination.lost,
+                least=float(np.min(weights.rows * self.grain[frame.shooting.recording_of])),
+            ),
         )
 
 

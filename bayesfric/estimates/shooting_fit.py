@@ -38,24 +38,11 @@ _LARGEST_BEND = 0.75
 class Frame:
     """What stays the same while one fit descends.
 
-    Attributes
-    ----------
-    shooting
-        The simulated recordings.
-    columns
-        ``(d,)`` free parameters among the chain's.
-    units
-        ``(d,)`` change of each free parameter that changes the torque by all of itself.
-    limits
-        Lower and upper limits of the free parameters.
-    scalings
-        Those that nothing known takes away: directions that no torque can see.
-    told, targets
-        Rows ``1/sd`` ``(k, d)`` and ``mean/sd`` of what is known of parameters besides.
-    speed, span
-        Typical speed and range of the position, for the size of state steps.
-    deadline
-        CPU time of the process, s, at which a descent ends where it is.
+    ``columns`` ``(d,)`` are the free parameters among the chain's, ``units`` ``(d,)`` changes of
+    them that change the torque by all of itself, ``scalings`` those that nothing known takes away.
+    ``told`` ``(k, d)`` and ``targets`` are rows ``1/sd`` and ``mean/sd`` of what is known besides.
+    ``speed``, ``span``: typical speed and range of the position, for the size of state steps.
+    ``deadline``: CPU time of the process, s, at which a descent ends where it is.
     """
 
     shooting: Shooting
@@ -86,14 +73,8 @@ class Frame:
 class Weights:
     """How residuals count.
 
-    Attributes
-    ----------
-    rows
-        ``(n,)`` factor on each residual, one for each recording.
-    sigma
-        Standard deviation of the residuals times ``rows``.
-    knee
-        Weighted residual beyond which the loss is linear; infinite for squares.
+    ``rows`` ``(n,)``: factor on each; ``sigma``: sd of the residuals times that; ``knee``: weighted
+    residual beyond which the loss is linear, infinite for squares.
     """
 
     rows: Array
@@ -112,23 +93,10 @@ class Weights:
 class Solution:
     """Where a descent ended.
 
-    Attributes
-    ----------
-    values
-        ``(n_parameters,)`` in the order of the chain's names.
-    states
-        ``(K, 2)`` initial states.
-    residual
-        ``(n,)`` measured minus simulated position, not weighted.
-    cost
-        Sum of squares (or of the Huber loss) of weighted residuals and of what is told.
-    gain
-        By how much a further step would lower the cost, in residual variances.
-    iterations
-        Jacobians it took.
-    converged
-        Whether the last step was as small as wanted or nothing smaller could be found; not
-        where time ran out.
+    ``residual`` ``(n,)`` is measured minus simulated position, not weighted; ``cost`` the sum of
+    the losses, of what is told too; ``gain`` by how much a further step would lower it, in
+    residual variances. ``converged``: the last step was as small as wanted, or nothing smaller
+    could be found; not where time ran out.
     """
 
     values: Array
@@ -148,25 +116,9 @@ def residual_of(frame: Frame, values: Array, states: Array) -> Array:
 class Linearised:
     """The problem around one point: residual, derivatives, states taken out.
 
-    Parameters
-    ----------
-    frame
-        The problem.
-    values, states
-        The point.
-    rows
-        ``(n,)`` weight on each residual.
-    sigma
-        Standard deviation of weighted residuals, against what is told.
-    central
-        Whether to take the more exact of the two kinds of differences.
-
-    Attributes
-    ----------
-    jacobian
-        ``(n, d)`` of the weighted positions, blind along :meth:`Frame.tangents`.
-    elimination
-        Of weighted residual (column 0) and jacobian.
+    ``rows`` ``(n,)`` weigh the residuals, whose sd is then ``sigma``, against what is told.
+    ``central``: whether to take the more exact of the two kinds of differences. ``jacobian``
+    ``(n, d)`` of the weighted positions is blind along :meth:`Frame.tangents`.
     """
 
     def __init__(
@@ -277,20 +229,7 @@ def descend(frame: Frame, weights: Weights, values: Array, states: Array) -> Sol
     Levenberg and Marquardt's steps on the problem without its states. Several dampings
     are simulated side by side. Given the parameters, segments do not depend on each
     other, so each takes the share of its own states' step that suits it best.
-
-    Parameters
-    ----------
-    frame, weights
-        The problem.
-    values
-        ``(n_parameters,)`` to start from, within the limits.
-    states
-        ``(K, 2)`` to start from.
-
-    Returns
-    -------
-    Solution
-        Cost is infinite if the start cannot be simulated.
+    The cost is infinite if the start cannot be simulated.
     """
     columns = frame.columns
     residual = residual_of(frame, values, states)

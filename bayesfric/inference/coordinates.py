@@ -57,13 +57,7 @@ class BoundedCoordinates:
     normal quantile of its place between them is sampled: next to a bound a posterior is flat,
     and its quantile normal. (A logit would have a long tail there, in which walkers hang on.)
 
-    Parameters
-    ----------
-    lower, upper
-        Supports, ``(d,)``.
-    widths
-        About the posterior sd of each parameter, ``(d,)``; plain logarithms if
-        they are not known yet.
+    ``widths`` ``(d,)`` are about the posterior sds; plain logarithms if they are not known yet.
     """
 
     def __init__(
@@ -259,13 +253,6 @@ class SingleLossCoordinates:
 
     Then ``lambda_1 = 1`` and ``lambda_2 = mu``: no scale is open, and ten coordinates are
     ten parameters, ``mu = theta10/theta5``.
-
-    Parameters
-    ----------
-    ratio
-        ``N``, motor speed over joint speed.
-    gravity
-        m/s².
     """
 
     description = "Theta1 and Theta2 of eq. (13), one mu for both directions"
@@ -325,14 +312,7 @@ def choose_coordinates(
 ) -> Coordinates:
     """Take the coordinates that suit the chain and its priors best.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    priors
-        Of every parameter of the chain, fixed ones included.
-    widths
-        About the posterior sds of the free ones, ``(d,)``, where they are known already.
+    ``widths`` ``(d,)`` are about the posterior sds of the free parameters, where they are known.
     """
     free = [name for name in chain.names if not priors[name].fixed]
     if all(e.ratio == 1.0 for i, e in enumerate(chain.elements) if i != 1):

@@ -160,10 +160,7 @@ def choose_order(
 
 
 class _Plain:
-    """Least squares without memory, to compare others with.
-
-    Parameters are as in :func:`choose_order`, everything over the size of the residuals.
-    """
+    """Least squares without memory, to compare others with; all over the size of the residuals."""
 
     def __init__(
         self, residuals: Sequence[Array], follows: Sequence[Flags], effects: Sequence[Array]

@@ -50,20 +50,11 @@ _ROUNDS = 3
 
 @dataclass(frozen=True, eq=False)
 class _Segment:
-    """Linear algebra of one segment.
+    """Linear algebra of one segment of M averaged positions.
 
-    Attributes
-    ----------
-    begin, end
-        Samples used.
-    state
-        ``(M, 2)`` averaged positions by the initial state, zero where it has no effect.
-    response
-        ``(M, M)`` covariance of the averaged positions for torque noise of one.
-    rotation
-        ``(terms, M)`` combinations of averaged positions that are independent.
-    weights
-        ``(terms,)`` their variance for torque noise of one.
+    ``state`` ``(M, 2)``: them by the initial state, zero where it has no effect. ``response``:
+    their covariance for torque noise of one. ``rotation`` ``(terms, M)``: combinations that are
+    independent, of the variances ``weights`` ``(terms,)`` for torque noise of one.
     """
 
     begin: int
@@ -149,17 +140,8 @@ class PositionLikelihood:
     def log_density(self, values: Array, scales: Array) -> Array:
         """Log-likelihood, the initial states integrated out with flat priors.
 
-        Parameters
-        ----------
-        values
-            ``(n, n_parameters)``.
-        scales
-            ``(n, n_recordings, 2)`` noise of torque and position samples.
-
-        Returns
-        -------
-        ndarray
-            ``(n,)``; ``-inf`` where the joint cannot be simulated.
+        ``scales`` ``(n, n_recordings, 2)`` are noise of torque and position samples. ``-inf``
+        where the joint cannot be simulated.
         """
         total = np.zeros(values.shape[0])
         for r, run in enumerate(self._runs):

@@ -27,16 +27,8 @@ Array = NDArray[np.float64]
 class TorqueLikelihood:
     """How probable the measured torques are, given the joint's parameters.
 
-    See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    observations
-        One or more prepared recordings. They share the chain's parameters.
-    noise
-        What residuals are; white if left out.
+    See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`. The recordings share the
+    chain's parameters; their noise is white if left out.
     """
 
     method: LikelihoodMethod = "input-error"
@@ -88,18 +80,9 @@ class TorqueLikelihood:
         """Make the same likelihood at a cost that does not grow with the recordings.
 
         Its values are the same everywhere, up to rounding; see
-        :mod:`bayesfric.inference.moments.fast_moments`.
-
-        Parameters
-        ----------
-        draws
-            ``(n, n_parameters)`` vectors about as spread as the posterior, some hundreds.
-            The nearer they are to it, the faster the result.
-
-        Returns
-        -------
-        TorqueLikelihood
-            Itself for a chain whose torque has no such form; :attr:`evaluation` tells.
+        :mod:`bayesfric.inference.moments.fast_moments`. The nearer the draws are to the posterior,
+        the faster the result. It is itself for a chain whose torque has no such form;
+        :attr:`evaluation` tells.
         """
         if not self.noise.gaussian:
             return self
@@ -117,18 +100,7 @@ class TorqueLikelihood:
         return TorqueLikelihood(self.chain, self.observations, noise)
 
     def sum_of_squares(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Sum of squared residuals of each recording.
-
-        Parameters
-        ----------
-        values
-            ``(n, n_parameters)`` in the order of ``chain.names``.
-
-        Returns
-        -------
-        ndarray
-            ``(n, n_recordings)``, torque unit squared.
-        """
+        """Sum of squared residuals of each recording, ``(n, n_recordings)``."""
         return self.moments.at(values).sum_of_squares
 
     def about(self, values: Array) -> TorqueLikelihood:  # noqa: ARG002
@@ -136,20 +108,7 @@ class TorqueLikelihood:
         return self
 
     def log_density(self, values: Array, scales: Array) -> Array:
-        """Log-likelihood.
-
-        Parameters
-        ----------
-        values
-            ``(n, n_parameters)``.
-        scales
-            ``(n, n_recordings, Q)`` noise scales.
-
-        Returns
-        -------
-        ndarray
-            ``(n,)``
-        """
+        """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
         return self.noise.log_density_of(self._plain, self.moments, values, scales)
 
     def pointwise(self, values: Array, scales: Array) -> list[Array]:

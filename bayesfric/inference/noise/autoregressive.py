@@ -93,21 +93,10 @@ class Autoregressive(ResidualNoise):
         head_counts: NDArray[np.int64],
         scales: Array,
     ) -> Array:
-        """Exact log density of all residuals from their lagged products.
+        """Exact log density ``(n,)`` of all residuals from their lagged products.
 
-        Parameters
-        ----------
-        moments
-            Of ``n`` vectors and R recordings.
-        counts, head_counts
-            As :class:`bayesfric.inference.moments.residual_moments.ResidualMoments` has them.
-        scales
-            ``(n, R, Q)``.
-
-        Returns
-        -------
-        ndarray
-            ``(n,)``
+        ``counts``, ``head_counts`` as
+        :class:`bayesfric.inference.moments.residual_moments.ResidualMoments` has them.
         """
         p = self.order
         sigma = scales[..., 0]

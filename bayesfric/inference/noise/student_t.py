@@ -53,16 +53,10 @@ class StudentT(ResidualNoise):
         return self.log_density(plain.student_terms(values, scales), plain.counts, scales)
 
     def log_density(self, terms: Array, sizes: NDArray[np.int64], scales: Array) -> Array:
-        """Log density of all residuals, ``(n,)``.
+        """Log density ``(n,)`` of all residuals.
 
-        Parameters
-        ----------
-        terms
-            ``(n, R)`` sums of ``log(1 + r²/(dof sigma²))``.
-        sizes
-            ``(R,)`` numbers of residuals.
-        scales
-            ``(n, R, 2)``
+        ``terms`` ``(n, R)`` are sums of ``log(1 + r²/(dof sigma²))``, ``sizes`` ``(R,)`` numbers
+        of residuals.
         """
         sigma, dof = scales[..., 0], scales[..., 1]
         constant = gammaln((dof + 1.0) / 2.0) - gammaln(dof / 2.0) - 0.5 * np.log(dof * math.pi)

@@ -33,16 +33,9 @@ _PIECE = 2**24
 
 @dataclass(frozen=True)
 class Steps:
-    """Steps of all walkers, one after the other.
+    """Steps of all walkers: coordinates, log density there, whether a proposal was accepted.
 
-    Attributes
-    ----------
-    coordinates
-        ``(steps, walkers, d)`` after each step.
-    log_density
-        ``(steps, walkers)`` there.
-    accepted
-        ``(steps, walkers)``: whether the walker's proposal was.
+    ``(steps, walkers, d)`` and ``(steps, walkers)`` twice.
     """
 
     coordinates: Array
@@ -55,17 +48,8 @@ class Steps:
 
 
 class StepFile:
-    """Steps of so many walkers in a file.
+    """Steps of so many walkers in a file, made with the first :meth:`append` if it is not there.
 
-    Parameters
-    ----------
-    path
-        The file; made with the first :meth:`append` if it is not there.
-    walkers, dimension
-        Shape of a step.
-
-    Notes
-    -----
     Every method raises OSError, with the system's reason, where the file cannot
     be read or written, and ValueError where it holds something else.
     """

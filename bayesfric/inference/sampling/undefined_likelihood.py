@@ -48,21 +48,8 @@ TROUBLE = 0.01
 def beside_posterior(target: Likelihood, proposal: Proposal, seed: int, batch: int) -> Array:
     """Draw places as the sampler does that finds no number at some.
 
-    Parameters
-    ----------
-    target
-        Log-posterior.
-    proposal
-        Fitted to the posterior and frozen.
-    seed
-        Of the sample.
-    batch
-        Places evaluated at once, as in a step.
-
-    Returns
-    -------
-    ndarray
-        ``(2000, d + 1)``: parameters, and 1 where the likelihood is no number there.
+    ``proposal`` is fitted to the posterior and frozen; ``batch`` places are evaluated at once, as
+    in a step. Gives ``(2000, d + 1)``: parameters, and 1 where the likelihood is no number there.
     """
     sequence = np.random.SeedSequence(seed, spawn_key=(_SPAWN,))
     random = np.random.RandomState(np.random.MT19937(sequence))
@@ -73,19 +60,9 @@ def beside_posterior(target: Likelihood, proposal: Proposal, seed: int, batch: i
 
 
 def complaint(names: tuple[str, ...], places: Array) -> str | None:
-    """Say what share of the places has no likelihood, where they are and what to do.
+    """Say what share of these places has no likelihood, where they are and what to do.
 
-    Parameters
-    ----------
-    names
-        Of the parameters.
-    places
-        From :func:`beside_posterior`.
-
-    Returns
-    -------
-    str or None
-        Nothing where the share is too small to matter.
+    Nothing where the share is too small to matter.
     """
     parameters, bad = places[:, :-1], places[:, -1] > 0.0
     share = float(bad.mean())
