@@ -243,17 +243,20 @@ def resolution(position: Array) -> float:
     return float(max(step, noise, 1e-9 * span, 1e-12))
 
 
-def choose_substeps(shooting: Shooting, values: Array, states: Array) -> tuple[int, float]:
-    """Integration steps a sample that leave an error well below the encoder's resolution.
+def choose_substeps(
+    shooting: Shooting, values: Array, states: Array, small: float | None = None
+) -> tuple[int, float]:
+    """Integration steps a sample that leave a small error, well below the encoder's resolution.
 
     Gives them, and the largest estimated error of the position, rad or m.
     """
-    least = min(resolution(t.position) for t in shooting.trajectories)
+    if small is None:
+        small = _SHARE_OF_RESOLUTION * min(resolution(t.position) for t in shooting.trajectories)
     substeps = 1
     coarse = shooting.positions(values[None], states, substeps)[0]
     while True:
         error, fine = step_error(shooting, values, states, substeps, coarse)
-        if not error > _SHARE_OF_RESOLUTION * least or substeps >= _MAX_SUBSTEPS:
+        if not error > small or substeps >= _MAX_SUBSTEPS:
             return substeps, error
         substeps, coarse = 2 * substeps, fine
 
@@ -268,7 +271,7 @@ def step_error(
     if coarse is None:
         coarse = shooting.positions(values[None], states, substeps)[0]
     fine = shooting.positions(values[None], states, 2 * substeps)[0]
-    return float(np.max(np.abs(fine - coarse))) * 16.0 / 15.0, fine
+    return float(np.nanmax(np.abs(fine - coarse))) * 16.0 / 15.0, fine
 
 
 def _slope(middle: Array, one: Array, two: Array | None, a: float, b: float) -> Array:

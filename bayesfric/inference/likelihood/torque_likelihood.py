@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.estimates.torque import filtered_torque
-from bayesfric.inference.likelihood.likelihood import LikelihoodMethod, Outputs
+from bayesfric.inference.likelihood.likelihood import Likelihood, Outputs
 from bayesfric.inference.moments.fast_moments import FastMoments, fast_moments
 from bayesfric.inference.moments.residual_moments import PlainMoments, ResidualMoments, follows
 from bayesfric.inference.noise.autoregressive import Autoregressive
@@ -24,14 +24,14 @@ from bayesfric.recordings.observation import Observation
 Array = NDArray[np.float64]
 
 
-class TorqueLikelihood:
+class TorqueLikelihood(Likelihood):
     """How probable the measured torques are, given the joint's parameters.
 
     See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`. The recordings share the
     chain's parameters; their noise is white if left out.
     """
 
-    method: LikelihoodMethod = "input-error"
+    method = "input-error"
 
     def __init__(
         self,
@@ -103,10 +103,6 @@ class TorqueLikelihood:
         """Sum of squared residuals of each recording, ``(n, n_recordings)``."""
         return self.moments.at(values).sum_of_squares
 
-    def about(self, values: Array) -> TorqueLikelihood:  # noqa: ARG002
-        """Give itself: nothing about it is approximate."""
-        return self
-
     def log_density(self, values: Array, scales: Array) -> Array:
         """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
         return self.noise.log_density_of(self._plain, self.moments, values, scales)
@@ -129,10 +125,7 @@ class TorqueLikelihood:
 
     def standardised(self, values: Array, scales: Array) -> list[Array]:
         """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
-        return [
-            self.noise.standard(torque, o.follows, s)[0]
-            for o, torque, s in zip(self.outputs, self.predict(values), scales, strict=True)
-        ]
+        return self.innovations(self.predict(values), scales)
 
     def innovations(self, residuals: Sequence[Array], scales: Array) -> list[Array]:
         """Take from residuals ``(M,)`` what the noise's memory foretells, over their sds.
