@@ -50,6 +50,10 @@ _NAMED = 4
 _LEAST_BLOCKS = 3
 # Share of the steps that go where the walkers are, for what no proposal has learned.
 _OTHERWISE = 0.1
+_UNSETTLED = (
+    "warm-up was still moving when it was cut off: raise sampling.max_steps, or give narrower "
+    "priors"
+)
 # Draws kept in the result, over all walkers; more only makes the file larger.
 _KEPT_DRAWS = 20_000
 
@@ -124,19 +128,9 @@ def sample(
     roughly and nothing climbs or spreads any more. Then the proposal is fitted once
     more and frozen. Only steps after that count.
 
-    Parameters
-    ----------
-    target
-        Log-posterior and its coordinates.
-    start
-        Normal at the mode, in the same coordinates.
-    settings
-        Seed, sizes and stopping rule.
-    progress
-        Called after every block.
-    checkpoint
-        Keeps the steps on disk, and gives back those of an interrupted run: the result
-        is the same, byte for byte. Nothing is kept if left out.
+    ``start`` is in the target's coordinates, ``progress`` is called after every block, and a
+    ``checkpoint`` keeps the steps on disk and gives back those of an interrupted run: the result
+    is the same, byte for byte.
     """
     began = time.perf_counter() - (checkpoint.seconds if checkpoint else 0.0)
     d = target.dimension
@@ -175,24 +169,19 @@ def sample(
     draws = parameters.reshape(*kept.shape)
     problems = list(_problems(target, settings, look, main, draws))
     if look.hopeless and main.acceptance().any():
-        problems.insert(
-            0, _given_up(target.names, look.needed, warm.steps + main.steps, settings.max_steps)
-        )
+        steps = warm.steps + main.steps
+        problems.insert(0, _given_up(target.names, look.needed, steps, settings.max_steps))
     if not settled:
-        problems.append(
-            "warm-up was still moving when it was cut off: raise sampling.max_steps, or give "
-            "narrower priors"
-        )
+        problems.append(_UNSETTLED)
     # counted up to here: what follows looks at places that were never proposed
-    not_finite, share = target.not_finite, 0.0
+    not_finite = target.not_finite
     warnings = [text for text, harmless in _standing(main.acceptance()) if harmless]
+    share = 0.0
     if not_finite:
-        places = beside_posterior(
-            target, frozen.proposal, settings.seed, settings.ensembles * walkers
-        )
+        batch = settings.ensembles * walkers
+        places = beside_posterior(target, frozen.proposal, settings.seed, batch)
         share = float(places[:, -1].mean())
-        if lost := complaint(target.names, places):
-            warnings.append(lost)
+        warnings += filter(None, [complaint(target.names, places)])
     return Posterior(
         names=target.names,
         priors=target.priors,
