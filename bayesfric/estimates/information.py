@@ -62,18 +62,9 @@ class Directions:
         return self.singular_values <= self.tolerance * largest
 
     def solve(self, gradient: Array) -> Array | None:
-        """Multiply the inverse of ``J'J`` by the gradient of a function of the parameters.
+        """Multiply the inverse of ``J'J`` by the gradient ``(d,)`` of a function of the parameters.
 
-        Parameters
-        ----------
-        gradient
-            ``(d,)``, per parameter unit.
-
-        Returns
-        -------
-        ndarray or None
-            ``(d,)``, in parameter units; ``None`` where the function changes along a
-            null direction.
+        ``None`` where the function changes along a null direction.
         """
         along = self.rows @ (gradient * self.units)
         null = self.null
@@ -187,18 +178,10 @@ class Information:
         )
 
     def sds(self, gradient: Array) -> tuple[float, float]:
-        """Give the standard deviations of a function of the parameters.
+        """Give the sds of a function of the parameters with this gradient ``(d,)``.
 
-        Parameters
-        ----------
-        gradient
-            ``(d,)`` derivative of the function by the free parameters.
-
-        Returns
-        -------
-        tuple of float
-            For uncorrelated residuals, and accounting for correlation; both infinite
-            where the function changes along a null direction.
+        For uncorrelated residuals, and accounting for correlation; both infinite
+        where the function changes along a null direction.
         """
         if not np.any(gradient):
             return 0.0, 0.0
@@ -245,17 +228,11 @@ class Information:
 
 
 def long_run_variance(score: Array, places: NDArray[np.int64]) -> float:
-    """Variance of the sum of a correlated series with gaps.
+    """Variance of the sum of a correlated series ``(n,)`` of mean zero, with gaps.
 
     Quadratic spectral kernel with the bandwidth of a first-order autoregression
     (Andrews, Econometrica 59, 1991, eqs. 6.2 to 6.4); gaps count as zeros (Parzen 1963).
-
-    Parameters
-    ----------
-    score
-        ``(n,)`` of mean zero.
-    places
-        ``(n,)`` position of each on an even grid, rising.
+    ``places`` ``(n,)`` are positions on an even grid, rising.
     """
     grid = np.zeros(int(places[-1] - places[0]) + 1)
     grid[places - places[0]] = score

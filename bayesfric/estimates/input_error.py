@@ -55,24 +55,8 @@ def input_error(
 
     The search starts from the variable projection of eqs. (18) and (19) where the chain
     has that form, from splits of the least-squares totals, and from random vectors;
-    limits are kept exactly.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    observations
-        One or more prepared recordings.
-    knowledge
-        Known values, limits and data-sheet values.
-    options
-        Loss, weights, number and seed of random starts.
-
-    Returns
-    -------
-    Estimate
-        Totals, derived quantities and parameters. What the data leave open has an
-        infinite standard deviation; what stands on a limit has none.
+    limits are kept exactly. What the data leave open has an infinite sd; what stands on a limit
+    has none.
 
     Raises
     ------

@@ -66,29 +66,13 @@ def output_error(
     """Estimate by simulation, section 4.3: the least ``||q - qc||``.
 
     The measured torque drives the simulated joint; parameters and the state at the start of
-    every segment are fitted to the measured position, unfiltered.
+    every segment are fitted to the measured position, unfiltered. ``trajectories`` are not yet
+    divided, ``observations`` the same recordings, prepared; ``start`` has a value for every
+    parameter: the input error.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    trajectories
-        The recordings, not yet divided.
-    observations
-        The same, prepared, in the same order.
-    knowledge
-        Known values, bounds and told values.
-    options
-        Loss, weights, segment length and substeps.
-    start
-        Where to start from, with a value for every parameter: the input error.
-
-    Returns
-    -------
-    Estimate
-        Residuals in rad or m. ``sd`` is for white noise of the position. Noise of the torque
-        drives the simulated joint, so residuals within a segment drift together;
-        ``sd_robust`` rests on segments being independent of each other.
+    ``sd`` is for white noise of the position. Noise of the torque drives the simulated joint, so
+    residuals within a segment drift together; ``sd_robust`` rests on segments being independent of
+    each other.
 
     Raises
     ------

@@ -90,17 +90,9 @@ class Fit:
         ]
 
     def chain_draws(self, n: int | None = None) -> NDArray[np.float64]:
-        """Draws of all chain parameters, fixed ones included.
+        """Draws of all chain parameters, fixed ones included, ``(n, n_parameters)``.
 
-        Parameters
-        ----------
-        n
-            At most so many, evenly spread; all if left out.
-
-        Returns
-        -------
-        ndarray
-            ``(n, n_parameters)`` in the order of ``chain.names``.
+        At most ``n``, evenly spread; all if left out.
         """
         return self.target.chain_values(self.posterior.flat(n))
 
@@ -113,21 +105,9 @@ def read_priors(
 ) -> dict[str, Prior]:
     """Priors of every parameter of the chain: the given ones and defaults for the rest.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    texts
-        What a configuration says, by parameter name; noise scales are allowed too.
-    observations
-        Set the scale of the defaults.
-    noise
-        Noise scales that the likelihood has; ``sigma`` makes ``noise.sigma``.
-
-    Raises
-    ------
-    BadInput
-        If a name is unknown or a prior cannot be.
+    ``texts`` is what a configuration says by parameter name, noise scales included; ``noise``
+    names the scales that the likelihood has: ``sigma`` makes ``noise.sigma``. BadInput if a name
+    is unknown or a prior cannot be.
     """
     noises = [f"noise.{quantity}" for quantity in noise]
     # one prior for the offset stands for those of all recordings that have none of their own
@@ -193,18 +173,8 @@ def fit(
 ) -> Fit:
     """Estimate, climb to the mode, sample.
 
-    Parameters
-    ----------
-    target
-        From :func:`make_target`.
-    sampling
-        Seed, sizes and stopping rule.
-    estimates
-        Point estimates already made; the search starts from theirs too.
-    progress
-        Called as sampling goes on.
-    checkpoint
-        See :func:`bayesfric.inference.sampling.sampling.sample`.
+    ``estimates`` are point estimates already made: the search starts from theirs. For
+    ``checkpoint`` see :func:`bayesfric.inference.sampling.sampling.sample`.
 
     Raises
     ------

@@ -105,10 +105,8 @@ def choose_order(
 
     Parameters
     ----------
-    residuals
-        Of every recording, ``(M,)`` each.
-    follows
-        ``(M - 1,)`` each, whether runs go on.
+    residuals, follows
+        Of every recording ``(M,)``, and whether runs go on, ``(M - 1,)``.
     own_scales
         Whether every recording has a scale of its own.
     most
@@ -116,10 +114,6 @@ def choose_order(
     effects
         ``(M, k)`` each: what a change of every parameter by its prior's sd does to the outputs.
         Only orders that leave the estimate alone are chosen; any where left out.
-
-    Returns
-    -------
-    Choice
     """
     n = sum(r.size for r in residuals)
     most = min(most, max(0, n // 20))
