@@ -15,6 +15,7 @@ import typer
 
 import bayesfric
 from bayesfric.errors import BadInput, Interrupted
+from bayesfric.estimates.methods import ESTIMATORS
 from bayesfric.progress import progress_shown
 
 if TYPE_CHECKING:
@@ -101,29 +102,25 @@ def check(config: ConfigFile, as_json: AsJson = False) -> None:
     _print(found, as_json, check_text(found))
 
 
-class MethodChoice(StrEnum):
-    """What ``--method`` takes."""
-
-    least_squares = "least-squares"
-    input_error = "input-error"
-    output_error = "output-error"
-    all = "all"
+if TYPE_CHECKING:
+    MethodChoice = str
+    _ALL = "all"
+else:
+    MethodChoice = StrEnum("MethodChoice", {name: name for name in (*ESTIMATORS, "all")})
+    _ALL = MethodChoice("all")
 
 
 @app.command()
 def estimate(
     config: ConfigFile,
-    method: Annotated[
-        MethodChoice, typer.Option(help="which of the paper's methods")
-    ] = MethodChoice.all,
+    method: Annotated[MethodChoice, typer.Option(help="which of the paper's methods")] = _ALL,
     as_json: AsJson = False,
 ) -> None:
     """Point estimates by the paper's methods, with standard deviations."""
     from bayesfric.commands.estimate import estimate_record, estimate_text
-    from bayesfric.estimates.estimate import METHODS
 
     model = _model(config)
-    wanted = [name for name in METHODS if method in (MethodChoice.all, name)]
+    wanted = [name for name in ESTIMATORS if method in ("all", name)]
     with progress_shown(sys.stderr.isatty()) as progress:
         found = model.estimates(wanted, progress=progress)
     _print(estimate_record(found, model), as_json, estimate_text(found, model))

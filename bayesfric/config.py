@@ -11,17 +11,18 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from bayesfric.complaints import complaint, complaint_of
 from bayesfric.errors import BadInput
-from bayesfric.estimates.options import Estimation, Reference
+from bayesfric.estimates.estimation import Estimation, Reference
 from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.inference.likelihood.likelihood import LikelihoodMethod
-from bayesfric.inference.likelihood.noise_choice import MOST
-from bayesfric.inference.prior.noise import NoiseScale
+from bayesfric.inference.noise import NOISE_MODELS
+from bayesfric.inference.noise.autoregressive import MOST
+from bayesfric.inference.noise.scale import NoiseScale
 from bayesfric.inference.prior.priors import PriorText
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.experiment import Simulation
@@ -30,6 +31,11 @@ from bayesfric.recordings.held_out import Validation
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.source import Source
+
+if TYPE_CHECKING:
+    NoiseName = str
+else:
+    NoiseName = Literal[tuple(NOISE_MODELS)]
 
 # What a configuration is called in a run directory.
 RUN_CONFIG = "config.toml"
@@ -48,7 +54,7 @@ class NoiseOptions(BaseModel):
     scale: NoiseScale = Field(
         "per-recording", description="one noise scale for each recording, or one shared by all"
     )
-    model: Literal["auto", "white", "autoregressive", "student-t"] = Field(
+    model: NoiseName = Field(
         "auto",
         description="of torque residuals; auto is autoregressive with the order that the "
         "residuals of the estimate ask for, white where they ask for none",

@@ -18,10 +18,8 @@ from bayesfric.config_text import config_of, mechanism_table, prior_value, recor
 from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.descent import few_threads
 from bayesfric.estimates.estimate import METHODS, Estimate, Method
-from bayesfric.estimates.input_error import input_error
-from bayesfric.estimates.knowledge import Knowledge
-from bayesfric.estimates.least_squares import TotalsProjection, least_squares
-from bayesfric.estimates.output_error import output_error
+from bayesfric.estimates.least_squares import TotalsProjection
+from bayesfric.estimates.methods import ESTIMATORS, Given, estimate_by
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian
 from bayesfric.identifiability.identification import Identification, identify
 from bayesfric.identifiability.known_quantities import speed_term
@@ -29,14 +27,15 @@ from bayesfric.identifiability.local import LocalInformation, local_information
 from bayesfric.identifiability.next_recording import Ranking, ranking
 from bayesfric.identifiability.plausible import Point, estimate_point, points_around
 from bayesfric.identifiability.sentences import plain
-from bayesfric.inference.beforehand import beforehand
 from bayesfric.inference.fit import fit, make_target, target_of
 from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.likelihood.noise_choice import Choice, choose_order
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.moments.residual_moments import follows
+from bayesfric.inference.noise import NOISE_MODELS
 from bayesfric.inference.predictive import predict_held_out
+from bayesfric.inference.prior.as_knowledge import as_knowledge
 from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Progress, Sampling, phase
 from bayesfric.inference.target import Target
@@ -58,6 +57,10 @@ Shown = Callable[[Progress], None]
 
 def silent(_: Progress) -> None:
     """Tell nobody how far work has come."""
+
+
+def _by(method: str, progress: Shown) -> None:
+    progress(phase(f"{method} estimate"))
 
 
 # Independent draws that are enough for an interval that only stands beside another.
@@ -205,33 +208,20 @@ class Model:
         BadInput
             If a method cannot be used with these recordings.
         """
-        found = []
         with self.config.named():
-            if "least-squares" in methods:
-                progress(phase("least-squares estimate"))
-                found.append(least_squares(self.chain, self.observations))
-            if "input-error" in methods or "output-error" in methods:
-                progress(phase("input-error estimate"))
-                options = self.config.tables.estimation
-                known = beforehand(self.chain, self.priors)
-                found.append(input_error(self.chain, self.observations, known, options))
-            if "output-error" in methods:
-                found.append(self._output_error(found[-1], progress))
-        return [estimate for estimate in found if estimate.method in methods]
+            found = estimate_by(methods, self._evidence, progress=lambda name: _by(name, progress))
+        return list(found.values())
 
-    def _output_error(
-        self,
-        start: Estimate,
-        progress: Shown,
-        known: Knowledge | None = None,
-        max_seconds: float | None = None,
-    ) -> Estimate:
-        progress(phase("output-error estimate"))
-        options = self.config.tables.estimation
-        if max_seconds is not None:
-            options = options.model_copy(update={"max_seconds": max_seconds})
-        known, whole = known or beforehand(self.chain, self.priors), self.trajectories(np.inf)
-        return output_error(self.chain, whole, self.observations, known, options, start)
+    @property
+    def _evidence(self) -> Given:
+        """What point estimates are made from."""
+        return Given(
+            self.chain,
+            self.observations,
+            as_knowledge(self.chain, self.priors),
+            self.config.tables.estimation,
+            self.trajectories,
+        )
 
     def estimate(self, *methods: Method) -> pd.DataFrame:
         """Tabulate what :meth:`estimates` finds, a row for each method and number.
@@ -253,7 +243,7 @@ class Model:
         frame.loc[~frame["determined"], ["value", "sd", "sd_robust"]] = np.nan
         return frame.droplevel("method") if len(methods) == 1 else frame
 
-    def trajectories(self, segment: float) -> list[Trajectory]:
+    def trajectories(self, segment: float = np.inf) -> list[Trajectory]:
         """Fitted recordings as a simulation follows them, starting anew every ``segment`` s."""
         pairs = zip(self.recordings, self.observations, strict=True)
         return [trajectory(recording, observation, segment) for recording, observation in pairs]
@@ -326,8 +316,7 @@ class Model:
         in a corner: a gearbox that cannot be driven back at all. What the data do tell outweighs
         these priors by far.
         """
-        tables = self.config.tables
-        known = beforehand(self.chain, self.priors)
+        method, given = self.config.tables.likelihood.method, self._evidence
         losses = {
             p.name: (prior.mean(), prior.sd())
             for p in self.chain.parameters
@@ -335,12 +324,10 @@ class Model:
             and not (prior := self.priors[p.name]).fixed
         }
         finite = {name: pair for name, pair in losses.items() if np.isfinite(pair).all()}
-        known = replace(known, told={**finite, **known.told})
+        knowledge = replace(given.knowledge, told={**finite, **given.knowledge.told})
+        given = replace(given, knowledge=knowledge)
         with self.config.named():
-            progress(phase("input-error estimate"))
-            found = input_error(self.chain, self.observations, known, tables.estimation)
-            if tables.likelihood.method == "output-error":
-                found = self._output_error(found, progress, known)
+            found = estimate_by([method], given, progress=lambda name: _by(name, progress))[method]
         progress(phase("identifiability"))
         place = dict(found.point)
         target = self.target(place)
@@ -415,9 +402,9 @@ class Model:
 
     @property
     def _chooses_noise(self) -> bool:
-        noise, likelihood = self.config.tables.noise, self.config.tables.likelihood
-        wanted = noise.model == "auto" or (noise.model == "autoregressive" and noise.order is None)
-        return wanted and likelihood.method == "input-error"
+        tables = self.config.tables
+        wanted = NOISE_MODELS[tables.noise.model].chooses(tables.noise.order)
+        return wanted and tables.likelihood.method == "input-error"
 
     def begin(self, *, output_error: bool = False, progress: Shown = silent) -> Beginning:
         """Estimate, choose the noise, and make the log-posterior that is sampled.
@@ -426,15 +413,22 @@ class Model:
         from: then however long it takes, as sampling that goes on later must start from the
         same place. A mechanism that cannot be simulated still has a posterior of the torque.
         """
-        tables = self.config.tables
-        simulated = tables.likelihood.method == "output-error"
-        found, missing = self.estimates(("least-squares", "input-error"), progress=progress), []
-        if simulated or output_error or tables.estimation.output_error:
-            most = np.inf if simulated else None
+        tables, given = self.config.tables, self._evidence
+        simulating = [one.name for one in ESTIMATORS.values() if one.simulates]
+        plain = [name for name in ESTIMATORS if name not in simulating]
+        made = {e.method: e for e in self.estimates(plain, progress=progress)}
+        if tables.likelihood.method in simulating:
+            given = replace(given, options=given.options.model_copy(update={"max_seconds": np.inf}))
+        elif not (output_error or tables.estimation.output_error):
+            simulating = []
+        missing = []
+        for name in simulating:
             try:
-                found.append(self._output_error(found[-1], progress, max_seconds=most))
+                with self.config.named():
+                    made |= estimate_by([name], given, made, progress=lambda x: _by(x, progress))
             except BadInput as error:
-                missing.append(f"no output-error estimate: {error.what}")
+                missing.append(f"no {name} estimate: {error.what}")
+        found = list(made.values())
         points = [dict(e.point) for e in found if e.point]
         choice = self.noise_choice(points[0])
         return Beginning(found, missing, choice, self._first_target(points, choice))

@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 from bayesfric.config import Config, NoiseOptions, Origin
 from bayesfric.errors import BadInput
 from bayesfric.inference.fit import read_priors
-from bayesfric.inference.likelihood.noise_choice import MOST
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
-from bayesfric.inference.likelihood.residual_noise import Autoregressive, ResidualNoise, StudentT
+from bayesfric.inference.noise import NOISE_MODELS
+from bayesfric.inference.noise.autoregressive import MOST
+from bayesfric.inference.noise.residual_noise import ResidualNoise
 from bayesfric.inference.prior.priors import Prior
 from bayesfric.mechanism.chain import Chain
 from bayesfric.recordings.held_out import HeldOut, divide
@@ -113,18 +114,17 @@ def _noise_quantities(config: Config) -> tuple[str, ...]:
     """Noise scales that may have a prior."""
     tables = config.tables
     if tables.likelihood.method == "output-error":
-        return PositionLikelihood.noise_quantities
+        return PositionLikelihood.noise.quantities
     noise = tables.noise
-    if noise.order is not None and noise.model in ("white", "student-t"):
+    if noise.order is not None and NOISE_MODELS[noise.model].order == "none":
         raise BadInput("noise.order", f"{noise.model} noise has none", "leave it out")
     return residual_noise(noise, MOST).quantities
 
 
 def residual_noise(noise: NoiseOptions, chosen: int) -> ResidualNoise:
     """Make the noise that a configuration asks for; of order ``chosen`` where it names none."""
-    if noise.model == "student-t":
-        return StudentT()
-    return Autoregressive(0 if noise.model == "white" else noise.order or chosen)
+    model = NOISE_MODELS[noise.model]
+    return model.make(0 if model.order == "none" else noise.order or chosen)
 
 
 def _changed_since(recording: Measurement, origin: Origin) -> Measurement:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesfric.inference.noise import SCALES
 from bayesfric.model import Model
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
@@ -23,6 +24,7 @@ def check(model: Model) -> dict[str, Any]:
         If the motion cannot tell the totals of eq. (11) apart.
     """
     (totals,) = model.estimates(["least-squares"])
+    unsettled = {f"noise.{scale.name}" for scale in SCALES.values() if scale.chosen}
     return {
         "config": str(model.config.path),
         "mechanism": {
@@ -49,7 +51,7 @@ def check(model: Model) -> dict[str, Any]:
             name: {"prior": prior.text, "default": prior.default}
             for name, prior in model.priors.items()
             # whether the noise remembers, the residuals of an estimate will say
-            if not (name.startswith("noise.pacf_") and prior.default)
+            if not (prior.default and name in unsettled)
         },
         "doubts": doubts_before(totals, model.observations),
         "least_squares": {

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.estimates.estimate import Estimate, Method
+from bayesfric.estimates.estimate import Estimate
+from bayesfric.estimates.methods import ESTIMATORS
 from bayesfric.model import Model
 from bayesfric.report.summary.summary import estimate_summary
 
@@ -25,7 +26,7 @@ def estimate_text(found: Sequence[Estimate], model: Model) -> Iterator[str]:
     """Word estimates for a person, line by line."""
     references = model.references()
     for estimate in found:
-        yield _TITLES[estimate.method]
+        yield ESTIMATORS[estimate.method].title
         yield (
             f"  {estimate.n_outputs} residuals, rms {estimate.residual_rms:.4g} "
             f"{estimate.residual_unit}. {estimate.assumption}."
@@ -36,13 +37,6 @@ def estimate_text(found: Sequence[Estimate], model: Model) -> Iterator[str]:
         for note in estimate.notes:
             yield f"  {note}"
         yield ""
-
-
-_TITLES: dict[Method, str] = {
-    "least-squares": "Least squares, section 4.1, eq. (11): what the motor feels",
-    "input-error": "Direct minimisation of the input error, section 4.2",
-    "output-error": "Output error of a simulation (recursive identification), section 4.3",
-}
 
 
 def _row(v: Any, reference: dict[str, Any] | None, converged: bool) -> str:

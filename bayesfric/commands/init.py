@@ -11,7 +11,7 @@ from pydantic_core import PydanticUndefined
 
 from bayesfric.config import LikelihoodOptions, NoiseOptions
 from bayesfric.errors import BadInput, nearest
-from bayesfric.estimates.options import Estimation
+from bayesfric.estimates.estimation import Estimation
 from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.chain import Chain

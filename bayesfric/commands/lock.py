@@ -1,27 +1,21 @@
-"""One process at a time in a folder."""
+"""One process at a time in a folder: ``filelock``, and who is there, for the one that is not."""
 
 from __future__ import annotations
 
+import errno
 import os
 import socket
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO
 
-if sys.platform == "win32":
-    import msvcrt
+from filelock import FileLock, Timeout
 
-    def _take(file: IO[str]) -> None:
-        # a byte behind what is written, so that others can read that
-        file.seek(2**20)
-        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-else:
-    import fcntl
-
-    def _take(file: IO[str]) -> None:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+# How a disk without locks tells it: better one run without than none at all.
+_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
+# Files of a lock.
+LOCK, OWNER = "lock", "lock.owner"
 
 
 class Taken(Exception):
@@ -41,47 +35,35 @@ def alone_in(folder: Path) -> Iterator[None]:
     OSError
         If the folder cannot be made.
     """
-    file = _locked(folder)
-    try:
-        yield
-    finally:
-        if sys.platform == "win32":
-            file.close()  # nothing open can be removed there
-        with suppress(OSError):
-            # nobody can take it before it is closed, and who waits finds it gone
-            (folder / "lock").unlink()
-        with suppress(OSError):
-            folder.rmdir()
-        file.close()
-
-
-def _locked(folder: Path) -> IO[str]:
-    path = folder / "lock"
+    lock, owner = FileLock(folder / LOCK), folder / OWNER
     while True:
         folder.mkdir(exist_ok=True)
         try:
-            file = path.open("a+", encoding="utf-8")
+            lock.acquire(timeout=0)
         except FileNotFoundError:
             continue  # its owner just left and removed the folder
-        try:
-            _take(file)
-        except (BlockingIOError, PermissionError):  # the second is how Windows tells it
-            raise Taken(_owner(file)) from None
-        except OSError:
-            # a disk without locks: better one run without than none at all
-            pass
+        except Timeout:
+            raise Taken(_name(owner)) from None
+        except OSError as error:
+            if error.errno not in _NO_LOCKS:
+                raise
+        break
+    try:
+        owner.write_text(f"process {os.getpid()} on {socket.gethostname()}\n", encoding="utf-8")
+        yield
+    finally:
+        if sys.platform == "win32":
+            lock.release()  # nothing open can be removed there
+        # nobody can take it before it is released, and who waits finds it gone
+        for path in (owner, folder / LOCK):
+            with suppress(OSError):
+                path.unlink()
         with suppress(OSError):
-            if os.path.samestat(os.fstat(file.fileno()), path.stat()):
-                break
-        file.close()  # the one before removed it in this very moment
-    file.seek(0)
-    file.truncate()
-    file.write(f"process {os.getpid()} on {socket.gethostname()}\n")
-    file.flush()
-    return file
+            folder.rmdir()
+        lock.release()
 
 
-def _owner(file: IO[str]) -> str:
-    with file:
-        file.seek(0)
+def _name(owner: Path) -> str:
+    with suppress(OSError, UnicodeDecodeError), owner.open(encoding="utf-8") as file:
         return file.readline(200).strip() or "another process"
+    return "another process"

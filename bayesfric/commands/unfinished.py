@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import bayesfric
-from bayesfric.commands.lock import Taken, alone_in
+from bayesfric.commands.lock import LOCK, OWNER, Taken, alone_in
 from bayesfric.commands.signals import Asked, asked_to_stop
 from bayesfric.errors import BadInput, Interrupted
 from bayesfric.inference.sampling.checkpoint import Checkpoint
@@ -193,5 +193,5 @@ def _set_aside(place: Path) -> None:
     old.mkdir()
     # the manifests last: with one of them there, it can still be told what this was
     for path in sorted(place.iterdir(), key=lambda path: path.suffix == ".json"):
-        if path.name != "lock":
+        if path.name not in (LOCK, OWNER):
             path.rename(old / path.name)

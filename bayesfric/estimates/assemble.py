@@ -72,21 +72,9 @@ def centred(
 
 
 def units_of(chain: Chain, free: Sequence[str], values: Array) -> Array:
-    """Say what counts as a change of one: the value itself; for load losses that of alpha.
+    """Say what counts as a change of one, ``(len(free),)``: the value; for load losses alpha.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    free
-        Names of the free parameters.
-    values
-        ``(n_parameters,)`` in the order of ``chain.names``.
-
-    Returns
-    -------
-    ndarray
-        ``(len(free),)``, never zero.
+    ``values`` is ``(n_parameters,)`` in the order of ``chain.names``; no unit is zero.
     """
     units = np.empty(len(free))
     for j, name in enumerate(free):
@@ -109,25 +97,14 @@ def assemble(
     information: Information,
     at_bound: NDArray[np.int_],
 ) -> tuple[EstimatedValue, ...]:
-    """State totals, derived quantities and parameters of a fitted vector.
+    """State totals, derived quantities and parameters of a fitted vector ``(n_parameters,)``.
 
-    Parameters
-    ----------
-    chain, observations, knowledge
-        What was fitted.
-    values
-        ``(n_parameters,)`` in the order of ``chain.names``.
-    information
-        Of the free parameters, in the chain's order. Bounds are left out of it: beside a
-        parameter that stands on one, others would look far too certain.
-    at_bound
-        ``(d,)`` for the free parameters: -1 on the lower bound, 1 on the upper, else 0.
+    ``information`` is of the free parameters, in the chain's order. Bounds are left out of it:
+    beside a parameter that stands on one, others would look far too certain. ``at_bound``
+    ``(d,)``: -1 on the lower bound, 1 on the upper, else 0.
 
-    Returns
-    -------
-    tuple of EstimatedValue
-        Totals of eq. (11) as least squares would see this vector's torque, derived
-        quantities, then the free parameters.
+    Gives totals of eq. (11) as least squares would see this vector's torque, derived quantities,
+    parameters. What the data leave open has an infinite sd; what stands on a bound has none.
     """
     free = knowledge.free(chain)
     columns = np.array([chain.names.index(name) for name in free], dtype=np.int64)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from bayesfric.estimates.huber import shares
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian
@@ -99,17 +100,13 @@ class Terms:
 
     def shares(self, residual: Array) -> Array:
         """Weight of each squared residual that gives Huber's loss the same slope."""
-        out = np.ones(residual.size)
-        if np.isfinite(self.bend):
-            size = np.abs(residual[: self.weights.size])
-            out[: size.size] = self.bend / np.maximum(size, self.bend)
-        return out
+        told = np.ones(residual.size - self.weights.size)
+        return np.concatenate([shares(residual[: self.weights.size], self.bend), told])
 
     def height(self, residual: Array) -> float:
         """Sum of the losses."""
-        shares = self.shares(residual)
-        # squares inside, 2 c |r| - c² outside
-        return float(np.sum(residual**2 * shares * (2.0 - shares)))
+        share = self.shares(residual)
+        return float(np.sum(residual**2 * share * (2.0 - share)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,20 +125,11 @@ def descend(
     lower: Array | None = None,
     upper: Array | None = None,
 ) -> Found:
-    """Search downhill (Levenberg-Marquardt with exact limits).
+    """Search downhill from ``x`` ``(d,)`` (Levenberg-Marquardt with exact limits).
 
-    Every step solves the linear problem within the limits, so what a limit stops stands
-    on it to the last digit. Huber's loss is a sequence of weighted squares, each of which
-    lies above it and touches it where it is taken.
-
-    Parameters
-    ----------
-    problem, terms
-        What is summed up.
-    x
-        ``(d,)`` free parameters to start from, within the limits.
-    lower, upper
-        ``(d,)`` limits; those of the problem where left out.
+    Every step solves the linear problem within the limits, those of the problem where left out, so
+    what a limit stops stands on it to the last digit. Huber's loss is a sequence of weighted
+    squares, each of which lies above it and touches it where it is taken.
     """
     lower = problem.lower if lower is None else lower
     upper = problem.upper if upper is None else upper
@@ -155,7 +143,7 @@ def descend(
         )
         size = np.where(np.isfinite(size), size, problem.typical[problem.columns])
         while True:
-            step = _bounded_step(
+            step = bounded_step(
                 np.concatenate([triangle, np.sqrt(damping) * np.eye(x.size)]),
                 np.concatenate([target, np.zeros(x.size)]),
                 (lower - x) / size,
@@ -184,17 +172,11 @@ def descend(
 
 
 def _packed(jacobian: Array, residual: Array) -> tuple[Array, Array, Array]:
-    """Shrink a linear problem to ``(d, d)``, in units that change the residual by one.
+    """Shrink a linear problem to ``(d, d)``, in units ``(d,)`` that change the residual by one.
 
-    From the eigenvectors of ``J'J``: the QR of many rows is more exact, but its threads
-    wait for each other on a busy machine, and a search only needs a direction.
-
-    Returns
-    -------
-    matrix : (d, d)
-    target : (d,)
-    size : (d,)
-        The units; infinite for what does not show.
+    From the eigenvectors of ``J'J``: the QR of many rows is more exact, but its threads wait for
+    each other on a busy machine, and a search only needs a direction. The unit of what does not
+    show is infinite.
     """
     norms = np.linalg.norm(jacobian, axis=0)
     with np.errstate(divide="ignore"):
@@ -209,13 +191,22 @@ def _packed(jacobian: Array, residual: Array) -> tuple[Array, Array, Array]:
     return roots[:, None] * vectors.T, target, size
 
 
-def _bounded_step(matrix: Array, target: Array, lower: Array, upper: Array) -> Array:
+def bounded_step(
+    matrix: Array,
+    target: Array,
+    lower: Array,
+    upper: Array,
+    *,
+    room: float = 1e-300,
+    tol: float = 1e-14,
+) -> Array:
+    """Solve a linear least-squares problem within limits that are at least ``room`` apart."""
     step = np.linalg.lstsq(matrix, target, rcond=None)[0]
     if np.all(step >= lower) and np.all(step <= upper):
         return np.asarray(step)
     # a limit met twice (lower = upper) would be refused
-    wide = np.maximum(upper, lower + 1e-300)
-    found = lsq_linear(matrix, target, (lower, wide), method="bvls", tol=1e-14)
+    wide = np.maximum(upper, lower + room)
+    found = lsq_linear(matrix, target, (lower, wide), method="bvls", tol=tol)
     return np.asarray(found.x)
 
 

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-Method = Literal["least-squares", "input-error", "output-error"]
-METHODS: tuple[Method, ...] = ("least-squares", "input-error", "output-error")
+from bayesfric.estimates.methods import ESTIMATORS
+
+METHODS = tuple(ESTIMATORS)
+if TYPE_CHECKING:
+    Method = str
+else:
+    Method = Literal[METHODS]
 
 Kind = Literal["total", "derived", "parameter"]
 
@@ -69,7 +74,7 @@ class Estimate:
     Attributes
     ----------
     method
-        ``least-squares``, ``input-error`` or ``output-error``.
+        One of :data:`METHODS`.
     values
         In a fixed order: totals, derived quantities, parameters.
     residual_rms

@@ -62,18 +62,9 @@ class Directions:
         return self.singular_values <= self.tolerance * largest
 
     def solve(self, gradient: Array) -> Array | None:
-        """Multiply the inverse of ``J'J`` by the gradient of a function of the parameters.
+        """Multiply the inverse of ``J'J`` by the gradient ``(d,)`` of a function of the parameters.
 
-        Parameters
-        ----------
-        gradient
-            ``(d,)``, per parameter unit.
-
-        Returns
-        -------
-        ndarray or None
-            ``(d,)``, in parameter units; ``None`` where the function changes along a
-            null direction.
+        ``None`` where the function changes along a null direction.
         """
         along = self.rows @ (gradient * self.units)
         null = self.null
@@ -105,6 +96,33 @@ def directions(
     return Directions(units, values, rows, tolerance, basis)
 
 
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """What is known of how residuals scatter.
+
+    Attributes
+    ----------
+    groups
+        ``(n,)`` number of the group each belongs to, where they may be correlated within groups
+        in any way but not between them.
+    lost
+        Number of quantities fitted besides and already taken out of the Jacobian and the
+        residual, for example initial states.
+    inflation
+        Factor on standard deviations of uncorrelated residuals, for robust losses.
+    least
+        Standard deviation of a residual that rounding alone makes, as of an encoder.
+    """
+
+    groups: NDArray[np.int64] | None = None
+    lost: int = 0
+    inflation: float = 1.0
+    least: float = 0.0
+
+
+_PLAIN = Scatter()
+
+
 class Information:
     """Standard deviations of whatever is computed from estimated parameters.
 
@@ -117,25 +135,14 @@ class Information:
     units
         ``(d,)`` what counts as a change of one; for example the values themselves.
     places
-        ``(n,)`` where each residual stands on an even grid of time; neighbours differ by
-        one. Residuals far apart (other segments, other recordings) are put far apart.
-    groups
-        ``(n,)`` number of the group each residual belongs to, where residuals may be
-        correlated within groups in any way but not between them.
+        ``(n,)`` where each residual stands on an even grid of time; those of other segments and
+        recordings are put far apart.
     known
-        ``(k, d)`` rows ``1/sd`` of independent knowledge about parameters, for example
-        of a data-sheet value with its tolerance.
-    tolerance
-        Share of the largest singular value below which others are rounding.
-    known_null
-        ``(k, d)`` directions along which, in theory, no output changes.
-    inflation
-        Factor on standard deviations of uncorrelated residuals, for robust losses.
-    lost
-        Number of quantities fitted besides and already taken out of the Jacobian and
-        the residual, for example initial states.
-    least_sigma
-        Standard deviation of a residual that rounding alone makes, as of an encoder.
+        ``(k, d)`` rows ``1/sd`` of independent knowledge, as of a data-sheet value.
+    tolerance, known_null
+        See :func:`directions`.
+    scatter
+        How residuals scatter.
     """
 
     def __init__(
@@ -145,26 +152,23 @@ class Information:
         units: Array,
         *,
         places: NDArray[np.int64] | None = None,
-        groups: NDArray[np.int64] | None = None,
         known: Array | None = None,
         tolerance: float = NULL,
         known_null: Array | None = None,
-        inflation: float = 1.0,
-        lost: int = 0,
-        least_sigma: float = 0.0,
+        scatter: Scatter = _PLAIN,
     ) -> None:
         n, d = jacobian.shape
         self._jacobian, self._residual = jacobian, residual
         self._places = np.arange(n) if places is None else places
-        self._groups = groups
+        self._groups = scatter.groups
         self._known = np.zeros((0, d)) if known is None else known
         rank = 0
         if d:
             found = directions(jacobian, units, tolerance, known_null=known_null)
             rank = int(np.count_nonzero(~found.null))
-        self.freedom = max(n - rank - lost, 1)
-        self.sigma = float(np.sqrt(residual @ residual / self.freedom)) * inflation
-        self.sigma = max(self.sigma, least_sigma)
+        self.freedom = max(n - rank - scatter.lost, 1)
+        self.sigma = float(np.sqrt(residual @ residual / self.freedom)) * scatter.inflation
+        self.sigma = max(self.sigma, scatter.least)
         # Knowledge enters as residuals of the same standard deviation as the others.
         self.directions = directions(
             np.concatenate([jacobian, self.sigma * self._known]) if self._known.size else jacobian,
@@ -174,18 +178,10 @@ class Information:
         )
 
     def sds(self, gradient: Array) -> tuple[float, float]:
-        """Give the standard deviations of a function of the parameters.
+        """Give the sds of a function of the parameters with this gradient ``(d,)``.
 
-        Parameters
-        ----------
-        gradient
-            ``(d,)`` derivative of the function by the free parameters.
-
-        Returns
-        -------
-        tuple of float
-            For uncorrelated residuals, and accounting for correlation; both infinite
-            where the function changes along a null direction.
+        For uncorrelated residuals, and accounting for correlation; both infinite
+        where the function changes along a null direction.
         """
         if not np.any(gradient):
             return 0.0, 0.0
@@ -232,17 +228,11 @@ class Information:
 
 
 def long_run_variance(score: Array, places: NDArray[np.int64]) -> float:
-    """Variance of the sum of a correlated series with gaps.
+    """Variance of the sum of a correlated series ``(n,)`` of mean zero, with gaps.
 
     Quadratic spectral kernel with the bandwidth of a first-order autoregression
     (Andrews, Econometrica 59, 1991, eqs. 6.2 to 6.4); gaps count as zeros (Parzen 1963).
-
-    Parameters
-    ----------
-    score
-        ``(n,)`` of mean zero.
-    places
-        ``(n,)`` position of each on an even grid, rising.
+    ``places`` ``(n,)`` are positions on an even grid, rising.
     """
     grid = np.zeros(int(places[-1] - places[0]) + 1)
     grid[places - places[0]] = score

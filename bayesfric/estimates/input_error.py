@@ -20,10 +20,10 @@ from bayesfric.estimates.assemble import (
 )
 from bayesfric.estimates.descent import ROUNDING, Found, Terms, TorqueProblem, descend, few_threads
 from bayesfric.estimates.estimate import Estimate
-from bayesfric.estimates.information import CORRELATED, Information, lag_one
+from bayesfric.estimates.estimation import Estimation
+from bayesfric.estimates.huber import HUBER, robust_sd
+from bayesfric.estimates.information import CORRELATED, Information, Scatter, lag_one
 from bayesfric.estimates.knowledge import Knowledge
-from bayesfric.estimates.options import Estimation
-from bayesfric.estimates.robust import HUBER, robust_sd
 from bayesfric.estimates.torque import places
 from bayesfric.estimates.torque_form import scale_known, torque_form
 from bayesfric.estimates.variable_projection import VariableProjection
@@ -55,24 +55,8 @@ def input_error(
 
     The search starts from the variable projection of eqs. (18) and (19) where the chain
     has that form, from splits of the least-squares totals, and from random vectors;
-    limits are kept exactly.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    observations
-        One or more prepared recordings.
-    knowledge
-        Known values, limits and data-sheet values.
-    options
-        Loss, weights, number and seed of random starts.
-
-    Returns
-    -------
-    Estimate
-        Totals, derived quantities and parameters. What the data leave open has an
-        infinite standard deviation; what stands on a limit has none.
+    limits are kept exactly. What the data leave open has an infinite sd; what stands on a limit
+    has none.
 
     Raises
     ------
@@ -267,7 +251,7 @@ def _information(problem: TorqueProblem, terms: Terms, x: Array) -> Information:
         known_null=open_directions(
             problem.chain, problem.knowledge, problem.observations, problem.vector(x)
         ),
-        inflation=inflation,
+        scatter=Scatter(inflation=inflation),
     )
 
 

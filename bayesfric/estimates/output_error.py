@@ -19,11 +19,11 @@ from bayesfric.estimates.assemble import (
     units_of,
 )
 from bayesfric.estimates.estimate import Estimate
-from bayesfric.estimates.information import LEAST_GROUPS, Information
+from bayesfric.estimates.estimation import Estimation
+from bayesfric.estimates.huber import HUBER, robust_sd
+from bayesfric.estimates.information import LEAST_GROUPS, Information, Scatter
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import least_squares, starting_values
-from bayesfric.estimates.options import Estimation
-from bayesfric.estimates.robust import HUBER, robust_sd
 from bayesfric.estimates.shooting import Shooting, choose_substeps, resolution, step_error
 from bayesfric.estimates.shooting_fit import (
     Frame,
@@ -66,29 +66,13 @@ def output_error(
     """Estimate by simulation, section 4.3: the least ``||q - qc||``.
 
     The measured torque drives the simulated joint; parameters and the state at the start of
-    every segment are fitted to the measured position, unfiltered.
+    every segment are fitted to the measured position, unfiltered. ``trajectories`` are not yet
+    divided, ``observations`` the same recordings, prepared; ``start`` has a value for every
+    parameter: the input error.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    trajectories
-        The recordings, not yet divided.
-    observations
-        The same, prepared, in the same order.
-    knowledge
-        Known values, bounds and told values.
-    options
-        Loss, weights, segment length and substeps.
-    start
-        Where to start from, with a value for every parameter: the input error.
-
-    Returns
-    -------
-    Estimate
-        Residuals in rad or m. ``sd`` is for white noise of the position. Noise of the torque
-        drives the simulated joint, so residuals within a segment drift together;
-        ``sd_robust`` rests on segments being independent of each other.
+    ``sd`` is for white noise of the position. Noise of the torque drives the simulated joint, so
+    residuals within a segment drift together; ``sd_robust`` rests on segments being independent of
+    each other.
 
     Raises
     ------
@@ -140,20 +124,11 @@ def output_error(
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fit with segments of one length.
+    """A fit with segments of one length, s.
 
-    Attributes
-    ----------
-    length
-        Of the segments, s.
-    frame, weights, solution
-        The problem and where its descent ended, scalings in their middle.
-    information
-        Of the free parameters, bounds left out: beside one, others would look far too certain.
-    at_bound
-        ``(d,)``: -1 on the lower bound, 1 on the upper, else 0.
-    error
-        Discretisation error of the position, rad or m.
+    ``information`` is of the free parameters, bounds left out: beside one, others would look far
+    too certain. ``at_bound`` ``(d,)``: -1 on the lower bound, 1 on the upper, else 0. ``error``:
+    of the discretisation, rad or m.
     """
 
     length: float
@@ -166,13 +141,7 @@ class Fit:
 
 
 class OutputError:
-    """Fits of simulated to measured position with segments of any length.
-
-    Parameters
-    ----------
-    chain, trajectories, observations, knowledge, options
-        As for :func:`output_error`.
-    """
+    """Fits of simulated to measured position with segments of any length."""
 
     def __init__(
         self,
@@ -397,14 +366,16 @@ class OutputError:
             projected[:, 0],
             frame.units,
             places=frame.shooting.places,
-            groups=frame.shooting.segment_of,
             known=frame.told,
             known_null=open_directions(
                 self.chain, self.knowledge, self.observations, solution.values
             ),
             tolerance=_NULL,
-            lost=linear.elimination.lost,
-            least_sigma=float(np.min(weights.rows * self.grain[frame.shooting.recording_of])),
+            scatter=Scatter(
+                frame.shooting.segment_of,
+                linear.elimination.lost,
+                least=float(np.min(weights.rows * self.grain[frame.shooting.recording_of])),
+            ),
         )
 
 

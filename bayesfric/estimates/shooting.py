@@ -31,16 +31,10 @@ _LEAST_REACH = 1e-2
 
 @dataclass(frozen=True, eq=False)
 class Sensitivities:
-    """Simulated positions and their derivatives.
+    """Simulated positions ``(n,)`` and their derivatives.
 
-    Attributes
-    ----------
-    positions
-        ``(n,)``, rad or m.
-    parameters
-        ``(n, d)`` by the free parameters.
-    states
-        ``(n, 2)`` by position and speed at the start of the segment each sample is in.
+    ``parameters`` ``(n, d)`` by the free parameters; ``states`` ``(n, 2)`` by position and speed at
+    the start of the segment each sample is in.
     """
 
     positions: Array
@@ -51,27 +45,19 @@ class Sensitivities:
 class Shooting:
     """Simulation of recordings from one state for each of their segments.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    trajectories
-        One or more recordings, cut into segments.
-    substeps
-        Integration steps a sample.
-
     Attributes
     ----------
     measured
         ``(n,)`` measured position inside the segments of all recordings, rad or m.
-    segment_of, recording_of
-        ``(n,)`` number of the segment, counted over all recordings, and of the recording.
-    places
-        ``(n,)`` place of each sample on an even grid of time, recordings far apart.
+    segment_of, recording_of, places
+        ``(n,)`` number of the segment, counted over all recordings, and of the recording; and
+        place on an even grid of time, recordings far apart.
     borders
         ``(K + 1,)``: segment ``k`` is ``borders[k]:borders[k + 1]`` of the above.
     initial
         ``(K, 2)`` position and speed to start the search for the initial states from.
+    substeps
+        Integration steps a sample.
     """
 
     def __init__(self, chain: Chain, trajectories: Sequence[Trajectory], substeps: int) -> None:
@@ -99,21 +85,9 @@ class Shooting:
         return int(self.initial.shape[0])
 
     def positions(self, values: Array, states: Array, substeps: int | None = None) -> Array:
-        """Simulate.
+        """Simulate vectors ``(m, n_parameters)`` from states ``(K, 2)`` or ``(m, K, 2)``.
 
-        Parameters
-        ----------
-        values
-            ``(m, n_parameters)`` in the order of ``chain.names``.
-        states
-            ``(K, 2)`` or ``(m, K, 2)``: position and speed at each segment's start.
-        substeps
-            In place of :attr:`substeps`.
-
-        Returns
-        -------
-        ndarray
-            ``(m, n)``, rad or m; NaN where a vector cannot be simulated.
+        Gives ``(m, n)``, rad or m; NaN where a vector cannot be simulated.
         """
         m = values.shape[0]
         states = np.broadcast_to(states, (m, self.n_segments, 2))
@@ -153,22 +127,18 @@ class Shooting:
 
         Parameters
         ----------
-        values
-            ``(n_parameters,)`` in the order of ``chain.names``.
-        states
-            ``(K, 2)``.
+        values, states
+            ``(n_parameters,)`` and ``(K, 2)``.
         steps
             ``(n_parameters,)`` widths of the differences; zero for parameters to leave out.
         state_steps
             Of initial position and speed.
         limits
-            Lower and upper limit of every parameter, ``(n_parameters,)`` each; the
-            supports where left out.
+            Of every parameter, ``(n_parameters,)`` each; the supports where left out.
 
         Returns
         -------
         Sensitivities
-            With one column for each parameter whose step is not zero. Derivatives are
             NaN where neither side can be simulated.
         """
         if limits is None:
@@ -207,16 +177,8 @@ class Shooting:
     def eliminate(self, states: Array, columns: Array) -> Elimination:
         """Take the initial states out of a least-squares problem.
 
-        Parameters
-        ----------
-        states
-            ``(n, 2)`` derivatives by the initial states, weighted like ``columns``.
-        columns
-            ``(n, k)``: residual and derivatives by parameters.
-
-        Returns
-        -------
-        Elimination
+        ``states`` ``(n, 2)`` are derivatives by them, weighted like ``columns`` ``(n, k)``:
+        residual and derivatives by parameters.
         """
         base = np.zeros((columns.shape[0], 2))
         back = np.zeros((self.n_segments, 2, 2))
@@ -238,17 +200,10 @@ class Shooting:
 class Elimination:
     """A least-squares problem without its initial states.
 
-    Attributes
-    ----------
-    projected
-        ``(n, k)`` columns, each segment's made orthogonal to its two state columns.
-    onto
-        ``(K, 2, k)`` change of the states that each column stands for.
-    lost
-        Number of states that were taken out.
-    base, back, borders
-        ``(n, 2)`` orthonormal in each segment, ``(K, 2, 2)`` from their coefficients to the
-        states, and where segments begin.
+    ``projected`` ``(n, k)``: columns, each segment's made orthogonal to its two state columns.
+    ``onto`` ``(K, 2, k)``: change of the states that each column stands for. ``lost``: number of
+    states taken out. ``base``, ``back``: ``(n, 2)`` orthonormal in each segment, and ``(K, 2, 2)``
+    from their coefficients to the states.
     """
 
     projected: Array
@@ -273,15 +228,10 @@ def _off(
 
 
 def resolution(position: Array) -> float:
-    """Smallest change of position that a recording can tell.
+    """Smallest change of position ``(N,)`` that a recording can tell.
 
     The larger of the smallest step between values and the noise of neighbouring samples
     (third differences: motion itself hardly shows in them).
-
-    Parameters
-    ----------
-    position
-        ``(N,)``, rad or m.
     """
     span = float(np.ptp(position))
     gaps = np.diff(np.unique(position))
@@ -292,30 +242,20 @@ def resolution(position: Array) -> float:
     return float(max(step, noise, 1e-9 * span, 1e-12))
 
 
-def choose_substeps(shooting: Shooting, values: Array, states: Array) -> tuple[int, float]:
-    """Integration steps a sample that leave an error well below the encoder's resolution.
+def choose_substeps(
+    shooting: Shooting, values: Array, states: Array, small: float | None = None
+) -> tuple[int, float]:
+    """Integration steps a sample that leave a small error, well below the encoder's resolution.
 
-    Parameters
-    ----------
-    shooting
-        The recordings.
-    values
-        ``(n_parameters,)`` in the order of ``chain.names``.
-    states
-        ``(K, 2)`` initial states.
-
-    Returns
-    -------
-    substeps : int
-    error : float
-        Estimated discretisation error of the position, largest over all samples, rad or m.
+    Gives them, and the largest estimated error of the position, rad or m.
     """
-    least = min(resolution(t.position) for t in shooting.trajectories)
+    if small is None:
+        small = _SHARE_OF_RESOLUTION * min(resolution(t.position) for t in shooting.trajectories)
     substeps = 1
     coarse = shooting.positions(values[None], states, substeps)[0]
     while True:
         error, fine = step_error(shooting, values, states, substeps, coarse)
-        if not error > _SHARE_OF_RESOLUTION * least or substeps >= _MAX_SUBSTEPS:
+        if not error > small or substeps >= _MAX_SUBSTEPS:
             return substeps, error
         substeps, coarse = 2 * substeps, fine
 
@@ -330,7 +270,7 @@ def step_error(
     if coarse is None:
         coarse = shooting.positions(values[None], states, substeps)[0]
     fine = shooting.positions(values[None], states, 2 * substeps)[0]
-    return float(np.max(np.abs(fine - coarse))) * 16.0 / 15.0, fine
+    return float(np.nanmax(np.abs(fine - coarse))) * 16.0 / 15.0, fine
 
 
 def _slope(middle: Array, one: Array, two: Array | None, a: float, b: float) -> Array:

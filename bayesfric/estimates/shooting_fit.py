@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
 
+from bayesfric.estimates.descent import bounded_step
+from bayesfric.estimates.huber import losses, shares
 from bayesfric.estimates.shooting import Shooting
 from bayesfric.mechanism.scaling import Scaling
 
@@ -38,24 +39,11 @@ _LARGEST_BEND = 0.75
 class Frame:
     """What stays the same while one fit descends.
 
-    Attributes
-    ----------
-    shooting
-        The simulated recordings.
-    columns
-        ``(d,)`` free parameters among the chain's.
-    units
-        ``(d,)`` change of each free parameter that changes the torque by all of itself.
-    limits
-        Lower and upper limits of the free parameters.
-    scalings
-        Those that nothing known takes away: directions that no torque can see.
-    told, targets
-        Rows ``1/sd`` ``(k, d)`` and ``mean/sd`` of what is known of parameters besides.
-    speed, span
-        Typical speed and range of the position, for the size of state steps.
-    deadline
-        CPU time of the process, s, at which a descent ends where it is.
+    ``columns`` ``(d,)`` are the free parameters among the chain's, ``units`` ``(d,)`` changes of
+    them that change the torque by all of itself, ``scalings`` those that nothing known takes away.
+    ``told`` ``(k, d)`` and ``targets`` are rows ``1/sd`` and ``mean/sd`` of what is known besides.
+    ``speed``, ``span``: typical speed and range of the position, for the size of state steps.
+    ``deadline``: CPU time of the process, s, at which a descent ends where it is.
     """
 
     shooting: Shooting
@@ -86,14 +74,8 @@ class Frame:
 class Weights:
     """How residuals count.
 
-    Attributes
-    ----------
-    rows
-        ``(n,)`` factor on each residual, one for each recording.
-    sigma
-        Standard deviation of the residuals times ``rows``.
-    knee
-        Weighted residual beyond which the loss is linear; infinite for squares.
+    ``rows`` ``(n,)``: factor on each; ``sigma``: sd of the residuals times that; ``knee``: weighted
+    residual beyond which the loss is linear, infinite for squares.
     """
 
     rows: Array
@@ -102,33 +84,17 @@ class Weights:
 
     def irls(self, residual: Array) -> Array:
         """Weights of the squares that descend like the Huber loss does, ``(n,)``."""
-        if not np.isfinite(self.knee):
-            return self.rows
-        size = np.maximum(np.abs(residual * self.rows), 1e-300)
-        return np.asarray(self.rows * np.sqrt(np.minimum(1.0, self.knee / size)))
+        return np.asarray(self.rows * np.sqrt(shares(residual * self.rows, self.knee)))
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
     """Where a descent ended.
 
-    Attributes
-    ----------
-    values
-        ``(n_parameters,)`` in the order of the chain's names.
-    states
-        ``(K, 2)`` initial states.
-    residual
-        ``(n,)`` measured minus simulated position, not weighted.
-    cost
-        Sum of squares (or of the Huber loss) of weighted residuals and of what is told.
-    gain
-        By how much a further step would lower the cost, in residual variances.
-    iterations
-        Jacobians it took.
-    converged
-        Whether the last step was as small as wanted or nothing smaller could be found; not
-        where time ran out.
+    ``residual`` ``(n,)`` is measured minus simulated position, not weighted; ``cost`` the sum of
+    the losses, of what is told too; ``gain`` by how much a further step would lower it, in
+    residual variances. ``converged``: the last step was as small as wanted, or nothing smaller
+    could be found; not where time ran out.
     """
 
     values: Array
@@ -148,25 +114,9 @@ def residual_of(frame: Frame, values: Array, states: Array) -> Array:
 class Linearised:
     """The problem around one point: residual, derivatives, states taken out.
 
-    Parameters
-    ----------
-    frame
-        The problem.
-    values, states
-        The point.
-    rows
-        ``(n,)`` weight on each residual.
-    sigma
-        Standard deviation of weighted residuals, against what is told.
-    central
-        Whether to take the more exact of the two kinds of differences.
-
-    Attributes
-    ----------
-    jacobian
-        ``(n, d)`` of the weighted positions, blind along :meth:`Frame.tangents`.
-    elimination
-        Of weighted residual (column 0) and jacobian.
+    ``rows`` ``(n,)`` weigh the residuals, whose sd is then ``sigma``, against what is told.
+    ``central``: whether to take the more exact of the two kinds of differences. ``jacobian``
+    ``(n, d)`` of the weighted positions is blind along :meth:`Frame.tangents`.
     """
 
     def __init__(
@@ -179,7 +129,7 @@ class Linearised:
         *,
         central: bool = True,
     ) -> None:
-        self._frame, self._rows = frame, rows
+        self._frame, self.rows = frame, rows
         columns, units, d = frame.columns, frame.units, frame.columns.size
         steps = np.zeros(values.size)
         steps[columns] = STEP * units
@@ -213,7 +163,7 @@ class Linearised:
     def gain(self) -> float:
         """By how much the full step would lower the sum of squares, states included."""
         left = self.target - self._matrix @ self.step(0.0, self.target)
-        states = np.sum((self._rows * self.residual) ** 2) - np.sum(
+        states = np.sum((self.rows * self.residual) ** 2) - np.sum(
             self.elimination.projected[:, 0] ** 2
         )
         return float(self.target @ self.target - left @ left + states)
@@ -228,14 +178,8 @@ class Linearised:
         extra = np.diag(np.maximum(np.sqrt(damping) * self._size, least))
         a = np.concatenate([self._matrix, extra])
         b = np.concatenate([target, np.zeros(d)])
-        step = np.linalg.lstsq(a, b, rcond=None)[0]
         low, high = self._box
-        if np.all(step >= low) and np.all(step <= high):
-            return np.asarray(step)
-        # lsq_linear wants room between the bounds
-        low = np.minimum(low, 0.0)
-        high = np.maximum(high, low + 1e-12)
-        return np.asarray(lsq_linear(a, b, (low, high), method="bvls").x)
+        return bounded_step(a, b, np.minimum(low, 0.0), high, room=1e-12, tol=1e-10)
 
     def states(self, step: Array) -> Array:
         """Change of the states that goes with a step of the parameters, ``(K, 2)``."""
@@ -253,11 +197,7 @@ class Linearised:
     def along(self, step: Array, change: Array) -> Array:
         """Weighted change of the positions, to first order, ``(n,)``."""
         by_state = np.sum(self._by_state * change[self._frame.shooting.segment_of], axis=1)
-        return np.asarray(self.jacobian @ (step * self._frame.units) + self._rows * by_state)
-
-    def weighted(self, change: Array) -> Array:
-        """Weight a change of the positions ``(n,)`` like the residual."""
-        return np.asarray(self._rows * change)
+        return np.asarray(self.jacobian @ (step * self._frame.units) + self.rows * by_state)
 
     def bent(self, damping: float, miss: Array) -> tuple[Array, Array]:
         """Second-order part of a step: what cancels ``miss`` ``(n,)``, weighted positions."""
@@ -277,20 +217,7 @@ def descend(frame: Frame, weights: Weights, values: Array, states: Array) -> Sol
     Levenberg and Marquardt's steps on the problem without its states. Several dampings
     are simulated side by side. Given the parameters, segments do not depend on each
     other, so each takes the share of its own states' step that suits it best.
-
-    Parameters
-    ----------
-    frame, weights
-        The problem.
-    values
-        ``(n_parameters,)`` to start from, within the limits.
-    states
-        ``(K, 2)`` to start from.
-
-    Returns
-    -------
-    Solution
-        Cost is infinite if the start cannot be simulated.
+    The cost is infinite if the start cannot be simulated.
     """
     columns = frame.columns
     residual = residual_of(frame, values, states)
@@ -314,20 +241,17 @@ def descend(frame: Frame, weights: Weights, values: Array, states: Array) -> Sol
         found = None
         while found is None and damping < 1e12:
             dampings = [damping * f for f in _DAMPINGS]
-            trial = _try(frame, weights, at, linear, dampings)
-            if not trial.cost < at.cost:
-                trial = _try(frame, weights, at, linear, dampings, stuck=True)
-            if trial.cost < at.cost:
-                found = trial
+            for stuck in (False, True):
+                trial, worked = _try(frame, weights, at, linear, dampings, stuck=stuck)
+                if trial.cost < at.cost:
+                    found, damping = trial, worked
+                    break
             else:
                 damping *= 1e3
         if found is None:
             return replace(at, converged=gain < _SMALL)
         fall = at.cost - found.cost
-        at = replace(
-            at, values=found.values, states=found.states, residual=found.residual, cost=found.cost
-        )
-        damping = max(found.damping, 1e-12)
+        at, damping = found, max(damping, 1e-12)
         if fall < 1e-9 * at.cost:
             return replace(at, converged=gain < _SMALL)
     return at
@@ -335,14 +259,14 @@ def descend(frame: Frame, weights: Weights, values: Array, states: Array) -> Sol
 
 def settle_states(frame: Frame, weights: Weights, values: Array, states: Array) -> Array:
     """Fit the initial states alone, ``(K, 2)``, the parameters held."""
+    low, high = frame.limits
     held = replace(
         frame,
         columns=frame.columns[:0],
         units=frame.units[:0],
-        limits=(frame.limits[0][:0], frame.limits[1][:0]),
+        limits=(low[:0], high[:0]),
         scalings=(),
         told=frame.told[:, :0],
-        targets=frame.targets,
     )
     return descend(held, weights, values, states).states
 
@@ -370,17 +294,6 @@ def descend_afresh(frame: Frame, weights: Weights, values: Array, states: Array)
     return at
 
 
-@dataclass(frozen=True, eq=False)
-class _Trial:
-    """Where a step would lead."""
-
-    damping: float
-    values: Array
-    states: Array
-    residual: Array
-    cost: float
-
-
 def _try(
     frame: Frame,
     weights: Weights,
@@ -389,8 +302,8 @@ def _try(
     dampings: list[float],
     *,
     stuck: bool = False,
-) -> _Trial:
-    """Simulate the steps of several dampings, straight and bent, and give the best.
+) -> tuple[Solution, float]:
+    """Simulate the steps of several dampings, straight and bent; give the best, and its damping.
 
     Where nothing helps, ``stuck``, only positions are changed: a joint that starts next to
     rest and soon sticks hardly moves with its speed, so the full step of that is far off.
@@ -411,7 +324,7 @@ def _try(
         )
         start = frame.shooting.measured - solution.residual
         for damping, step, change, there in zip(dampings, steps, changes, ahead, strict=True):
-            beyond = linear.weighted(there - start) - _AHEAD * linear.along(step, change)
+            beyond = linear.rows * (there - start) - _AHEAD * linear.along(step, change)
             if not np.isfinite(beyond).all():
                 continue
             more, states_more = linear.bent(damping, -beyond / _AHEAD**2)
@@ -436,13 +349,14 @@ def _try(
     totals += [_told_cost(frame, weights, moved[columns]) for _, moved, _ in moves]
     best = int(np.argmin(totals))
     pick = best * shares + choice[best]
-    return _Trial(
-        moves[best][0],
-        moves[best][1],
-        starts[pick, np.arange(pick.size)],
-        residuals[pick[frame.shooting.segment_of], np.arange(residuals.shape[1])],
-        float(totals[best]),
+    better = replace(
+        solution,
+        values=moves[best][1],
+        states=starts[pick, np.arange(pick.size)],
+        residual=residuals[pick[frame.shooting.segment_of], np.arange(residuals.shape[1])],
+        cost=float(totals[best]),
     )
+    return better, moves[best][0]
 
 
 def _moved(frame: Frame, values: Array, step: Array) -> Array:
@@ -453,14 +367,7 @@ def _moved(frame: Frame, values: Array, step: Array) -> Array:
 
 def _segment_costs(frame: Frame, weights: Weights, residuals: Array) -> Array:
     """Cost of every segment, ``(m, K)``; NaN where it cannot be simulated."""
-    size = np.abs(residuals * weights.rows)
-    loss = (
-        np.where(
-            size <= weights.knee, size**2, 2.0 * min(weights.knee, 1e300) * size - weights.knee**2
-        )
-        if np.isfinite(weights.knee)
-        else size**2
-    )
+    loss = losses(residuals * weights.rows, weights.knee)
     return np.asarray(np.add.reduceat(loss, frame.shooting.borders[:-1], axis=1))
 
 

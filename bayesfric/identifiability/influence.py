@@ -19,7 +19,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import rel_entr
 
 from bayesfric.inference.fit import Fit
 
@@ -89,33 +88,16 @@ def sensitivity(draws: Array, log_component: Array) -> Array:
     Of draws ``(n, d)`` and the log density ``(n,)`` of what is raised to a power, up to a
     constant. Gives ``(d,)``, the mean of both directions; ``nan`` where draws are all equal.
     """
-    down = scaled_distance(draws, log_component, 1.0 / (1.0 + _DELTA))
-    up = scaled_distance(draws, log_component, 1.0 + _DELTA)
-    return np.asarray((down + up) / (2.0 * np.log2(1.0 + _DELTA)))
+    from arviz_stats.base import array_stats  # takes a while, and few commands need it
 
-
-def scaled_distance(draws: Array, log_component: Array, alpha: float) -> Array:
-    """Measure how far the posterior moves when one component is raised to a power ``alpha``.
-
-    Gives ``(d,)`` normalised cumulative Jensen-Shannon distances between the draws and the
-    same draws with the weights ``p^(alpha - 1)``: 0 where nothing moves, at most 1. Each is
-    the larger one of ``x`` and ``-x``.
-    """
-    log_weights = (alpha - 1.0) * log_component
-    weights = np.exp(log_weights - log_weights.max())
-    weights /= weights.sum()
-    order = np.argsort(draws, axis=0)
-    steps = np.diff(np.take_along_axis(draws, order, axis=0), axis=0)
-    n = draws.shape[0]
-    before = (np.arange(1, n) / n)[:, None]
-    # rounding must not carry a share beyond one
-    after = np.minimum(np.cumsum(weights[order], axis=0)[:-1], 1.0)
-    found = []
-    for p, q in ((before, after), (1.0 - before, 1.0 - after)):
-        # in the sum of both directions the paper's terms in the integral of Q - P cancel
-        middle = 0.5 * (p + q)
-        terms = (rel_entr(p, middle) + rel_entr(q, middle)) / np.log(2.0)
-        with np.errstate(invalid="ignore"):
-            divergence = np.sum(terms * steps, axis=0) / np.sum((p + q) * steps, axis=0)
-        found.append(np.sqrt(np.maximum(divergence, 0.0)))
-    return np.asarray(np.maximum(*found))
+    powers = (1.0 / (1.0 + _DELTA), 1.0 + _DELTA)
+    logs = [(alpha - 1.0) * log_component for alpha in powers]
+    weights = [np.exp(w - w.max()) / np.exp(w - w.max()).sum() for w in logs]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = [
+            array_stats.power_scale_sense(x[None], *(w[None] for w in weights), *powers)
+            if np.ptp(x) > 0.0
+            else np.nan
+            for x in draws.T
+        ]
+    return np.array(found, dtype=np.float64)

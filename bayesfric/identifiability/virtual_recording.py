@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.identifiability.local import LocalUnits, torque_changes
-from bayesfric.inference.likelihood.residual_noise import Autoregressive, ResidualNoise
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.moments.residual_moments import follows
+from bayesfric.inference.noise.autoregressive import Autoregressive
+from bayesfric.inference.noise.residual_noise import ResidualNoise
 from bayesfric.inference.target import Target
 from bayesfric.mechanism import excitation
 from bayesfric.mechanism.chain import Chain

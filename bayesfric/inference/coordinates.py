@@ -57,13 +57,7 @@ class BoundedCoordinates:
     normal quantile of its place between them is sampled: next to a bound a posterior is flat,
     and its quantile normal. (A logit would have a long tail there, in which walkers hang on.)
 
-    Parameters
-    ----------
-    lower, upper
-        Supports, ``(d,)``.
-    widths
-        About the posterior sd of each parameter, ``(d,)``; plain logarithms if
-        they are not known yet.
+    ``widths`` ``(d,)`` are about the posterior sds; plain logarithms if they are not known yet.
     """
 
     def __init__(
@@ -122,20 +116,23 @@ class BoundedCoordinates:
         return np.asarray(scaled + np.log(-np.expm1(-scaled)))
 
 
-# The chain whose inverse model is eq. (13), in this order of parameters.
-GEARBOX_FORM = (
-    "motor.inertia",
-    "motor.viscous",
-    "motor.coulomb_positive",
-    "motor.coulomb_negative",
-    "gearbox.load_drive",
-    "gearbox.load_back",
-    "joint.viscous",
-    "joint.coulomb_positive",
-    "joint.coulomb_negative",
+# The chain whose inverse model is eq. (13), in this order of parameters: which element, whatever
+# it is called, and what of it.
+_GEARBOX_FORM = (
+    "0.inertia",
+    "0.viscous",
+    "0.coulomb_positive",
+    "0.coulomb_negative",
+    "1.load_drive",
+    "1.load_back",
+    "2.viscous",
+    "2.coulomb_positive",
+    "2.coulomb_negative",
     "load.inertia",
     "load.first_moment",
 )
+# The same chain with one mu for both directions of power.
+_SINGLE_LOSS_FORM = (*_GEARBOX_FORM[:4], "1.load", *_GEARBOX_FORM[6:])
 
 
 class TorqueFormCoordinates:
@@ -165,15 +162,16 @@ class TorqueFormCoordinates:
         ``ml`` in kg m where it is known: it fixes the scale, ``lambda_2 = theta10 N/(g ml)``,
         and there is no eleventh coordinate.
     told
-        ``load.first_moment`` or ``gearbox.load_drive`` where a prior tells it well: then its
-        logarithm (that of ``1 + mu_1``) is the eleventh coordinate, in which such a posterior
-        is straight, while its place between the bounds would be a bent ridge.
+        Name of ``ml`` or of ``mu_1`` where a prior tells it well: then its logarithm (that of
+        ``1 + mu_1``) is the eleventh coordinate, in which such a posterior is straight, while
+        its place between the bounds would be a bent ridge.
     """
 
     def __init__(
         self, ratio: float, gravity: float, first_moment: float | None = None, told: str = ""
     ) -> None:
         self.first_moment, self.told = first_moment, told
+        self._moment_told = told.endswith(".first_moment")
         scale = "the alpha/leg scale between the bounds that a passive gearbox sets"
         if first_moment is not None:
             scale = "the scale known from load.first_moment"
@@ -182,7 +180,7 @@ class TorqueFormCoordinates:
         self.description = f"Theta1 and Theta2 of eq. (13), and {scale}"
         self._to_motor = _worth_at_motor(ratio, gravity)
         self._log_constant = -float(np.log(self._to_motor[:4]).sum())
-        self._order_leg = [9, 6, 7, 8, 10]  # in GEARBOX_FORM: J, f, C1, C2, ml
+        self._order_leg = [9, 6, 7, 8, 10]  # in _GEARBOX_FORM: J, f, C1, C2, ml
         self._order_motor = [0, 1, 2, 3]
 
     def to_parameters(self, u: Array) -> tuple[Array, Array]:
@@ -226,7 +224,7 @@ class TorqueFormCoordinates:
         if self.first_moment is not None:
             return u[:, :10]
         if self.told:
-            u[:, 10] = np.log(parameters[:, 10] if self.told == "load.first_moment" else drive)
+            u[:, 10] = np.log(parameters[:, 10] if self._moment_told else drive)
             return u
         rho = lambda1 / lambda2
         low, high = -np.log(rho + 1.0), -np.log(rho - 1.0)
@@ -241,7 +239,7 @@ class TorqueFormCoordinates:
             log_lambda2 = np.log(u[:, 9] / self._to_motor[4]) - log_moment
             return log_lambda2, np.full(u.shape[0], -log_moment)
         none = np.zeros(u.shape[0])
-        if self.told == "load.first_moment":
+        if self._moment_told:
             return np.log(u[:, 9] / self._to_motor[4]) - u[:, 10], none
         if self.told:
             return u[:, 10] - np.log(rho + 1.0), none
@@ -250,26 +248,11 @@ class TorqueFormCoordinates:
         return low + (high - low) * ndtr(place), np.log(high - low) + _log_normal(place)
 
 
-# The same chain with one mu for both directions of power.
-SINGLE_LOSS_FORM = (
-    *GEARBOX_FORM[:4],
-    "gearbox.load",
-    *GEARBOX_FORM[6:],
-)
-
-
 class SingleLossCoordinates:
     """Theta1 and Theta2 of eq. (13) where one mu holds for both directions of power.
 
     Then ``lambda_1 = 1`` and ``lambda_2 = mu``: no scale is open, and ten coordinates are
     ten parameters, ``mu = theta10/theta5``.
-
-    Parameters
-    ----------
-    ratio
-        ``N``, motor speed over joint speed.
-    gravity
-        m/s².
     """
 
     description = "Theta1 and Theta2 of eq. (13), one mu for both directions"
@@ -277,7 +260,7 @@ class SingleLossCoordinates:
     def __init__(self, ratio: float, gravity: float) -> None:
         self._to_motor = _worth_at_motor(ratio, gravity)
         self._log_constant = -float(np.log(self._to_motor).sum())
-        self._leg = [8, 5, 6, 7, 9]  # in SINGLE_LOSS_FORM: J, f, C1, C2, ml
+        self._leg = [8, 5, 6, 7, 9]  # in _SINGLE_LOSS_FORM: J, f, C1, C2, ml
 
     def to_parameters(self, u: Array) -> tuple[Array, Array]:
         """See :class:`Coordinates`. ``u``: theta_1..5, theta_6..10."""
@@ -329,30 +312,30 @@ def choose_coordinates(
 ) -> Coordinates:
     """Take the coordinates that suit the chain and its priors best.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    priors
-        Of every parameter of the chain, fixed ones included.
-    widths
-        About the posterior sds of the free ones, ``(d,)``, where they are known already.
+    ``widths`` ``(d,)`` are about the posterior sds of the free parameters, where they are known.
     """
     free = [name for name in chain.names if not priors[name].fixed]
-    reversible = all(priors[n].upper <= 1.0 for n in free if n == "gearbox.load_back")
-    first_moment = priors["load.first_moment"].value if "load.first_moment" in priors else 0.0
-    plain_gearbox = [e.name for e in chain.elements] == ["motor", "gearbox", "joint"] and all(
-        e.ratio == 1.0 for e in chain.elements if e.name != "gearbox"
-    )
-    if plain_gearbox and tuple(chain.names) == GEARBOX_FORM and reversible:
-        if tuple(free) == GEARBOX_FORM:
-            told = [n for n in ("load.first_moment", "gearbox.load_drive") if _tells(priors[n])]
-            return TorqueFormCoordinates(
-                chain.ratio, chain.load.gravity, told=told[0] if told else ""
-            )
-        if tuple(free) == GEARBOX_FORM[:-1] and first_moment > 0.0:
-            return TorqueFormCoordinates(chain.ratio, chain.load.gravity, first_moment)
-    if plain_gearbox and tuple(chain.names) == tuple(free) == SINGLE_LOSS_FORM:
-        return SingleLossCoordinates(chain.ratio, chain.load.gravity)
+    if all(e.ratio == 1.0 for i, e in enumerate(chain.elements) if i != 1):
+        form, joint = _form(chain), (chain.ratio, chain.load.gravity)
+        if form == _GEARBOX_FORM:
+            drive, back, moment = (chain.names[i] for i in (4, 5, 10))
+            reversible = priors[back].fixed or priors[back].upper <= 1.0
+            if reversible and len(free) == len(form):
+                told = [name for name in (moment, drive) if _tells(priors[name])]
+                return TorqueFormCoordinates(*joint, told=told[0] if told else "")
+            if reversible and tuple(free) == chain.names[:-1] and priors[moment].value > 0.0:
+                return TorqueFormCoordinates(*joint, priors[moment].value)
+        if form == _SINGLE_LOSS_FORM and len(free) == len(form):
+            return SingleLossCoordinates(*joint)
     bounds = [(priors[name].lower, priors[name].upper) for name in free]
     return BoundedCoordinates([low for low, _ in bounds], [high for _, high in bounds], widths)
+
+
+def _form(chain: Chain) -> tuple[str, ...]:
+    """Tell parameters by place and quantity, whatever elements are called: ``0.inertia``."""
+    places = {element.name: str(i) for i, element in enumerate(chain.elements)}
+    owners = (p.name.rpartition(".")[0] for p in chain.parameters)
+    return tuple(
+        f"{places.get(owner, owner)}.{p.quantity}"
+        for owner, p in zip(owners, chain.parameters, strict=True)
+    )

@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.estimate import Estimate
 from bayesfric.estimates.least_squares import least_squares, starting_values
+from bayesfric.estimates.methods import ESTIMATORS
 from bayesfric.inference.likelihood.likelihood import Likelihood
-from bayesfric.inference.likelihood.residual_noise import ResidualNoise
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.noise import SCALES
+from bayesfric.inference.noise.residual_noise import ResidualNoise
+from bayesfric.inference.noise.scale import NoiseScale, noise_of
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.predictive import Prediction
-from bayesfric.inference.prior.defaults import default_noise_prior, default_prior, measured_scales
-from bayesfric.inference.prior.noise import NoiseScale, noise_model, support
+from bayesfric.inference.prior.defaults import default_prior, measured_scales
 from bayesfric.inference.prior.priors import Prior, PriorText, read_prior
 from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Progress, Sampling, sample
@@ -88,17 +90,9 @@ class Fit:
         ]
 
     def chain_draws(self, n: int | None = None) -> NDArray[np.float64]:
-        """Draws of all chain parameters, fixed ones included.
+        """Draws of all chain parameters, fixed ones included, ``(n, n_parameters)``.
 
-        Parameters
-        ----------
-        n
-            At most so many, evenly spread; all if left out.
-
-        Returns
-        -------
-        ndarray
-            ``(n, n_parameters)`` in the order of ``chain.names``.
+        At most ``n``, evenly spread; all if left out.
         """
         return self.target.chain_values(self.posterior.flat(n))
 
@@ -111,21 +105,9 @@ def read_priors(
 ) -> dict[str, Prior]:
     """Priors of every parameter of the chain: the given ones and defaults for the rest.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    texts
-        What a configuration says, by parameter name; noise scales are allowed too.
-    observations
-        Set the scale of the defaults.
-    noise
-        Noise scales that the likelihood has; ``sigma`` makes ``noise.sigma``.
-
-    Raises
-    ------
-    BadInput
-        If a name is unknown or a prior cannot be.
+    ``texts`` is what a configuration says by parameter name, noise scales included; ``noise``
+    names the scales that the likelihood has: ``sigma`` makes ``noise.sigma``. BadInput if a name
+    is unknown or a prior cannot be.
     """
     noises = [f"noise.{quantity}" for quantity in noise]
     # one prior for the offset stands for those of all recordings that have none of their own
@@ -146,12 +128,8 @@ def read_priors(
         else default_prior(chain, p, scales)
         for p in chain.parameters
     }
-    for name, (low, high) in zip(noises, map(support, noise), strict=True):
-        priors[name] = (
-            read_prior(name, texts[name], lower=low, upper=high)
-            if name in texts
-            else default_noise_prior(name, scales)
-        )
+    for name, quantity in zip(noises, noise, strict=True):
+        priors[name] = SCALES[quantity].read_prior(texts, scales)
         if priors[name].fixed:
             raise BadInput(f"priors.{name}", "cannot be fixed", "give a narrow range instead")
     if all(priors[name].fixed for name in chain.names):
@@ -181,7 +159,7 @@ def target_of(
     ``priors`` is what :func:`read_priors` gives for the likelihood's noise scales.
     """
     recordings = [o.name for o in likelihood.observations]
-    noise = noise_model(recordings, likelihood.noise_quantities, priors, noise_scale)
+    noise = noise_of(recordings, likelihood.noise.scales, priors, noise_scale)
     return Target(likelihood, priors, noise)
 
 
@@ -195,18 +173,8 @@ def fit(
 ) -> Fit:
     """Estimate, climb to the mode, sample.
 
-    Parameters
-    ----------
-    target
-        From :func:`make_target`.
-    sampling
-        Seed, sizes and stopping rule.
-    estimates
-        Point estimates already made; the search starts from theirs too.
-    progress
-        Called as sampling goes on.
-    checkpoint
-        See :func:`bayesfric.inference.sampling.sampling.sample`.
+    ``estimates`` are point estimates already made: the search starts from theirs. For
+    ``checkpoint`` see :func:`bayesfric.inference.sampling.sampling.sample`.
 
     Raises
     ------
@@ -220,7 +188,8 @@ def fit(
     progress(Progress("searching the mode", 0, float("nan"), float("nan")))
     rng = np.random.default_rng(np.random.SeedSequence(sampling.seed, spawn_key=(2**31,)))
     # what only stands beside the posterior, and may be cut off by the clock, must not move it
-    begin = [e for e in estimates if e.method != "output-error" or e.method == likelihood.method]
+    beside = {one.name for one in ESTIMATORS.values() if one.simulates} - {likelihood.method}
+    begin = [e for e in estimates if e.method not in beside]
     points = _points(target, begin)
     target = target.uncut_at(points[0])
     prior_draws = np.stack([prior.draw(500, rng) for prior in target.priors], axis=1)
@@ -398,7 +367,7 @@ def _noise_starts(target: Target, size: float) -> NDArray[np.float64]:
     likelihood = target.likelihood
     assert isinstance(likelihood, TorqueLikelihood)
     starts = likelihood.noise.starts(size)
-    columns = [likelihood.noise_quantities.index(kind) for kind in target.noise.quantities]
+    columns = [likelihood.noise.quantities.index(kind) for kind in target.noise.quantities]
     return np.asarray(starts[:, columns])
 
 

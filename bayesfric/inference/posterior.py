@@ -43,7 +43,7 @@ class Diagnostics:
         Wall-clock time of sampling.
     not_finite_share
         Share of places beside the posterior where the likelihood is no number; see
-        :mod:`bayesfric.inference.sampling.no_number`.
+        :mod:`bayesfric.inference.sampling.undefined_likelihood`.
     warnings
         What to know of a sample that has converged, with the mend.
     max_rhat

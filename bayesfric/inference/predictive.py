@@ -114,18 +114,11 @@ class Prediction:
 def predict_held_out(
     target: Target, posterior: Posterior, held_out: Sequence[HeldOut]
 ) -> tuple[Prediction, ...]:
-    """Predict what was held out.
+    """Predict what was held out, with the posterior of a finished fit of the torque.
 
     The end of a fitted recording is predicted with that recording's own noise scale and
     offset. Those of a recording that was held out as a whole are not known; where recordings
     have their own, the predictive is a mixture over those of the fitted ones.
-
-    Parameters
-    ----------
-    target, posterior
-        Of a finished fit of the torque.
-    held_out
-        From :func:`bayesfric.recordings.held_out.divide`.
     """
     likelihood = target.likelihood
     if not isinstance(likelihood, TorqueLikelihood):

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from bayesfric.inference.coordinates import BoundedCoordinates, choose_coordinates
 from bayesfric.inference.likelihood.likelihood import Likelihood
+from bayesfric.inference.noise.scale import Noise
 from bayesfric.inference.prior.joint_prior import JointPrior
-from bayesfric.inference.prior.noise import Noise
 from bayesfric.inference.prior.priors import Prior
 
 Array = NDArray[np.float64]

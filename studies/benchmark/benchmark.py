@@ -26,13 +26,13 @@ import numpy as np
 import problem
 from run_rivals import disagreement, run_rivals
 
+from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import least_squares
-from bayesfric.estimates.options import Estimation
 from bayesfric.inference.fit import fit, target_of
-from bayesfric.inference.likelihood.residual_noise import Autoregressive
 from bayesfric.inference.moments.fast_moments import fast_moments
+from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.inference.prior.priors import read_prior
 from bayesfric.inference.sampling.sampling import Progress, Sampling
 from bayesfric.inference.target import Target

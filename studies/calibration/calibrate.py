@@ -33,7 +33,9 @@ from ranks import summary_of
 
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.inference.fit import fit, make_target
-from bayesfric.inference.likelihood.residual_noise import Autoregressive, ResidualNoise, StudentT
+from bayesfric.inference.noise.autoregressive import Autoregressive
+from bayesfric.inference.noise.residual_noise import ResidualNoise
+from bayesfric.inference.noise.student_t import StudentT
 from bayesfric.inference.prior.priors import Prior, read_prior
 from bayesfric.inference.sampling import sampling
 from bayesfric.inference.sampling.sampling import Sampling

@@ -7,9 +7,9 @@ import pytest
 
 from bayesfric.errors import BadInput
 from bayesfric.estimates.descent import Terms, TorqueProblem, descend
+from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.knowledge import Knowledge
-from bayesfric.estimates.options import Estimation
 from bayesfric.estimates.torque import typical_load
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.derived import derive

@@ -9,8 +9,8 @@ import pytest
 
 from bayesfric.errors import BadInput
 from bayesfric.estimates.estimate import Estimate
+from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.knowledge import Knowledge
-from bayesfric.estimates.options import Estimation
 from bayesfric.estimates.output_error import output_error
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import Element, Load

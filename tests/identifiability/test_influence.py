@@ -9,7 +9,6 @@ from scipy import stats
 from bayesfric.identifiability.influence import (
     Influence,
     influence,
-    scaled_distance,
     sensitivity,
 )
 from bayesfric.inference.fit import fit, make_target, read_priors
@@ -50,19 +49,6 @@ def even():
     """Draws without any chance in them: 20 000 quantiles of the posterior."""
     n = 20_000
     return posterior().ppf((np.arange(n) + 0.5) / n)
-
-
-@pytest.mark.parametrize("alpha", [0.8, 1 / 1.01, 1.01, 1.25, 2.0])
-def test_distance_of_a_normal_is_that_of_the_closed_form(even, alpha):
-    log_prior, log_likelihood = components(even)
-    for log_component, scaled in (
-        (log_prior, posterior(of_prior=alpha)),
-        (log_likelihood, posterior(of_likelihood=alpha)),
-    ):
-        expected = exact_distance(posterior(), scaled, even[0], even[-1])
-        found = scaled_distance(even[:, None], log_component, alpha)
-        # weights of quantiles miss what lies beyond the last: a few of n for powers near 1
-        np.testing.assert_allclose(found, expected, rtol=3e-3)
 
 
 def test_sensitivity_is_the_slope_by_the_binary_logarithm(even):

@@ -17,8 +17,9 @@ from bayesfric.inference.likelihood.autoregression import (
     variances,
     whitened,
 )
-from bayesfric.inference.likelihood.residual_noise import Autoregressive, StudentT
 from bayesfric.inference.moments.residual_moments import Moments
+from bayesfric.inference.noise.autoregressive import Autoregressive
+from bayesfric.inference.noise.student_t import StudentT
 
 partials = st.lists(st.floats(-0.95, 0.95), min_size=0, max_size=4).map(np.array)
 

@@ -1,6 +1,7 @@
 """Coordinates: round trips, Jacobians against finite differences, bounds."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,12 +10,12 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from bayesfric.inference.coordinates import (
-    GEARBOX_FORM,
     BoundedCoordinates,
     SingleLossCoordinates,
     TorqueFormCoordinates,
     choose_coordinates,
 )
+from bayesfric.inference.fit import make_target, read_priors
 from bayesfric.inference.prior.priors import read_prior
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.options import ElementOptions, MechanismOptions
@@ -26,7 +27,8 @@ INF = math.inf
 def knee_rows(n, seed=0):
     """Random knees with a passive, reversible gearbox."""
     rng = np.random.default_rng(seed)
-    table = np.array([PRESETS["rabbit-knee"].values[name] for name in GEARBOX_FORM])
+    preset = PRESETS["rabbit-knee"]
+    table = preset.chain().vector(preset.values)
     rows = table * rng.uniform(0.3, 3.0, (n, table.size))
     rows[:, 4] = rng.uniform(0.01, 0.9, n)
     rows[:, 5] = rng.uniform(0.01, 0.95, n)
@@ -163,6 +165,34 @@ def test_the_torque_form_is_chosen_only_where_it_holds():
     known = choose({"load.first_moment": 0.42})
     assert isinstance(known, TorqueFormCoordinates)
     assert known.first_moment == 0.42
+
+
+@pytest.mark.parametrize("load_loss", ["two", "one"])
+def test_elements_may_be_called_anything(load_loss, make_observation):
+    """Names are for people: coordinates, and what makes a likelihood cheap, go by the form."""
+    preset = PRESETS["rabbit-knee"]
+    chain = preset.chain()
+    motor, gearbox, joint = chain.elements
+    chain = replace(chain, elements=(motor, replace(gearbox, load_loss=load_loss), joint))
+    names = {"motor": "drive-side", "gearbox": "reducer", "joint": "output"}
+    renamed = replace(chain, elements=tuple(replace(e, name=names[e.name]) for e in chain.elements))
+    values = preset.values | ({"gearbox.load": 0.4} if load_loss == "one" else {})
+    vector = np.array([values[name] for name in chain.names])
+    rng = np.random.default_rng(3)
+    rows = vector * (1.0 + 0.02 * rng.standard_normal((400, vector.size)))
+    found = []
+    for one in (chain, renamed):
+        # motor inertia first, joint friction and the load after it, as in the form
+        o = make_observation(one, dict(zip(one.names, vector, strict=True)), n=600)
+        target = make_target(one, [o], read_priors(one, {}, [o]), "shared")
+        parameters = np.column_stack([rows, np.full(len(rows), 0.01)])
+        u = target.from_parameters(parameters)
+        prepared = target.prepared(u)
+        assert prepared.likelihood.cheap
+        found.append((type(target.coordinates), u, prepared(u)))
+    assert found[0][0] is found[1][0] is not BoundedCoordinates
+    np.testing.assert_array_equal(found[0][1], found[1][1])
+    np.testing.assert_allclose(found[0][2], found[1][2], rtol=1e-12)
 
 
 def test_the_torque_form_with_a_known_first_moment():

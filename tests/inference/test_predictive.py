@@ -7,7 +7,8 @@ import pytest
 from scipy import stats
 
 from bayesfric.inference.likelihood.autoregression import autocovariance
-from bayesfric.inference.likelihood.residual_noise import Autoregressive, StudentT
+from bayesfric.inference.noise.autoregressive import Autoregressive
+from bayesfric.inference.noise.student_t import StudentT
 from bayesfric.inference.predictive import Prediction, predict_held_out
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.held_out import HeldOut

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from bayesfric.errors import BadInput
-from bayesfric.inference.prior.defaults import Scales, default_noise_prior, default_prior
+from bayesfric.inference.noise import SCALES
+from bayesfric.inference.prior.defaults import Scales, default_prior
 from bayesfric.inference.prior.priors import read_prior
 from bayesfric.mechanism.presets import PRESETS
 
@@ -166,5 +167,5 @@ def test_default_scales_follow_the_shaft():
     assert sd["motor.viscous"] == 0.01
     assert sd["joint.viscous"] == pytest.approx(25.0, abs=5.1)  # 25 to one digit
     assert sd["load.inertia"] == pytest.approx(1.25, abs=0.3)
-    noise = default_noise_prior("noise.sigma", scales)
+    noise = SCALES["sigma"].read_prior({}, scales)
     assert (noise.lower, noise.upper) == (1e-6, 1.0)

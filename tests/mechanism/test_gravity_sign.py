@@ -7,9 +7,9 @@ import pytest
 from pydantic import ValidationError
 
 from bayesfric.estimates.estimate import Estimate
+from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.knowledge import Knowledge
-from bayesfric.estimates.options import Estimation
 from bayesfric.identifiability.candidates import _hanging
 from bayesfric.inference.coordinates import choose_coordinates
 from bayesfric.inference.fit import make_target, read_priors

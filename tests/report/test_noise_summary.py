@@ -8,7 +8,8 @@ import pytest
 from bayesfric.estimates.estimate import Estimate, EstimatedValue
 from bayesfric.inference.fit import fit, make_target, read_priors
 from bayesfric.inference.likelihood.noise_choice import Choice, Evidence
-from bayesfric.inference.likelihood.residual_noise import Autoregressive, StudentT
+from bayesfric.inference.noise.autoregressive import Autoregressive
+from bayesfric.inference.noise.student_t import StudentT
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.paper.methods_text import methods_text

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from bayesfric.inference.fit import read_priors, target_of
-from bayesfric.inference.likelihood.residual_noise import Autoregressive
+from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.recordings import Processing
 from bayesfric.report.figures.residual import residual_figure
 from bayesfric.report.figures.style import PAGE
@@ -178,7 +178,7 @@ def test_heavy_tails_are_told(knee):
 def remembering(fit, partial):
     """Give the fit's noise a memory of one, known well."""
     likelihood = fit.target.likelihood.with_noise(Autoregressive(1))
-    priors = read_priors(fit.chain, {}, fit.observations, likelihood.noise_quantities)
+    priors = read_priors(fit.chain, {}, fit.observations, likelihood.noise.quantities)
     target = target_of(likelihood, priors, "shared")
     draws = fit.posterior.draws
     draws = np.concatenate([draws, np.full((*draws.shape[:3], 1), partial)], axis=-1)

@@ -8,7 +8,7 @@ import pytest
 
 from bayesfric.inference.fit import make_target, read_priors
 from bayesfric.inference.likelihood.autoregression import autocovariance, simulated
-from bayesfric.inference.likelihood.residual_noise import StudentT
+from bayesfric.inference.noise.student_t import StudentT
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings import Processing

@@ -27,16 +27,8 @@ PASSES = 0.05
 def predictors(partial: Array) -> list[Array]:
     """Coefficients of the best predictors from 0, 1, .., p predecessors.
 
-    Parameters
-    ----------
-    partial
-        ``(n, p)`` partial autocorrelations.
-
-    Returns
-    -------
-    list of ndarray
-        ``(n, k)`` for ``k = 0..p``, the nearest predecessor first; the last are the
-        coefficients of the series.
+    For ``(n, p)`` partial autocorrelations ``(n, k)`` each, the nearest predecessor first; the last
+    are the coefficients of the series.
     """
     found = [np.empty((partial.shape[0], 0))]
     for k in range(partial.shape[1]):
@@ -66,21 +58,11 @@ def autocovariance(partial: Array) -> Array:
 
 
 def whitened(x: Array, partial: Array, follows: Flags) -> Array:
-    """Take from every value what its predecessors foretell, over the sd of the rest.
+    """Take from every value ``(..., M)`` what its predecessors foretell, over the sd of the rest.
 
-    Parameters
-    ----------
-    x
-        ``(..., M)``
-    partial
-        ``(p,)`` partial autocorrelations.
-    follows
-        ``(M - 1,)`` whether each value follows the one before in the same run.
-
-    Returns
-    -------
-    ndarray
-        ``(..., M)`` uncorrelated and of the innovations' variance for the right series.
+    ``partial`` ``(p,)`` are partial autocorrelations, ``follows`` ``(M - 1,)`` whether each value
+    follows the one before in the same run. Gives uncorrelated values of the innovations' variance
+    for the right series.
     """
     age = ages(follows, partial.size)
     coefficients = predictors(partial[None])
@@ -155,14 +137,8 @@ def ljung_box(
 ) -> float:
     """p-value of the Ljung-Box test that values of all runs together are uncorrelated.
 
-    Parameters
-    ----------
-    series, follows
-        Innovations, and where runs go on.
-    lags
-        Correlations tested.
-    fitted
-        Coefficients that were fitted to them, taken off the degrees of freedom.
+    ``lags`` correlations are tested; ``fitted`` coefficients that were fitted to the series are
+    taken off the degrees of freedom.
     """
     power = sum(float(x @ x) for x in series)
     statistic = 0.0

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesfric.inference.noise.scale import NoiseDescription
 from bayesfric.mechanism.chain import Chain
 from bayesfric.recordings.observation import Observation
 
@@ -48,74 +49,69 @@ class Outputs:
     follows: NDArray[np.bool_]
 
 
-class Likelihood(Protocol):
+class Likelihood(ABC):
     """How probable the measurements are, given the joint's parameters.
 
-    Noise scales are handed over as ``(n, R, Q)``: vectors, recordings, and the
-    quantities named by ``noise_quantities``.
+    Noise scales are handed over as ``(n, R, Q)``: vectors, recordings, and
+    :attr:`noise`'s own.
     """
 
     chain: Chain
     observations: tuple[Observation, ...]
     outputs: tuple[Outputs, ...]
     method: LikelihoodMethod
-    noise_quantities: tuple[str, ...]
+    noise: NoiseDescription
 
-    def about(self, values: Array) -> Likelihood:
-        """Give the same likelihood with its approximations made near ``(n_parameters,)``."""
-        ...
+    @property
+    @abstractmethod
+    def evaluation(self) -> str:
+        """How it is computed, in words."""
 
     @property
     def outside(self) -> int:
         """Vectors so far that lay where the likelihood is not prepared, and were dear."""
-        ...
+        return 0
 
     @property
     def cheap(self) -> bool:
         """Whether a vector costs no more than the sampler's own bookkeeping."""
-        ...
+        return False
 
-    @property
-    def evaluation(self) -> str:
-        """How it is computed, in words."""
-        ...
+    def about(self, values: Array) -> Likelihood:  # noqa: ARG002
+        """Give the same likelihood with its approximations made near ``(n_parameters,)``."""
+        return self
 
-    def prepared(self, draws: Array) -> Likelihood:
+    def prepared(self, draws: Array) -> Likelihood:  # noqa: ARG002
         """Give the same likelihood, cheaper near draws ``(n, n_parameters)``."""
-        ...
+        return self
 
+    @abstractmethod
     def log_density(self, values: Array, scales: Array) -> Array:
         """Log-likelihood of parameter vectors ``(n, n_parameters)``, ``(n,)``."""
-        ...
 
+    @abstractmethod
     def pointwise(self, values: Array, scales: Array) -> list[Array]:
         """Terms that sum to the log-likelihood, ``(n, terms)`` a recording."""
-        ...
 
+    @abstractmethod
     def predict(self, values: Array) -> list[Array]:
         """Modelled outputs, ``(n, M)`` a recording."""
-        ...
 
+    @abstractmethod
     def standardised(self, values: Array, scales: Array) -> list[Array]:
         """Modelled outputs as linear combinations with unit noise, ``(n, terms)`` a recording.
 
         ``scales`` ``(R, Q)``. Their derivatives make up the Fisher information.
         """
-        ...
 
+    @abstractmethod
     def noise_information(self, scales: Array) -> Array:
         """Fisher information of the noise scales ``(R, Q)``, ``(R, Q, Q)``."""
-        ...
 
+    @abstractmethod
     def noise_sd(self, scales: Array) -> list[Array]:
         """Spread of each output about its prediction, ``(M,)``; ``scales`` ``(R, Q)``."""
-        ...
 
+    @abstractmethod
     def draw_noise(self, scales: Array, rng: np.random.Generator) -> list[Array]:
         """Noise of each output, ``(n, M)`` a recording."""
-        ...
-
-
-def normal_terms(z: Sequence[Array], sd: Sequence[Array]) -> list[Array]:
-    """Log densities of normal residuals, given over their sds ``sd`` as ``z``."""
-    return [-0.5 * a**2 - np.log(s) - 0.5 * np.log(2.0 * np.pi) for a, s in zip(z, sd, strict=True)]

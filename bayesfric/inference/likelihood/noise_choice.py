@@ -24,13 +24,11 @@ from bayesfric.inference.likelihood.autoregression import (
     variances,
     whitened,
 )
-from bayesfric.inference.prior.noise import MEMORY
+from bayesfric.inference.noise.autoregressive import MEMORY, MOST
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-# Longest memory that is tried.
-MOST = 4
 # Correlations that the test of what is left looks at, beyond those fitted.
 _LAGS = 10
 # What a memory must gain over none: less is hardly evidence (Kass and Raftery, JASA 90, 1995).
@@ -107,10 +105,8 @@ def choose_order(
 
     Parameters
     ----------
-    residuals
-        Of every recording, ``(M,)`` each.
-    follows
-        ``(M - 1,)`` each, whether runs go on.
+    residuals, follows
+        Of every recording ``(M,)``, and whether runs go on, ``(M - 1,)``.
     own_scales
         Whether every recording has a scale of its own.
     most
@@ -118,10 +114,6 @@ def choose_order(
     effects
         ``(M, k)`` each: what a change of every parameter by its prior's sd does to the outputs.
         Only orders that leave the estimate alone are chosen; any where left out.
-
-    Returns
-    -------
-    Choice
     """
     n = sum(r.size for r in residuals)
     most = min(most, max(0, n // 20))
@@ -162,10 +154,7 @@ def choose_order(
 
 
 class _Plain:
-    """Least squares without memory, to compare others with.
-
-    Parameters are as in :func:`choose_order`, everything over the size of the residuals.
-    """
+    """Least squares without memory, to compare others with; all over the size of the residuals."""
 
     def __init__(
         self, residuals: Sequence[Array], follows: Sequence[Flags], effects: Sequence[Array]

@@ -17,16 +17,18 @@ the variances ``sigma_q² w + sigma_Gamma² lambda``.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
-from bayesfric.inference.likelihood.likelihood import LikelihoodMethod, Outputs, normal_terms
+from bayesfric.estimates.shooting import Sensitivities, Shooting, choose_substeps, step_error
+from bayesfric.inference.likelihood.likelihood import Likelihood, Outputs
+from bayesfric.inference.noise.position import PositionNoise
 from bayesfric.mechanism.chain import Chain
-from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.trajectory import Trajectory
 
@@ -42,38 +44,26 @@ _RANK = 1e-6
 _LEAST_OUTPUTS = 4
 # Error of the simulation against the range of the positions: below any encoder's count.
 _DISCRETISATION = 1e-8
-_MOST_SUBSTEPS = 64
 # Rounds of moving the initial states to where the measured positions put them.
 _ROUNDS = 3
 
 
 @dataclass(frozen=True, eq=False)
 class _Segment:
-    """Linear algebra of one segment.
+    """Linear algebra of one segment of M averaged positions.
 
-    Attributes
-    ----------
-    begin, end
-        Samples used.
-    state
-        ``(M, 2)`` averaged positions by the initial state, zero where it has no effect.
-    response
-        ``(M, M)`` covariance of the averaged positions for torque noise of one.
-    rotation
-        ``(terms, M)`` combinations of averaged positions that are independent.
-    weights
-        ``(terms,)`` their variance for torque noise of one.
+    ``state`` ``(M, 2)``: them by the initial state, zero where it has no effect. ``response``:
+    their covariance for torque noise of one. ``rotation`` ``(terms, M)``: combinations that are
+    independent, of the variances ``weights`` ``(terms,)`` for torque noise of one.
     """
 
-    begin: int
-    end: int
     state: Array
     response: Array
     rotation: Array
     weights: Array
 
 
-class PositionLikelihood:
+class PositionLikelihood(Likelihood):
     """How probable the measured positions are, given the joint's parameters and torques.
 
     See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`.
@@ -97,8 +87,8 @@ class PositionLikelihood:
         If the joint cannot be simulated at ``point``.
     """
 
-    method: LikelihoodMethod = "output-error"
-    noise_quantities: tuple[str, ...] = ("torque", "position")
+    method = "output-error"
+    noise = PositionNoise()
 
     def __init__(
         self,
@@ -127,38 +117,15 @@ class PositionLikelihood:
         )
 
     @property
-    def outside(self) -> int:
-        """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
-        return 0
-
-    @property
-    def cheap(self) -> bool:
-        """Never: it simulates."""
-        return False
-
-    @property
     def evaluation(self) -> str:
         """How it is computed, in words."""
         return "simulation of every segment"
 
-    def prepared(self, draws: Array) -> PositionLikelihood:  # noqa: ARG002
-        """Give itself: a simulation has no short cut."""
-        return self
-
     def log_density(self, values: Array, scales: Array) -> Array:
         """Log-likelihood, the initial states integrated out with flat priors.
 
-        Parameters
-        ----------
-        values
-            ``(n, n_parameters)``.
-        scales
-            ``(n, n_recordings, 2)`` noise of torque and position samples.
-
-        Returns
-        -------
-        ndarray
-            ``(n,)``; ``-inf`` where the joint cannot be simulated.
+        ``scales`` ``(n, n_recordings, 2)`` are noise of torque and position samples. ``-inf``
+        where the joint cannot be simulated.
         """
         total = np.zeros(values.shape[0])
         for r, run in enumerate(self._runs):
@@ -171,7 +138,9 @@ class PositionLikelihood:
         """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
         sds = [np.sqrt(run.variances(scales[:, r])) for r, run in enumerate(self._runs)]
         z = [run.terms(values) / sd for run, sd in zip(self._runs, sds, strict=True)]
-        return normal_terms(z, sds)
+        return [
+            -0.5 * a**2 - np.log(s) - 0.5 * np.log(2.0 * np.pi) for a, s in zip(z, sds, strict=True)
+        ]
 
     def predict(self, values: Array) -> list[Array]:
         """Averaged positions ``(n, M)``, each segment from the state that suits it best."""
@@ -222,9 +191,10 @@ class _Run:
         lengths = np.diff(t.segments, axis=1)[:, 0]
         self._factor = max(1, round(float(np.median(lengths)) / _OUTPUTS))
         # two states come off each segment; what has hardly more outputs says nothing
-        t = replace(t, **_kept(t, lengths >= _LEAST_OUTPUTS * self._factor))
-        self._chain, self._trajectory, self.substeps = chain, t, 1
-        self._q0, self._qd0 = t.q0.copy(), t.qd0.copy()
+        long = lengths >= _LEAST_OUTPUTS * self._factor
+        t = replace(t, segments=t.segments[long], q0=t.q0[long], qd0=t.qd0[long])
+        self._trajectory, self._shooting = t, Shooting(chain, [t], 1)
+        self._states = self._shooting.initial.copy()
         if not np.isfinite(self._simulate(point[None])).any():
             raise BadInput(
                 f"recording '{t.name}'",
@@ -233,45 +203,36 @@ class _Run:
             )
         for _ in range(_ROUNDS):
             self._settle_states(point)
-        self._choose_substeps(point, substeps)
+        small = float(np.ptp(self._shooting.measured)) * _DISCRETISATION
+        if substeps is None:
+            found = choose_substeps(self._shooting, point, self._states, small)
+        else:
+            found = substeps, step_error(self._shooting, point, self._states, substeps)[0]
+        self._shooting.substeps = self.substeps = found[0]
+        self.step_error = found[1]
         self._segments = self._linearised(point)
         count = [s.state.shape[0] for s in self._segments]
         number = np.repeat(np.arange(len(count)), count)
-        blocks = [self._averaged(t.time, k) for k in range(len(count))]
+        self._measured = [self._averaged(self._shooting.measured, k) for k in range(len(count))]
+        time = t.time[t.samples]
         self.outputs = Outputs(
             name=t.name,
             quantity="joint position",
             unit="rad" if chain.load.motion == "rotary" else "m",
-            time=np.concatenate(blocks),
-            measured=np.concatenate([self._averaged(t.position, k) for k in range(len(count))]),
+            time=np.concatenate([self._averaged(time, k) for k in range(len(count))]),
+            measured=np.concatenate(self._measured),
             period=self._factor * t.period,
             segment_of=number,
             follows=np.diff(number) == 0,
         )
         self._weights = np.concatenate([s.weights for s in self._segments])
 
-    def _choose_substeps(self, point: Array, given: int | None) -> None:
-        """Halve the step until its error is far below what the position resolves."""
-        self.substeps = given or 1
-        used = self._trajectory.position[self._trajectory.samples]
-        resolution = float(np.ptp(used)) * _DISCRETISATION
-        while True:
-            coarse = self._simulate(point[None])
-            self.substeps *= 2
-            change = float(np.nanmax(np.abs(self._simulate(point[None]) - coarse)))
-            self.substeps //= 2
-            # of a fourth-order method, 16/15 of what halving the step changes
-            self.step_error = change * 16.0 / 15.0
-            if given or self.step_error < resolution or self.substeps >= _MOST_SUBSTEPS:
-                return
-            self.substeps *= 2
-
     def terms(self, values: Array) -> Array:
         """Independent combinations of measured minus simulated position, ``(n, terms)``."""
         q = self._simulate(values)
         return np.concatenate(
             [
-                (self._averaged(self._trajectory.position, k) - self._averaged(q, k)) @ s.rotation.T
+                (self._measured[k] - self._averaged(q, k)) @ s.rotation.T
                 for k, s in enumerate(self._segments)
             ],
             axis=1,
@@ -304,96 +265,60 @@ class _Run:
         blocks = []
         for k, s in enumerate(self._segments):
             simulated = self._averaged(q, k)
-            residual = self._averaged(self._trajectory.position, k) - simulated
+            residual = self._measured[k] - simulated
             whole = s.response + 1e-9 * np.trace(s.response) * np.eye(len(s.response))
             if not whole.any():
                 whole = np.eye(len(whole))
             blocks.append(simulated + residual @ (s.state @ _state_gain(s, whole)).T)
         return np.concatenate(blocks, axis=1)
 
-    def _simulate(
-        self, values: Array, torque: Array | None = None, move: Array | None = None
-    ) -> Array:
-        t = self._trajectory
-        shift = np.zeros(2) if move is None else move
-        return simulate_segments(
-            self._chain,
-            values,
-            t.torque if torque is None else torque,
-            t.period,
-            t.segments,
-            self._q0 + shift[0],
-            self._qd0 + shift[1],
-            inputs=t.inputs,
-            begin=float(t.time[0]),
-            substeps=self.substeps,
-        )
+    def _simulate(self, values: Array) -> Array:
+        return self._shooting.positions(values, self._states)
 
     def _averaged(self, x: Array, k: int) -> Array:
-        """Average a signal ``(..., N)`` over blocks of the segment's samples."""
-        a, b = self._trajectory.segments[k]
+        """Average a signal ``(..., n)`` over blocks of the segment's samples."""
+        a, b = self._shooting.borders[k : k + 2]
         blocks = (b - a) // self._factor
         cut = x[..., a : a + blocks * self._factor]
         return np.asarray(cut.reshape(*x.shape[:-1], blocks, self._factor).mean(axis=-1))
 
-    def _state_derivatives(self, point: Array) -> Array:
-        """Positions by initial position and speed, ``(2, N)``."""
-        t = self._trajectory
-        span = np.ptp(t.position[t.samples])
-        steps = _STEP * np.array([span, max(float(np.abs(self._qd0).max()), span)])
-        found = []
-        for move in np.diag(steps):
-            up, down = (
-                self._simulate(point[None], None, move),
-                self._simulate(point[None], None, -move),
-            )
-            found.append((up[0] - down[0]) / (2.0 * move.sum()))
-        return np.stack(found)
+    def _state_derivatives(self, point: Array) -> Sensitivities:
+        """Positions, and them by initial position and speed."""
+        span = float(np.ptp(self._shooting.measured))
+        steps = (_STEP * span, _STEP * max(float(np.abs(self._states[:, 1]).max()), span))
+        return self._shooting.sensitivities(point, self._states, np.zeros(point.size), steps)
 
     def _settle_states(self, point: Array) -> None:
         """Move the initial states to where the measured positions, unweighted, put them."""
-        t = self._trajectory
-        residual = t.position - self._simulate(point[None])[0]
-        derivative = self._state_derivatives(point)
-        for k, (a, b) in enumerate(t.segments):
-            block = derivative[:, a:b].T
-            if np.isfinite(block).all() and np.isfinite(residual[a:b]).all():
-                move = np.linalg.lstsq(block, residual[a:b], rcond=_RANK)[0]
-                self._q0[k] += move[0]
-                self._qd0[k] += move[1]
+        found = self._state_derivatives(point)
+        residual = self._shooting.measured - found.positions
+        for k, (a, b) in enumerate(pairwise(self._shooting.borders)):
+            if np.isfinite(found.states[a:b]).all() and np.isfinite(residual[a:b]).all():
+                self._states[k] += np.linalg.lstsq(found.states[a:b], residual[a:b], rcond=_RANK)[0]
 
     def _linearised(self, point: Array) -> list[_Segment]:
-        t = self._trajectory
-        state = self._state_derivatives(point)
+        t, moved = self._trajectory, copy(self._shooting)
+        state = self._state_derivatives(point).states.T
         step = _STEP * max(float(np.abs(t.torque[t.samples]).max()), 1e-12)
-        longest = int(np.diff(t.segments, axis=1).max())
-        blocks = [
-            np.zeros(((b - a) // self._factor, b - a)) for a, b in t.segments
-        ]  # averaged positions by torque samples
-        for j in range(longest):
+        lengths = np.diff(t.segments, axis=1)[:, 0]
+        # averaged positions by torque samples
+        blocks = [np.zeros((n // self._factor, n)) for n in lengths]
+        for j in range(int(lengths.max())):
             # the same sample of every segment at once: segments do not feel each other
-            moved = t.torque.copy()
-            at = t.segments[:, 0] + j
-            at = at[at < t.segments[:, 1]]
-            moved[at] += step
-            up = self._simulate(point[None], moved)[0]
-            moved[at] -= 2.0 * step
-            change = (up - self._simulate(point[None], moved)[0]) / (2.0 * step)
-            for k, (a, b) in enumerate(t.segments):
-                if a + j < b:
-                    blocks[k][:, j] = self._averaged(change, k)
-        return [
-            _segment(int(a), int(b), self._averaged(state, k).T, blocks[k])
-            for k, (a, b) in enumerate(t.segments)
-        ]
+            at = t.segments[lengths > j, 0] + j
+            sides = []
+            for sign in (1.0, -1.0):
+                torque = t.torque.copy()
+                torque[at] += sign * step
+                moved.trajectories = (replace(t, torque=torque),)
+                sides.append(moved.positions(point[None], self._states)[0])
+            change = (sides[0] - sides[1]) / (2.0 * step)
+            for k in np.flatnonzero(lengths > j).tolist():
+                blocks[k][:, j] = self._averaged(change, k)
+        return [_segment(self._averaged(state, k).T, block) for k, block in enumerate(blocks)]
 
 
-def _kept(t: Trajectory, long_enough: NDArray[np.bool_]) -> dict[str, Any]:
-    """Fields of a trajectory without some of its segments."""
-    return {name: getattr(t, name)[long_enough] for name in ("segments", "q0", "qd0")}
-
-
-def _segment(begin: int, end: int, state: Array, by_torque: Array) -> _Segment:
+def _segment(state: Array, by_torque: Array) -> _Segment:
     state, by_torque = np.nan_to_num(state), np.nan_to_num(by_torque)
     size = np.linalg.norm(state, axis=0)
     left, singular, _ = np.linalg.svd(state / np.where(size > 0.0, size, 1.0))
@@ -401,7 +326,7 @@ def _segment(begin: int, end: int, state: Array, by_torque: Array) -> _Segment:
     free = left[:, rank:]  # combinations that no initial state changes
     response = by_torque @ by_torque.T
     weights, vectors = np.linalg.eigh(free.T @ response @ free)
-    return _Segment(begin, end, state, response, (free @ vectors).T, np.clip(weights, 0.0, None))
+    return _Segment(state, response, (free @ vectors).T, np.clip(weights, 0.0, None))
 
 
 def _state_gain(s: _Segment, covariance: Array) -> Array:

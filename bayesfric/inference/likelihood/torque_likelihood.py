@@ -13,32 +13,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.estimates.torque import filtered_torque
-from bayesfric.inference.likelihood.likelihood import LikelihoodMethod, Outputs
-from bayesfric.inference.likelihood.residual_noise import Autoregressive, ResidualNoise
+from bayesfric.inference.likelihood.likelihood import Likelihood, Outputs
 from bayesfric.inference.moments.fast_moments import FastMoments, fast_moments
 from bayesfric.inference.moments.residual_moments import PlainMoments, ResidualMoments, follows
+from bayesfric.inference.noise.autoregressive import Autoregressive
+from bayesfric.inference.noise.residual_noise import ResidualNoise
 from bayesfric.mechanism.chain import Chain
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
 
 
-class TorqueLikelihood:
+class TorqueLikelihood(Likelihood):
     """How probable the measured torques are, given the joint's parameters.
 
-    See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    observations
-        One or more prepared recordings. They share the chain's parameters.
-    noise
-        What residuals are; white if left out.
+    See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`. The recordings share the
+    chain's parameters; their noise is white if left out.
     """
 
-    method: LikelihoodMethod = "input-error"
+    method = "input-error"
 
     def __init__(
         self,
@@ -64,7 +57,6 @@ class TorqueLikelihood:
         )
         self.sizes = np.array([o.measured.size for o in self.observations])
         self.noise: ResidualNoise = Autoregressive() if noise is None else noise
-        self.noise_quantities = self.noise.quantities
         self._plain = PlainMoments(chain, self.observations, self.noise.order)
         # sample by sample; see :meth:`prepared`
         self.moments: ResidualMoments = self._plain
@@ -88,18 +80,9 @@ class TorqueLikelihood:
         """Make the same likelihood at a cost that does not grow with the recordings.
 
         Its values are the same everywhere, up to rounding; see
-        :mod:`bayesfric.inference.moments.fast_moments`.
-
-        Parameters
-        ----------
-        draws
-            ``(n, n_parameters)`` vectors about as spread as the posterior, some hundreds.
-            The nearer they are to it, the faster the result.
-
-        Returns
-        -------
-        TorqueLikelihood
-            Itself for a chain whose torque has no such form; :attr:`evaluation` tells.
+        :mod:`bayesfric.inference.moments.fast_moments`. The nearer the draws are to the posterior,
+        the faster the result. It is itself for a chain whose torque has no such form;
+        :attr:`evaluation` tells.
         """
         if not self.noise.gaussian:
             return self
@@ -117,39 +100,11 @@ class TorqueLikelihood:
         return TorqueLikelihood(self.chain, self.observations, noise)
 
     def sum_of_squares(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Sum of squared residuals of each recording.
-
-        Parameters
-        ----------
-        values
-            ``(n, n_parameters)`` in the order of ``chain.names``.
-
-        Returns
-        -------
-        ndarray
-            ``(n, n_recordings)``, torque unit squared.
-        """
+        """Sum of squared residuals of each recording, ``(n, n_recordings)``."""
         return self.moments.at(values).sum_of_squares
 
-    def about(self, values: Array) -> TorqueLikelihood:  # noqa: ARG002
-        """Give itself: nothing about it is approximate."""
-        return self
-
     def log_density(self, values: Array, scales: Array) -> Array:
-        """Log-likelihood.
-
-        Parameters
-        ----------
-        values
-            ``(n, n_parameters)``.
-        scales
-            ``(n, n_recordings, Q)`` noise scales.
-
-        Returns
-        -------
-        ndarray
-            ``(n,)``
-        """
+        """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
         return self.noise.log_density_of(self._plain, self.moments, values, scales)
 
     def pointwise(self, values: Array, scales: Array) -> list[Array]:
@@ -170,10 +125,7 @@ class TorqueLikelihood:
 
     def standardised(self, values: Array, scales: Array) -> list[Array]:
         """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
-        return [
-            self.noise.standard(torque, o.follows, s)[0]
-            for o, torque, s in zip(self.outputs, self.predict(values), scales, strict=True)
-        ]
+        return self.innovations(self.predict(values), scales)
 
     def innovations(self, residuals: Sequence[Array], scales: Array) -> list[Array]:
         """Take from residuals ``(M,)`` what the noise's memory foretells, over their sds.

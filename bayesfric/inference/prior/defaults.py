@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.inference.prior.noise import MEMORY, support
 from bayesfric.inference.prior.priors import Prior, PriorText, read_prior
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.own_term import Carried
@@ -92,25 +91,6 @@ def default_prior(chain: Chain, p: Parameter, scales: Scales) -> Prior:
     text = _text(chain, p, scales)
     upper = min(p.upper, p.row.prior_upper)
     return read_prior(p.name, text, lower=p.lower, upper=upper, default=True, circular=p.circular)
-
-
-def default_noise_prior(name: str, scales: Scales) -> Prior:
-    """Spread a noise scale evenly in its logarithm, up to the largest torque or motion.
-
-    Partial autocorrelations are anything up to ``MEMORY``; degrees of freedom of a
-    Student-t follow Juárez and Steel (J. Bus. Econ. Stat. 28, 2010).
-
-    ``name`` is ``noise.`` and a quantity such as ``sigma``.
-    """
-    low, high = support(name.removeprefix("noise."))
-    if name.startswith("noise.pacf_"):
-        return read_prior(name, [-MEMORY, MEMORY], lower=low, upper=high, default=True)
-    if name == "noise.dof":
-        gamma = {"distribution": "gamma", "a": 2.0, "scale": 10.0}
-        return read_prior(name, gamma, lower=low, upper=high, default=True)
-    top = _one_digit(scales.position if name == "noise.position" else scales.torque)
-    text = {"distribution": "loguniform", "a": 1e-6 * top, "b": top}
-    return read_prior(name, text, lower=low, upper=high, default=True)
 
 
 def _text(chain: Chain, p: Parameter, scales: Scales) -> PriorText:

@@ -15,15 +15,10 @@ Columns = NDArray[np.int64]
 
 
 class JointPrior:
-    """Independent priors of several parameters, evaluated together.
+    """Independent priors of several parameters, none of them fixed, evaluated together.
 
     A step of the sampler asks for the density of some hundred vectors. One parameter at a
     time, the calls alone cost more than the likelihood of a long recording.
-
-    Parameters
-    ----------
-    priors
-        One for every parameter, none of them fixed.
     """
 
     def __init__(self, priors: Sequence[Prior]) -> None:

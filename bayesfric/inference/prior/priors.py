@@ -87,13 +87,7 @@ class Prior:
         return turned(x, (self.lower + self.upper) / 2.0) if self.circular else x
 
     def log_density(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Log of the density, ``-inf`` outside the support.
-
-        Parameters
-        ----------
-        x
-            ``(n,)`` values in the parameter's unit.
-        """
+        """Log of the density at ``(n,)`` values, ``-inf`` outside the support."""
         with np.errstate(all="ignore"):
             density = self.distribution.logpdf(x) - math.log(self.mass)
         # at the very edge some closed forms are 0 - inf - inf: no number, no density

@@ -1,11 +1,12 @@
 """A sampling's steps on disk, so that an interrupted one goes on where it stopped.
 
-Sampling is repeatable: the same seed, data and code make the same steps. A resumed run therefore
-begins like a new one, and only takes the steps that it would make from the checkpoint as long as
-there are any. Whatever depends on steps (walkers brought back, the proposal, the likelihood
-prepared for the draws, when to stop) is worked out from them again, and so are the draws of every
-other random generator; just the sampler's own generator, which those steps would have moved on,
-is set to where it was.
+No library's backend keeps the promise this keeps: a resumed run's bytes are those of one never
+interrupted. Sampling is repeatable: the same seed, data and code make the same steps. A resumed
+run therefore begins like a new one, and only takes the steps that it would make from the
+checkpoint as long as there are any. Whatever depends on steps (walkers brought back, the proposal,
+the likelihood prepared for the draws, when to stop) is worked out from them again, and so are the
+draws of every other random generator; just the sampler's own generator, which those steps would
+have moved on, is set to where it was.
 """
 
 from __future__ import annotations
@@ -90,23 +91,16 @@ class Checkpoint:
         Of the sampling: ``<name>.h5`` holds its steps, ``<name>.json`` the rest.
     facts
         What the steps depend on, as JSON would give it back. A checkpoint of other
-        facts is refused, naming the first that differs.
+        facts is refused (BadInput), naming the first that differs.
     asked_to_stop
         Asked after every step; if so, everything is saved and KeyboardInterrupt raised.
 
     Attributes
     ----------
-    saved
-        Steps on disk.
-    seconds
-        That sampling took before.
+    saved, seconds
+        Steps on disk, and what sampling took before.
     walking
         Whether steps are being made at this moment, so that it is worth waiting for one.
-
-    Raises
-    ------
-    BadInput
-        If what lies in ``folder`` cannot be read or was made of other facts.
     """
 
     def __init__(
@@ -137,13 +131,7 @@ class Checkpoint:
             self.saved, self.seconds = self._resumed.steps, self._resumed.seconds
 
     def begin(self, walkers: int, dimension: int, coordinates: str) -> None:
-        """Tell what is going to be sampled, before the first step.
-
-        Raises
-        ------
-        BadInput
-            If the checkpoint's steps have another shape.
-        """
+        """Tell what is going to be sampled; BadInput if a checkpoint's steps have another shape."""
         self._file = StepFile(self._steps_path, walkers, dimension)
         self._description = coordinates
         self._began = self._last = time.perf_counter()
@@ -174,15 +162,8 @@ class Checkpoint:
     def where_it_stopped(self, log_density: Callable[[], Array]) -> tuple[RandomState, int] | None:
         """Give the random state and how often there was no number, once all is replayed.
 
-        Parameters
-        ----------
-        log_density
-            Evaluates the density of the last step again, ``(walkers,)``.
-
-        Raises
-        ------
-        BadInput
-            If that is not what it was.
+        ``log_density`` evaluates the density of the last step again, ``(walkers,)``; BadInput if
+        that is not what it was.
         """
         resumed = self._resumed
         if resumed is None or self._replayed < resumed.steps:
@@ -206,12 +187,7 @@ class Checkpoint:
     def recording(self, phase: str, accepted: Array) -> Iterator[Callable[[Any, Array, int], None]]:
         """Keep every step of a block; give what is to be called after each.
 
-        Parameters
-        ----------
-        phase
-            What is being walked, for the record.
-        accepted
-            How many proposals each walker accepted before, ``(walkers,)``.
+        ``accepted``: how many proposals each walker accepted before, ``(walkers,)``.
         """
         before = accepted.copy()
 
@@ -246,10 +222,7 @@ class Checkpoint:
     def save(self) -> None:
         """Put everything recorded on disk: steps, their count, then the manifest.
 
-        Raises
-        ------
-        OSError
-            If that cannot be; what was saved before is as it was.
+        OSError if that cannot be; what was saved before is as it was.
         """
         if not self._pending:
             return

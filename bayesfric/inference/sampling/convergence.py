@@ -25,53 +25,40 @@ _WALKERS = 64
 
 
 def nested_rhat(draws: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Nested R-hat of Margossian et al. (2024): ensembles against each other.
+    """Nested R-hat of Margossian et al. (2024): ensembles against each other, ``(d,)``.
 
     Plain R-hat over the walkers of one ensemble says nothing, since they are not
-    independent chains. Here an ensemble is a superchain: the variance of the
-    ensembles' means is compared with the variance inside them. It means something
+    independent chains. Here an ensemble is a superchain. It means something
     only if the ensembles started further apart than their walkers.
 
-    Parameters
-    ----------
-    draws
-        ``(ensembles, walkers, steps, d)``, at least two ensembles and two steps.
-
-    Returns
-    -------
-    ndarray
-        ``(d,)``; 1 where the ensembles agree, infinite for a constant
-        parameter whose ensembles differ.
+    ``draws`` is ``(ensembles, walkers, steps, d)``, at least two ensembles and two steps. 1 where
+    the ensembles agree, infinite for a constant parameter whose ensembles differ.
     """
-    walker_means = draws.mean(axis=2)
-    between_walkers = walker_means.var(axis=1, ddof=1)
-    within_walkers = draws.var(axis=2, ddof=1).mean(axis=1)
-    within = (between_walkers + within_walkers).mean(axis=0)
-    between = walker_means.mean(axis=1).var(axis=0, ddof=1)
+    from arviz_stats.base import array_stats  # takes a while, and few commands need it
+
+    ensembles, walkers, steps, d = draws.shape
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.where(between == 0.0, 0.0, between / within)
-    return np.asarray(np.sqrt(1.0 + ratio))
+        found = array_stats.rhat_nested(
+            draws.reshape(-1, steps, d),
+            superchain_ids=np.repeat(np.arange(ensembles), walkers),
+            method="identity",
+            chain_axis=0,
+            draw_axis=1,
+        )
+    return np.where(np.ptp(draws, axis=(0, 1, 2)) == 0.0, 1.0, found)
 
 
 def autocorrelation_time(draws: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Integrated autocorrelation time in steps, the larger of two estimates.
+    """Integrated autocorrelation time of ``(ensembles, walkers, steps, d)`` in steps, ``(d,)``.
 
-    One averages the walkers' autocorrelations, taken around the mean of all, so that
-    walkers that stay apart from each other show as what they are. The other takes
-    the series of ensemble means, whose variance also feels that walkers move
-    together. On a ridge either can be too small, so the larger is believed.
+    The larger of two estimates. One averages the walkers' autocorrelations, taken around the mean
+    of all, so that walkers that stay apart from each other show as what they are. The other takes
+    the series of ensemble means, whose variance also feels that walkers move together. On a ridge
+    either can be too small.
 
-    Parameters
-    ----------
-    draws
-        ``(ensembles, walkers, steps, d)``
-
-    Returns
-    -------
-    ndarray
-        ``(d,)``, over all ensembles (the largest of some noisy estimates would grow with their
-        number; that ensembles agree is for :func:`nested_rhat` to say); infinite where a walker
-        never moved.
+    It is over all ensembles (the largest of some noisy estimates would grow with their
+    number; that ensembles agree is for :func:`nested_rhat` to say); infinite where a walker
+    never moved.
     """
     _, walkers, steps, d = draws.shape
     times = np.full(d, np.inf)
@@ -121,15 +108,7 @@ def _integrated(correlation: NDArray[np.float64]) -> float:
 def effective_sample_size(
     draws: NDArray[np.float64], tau: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Count the independent draws that the sample is worth, ``(d,)``.
-
-    Parameters
-    ----------
-    draws
-        ``(ensembles, walkers, steps, d)``
-    tau
-        From :func:`autocorrelation_time`; infinite makes it zero.
-    """
+    """Count the independent draws that ``(ensembles, walkers, steps, d)`` are worth, ``(d,)``."""
     ensembles, walkers, steps, _ = draws.shape
     return np.asarray(ensembles * walkers * steps / tau)
 
@@ -137,10 +116,7 @@ def effective_sample_size(
 def left_out(acceptance: NDArray[np.float64]) -> int:
     """Count the walkers that never moved, where they are so few that the others tell all.
 
-    Parameters
-    ----------
-    acceptance
-        Accepted share of each walker's proposals, ``(ensembles, walkers)``.
+    ``acceptance`` is the accepted share of proposals, ``(ensembles, walkers)``.
     """
     stuck = acceptance == 0.0
     return int(stuck.sum()) if few(stuck) else 0
@@ -154,15 +130,7 @@ def few(walkers: NDArray[np.bool_]) -> bool:
 def without_stuck(
     draws: NDArray[np.float64], acceptance: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Leave those walkers out, and of the other ensembles as many: all have the same number.
-
-    Parameters
-    ----------
-    draws
-        ``(ensembles, walkers, ...)``
-    acceptance
-        See :func:`left_out`.
-    """
+    """Leave those walkers out of ``(ensembles, walkers, ...)``, and of other ensembles as many."""
     if not left_out(acceptance):
         return draws
     moved = acceptance > 0.0
@@ -185,12 +153,7 @@ def steps_needed(
 def hopeless(seen: Sequence[tuple[int, float]], allowed: int) -> bool:
     """Tell whether a run cannot converge in the steps allowed, and does not come nearer to it.
 
-    Parameters
-    ----------
-    seen
-        Steps, and the steps needed as predicted then, of every look so far.
-    allowed
-        Steps that may be made in all.
+    ``seen``: steps, and the steps needed as predicted then, of every look so far.
     """
     last = seen[-1][0]
     lately = [needed for steps, needed in seen if 2 * steps >= last]

@@ -50,14 +50,8 @@ class DifferentialEvolutionMove(_VectorisedMove):
     """Step along the difference of two walkers of the other half of the same ensemble.
 
     ter Braak (2006), vectorised over walkers. One proposal in ten takes the whole
-    difference, which lets walkers change between separate modes.
-
-    Parameters
-    ----------
-    ensembles
-        How many ensembles the sampler's walkers are.
-    jitter
-        Relative standard deviation of the scatter around the step length.
+    difference, which lets walkers change between separate modes. ``jitter``: relative
+    sd of the scatter around the step length.
     """
 
     def __init__(self, ensembles: int = 1, jitter: float = 1e-5) -> None:
@@ -119,19 +113,12 @@ class LearningMove(Move):  # type: ignore[misc]
 class SurrogateMove(_VectorisedMove):
     """Walk on a surrogate for a while, and ask the posterior only about where that ends.
 
-    Every walker makes ``walk`` Metropolis steps that leave the surrogate invariant. The end is
-    accepted with the ratio of posterior over surrogate, there and at the beginning
-    (Liu 2001, section 9.4.3; Christen and Fox 2005). The posterior stays invariant
-    whatever the surrogate; one that follows it gives nearly independent draws, each for one
-    simulation. Steps are mixed at random from two reversible kinds, independent draws
-    and normal steps, which the walk as a whole needs to be reversible itself.
-
-    Parameters
-    ----------
-    surrogate, proposal
-        Fitted to the warm-up, then frozen.
-    walk
-        Steps on the surrogate, 15 for every dimension if left out.
+    Every walker makes ``walk`` Metropolis steps, 15 for every dimension if left out, that leave
+    the surrogate invariant. The end is accepted with the ratio of posterior over surrogate, there
+    and at the beginning (Liu 2001, section 9.4.3; Christen and Fox 2005). The posterior stays
+    invariant whatever the surrogate; one that follows it gives nearly independent draws, each for
+    one simulation. Steps are mixed at random from two reversible kinds, independent draws and
+    normal steps, which the walk as a whole needs to be reversible itself.
     """
 
     def __init__(self, surrogate: Surrogate, proposal: Proposal, walk: int = 0) -> None:

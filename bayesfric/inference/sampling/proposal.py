@@ -32,19 +32,10 @@ _WIDE_DEGREES = 5.0
 class Proposal:
     """A mixture of normals, which follows a bent posterior, and a multivariate t around it all.
 
-    With one component it is a normal. The t has heavier tails than any posterior that is
-    normal far out, so that the weights of an independence move stay bounded (Hesterberg 1995).
-
-    Parameters
-    ----------
-    weights
-        ``(k,)`` of the normals, sum 1.
-    means
-        ``(k, d)``
-    roots
-        ``(k, d, d)`` Cholesky factors of their covariances.
-    mean, root
-        ``(d,)`` and ``(d, d)``: of the t.
+    With one component it is a normal. The t, of ``mean`` and ``root``, has heavier tails than any
+    posterior that is normal far out, so that the weights of an independence move stay bounded
+    (Hesterberg 1995). ``weights`` ``(k,)`` sum to one; ``roots`` ``(k, d, d)`` are Cholesky
+    factors.
     """
 
     def __init__(
@@ -76,16 +67,10 @@ class Proposal:
 
     @classmethod
     def fitted(cls, draws: Array, *, last: bool = False) -> Proposal:
-        """Fit by expectation and maximisation (Dempster et al. 1977).
+        """Fit to draws ``(n, d)`` by expectation and maximisation (Dempster et al. 1977).
 
         The components start as slices across the direction in which the draws are most skewed.
-
-        Parameters
-        ----------
-        draws
-            ``(n, d)``, from warm-up.
-        last
-            Whether this is the one to be frozen.
+        ``last``: whether this is the one to be frozen.
         """
         most = _MOST_COMPONENTS_LAST if last else _MOST_COMPONENTS
         each = _DRAWS_AN_ENTRY_LAST if last else _DRAWS_AN_ENTRY

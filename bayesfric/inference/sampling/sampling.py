@@ -32,10 +32,10 @@ from bayesfric.inference.sampling.moves import (
     LearningMove,
     SurrogateMove,
 )
-from bayesfric.inference.sampling.no_number import beside_posterior, complaint
 from bayesfric.inference.sampling.proposal import Proposal
 from bayesfric.inference.sampling.start import Start
 from bayesfric.inference.sampling.surrogate import Surrogate
+from bayesfric.inference.sampling.undefined_likelihood import beside_posterior, complaint
 from bayesfric.inference.target import Target
 
 Array = NDArray[np.float64]
@@ -50,6 +50,10 @@ _NAMED = 4
 _LEAST_BLOCKS = 3
 # Share of the steps that go where the walkers are, for what no proposal has learned.
 _OTHERWISE = 0.1
+_UNSETTLED = (
+    "warm-up was still moving when it was cut off: raise sampling.max_steps, or give narrower "
+    "priors"
+)
 # Draws kept in the result, over all walkers; more only makes the file larger.
 _KEPT_DRAWS = 20_000
 
@@ -124,19 +128,9 @@ def sample(
     roughly and nothing climbs or spreads any more. Then the proposal is fitted once
     more and frozen. Only steps after that count.
 
-    Parameters
-    ----------
-    target
-        Log-posterior and its coordinates.
-    start
-        Normal at the mode, in the same coordinates.
-    settings
-        Seed, sizes and stopping rule.
-    progress
-        Called after every block.
-    checkpoint
-        Keeps the steps on disk, and gives back those of an interrupted run: the result
-        is the same, byte for byte. Nothing is kept if left out.
+    ``start`` is in the target's coordinates, ``progress`` is called after every block, and a
+    ``checkpoint`` keeps the steps on disk and gives back those of an interrupted run: the result
+    is the same, byte for byte.
     """
     began = time.perf_counter() - (checkpoint.seconds if checkpoint else 0.0)
     d = target.dimension
@@ -150,93 +144,44 @@ def sample(
     # Every ensemble around a point of its own, the points further apart than its walkers:
     # only then does nested R-hat, which compares ensembles, say anything.
     centres = start.draw(settings.ensembles, target, rng, spread=2.0)
-    positions = np.stack(
-        [
-            Start(centre, start.covariance).draw(walkers, target, rng, spread=0.5)
-            for centre in centres
-        ]
-    )
-
+    around = [Start(centre, start.covariance) for centre in centres]
+    positions = np.stack([one.draw(walkers, target, rng, spread=0.5) for one in around])
     if checkpoint is not None:
         checkpoint.begin(positions.shape[0] * walkers, d, target.coordinates.description)
-    block = settings.block or (100 if target.likelihood.method == "input-error" else 25)
-    block = min(block, max(settings.max_steps // 8, 10))
     # The normal at the mode to begin with, then whatever the walkers have found: until it is
     # frozen the proposal may learn, because none of these steps count.
     learning = LearningMove(IndependenceMove(Proposal.normal(start.mode, start.covariance)))
-    search = DifferentialEvolutionMove(settings.ensembles)
-    first_moves = [(learning, 0.5), (search, 0.5)]
-    warm = _Ensembles(target, first_moves, positions, random, checkpoint, "warm-up")
-    seen: list[tuple[int, float]] = []
-    while True:
-        warm.run(block)
-        warm.bring_back_lost(rng)
-        progress(Progress("warm-up", warm.steps, float("nan"), float("nan")))
-        half = warm.chain()[:, :, warm.steps // 2 :]
-        rhats = nested_rhat(half)
-        settled = (
-            warm.steps >= _LEAST_BLOCKS * block and rhats.max() < _WARM_RHAT and warm.settled()
-        )
-        most = settings.max_steps // 4
-        needed = steps_needed(warm.steps, rhats, _WARM_RHAT, np.zeros(d))
-        seen.append((warm.steps, float(needed.max())))
-        if settled or warm.steps >= most or hopeless(seen, most):
-            break
-        learning.move = _learned(target, half, warm)
+    moves = [(learning, 0.5), (DifferentialEvolutionMove(settings.ensembles), 0.5)]
+    warm = _Ensembles(target, moves, positions, random, checkpoint, "warm-up")
+    half, settled = _warm_up(warm, learning, settings, rng, progress)
     # Where the posterior really lies, a likelihood can be prepared best.
     target = target.prepared(_spread_out(half))
     frozen = _learned(target, half, warm, last=True)
-    moves = [
-        (frozen, 1.0 - _OTHERWISE),
-        (DifferentialEvolutionMove(settings.ensembles), _OTHERWISE),
-    ]
+    search = DifferentialEvolutionMove(settings.ensembles)
+    moves = [(frozen, 1.0 - _OTHERWISE), (search, _OTHERWISE)]
     main = _Ensembles(target, moves, warm.positions(), random, checkpoint, "sampling")
-    most, seen = settings.max_steps - warm.steps, []
-    while True:
-        # looks at growing distances: a stopping rule asked too often stops by luck
-        main.run(min(max(block, main.steps // 3), most - main.steps))
-        chain = main.chain()
-        moving = without_stuck(chain, main.acceptance())
-        rhats, tau = nested_rhat(moving), autocorrelation_time(moving)
-        ess = effective_sample_size(moving, tau)
-        progress(Progress("sampling", main.steps, float(ess.min()), float(rhats.max())))
-        done = (
-            ess.min() >= settings.min_ess
-            and rhats.max() <= settings.max_rhat
-            and main.steps >= LONG_ENOUGH * tau.max()
-        )
-        needed = steps_needed(main.steps, rhats, settings.max_rhat, tau)
-        seen.append((main.steps, float(needed.max())))
-        if done or main.steps >= most or hopeless(seen, most):
-            break
+    look = _walk(main, settings, settings.max_steps - warm.steps, progress)
 
     wanted = max(_KEPT_DRAWS, 2 * int(settings.min_ess))
     thin = min(max(1, main.steps * walkers * settings.ensembles // wanted), main.steps)
-    kept = chain[:, :, thin - 1 :: thin]
+    kept = main.chain()[:, :, thin - 1 :: thin]
     parameters, _ = target.to_parameters(kept.reshape(-1, d))
     draws = parameters.reshape(*kept.shape)
-    problems = list(_problems(target, settings, rhats, tau, ess, main, draws))
-    if not done and hopeless(seen, most) and main.acceptance().any():
-        problems.insert(0, _given_up(target.names, needed, warm.steps, main.steps, settings))
+    problems = list(_problems(target, settings, look, main, draws))
+    if look.hopeless and main.acceptance().any():
+        steps = warm.steps + main.steps
+        problems.insert(0, _given_up(target.names, look.needed, steps, settings.max_steps))
     if not settled:
-        problems.append(
-            "warm-up was still moving when it was cut off: raise sampling.max_steps, or give "
-            "narrower priors"
-        )
-    status: Status = "reliable"
-    if problems:
-        usable = rhats.max() < _UNUSABLE_RHAT and np.isfinite(ess).all() and ess.min() > 100.0
-        status = "tentative" if usable else "unusable"
+        problems.append(_UNSETTLED)
     # counted up to here: what follows looks at places that were never proposed
-    not_finite, share = target.not_finite, 0.0
+    not_finite = target.not_finite
     warnings = [text for text, harmless in _standing(main.acceptance()) if harmless]
+    share = 0.0
     if not_finite:
-        places = beside_posterior(
-            target, frozen.proposal, settings.seed, settings.ensembles * walkers
-        )
+        batch = settings.ensembles * walkers
+        places = beside_posterior(target, frozen.proposal, settings.seed, batch)
         share = float(places[:, -1].mean())
-        if lost := complaint(target.names, places):
-            warnings.append(lost)
+        warnings += filter(None, [complaint(target.names, places)])
     return Posterior(
         names=target.names,
         priors=target.priors,
@@ -244,11 +189,11 @@ def sample(
         log_density=main.log_density()[:, :, thin - 1 :: thin],
         coordinates=target.coordinates.description,
         diagnostics=Diagnostics(
-            status=status,
+            status=look.status if problems else "reliable",
             problems=tuple(problems),
-            rhat=rhats,
-            tau=tau,
-            ess=ess,
+            rhat=look.rhat,
+            tau=look.tau,
+            ess=look.ess,
             acceptance=main.acceptance(),
             ensembles=settings.ensembles,
             walkers=walkers,
@@ -265,6 +210,78 @@ def sample(
     )
 
 
+def _block(target: Target, settings: Sampling) -> int:
+    """Count the steps between two looks."""
+    block = settings.block or (100 if target.likelihood.method == "input-error" else 25)
+    return min(block, max(settings.max_steps // 8, 10))
+
+
+def _warm_up(
+    warm: _Ensembles,
+    learning: LearningMove,
+    settings: Sampling,
+    rng: np.random.Generator,
+    progress: Callable[[Progress], None],
+) -> tuple[Array, bool]:
+    """Walk and learn; give the second half of the steps, and whether they had settled."""
+    block, most = _block(warm.target, settings), settings.max_steps // 4
+    seen: list[tuple[int, float]] = []
+    while True:
+        warm.run(block)
+        warm.bring_back_lost(rng)
+        progress(Progress("warm-up", warm.steps, float("nan"), float("nan")))
+        half = warm.chain()[:, :, warm.steps // 2 :]
+        rhats = nested_rhat(half)
+        agree = warm.steps >= _LEAST_BLOCKS * block and rhats.max() < _WARM_RHAT
+        settled = agree and warm.settled()
+        needed = steps_needed(warm.steps, rhats, _WARM_RHAT, np.zeros(rhats.size))
+        seen.append((warm.steps, float(needed.max())))
+        if settled or warm.steps >= most or hopeless(seen, most):
+            return half, settled
+        learning.move = _learned(warm.target, half, warm)
+
+
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """What the steps so far are worth: diagnostics ``(d,)`` and steps needed, ``(d,)``."""
+
+    rhat: Array
+    tau: Array
+    ess: Array
+    needed: Array
+    hopeless: bool
+
+    @property
+    def status(self) -> Status:
+        """What they are good for where a criterion is not met."""
+        usable = self.rhat.max() < _UNUSABLE_RHAT and np.isfinite(self.ess).all()
+        return "tentative" if usable and self.ess.min() > 100.0 else "unusable"
+
+
+def _walk(
+    main: _Ensembles, settings: Sampling, most: int, progress: Callable[[Progress], None]
+) -> _Look:
+    """Walk until every criterion is met, the steps are used up or it is hopeless."""
+    block, seen = _block(main.target, settings), []
+    while True:
+        # looks at growing distances: a stopping rule asked too often stops by luck
+        main.run(min(max(block, main.steps // 3), most - main.steps))
+        moving = without_stuck(main.chain(), main.acceptance())
+        rhats, tau = nested_rhat(moving), autocorrelation_time(moving)
+        ess = effective_sample_size(moving, tau)
+        progress(Progress("sampling", main.steps, float(ess.min()), float(rhats.max())))
+        done = (
+            ess.min() >= settings.min_ess
+            and rhats.max() <= settings.max_rhat
+            and main.steps >= LONG_ENOUGH * tau.max()
+        )
+        needed = steps_needed(main.steps, rhats, settings.max_rhat, tau)
+        seen.append((main.steps, float(needed.max())))
+        lost = not done and hopeless(seen, most)
+        if done or lost or main.steps >= most:
+            return _Look(rhats, tau, ess, needed, lost)
+
+
 class _Ensembles:
     """Several independent ensembles in one emcee sampler, and what they have walked so far."""
 
@@ -278,7 +295,7 @@ class _Ensembles:
         phase: str,
     ) -> None:
         self.steps = 0
-        self._target, self._checkpoint, self._phase = target, checkpoint, phase
+        self.target, self._checkpoint, self._phase = target, checkpoint, phase
         self._shape = positions.shape
         ensembles, walkers, d = positions.shape
         self._sampler = emcee.EnsembleSampler(
@@ -301,7 +318,7 @@ class _Ensembles:
             with _quiet_emcee(), self._recording() as record:
                 for self._state in walk:
                     self.steps += 1
-                    record(self._state, self._sampler.backend.accepted, self._target.not_finite)
+                    record(self._state, self._sampler.backend.accepted, self.target.not_finite)
         # so that what comes next goes on where this stream ends
         self._random.set_state(self._sampler.random_state)
 
@@ -320,9 +337,9 @@ class _Ensembles:
         self._state = emcee.State(
             stored.coordinates[-1], log_prob=stored.log_density[-1], copy=True
         )
-        stopped = checkpoint.where_it_stopped(lambda: self._target(self._state.coords))
+        stopped = checkpoint.where_it_stopped(lambda: self.target(self._state.coords))
         if stopped is not None:
-            self._sampler.random_state, self._target.not_finite = stopped
+            self._sampler.random_state, self.target.not_finite = stopped
 
     def _recording(self) -> AbstractContextManager[Callable[[emcee.State, Array, int], None]]:
         if self._checkpoint is None:
@@ -401,14 +418,9 @@ def _spread_out(chain: Array) -> Array:
 
 
 def _problems(
-    target: Target,
-    settings: Sampling,
-    rhat: Array,
-    tau: Array,
-    ess: Array,
-    main: _Ensembles,
-    draws: Array,
+    target: Target, settings: Sampling, look: _Look, main: _Ensembles, draws: Array
 ) -> Iterator[str]:
+    rhat, tau, ess = look.rhat, look.tau, look.ess
     names = np.array(target.names)
     moved = main.acceptance()
     if not moved.any():
@@ -459,17 +471,15 @@ def _standing(acceptance: Array) -> Iterator[tuple[str, bool]]:
         )
 
 
-def _given_up(
-    names: tuple[str, ...], needed: Array, warmup: int, steps: int, settings: Sampling
-) -> str:
+def _given_up(names: tuple[str, ...], needed: Array, steps: int, max_steps: int) -> str:
     """Say that a run was stopped because it could not converge, and what holds it up."""
     slowest = np.argsort(-needed, kind="stable")[:_NAMED]
-    slow = [names[j] for j in slowest if needed[j] > settings.max_steps]
+    slow = [names[j] for j in slowest if needed[j] > max_steps]
     worst = needed.max()
     would = f"about {float(f'{worst:.1g}'):.0f}" if np.isfinite(worst) else "endless"
     return (
-        f"stopped after {warmup + steps} steps: at this pace it would need {would} steps, "
-        f"sampling.max_steps is {settings.max_steps}; slowest are {', '.join(slow)}: give them "
+        f"stopped after {steps} steps: at this pace it would need {would} steps, "
+        f"sampling.max_steps is {max_steps}; slowest are {', '.join(slow)}: give them "
         "narrower priors, or fix what is known"
     )
 

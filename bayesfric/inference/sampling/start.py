@@ -24,15 +24,7 @@ CLIMBS = 5
 
 @dataclass(frozen=True)
 class Start:
-    """A normal to draw starts from, in sampling coordinates.
-
-    Attributes
-    ----------
-    mode
-        ``(d,)``
-    covariance
-        ``(d, d)``
-    """
+    """A normal to draw starts from, in sampling coordinates: mode and covariance."""
 
     mode: Array
     covariance: Array
@@ -43,12 +35,7 @@ class Start:
         """Draw over-dispersed starts of non-zero probability, ``(n, d)``.
 
         Starts at zero probability are redrawn, closer in each time: emcee would
-        take one and keep that walker stuck for ever.
-
-        Raises
-        ------
-        RuntimeError
-            If no start of non-zero probability is found beside the mode.
+        take one and keep that walker stuck for ever. RuntimeError if there is none beside the mode.
         """
         root = np.linalg.cholesky(self.covariance)
         starts = np.empty((n, self.mode.size))
@@ -64,21 +51,12 @@ class Start:
 
 
 def gauss_newton(target: Target, mode: Array, prior_draws: Array) -> Start:
-    """Spread a normal around the mode by what data and priors know, bounds left out.
+    """Spread a normal around the mode ``(d,)`` by what data and priors know, bounds left out.
 
     Curvature at the mode itself would be misled where the mode leans on a bound:
     the density falls off a cliff there and the walkers would start in one spot.
     The information is ``J'J`` of the modelled outputs over their noise, that of the
-    noise scales, and the inverse variance of the prior.
-
-    Parameters
-    ----------
-    target
-        Log-posterior and coordinates.
-    mode
-        ``(d,)`` in the coordinates.
-    prior_draws
-        ``(n, d)`` draws of the priors in the coordinates.
+    noise scales, and the inverse variance of the prior, of which ``prior_draws`` ``(n, d)`` are.
     """
     k, d = len(target.free), mode.size
     low, high = np.nanquantile(prior_draws, [0.16, 0.84], axis=0)
@@ -130,7 +108,7 @@ def climb(
     curvature: Curvature | None = None,
     moved: Callable[[Array], None] = lambda _: None,
 ) -> Array:
-    """Climb to the mode from the best of several candidates, ``(d,)``.
+    """Climb to the mode ``(d,)`` from the best of several candidates ``(n, d)``.
 
     Newton steps with a Hessian by finite differences, damped as Levenberg and
     Marquardt do. Steps of the differences adapt to where the density has fallen
@@ -139,10 +117,6 @@ def climb(
 
     Parameters
     ----------
-    log_density
-        ``(n, d)`` to ``(n,)``, ``-inf`` allowed.
-    candidates
-        ``(n, d)`` places to start from.
     climbs
         How many of the best ones are followed to their peak.
     curvature

@@ -1,11 +1,12 @@
 """One HDF5 file that sampled steps are appended to, readable whenever its writer is killed.
 
-HDF5 is no journal: a process killed while the library rewrites an index leaves a file that
-nobody opens again. And it takes a full disk badly: closing a file then ends in a crash (1.14 and
-2.0). So the library makes the tables of an empty file in memory, and reads; a file in use gets
-nothing but numbers, from here. They have their place from the beginning, longer than needed; an
-append fills rows that nobody counts yet, and then the count. When the place is full, a longer
-file is made beside, from the shorter one, and moved over it.
+This is for the promise that a run can be resumed whatever ended it. HDF5 is no journal: a process
+killed while the library rewrites an index leaves a file that nobody opens again. And it takes a
+full disk badly: closing a file then ends in a crash (1.14 and 2.0). So the library makes the
+tables of an empty file in memory, and reads; a file in use gets nothing but numbers, from here.
+They have their place from the beginning, longer than needed; an append fills rows that nobody
+counts yet, and then the count. When the place is full, a longer file is made beside, from the
+shorter one, and moved over it.
 """
 
 from __future__ import annotations
@@ -33,16 +34,9 @@ _PIECE = 2**24
 
 @dataclass(frozen=True)
 class Steps:
-    """Steps of all walkers, one after the other.
+    """Steps of all walkers: coordinates, log density there, whether a proposal was accepted.
 
-    Attributes
-    ----------
-    coordinates
-        ``(steps, walkers, d)`` after each step.
-    log_density
-        ``(steps, walkers)`` there.
-    accepted
-        ``(steps, walkers)``: whether the walker's proposal was.
+    ``(steps, walkers, d)`` and ``(steps, walkers)`` twice.
     """
 
     coordinates: Array
@@ -55,17 +49,8 @@ class Steps:
 
 
 class StepFile:
-    """Steps of so many walkers in a file.
+    """Steps of so many walkers in a file, made with the first :meth:`append` if it is not there.
 
-    Parameters
-    ----------
-    path
-        The file; made with the first :meth:`append` if it is not there.
-    walkers, dimension
-        Shape of a step.
-
-    Notes
-    -----
     Every method raises OSError, with the system's reason, where the file cannot
     be read or written, and ValueError where it holds something else.
     """

@@ -25,18 +25,9 @@ class Surrogate:
     coordinates: a cubic through the states of a warm-up follows it within a
     tenth of a unit, at a thousandth of a simulation's cost.
 
-    Parameters
-    ----------
-    log_prior
-        ``(n, d)`` coordinates to the log prior density in them, ``(n,)``; ``-inf`` allowed.
-    centre, whiten
-        ``(d,)`` and ``(d, d)``: ``z = (u - centre) @ whiten`` is about standard normal.
-    gradient, curvature, third
-        ``(d,)``, ``(d, d)`` and ``(d, d, d)``: the log-likelihood's derivatives in ``z`` at
-        zero, but for a factor of 2 and 6: ``z g + z C z + T z z z``.
-    radius
-        The third order is held at its value there for ``z`` further out, where a cubic
-        would rise without end.
+    It is ``z g + z C z + T z z z`` of ``z = (u - centre) @ whiten``, about standard normal; the
+    third order is held at its value at ``radius`` further out, where a cubic would rise without
+    end.
     """
 
     def __init__(
@@ -61,16 +52,7 @@ class Surrogate:
     ) -> Surrogate | None:
         """Fit by least squares to what is known, without third order if that is little.
 
-        ``None`` if it is too little for a quadratic.
-
-        Parameters
-        ----------
-        log_prior
-            See the class.
-        states
-            ``(n, d)`` coordinates, repeated ones allowed.
-        log_density
-            Log posterior there, ``(n,)``.
+        ``None`` if it is too little for a quadratic. ``states`` ``(n, d)`` may repeat.
         """
         d = states.shape[1]
         states, log_density = _distinct(states, log_density)

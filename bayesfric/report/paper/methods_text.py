@@ -13,6 +13,7 @@ from importlib.metadata import version
 
 import bayesfric
 from bayesfric.inference.fit import Fit
+from bayesfric.inference.noise import SCALES
 from bayesfric.mechanism.parameter import effort_words
 from bayesfric.report.comparison.cell import TOGETHER
 from bayesfric.report.paper import latex
@@ -108,7 +109,7 @@ def _sentences(fit: Fit, summary: Summary) -> str:
         fit=fit,
         chain=fit.chain,
         noise=fit.target.noise,
-        partial=any(kind.startswith("pacf_") for kind in fit.target.noise.quantities),
+        remarks=dict.fromkeys(SCALES[kind].remark for kind in fit.target.noise.quantities),
         summary=summary,
         each=each,
         total=total,

@@ -13,40 +13,29 @@ from bayesfric.inference.fit import Fit
 from bayesfric.inference.likelihood.autoregression import PASSES, ljung_box, predictors
 from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.noise import SCALES
 from bayesfric.mechanism.parameter import effort_words
 from bayesfric.report.summary.record import Likelihood, Noise, Spread, Summary, of_noise
 from bayesfric.report.text_templates import filled, sentence
 
 Array = NDArray[np.float64]
 
-_SIMULATED = "white in torque and position, torque noise carried through the simulation"
-_MEANINGS = {
-    "sigma": "noise of the filtered torque",
-    "dof": "degrees of freedom of the noise: fewer, more outliers",
-    "torque": "noise of a torque sample",
-    "position": "noise of a position sample",
-}
 # Correlations of the innovations that are tested together.
 _LAGS = 10
 
 
 def noise_unit(fit: Fit, quantity: str) -> str:
     """Name the unit of a noise scale, such as ``sigma``, ``torque`` or ``position``."""
-    if quantity == "dof" or quantity.startswith("pacf_"):
-        return ""
-    if quantity == "position":
+    unit = SCALES[quantity].unit
+    if unit == "position":
         return fit.target.likelihood.outputs[0].unit
-    return "N m" if fit.chain.motor_motion == "rotary" else "N"
+    return unit and ("N m" if fit.chain.motor_motion == "rotary" else "N")
 
 
 def noise_meaning(fit: Fit, quantity: str) -> str:
     """Say in a line what a noise scale is."""
-    if quantity.startswith("pacf_"):
-        return f"partial autocorrelation of the noise at lag {quantity.removeprefix('pacf_')}"
-    likelihood = fit.target.likelihood
-    if quantity == "sigma" and isinstance(likelihood, TorqueLikelihood) and likelihood.noise.order:
-        return "sd of the noise's innovations, what its memory does not foretell"
-    return effort_words(_MEANINGS[quantity], fit.chain.motor_motion)
+    (scale,) = (s for s in fit.target.likelihood.noise.scales if s.name == quantity)
+    return effort_words(scale.meaning, fit.chain.motor_motion)
 
 
 def noise_record(
@@ -67,10 +56,9 @@ def noise_record(
     """
     likelihood = fit.target.likelihood
     record: dict[str, Any] = {
-        "model": effort_words(_SIMULATED, fit.chain.motor_motion),
+        "model": effort_words(likelihood.noise.description, fit.chain.motor_motion),
         "parameters": list(fit.target.noise.names),
-        # torque noise carried through the simulation drifts, and what drifts is correlated
-        "accounts_for_correlation": True,
+        "accounts_for_correlation": likelihood.noise.accounts_for_correlation,
         "residual_lag1": mean_lag(lags, residuals),
     }
     if not isinstance(likelihood, TorqueLikelihood):
@@ -82,9 +70,7 @@ def noise_record(
     runs = [o.follows for o in likelihood.outputs]
     p = ljung_box(left, runs, _LAGS + noise.order, noise.order)
     record |= {
-        "model": noise.description,
         "order": noise.order,
-        "accounts_for_correlation": noise.order > 0,
         "innovation_lag1": mean_lag([lag_one(r, f) for r, f in zip(left, runs, strict=True)], left),
         "innovation_whiteness": {
             "test": f"Ljung-Box, {_LAGS + noise.order} lags, all recordings together",

@@ -17,8 +17,8 @@ from bayesfric.inference.fit import Fit
 from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
+from bayesfric.inference.noise import SCALES
 from bayesfric.inference.posterior import Posterior
-from bayesfric.inference.prior.noise import support
 from bayesfric.mechanism.parameter import TURN
 from bayesfric.report.summary.bounds import bound_warning
 from bayesfric.report.summary.derived_quantities import LEVEL, derived_rows, groups, spread
@@ -206,7 +206,7 @@ def _parameters(fit: Fit, local: LocalInformation) -> dict[str, Any]:
     noise = fit.target.noise
     for name, symbol, quantity in zip(noise.names, noise.symbols, noise.quantities, strict=True):
         described[name] = (noise_unit(fit, quantity), symbol, noise_meaning(fit, quantity))
-        possible[name] = support(quantity)
+        possible[name] = (SCALES[quantity].lower, SCALES[quantity].upper)
     rows = {}
     moved_by = influence(fit)
     sound = d.sound(d.rhat, d.ess)

@@ -14,19 +14,12 @@ from bayesfric.mechanism.chain import Chain
 _RANGES = frozenset({"uniform", "loguniform", "halfnorm", "reciprocal"})
 
 
-def beforehand(chain: Chain, priors: Mapping[str, Prior]) -> Knowledge:
-    """Take from the priors what a point estimate may use.
+def as_knowledge(chain: Chain, priors: Mapping[str, Prior]) -> Knowledge:
+    """Take from the priors of a chain what a point estimate may use.
 
     A fixed prior is a known value; the support of a prior is a bound. A prior that
     a user gave and that states a value, such as a normal one from a data sheet,
     enters with its mean and standard deviation. Default priors only bound.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    priors
-        Of every parameter of the chain.
     """
     fixed, bounds, told = {}, {}, {}
     for name in chain.names:

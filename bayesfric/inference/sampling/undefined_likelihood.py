@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
 from bayesfric.inference.sampling.proposal import Proposal
+from bayesfric.inference.target import Target
 
 Array = NDArray[np.float64]
 
@@ -20,23 +19,6 @@ _SPAWN = 2**31 + 1
 _TELLING = 0.8
 
 
-class Likelihood(Protocol):
-    """What is asked of a log-posterior here."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Sampled parameters."""
-        ...
-
-    def to_parameters(self, u: Array) -> tuple[Array, Array]:
-        """Map coordinates ``(n, d)`` to parameters and the log Jacobian ``(n,)``."""
-        ...
-
-    def no_number(self, u: Array) -> NDArray[np.bool_]:
-        """Say where only the likelihood is no number."""
-        ...
-
-
 # Share of such places that may lie beside the posterior. The proposal is the posterior's
 # own shape, so about this share of the posterior may be missing, and the tail beyond an end
 # of a 90 % interval, 5 %, may be off by as much. Below this it drowns in what chance leaves:
@@ -45,24 +27,11 @@ class Likelihood(Protocol):
 TROUBLE = 0.01
 
 
-def beside_posterior(target: Likelihood, proposal: Proposal, seed: int, batch: int) -> Array:
+def beside_posterior(target: Target, proposal: Proposal, seed: int, batch: int) -> Array:
     """Draw places as the sampler does that finds no number at some.
 
-    Parameters
-    ----------
-    target
-        Log-posterior.
-    proposal
-        Fitted to the posterior and frozen.
-    seed
-        Of the sample.
-    batch
-        Places evaluated at once, as in a step.
-
-    Returns
-    -------
-    ndarray
-        ``(2000, d + 1)``: parameters, and 1 where the likelihood is no number there.
+    ``proposal`` is fitted to the posterior and frozen; ``batch`` places are evaluated at once, as
+    in a step. Gives ``(2000, d + 1)``: parameters, and 1 where the likelihood is no number there.
     """
     sequence = np.random.SeedSequence(seed, spawn_key=(_SPAWN,))
     random = np.random.RandomState(np.random.MT19937(sequence))
@@ -73,19 +42,9 @@ def beside_posterior(target: Likelihood, proposal: Proposal, seed: int, batch: i
 
 
 def complaint(names: tuple[str, ...], places: Array) -> str | None:
-    """Say what share of the places has no likelihood, where they are and what to do.
+    """Say what share of these places has no likelihood, where they are and what to do.
 
-    Parameters
-    ----------
-    names
-        Of the parameters.
-    places
-        From :func:`beside_posterior`.
-
-    Returns
-    -------
-    str or None
-        Nothing where the share is too small to matter.
+    Nothing where the share is too small to matter.
     """
     parameters, bad = places[:, :-1], places[:, -1] > 0.0
     share = float(bad.mean())

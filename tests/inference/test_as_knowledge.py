@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from bayesfric.inference.beforehand import beforehand
 from bayesfric.inference.fit import read_priors
+from bayesfric.inference.prior.as_knowledge import as_knowledge
 from bayesfric.inference.prior.priors import read_prior
 from bayesfric.mechanism.presets import PRESETS
 
@@ -20,7 +20,7 @@ def test_fixed_ranged_and_told(make_observation):
         "motor.viscous": [0.01, 0.2],
         "motor.coulomb": {"distribution": "norm", "loc": 0.2, "scale": 0.02},
     }
-    found = beforehand(chain, read_priors(chain, texts, [o]))
+    found = as_knowledge(chain, read_priors(chain, texts, [o]))
     assert found.fixed == {"motor.inertia": 0.01}
     assert found.bounds["motor.viscous"] == (0.01, 0.2)
     # ten sds above its bound: the cut does not show

@@ -1,0 +1,221 @@
+"""White and autoregressive noise of torque residuals."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.linalg import toeplitz
+
+from bayesfric.inference.likelihood.autoregression import (
+    ages,
+    autocovariance,
+    predictors,
+    simulated,
+    variances,
+    whitened,
+)
+from bayesfric.inference.moments.residual_moments import Moments, PlainMoments, ResidualMoments
+from bayesfric.inference.noise.residual_noise import SIGMA, NoiseModel, ResidualNoise
+from bayesfric.inference.noise.scale import Scale
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+_LOG_2PI = math.log(2.0 * math.pi)
+# Largest partial autocorrelation that the package takes for noise by itself. What remembers more
+# in a band that the motion fills is no noise but something the model lacks: a memory beyond
+# would take all that is slow for noise, the motion's own effects among it.
+MEMORY = 0.95
+# Longest memory that is tried where none is told.
+MOST = 4
+_INNOVATION = replace(
+    SIGMA, meaning="sd of the noise's innovations, what its memory does not foretell"
+)
+
+
+def _pacf(lag: int) -> Scale:
+    return Scale(
+        f"pacf_{lag}",
+        rf"\phi_{{{lag}{lag}}}",
+        f"partial autocorrelation of the noise at lag {lag}",
+        lambda _: [-MEMORY, MEMORY],
+        lower=-1.0,
+        upper=1.0,
+        unit="",
+        shared=True,
+        chosen=True,
+        remark="Its coefficients are told by partial autocorrelations [@barndorff1973].",
+    )
+
+
+@dataclass(frozen=True)
+class Autoregressive(ResidualNoise):
+    """Gaussian noise in which a residual remembers ``order`` before it; white for none.
+
+    ``sigma`` is the sd of the innovations, what the memory does not foretell;
+    ``pacf_1, pacf_2, ..`` are partial autocorrelations.
+    """
+
+    order: int = 0
+    gaussian = True
+
+    @property
+    def scales(self) -> tuple[Scale, ...]:
+        """See :class:`ResidualNoise`."""
+        return (_INNOVATION if self.order else SIGMA, *(_pacf(k + 1) for k in range(self.order)))
+
+    @property
+    def accounts_for_correlation(self) -> bool:
+        """See :class:`ResidualNoise`."""
+        return self.order > 0
+
+    @property
+    def description(self) -> str:
+        """In words, for the record."""
+        return f"AR({self.order})" if self.order else "white"
+
+    def log_density_of(
+        self, plain: PlainMoments, moments: ResidualMoments, values: Array, scales: Array
+    ) -> Array:
+        """See :class:`ResidualNoise`."""
+        return self.log_density(moments.at(values), plain.counts, plain.head_counts, scales)
+
+    def log_density(
+        self,
+        moments: Moments,
+        counts: NDArray[np.int64],
+        head_counts: NDArray[np.int64],
+        scales: Array,
+    ) -> Array:
+        """Exact log density ``(n,)`` of all residuals from their lagged products.
+
+        ``counts``, ``head_counts`` as
+        :class:`bayesfric.inference.moments.residual_moments.ResidualMoments` has them.
+        """
+        p = self.order
+        sigma = scales[..., 0]
+        if p == 0:
+            squares = moments.lagged[..., 0, 0]
+            total = squares / sigma**2 + counts * (2.0 * np.log(sigma) + _LOG_2PI)
+            return np.asarray(-0.5 * total.sum(axis=1))
+        return _log_density(
+            moments.lagged, moments.heads, counts, head_counts, np.ascontiguousarray(scales)
+        )
+
+    def standard(self, residual: Array, follows: Flags, scales: Array) -> tuple[Array, Array]:
+        """See :class:`ResidualNoise`."""
+        z = whitened(residual, scales[1:], follows) / scales[0]
+        left = variances(scales[None, 1:])[0]
+        return z, scales[0] * np.sqrt(left[ages(follows, self.order)])
+
+    def log_terms(self, standard: Array, sds: Array, scales: Array) -> Array:  # noqa: ARG002
+        """See :class:`ResidualNoise`."""
+        return np.asarray(-0.5 * standard**2 - np.log(sds) - 0.5 * _LOG_2PI)
+
+    def sd(self, scales: Array) -> float:
+        """See :class:`ResidualNoise`."""
+        return float(scales[0] * math.sqrt(variances(scales[None, 1:])[0, 0]))
+
+    def marginal(self, scales: Array) -> Any:
+        """See :class:`ResidualNoise`."""
+        return stats.norm(scale=scales[:, :1] * np.sqrt(variances(scales[:, 1:])[:, :1]))
+
+    def draw(self, follows: Flags, scales: Array, rng: np.random.Generator) -> Array:
+        """See :class:`ResidualNoise`."""
+        if not self.order:
+            return np.asarray(scales[:, :1] * rng.standard_normal((len(scales), follows.size + 1)))
+        return np.concatenate([s[0] * simulated(s[1:], follows, 1, rng) for s in scales])
+
+    def information(self, scales: Array, outputs: int) -> Array:
+        """See :class:`ResidualNoise`; of partial autocorrelations for many outputs.
+
+        That of the coefficients is their covariance over the innovations' variance (Box and
+        Jenkins, section 7.2).
+        """
+        out = np.zeros((scales.size, scales.size))
+        out[0, 0] = 2.0 / scales[0] ** 2
+        if self.order:
+            partial = scales[None, 1:]
+            step = 1e-6 * np.eye(self.order)
+            up, down = predictors(partial + step)[-1], predictors(partial - step)[-1]
+            slope = ((up - down) / 2e-6).T
+            out[1:, 1:] = slope.T @ toeplitz(autocovariance(partial[0])[:-1]) @ slope
+        return np.asarray(outputs * out)
+
+    def starts(self, sigma: float) -> Array:
+        """See :class:`ResidualNoise`."""
+        if not self.order:
+            return np.array([[sigma]])
+        first = np.array([0.0, 0.5, 0.9])
+        out = np.zeros((first.size, 1 + self.order))
+        out[:, 0] = sigma * np.sqrt(1.0 - first**2)
+        out[:, 1] = first
+        return out
+
+
+@njit(cache=True)
+def _form(coefficients: Array, k: int, products: Array, reverse: bool) -> float:
+    """Sum of squares of what a predictor from ``k`` predecessors leaves."""
+    total = 0.0
+    for i in range(k + 1):
+        for j in range(k + 1):
+            # the newest residual has the coefficient one
+            a = 1.0 if i == 0 else -coefficients[i - 1]
+            b = 1.0 if j == 0 else -coefficients[j - 1]
+            total += a * b * (products[k - i, k - j] if reverse else products[i, j])
+    return total
+
+
+@njit(cache=True)
+def _log_density(
+    lagged: Array,
+    heads: tuple[Array, ...],
+    counts: NDArray[np.int64],
+    head_counts: NDArray[np.int64],
+    scales: Array,
+) -> Array:
+    """Exact density of autoregressive residuals, run by run: heads first, then the rest."""
+    n, recordings, p = scales.shape[0], scales.shape[1], scales.shape[2] - 1
+    out = np.zeros(n)
+    coefficients, before = np.zeros(p), np.zeros(p)
+    for v in range(n):
+        for r in range(recordings):
+            sigma, partial = scales[v, r, 0], scales[v, r, 1:]
+            squares, logs, outputs = 0.0, 0.0, float(counts[r])
+            # variance that no predecessor leaves, in the innovations'
+            left = 1.0
+            for k in range(p):
+                left /= 1.0 - partial[k] * partial[k]
+            for k in range(p):
+                for length in range(k + 1, p + 1):
+                    # the heads' residuals are in time
+                    head = heads[length - 1][v, r]
+                    squares += _form(coefficients, k, head, True) / left
+                    logs += head_counts[r, length - 1] * math.log(left)
+                    outputs += head_counts[r, length - 1]
+                # Durbin and Levinson: one predecessor more
+                for i in range(k):
+                    before[i] = coefficients[i]
+                for i in range(k):
+                    coefficients[i] = before[i] - partial[k] * before[k - 1 - i]
+                coefficients[k] = partial[k]
+                left *= 1.0 - partial[k] * partial[k]
+            squares += _form(coefficients, p, lagged[v, r], False)
+            out[v] -= 0.5 * (
+                squares / sigma**2 + logs + outputs * (2.0 * math.log(sigma) + _LOG_2PI)
+            )
+    return out
+
+
+SCALES = (SIGMA, *(_pacf(lag) for lag in range(1, 10)))
+MODELS = (
+    NoiseModel("auto", Autoregressive, order="chosen"),
+    NoiseModel("white", Autoregressive),
+    NoiseModel("autoregressive", Autoregressive, order="given or chosen"),
+)

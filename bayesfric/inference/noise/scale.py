@@ -1,0 +1,168 @@
+"""The numbers that noise is described by, and which of them each recording has."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.inference.prior.defaults import Scales
+from bayesfric.inference.prior.priors import Prior, PriorText, read_prior
+
+Array = NDArray[np.float64]
+NoiseScale = Literal["shared", "per-recording"]
+
+
+@dataclass(frozen=True)
+class Scale:
+    """One number that noise is described by.
+
+    Attributes
+    ----------
+    name
+        Behind ``noise.`` in the parameter's name.
+    symbol
+        LaTeX without dollar signs.
+    meaning
+        One line for people, worded for what turns.
+    prior
+        The default one, for the sizes of what was measured.
+    lower, upper
+        Support.
+    unit
+        What it is measured like.
+    shared
+        Whether all recordings have the same in any case. How noise is shaped, its memory or its
+        tails, comes from one bench.
+    chosen
+        Whether the residuals of an estimate say if the noise has it.
+    remark
+        A sentence for the methods paragraph, with the reference it rests on.
+    """
+
+    name: str
+    symbol: str
+    meaning: str
+    prior: Callable[[Scales], PriorText]
+    lower: float = 0.0
+    upper: float = np.inf
+    unit: Literal["torque", "position", ""] = "torque"
+    shared: bool = False
+    chosen: bool = False
+    remark: str = ""
+
+    def read_prior(self, texts: Mapping[str, PriorText], sizes: Scales) -> Prior:
+        """Take the prior that a configuration gives by parameter name, or the default."""
+        name = f"noise.{self.name}"
+        text, default = (texts[name], False) if name in texts else (self.prior(sizes), True)
+        return read_prior(name, text, lower=self.lower, upper=self.upper, default=default)
+
+
+def up_to(size: float) -> PriorText:
+    """Spread a prior evenly in the logarithm, up to a size rounded to one digit."""
+    top = float(f"{size:.0e}")
+    return {"distribution": "loguniform", "a": 1e-6 * top, "b": top}
+
+
+class NoiseDescription(ABC):
+    """What any noise tells of itself."""
+
+    @property
+    @abstractmethod
+    def scales(self) -> tuple[Scale, ...]:
+        """What it is described by."""
+
+    @property
+    @abstractmethod
+    def description(self) -> str:
+        """In words, for the record."""
+
+    @property
+    def accounts_for_correlation(self) -> bool:
+        """Whether what it is noise of may be correlated."""
+        return False
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """Names of its scales."""
+        return tuple(scale.name for scale in self.scales)
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Noise with scales shared by all recordings, or some for each.
+
+    Attributes
+    ----------
+    names
+        Parameter names: ``noise.sigma``, or ``noise.sigma.<recording>``; the quantities
+        of the first recording first.
+    symbols, quantities, priors
+        LaTeX symbol, :attr:`Scale.name` and prior of each.
+    places
+        ``(n_recordings, quantities)`` which name each recording's scales are.
+    """
+
+    names: tuple[str, ...]
+    symbols: tuple[str, ...]
+    quantities: tuple[str, ...]
+    priors: tuple[Prior, ...]
+    places: NDArray[np.int64]
+
+    def scales(self, parameters: Array) -> Array:
+        """Scales of every recording: ``(n, len(names))`` to ``(n, n_recordings, quantities)``."""
+        return parameters[:, self.places]
+
+    def fold(self, information: Array) -> Array:
+        """Information of every recording's scales, ``(n_recordings, quantities, quantities)``.
+
+        Gives that of the parameters, ``(len(names), len(names))``.
+        """
+        out = np.zeros((len(self.names), len(self.names)))
+        for own, one in zip(self.places, information, strict=True):
+            out[np.ix_(own, own)] += one
+        return out
+
+
+def noise_of(
+    recordings: Sequence[str],
+    scales: Sequence[Scale],
+    priors: Mapping[str, Prior],
+    scale: NoiseScale,
+) -> Noise:
+    """Set up the noise of the named recordings.
+
+    Parameters
+    ----------
+    recordings
+        Their names.
+    scales
+        Those that the likelihood has.
+    priors
+        Of every scale, by ``noise.<quantity>``.
+    scale
+        ``shared`` by all recordings or some ``per-recording``.
+    """
+    own = scale == "per-recording" and len(recordings) > 1
+    found: dict[str, tuple[str, str, Prior]] = {}
+    places = np.zeros((len(recordings), len(scales)), dtype=np.int64)
+    for i, recording in enumerate(recordings):
+        for j, one in enumerate(scales):
+            name, symbol = f"noise.{one.name}", one.symbol
+            prior = priors[name]
+            if own and not one.shared:
+                name, symbol = f"{name}.{recording}", _numbered(symbol, i + 1)
+            found.setdefault(name, (symbol, one.name, prior))
+            places[i, j] = list(found).index(name)
+    symbols, quantities, given = zip(*found.values(), strict=True)
+    return Noise(tuple(found), symbols, quantities, given, places)
+
+
+def _numbered(symbol: str, number: int) -> str:
+    """Add a recording's number; a second subscript would not typeset, so it joins the first."""
+    base, _, subscript = symbol.partition("_")
+    return f"{base}_{{{subscript},{number}}}" if subscript else f"{symbol}_{{{number}}}"
