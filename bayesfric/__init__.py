@@ -12,22 +12,24 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from bayesfric import plot
-    from bayesfric.joint import Joint
     from bayesfric.mechanism.element import Element, Load
+    from bayesfric.mechanism.joint import Joint
+    from bayesfric.mechanism.own_term import Term
     from bayesfric.model import Model
     from bayesfric.recordings.recording import Recording
     from bayesfric.result import report, summary
 
 __version__ = "0.1.0"
-__all__ = ["Element", "Joint", "Load", "Model", "Recording", "plot", "report", "summary"]
+__all__ = ["Element", "Joint", "Load", "Model", "Recording", "Term", "plot", "report", "summary"]
 
 # Imported when first used: the command line must answer --help at once.
 _HOMES = {
     "Element": "mechanism.element",
-    "Joint": "joint",
+    "Joint": "mechanism.joint",
     "Load": "mechanism.element",
     "Model": "model",
     "Recording": "recordings.recording",
+    "Term": "mechanism.own_term",
     "plot": "plot",
     "report": "report",
     "summary": "result",

@@ -13,7 +13,7 @@ from pydantic import BaseModel
 
 from bayesfric.config import Config, parse_config
 from bayesfric.errors import BadInput
-from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.options import ElementOptions, LoadOptions
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.recording import Recording
@@ -35,14 +35,14 @@ def config_of(document: Mapping[str, Any]) -> Config:
     return parse_config("\n".join(_lines(document)), _MODEL)
 
 
-def mechanism_table(joint: Chain) -> dict[str, Any]:
+def mechanism_table(joint: Joint) -> dict[str, Any]:
     """Write a joint as the ``[mechanism]`` table that makes it."""
     offset = "per-recording" if joint.own_offsets else joint.offset
     table: dict[str, Any] = {"offset": offset, "gain": joint.gain}
-    if joint.preset in PRESETS:
-        base = PRESETS[joint.preset].chain()
+    if joint.made_from in PRESETS:
+        base = PRESETS[joint.made_from].chain()
         if (base.elements, base.load) == (joint.elements, joint.load):
-            return {"preset": joint.preset, **table}
+            return {"preset": joint.made_from, **table}
     elements = {one.name: _chosen(one, ElementOptions) for one in joint.elements}
     return {**table, "load": _chosen(joint.load, LoadOptions), "elements": elements}
 

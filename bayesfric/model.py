@@ -39,8 +39,8 @@ from bayesfric.inference.prior.as_knowledge import as_knowledge
 from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Progress, Sampling, phase
 from bayesfric.inference.target import Target
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.derived import derive
+from bayesfric.mechanism.joint import Joint
 from bayesfric.preparation import prepare, residual_noise
 from bayesfric.progress import progress_shown
 from bayesfric.recordings.recording import Recording
@@ -131,7 +131,7 @@ class Model:
 
     def __init__(
         self,
-        joint: Chain,
+        joint: Joint,
         recordings: Recording | Sequence[Recording],
         *,
         noise: str | Mapping[str, Any] = "auto",

@@ -14,7 +14,7 @@ from bayesfric.inference.noise import NOISE_MODELS
 from bayesfric.inference.noise.autoregressive import MOST
 from bayesfric.inference.noise.residual_noise import ResidualNoise
 from bayesfric.inference.prior.priors import Prior
-from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.held_out import HeldOut, divide
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
@@ -26,7 +26,7 @@ from bayesfric.recordings.recording import Recording
 class Prepared:
     """See the attributes of :class:`bayesfric.model.Model`."""
 
-    chain: Chain
+    chain: Joint
     recordings: list[Measurement]
     observations: list[Observation]
     priors: dict[str, Prior]
@@ -50,7 +50,7 @@ def prepare(config: Config, recordings: Sequence[Recording] | None = None) -> Pr
     """
     tables = config.tables
     with config.named():
-        chain = tables.mechanism.chain()
+        chain = tables.mechanism.joint()
     if not tables.recordings:
         raise BadInput(str(config.path), "names no recording", "add a [[recordings]] table")
     if not chain.parameters:
@@ -84,7 +84,7 @@ def prepare(config: Config, recordings: Sequence[Recording] | None = None) -> Pr
     return Prepared(chain, divided.recordings, observations, priors, divided.held_out)
 
 
-def _check_recordings(config: Config, chain: Chain, found: Sequence[Measurement]) -> None:
+def _check_recordings(config: Config, chain: Joint, found: Sequence[Measurement]) -> None:
     """Refuse names that cannot be, and what cannot be held out."""
     for name, count in Counter(r.name for r in found).items():
         if count > 1:
@@ -136,7 +136,7 @@ def _changed_since(recording: Measurement, origin: Origin) -> Measurement:
     return replace(recording, warnings=(*recording.warnings, text))
 
 
-def _read(config: Config, chain: Chain, recording: Recording, number: int) -> list[Measurement]:
+def _read(config: Config, chain: Joint, recording: Recording, number: int) -> list[Measurement]:
     place, source = f"recordings.{number}", recording.source
     if source.added_mass and not source.radius and chain.load.motion == "rotary":
         raise BadInput(
@@ -169,7 +169,7 @@ def _read(config: Config, chain: Chain, recording: Recording, number: int) -> li
         ) from None
 
 
-def _check_names(config: Config, chain: Chain) -> None:
+def _check_names(config: Config, chain: Joint) -> None:
     """Refuse a table that stands for a prior but names no distribution."""
     for name in config.priors:
         parameter = name.rpartition(".")[0]

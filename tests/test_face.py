@@ -233,9 +233,9 @@ def test_a_joint_is_its_text(name):
     preset = PRESETS[name].chain()
     joint = bf.Joint.preset(name)
     for made in (joint, bf.Joint(joint.elements, joint.load, offset=joint.offset)):
-        chain = config_of({"mechanism": mechanism_table(made)}).tables.mechanism.chain()
+        chain = config_of({"mechanism": mechanism_table(made)}).tables.mechanism.joint()
         assert (chain.elements, chain.load) == (preset.elements, preset.load)
-        assert (chain.offset, chain.preset) == (preset.offset, made.preset)
+        assert (chain.offset, chain.made_from) == (preset.offset, made.made_from)
 
 
 def test_importing_it_imports_nothing_heavy():

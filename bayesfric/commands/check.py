@@ -28,7 +28,7 @@ def check(model: Model) -> dict[str, Any]:
     return {
         "config": str(model.config.path),
         "mechanism": {
-            "preset": model.chain.preset,
+            "preset": model.chain.made_from,
             "ratio": model.chain.ratio,
             "elements": [element.name for element in model.chain.elements],
         },

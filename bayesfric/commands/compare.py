@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from bayesfric.errors import BadInput
-from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.joint import Joint
 from bayesfric.report.comparison.comparison import Comparison, comparison
 from bayesfric.report.comparison.table import (
     comparison_csv,
@@ -91,12 +91,12 @@ def compare(
     return found
 
 
-def _chain(config: str) -> Chain | None:
+def _chain(config: str) -> Joint | None:
     """Rebuild a run's chain from its configuration, where this version still reads that."""
     from bayesfric.config import parse_config
 
     try:
-        return parse_config(config, Path("config.toml")).tables.mechanism.chain()
+        return parse_config(config, Path("config.toml")).tables.mechanism.joint()
     except BadInput:
         return None
 

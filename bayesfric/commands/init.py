@@ -14,8 +14,8 @@ from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.estimation import Estimation
 from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.inference.sampling.sampling import Sampling
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.experiment import Simulation
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.quantities import CHOICES, OPTION_MEANINGS
 from bayesfric.recordings.held_out import Validation
@@ -83,7 +83,7 @@ def configuration(preset: str) -> str:
     )
 
 
-def _mechanism(preset: str, chain: Chain) -> Iterator[str]:
+def _mechanism(preset: str, chain: Joint) -> Iterator[str]:
     yield "[mechanism]"
     yield f'preset = "{preset}"'
     yield (
@@ -101,7 +101,7 @@ def _mechanism(preset: str, chain: Chain) -> Iterator[str]:
             yield f"# {option} = {chosen}  # {OPTION_MEANINGS[option]}: {known}"
 
 
-def _recordings(chain: Chain) -> Iterator[str]:
+def _recordings(chain: Joint) -> Iterator[str]:
     linear = chain.motor_motion == "linear"
     yield "# One table for each file; 'file' may be a list or hold wildcards."
     yield "[[recordings]]"
@@ -121,7 +121,7 @@ def _recordings(chain: Chain) -> Iterator[str]:
     yield '# radius = "0.35 m"'
 
 
-def _priors(chain: Chain) -> Iterator[str]:
+def _priors(chain: Joint) -> Iterator[str]:
     yield "# A number fixes, a range is uniform, a distribution is SciPy's by name."
     yield "# What is left out gets a wide default, which 'bayesfric check' prints."
     yield "[priors]"
@@ -132,7 +132,7 @@ def _priors(chain: Chain) -> Iterator[str]:
         yield f"# {p.name:<26} {p.unit or '-':<8} {p.meaning}"
 
 
-def _references(chain: Chain) -> Iterator[str]:
+def _references(chain: Joint) -> Iterator[str]:
     name = "load.first_moment" if "load.first_moment" in chain.names else chain.names[0]
     yield f'# "{name}" = {{ value = 0.41, source = "CAD" }}'
 

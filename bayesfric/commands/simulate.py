@@ -13,8 +13,8 @@ import numpy as np
 import bayesfric
 from bayesfric.config import Config
 from bayesfric.errors import BadInput
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.experiment import Simulation, record
+from bayesfric.mechanism.joint import Joint
 from bayesfric.report.files import write_beside
 
 # A few minutes to simulate and some hundred megabytes of text; more is a mistyped duration.
@@ -57,7 +57,7 @@ def simulate(config: Config, target: Path, *, seed: int | None = None) -> dict[s
                 "name another file with -o",
             )
     with config.named():
-        chain = config.tables.mechanism.chain()
+        chain = config.tables.mechanism.joint()
         _check(options, chain)
         columns, motion, values = record(chain, options)
         if not all(np.isfinite(column).all() for column in columns.values()):
@@ -95,7 +95,7 @@ def simulate(config: Config, target: Path, *, seed: int | None = None) -> dict[s
     return truth
 
 
-def _check(options: Simulation, chain: Chain) -> None:
+def _check(options: Simulation, chain: Joint) -> None:
     """Refuse what the options' own ranges let through."""
     samples = options.duration * options.rate
     if samples > _MOST_SAMPLES:

@@ -13,8 +13,8 @@ from bayesfric.estimates.information import Information
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical_load
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.derived import derive
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.scaling import Scaling, scalings
 from bayesfric.recordings.observation import Observation
 
@@ -25,7 +25,7 @@ _ON_BOUND = 1e-6
 
 
 def open_scalings(
-    chain: Chain, knowledge: Knowledge, observations: Sequence[Observation]
+    chain: Joint, knowledge: Knowledge, observations: Sequence[Observation]
 ) -> tuple[Scaling, ...]:
     """Scalings that neither known masses nor a known or told parameter takes away.
 
@@ -47,7 +47,7 @@ def open_scalings(
 
 
 def open_directions(
-    chain: Chain, knowledge: Knowledge, observations: Sequence[Observation], values: Array
+    chain: Joint, knowledge: Knowledge, observations: Sequence[Observation], values: Array
 ) -> Array:
     """Directions of the open scalings at a vector, in the free parameters, ``(k, d)``."""
     columns = [chain.names.index(name) for name in knowledge.free(chain)]
@@ -56,7 +56,7 @@ def open_directions(
 
 
 def centred(
-    chain: Chain, knowledge: Knowledge, observations: Sequence[Observation], values: Array
+    chain: Joint, knowledge: Knowledge, observations: Sequence[Observation], values: Array
 ) -> Array:
     """Move a fit along open scalings to the middle of what gearbox and limits leave open.
 
@@ -71,7 +71,7 @@ def centred(
     return values
 
 
-def units_of(chain: Chain, free: Sequence[str], values: Array) -> Array:
+def units_of(chain: Joint, free: Sequence[str], values: Array) -> Array:
     """Say what counts as a change of one, ``(len(free),)``: the value; for load losses alpha.
 
     ``values`` is ``(n_parameters,)`` in the order of ``chain.names``; no unit is zero.
@@ -90,7 +90,7 @@ def units_of(chain: Chain, free: Sequence[str], values: Array) -> Array:
 
 
 def assemble(
-    chain: Chain,
+    chain: Joint,
     observations: Sequence[Observation],
     knowledge: Knowledge,
     values: Array,
@@ -182,7 +182,7 @@ def bounds_met(
 
 
 def _totals(
-    chain: Chain,
+    chain: Joint,
     observations: Sequence[Observation],
     values: Array,
     scale: Array,
@@ -207,7 +207,7 @@ def _totals(
 
 
 def _derived(
-    chain: Chain,
+    chain: Joint,
     values: Array,
     load: float,
     scale: Array,

@@ -15,7 +15,7 @@ from bayesfric.estimates.huber import shares
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian
-from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
@@ -33,7 +33,7 @@ class TorqueProblem:
     """Modelled torque of the free parameters, and what is known of them."""
 
     def __init__(
-        self, chain: Chain, observations: Sequence[Observation], knowledge: Knowledge
+        self, chain: Joint, observations: Sequence[Observation], knowledge: Knowledge
     ) -> None:
         self.chain, self.observations, self.knowledge = chain, observations, knowledge
         self.free = knowledge.free(chain)
@@ -54,7 +54,7 @@ class TorqueProblem:
         return self.chain.vector(starting_values(self.chain, self.totals, mu, share))
 
     def vector(self, x: Array) -> Array:
-        """Chain's parameters, ``(n_parameters,)``, from the free ones ``(d,)``."""
+        """Joint's parameters, ``(n_parameters,)``, from the free ones ``(d,)``."""
         values = self.base.copy()
         values[self.columns] = x
         return values

@@ -27,7 +27,7 @@ from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.torque import places
 from bayesfric.estimates.torque_form import scale_known, torque_form
 from bayesfric.estimates.variable_projection import VariableProjection
-from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.scaling import Scaling, scalings
 from bayesfric.recordings.observation import Observation
 
@@ -46,7 +46,7 @@ _SETTLED = 1e-3
 
 
 def input_error(
-    chain: Chain,
+    chain: Joint,
     observations: Sequence[Observation],
     knowledge: Knowledge,
     options: Estimation,
@@ -352,7 +352,7 @@ def _assumption(problem: TorqueProblem, terms: Terms, at_bound: Bounds) -> str:
     return text
 
 
-def _check(chain: Chain, observations: Sequence[Observation], knowledge: Knowledge) -> None:
+def _check(chain: Joint, observations: Sequence[Observation], knowledge: Knowledge) -> None:
     free = knowledge.free(chain)
     where = ", ".join(o.name for o in observations)
     if not free:

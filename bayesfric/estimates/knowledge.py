@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import turned
 
 Array = NDArray[np.float64]
@@ -33,17 +33,17 @@ class Knowledge:
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     told: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
-    def free(self, chain: Chain) -> tuple[str, ...]:
+    def free(self, chain: Joint) -> tuple[str, ...]:
         """Names of the parameters to estimate, in the chain's order."""
         return tuple(name for name in chain.names if name not in self.fixed)
 
-    def limits(self, chain: Chain) -> tuple[Array, Array]:
+    def limits(self, chain: Joint) -> tuple[Array, Array]:
         """Lower and upper limits of the free parameters, ``(d,)`` each."""
         support = {p.name: (p.lower, p.upper) for p in chain.parameters}
         pairs = [self.bounds.get(name, support[name]) for name in self.free(chain)]
         return np.array([low for low, _ in pairs]), np.array([high for _, high in pairs])
 
-    def on_turn(self, chain: Chain, values: Array) -> Array:
+    def on_turn(self, chain: Joint, values: Array) -> Array:
         """Bring the angles of free parameters ``(d,)`` to the turn their limits lie on.
 
         Without limits that is the one around zero.
@@ -58,11 +58,11 @@ class Knowledge:
                 out[j] = turned(float(values[j]), middle)
         return out
 
-    def inside(self, chain: Chain, values: Array) -> Array:
+    def inside(self, chain: Joint, values: Array) -> Array:
         """Put free parameters ``(d,)`` within their limits."""
         return np.clip(self.on_turn(chain, values), *self.limits(chain))
 
-    def rows(self, chain: Chain) -> tuple[Array, Array]:
+    def rows(self, chain: Joint) -> tuple[Array, Array]:
         """Told values as residuals ``(mean - value)/sd``: rows ``1/sd`` ``(k, d)``, ``mean/sd``."""
         free = self.free(chain)
         told = [name for name in free if name in self.told]

@@ -12,7 +12,7 @@ from bayesfric.estimates.estimate import Estimate, EstimatedValue
 from bayesfric.estimates.information import Information
 from bayesfric.estimates.torque import places
 from bayesfric.estimates.torque_form import columns, filled, in_order
-from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import Parameter, effort_words
 from bayesfric.mechanism.quantities import TOTALS
 from bayesfric.recordings.observation import Observation
@@ -21,7 +21,7 @@ from bayesfric.recordings.observation import Observation
 _OPEN = 1e-9
 
 
-def least_squares(chain: Chain, observations: Sequence[Observation]) -> Estimate:
+def least_squares(chain: Joint, observations: Sequence[Observation]) -> Estimate:
     """Estimate the motor-side totals of eq. (11).
 
     The gearbox is taken with one mean transfer coefficient ``alpha_m`` (eq. 10),
@@ -122,7 +122,7 @@ class TotalsProjection:
         ``(n_totals,)`` which totals the motion cannot tell from others.
     """
 
-    def __init__(self, chain: Chain, observations: Sequence[Observation]) -> None:
+    def __init__(self, chain: Joint, observations: Sequence[Observation]) -> None:
         self.names, self.regressors = _regressors(chain, observations)
         self.labels = [total_label(chain, name) for name in self.names]
         self._chain = chain
@@ -157,7 +157,7 @@ class TotalsProjection:
         return unit, symbol, f"{meaning}, {recording}"
 
 
-def total_label(chain: Chain, name: str) -> str:
+def total_label(chain: Joint, name: str) -> str:
     """Name a total: that of the parameter that makes it up alone, else ``total.<name>``."""
     if any(_has_own(chain, p) and p.name == name for p in chain.parameters):
         return name
@@ -171,12 +171,12 @@ def total_label(chain: Chain, name: str) -> str:
     return f"total.{name}"
 
 
-def _has_own(chain: Chain, p: Parameter) -> bool:
+def _has_own(chain: Joint, p: Parameter) -> bool:
     """Whether a parameter has a regressor that no total is."""
     return p.name in dict(_regressed(chain, p)) and p.quantity != "offset"
 
 
-def _regressed(chain: Chain, p: Parameter) -> tuple[tuple[str, float], ...]:
+def _regressed(chain: Joint, p: Parameter) -> tuple[tuple[str, float], ...]:
     """Regressors of eq. (11) that a parameter shows in, and its torque there for a value of one.
 
     A mean transfer coefficient stands for load losses; what shapes other terms, or scales
@@ -188,7 +188,7 @@ def _regressed(chain: Chain, p: Parameter) -> tuple[tuple[str, float], ...]:
     return tuple(plain)
 
 
-def starting_values(chain: Chain, totals: Estimate, mu: float, share: float) -> dict[str, float]:
+def starting_values(chain: Joint, totals: Estimate, mu: float, share: float) -> dict[str, float]:
     """Split motor-side totals into parameters, as a place to start a search from.
 
     Parameters
@@ -245,7 +245,7 @@ def starting_values(chain: Chain, totals: Estimate, mu: float, share: float) -> 
     return values
 
 
-def _labels(chain: Chain) -> dict[str, str]:
+def _labels(chain: Joint) -> dict[str, str]:
     kinds = [kind for kind in TOTALS if kind != "offset" or not chain.own_offsets]
     kinds += [f"offset.{recording}" for recording in chain.own_offsets]
     kinds += [p.name for p in chain.parameters if _has_own(chain, p)]
@@ -262,7 +262,7 @@ def _part(owner: str, peers: set[str], motor: str, share: float) -> float:
 
 
 def _regressors(
-    chain: Chain, observations: Sequence[Observation]
+    chain: Joint, observations: Sequence[Observation]
 ) -> tuple[list[str], NDArray[np.float64]]:
     found = {kind for p in chain.parameters for kind, _ in _regressed(chain, p)}
     loads = {o.inputs.load(chain.load.motion) for o in observations}

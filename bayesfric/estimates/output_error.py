@@ -35,7 +35,7 @@ from bayesfric.estimates.shooting_fit import (
     settle_states,
 )
 from bayesfric.estimates.torque import torque_jacobian
-from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.trajectory import Trajectory, divided
 
@@ -56,7 +56,7 @@ _NULL = 1e-6
 
 
 def output_error(
-    chain: Chain,
+    chain: Joint,
     trajectories: Sequence[Trajectory],
     observations: Sequence[Observation],
     knowledge: Knowledge,
@@ -145,7 +145,7 @@ class OutputError:
 
     def __init__(
         self,
-        chain: Chain,
+        chain: Joint,
         trajectories: Sequence[Trajectory],
         observations: Sequence[Observation],
         knowledge: Knowledge,
@@ -387,13 +387,13 @@ def _spread(fit: Fit) -> float:
     return float(np.mean(np.log(np.maximum(found, 1e-300)))) if found else np.inf
 
 
-def _split(chain: Chain, observations: Sequence[Observation], knowledge: Knowledge) -> Array:
+def _split(chain: Joint, observations: Sequence[Observation], knowledge: Knowledge) -> Array:
     """Least-squares totals split into parameters, as a second place to start from."""
     values = starting_values(chain, least_squares(chain, observations), 0.2, 0.5)
     return chain.vector({**values, **{k: knowledge.fixed[k] for k in knowledge.fixed}})
 
 
-def _check(chain: Chain, trajectories: Sequence[Trajectory], knowledge: Knowledge) -> None:
+def _check(chain: Joint, trajectories: Sequence[Trajectory], knowledge: Knowledge) -> None:
     inertia = [p.name for p in chain.parameters if p.quantity == "inertia"]
     known = [n for n in inertia if knowledge.fixed.get(n, 1.0) > 0.0]
     if not known and not all(t.inputs.added_mass for t in trajectories):

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.forward import simulate_segments
+from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -60,7 +60,7 @@ class Shooting:
         Integration steps a sample.
     """
 
-    def __init__(self, chain: Chain, trajectories: Sequence[Trajectory], substeps: int) -> None:
+    def __init__(self, chain: Joint, trajectories: Sequence[Trajectory], substeps: int) -> None:
         self.chain, self.trajectories, self.substeps = chain, tuple(trajectories), substeps
         sizes = [int(np.diff(t.segments, axis=1).sum()) for t in trajectories]
         self.measured = np.concatenate([t.position[t.samples] for t in trajectories])

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.inverse import inverse_torque, load_torque
+from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ _ROWS_AT_ONCE = 5_000_000
 _LOAD_QUANTILE = 0.95
 
 
-def filtered_torque(chain: Chain, observation: Observation, values: Array) -> Array:
+def filtered_torque(chain: Joint, observation: Observation, values: Array) -> Array:
     """Motor torque of parameter vectors along a measured motion, filtered.
 
     Parameters
@@ -57,7 +57,7 @@ def filtered_torque(chain: Chain, observation: Observation, values: Array) -> Ar
 
 
 def torque_jacobian(
-    chain: Chain, observations: Sequence[Observation], values: Array, steps: Array
+    chain: Joint, observations: Sequence[Observation], values: Array, steps: Array
 ) -> Array:
     """Differentiate the filtered torque by the chain's parameters.
 
@@ -93,7 +93,7 @@ def torque_jacobian(
     return np.concatenate(blocks)
 
 
-def typical_load(chain: Chain, observations: Sequence[Observation], values: Array) -> float:
+def typical_load(chain: Joint, observations: Sequence[Observation], values: Array) -> float:
     """Joint torque at which efficiencies are stated: the 95th percentile of the recordings.
 
     ``values`` ``(n_parameters,)`` in the order of ``chain.names``; the result is in N m or N.

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Carried
 from bayesfric.mechanism.parameter import Parameter
 from bayesfric.mechanism.quantities import TOTALS, State
@@ -49,7 +49,7 @@ class TorqueForm:
         Name of the element with load loss; empty for none.
     """
 
-    chain: Chain
+    chain: Joint
     names1: tuple[str, ...]
     names2: tuple[str, ...]
     front: Mapping[str, list[Term]] = field(repr=False)
@@ -157,7 +157,7 @@ class TorqueForm:
                     values[i] += totals.get(kind, 0.0) / (len(found) * c)
 
 
-def scale_known(chain: Chain, values: Array, fixed: Mapping[str, float]) -> Array:
+def scale_known(chain: Joint, values: Array, fixed: Mapping[str, float]) -> Array:
     """Move a vector along its scalings until a fixed parameter has its value.
 
     Where none is fixed it goes to the middle of what a passive gearbox allows.
@@ -179,7 +179,7 @@ def scale_known(chain: Chain, values: Array, fixed: Mapping[str, float]) -> Arra
     return values
 
 
-def torque_form(chain: Chain, observations: Sequence[Observation] = ()) -> TorqueForm | None:
+def torque_form(chain: Joint, observations: Sequence[Observation] = ()) -> TorqueForm | None:
     """Write a chain's torque in the form of eq. (13).
 
     Parameters
@@ -234,7 +234,7 @@ def torque_form(chain: Chain, observations: Sequence[Observation] = ()) -> Torqu
     )
 
 
-def filled(chain: Chain, p: Parameter) -> tuple[tuple[str, float], ...]:
+def filled(chain: Joint, p: Parameter) -> tuple[tuple[str, float], ...]:
     """Columns one parameter fills, and its torque at the motor there for a value of one.
 
     A term that does not grow with a power of speed, or has no total, has a column of its own.
@@ -251,14 +251,14 @@ def filled(chain: Chain, p: Parameter) -> tuple[tuple[str, float], ...]:
     return tuple((kind, weight * factor) for kind, weight in p.row.fills)
 
 
-def in_order(chain: Chain) -> list[str]:
+def in_order(chain: Joint) -> list[str]:
     """Names of all columns there may be, in the order of the paper's theta."""
     own = [f"offset.{recording}" for recording in chain.own_offsets]
     order = [k for kind in TOTALS for k in ((own or [kind]) if kind == "offset" else [kind])]
     return list(dict.fromkeys([*order, *chain.names]))
 
 
-def columns(chain: Chain, observation: Observation, names: Iterable[str]) -> Array:
+def columns(chain: Joint, observation: Observation, names: Iterable[str]) -> Array:
     """Columns of ``psi`` before filtering, one a row ``(n, N)``, in motor units."""
     o, n = observation, chain.ratio
     inertia, moment = o.inputs.load(chain.load.motion)

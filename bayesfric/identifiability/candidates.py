@@ -23,8 +23,8 @@ from bayesfric.identifiability.virtual_recording import (
     square_with_sines,
 )
 from bayesfric.mechanism import excitation
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.forward import RunsAway
+from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
@@ -109,7 +109,7 @@ class Candidate:
 
 
 def limits_of(
-    options: AdviceOptions, chain: Chain, observations: Sequence[Observation], values: Array
+    options: AdviceOptions, chain: Joint, observations: Sequence[Observation], values: Array
 ) -> Limits:
     """Settle every limit that the configuration leaves out.
 
@@ -229,7 +229,7 @@ def _shapes(time: Array, hertz: float) -> Iterator[tuple[str, Array]]:
 
 
 def try_out(
-    chain: Chain, vectors: Array, base: Observation, candidate: Candidate, limits: Limits
+    chain: Joint, vectors: Array, base: Observation, candidate: Candidate, limits: Limits
 ) -> tuple[Candidate, tuple[Observation, ...]] | Statement:
     """Play a candidate at every point, lowering its torque until it keeps the limits.
 
@@ -269,7 +269,7 @@ def try_out(
     return stated("limit", "always", limit=name, share=factor / _SMALLER)
 
 
-def _broken(recording: Observation, limits: Limits, chain: Chain) -> Limit | None:
+def _broken(recording: Observation, limits: Limits, chain: Joint) -> Limit | None:
     if float(np.abs(recording.qd).max()) > limits.speed:
         return "speed"
     low, high = limits.angles or (-np.inf, np.inf)
@@ -278,7 +278,7 @@ def _broken(recording: Observation, limits: Limits, chain: Chain) -> Limit | Non
     return "angles" if chain.load.motion == "rotary" else "positions"
 
 
-def _hanging(chain: Chain, values: Array, near: float) -> float:
+def _hanging(chain: Joint, values: Array, near: float) -> float:
     """Position at which gravity holds the load, rad; where there is no gravity, ``near``."""
     of = dict(zip(chain.names, values.tolist(), strict=True))
     if "load.first_moment" not in of:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.estimates.torque import filtered_torque
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.inverse import inverse_torque, load_torque
+from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
@@ -52,7 +52,7 @@ class BackDriving:
 
 
 def coverage_of(
-    chain: Chain, observations: Sequence[Observation], values: Array, noise: Array
+    chain: Joint, observations: Sequence[Observation], values: Array, noise: Array
 ) -> tuple[Coverage, ...]:
     """Look at every recording, the chain's parameters being ``values`` ``(n_parameters,)``.
 
@@ -80,7 +80,7 @@ def coverage_of(
 
 
 def back_driven(
-    chain: Chain, observations: Sequence[Observation], values: Array
+    chain: Joint, observations: Sequence[Observation], values: Array
 ) -> dict[str, Array]:
     """How often the load drives each element that has a load loss, ``(n,)`` for as many vectors.
 
@@ -102,7 +102,7 @@ def back_driven(
 
 
 def back_driving(
-    chain: Chain,
+    chain: Joint,
     observations: Sequence[Observation],
     vectors: Array,
     plausible: NDArray[np.bool_],
@@ -119,12 +119,12 @@ def _ends(share: Array) -> tuple[float, float]:
     return float(share.min()), float(share.max())
 
 
-def _behind(chain: Chain, i: int, o: Observation, at: NDArray[np.int64], values: Array) -> Array:
+def _behind(chain: Joint, i: int, o: Observation, at: NDArray[np.int64], values: Array) -> Array:
     """Torque at the output of element ``i``, ``(n, len(at))``."""
     q, qd, qdd = o.q[at], o.qd[at], o.qdd[at]
     if i + 1 == len(chain.elements):
         return np.stack([load_torque(chain, v, q, qdd, inputs=o.inputs) for v in values])
-    rest = Chain(chain.elements[i + 1 :], chain.load)
+    rest = Joint(chain.elements[i + 1 :], chain.load)
     columns = [chain.names.index(name) for name in rest.names]
     return inverse_torque(rest, values[:, columns], q, qd, qdd, inputs=o.inputs, time=o.stamps)
 
@@ -155,7 +155,7 @@ def _at_levels(torque: Array, sigma: float) -> float | None:
     return None if 2.0 * width * _LEVELS > 0.75 * span else taken / total
 
 
-def _steady(chain: Chain, o: Observation, values: Array) -> float:
+def _steady(chain: Joint, o: Observation, values: Array) -> float:
     """Share of outputs in which the torque would be the same without acceleration."""
     still = replace(o, qdd=np.zeros_like(o.qdd))
     whole = filtered_torque(chain, o, values[None])[0]

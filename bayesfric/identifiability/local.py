@@ -16,7 +16,7 @@ from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.torque import torque_jacobian
 from bayesfric.identifiability.sentences import Statement, stated
 from bayesfric.inference.target import Target
-from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
@@ -225,7 +225,7 @@ def in_natural_units(
 
 
 def torque_changes(
-    chain: Chain, observations: Sequence[Observation], values: Array, at: LocalUnits
+    chain: Joint, observations: Sequence[Observation], values: Array, at: LocalUnits
 ) -> Array:
     """Differentiate the filtered torque by the free parameters, per their unit, ``(n_outputs, d)``.
 

@@ -38,9 +38,9 @@ from bayesfric.identifiability.plausible import Point
 from bayesfric.identifiability.sentences import Statement, plain, stated
 from bayesfric.identifiability.virtual_recording import TorqueNoise, scaled_jacobian, torque_noise
 from bayesfric.inference.target import Target
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.experiment import Simulation, measure
+from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
@@ -76,7 +76,7 @@ class Advice:
     angles: tuple[float, float]  # lowest and highest position at any point, rad or m
 
     def recording(
-        self, chain: Chain, values: Array, options: Simulation, seed: int
+        self, chain: Joint, values: Array, options: Simulation, seed: int
     ) -> dict[str, Array]:
         """Simulate what a bench would record, the true parameters being ``(n_parameters,)``.
 

@@ -13,7 +13,7 @@ from bayesfric.estimates.assemble import bounds_met, centred
 from bayesfric.estimates.descent import Terms, TorqueProblem, descend, few_threads
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.inference.fit import Fit
-from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.observation import Observation
 
@@ -72,7 +72,7 @@ def profiles(fit: Fit, points: int = 15) -> tuple[Profile, ...]:
 
 
 def profile_likelihoods(
-    chain: Chain,
+    chain: Joint,
     observations: Sequence[Observation],
     knowledge: Knowledge,
     grids: Mapping[str, Array],
@@ -135,7 +135,7 @@ class _Search:
 
     def __init__(
         self,
-        chain: Chain,
+        chain: Joint,
         observations: Sequence[Observation],
         knowledge: Knowledge,
         own_noise: bool,
@@ -201,7 +201,7 @@ def _walk(search: _Search, name: str, grid: Array, best: _Point) -> list[_Point]
     return [points[k] for k in range(grid.size)]
 
 
-def _neighbours(chain: Chain, name: str, values: Array, value: float) -> list[Array]:
+def _neighbours(chain: Joint, name: str, values: Array, value: float) -> list[Array]:
     """Start a parameter at another value: the others as they were, or scaled along with it."""
     column = chain.names.index(name)
     old = float(values[column])

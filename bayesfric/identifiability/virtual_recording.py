@@ -14,9 +14,9 @@ from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.inference.noise.residual_noise import ResidualNoise
 from bayesfric.inference.target import Target
 from bayesfric.mechanism import excitation
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.filters import derivative, lay_windows, lowpass
 from bayesfric.recordings.observation import Observation, moving_samples
 
@@ -44,7 +44,7 @@ def sample_period(observation: Observation) -> float:
     return observation.period / max(int(step.min(initial=step[:1].sum())), 1)
 
 
-def known_mass(chain: Chain, values: Array) -> tuple[float, float]:
+def known_mass(chain: Joint, values: Array) -> tuple[float, float]:
     """Choose a mass, kg, and a radius, m, about as heavy as the load itself, rounded.
 
     Their inertia and first moment come to those of the load where it has both and is not too
@@ -140,7 +140,7 @@ def longest_stretch(observation: Observation, most: float | None = _LONGEST) -> 
 
 
 def played(
-    chain: Chain,
+    chain: Joint,
     values: Array,
     observation: Observation,
     torque: Array,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import log_expit, ndtr, ndtri
 
 from bayesfric.inference.prior.priors import Prior
-from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.joint import Joint
 
 Array = NDArray[np.float64]
 
@@ -308,7 +308,7 @@ def _tells(prior: Prior) -> bool:
 
 
 def choose_coordinates(
-    chain: Chain, priors: Mapping[str, Prior], widths: Array | None = None
+    chain: Joint, priors: Mapping[str, Prior], widths: Array | None = None
 ) -> Coordinates:
     """Take the coordinates that suit the chain and its priors best.
 
@@ -331,7 +331,7 @@ def choose_coordinates(
     return BoundedCoordinates([low for low, _ in bounds], [high for _, high in bounds], widths)
 
 
-def _form(chain: Chain) -> tuple[str, ...]:
+def _form(chain: Joint) -> tuple[str, ...]:
     """Tell parameters by place and quantity, whatever elements are called: ``0.inertia``."""
     places = {element.name: str(i) for i, element in enumerate(chain.elements)}
     owners = (p.name.rpartition(".")[0] for p in chain.parameters)

@@ -26,7 +26,7 @@ from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Progress, Sampling, sample
 from bayesfric.inference.sampling.start import CLIMBS, Start, climb, gauss_newton
 from bayesfric.inference.target import Target
-from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.observation import Observation
 
 # Draws of the expected posterior that a cheaper likelihood is prepared for.
@@ -69,7 +69,7 @@ class Fit:
     linearisation: float | None = None
 
     @property
-    def chain(self) -> Chain:
+    def chain(self) -> Joint:
         """The mechanism."""
         return self.target.likelihood.chain
 
@@ -98,7 +98,7 @@ class Fit:
 
 
 def read_priors(
-    chain: Chain,
+    chain: Joint,
     texts: Mapping[str, PriorText],
     observations: Sequence[Observation],
     noise: Sequence[str] = ("sigma",),
@@ -138,7 +138,7 @@ def read_priors(
 
 
 def make_target(
-    chain: Chain,
+    chain: Joint,
     observations: Sequence[Observation],
     priors: Mapping[str, Prior],
     noise_scale: NoiseScale,

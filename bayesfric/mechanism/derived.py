@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import Parameter, effort_words, parameter
 from bayesfric.mechanism.quantities import QUANTITIES
 
@@ -71,7 +71,7 @@ def efficiencies(
     return drive, np.where(back >= 0.0, back, np.nan)
 
 
-def derive(chain: Chain, values: Array, load_torque: float) -> tuple[Derived, ...]:
+def derive(chain: Joint, values: Array, load_torque: float) -> tuple[Derived, ...]:
     """Derive everything the chain allows from parameter vectors.
 
     Parameters
@@ -87,7 +87,7 @@ def derive(chain: Chain, values: Array, load_torque: float) -> tuple[Derived, ..
     return (*_totals(chain, at, values.shape[0]), *_coefficients(chain, at, load_torque))
 
 
-def _totals(chain: Chain, at: dict[str, Array], n: int) -> Iterator[Derived]:
+def _totals(chain: Joint, at: dict[str, Array], n: int) -> Iterator[Derived]:
     """Sum up what the motor feels, Theta1 +- Theta2 of eq. (13) and their mean."""
     lossy = [element for element in chain.elements if element.load_loss != "none"]
     owners: dict[str, set[str]] = {}
@@ -125,7 +125,7 @@ def _totals(chain: Chain, at: dict[str, Array], n: int) -> Iterator[Derived]:
             )
 
 
-def _kinds(chain: Chain, p: Parameter) -> tuple[str, ...]:
+def _kinds(chain: Joint, p: Parameter) -> tuple[str, ...]:
     """Totals that a parameter adds to. Load losses are in what passes through them; a low-speed
     rise is none of what is felt at speed, and a term with a shape of its own adds to no other.
     """  # noqa: D205
@@ -138,7 +138,7 @@ def _kinds(chain: Chain, p: Parameter) -> tuple[str, ...]:
     return row.totals or (row.name,)
 
 
-def _coefficients(chain: Chain, at: dict[str, Array], load_torque: float) -> Iterator[Derived]:
+def _coefficients(chain: Joint, at: dict[str, Array], load_torque: float) -> Iterator[Derived]:
     for element in chain.elements:
         if element.load_loss == "none":
             continue
@@ -213,7 +213,7 @@ def _coefficients(chain: Chain, at: dict[str, Array], load_torque: float) -> Ite
             )
 
 
-def _constant_loss(chain: Chain, name: str, at: dict[str, Array]) -> Array:
+def _constant_loss(chain: Joint, name: str, at: dict[str, Array]) -> Array:
     """Sum the constant losses in and behind the element, brought to the joint: ``Fr`` of eq. (4).
 
     Section 4.4 takes the bearing's loss for it, which stands behind the gearbox.
@@ -238,7 +238,7 @@ def _transfer(name: str, loss: str, at: dict[str, Array], side: str) -> Array | 
     return 1.0 + at[key] if side == "drive" else 1.0 - at[key]
 
 
-def _described(chain: Chain, kind: str) -> Parameter:
+def _described(chain: Joint, kind: str) -> Parameter:
     row = QUANTITIES["coulomb" if kind == "gravity" else kind]
     if kind == "gravity":
         row = replace(row, symbol="G_{{{}}}", meaning="gravity torque", lower=-math.inf)

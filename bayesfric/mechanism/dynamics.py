@@ -40,7 +40,7 @@ class Moved(NamedTuple):
     Attributes
     ----------
     elements, load
-        Tables of :meth:`Chain.tables`.
+        Tables of :meth:`Joint.tables`.
     inertia
         Of the load, added mass included, kg m² or kg.
     weight, angle

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Self
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 from bayesfric.errors import nearest
 from bayesfric.mechanism.quantities import CHOICES, LOAD_CHOICES, QUANTITIES, Motion, Quantity
@@ -15,6 +15,8 @@ STANDARD_GRAVITY = 9.80665  # m/s²
 class _Bearer:
     """What bears quantities, each brought by a choice of an option."""
 
+    motion: Motion
+    subscript: str
     quantities: tuple[Quantity, ...]
     _options: ClassVar[Mapping[str, Mapping[str | bool, str]]]
 
@@ -33,11 +35,6 @@ class _Bearer:
         """Whether it has one of these quantities."""
         return any(q.name in names for q in self.quantities)
 
-    def with_term(self, row: Quantity) -> Self:
-        """Add a term of one's own, or replace that of the same name."""
-        kept = tuple(q for q in self.quantities if q.name != row.name)
-        return replace(self, quantities=(*kept, row))  # type: ignore[type-var]
-
 
 @dataclass(frozen=True, init=False)
 class Element(_Bearer):
@@ -51,7 +48,7 @@ class Element(_Bearer):
     which is section 2.2 of the paper with the friction law of eq. (2); eq. (1)
     is its ``mu = 0`` case. ``mu`` is ``mu_1`` while ``T v > 0`` (the motor side
     drives) and ``mu_2`` while ``T v < 0`` (the load drives). Terms of one's own
-    (:class:`bayesfric.mechanism.own_term.Term`) are added to it.
+    (:class:`bayesfric.Term`) are added to it.
 
     Parameters
     ----------
@@ -64,7 +61,7 @@ class Element(_Bearer):
     subscript
         For the LaTeX symbols; the name if left out.
     quantities
-        Rows of the table; in place of choices.
+        Rows of the table, where no choice says otherwise.
     **choices
         Options of :data:`bayesfric.mechanism.quantities.CHOICES`: ``inertia=True``,
         ``coulomb="by-direction"``, ``viscous=True``, ``load_loss="two"`` and so on.
@@ -118,7 +115,7 @@ class Load(_Bearer):
     subscript
         For the LaTeX symbols.
     quantities
-        Rows of the table; in place of choices.
+        Rows of the table, where no choice says otherwise.
     **choices
         ``inertia``, ``first_moment``, ``gravity_angle``: whether the load has the term. Real
         arms do not hang at ``q = 0``: that is what ``gravity_angle`` is for.
@@ -155,24 +152,13 @@ def _chosen(
     choices: Mapping[str, Any],
     given: tuple[Quantity, ...],
 ) -> tuple[Quantity, ...]:
+    """Rows that choices bring and those given, in the order of the table; choices come first."""
     for option, choice in choices.items():
         if option not in options:
             raise ValueError(f"there is no option {option!r}; {nearest(option, options)}")
         if choice not in (*options[option], False, "none"):
             known = ", ".join(map(repr, options[option]))
             raise ValueError(f"{option} = {choice!r} is no choice; there is {known}")
-    found = (q for q in QUANTITIES.values() if q.option in options)
-    return (*(q for q in found if choices.get(q.option, False) == q.choice), *given)
-
-
-def changed(bearer: Any, changes: Mapping[str, Any]) -> Any:
-    """Give an element or load other options, such as ``{"viscous": False, "ratio": 30.0}``.
-
-    Raises
-    ------
-    ValueError
-        If there is no such option, or no such choice of one.
-    """
-    plain = {key: value for key, value in vars(bearer).items() if key != "quantities"}
-    own = tuple(q for q in bearer.quantities if not q.option)
-    return type(bearer)(**{**plain, "quantities": own, **bearer.choices, **changes})
+    table = [q for q in QUANTITIES.values() if q.option in options]
+    chosen = (q for q in table if choices.get(q.option, q in given and q.choice) == q.choice)
+    return (*chosen, *(q for q in given if q not in table))

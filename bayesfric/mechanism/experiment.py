@@ -10,8 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from bayesfric.errors import BadInput, nearest
 from bayesfric.mechanism import excitation
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.forward import Motion, simulate
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.inputs import Inputs
 
@@ -48,7 +48,7 @@ class Simulation(BaseModel):
         default_factory=dict, description="true values; the preset's where left out"
     )
 
-    def true_values(self, chain: Chain) -> dict[str, float]:
+    def true_values(self, chain: Joint) -> dict[str, float]:
         """Values of every parameter of the chain.
 
         Raises
@@ -56,7 +56,7 @@ class Simulation(BaseModel):
         BadInput
             If a name is unknown, a value impossible or one is missing.
         """
-        preset = PRESETS.get(chain.preset)
+        preset = PRESETS.get(chain.made_from)
         values = dict(preset.values) if preset else {}
         for name, value in self.parameters.items():
             if name not in chain.names:
@@ -83,7 +83,7 @@ class Simulation(BaseModel):
 
 
 def record(
-    chain: Chain, options: Simulation
+    chain: Joint, options: Simulation
 ) -> tuple[dict[str, NDArray[np.float64]], Motion, dict[str, float]]:
     """Simulate a joint on a bench.
 
@@ -134,7 +134,7 @@ def record(
 
 
 def measure(
-    chain: Chain,
+    chain: Joint,
     values: NDArray[np.float64],
     command: NDArray[np.float64],
     options: Simulation,

@@ -16,9 +16,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayesfric.mechanism.chain import Chain, Tables
 from bayesfric.mechanism.dynamics import Moved, moved
 from bayesfric.mechanism.integrate import RUNAWAY, integrate, integrate_segments
+from bayesfric.mechanism.joint import Joint, Tables
 from bayesfric.mechanism.kernels import (
     GAIN,
     INERTIA,
@@ -84,7 +84,7 @@ class Motion:
 
 
 def simulate(
-    chain: Chain,
+    chain: Joint,
     values: ArrayLike,
     torque: ArrayLike,
     period: float,
@@ -191,7 +191,7 @@ def simulate(
 
 
 def simulate_many(
-    chain: Chain,
+    chain: Joint,
     values: ArrayLike,
     torque: ArrayLike,
     period: float,
@@ -245,7 +245,7 @@ def simulate_many(
 
 
 def simulate_segments(
-    chain: Chain,
+    chain: Joint,
     values: ArrayLike,
     torque: ArrayLike,
     period: float,
@@ -316,7 +316,7 @@ def simulate_segments(
     )
 
 
-def _carried(chain: Chain, inputs: Inputs) -> tuple[Samples, NDArray[np.int64]]:
+def _carried(chain: Joint, inputs: Inputs) -> tuple[Samples, NDArray[np.int64]]:
     """Gather what acts besides the motion, and the addresses of the terms without a slot."""
     nothing = np.zeros(0)
     addresses = np.array([c.address for c in chain.carried], dtype=np.int64)
@@ -324,7 +324,7 @@ def _carried(chain: Chain, inputs: Inputs) -> tuple[Samples, NDArray[np.int64]]:
 
 
 def _possible(
-    chain: Chain,
+    chain: Joint,
     vectors: NDArray[np.float64],
     tables: Tables,
     added_inertia: float,

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayesfric.mechanism import kernels
-from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.inputs import Inputs
 
 
 def inverse_torque(
-    chain: Chain,
+    chain: Joint,
     values: ArrayLike,
     q: ArrayLike,
     qd: ArrayLike,
@@ -49,7 +49,7 @@ def inverse_torque(
 
 
 def load_torque(
-    chain: Chain,
+    chain: Joint,
     values: ArrayLike,
     q: ArrayLike,
     qdd: ArrayLike,

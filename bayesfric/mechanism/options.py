@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model
 
 from bayesfric.errors import BadInput, Unfit, nearest
-from bayesfric.mechanism.chain import Chain
-from bayesfric.mechanism.element import STANDARD_GRAVITY, Element, Load, changed
+from bayesfric.mechanism.element import STANDARD_GRAVITY, Element, Load
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.quantities import CHOICES, LOAD_CHOICES, OPTION_MEANINGS, Motion
 
@@ -90,8 +91,8 @@ class MechanismOptions(_Options):
     )
     load: LoadOptions = Field(default_factory=LoadOptions, description="what the joint moves")
 
-    def chain(self) -> Chain:
-        """Build the chain.
+    def joint(self) -> Joint:
+        """Build the joint.
 
         Raises
         ------
@@ -99,7 +100,7 @@ class MechanismOptions(_Options):
             If the preset or one of its elements does not exist, or nothing is described.
         """
         if self.preset is None:
-            base = Chain(elements=(Element("motor"),), load=Load())
+            base = Joint(elements=(Element("motor"),), load=Load())
             elements = [Element(name, **o.model_dump()) for name, o in self.elements.items()]
             if not elements:
                 raise BadInput(
@@ -122,15 +123,15 @@ class MechanismOptions(_Options):
                         nearest(name, names),
                     )
             elements = [
-                changed(element, self.elements[element.name].given())
+                replace(element, **self.elements[element.name].given())
                 if element.name in self.elements
                 else element
                 for element in base.elements
             ]
-        load = changed(base.load, self.load.given())
+        load = replace(base.load, **self.load.given())
         if self.motion is not None:
-            elements = [changed(element, {"motion": self.motion}) for element in elements]
-            load = changed(load, {"motion": self.motion})
+            elements = [replace(element, motion=self.motion) for element in elements]
+            load = replace(load, motion=self.motion)
         if load.motion == "linear" and load.has("first_moment", "gravity_angle"):
             raise BadInput(
                 "mechanism.load.first_moment",
@@ -138,12 +139,12 @@ class MechanismOptions(_Options):
                 "set first_moment = false; a constant weight is what offset = true is for",
             )
         try:
-            return Chain(
+            return Joint(
                 elements=tuple(elements),
                 load=load,
                 offset=base.offset if self.offset is None else bool(self.offset),
                 gain=base.gain if self.gain is None else self.gain,
-                preset=self.preset or "",
+                made_from=self.preset or "",
             )
         except ValueError as error:
             raise BadInput("mechanism.elements", str(error), "rename the element") from None

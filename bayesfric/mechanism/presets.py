@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.joint import Joint
 
 
 @dataclass(frozen=True)
@@ -29,45 +29,45 @@ class Preset:
 
     name: str
     meaning: str
-    chain: Callable[[], Chain]
+    chain: Callable[[], Joint]
     values: dict[str, float]
     source: str
 
 
-def rabbit_knee() -> Chain:
+def rabbit_knee() -> Joint:
     """Build the knee of the biped robot Rabbit, eqs. (3) to (9)."""
-    return Chain(
+    return Joint(
         elements=(
             Element("motor", inertia=True, coulomb="by-direction", viscous=True, subscript="m"),
             Element("gearbox", ratio=50.0, load_loss="two"),
             Element("joint", coulomb="by-direction", viscous=True, subscript="c"),
         ),
         load=Load(inertia=True, first_moment=True),
-        preset="rabbit-knee",
+        made_from="rabbit-knee",
     )
 
 
-def motor_axis() -> Chain:
+def motor_axis() -> Joint:
     """Build a plain axis: inertia, Coulomb and viscous friction, torque offset."""
-    return Chain(
+    return Joint(
         elements=(
             Element("motor", inertia=True, coulomb="symmetric", viscous=True, subscript="m"),
         ),
         load=Load(),
         offset=True,
-        preset="motor-axis",
+        made_from="motor-axis",
     )
 
 
-def servo_pendulum() -> Chain:
+def servo_pendulum() -> Joint:
     """Build a servo that swings a pendulum, everything referred to its output shaft."""
-    return Chain(
+    return Joint(
         elements=(
             Element("motor", inertia=True, coulomb="symmetric", viscous=True, subscript="m"),
             Element("gearbox", load_loss="one"),
         ),
         load=Load(first_moment=True, gravity_angle=True),
-        preset="servo-pendulum",
+        made_from="servo-pendulum",
     )
 
 

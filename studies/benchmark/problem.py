@@ -29,8 +29,8 @@ from bayesfric.inference.fit import make_target
 from bayesfric.inference.prior.priors import Prior, read_prior
 from bayesfric.inference.sampling.start import climb, gauss_newton
 from bayesfric.inference.target import Target
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.experiment import Simulation, record
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.filters import ParallelFilter
 from bayesfric.recordings.inputs import Inputs
@@ -64,7 +64,7 @@ N_STARTS = 1024
 N_REFERENCES = 12
 
 
-def knee() -> Chain:
+def knee() -> Joint:
     """Build the joint."""
     return PRESETS["rabbit-knee"].chain()
 

@@ -16,9 +16,9 @@ from bayesfric.inference.fit import target_of
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.prior.priors import Prior, read_prior
 from bayesfric.inference.target import Target
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.forward import simulate_segments
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.filters import ParallelFilter
 from bayesfric.recordings.inputs import Inputs
@@ -36,7 +36,7 @@ MEDIANS = {"noise.torque": 0.02, "noise.position": 1e-3}
 PRIOR_SD = 0.3
 
 
-def axis() -> Chain:
+def axis() -> Joint:
     """Build the joint: inertia, viscous and Coulomb friction, offset."""
     return PRESETS["motor-axis"].chain()
 

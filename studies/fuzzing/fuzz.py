@@ -192,7 +192,7 @@ def _config_target(folder: Path) -> Callable[[bytes], None]:
         path.write_bytes(data)
         config = read_config(path)
         with config.named():
-            config.tables.mechanism.chain()
+            config.tables.mechanism.joint()
         assert isinstance(config.priors, dict)
         assert isinstance(config.references, dict)
 

@@ -25,10 +25,10 @@ import scipy
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.excitation import current_loop, sine, square
 from bayesfric.mechanism.forward import Motion, simulate, simulate_many
+from bayesfric.mechanism.joint import Joint
 
 Array = NDArray[np.float64]
 Restart = Literal["every sample", "corners", "events"]
@@ -115,9 +115,9 @@ class Plant:
             event.terminal, event.direction = True, -1.0  # type: ignore[attr-defined]
         return field, stop, turn
 
-    def chain(self) -> tuple[Chain, Array]:
+    def chain(self) -> tuple[Joint, Array]:
         """Return the same mechanism as ``bayesfric`` describes it."""
-        chain = Chain(
+        chain = Joint(
             elements=(
                 Element("motor", inertia=True, coulomb="by-direction", viscous=True),
                 Element(

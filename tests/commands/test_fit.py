@@ -214,7 +214,7 @@ def test_a_name_that_cannot_be_stored_is_refused_or_stored(bench, folder, name):
 def test_the_demo_reads_what_the_package_holds():
     config = demo_config()
     problem = Model.from_config(config)
-    assert problem.chain.preset == "rabbit-knee"
+    assert problem.chain.made_from == "rabbit-knee"
     (recording,) = problem.recordings
     assert recording.path.name == "knee.csv"
     assert recording.time.size == 10_000

@@ -26,10 +26,8 @@ main()
 SUMMARY = """
 import json
 from pathlib import Path
-from bayesfric.commands.fit import posterior
-from bayesfric.config import read_config
-from bayesfric.report.summary.summary import summarise
-print(json.dumps(summarise(posterior(read_config(Path("c.toml"))))))
+from bayesfric.model import Model
+print(json.dumps(Model.from_config(Path("c.toml")).fit().summary.as_dict()))
 """
 
 ESTIMATOR = """

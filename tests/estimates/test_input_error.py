@@ -11,9 +11,9 @@ from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.torque import typical_load
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
 
@@ -116,7 +116,7 @@ def test_the_plain_axis_is_linear_least_squares(make_observation):
 
 def test_a_chain_without_the_form_comes_back(make_observation):
     """Stribeck rise and a second load loss: nothing to project, but to search."""
-    chain = Chain(
+    chain = Joint(
         elements=(
             Element("motor", inertia=True, coulomb="symmetric", viscous=True, stribeck=True),
             Element("gearbox", load_loss="one"),

@@ -12,8 +12,8 @@ from bayesfric.estimates.estimate import Estimate
 from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.output_error import output_error
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.inputs import Inputs
@@ -201,7 +201,7 @@ def test_what_it_did_is_in_the_notes():
 
 
 def test_a_joint_without_inertia_is_refused():
-    chain = Chain(elements=(Element("motor", coulomb="symmetric", viscous=True),), load=Load())
+    chain = Joint(elements=(Element("motor", coulomb="symmetric", viscous=True),), load=Load())
     _, _, torque, q = simulated("motor-axis")
     trajectory, observation = prepare(q, torque)
     begin = Estimate(

@@ -8,14 +8,14 @@ import pytest
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.estimates.torque_form import columns, torque_form
 from bayesfric.estimates.variable_projection import VariableProjection
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 
 KNEE = PRESETS["rabbit-knee"]
 
 # Losses everywhere, two stages: every column of psi has several owners.
-RICH = Chain(
+RICH = Joint(
     elements=(
         Element("motor", inertia=True, coulomb="by-direction", viscous=True, quadratic=True),
         Element("belt", ratio=3.0, inertia=True, coulomb="symmetric"),
@@ -227,9 +227,9 @@ def test_a_linear_chain_needs_no_search(make_observation):
 def test_other_chains_do_not_have_the_form(make_observation):
     motor, gearbox, joint = KNEE.chain().elements
     load = Load(inertia=True, first_moment=True)
-    assert torque_form(Chain((replace(motor, stribeck=True), gearbox, joint), load)) is None
-    assert torque_form(Chain((motor, gearbox, replace(joint, load_loss="one")), load)) is None
-    assert torque_form(Chain((motor, gearbox, joint), load, gain=True)) is None
+    assert torque_form(Joint((replace(motor, stribeck=True), gearbox, joint), load)) is None
+    assert torque_form(Joint((motor, gearbox, replace(joint, load_loss="one")), load)) is None
+    assert torque_form(Joint((motor, gearbox, joint), load, gain=True)) is None
     servo = PRESETS["servo-pendulum"]
     chain = servo.chain()
     loaded = make_observation(chain, servo.values, added_mass=0.1, radius=0.1)

@@ -107,7 +107,7 @@ def _checked(text):
     try:
         found = parse_config(text, Path("c.toml"))
         with found.named():
-            found.tables.mechanism.chain()
+            found.tables.mechanism.joint()
         assert isinstance(found.priors, dict)
         assert isinstance(found.references, dict)
     except BadInput as error:

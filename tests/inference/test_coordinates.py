@@ -80,7 +80,7 @@ def test_one_loss_round_trips_and_its_jacobian_is_right():
 def test_one_loss_is_chosen_where_it_holds():
     chain = MechanismOptions(
         preset="rabbit-knee", elements={"gearbox": ElementOptions(load_loss="one")}
-    ).chain()
+    ).joint()
     priors = {
         p.name: read_prior(p.name, [0.0, 9.0], lower=0.0, upper=INF) for p in chain.parameters
     }

@@ -14,8 +14,8 @@ from bayesfric.inference.moments.fast_moments import fast_moments
 from bayesfric.inference.moments.linear_torque import linear_torque
 from bayesfric.inference.moments.residual_moments import PlainMoments
 from bayesfric.inference.moments.sign_region import SignRegion
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 
 from .test_residual_moments import with_gaps
@@ -23,7 +23,7 @@ from .test_residual_moments import with_gaps
 KNEE = PRESETS["rabbit-knee"]
 AXIS = PRESETS["motor-axis"]
 
-SINGLE = Chain(
+SINGLE = Joint(
     (
         Element("motor", inertia=True, viscous=True, coulomb="by-direction", quadratic=True),
         Element("gearbox", ratio=20.0, load_loss="one"),
@@ -275,7 +275,7 @@ def test_within_its_ratio_a_sample_has_the_centres_sign():
 
 
 def test_chains_without_the_form_stay_as_they_are(make_observation):
-    stribeck = Chain((Element("motor", coulomb="symmetric", stribeck=True),), Load())
+    stribeck = Joint((Element("motor", coulomb="symmetric", stribeck=True),), Load())
     names = dict.fromkeys(stribeck.names, 0.1)
     o = make_observation(stribeck, names, n=200)
     likelihood = TorqueLikelihood(stribeck, [o])

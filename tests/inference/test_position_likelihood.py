@@ -6,9 +6,9 @@ from scipy import stats
 from scipy.linalg import null_space
 
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.experiment import Simulation, record
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.inputs import Inputs
@@ -17,7 +17,7 @@ from bayesfric.recordings.trajectory import Trajectory
 KNEE = PRESETS["rabbit-knee"]
 PERIOD = 0.002
 # inertia and viscous loss alone: position is linear in torque and state
-LINEAR = Chain(elements=(Element("motor", inertia=True, viscous=True),), load=Load())
+LINEAR = Joint(elements=(Element("motor", inertia=True, viscous=True),), load=Load())
 INERTIA, VISCOUS = 0.01, 0.2
 
 

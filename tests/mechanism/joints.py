@@ -3,17 +3,17 @@
 import numpy as np
 
 from bayesfric.mechanism import kernels
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.excitation import current_loop, multisine, square
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 
 KNEE = PRESETS["rabbit-knee"]
 
 
-def everything() -> Chain:
+def everything() -> Joint:
     """Build a chain with every term there is, two of them load-dependent."""
-    return Chain(
+    return Joint(
         elements=(
             Element("motor", inertia=True, coulomb="by-direction", viscous=True, quadratic=True),
             Element("belt", ratio=2.5, coulomb="symmetric", load_loss="one"),
@@ -74,8 +74,8 @@ def carried_to_motor(elements, torque, sign, speed, acceleration) -> float:
     return torque
 
 
-def axis(**terms) -> Chain:
-    return Chain(elements=(Element("motor", inertia=True, **terms),), load=Load())
+def axis(**terms) -> Joint:
+    return Joint(elements=(Element("motor", inertia=True, **terms),), load=Load())
 
 
 def signal(period, duration=1.2, amplitude=0.8, seed=0):

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.joint import Joint
 
 QUADRATIC = {
     "motor.viscous": 0.02,
@@ -25,7 +25,7 @@ QUADRATIC = {
 @pytest.mark.parametrize("lossy", [True, False])
 def test_the_quadratic_total_is_what_steady_speeds_show(lossy):
     """Second differences of the torque over steady motor speeds leave the quadratic loss."""
-    chain = Chain(
+    chain = Joint(
         (
             Element("motor", coulomb="symmetric", viscous=True, quadratic=True),
             Element("belt", ratio=2.5, quadratic=True, load_loss="one" if lossy else "none"),

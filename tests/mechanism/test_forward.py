@@ -10,10 +10,10 @@ from scipy.optimize import brentq
 from scipy.special import ellipk
 
 from bayesfric.mechanism import dynamics, forward, kernels
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import STANDARD_GRAVITY, Element, Load
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.inputs import Inputs
 from tests.mechanism.joints import EVERYTHING, KNEE, axis, carried_to_motor, everything, signal
@@ -259,7 +259,7 @@ def test_breakaway_comes_at_the_instant_the_torque_reaches_the_limit(direction):
 
 @pytest.mark.parametrize("amplitude", [0.3, 1.5, 3.0])
 def test_pendulum_swings_with_the_period_of_the_elliptic_integral(amplitude):
-    chain = Chain(
+    chain = Joint(
         elements=(Element("motor", inertia=True),), load=Load(first_moment=True, inertia=True)
     )
     values = chain.vector({"motor.inertia": 0.01, "load.inertia": 0.04, "load.first_moment": 0.1})

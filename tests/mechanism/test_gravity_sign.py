@@ -24,7 +24,7 @@ ANGLE = "load.gravity_angle"
 KNEE, SERVO = PRESETS["rabbit-knee"], PRESETS["servo-pendulum"]
 SINGLE = MechanismOptions(
     preset="rabbit-knee", elements={"gearbox": ElementOptions(load_loss="one")}
-).chain()
+).joint()
 SINGLE_VALUES = {name: KNEE.values.get(name, 0.2) for name in SINGLE.names}
 CASES = {
     "two losses": (KNEE.chain(), KNEE.values),

@@ -6,10 +6,10 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from bayesfric.mechanism import kernels
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.excitation import current_loop, square
 from bayesfric.mechanism.forward import simulate, simulate_many
+from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.inputs import Inputs
 from tests.mechanism.joints import EVERYTHING, KNEE, axis, carried_to_motor, everything, signal
 
@@ -212,14 +212,14 @@ def test_refusals():
     with pytest.raises(ValueError, match="substeps"):
         simulate_many(chain, [vector], torque, 1e-3, substeps=0)
     with pytest.raises(ValueError, match="greater than zero"):
-        simulate(Chain(axis().elements, Load(), gain=True), [1.0, 0.0], torque, 1e-3)
+        simulate(Joint(axis().elements, Load(), gain=True), [1.0, 0.0], torque, 1e-3)
 
 
 def test_single_sample_and_sliding_load():
     motion = simulate(axis(), [1.0], [0.5], 1e-3)
     assert motion.q.shape == (1,)
     assert motion.qdd[0] == 0.5
-    slide = Chain(
+    slide = Joint(
         elements=(Element("screw", inertia=True, motion="linear"),), load=Load(motion="linear")
     )
     moved = simulate(slide, [1.0], np.ones(11), 0.1, inputs=Inputs(1.0, 5.0))

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.derived import derive, efficiencies
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque, load_torque
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.inputs import Inputs
 
@@ -138,7 +138,7 @@ def prismatic(nu, d, a, b, pull):
 def test_the_prismatic_joint_of_section_2_3():
     nu, d, b = 0.15, 0.2, 0.06
     mu = 2 * nu * b / d
-    chain = Chain(
+    chain = Joint(
         elements=(Element("slide", motion="linear", load_loss="one"),),
         load=Load(inertia=True, motion="linear"),
     )
@@ -157,7 +157,7 @@ def test_the_prismatic_joint_of_section_2_3():
 def full_chain():
     """Every term there is, at different shafts."""
     terms = {"inertia": True, "viscous": True, "quadratic": True, "stribeck": True}
-    return Chain(
+    return Joint(
         elements=(
             Element("motor", coulomb="by-direction", **terms),
             Element("belt", ratio=2.5, coulomb="symmetric", load_loss="one", **terms),
@@ -284,7 +284,7 @@ def test_gauge_free_quantities_do_not_change_along_the_scaling():
 )
 def test_impossible_chains_are_refused(elements, word):
     with pytest.raises(ValueError, match=word):
-        Chain(elements=elements, load=Load())
+        Joint(elements=elements, load=Load())
 
 
 def test_vector_names_what_is_missing_or_unknown():

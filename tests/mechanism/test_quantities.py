@@ -15,11 +15,11 @@ from bayesfric.estimates.variable_projection import VariableProjection
 from bayesfric.inference.fit import make_target, read_priors
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.mechanism import kernels
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
 from bayesfric.mechanism.quantities import (
     CHOICES,
@@ -58,7 +58,7 @@ def cases():
     yield from (pytest.param((name, p), id=f"{p}.{name}") for name in OWN for p in PLACES)
 
 
-def chain_with(name, owner) -> Chain:
+def chain_with(name, owner) -> Joint:
     """Give a knee of motor, gearbox and joint whatever brings the quantity at that place."""
     options = {
         "motor": {"inertia": True, "coulomb": "symmetric", "viscous": True},
@@ -73,7 +73,7 @@ def chain_with(name, owner) -> Chain:
         Element(place, ratio, **options[place])
         for place, ratio in (("motor", 1.5), ("gearbox", 8.0), ("joint", 2.0))
     )
-    chain = Chain(elements, Load(**options["load"]), offset=name == "offset", gain=name == "gain")
+    chain = Joint(elements, Load(**options["load"]), offset=name == "offset", gain=name == "gain")
     return chain if name in QUANTITIES else chain.with_term(own(name, owner))
 
 
@@ -223,14 +223,14 @@ def test_what_nothing_knows_is_refused(role):
     column = None if role == "own" else lambda m: m.speed
     strange = Quantity("strange", ("", ""), "s_{{{}}}", "nobody knows", role=role, column=column)
     with pytest.raises(KeyError, match="strange"):
-        Chain((Element("motor", inertia=True, quantities=(strange,)),), Load())
+        Joint((Element("motor", inertia=True, quantities=(strange,)),), Load())
     with pytest.raises(KeyError, match="strange"):
-        Chain((Element("motor", inertia=True),), Load(quantities=(strange,)))
+        Joint((Element("motor", inertia=True),), Load(quantities=(strange,)))
 
 
 def test_two_quantities_of_one_name_are_refused():
     term = own("cogging", "motor")
-    chain = Chain((Element("motor", inertia=True),), Load()).with_term(term).with_term(term)
+    chain = Joint((Element("motor", inertia=True),), Load()).with_term(term).with_term(term)
     assert chain.names.count("motor.cogging") == 1
 
 
@@ -249,8 +249,15 @@ def test_a_term_that_cannot_be(given, error, words):
         Term(*given)
 
 
+def test_a_choice_replaces_what_was_chosen():
+    element = Element("gearbox", inertia=True, load_loss="two")
+    one = replace(element, load_loss="one", viscous=True)
+    assert [q.name for q in one.quantities] == ["inertia", "viscous", "load"]
+    assert replace(one, inertia=False, load_loss="none").choices == {"viscous": True}
+
+
 def test_a_term_of_no_element_is_refused():
-    chain = Chain((Element("motor", inertia=True),), Load())
+    chain = Joint((Element("motor", inertia=True),), Load())
     with pytest.raises(ValueError, match="did you mean 'motor'"):
         chain.with_term(own("cogging", "moter"))
 

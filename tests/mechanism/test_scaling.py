@@ -5,14 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
 
 KNEE = PRESETS["rabbit-knee"]
-FULL = Chain(
+FULL = Joint(
     elements=(
         Element("motor", inertia=True, coulomb="symmetric", viscous=True, stribeck=True),
         Element("gearbox", ratio=20.0, inertia=True, viscous=True, load_loss="two"),
@@ -128,4 +128,4 @@ def test_one_mu_or_nothing_behind_means_no_scaling():
     assert scalings(PRESETS["servo-pendulum"].chain()) == ()
     assert scalings(PRESETS["motor-axis"].chain()) == ()
     end = Element("gearbox", inertia=True, load_loss="two")
-    assert scalings(Chain((Element("motor", viscous=True), end), Load())) == ()
+    assert scalings(Joint((Element("motor", viscous=True), end), Load())) == ()

@@ -28,7 +28,7 @@ def measured(recording, *, ratio=1.0, motion="rotary", number=1, **processing):
 def same(one, other):
     assert all(getattr(one, k).tobytes() == getattr(other, k).tobytes() for k in ARRAYS)
     assert (one.steps, one.warnings, one.segments) == (other.steps, other.warnings, other.segments)
-    assert (one.added_mass, one.radius) == (other.added_mass, other.radius)
+    assert one.inputs == other.inputs
 
 
 def refused(make):
@@ -51,7 +51,7 @@ def test_arrays_a_dataframe_and_its_file_are_the_same_bytes(tmp_path):
     )
     for other in (table, file, measured(Recording(configured, tmp_path))):
         same(arrays, other)
-    assert (arrays.added_mass, arrays.excluded.sum()) == (2.0, 11)
+    assert (arrays.inputs.added_mass, arrays.excluded.sum()) == (2.0, 11)
     assert (arrays.path, file.path) == (None, tmp_path / "run.csv")
     assert (arrays.name, file.name) == ("recording-1", "run")
     assert len(arrays.sha256) == 64

@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from bayesfric.estimates.least_squares import least_squares
 from bayesfric.inference.fit import Fit, make_target, read_priors
 from bayesfric.inference.posterior import Diagnostics, Posterior
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings import Processing
 from bayesfric.recordings.observation import observe
@@ -21,7 +21,7 @@ from bayesfric.report.summary.summary import summarise
 from tests.conftest import made_recording
 
 NOISE = 0.02
-SLIDE = Chain(
+SLIDE = Joint(
     elements=(Element("slide", inertia=True, coulomb="symmetric", motion="linear", subscript="s"),),
     load=Load(motion="linear"),
 )

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.report.figures.curve_band import CurveJudge
@@ -120,7 +120,7 @@ def test_an_unknown_gain_scales_torque_and_load_alike():
 
 
 def test_the_stribeck_rise_shows():
-    chain = Chain(
+    chain = Joint(
         (Element("motor", coulomb="symmetric", viscous=True, stribeck=True),), Load(inertia=True)
     )
     x = np.array([[0.3, 0.01, 0.5, 2.0, 0.1]])

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from bayesfric.estimates.estimate import Estimate
     from bayesfric.estimates.estimation import Estimation
     from bayesfric.estimates.knowledge import Knowledge
-    from bayesfric.mechanism.chain import Chain
+    from bayesfric.mechanism.joint import Joint
     from bayesfric.recordings.observation import Observation
     from bayesfric.recordings.trajectory import Trajectory
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 class Given:
     """What may be estimated from; ``trajectories`` makes the recordings, undivided."""
 
-    chain: Chain
+    chain: Joint
     observations: Sequence[Observation]
     knowledge: Knowledge
     options: Estimation

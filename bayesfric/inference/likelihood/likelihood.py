@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.inference.noise.scale import NoiseDescription
-from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
@@ -56,7 +56,7 @@ class Likelihood(ABC):
     :attr:`noise`'s own.
     """
 
-    chain: Chain
+    chain: Joint
     observations: tuple[Observation, ...]
     outputs: tuple[Outputs, ...]
     method: LikelihoodMethod

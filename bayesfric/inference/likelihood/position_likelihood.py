@@ -28,7 +28,7 @@ from bayesfric.errors import BadInput
 from bayesfric.estimates.shooting import Sensitivities, Shooting, choose_substeps, step_error
 from bayesfric.inference.likelihood.likelihood import Likelihood, Outputs
 from bayesfric.inference.noise.position import PositionNoise
-from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.trajectory import Trajectory
 
@@ -92,7 +92,7 @@ class PositionLikelihood(Likelihood):
 
     def __init__(
         self,
-        chain: Chain,
+        chain: Joint,
         trajectories: Sequence[Trajectory],
         observations: Sequence[Observation],
         point: Array,
@@ -187,7 +187,7 @@ class PositionLikelihood(Likelihood):
 class _Run:
     """One recording: its segments and how noise and states move their positions."""
 
-    def __init__(self, chain: Chain, t: Trajectory, point: Array, substeps: int | None) -> None:
+    def __init__(self, chain: Joint, t: Trajectory, point: Array, substeps: int | None) -> None:
         lengths = np.diff(t.segments, axis=1)[:, 0]
         self._factor = max(1, round(float(np.median(lengths)) / _OUTPUTS))
         # two states come off each segment; what has hardly more outputs says nothing

@@ -18,7 +18,7 @@ from bayesfric.inference.moments.fast_moments import FastMoments, fast_moments
 from bayesfric.inference.moments.residual_moments import PlainMoments, ResidualMoments, follows
 from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.inference.noise.residual_noise import ResidualNoise
-from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
@@ -35,7 +35,7 @@ class TorqueLikelihood(Likelihood):
 
     def __init__(
         self,
-        chain: Chain,
+        chain: Joint,
         observations: Sequence[Observation],
         noise: ResidualNoise | None = None,
     ) -> None:

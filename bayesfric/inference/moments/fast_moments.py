@@ -28,7 +28,7 @@ from bayesfric.inference.moments.residual_moments import (
     unpacked,
 )
 from bayesfric.inference.moments.sign_region import SignRegion
-from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
@@ -155,7 +155,7 @@ class FastMoments:
 
 
 def fast_moments(
-    chain: Chain,
+    chain: Joint,
     observations: Sequence[Observation],
     draws: Array,
     order: int = 0,

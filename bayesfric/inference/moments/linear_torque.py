@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.estimates.torque_form import Term, columns, torque_form
-from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
@@ -59,7 +59,7 @@ class LinearTorque:
         ``K``, all columns together with the measured torque.
     """
 
-    def __init__(self, chain: Chain, observations: Sequence[Observation]) -> None:
+    def __init__(self, chain: Joint, observations: Sequence[Observation]) -> None:
         form = torque_form(chain)
         if form is None:
             raise ValueError("the chain's torque is not of the form of eq. (13)")
@@ -131,7 +131,7 @@ class LinearTorque:
         return np.where(np.isfinite(rms) & (rms > 0.0), rms, 1.0)
 
 
-def linear_torque(chain: Chain, observations: Sequence[Observation]) -> LinearTorque | None:
+def linear_torque(chain: Joint, observations: Sequence[Observation]) -> LinearTorque | None:
     """Write the torque of a chain as linear, up to the direction of power.
 
     Returns

@@ -17,7 +17,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from bayesfric.mechanism import kernels
-from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
@@ -175,7 +175,7 @@ class PlainMoments:
 
     description = "every sample"
 
-    def __init__(self, chain: Chain, observations: Sequence[Observation], order: int = 0) -> None:
+    def __init__(self, chain: Joint, observations: Sequence[Observation], order: int = 0) -> None:
         self.chain, self.order = chain, order
         runs = [Runs.of(o, order) for o in observations]
         self._inputs = [o.inputs for o in observations]

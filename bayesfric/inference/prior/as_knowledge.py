@@ -8,13 +8,13 @@ import numpy as np
 
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.inference.prior.priors import Prior
-from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.joint import Joint
 
 # Distributions that state no value, only a range.
 _RANGES = frozenset({"uniform", "loguniform", "halfnorm", "reciprocal"})
 
 
-def as_knowledge(chain: Chain, priors: Mapping[str, Prior]) -> Knowledge:
+def as_knowledge(chain: Joint, priors: Mapping[str, Prior]) -> Knowledge:
     """Take from the priors of a chain what a point estimate may use.
 
     A fixed prior is a known value; the support of a prior is a bound. A prior that

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.inference.prior.priors import Prior, PriorText, read_prior
-from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Carried
 from bayesfric.mechanism.parameter import TURN, Parameter
 from bayesfric.mechanism.quantities import Sizes, State
@@ -46,7 +46,7 @@ class Scales:
     columns: Mapping[str, float] = field(default_factory=dict)
 
 
-def measured_scales(chain: Chain, observations: Sequence[Observation]) -> Scales:
+def measured_scales(chain: Joint, observations: Sequence[Observation]) -> Scales:
     """Take the scales of the default priors from all recordings together."""
     torque = np.concatenate([o.measured for o in observations])
     # only where outputs are: an excluded glitch must not set a scale
@@ -76,7 +76,7 @@ def _rms(x: NDArray[np.float64]) -> float:
     return float(np.sqrt(np.mean(x**2)))
 
 
-def default_prior(chain: Chain, p: Parameter, scales: Scales) -> Prior:
+def default_prior(chain: Joint, p: Parameter, scales: Scales) -> Prior:
     """Choose the default prior of one parameter.
 
     Parameters
@@ -93,7 +93,7 @@ def default_prior(chain: Chain, p: Parameter, scales: Scales) -> Prior:
     return read_prior(p.name, text, lower=p.lower, upper=upper, default=True, circular=p.circular)
 
 
-def _text(chain: Chain, p: Parameter, scales: Scales) -> PriorText:
+def _text(chain: Joint, p: Parameter, scales: Scales) -> PriorText:
     """Word the default prior that the row of a quantity asks for, in the sizes at its own shaft."""
     row, to_joint = p.row, chain.reaches[p.owner]
     if row.prior == "uniform":

@@ -19,7 +19,7 @@ from bayesfric.report.figures.style import OPEN_HATCH, Array, Look
 from bayesfric.report.summary.summary import LEVEL
 
 Flags = NDArray[np.bool_]
-# Chain parameters (n, n_parameters) to the curve's points (n, N)
+# Joint parameters (n, n_parameters) to the curve's points (n, N)
 Curve = Callable[[Array], Array]
 
 # A quantile of so many draws is known to a fortieth of the band's width.
@@ -123,7 +123,7 @@ class CurveJudge:
         Parameters
         ----------
         curve
-            Chain parameters ``(n, n_parameters)`` to values ``(n, N)``; ``nan`` where a
+            Joint parameters ``(n, n_parameters)`` to values ``(n, N)``; ``nan`` where a
             draw has none.
         gauge_free
             Whether theory says that no scaling of leg and alpha changes it.

@@ -24,8 +24,8 @@ from scipy.spatial import cKDTree
 
 from bayesfric.inference.fit import Fit
 from bayesfric.mechanism import kernels
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.inverse import load_torque
+from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.inputs import Inputs
 from bayesfric.report.figures.curve_band import Flags
 from bayesfric.report.figures.style import Array
@@ -35,7 +35,7 @@ _NEIGHBOURS = 3
 _NEAR = 0.08
 
 
-def load_reach(chain: Chain, values: Array, *, open_scale: bool) -> Array:
+def load_reach(chain: Joint, values: Array, *, open_scale: bool) -> Array:
     """Factor from the load's torque at the joint to its loss-free torque at the motor.
 
     Parameters
@@ -63,7 +63,7 @@ def load_reach(chain: Chain, values: Array, *, open_scale: bool) -> Array:
 
 
 def friction_torque(
-    chain: Chain, values: Array, speed: Array, load: Array, *, open_scale: bool
+    chain: Joint, values: Array, speed: Array, load: Array, *, open_scale: bool
 ) -> Array:
     """Friction of the whole joint at constant speed, seen at the motor.
 

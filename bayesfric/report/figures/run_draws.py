@@ -11,8 +11,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.derived import derive
+from bayesfric.mechanism.joint import Joint
 from bayesfric.report.summary.record import PosteriorRow, Summary
 
 Array = NDArray[np.float64]
@@ -40,7 +40,7 @@ class RunDraws:
     missing: str = ""
 
 
-def read_draws(run: Path, summary: Summary, rebuild: Callable[[str], Chain | None]) -> RunDraws:
+def read_draws(run: Path, summary: Summary, rebuild: Callable[[str], Joint | None]) -> RunDraws:
     """Read the draws of what a summary tells.
 
     Draws that do not have the summary's medians are not its own, and left out. Totals as
@@ -97,7 +97,7 @@ def _same(x: Array, row: PosteriorRow) -> bool:
 
 
 def _derived(
-    chain: Chain | None, sampled: Mapping[str, Array], summary: Summary
+    chain: Joint | None, sampled: Mapping[str, Array], summary: Summary
 ) -> dict[str, Array]:
     """Derive what no scaling changes, draw by draw."""
     if chain is None:

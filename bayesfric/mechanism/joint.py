@@ -1,16 +1,17 @@
-"""A chain of elements from the motor to the load."""
+"""A joint: a chain of elements from the motor to the load."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from html import escape
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayesfric.errors import nearest
+from bayesfric.errors import BadInput, nearest
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.kernels import ELEMENT_SLOTS, LOAD_SLOTS, Samples
 from bayesfric.mechanism.own_term import Carried, Term
@@ -29,7 +30,7 @@ class Tables(NamedTuple):
     load
         ``(n, n_slots)``; columns are ``kernels.LOAD_SLOTS``.
     carried
-        ``(n, n_carried)`` coefficients of the terms that have no slot, :attr:`Chain.carried`.
+        ``(n, n_carried)`` coefficients of the terms that have no slot, :attr:`Joint.carried`.
     """
 
     elements: NDArray[np.float64]
@@ -38,7 +39,7 @@ class Tables(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Chain:
+class Joint:
     """Motor to load, any number of elements (section 2.2 of the paper).
 
     Attributes
@@ -55,8 +56,10 @@ class Chain:
     gain
         Whether the factor from the torque computed from current or voltage to
         the true motor torque is unknown (``drive.gain``).
-    preset
+    made_from
         Name of the preset it was made from, for the record.
+    terms
+        Of one's own; see :meth:`with_term`.
 
     Raises
     ------
@@ -66,12 +69,13 @@ class Chain:
         If no form of the model knows a quantity.
     """
 
-    elements: tuple[Element, ...]
-    load: Load
+    elements: Sequence[Element]
+    load: Load = field(default_factory=Load)
     offset: bool = False
     own_offsets: tuple[str, ...] = ()
     gain: bool = False
-    preset: str = ""
+    made_from: str = ""
+    terms: tuple[Term, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "elements", tuple(self.elements))
@@ -85,6 +89,11 @@ class Chain:
         for element in self.elements:
             if not (np.isfinite(element.ratio) and element.ratio > 0):
                 raise ValueError(f"{element.name}.ratio must be a positive number")
+        owners = [*names, "load"]
+        for term in self.terms:
+            if term.owner not in owners:
+                mend = nearest(term.owner, owners)
+                raise ValueError(f"{term.name}: there is no element {term.owner!r}; {mend}")
         _ = self._layout  # refuses what it does not know
 
     @cached_property
@@ -92,18 +101,14 @@ class Chain:
         """All parameters, motor first."""
         # the paper writes mu_1, mu_2 without a name behind them
         several = sum(element.load_loss != "none" for element in self.elements) > 1
-        found = [
-            parameter(
-                e.name,
-                q,
-                e.motion,
-                "" if q.role == "loss" and not several else e.subscript or e.name,
-            )
-            for e in self.elements
-            for q in e.quantities
-        ]
-        load = self.load
-        found += [parameter("load", q, load.motion, load.subscript) for q in load.quantities]
+        found: list[Parameter] = []
+        for bearer in (*self.elements, self.load):
+            owner = bearer.name if isinstance(bearer, Element) else "load"
+            subscript = bearer.subscript or owner
+            own = tuple(term.row for term in self.terms if term.owner == owner)
+            for q in (*bearer.quantities, *own):
+                bare = q.role == "loss" and not several
+                found.append(parameter(owner, q, bearer.motion, "" if bare else subscript))
         offset = parameter("", QUANTITIES["offset"], self.motor_motion, "")
         if self.offset and not self.own_offsets:
             found.append(offset)
@@ -151,27 +156,43 @@ class Chain:
             if p.owner in places and not _slots(p)
         )
 
-    def with_term(self, term: Term) -> Chain:
-        """Add a term of one's own to an element or the load.
+    def with_term(self, term: Term) -> Joint:
+        """Add a term of one's own to an element or the load, in place of one of the same name.
 
         Raises
         ------
         ValueError
             If there is no such element.
         """
-        owners = [*(element.name for element in self.elements), "load"]
-        if term.owner not in owners:
-            raise ValueError(
-                f"{term.name}: there is no element {term.owner!r}; {nearest(term.owner, owners)}"
-            )
-        if term.owner == "load":
-            return replace(self, load=self.load.with_term(term.row))
-        return replace(
-            self,
-            elements=tuple(
-                e.with_term(term.row) if e.name == term.owner else e for e in self.elements
-            ),
+        kept = tuple(one for one in self.terms if one.name != term.name)
+        return replace(self, terms=(*kept, term))
+
+    def terms_of(self, bearer: Element | Load) -> list[str]:
+        """List what an element, or the load, has, each as it stands in a sentence."""
+        owner = bearer.name if isinstance(bearer, Element) else "load"
+        return bearer.phrases + [term.meaning for term in self.terms if term.owner == owner]
+
+    @classmethod
+    def preset(cls, name: str) -> Joint:
+        """Make the joint of that name, such as ``rabbit-knee``.
+
+        Raises
+        ------
+        BadInput
+            If there is none.
+        """
+        from bayesfric.mechanism.presets import PRESETS  # made of joints itself
+
+        if name not in PRESETS:
+            raise BadInput("preset", f"there is no preset {name!r}", nearest(name, PRESETS))
+        return PRESETS[name].chain()
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><td>{escape(p.name)}</td><td>{escape(p.unit)}</td><td>{escape(p.meaning)}</td></tr>"
+            for p in self.parameters
         )
+        return f"<table><tbody>{rows}</tbody></table>"
 
     def vector(self, values: Mapping[str, float]) -> NDArray[np.float64]:
         """Put named values in the order of :attr:`names`.
