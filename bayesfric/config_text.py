@@ -5,7 +5,8 @@ from __future__ import annotations
 import glob
 import json
 import re
-from collections.abc import Iterator, Mapping
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,10 +36,23 @@ def config_of(document: Mapping[str, Any]) -> Config:
     return parse_config("\n".join(_lines(document)), _MODEL)
 
 
+def with_terms(config: Config, names: Sequence[str]) -> Config:
+    """Give a configuration whose mechanism names terms of one's own."""
+    document = tomllib.loads(config.text)
+    document["mechanism"]["terms"] = list(names)
+    found = parse_config("\n".join(_lines(document)), config.path)
+    return found.model_copy(update={"origin": config.origin})
+
+
 def mechanism_table(joint: Joint) -> dict[str, Any]:
     """Write a joint as the ``[mechanism]`` table that makes it."""
     offset = "per-recording" if joint.own_offsets else joint.offset
-    table: dict[str, Any] = {"offset": offset, "gain": joint.gain}
+    terms = [term.name for term in joint.terms]
+    table: dict[str, Any] = {
+        "offset": offset,
+        "gain": joint.gain,
+        **({"terms": terms} if terms else {}),
+    }
     if joint.made_from in PRESETS:
         base = PRESETS[joint.made_from].chain()
         if (base.elements, base.load) == (joint.elements, joint.load):

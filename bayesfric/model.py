@@ -14,13 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.config import Config, read_config
-from bayesfric.config_text import config_of, mechanism_table, prior_value, recording_table
+from bayesfric.config_text import (
+    config_of,
+    mechanism_table,
+    prior_value,
+    recording_table,
+    with_terms,
+)
 from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.descent import few_threads
 from bayesfric.estimates.estimate import METHODS, Estimate, Method
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.methods import ESTIMATORS, Given, estimate_by
-from bayesfric.estimates.torque import filtered_torque, torque_jacobian
 from bayesfric.identifiability.identification import Identification, identify
 from bayesfric.identifiability.known_quantities import speed_term
 from bayesfric.identifiability.local import LocalInformation, local_information
@@ -29,10 +34,9 @@ from bayesfric.identifiability.plausible import Point, estimate_point, points_ar
 from bayesfric.identifiability.sentences import plain
 from bayesfric.inference.fit import fit, make_target, target_of
 from bayesfric.inference.likelihood.likelihood import Likelihood
-from bayesfric.inference.likelihood.noise_choice import Choice, choose_order
+from bayesfric.inference.likelihood.noise_choice import Choice, choice_at
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.inference.moments.residual_moments import follows
 from bayesfric.inference.noise import NOISE_MODELS
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.inference.prior.as_knowledge import as_knowledge
@@ -41,6 +45,7 @@ from bayesfric.inference.sampling.sampling import Progress, Sampling, phase
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.own_term import Term
 from bayesfric.preparation import prepare, residual_noise
 from bayesfric.progress import progress_shown
 from bayesfric.recordings.recording import Recording
@@ -148,18 +153,44 @@ class Model:
             "priors": {name: prior_value(prior) for name, prior in (priors or {}).items()},
             **tables,
         }
-        self._read(config_of(document), recordings)
+        self._read(config_of(document), recordings, joint.terms)
 
     @classmethod
-    def from_config(cls, config: Config | Path | str) -> Self:
-        """Read what a configuration names; a finished run's ``config.toml`` is one."""
+    def from_config(cls, config: Config | Path | str, *, terms: Sequence[Term] = ()) -> Self:
+        """Read what a configuration names; a finished run's ``config.toml`` is one.
+
+        Terms of one's own are functions, which no file holds: where it names some, give them.
+        """
         model = cls.__new__(cls)
-        model._read(config if isinstance(config, Config) else read_config(Path(config)))
+        read = config if isinstance(config, Config) else read_config(Path(config))
+        model._read(read, terms=terms)
         return model
 
-    def _read(self, config: Config, recordings: Sequence[Recording] | None = None) -> None:
+    def with_term(self, term: Term) -> Self:
+        """Give the same model with one more term of one's own; nothing is read from its result.
+
+        It goes through estimates, identification, sampling and report like any other.
+
+        Raises
+        ------
+        BadInput
+            If the joint has no such element.
+        """
+        kept = [one for one in self.chain.terms if one.name != term.name]
+        terms = [*kept, term]
+        model = type(self).__new__(type(self))
+        named = with_terms(self.config, [one.name for one in terms])
+        model._read(named, self.given or None, terms)
+        return model
+
+    def _read(
+        self,
+        config: Config,
+        recordings: Sequence[Recording] | None = None,
+        terms: Sequence[Term] = (),
+    ) -> None:
         self.config, self.given = config, recordings or ()
-        found = prepare(config, recordings)
+        found = prepare(config, recordings, terms)
         self.chain, self.priors, self.held_out = found.chain, found.priors, found.held_out
         self.recordings, self.observations = found.recordings, found.observations
         self.references()  # refuses what they cannot be of
@@ -384,21 +415,8 @@ class Model:
         """Choose the noise that the torque residuals of a point ask for, if it is not told."""
         if point is None or not self._chooses_noise:
             return None
-        values = self.chain.vector(point)
-        residuals = [
-            o.measured - filtered_torque(self.chain, o, values[None])[0] for o in self.observations
-        ]
-        # prior sds of the chain's parameters, 0 of fixed ones; 1 of those without any
-        sds = np.array([self.priors[name].sd() for name in self.chain.names])
-        sds = np.where(np.isfinite(sds), sds, 1.0)
-        steps = np.where(sds > 0.0, 1e-6 * np.maximum(np.abs(values), 1e-3 * sds), 0.0)
-        effects = torque_jacobian(self.chain, self.observations, values, steps) * sds
-        return choose_order(
-            residuals,
-            [follows(o) for o in self.observations],
-            self.config.tables.noise.scale == "per-recording",
-            effects=np.split(effects, np.cumsum([r.size for r in residuals])[:-1]),
-        )
+        apart = self.config.tables.noise.scale == "per-recording"
+        return choice_at(self.chain, self.observations, self.priors, point, per_recording=apart)
 
     @property
     def _chooses_noise(self) -> bool:

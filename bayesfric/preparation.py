@@ -15,6 +15,7 @@ from bayesfric.inference.noise.autoregressive import MOST
 from bayesfric.inference.noise.residual_noise import ResidualNoise
 from bayesfric.inference.prior.priors import Prior
 from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.own_term import Term
 from bayesfric.recordings.held_out import HeldOut, divide
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
@@ -33,7 +34,9 @@ class Prepared:
     held_out: tuple[HeldOut, ...]
 
 
-def prepare(config: Config, recordings: Sequence[Recording] | None = None) -> Prepared:
+def prepare(
+    config: Config, recordings: Sequence[Recording] | None = None, terms: Sequence[Term] = ()
+) -> Prepared:
     """Read every recording of a configuration, and prepare it.
 
     Parameters
@@ -42,6 +45,8 @@ def prepare(config: Config, recordings: Sequence[Recording] | None = None) -> Pr
         Whose tables are used.
     recordings
         Its recordings, where they are not all in files.
+    terms
+        Of one's own, that its table ``mechanism`` names.
 
     Raises
     ------
@@ -50,7 +55,7 @@ def prepare(config: Config, recordings: Sequence[Recording] | None = None) -> Pr
     """
     tables = config.tables
     with config.named():
-        chain = tables.mechanism.joint()
+        chain = tables.mechanism.joint(terms)
     if not tables.recordings:
         raise BadInput(str(config.path), "names no recording", "add a [[recordings]] table")
     if not chain.parameters:

@@ -6,11 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from html import escape
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import ValidationError
 
+from bayesfric.complaints import complaint_of
 from bayesfric.errors import BadInput, nearest
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.kernels import ELEMENT_SLOTS, LOAD_SLOTS, Samples
@@ -18,6 +20,9 @@ from bayesfric.mechanism.own_term import Carried, Term
 from bayesfric.mechanism.parameter import Parameter, parameter
 from bayesfric.mechanism.quantities import QUANTITIES, Motion
 from bayesfric.recordings.inputs import Inputs
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 class Tables(NamedTuple):
@@ -193,6 +198,42 @@ class Joint:
             for p in self.parameters
         )
         return f"<table><tbody>{rows}</tbody></table>"
+
+    def simulate(
+        self, parameters: Mapping[str, float] | None = None, **options: Any
+    ) -> pd.DataFrame:
+        """Simulate a recording of the joint on a bench.
+
+        Parameters
+        ----------
+        parameters
+            True values; the preset's where left out.
+        **options
+            Keys of the table ``simulation`` of a configuration, such as ``duration``, ``rate``,
+            ``excitation``, ``amplitude``, ``encoder_counts``, ``torque_noise`` and ``seed``.
+
+        Returns
+        -------
+        DataFrame
+            ``time`` in s, ``position`` in rad or m on the encoder's side, ``torque`` as measured
+            in N m or N. It is simulated, not measured.
+
+        Raises
+        ------
+        BadInput
+            If a value is impossible or the simulation runs away.
+        """
+        import pandas as pd
+
+        from bayesfric.mechanism.experiment import Simulation, record  # simulates joints itself
+
+        given = {**options, "parameters": dict(parameters or {})}
+        try:
+            checked = Simulation.model_validate(given)
+        except ValidationError as error:
+            raise complaint_of("simulation.", "simulation", error, given, Simulation) from None
+        columns, _, _ = record(self, checked)
+        return pd.DataFrame(columns)
 
     def vector(self, values: Mapping[str, float]) -> NDArray[np.float64]:
         """Put named values in the order of :attr:`names`.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -11,6 +11,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model
 from bayesfric.errors import BadInput, Unfit, nearest
 from bayesfric.mechanism.element import STANDARD_GRAVITY, Element, Load
 from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.own_term import Term
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.quantities import CHOICES, LOAD_CHOICES, OPTION_MEANINGS, Motion
 
@@ -90,15 +91,29 @@ class MechanismOptions(_Options):
         "from motor to load",
     )
     load: LoadOptions = Field(default_factory=LoadOptions, description="what the joint moves")
+    terms: tuple[str, ...] = Field(
+        (), description="names of terms of one's own: functions, which only Python can give"
+    )
 
-    def joint(self) -> Joint:
+    def joint(self, terms: Sequence[Term] = ()) -> Joint:
         """Build the joint.
+
+        Parameters
+        ----------
+        terms
+            Of one's own; those that the table names.
 
         Raises
         ------
         BadInput
             If the preset or one of its elements does not exist, or nothing is described.
         """
+        if missing := [name for name in self.terms if name not in {term.name for term in terms}]:
+            raise BadInput(
+                "mechanism.terms",
+                f"{missing[0]} is a term of one's own, a function that no file holds",
+                "fit it in Python: bayesfric.Model.from_config(path, terms=[bayesfric.Term(...)])",
+            )
         if self.preset is None:
             base = Joint(elements=(Element("motor"),), load=Load())
             elements = [Element(name, **o.model_dump()) for name, o in self.elements.items()]
@@ -145,6 +160,7 @@ class MechanismOptions(_Options):
                 offset=base.offset if self.offset is None else bool(self.offset),
                 gain=base.gain if self.gain is None else self.gain,
                 made_from=self.preset or "",
+                terms=tuple(terms),
             )
         except ValueError as error:
             raise BadInput("mechanism.elements", str(error), "rename the element") from None

@@ -10,13 +10,14 @@ of Hausman's test, Econometrica 46, 1978), and leaves residuals as small.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.estimates.information import long_run_variance
+from bayesfric.estimates.torque import filtered_torque, torque_jacobian
 from bayesfric.inference.likelihood.autoregression import (
     PASSES,
     burg,
@@ -24,7 +25,11 @@ from bayesfric.inference.likelihood.autoregression import (
     variances,
     whitened,
 )
+from bayesfric.inference.moments.residual_moments import follows
 from bayesfric.inference.noise.autoregressive import MEMORY, MOST
+from bayesfric.inference.prior.priors import Prior
+from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -92,6 +97,30 @@ class Choice:
     def white(self) -> bool:
         """Whether the innovations of the chosen order pass as white."""
         return self.tried[self.order].p_value >= PASSES
+
+
+def choice_at(
+    chain: Joint,
+    observations: Sequence[Observation],
+    priors: Mapping[str, Prior],
+    point: Mapping[str, float],
+    *,
+    per_recording: bool,
+) -> Choice:
+    """Choose the order that the torque residuals of a point ask for; see :func:`choose_order`."""
+    values = chain.vector(point)
+    residuals = [o.measured - filtered_torque(chain, o, values[None])[0] for o in observations]
+    # prior sds of the chain's parameters, 0 of fixed ones; 1 of those without any
+    sds = np.array([priors[name].sd() for name in chain.names])
+    sds = np.where(np.isfinite(sds), sds, 1.0)
+    steps = np.where(sds > 0.0, 1e-6 * np.maximum(np.abs(values), 1e-3 * sds), 0.0)
+    effects = torque_jacobian(chain, observations, values, steps) * sds
+    return choose_order(
+        residuals,
+        [follows(o) for o in observations],
+        per_recording,
+        effects=np.split(effects, np.cumsum([r.size for r in residuals])[:-1]),
+    )
 
 
 def choose_order(

@@ -1,0 +1,137 @@
+"""A term of one's own goes the whole way, from arrays to the page, like any other."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import bayesfric as bf
+from bayesfric.errors import BadInput
+
+COGGING = bf.Term(
+    "motor.cogging",
+    lambda m: np.sin(6.0 * m.position),
+    unit="N m",
+    symbol="k_6",
+    meaning="cogging six times a turn",
+)
+JOINT = bf.Joint(
+    [bf.Element("motor", inertia=True, coulomb="symmetric", viscous=True, subscript="m")],
+    offset=True,
+)
+TRUE = {
+    "motor.inertia": 0.01,
+    "motor.viscous": 0.05,
+    "motor.coulomb": 0.2,
+    "motor.cogging": 0.15,
+    "offset": 0.02,
+}
+
+
+@pytest.fixture(scope="module")
+def recording():
+    made = JOINT.with_term(COGGING).simulate(
+        TRUE,
+        duration=10,
+        rate=500,
+        excitation="multisine",
+        amplitude=1.5,
+        torque_noise=0.02,
+        encoder_counts=0,
+        seed=3,
+    )
+    columns = (made[name].to_numpy() for name in ("time", "position", "torque"))
+    return bf.Recording.from_arrays(*columns, name="bench")
+
+
+@pytest.fixture(scope="module")
+def model(recording):
+    return bf.Model(JOINT, recording).with_term(COGGING)
+
+
+@pytest.fixture(scope="module")
+def run(model, tmp_path_factory):
+    posterior = model.sample(seed=1)
+    folder = tmp_path_factory.mktemp("own") / "run"
+    bf.report(posterior, folder)
+    return posterior, folder
+
+
+@pytest.mark.parametrize("method", ["least-squares", "input-error", "output-error"])
+def test_every_estimate_finds_it(model, method):
+    row = model.estimate(method).loc["motor.cogging"]
+    assert row["unit"] == "N m"
+    # five sds of what is estimated from 5000 samples, by the sd that accounts for correlation
+    assert abs(row["value"] - 0.15) < 5.0 * row["sd_robust"]
+    assert row["sd_robust"] < 0.01
+
+
+def test_identification_says_that_it_can_be_told(model):
+    row = model.identify().loc["motor.cogging"]
+    assert row["verdict"] == "data"
+    assert row["data_sd"] < 0.01
+
+
+def test_the_posterior_holds_it(run):
+    posterior, _ = run
+    row = bf.summary(posterior).parameters["motor.cogging"]
+    low, high = row.interval
+    # 90 % intervals of all five at once would miss now and then; twice as wide ones do not
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    assert abs(middle - TRUE["motor.cogging"]) < 2.0 * half
+    assert half < 0.01
+    assert (row.verdict, row.unit) == ("data", "N m")
+    assert posterior.posterior["motor.cogging"].attrs["units"] == "N m"
+
+
+def test_without_it_the_other_numbers_are_wrong(recording, model):
+    """What the term takes is no noise: left out, it is in the residuals."""
+    bare = bf.Model(JOINT, recording)
+    rms = [m.estimates(["input-error"])[0].residual_rms for m in (bare, model)]
+    assert rms[0] > 3.0 * rms[1]
+
+
+def test_tables_page_and_methods_show_it(run):
+    _, folder = run
+    parameters = json.loads((folder / "summary.json").read_text())["parameters"]
+    assert parameters["motor.cogging"]["symbol"] == "k_6"
+    assert "motor.cogging" in set(pd.read_csv(folder / "summary.csv")["name"])
+    assert "motor.cogging" in (folder / "report.html").read_text(encoding="utf-8")
+    assert "k_6" in next((folder / "tables").glob("param*.tex")).read_text(encoding="utf-8")
+    assert "cogging six times a turn" in (folder / "text" / "methods.txt").read_text()
+    assert any((folder / "figures").glob("friction.*"))
+
+
+def test_its_run_is_fitted_again_only_with_it(run, model):
+    posterior, folder = run
+    with pytest.raises(BadInput, match=r"motor\.cogging is a term of one's own"):
+        bf.Model.from_config(folder / "config.toml")
+    again = bf.Model.from_config(folder / "config.toml", terms=[COGGING])
+    assert again.chain.names == model.chain.names
+    draws = again.sample(seed=1).posterior["motor.cogging"].to_numpy()
+    np.testing.assert_array_equal(draws, posterior.posterior["motor.cogging"].to_numpy())
+
+
+def test_a_term_of_time_at_the_load(recording):
+    """The model's torque is the one that the term is simulated with."""
+    drift = bf.Term("load.drift", lambda m: np.exp(-0.3 * m.time), unit="N m")
+    made = JOINT.with_term(drift).simulate(
+        {name: value for name, value in TRUE.items() if name != "motor.cogging"}
+        | {"load.drift": 0.3},
+        duration=10,
+        rate=500,
+        excitation="multisine",
+        amplitude=1.5,
+        torque_noise=0.02,
+        encoder_counts=0,
+        seed=4,
+    )
+    one = bf.Recording.from_dataframe(made, time="time", position="position", torque="torque")
+    row = bf.Model(JOINT.with_term(drift), one).estimate("input-error").loc["load.drift"]
+    assert abs(row["value"] - 0.3) < 5.0 * row["sd_robust"]
+
+
+def test_an_element_that_is_not_there(model):
+    with pytest.raises(BadInput, match="did you mean 'motor'"):
+        model.with_term(bf.Term("moter.cogging", lambda m: np.sin(m.position)))
