@@ -113,7 +113,7 @@ def test_its_run_is_fitted_again_only_with_it(run, model):
     np.testing.assert_array_equal(draws, posterior.posterior["motor.cogging"].to_numpy())
 
 
-def test_a_term_of_time_at_the_load(recording):
+def test_a_term_of_time_at_the_load():
     """The model's torque is the one that the term is simulated with."""
     drift = bf.Term("load.drift", lambda m: np.exp(-0.3 * m.time), unit="N m")
     made = JOINT.with_term(drift).simulate(

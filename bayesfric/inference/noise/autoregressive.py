@@ -102,7 +102,8 @@ class Autoregressive(ResidualNoise):
         sigma = scales[..., 0]
         if p == 0:
             squares = moments.lagged[..., 0, 0]
-            total = squares / sigma**2 + counts * (2.0 * np.log(sigma) + _LOG_2PI)
+            with np.errstate(over="ignore"):  # so far out the density is zero
+                total = squares / sigma**2 + counts * (2.0 * np.log(sigma) + _LOG_2PI)
             return np.asarray(-0.5 * total.sum(axis=1))
         return _log_density(
             moments.lagged, moments.heads, counts, head_counts, np.ascontiguousarray(scales)
