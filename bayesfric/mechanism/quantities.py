@@ -192,7 +192,7 @@ _TORQUE, _NONE = ("N m", "N"), ("", "")
 CHOICES: Mapping[str, Mapping[str | bool, str]] = {
     "inertia": {True: "inertia"},
     "coulomb": {"symmetric": "constant loss", "by-direction": "constant loss by direction"},
-    "viscous": {True: "viscous loss"},
+    "viscous": {True: "viscous loss", "by-direction": "viscous loss by direction"},
     "quadratic": {True: "quadratic loss"},
     "stribeck": {True: "a Stribeck rise"},
     "load_loss": {
@@ -228,6 +228,21 @@ QUANTITIES: dict[str, Quantity] = {
         Quantity(
             "viscous", ("N m s", "N s/m"), "f_{{{}}}", "loss growing in proportion to speed",
             option="viscous", column=lambda m: m.speed, power=1,
+            by_direction=("viscous_positive", "viscous_negative"),
+        ),
+        Quantity(
+            "viscous_positive", ("N m s", "N s/m"), "f_{{{}1}}",
+            "loss growing in proportion to positive speed",
+            option="viscous", choice="by-direction",
+            column=lambda m: np.maximum(m.speed, 0.0), power=1,
+            shares=(("viscous", 0.5), ("viscous_difference", 0.5)),
+        ),
+        Quantity(
+            "viscous_negative", ("N m s", "N s/m"), "f_{{{}2}}",
+            "loss growing in proportion to negative speed",
+            option="viscous", choice="by-direction",
+            column=lambda m: np.minimum(m.speed, 0.0), power=1,
+            shares=(("viscous", 0.5), ("viscous_difference", -0.5)),
         ),
         Quantity(
             "coulomb", _TORQUE, "C_{{{}}}", "constant loss, same in both directions",
@@ -314,6 +329,11 @@ TOTALS: dict[str, Total] = {
         Total(
             "viscous", ("N m s", "N s/m"), "f_t", "viscous loss seen by the motor",
             lambda m: m.speed, positive=True,
+        ),
+        Total(
+            "viscous_difference", ("N m s", "N s/m"), r"\Delta f_t",
+            "half the difference of the viscous losses at positive and negative speed",
+            lambda m: np.abs(m.speed),
         ),
         Total(
             "quadratic", ("N m s²", "N s²/m²"), "f_{3,t}", "quadratic loss seen by the motor",

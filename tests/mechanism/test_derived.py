@@ -46,3 +46,25 @@ def test_the_quadratic_total_is_what_steady_speeds_show(lossy):
         assert float(total.values[0]) == pytest.approx(seen, rel=1e-6)
         assert total.gauge_free
         assert total.unit == "N m s²"
+
+
+def test_what_is_told_by_direction_makes_every_total_of_its_kind_so():
+    """Motor torque per steady speed, each way: the element without directions is in both."""
+    chain = Joint(
+        (
+            Element("motor", viscous=True),
+            Element("gearbox", ratio=5.0),
+            Element("joint", viscous="by-direction"),
+        ),
+    )
+    values = {
+        "motor.viscous": 0.02,
+        "joint.viscous_positive": 0.5,
+        "joint.viscous_negative": 1.5,
+    }
+    x = chain.vector(values)
+    totals = {d.name: float(d.values[0]) for d in derive(chain, x[None], 1.0)}
+    for way, name in ((1.0, "positive"), (-1.0, "negative")):
+        torque = inverse_torque(chain, x, [0.0], [way * 2.0 / chain.ratio], [0.0])
+        assert totals[f"total.viscous_{name}"] == pytest.approx(torque[0] / (way * 2.0), rel=1e-12)
+    assert "total.viscous" not in totals

@@ -56,6 +56,27 @@ seed = 13
 """,
         ["motor.viscous", "motor.coulomb", "offset"],
     ),
+    "axis with viscous loss by direction": (
+        """
+[mechanism]
+preset = "motor-axis"
+[mechanism.elements.motor]
+viscous = "by-direction"
+""",
+        "",
+        """
+[simulation]
+excitation = "multisine"
+amplitude = 1.0
+torque_noise = 0.01
+encoder_counts = 1048576
+seed = 13
+[simulation.parameters]
+"motor.viscous_positive" = 0.04
+"motor.viscous_negative" = 0.06
+""",
+        ["motor.viscous_positive", "motor.viscous_negative", "motor.coulomb", "offset"],
+    ),
     "servo-pendulum": (
         '[mechanism]\npreset = "servo-pendulum"\n',
         "",

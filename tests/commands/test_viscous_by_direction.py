@@ -1,0 +1,84 @@
+"""A term that is rows of the table and nothing else goes through every command."""
+
+import json
+
+import pytest
+
+from bayesfric.cli import main
+
+CONFIG = """
+[mechanism]
+preset = "servo-pendulum"
+[mechanism.elements.motor]
+viscous = "by-direction"
+[[recordings]]
+file = "servo.csv"
+time = { column = "time", unit = "s" }
+position = { column = "position", unit = "rad" }
+torque = { column = "torque", unit = "N m" }
+[simulation]
+excitation = "multisine"
+amplitude = 0.35
+frequencies = [0.2, 0.5, 0.9, 1.7]
+torque_noise = 0.005
+encoder_counts = 1048576
+seed = 13
+[simulation.parameters]
+"motor.viscous_positive" = 0.015
+"motor.viscous_negative" = 0.025
+[sampling]
+min_ess = 600
+"""
+TERMS = {"motor.viscous_positive": 0.015, "motor.viscous_negative": 0.025}
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("by-direction")
+    (folder / "servo.toml").write_text(CONFIG, encoding="utf-8")
+    return folder
+
+
+def called(bench, capsys, monkeypatch, *words):
+    monkeypatch.chdir(bench)
+    monkeypatch.setattr("sys.argv", ["bayesfric", *words])
+    with pytest.raises(SystemExit) as done:
+        main()
+    assert done.value.code in (0, None), capsys.readouterr().err
+    return capsys.readouterr().out
+
+
+def test_every_command(bench, capsys, monkeypatch):
+    def told(*words):
+        return json.loads(called(bench, capsys, monkeypatch, *words, "--json"))
+
+    called(bench, capsys, monkeypatch, "simulate", "servo.toml", "-o", "servo.csv")
+    priors = told("check", "servo.toml")["priors"]
+    assert priors["motor.viscous_positive"] == priors["motor.viscous_negative"]
+    found = told("identify", "servo.toml")["parameters"]
+    assert {found[name]["verdict"] for name in TERMS} == {"data"}
+    rows = told("estimate", "servo.toml")["estimates"]
+    assert {"total.viscous", "total.viscous_difference"} <= set(rows["least-squares"]["parameters"])
+    for method in ("input-error", "output-error"):
+        for name, true in TERMS.items():
+            row = rows[method]["parameters"][name]
+            assert abs(row["value"] - true) < 5.0 * row["sd_robust"], (method, name)
+    summary = told("fit", "servo.toml", "-o", "run")
+    for name, true in TERMS.items():
+        row = summary["parameters"][name]
+        assert row["verdict"] == "data"
+        assert abs(row["median"] - true) < 5.0 * row["sd"]
+    called(bench, capsys, monkeypatch, "report", "run")
+    page = (bench / "run" / "report.html").read_text(encoding="utf-8")
+    assert all(name in page for name in TERMS)
+    assert "viscous loss by direction" in (bench / "run/text/methods.txt").read_text()
+    called(bench, capsys, monkeypatch, "compare", "run", "-o", "side")
+    assert "motor.viscous_negative" in (bench / "side" / "report.html").read_text(encoding="utf-8")
+
+
+def test_init_names_it(capsys, monkeypatch, tmp_path):
+    called(tmp_path, capsys, monkeypatch, "init", "rabbit-knee", "-o", "knee.toml")
+    assert (
+        'loss in proportion to speed: false, true, "by-direction"'
+        in (tmp_path / "knee.toml").read_text()
+    )
