@@ -10,13 +10,13 @@ integrated across and the error falls with the fourth power of the step.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayesfric.mechanism.dynamics import Moved, moved
+from bayesfric.mechanism.dynamics import Carried, Moved, carried_by, moved
 from bayesfric.mechanism.integrate import RUNAWAY, integrate, integrate_segments
 from bayesfric.mechanism.joint import Joint, Tables
 from bayesfric.mechanism.kernels import (
@@ -28,7 +28,6 @@ from bayesfric.mechanism.kernels import (
     RATIO,
     STRIBECK_RATIO,
     STRIBECK_VELOCITY,
-    Samples,
 )
 from bayesfric.recordings.inputs import Inputs
 
@@ -136,12 +135,34 @@ def simulate(
         that the motor's inertia does not outweigh it), or if the joint runs away
         beyond 1e6 rad or m.
     """
-    vector = np.asarray(values, dtype=np.float64)
-    if vector.shape != (len(chain.names),):
-        raise ValueError(f"values must have the shape ({len(chain.names)},), not {vector.shape}")
     samples = _torque(torque, period, hold)
     if not (math.isfinite(q0) and math.isfinite(qd0)):
         raise ValueError("q0 and qd0 must be finite numbers")
+    joint = _joint(chain, np.asarray(values, dtype=np.float64), inputs)
+    if substeps is not None and substeps < 1:
+        raise ValueError("substeps must be at least 1")
+
+    def run(steps: int) -> Motion:
+        return _motion(joint, samples, period, begin, hold == "linear", (q0, qd0), steps)
+
+    if substeps is not None:
+        fine, even = run(substeps), substeps % 2 == 0
+        other = run(substeps // 2 if even else 2 * substeps)
+        change = float(np.max(np.abs(fine.q - other.q)))
+        return replace(fine, step_error=change / 15.0 if even else change * 16.0 / 15.0)
+    coarse = run(2)
+    while True:
+        fine = run(2 * coarse.substeps)
+        change = float(np.max(np.abs(fine.q - coarse.q)))
+        if change < tolerance or fine.substeps >= _MAX_SUBSTEPS:
+            return replace(fine, step_error=change / 15.0)
+        coarse = fine
+
+
+def _joint(chain: Joint, vector: NDArray[np.float64], inputs: Inputs) -> Moved:
+    """Lay a joint out to be moved; refuse values that have no, or no one, motion."""
+    if vector.shape != (len(chain.names),):
+        raise ValueError(f"values must have the shape ({len(chain.names)},), not {vector.shape}")
     outside = [
         p.name
         for p, value in zip(chain.parameters, vector, strict=True)
@@ -152,95 +173,42 @@ def simulate(
     elements, load, carried = chain.tables(vector[np.newaxis], inputs)
     if load[0, GAIN] == 0.0 or np.any(elements[0, :, STRIBECK_VELOCITY] == 0.0):
         raise ValueError("gain and Stribeck velocities must be greater than zero")
-    joint = moved(elements[0], load[0], carried[0], *_carried(chain, inputs))
+    terms = carried_by(_carried(chain, carried), 0)
+    joint = moved(elements[0], load[0], terms, *inputs.load(chain.load.motion))
     _check_slope(joint)
-
-    def run(steps: int) -> _Run:
-        return _Run(joint, samples, period, begin, hold == "linear", (q0, qd0), steps)
-
-    if substeps is None:
-        coarse = run(2)
-        while True:
-            fine = run(2 * coarse.substeps)
-            change = float(np.max(np.abs(fine.q - coarse.q)))
-            if change < tolerance or fine.substeps >= _MAX_SUBSTEPS:
-                break
-            coarse = fine
-        error = change / 15.0
-    else:
-        if substeps < 1:
-            raise ValueError("substeps must be at least 1")
-        fine = run(substeps)
-        even = substeps % 2 == 0
-        other = run(substeps // 2 if even else 2 * substeps)
-        change = float(np.max(np.abs(fine.q - other.q)))
-        error = change / 15.0 if even else change * 16.0 / 15.0
-    return Motion(
-        time=np.arange(samples.size, dtype=np.float64) * float(period),
-        q=fine.q,
-        qd=fine.qd,
-        qdd=fine.qdd,
-        torque=samples,
-        sticking=fine.sticking,
-        events=int(fine.counts[0]),
-        reversals=int(fine.counts[1]),
-        step_error=error,
-        substeps=fine.substeps,
-        unresolved=int(fine.counts[2]),
-    )
+    return joint
 
 
-def simulate_many(
-    chain: Joint,
-    values: ArrayLike,
-    torque: ArrayLike,
+def _motion(
+    joint: Moved,
+    torque: NDArray[np.float64],
     period: float,
-    *,
-    q0: ArrayLike = 0.0,
-    qd0: ArrayLike = 0.0,
-    inputs: Inputs = Inputs(),  # noqa: B008  (frozen)
-    begin: float = 0.0,
-    hold: Hold = "linear",
-    substeps: int = 2,
-) -> NDArray[np.float64]:
-    """Positions of the joint for many parameter vectors, in parallel.
-
-    Parameters
-    ----------
-    chain, torque, period, inputs, begin, hold
-        As for :func:`simulate`.
-    values
-        ``(n, n_parameters)``.
-    q0, qd0
-        Position and speed at the first sample, one for all or ``(n,)``.
-    substeps
-        Integration steps per sample.
-
-    Returns
-    -------
-    ndarray
-        ``(n, N)``, rad or m. A row is NaN where the vector is outside the support or
-        has no unique motion, and from where the joint runs away, so that a fit can
-        reject the vector.
-
-    Raises
-    ------
-    ValueError
-        If an input is not finite or has the wrong shape.
-    """
-    whole = [(0, np.size(torque))]
-    states = (np.asarray(x, dtype=np.float64).reshape(-1, 1) for x in (q0, qd0))
-    return simulate_segments(
-        chain,
-        values,
-        torque,
-        period,
-        whole,
-        *states,
-        inputs=inputs,
-        begin=begin,
-        hold=hold,
+    begin: float,
+    linear: bool,
+    start: tuple[float, float],
+    substeps: int,
+) -> Motion:
+    """Integrate with a given number of steps per sample; its error is not known."""
+    q, qd, qdd = (np.empty(torque.size) for _ in range(3))
+    sticking = np.empty(torque.size, dtype=np.bool_)
+    counts = np.zeros(3, dtype=np.int64)
+    now = (float(period), float(begin), linear, float(start[0]), float(start[1]), substeps)
+    done = integrate(joint, torque, *now, q, qd, qdd, sticking, counts)
+    if done < torque.size:
+        at = f"{RUNAWAY:g} rad or m after {done * period:g} s"
+        raise RunsAway(f"the joint runs away: beyond {at}")
+    return Motion(
+        time=np.arange(torque.size, dtype=np.float64) * float(period),
+        q=q,
+        qd=qd,
+        qdd=qdd,
+        torque=torque,
+        sticking=sticking,
+        events=int(counts[0]),
+        reversals=int(counts[1]),
+        step_error=math.nan,
         substeps=substeps,
+        unresolved=int(counts[2]),
     )
 
 
@@ -262,8 +230,8 @@ def simulate_segments(
 
     Parameters
     ----------
-    chain, torque, period, inputs, begin, hold, substeps
-        As for :func:`simulate_many`.
+    chain, torque, period, inputs, begin, hold
+        As for :func:`simulate`.
     values
         ``(n, n_parameters)``.
     segments
@@ -271,11 +239,15 @@ def simulate_segments(
     q0, qd0
         ``(K,)``, or ``(n, K)`` for each vector its own: position and speed at the
         first sample of every segment (rad or m, SI).
+    substeps
+        Integration steps per sample.
 
     Returns
     -------
     ndarray
-        ``(n, N)``, rad or m; NaN outside the segments, and as for :func:`simulate_many`.
+        ``(n, N)``, rad or m; NaN outside the segments. A row is NaN where the vector is outside
+        the support or has no unique motion, and from where the joint runs away, so that a fit can
+        reject the vector.
 
     Raises
     ------
@@ -301,8 +273,10 @@ def simulate_segments(
         raise ValueError("substeps must be at least 1")
     tables = chain.tables(vectors, inputs)
     return integrate_segments(
-        *tables,
-        *_carried(chain, inputs),
+        tables.elements,
+        tables.load,
+        _carried(chain, tables.carried),
+        inputs.load(chain.load.motion),
         samples,
         float(period),
         float(begin),
@@ -316,11 +290,13 @@ def simulate_segments(
     )
 
 
-def _carried(chain: Joint, inputs: Inputs) -> tuple[Samples, NDArray[np.int64]]:
-    """Gather what acts besides the motion, and the addresses of the terms without a slot."""
-    nothing = np.zeros(0)
+def _carried(chain: Joint, values: NDArray[np.float64]) -> Carried | None:
+    """Gather the terms without a slot, their coefficients ``(n, n_carried)``."""
+    if not chain.carried:
+        return None
+    places = np.array([c.place for c in chain.carried], dtype=np.int64)
     addresses = np.array([c.address for c in chain.carried], dtype=np.int64)
-    return chain.samples(nothing, nothing, nothing, inputs), addresses
+    return Carried(values, places, addresses)
 
 
 def _possible(
@@ -337,44 +313,6 @@ def _possible(
     valid &= (load[:, GAIN] > 0) & np.all(elements[:, :, STRIBECK_VELOCITY] > 0, axis=1)
     valid &= _slope_bounds(elements, load[:, LOAD_INERTIA] + added_inertia)[0] > 0
     return np.asarray(valid)
-
-
-class _Run:
-    """One integration with a given number of steps per sample."""
-
-    def __init__(
-        self,
-        joint: Moved,
-        torque: NDArray[np.float64],
-        period: float,
-        begin: float,
-        linear: bool,
-        start: tuple[float, float],
-        substeps: int,
-    ) -> None:
-        self.substeps = substeps
-        self.q, self.qd, self.qdd = (np.empty(torque.size) for _ in range(3))
-        self.sticking = np.empty(torque.size, dtype=np.bool_)
-        self.counts = np.zeros(3, dtype=np.int64)
-        done = integrate(
-            joint,
-            torque,
-            float(period),
-            float(begin),
-            linear,
-            float(start[0]),
-            float(start[1]),
-            substeps,
-            self.q,
-            self.qd,
-            self.qdd,
-            self.sticking,
-            self.counts,
-        )
-        if done < torque.size:
-            raise RunsAway(
-                f"the joint runs away: beyond {RUNAWAY:g} rad or m after {done * period:g} s"
-            )
 
 
 def _torque(torque: ArrayLike, period: float, hold: str) -> NDArray[np.float64]:

@@ -9,9 +9,11 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from bayesfric.mechanism.dynamics import (
+    Carried,
     Lines,
     Moved,
     breakaway_torques,
+    carried_by,
     exact_acceleration,
     frozen_acceleration,
     moved,
@@ -21,7 +23,6 @@ from bayesfric.mechanism.kernels import (
     LOAD_BACK,
     LOAD_DRIVE,
     OFFSET,
-    Samples,
 )
 
 RUNAWAY = 1e6  # rad or m
@@ -355,9 +356,8 @@ def integrate(
 def integrate_segments(
     elements: NDArray[np.float64],
     load: NDArray[np.float64],
-    carried: NDArray[np.float64],
-    samples: Samples,
-    addresses: NDArray[np.int64],
+    carried: Carried | None,
+    added: tuple[float, float],
     torque: NDArray[np.float64],
     period: float,
     begin: float,
@@ -377,7 +377,7 @@ def integrate_segments(
         if valid[i]:
             a, b = starts[k], ends[k]
             done = integrate(
-                moved(elements[i], load[i], carried[i], samples, addresses),
+                moved(elements[i], load[i], carried_by(carried, i), added[0], added[1]),
                 torque[a:b],
                 period,
                 begin + a * period,

@@ -27,7 +27,7 @@ from scipy.integrate import solve_ivp
 
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.excitation import current_loop, sine, square
-from bayesfric.mechanism.forward import Motion, simulate, simulate_many
+from bayesfric.mechanism.forward import Motion, simulate, simulate_segments
 from bayesfric.mechanism.joint import Joint
 
 Array = NDArray[np.float64]
@@ -477,7 +477,9 @@ def simulator(case: Case, truth: Solved) -> tuple[list[Point], list[Point]]:
             return simulate(chain, values, **fixed).q
 
         def many(fixed: dict[str, Any] = fixed) -> Array:
-            return simulate_many(chain, values[np.newaxis], **fixed)[0]
+            whole = [(0, case.torque.size)]
+            start = {"segments": whole, "q0": [0.0], "qd0": [0.0]}
+            return simulate_segments(chain, values[np.newaxis], **start, **fixed)[0]
 
         for points, run in ((bare, many), (full, one))[: 1 if n == 1 else 2]:
             error = largest(run(), truth.q)

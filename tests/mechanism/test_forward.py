@@ -114,9 +114,7 @@ def random_joint(rng, mu=1.5):
     elements[:, kernels.STRIBECK_VELOCITY] = rng.uniform(0.1, 5.0, n)
     elements[0, kernels.INERTIA] += 1e-3
     load = np.array([rng.choice([0.0, 0.3]), rng.uniform(0, 1), rng.uniform(-3, 3), 9.8, 0.0, 1.0])
-    nothing = np.zeros(0)
-    samples = PRESETS["motor-axis"].chain().samples(nothing, nothing, nothing, Inputs())
-    return dynamics.moved(elements, load, nothing, samples, np.zeros(0, dtype=np.int64))
+    return dynamics.moved(elements, load, None, 0.0, 0.0)
 
 
 def test_closed_form_acceleration_agrees_with_root_finding():

@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.excitation import current_loop, square
-from bayesfric.mechanism.forward import simulate, simulate_many
+from bayesfric.mechanism.forward import simulate, simulate_segments
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.inputs import Inputs
 from tests.mechanism.joints import EVERYTHING, KNEE, axis, carried_to_motor, everything, signal
@@ -78,6 +78,12 @@ def test_default_substeps_meet_the_tolerance():
     assert fine.step_error < 1e-12
     capped = simulate(chain, vector, torque, 5e-3, tolerance=0.0)
     assert capped.substeps == 64
+
+
+def simulate_many(chain, values, torque, period, q0=0.0, qd0=0.0, **options):
+    """Positions for many parameter vectors, in one piece."""
+    states = (np.asarray(x, dtype=np.float64).reshape(-1, 1) for x in (q0, qd0))
+    return simulate_segments(chain, values, torque, period, [(0, len(torque))], *states, **options)
 
 
 def scipy_motion(chain, vector, torque, period):
