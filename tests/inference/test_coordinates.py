@@ -17,8 +17,8 @@ from bayesfric.inference.coordinates import (
 )
 from bayesfric.inference.fit import make_target, read_priors
 from bayesfric.inference.prior.priors import read_prior
+from bayesfric.mechanism.configuration import ElementOptions, MechanismOptions
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.mechanism.options import ElementOptions, MechanismOptions
 from bayesfric.mechanism.presets import PRESETS
 
 INF = math.inf

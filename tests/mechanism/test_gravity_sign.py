@@ -13,9 +13,9 @@ from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.identifiability.candidates import _hanging
 from bayesfric.inference.coordinates import choose_coordinates
 from bayesfric.inference.fit import make_target, read_priors
+from bayesfric.mechanism.configuration import ElementOptions, LoadOptions, MechanismOptions
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.mechanism.options import ElementOptions, LoadOptions, MechanismOptions
 from bayesfric.mechanism.presets import PRESETS
 
 from .joints import signal

@@ -12,7 +12,7 @@ import pytest
 
 from bayesfric.inference.fit import fit, make_target, read_priors
 from bayesfric.inference.sampling.sampling import Sampling
-from bayesfric.mechanism.options import MechanismOptions
+from bayesfric.mechanism.configuration import MechanismOptions
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.summary.summary import summarise, summary_table
 
