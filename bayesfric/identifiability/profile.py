@@ -12,6 +12,7 @@ from scipy.stats import chi2
 from bayesfric.estimates.assemble import bounds_met, centred
 from bayesfric.estimates.descent import Terms, TorqueProblem, descend, few_threads
 from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.torque_form import factor_to
 from bayesfric.inference.fit import Fit
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.scaling import scalings
@@ -203,18 +204,5 @@ def _walk(search: _Search, name: str, grid: Array, best: _Point) -> list[_Point]
 
 def _neighbours(chain: Joint, name: str, values: Array, value: float) -> list[Array]:
     """Start a parameter at another value: the others as they were, or scaled along with it."""
-    column = chain.names.index(name)
-    old = float(values[column])
-    starts = [values.copy()]
-    for scaling in scalings(chain):
-        if name == scaling.drive:
-            above, below = 1.0 + old, 1.0 + value  # alpha_1 = 1/(1 + mu_1)
-        elif name == scaling.back:
-            above, below = 1.0 - old, 1.0 - value  # alpha_2 = 1/(1 - mu_2)
-        elif name in scaling.behind:
-            above, below = value, old
-        else:
-            continue
-        if above > 0.0 and below > 0.0:
-            starts.append(scaling.scaled(values, above / below))
-    return starts
+    factors = [(one, factor_to(one, values, name, value)) for one in scalings(chain)]
+    return [values.copy(), *(one.scaled(values, k) for one, k in factors if k)]
