@@ -218,9 +218,8 @@ def _derived(
     steps = 1e-5 * scale
     moving = np.flatnonzero(steps)
     k = moving.size
-    moved = np.tile(values, (2 * k + 1, 1))
-    moved[np.arange(k), moving] += steps[moving]
-    moved[k + np.arange(k), moving] -= steps[moving]
+    beside = np.eye(values.size)[moving] * steps
+    moved = values + np.concatenate([beside, -beside, np.zeros((1, values.size))])
     for quantity in derive(chain, moved, load):
         middle = float(quantity.values[-1])
         gradient = np.zeros(values.size)
