@@ -109,7 +109,7 @@ class Information:
         known: Array | None = None,  # (k, d) rows 1/sd of independent knowledge
         tolerance: float = NULL,
         known_null: Array | None = None,
-        scatter: Scatter = Scatter(),  # noqa: B008 - it is frozen
+        scatter: Scatter = Scatter(),
     ) -> None:
         n, d = jacobian.shape
         self._jacobian, self._residual = jacobian, residual

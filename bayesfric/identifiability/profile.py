@@ -83,22 +83,10 @@ def profile_likelihoods(
 ) -> tuple[Profile, ...]:
     """Profile the log-likelihood of the torque, white noise of unknown scale.
 
-    At each value of one parameter all others are fitted anew within their limits, each
-    fit starting from its neighbour's, outwards from the best. The noise scale that fits
-    best is known in closed form and leaves ``-n/2 log SS``.
-
-    Parameters
-    ----------
-    chain, observations
-        The mechanism and one or more prepared recordings.
-    knowledge
-        Known values and limits; told values do not enter.
-    grids
-        Rising values of the parameters to profile.
-    starts
-        Vectors ``(n_parameters,)`` to look for the best fit from, at least one.
-    own_noise
-        Whether each recording has a noise scale of its own.
+    At each value of one parameter, of rising ``grids``, all others are fitted anew within their
+    limits, each fit starting from its neighbour's, outwards from the best, which is looked for
+    from ``starts`` ``(n_parameters,)``. The noise scale that fits best, each recording's if it has
+    its ``own_noise``, is known in closed form and leaves ``-n/2 log SS``. Told values do not enter.
     """
     with few_threads(observations):
         whole = _Search(chain, observations, knowledge, own_noise)
