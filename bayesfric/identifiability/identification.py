@@ -80,17 +80,13 @@ class Identification:
     def frame(self) -> pd.DataFrame:
         """One row a parameter: how well it would be known, by what, and with what it is open."""
         found = pd.DataFrame([vars(one) for one in self.parameters]).set_index("name")
-        found["open_with"] = [
-            ", ".join(
-                dict.fromkeys(
-                    other
-                    for one in self.directions
-                    if label in one.exponents
-                    for other in one.exponents
-                    if other != label
-                )
-            )
+        sharing = [
+            [name for one in self.directions if label in one.exponents for name in one.exponents]
             for label in self.local.labels
+        ]
+        found["open_with"] = [
+            ", ".join(dict.fromkeys(name for name in names if name != label))
+            for label, names in zip(self.local.labels, sharing, strict=True)
         ]
         return found
 
@@ -137,10 +133,8 @@ class Identification:
 
     def as_json(self) -> dict[str, Any]:
         """Give what ``bayesfric identify --json`` prints; what is infinite is ``None``."""
-        names = ("at_estimate", "least", "largest")
-        values = (
-            dict(zip(names, zip(*self.ranges, strict=True), strict=True)) if self.ranges else {}
-        )
+        ranges = pd.DataFrame(self.ranges, columns=["at_estimate", "least", "largest"])
+        values = ranges.to_dict("list") if self.ranges else {}
         null = {"null": self.local.directions.tolerance}
         mass, voltage = self.known_mass, self.voltage
         derived = ("name", "prior_sd", "verdict", "on_bound")
@@ -243,8 +237,8 @@ def expected_covariance(target: Target, local: LocalInformation) -> Array:
     open_ = values <= 1e-15 * values[-1]
     inverse = np.where(open_, 0.0, 1.0 / np.where(open_, 1.0, values))
     covariance = (vectors * inverse) @ vectors.T
-    for i in np.flatnonzero(open_):
-        touched = np.abs(vectors[:, i]) > 1e-6
+    for row in vectors.T[open_]:
+        touched = np.abs(row) > 1e-6
         covariance[np.ix_(touched, touched)] = np.inf
     return np.asarray(covariance)
 

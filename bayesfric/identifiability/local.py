@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -67,9 +67,11 @@ class NullDirection:
     exponents: dict[str, float]
 
     @property
-    def meaning(self) -> str:
-        """The same in words."""
-        return str(null_meaning(self.exponents))
+    def meaning(self) -> Statement:
+        """The same as powers of one factor."""
+        same = all(abs(x - 1.0) < _ROUNDING for x in self.exponents.values())
+        kind = "unseen" if len(self.exponents) == 1 else "factor" if same else "powers"
+        return stated("meaning", kind, exponents=self.exponents)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,15 +88,10 @@ class LocalInformation(LocalUnits):
     @property
     def null_directions(self) -> tuple[NullDirection, ...]:
         """What no torque can tell, by name."""
+        named = (zip(self.labels, row.tolist(), strict=True) for row in self.null_rows)
         return tuple(
-            NullDirection(
-                {
-                    label: float(round(x, 9))
-                    for label, x in zip(self.labels, row, strict=True)
-                    if abs(x) > _ROUNDING
-                }
-            )
-            for row in self.null_rows
+            NullDirection({label: round(x, 9) for label, x in pairs if abs(x) > _ROUNDING})
+            for pairs in named
         )
 
     @property
@@ -292,10 +289,3 @@ def _sparse(rows: Array) -> Array:
             if j != i:
                 basis[j] -= basis[j, pivot] * basis[i]
     return np.array([row / row[int(np.argmax(np.abs(row)))] for row in basis]).reshape(rows.shape)
-
-
-def null_meaning(exponents: Mapping[str, float]) -> Statement:
-    """Say what a null direction is whose entries are powers of one factor, the largest one."""
-    same = all(abs(x - 1.0) < _ROUNDING for x in exponents.values())
-    kind = "unseen" if len(exponents) == 1 else "factor" if same else "powers"
-    return stated("meaning", kind, exponents=exponents)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.identifiability.coverage import BackDriving, Coverage
-from bayesfric.identifiability.local import LocalInformation, null_meaning
+from bayesfric.identifiability.local import LocalInformation, NullDirection
 from bayesfric.identifiability.remedies import HARDLY, WEAK, Remedy, Trial, left_along, remedies
 from bayesfric.identifiability.sentences import Statement, stated
 from bayesfric.mechanism.parameter import Parameter
@@ -79,7 +79,7 @@ def open_directions(
         elif in_units and len(exponents) > 1:
             meaning = stated("meaning", "shifts", exponents=exponents, in_units=in_units)
         else:
-            meaning = null_meaning(exponents)
+            meaning = NullDirection(exponents).meaning
         yield OpenDirection(
             "null" if null else "weak",
             exponents,

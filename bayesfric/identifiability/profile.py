@@ -89,13 +89,13 @@ def profile_likelihoods(
     its ``own_noise``, is known in closed form and leaves ``-n/2 log SS``. Told values do not enter.
     """
     with few_threads(observations):
-        whole = _Search(chain, observations, knowledge, own_noise)
+        whole = _Search(TorqueProblem(chain, observations, knowledge), own_noise)
         best = max((whole.fit(start) for start in starts), key=lambda one: one.height)
         found = {}
         for name, grid in grids.items():
             value = float(best.values[chain.names.index(name)])
             held = replace(knowledge, fixed={**knowledge.fixed, name: value})
-            search = _Search(chain, observations, held, own_noise)
+            search = _Search(TorqueProblem(chain, observations, held), own_noise)
             found[name] = _walk(search, name, np.asarray(grid), best)
     # a profile may have come upon a better fit than the search for it
     top = max([best.height, *(p.height for points in found.values() for p in points)])
@@ -122,20 +122,10 @@ class _Point:
 class _Search:
     """The best fit with some parameters held."""
 
-    def __init__(
-        self,
-        chain: Joint,
-        observations: Sequence[Observation],
-        knowledge: Knowledge,
-        own_noise: bool,
-    ) -> None:
-        self.problem = TorqueProblem(chain, observations, knowledge)
-        sizes = [o.measured.size for o in observations]
+    def __init__(self, problem: TorqueProblem, own_noise: bool) -> None:
+        self.problem = problem
+        sizes = [o.measured.size for o in problem.observations]
         self._borders = np.cumsum(sizes)[:-1] if own_noise else np.array([], dtype=np.int64)
-
-    def hold(self, name: str, value: float) -> None:
-        """Hold a parameter, one of the known ones, at another value."""
-        self.problem.base[self.problem.chain.names.index(name)] = value
 
     def fit(self, values: Array) -> _Point:
         """Search downhill from a vector ``(n_parameters,)``."""
@@ -175,13 +165,14 @@ class _Search:
 
 def _walk(search: _Search, name: str, grid: Array, best: _Point) -> list[_Point]:
     """Fit at every value of a grid, from the one nearest to the best fit to both sides."""
-    chain = search.problem.chain
-    nearest = int(np.argmin(np.abs(grid - best.values[chain.names.index(name)])))
+    chain, base = search.problem.chain, search.problem.base
+    column = chain.names.index(name)
+    nearest = int(np.argmin(np.abs(grid - best.values[column])))
     points: dict[int, _Point] = {}
     for order in (range(nearest, grid.size), range(nearest - 1, -1, -1)):
         before = best if order.start == nearest else points[nearest]
         for k in order:
-            search.hold(name, float(grid[k]))
+            base[column] = grid[k]
             begin = max(
                 _neighbours(chain, name, before.values, float(grid[k])),
                 key=lambda values: search.height(search.problem.inside(values)),
