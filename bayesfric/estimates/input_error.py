@@ -166,7 +166,7 @@ def _recording_weights(
     problem: TorqueProblem, terms: Terms, x: Array, residual: Array, robust: bool
 ) -> Array:
     """One over each recording's residual sd, times their mean so that N m stay N m."""
-    counts = [o.measured.size for o in problem.observations]
+    counts = np.array([o.measured.size for o in problem.observations])
     borders = np.cumsum(counts)[:-1]
     # a fit takes from each recording as many degrees of freedom as it leans on it
     left, singular, _ = np.linalg.svd(
@@ -174,9 +174,9 @@ def _recording_weights(
         full_matrices=False,
     )
     leaning = (left[:, singular > 1e-9 * singular.max(initial=0.0)] ** 2).sum(axis=1)
-    leant = np.add.reduceat(leaning, [0, *borders])
-    free = np.maximum(counts - leant, 1e-3 * np.array(counts)) / counts
-    sds = np.array([_sd(part, robust) for part in np.split(residual, borders)]) / np.sqrt(free)
+    leant = np.array([part.sum() for part in np.split(leaning, borders)])
+    sds = np.array([_sd(part, robust) for part in np.split(residual, borders)])
+    sds *= np.sqrt(counts / np.maximum(counts - leant, 1e-3 * counts))
     # a recording without noise has rounding for residuals, not a thousandfold say
     sds = np.maximum(sds, max(1e-3 * sds.max(), ROUNDING * _sd(problem.measured, False)))
     return np.repeat(np.exp(np.mean(np.log(sds))) / sds, counts)
