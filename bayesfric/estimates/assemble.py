@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.estimates.estimate import EstimatedValue
+from bayesfric.estimates.estimate import Bound, EstimatedValue
 from bayesfric.estimates.information import Information
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical_load
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.parameter import Parameter
+from bayesfric.mechanism.quantities import State
 from bayesfric.mechanism.scaling import Scaling, scalings
 from bayesfric.recordings.observation import Observation
 
@@ -76,17 +77,28 @@ def units_of(chain: Joint, free: Sequence[str], values: Array) -> Array:
 
     ``values`` is ``(n_parameters,)`` in the order of ``chain.names``; no unit is zero.
     """
-    units = np.empty(len(free))
-    for j, name in enumerate(free):
-        value = values[chain.names.index(name)]
-        quantity = name.rpartition(".")[2]
-        if quantity == "load_drive":
-            units[j] = 1.0 + value
-        elif quantity == "load_back":
-            units[j] = max(abs(1.0 - value), 1e-3)
+    units = []
+    for p in (chain.parameters[chain.names.index(name)] for name in free):
+        value = float(values[chain.names.index(p.name)])
+        if (way := alpha_way(p)) > 0:
+            units.append(1.0 + value)
+        elif way < 0:
+            units.append(max(abs(1.0 - value), 1e-3))
         else:
-            units[j] = abs(value) if value else 1e-9
-    return units
+            units.append(abs(value) or 1e-9)
+    return np.array(units)
+
+
+def alpha_way(p: Parameter) -> int:
+    """Sign in ``alpha_1 = 1/(1 + mu_1)`` and ``alpha_2 = 1/(1 - mu_2)``; zero for the others.
+
+    Only one of two load losses has an alpha: what it takes while power flows its way says which.
+    """
+    if p.row.role != "loss" or p.row.column is None:
+        return 0
+    still = State(0.0, 0.0, 0.0, 1.0, 0.0)
+    driving, driven = (p.row.column(still._replace(transmitted=x)) for x in (1.0, -1.0))
+    return int(np.sign(driving - driven))
 
 
 def assemble(
@@ -114,13 +126,13 @@ def assemble(
 
     def sds(gradient: Array, gauge_free: bool) -> tuple[float, float]:
         own = gradient[columns]
-        if np.any(own) and not np.any(own[at_bound == 0]):
-            return np.nan, np.nan  # made of parameters on their bounds
+        if bound_of(gradient):
+            return np.nan, np.nan
         return information.sds(information.directions.off_known(own) if gauge_free else own)
 
     open_ = open_scalings(chain, knowledge, observations)
 
-    def bound_of(gradient: Array) -> Literal["lower", "upper"] | None:
+    def bound_of(gradient: Array) -> Bound | None:
         """Which bound a quantity stands on that only parameters on theirs make up."""
         own = gradient[columns]
         if not np.any(own) or np.any(own[at_bound == 0]):
@@ -142,25 +154,16 @@ def assemble(
     load = typical_load(chain, observations, values)
     derived = _derived(chain, values, load, scale, sds, span, bound_of)
     stated += [v for v in derived if v.name not in taken]
-    for p, column, bound in (
-        (chain.parameters[c], c, at_bound[j]) for j, c in enumerate(columns.tolist())
-    ):
-        gradient = np.zeros(values.size)
-        gradient[column] = 1.0
-        sd, robust = (np.nan, np.nan) if bound else sds(gradient, False)
+    for column in columns.tolist():
+        p, gradient = chain.parameters[column], np.eye(values.size)[column]
         scaled = any(p.name in s.names for s in open_)
         stated.append(
             EstimatedValue(
-                p.name,
-                p.unit,
-                p.symbol,
-                p.meaning,
-                float(values[column]),
-                sd,
-                robust,
+                *(p.name, p.unit, p.symbol, p.meaning, float(values[column])),
+                *sds(gradient, False),
                 kind="parameter",
                 gauge_free=not any(p.name in s.names for s in scalings(chain)),
-                at_bound="lower" if bound < 0 else "upper" if bound > 0 else None,
+                at_bound=bound_of(gradient),
                 span=span(lambda along, c=column: along[:, c]) if scaled else None,  # type: ignore[misc]
             )
         )
@@ -199,11 +202,8 @@ def _totals(
     for i, (name, label) in enumerate(zip(projection.names, projection.labels, strict=True)):
         if label in chain.names:
             continue  # it is a parameter, stated as such
-        unit, symbol, meaning = projection.describe(name)
-        sd, robust = (np.inf, np.inf) if projection.open[i] else sds(gradients[i], True)
-        yield EstimatedValue(
-            label, unit, symbol, meaning, float(found[i]), sd, robust, kind="total"
-        )
+        both = (np.inf, np.inf) if projection.open[i] else sds(gradients[i], True)
+        yield EstimatedValue(label, *projection.describe(name), float(found[i]), *both)
 
 
 def _derived(
@@ -213,14 +213,13 @@ def _derived(
     scale: Array,
     sds: Callable[[Array, bool], tuple[float, float]],
     span: Callable[[Callable[[Array], Array]], tuple[float, float] | None],
-    bound_of: Callable[[Array], Literal["lower", "upper"] | None],
+    bound_of: Callable[[Array], Bound | None],
 ) -> Iterator[EstimatedValue]:
     steps = 1e-5 * scale
     moving = np.flatnonzero(steps)
     k = moving.size
-    moved = np.tile(values, (2 * k + 1, 1))
-    moved[np.arange(k), moving] += steps[moving]
-    moved[k + np.arange(k), moving] -= steps[moving]
+    beside = np.eye(values.size)[moving] * steps
+    moved = values + np.concatenate([beside, -beside, np.zeros((1, values.size))])
     for quantity in derive(chain, moved, load):
         middle = float(quantity.values[-1])
         gradient = np.zeros(values.size)
@@ -228,19 +227,13 @@ def _derived(
         if not np.isfinite(middle) or not np.isfinite(gradient).all() or not gradient.any():
             continue  # undefined here, or made of known numbers only
         sd, robust = sds(gradient, quantity.gauge_free)
-        name = quantity.name
 
-        def along(vectors: Array, name: str = name) -> Array:
+        def along(vectors: Array, name: str = quantity.name) -> Array:
             return next(q.values for q in derive(chain, vectors, load) if q.name == name)
 
         yield EstimatedValue(
-            quantity.name,
-            quantity.unit,
-            quantity.symbol,
-            quantity.meaning,
-            middle,
-            sd,
-            robust,
+            *(quantity.name, quantity.unit, quantity.symbol, quantity.meaning, middle),
+            *(sd, robust),
             kind="derived",
             gauge_free=quantity.gauge_free,
             at_bound=bound_of(gradient),

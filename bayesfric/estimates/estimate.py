@@ -15,46 +15,26 @@ else:
     Method = Literal[METHODS]
 
 Kind = Literal["total", "derived", "parameter"]
+Bound = Literal["lower", "upper"]
 
 
 @dataclass(frozen=True)
 class EstimatedValue:
-    """One estimated number.
+    """One estimated number."""
 
-    Attributes
-    ----------
-    name, unit, symbol, meaning
-        As for parameters; the symbol is LaTeX without dollar signs.
-    value
-        The estimate. Where ``sd`` is infinite it is one of many that fit as well.
-    sd
-        Standard deviation for uncorrelated residuals, as the field quotes it; infinite
-        where the data do not determine the number, ``nan`` where it has none because
-        the estimate stands on a bound.
-    sd_robust
-        Standard deviation that accounts for correlated residuals.
-    kind
-        ``total``: seen by the motor, eq. (11). ``parameter``: of the chain.
-        ``derived``: from parameters.
-    gauge_free
-        Whether scaling leg parameters and alpha together leaves it unchanged.
-    at_bound
-        ``lower`` or ``upper`` where the estimate stands on a bound.
-    span
-        Where a scaling leaves the number open: the values that a passive gearbox allows.
-    """
-
-    name: str
+    name: str  # these four as for parameters; the symbol is LaTeX without dollar signs
     unit: str
     symbol: str
     meaning: str
-    value: float
+    value: float  # where sd is infinite it is one of many that fit as well
+    # For uncorrelated residuals, as the field quotes it; infinite where the data do not determine
+    # the number, nan where it has none because the estimate stands on a bound.
     sd: float
-    sd_robust: float = math.nan
-    kind: Kind = "total"
-    gauge_free: bool = True
-    at_bound: Literal["lower", "upper"] | None = None
-    span: tuple[float, float] | None = None
+    sd_robust: float = math.nan  # accounts for correlated residuals
+    kind: Kind = "total"  # seen by the motor, eq. (11); of the chain; or from parameters
+    gauge_free: bool = True  # whether scaling leg parameters and alpha together leaves it unchanged
+    at_bound: Bound | None = None
+    span: tuple[float, float] | None = None  # what a gearbox allows where a scaling leaves it open
 
     @property
     def relative_sd(self) -> float:
@@ -69,39 +49,17 @@ class EstimatedValue:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A point estimate.
-
-    Attributes
-    ----------
-    method
-        One of :data:`METHODS`.
-    values
-        In a fixed order: totals, derived quantities, parameters.
-    residual_rms
-        Root mean square of measured minus modelled.
-    residual_unit
-        Its unit: that of torque, or of position for the output error.
-    n_outputs
-        Number of residuals.
-    assumption
-        What the standard deviations take for granted, one sentence.
-    notes
-        What a user should know of how it came about, one sentence each.
-    point
-        Value of every chain parameter, known ones included; empty for least squares.
-    converged
-        Whether the search ended at a minimum; ``values`` have no sds where it did not.
-    """
+    """A point estimate."""
 
     method: Method
-    values: tuple[EstimatedValue, ...]
-    residual_rms: float
-    n_outputs: int
-    assumption: str
-    residual_unit: str = "N m"
-    notes: tuple[str, ...] = ()
-    point: tuple[tuple[str, float], ...] = ()
-    converged: bool = True
+    values: tuple[EstimatedValue, ...]  # totals, derived quantities, parameters
+    residual_rms: float  # root mean square of measured minus modelled
+    n_outputs: int  # number of residuals
+    assumption: str  # what the standard deviations take for granted, one sentence
+    residual_unit: str = "N m"  # that of torque, or of position for the output error
+    notes: tuple[str, ...] = ()  # what a user should know of how it came about, one sentence each
+    point: tuple[tuple[str, float], ...] = ()  # every chain parameter; empty for least squares
+    converged: bool = True  # at a minimum; values have no sds where it is not
 
     def __getitem__(self, name: str) -> EstimatedValue:
         for value in self.values:

@@ -22,26 +22,13 @@ _LEAST_LEFT = 1e-2
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """Singular value decomposition of a Jacobian, largest singular value first.
+    """Singular value decomposition of a Jacobian, largest singular value first."""
 
-    Attributes
-    ----------
-    units
-        ``(d,)`` what counts as a change of one, in each parameter's unit.
-    singular_values
-        ``(d,)`` of the Jacobian in those units.
-    rows
-        ``(d, d)`` right singular vectors, one a row, in those units.
-    tolerance
-        Singular values below this share of the largest are rounding.
-    known_null
-        ``(d, k)`` orthonormal, in those units: directions known to change no output.
-    """
-
-    units: Array
-    singular_values: Array
-    rows: Array
-    tolerance: float = NULL
+    units: Array  # (d,) what counts as a change of one, in each parameter's unit
+    singular_values: Array  # (d,) of the Jacobian in those units
+    rows: Array  # (d, d) right singular vectors, one a row, in those units
+    tolerance: float = NULL  # singular values below this share of the largest are rounding
+    # (d, k) orthonormal, in those units: directions known to change no output
     known_null: Array | None = None
 
     def off_known(self, gradient: Array) -> Array:
@@ -98,64 +85,31 @@ def directions(
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """What is known of how residuals scatter.
+    """What is known of how residuals scatter."""
 
-    Attributes
-    ----------
-    groups
-        ``(n,)`` number of the group each belongs to, where they may be correlated within groups
-        in any way but not between them.
-    lost
-        Number of quantities fitted besides and already taken out of the Jacobian and the
-        residual, for example initial states.
-    inflation
-        Factor on standard deviations of uncorrelated residuals, for robust losses.
-    least
-        Standard deviation of a residual that rounding alone makes, as of an encoder.
-    """
-
+    # (n,) number of the group each belongs to, where they may be correlated within groups in any
+    # way but not between them
     groups: NDArray[np.int64] | None = None
-    lost: int = 0
-    inflation: float = 1.0
-    least: float = 0.0
-
-
-_PLAIN = Scatter()
+    lost: int = 0  # quantities fitted besides and already taken out, for example initial states
+    inflation: float = 1.0  # factor on sds of uncorrelated residuals, for robust losses
+    least: float = 0.0  # sd of a residual that rounding alone makes, as of an encoder
 
 
 class Information:
-    """Standard deviations of whatever is computed from estimated parameters.
-
-    Parameters
-    ----------
-    jacobian
-        ``(n, d)`` of the modelled outputs by the free parameters.
-    residual
-        ``(n,)`` measured minus modelled.
-    units
-        ``(d,)`` what counts as a change of one; for example the values themselves.
-    places
-        ``(n,)`` where each residual stands on an even grid of time; those of other segments and
-        recordings are put far apart.
-    known
-        ``(k, d)`` rows ``1/sd`` of independent knowledge, as of a data-sheet value.
-    tolerance, known_null
-        See :func:`directions`.
-    scatter
-        How residuals scatter.
-    """
+    """Standard deviations of whatever is computed from estimated parameters."""
 
     def __init__(
         self,
-        jacobian: Array,
-        residual: Array,
-        units: Array,
+        jacobian: Array,  # (n, d) of the modelled outputs by the free parameters
+        residual: Array,  # (n,) measured minus modelled
+        units: Array,  # (d,) what counts as a change of one; for example the values themselves
         *,
+        # (n,) where each residual stands on an even grid of time; other recordings are far apart
         places: NDArray[np.int64] | None = None,
-        known: Array | None = None,
+        known: Array | None = None,  # (k, d) rows 1/sd of independent knowledge
         tolerance: float = NULL,
         known_null: Array | None = None,
-        scatter: Scatter = _PLAIN,
+        scatter: Scatter = Scatter(),
     ) -> None:
         n, d = jacobian.shape
         self._jacobian, self._residual = jacobian, residual

@@ -3,21 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from bayesfric.errors import BadInput
-from bayesfric.estimates.assemble import (
-    assemble,
-    bounds_met,
-    centred,
-    open_directions,
-    open_scalings,
-    units_of,
-)
+from bayesfric.estimates import assemble as fitted
 from bayesfric.estimates.descent import ROUNDING, Found, Terms, TorqueProblem, descend, few_threads
 from bayesfric.estimates.estimate import Estimate
 from bayesfric.estimates.estimation import Estimation
@@ -72,24 +65,26 @@ def input_error(
 def _estimate(problem: TorqueProblem, options: Estimation) -> Estimate:
     chain, observations = problem.chain, problem.observations
     plain = Terms(np.ones(problem.measured.size))
-    starts = _starts(problem, options)
-    found = sorted((descend(problem, plain, x) for x in starts.inside), key=lambda one: one.height)
+    inside, projected, searched = _starts(problem, options)
+    found = sorted((descend(problem, plain, x) for x in inside), key=lambda one: one.height)
     terms, x = _refined(problem, options, found)
-    values = centred(chain, problem.knowledge, observations, problem.vector(x))
+    values = fitted.centred(chain, problem.knowledge, observations, problem.vector(x))
     x = problem.inside(values)
     values = problem.vector(x)
-    at_bound = bounds_met(x, problem.lower, problem.upper, problem.typical[problem.columns])
+    at_bound = fitted.bounds_met(x, problem.lower, problem.upper, problem.typical[problem.columns])
     information = _information(problem, terms, x)
     residual = problem.residual(x)
     notes = [
-        _agreement(problem, found) + starts.searched,
-        *_pushed(problem, terms, [x, *starts.projected], at_bound, information.sigma**2),
+        _agreement(problem, found) + searched,
+        *_pushed(problem, terms, [x, *projected], at_bound, information.sigma**2),
         *_scale_notes(problem, information),
         *_correlation_note(problem, terms.weights * residual),
     ]
     return Estimate(
         method="input-error",
-        values=assemble(chain, observations, problem.knowledge, values, information, at_bound),
+        values=fitted.assemble(
+            chain, observations, problem.knowledge, values, information, at_bound
+        ),
         residual_rms=float(np.sqrt(np.mean(residual**2))),
         n_outputs=residual.size,
         assumption=_assumption(problem, terms, at_bound),
@@ -99,17 +94,11 @@ def _estimate(problem: TorqueProblem, options: Estimation) -> Estimate:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Starts:
-    """Free parameters to start from: within the limits; as projected; and a note."""
+def _starts(problem: TorqueProblem, options: Estimation) -> tuple[list[Array], list[Array], str]:
+    """Make starts of the variable projection, splits of the totals, and random vectors.
 
-    inside: list[Array]
-    projected: list[Array]
-    searched: str
-
-
-def _starts(problem: TorqueProblem, options: Estimation) -> _Starts:
-    """Make starts of the variable projection, splits of the totals, and random vectors."""
+    Gives free parameters within the limits; as projected; and a note.
+    """
     vectors = [problem.split(mu, share) for mu, share in _SPLITS]
     rng = np.random.default_rng(options.seed)
     for _ in range(options.starts):
@@ -130,7 +119,7 @@ def _starts(problem: TorqueProblem, options: Estimation) -> _Starts:
         if found.theta2.size:
             searched = f"; of eqs. (18) and (19), {found.starts_agreeing} of {found.starts}"
     inside = [problem.inside(_toward_told(problem, vector)) for vector in vectors]
-    return _Starts(inside, projected, searched)
+    return inside, projected, searched
 
 
 def _refined(
@@ -177,7 +166,7 @@ def _recording_weights(
     problem: TorqueProblem, terms: Terms, x: Array, residual: Array, robust: bool
 ) -> Array:
     """One over each recording's residual sd, times their mean so that N m stay N m."""
-    counts = [o.measured.size for o in problem.observations]
+    counts = np.array([o.measured.size for o in problem.observations])
     borders = np.cumsum(counts)[:-1]
     # a fit takes from each recording as many degrees of freedom as it leans on it
     left, singular, _ = np.linalg.svd(
@@ -185,14 +174,9 @@ def _recording_weights(
         full_matrices=False,
     )
     leaning = (left[:, singular > 1e-9 * singular.max(initial=0.0)] ** 2).sum(axis=1)
-    sds = np.array(
-        [
-            _sd(part, robust) * np.sqrt(part.size / max(part.size - lean.sum(), 1e-3 * part.size))
-            for part, lean in zip(
-                np.split(residual, borders), np.split(leaning, borders), strict=True
-            )
-        ]
-    )
+    leant = np.array([part.sum() for part in np.split(leaning, borders)])
+    sds = np.array([_sd(part, robust) for part in np.split(residual, borders)])
+    sds *= np.sqrt(counts / np.maximum(counts - leant, 1e-3 * counts))
     # a recording without noise has rounding for residuals, not a thousandfold say
     sds = np.maximum(sds, max(1e-3 * sds.max(), ROUNDING * _sd(problem.measured, False)))
     return np.repeat(np.exp(np.mean(np.log(sds))) / sds, counts)
@@ -212,12 +196,12 @@ def _toward_told(problem: TorqueProblem, values: Array) -> Array:
 
 def _told_factor(scaling: Scaling, values: Array, told: Mapping[str, tuple[float, float]]) -> float:
     """Factor that a passive gearbox allows at which the told values fit best."""
-    names = scaling.chain.names
+    shown = [name for name in scaling.names if name in told]
+    columns = [scaling.chain.names.index(name) for name in shown]
+    means, sds = np.array([told[name] for name in shown]).T
 
     def misfit(log_k: float) -> float:
-        at = dict(zip(names, scaling.scaled(values, np.exp(log_k)).tolist(), strict=True))
-        shown = [n for n in scaling.names if n in told]
-        return float(sum(((at[n] - told[n][0]) / told[n][1]) ** 2 for n in shown))
+        return float(np.sum(((scaling.scaled(values, np.exp(log_k))[columns] - means) / sds) ** 2))
 
     low, high = scaling.bounds(values)
     low = max(low, 1e-3 * high)
@@ -241,14 +225,14 @@ def _information(problem: TorqueProblem, terms: Terms, x: Array) -> Information:
         residual = np.clip(residual, -terms.bend, terms.bend) / straight
         inflation += x.size / residual.size * (1.0 - straight) / straight
     rows, _ = problem.knowledge.rows(problem.chain)
-    units = units_of(problem.chain, problem.free, problem.vector(x))
+    units = fitted.units_of(problem.chain, problem.free, problem.vector(x))
     return Information(
         terms.weights[:, None] * problem.jacobian(x),
         residual,
         np.maximum(units, 0.1 * problem.typical[problem.columns]),
         places=places(problem.observations),
         known=rows,
-        known_null=open_directions(
+        known_null=fitted.open_directions(
             problem.chain, problem.knowledge, problem.observations, problem.vector(x)
         ),
         scatter=Scatter(inflation=inflation),
@@ -296,7 +280,7 @@ def _pushed(
     if kept - outside.height <= variance + problem.rounding:
         return []
     values = problem.vector(outside.x)
-    for scaling in open_scalings(problem.chain, problem.knowledge, problem.observations):
+    for scaling in fitted.open_scalings(problem.chain, problem.knowledge, problem.observations):
         # a loss that the open scale can make positive has not been pushed anywhere
         values = scaling.scaled(values, scaling.middle(values))
     free = problem.knowledge.on_turn(problem.chain, values[problem.columns])
@@ -314,12 +298,12 @@ def _scale_notes(problem: TorqueProblem, information: Information) -> list[str]:
     """Say what fixes the scale between leg and alpha, or that nothing does."""
     notes = []
     knowledge, free = problem.knowledge, np.array(problem.free)
-    still_open = {s.element for s in open_scalings(problem.chain, knowledge, problem.observations)}
+    still_open = fitted.open_scalings(problem.chain, knowledge, problem.observations)
     for scaling in scalings(problem.chain):
         what = f"the scale between {scaling.element}.alpha and what is behind it"
         gradients = [(free == name).astype(np.float64) for name in scaling.names if name in free]
         unseen = all(np.isinf(information.sds(g)[0]) for g in gradients)
-        if scaling.element in still_open or unseen:
+        if unseen or scaling.element in {one.element for one in still_open}:
             notes.append(f"{what} is open: the estimate is one of a family that fits as well")
             continue
         by = [f"known {name}" for name in scaling.names if name in knowledge.fixed]

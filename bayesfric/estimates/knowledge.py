@@ -16,21 +16,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Knowledge:
-    """Known values, bounds and data-sheet values of a chain's parameters.
+    """Known values, bounds and data-sheet values of a chain's parameters."""
 
-    Attributes
-    ----------
-    fixed
-        Parameters whose value is taken as known.
-    bounds
-        Lower and upper limit of others; the support where left out.
-    told
-        Mean and standard deviation of others, as a data sheet or a prior tells them.
-        They enter a fit as one more residual each.
-    """
-
-    fixed: Mapping[str, float] = field(default_factory=dict)
+    fixed: Mapping[str, float] = field(default_factory=dict)  # values taken as known
+    # lower and upper limit of others; the support where left out
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    # mean and sd of others, as a data sheet or a prior tells them: one more residual each
     told: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def free(self, chain: Joint) -> tuple[str, ...]:
@@ -66,10 +57,6 @@ class Knowledge:
         """Told values as residuals ``(mean - value)/sd``: rows ``1/sd`` ``(k, d)``, ``mean/sd``."""
         free = self.free(chain)
         told = [name for name in free if name in self.told]
-        rows = np.zeros((len(told), len(free)))
-        targets = np.zeros(len(told))
-        for i, name in enumerate(told):
-            mean, sd = self.told[name]
-            rows[i, free.index(name)] = 1.0 / sd
-            targets[i] = mean / sd
-        return rows, targets
+        means, sds = np.array([self.told[name] for name in told]).reshape(-1, 2).T
+        rows = np.eye(len(free))[[free.index(name) for name in told]]
+        return rows / sds[:, None], means / sds

@@ -11,47 +11,26 @@ from bayesfric.errors import BadInput
 from bayesfric.estimates.estimate import Estimate, EstimatedValue
 from bayesfric.estimates.information import Information
 from bayesfric.estimates.torque import places
-from bayesfric.estimates.torque_form import columns, filled, in_order
+from bayesfric.estimates.torque_form import OPEN, columns, filled, in_order, shortest
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import Parameter, effort_words
 from bayesfric.mechanism.quantities import TOTALS
 from bayesfric.recordings.observation import Observation
 
-# Relative size below which a singular value of the regressors is rounding.
-_OPEN = 1e-9
-
 
 def least_squares(chain: Joint, observations: Sequence[Observation]) -> Estimate:
     """Estimate the motor-side totals of eq. (11).
 
-    The gearbox is taken with one mean transfer coefficient ``alpha_m`` (eq. 10),
-    so the torque is linear in the totals. Regressors and torque have passed the
-    same parallel filter.
-
-    Parameters
-    ----------
-    chain
-        Says which totals there are.
-    observations
-        One or more prepared recordings.
-
-    Returns
-    -------
-    Estimate
-        ``total.inertia`` (Jt), ``total.viscous`` (ft), ``total.coulomb`` (Ct),
-        ``total.offset`` (dCt), ``total.gravity`` (ml g/(alpha_m N)) and, where the
-        chain or the recordings have them, the other terms.
+    The gearbox is taken with one mean transfer coefficient ``alpha_m`` (eq. 10), so the torque is
+    linear in the totals. Regressors and torque have passed the same parallel filter. A total that
+    the motion cannot tell from others gets an infinite standard deviation. A known added mass is
+    part of the totals unless recordings with different masses, or a load without parameters of its
+    own, set it apart.
 
     Raises
     ------
     BadInput
         If there are fewer outputs than totals, or nothing of the model shows.
-
-    Notes
-    -----
-    A total that the motion cannot tell from others gets an infinite standard
-    deviation. A known added mass is part of the totals unless recordings with
-    different masses, or a load without parameters of its own, set it apart.
     """
     projection = TotalsProjection(chain, observations)
     names, regressors = projection.names, projection.regressors
@@ -75,15 +54,13 @@ def least_squares(chain: Joint, observations: Sequence[Observation]) -> Estimate
         residual,
         1.0 / projection.scale,
         places=places(observations),
-        tolerance=_OPEN,
+        tolerance=OPEN,
     )
     values = []
     for i, name in enumerate(names):
-        unit, symbol, meaning = projection.describe(name)
-        sd, robust = information.sds(np.eye(len(names))[i])
-        value = float(solution[i])
-        label = projection.labels[i]
-        values.append(EstimatedValue(label, unit, symbol, meaning, value, sd, robust))
+        sds = information.sds(np.eye(len(names))[i])
+        stated = projection.labels[i], *projection.describe(name)
+        values.append(EstimatedValue(*stated, float(solution[i]), *sds))
     assumption = "sd: uncorrelated residuals of equal variance; sd_robust: correlated ones (HAC)"
     if "added_load" not in names and any(o.inputs.added_mass for o in observations):
         assumption += "; the known added mass is part of the totals"
@@ -98,44 +75,16 @@ def least_squares(chain: Joint, observations: Sequence[Observation]) -> Estimate
 
 
 class TotalsProjection:
-    """The linear map from torques to the totals of eq. (11).
-
-    Parameters
-    ----------
-    chain
-        Says which totals there are.
-    observations
-        One or more prepared recordings.
-
-    Attributes
-    ----------
-    names
-        Of the totals, such as ``inertia``.
-    labels
-        The same as results show them: ``total.inertia``, or ``motor.inertia`` where that
-        parameter is all there is to the total.
-    regressors
-        ``(n_outputs, n_totals)``, filtered like the measured torque.
-    scale
-        ``(n_totals,)`` norm of each regressor.
-    open
-        ``(n_totals,)`` which totals the motion cannot tell from others.
-    """
+    """The linear map from torques to the totals of eq. (11)."""
 
     def __init__(self, chain: Joint, observations: Sequence[Observation]) -> None:
-        self.names, self.regressors = _regressors(chain, observations)
-        self.labels = [total_label(chain, name) for name in self.names]
         self._chain = chain
-        scale = np.linalg.norm(self.regressors, axis=0) if self.names else np.empty(0)
-        self.scale = np.where(scale == 0.0, 1.0, scale)
-        self.open = np.zeros(len(self.names), dtype=np.bool_)
-        if not self.names:
-            return
-        left, singular, right = np.linalg.svd(self.regressors / self.scale, full_matrices=False)
-        told = singular > _OPEN * singular[0]
-        # the shortest solution where the motion leaves some totals open
-        self._solution = (right[told].T / singular[told]) @ left.T[told] / self.scale[:, None]
-        self.open = np.asarray((right[~told] ** 2).sum(axis=0) > 1e-8)
+        # of the totals, such as inertia; (n_outputs, n_totals), filtered like the measured torque
+        self.names, self.regressors = _regressors(chain, observations)
+        # the same as results show them: total.inertia, or motor.inertia where that is all of it
+        self.labels = [total_label(chain, name) for name in self.names]
+        # norm of each regressor, and which totals the motion cannot tell from others
+        self.scale, self.open, self._solution, _ = shortest(self.regressors)
 
     def solve(self, torque: NDArray[np.float64]) -> NDArray[np.float64]:
         """Totals of filtered torques, ``(n_outputs,)`` or ``(n_outputs, k)``."""
@@ -184,24 +133,14 @@ def _regressed(chain: Joint, p: Parameter) -> tuple[tuple[str, float], ...]:
     """
     if p.circular:
         return (("gravity_cosine", 0.0),)
-    plain = [(TOTALS[k].regressor or k if k in TOTALS else k, c) for k, c in filled(chain, p)]
-    return tuple(plain)
+    return tuple((TOTALS[k].regressor or k if k in TOTALS else k, c) for k, c in filled(chain, p))
 
 
 def starting_values(chain: Joint, totals: Estimate, mu: float, share: float) -> dict[str, float]:
-    """Split motor-side totals into parameters, as a place to start a search from.
+    """Split the totals of :func:`least_squares` into parameters, as a place to start from.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    totals
-        From :func:`least_squares`.
-    mu
-        Load loss to assume wherever there is one.
-    share
-        Share of each total that the motor gets; the other elements and the load
-        divide the rest.
+    ``mu`` is the load loss wherever there is one, ``share`` the motor's share of each total; the
+    other elements and the load divide the rest.
     """
     total = {name: totals[label].value for name, label in _labels(chain).items() if label in totals}
     gain = total.get("added_load", 1.0)
@@ -210,8 +149,8 @@ def starting_values(chain: Joint, totals: Estimate, mu: float, share: float) -> 
         for kind, _ in _regressed(chain, p):
             owners.setdefault(kind, set()).add(p.owner)
     values: dict[str, float] = {}
+    way = np.sign(chain.load.gravity)
     for p in chain.parameters:
-        way = np.sign(chain.load.gravity)
         if p.row.role == "loss":
             values[p.name] = mu
         elif p.quantity == "first_moment":

@@ -10,14 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
-from bayesfric.estimates.assemble import (
-    assemble,
-    bounds_met,
-    centred,
-    open_directions,
-    open_scalings,
-    units_of,
-)
+from bayesfric.estimates import assemble as fitted
 from bayesfric.estimates.estimate import Estimate
 from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.huber import HUBER, robust_sd
@@ -33,7 +26,7 @@ from bayesfric.estimates.shooting_fit import (
     descend_afresh,
     residual_of,
     settle_states,
-)
+)  # fmt: skip
 from bayesfric.estimates.torque import torque_jacobian
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.observation import Observation
@@ -124,20 +117,15 @@ def output_error(
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fit with segments of one length, s.
+    """A fit with segments of one length."""
 
-    ``information`` is of the free parameters, bounds left out: beside one, others would look far
-    too certain. ``at_bound`` ``(d,)``: -1 on the lower bound, 1 on the upper, else 0. ``error``:
-    of the discretisation, rad or m.
-    """
-
-    length: float
+    length: float  # s
     frame: Frame
-    weights: Weights
     solution: Solution
+    # of the free parameters, bounds left out: beside one, others would look far too certain
     information: Information
-    at_bound: NDArray[np.int_]
-    error: float
+    at_bound: NDArray[np.int_]  # (d,) -1 on the lower bound, 1 on the upper, else 0
+    error: float  # of the discretisation, rad or m
 
 
 class OutputError:
@@ -156,7 +144,7 @@ class OutputError:
         self.free = knowledge.free(chain)
         self.columns = np.array([chain.names.index(n) for n in self.free], dtype=np.int64)
         self.limits = knowledge.limits(chain)
-        self.scalings = open_scalings(chain, knowledge, observations)
+        self.scalings = fitted.open_scalings(chain, knowledge, observations)
         self.deadline = time.process_time() + options.max_seconds
         # sd of the rounding to counts: no position is measured better
         self.grain = np.array([resolution(t.position[t.samples]) for t in trajectories]) / 12**0.5
@@ -168,28 +156,26 @@ class OutputError:
 
     def distance(self, values: Array, length: float) -> float:
         """Sum of squares at a start, states fitted; infinite where it cannot be simulated."""
-        frame, values = self._begin(values, length)
-        plain = Weights(np.ones(frame.shooting.measured.size), 1.0, np.inf)
-        states = settle_states(frame, plain, values, frame.shooting.initial)
-        found = float(np.sum(residual_of(frame, values, states) ** 2))
+        *_, residual = self._begin(values, length)
+        found = float(np.sum(residual**2))
         return found if np.isfinite(found) else np.inf
 
-    def _begin(self, values: Array, length: float) -> tuple[Frame, Array]:
-        """Cut the recordings, and bring a start within the limits."""
+    def _begin(self, values: Array, length: float) -> tuple[Frame, Array, Array, Array]:
+        """Cut the recordings, bring a start within the limits, and fit its states; residuals."""
         cut = [
             divided(t, o, length) for t, o in zip(self.trajectories, self.observations, strict=True)
         ]
         values = values.copy()
         values[self.columns] = self.knowledge.inside(self.chain, values[self.columns])
-        return self._frame(Shooting(self.chain, cut, self.options.substeps or 1), values), values
+        frame = self._frame(Shooting(self.chain, cut, self.options.substeps or 1), values)
+        plain = Weights(np.ones(frame.shooting.measured.size), 1.0, np.inf)
+        states = settle_states(frame, plain, values, frame.shooting.initial)
+        return frame, values, states, residual_of(frame, values, states)
 
     def fit(self, values: Array, length: float) -> Fit | None:
         """Fit from a start ``(n_parameters,)``; ``None`` where it cannot be simulated."""
-        frame, values = self._begin(values, length)
+        frame, values, states, residual = self._begin(values, length)
         shooting = frame.shooting
-        plain = Weights(np.ones(shooting.measured.size), 1.0, np.inf)
-        states = settle_states(frame, plain, values, shooting.initial)
-        residual = residual_of(frame, values, states)
         if not np.isfinite(residual).all():
             return None
         if self.options.substeps is None:
@@ -205,15 +191,15 @@ class OutputError:
             if not np.isfinite(solution.cost):
                 return None
             values, states, residual = solution.values, solution.states, solution.residual
-        middle = centred(self.chain, self.knowledge, self.observations, values).copy()
+        middle = fitted.centred(self.chain, self.knowledge, self.observations, values).copy()
         middle[self.columns] = self.knowledge.on_turn(self.chain, middle[self.columns])
         if not np.array_equal(middle, values):
             moved = residual_of(frame, middle, states)
             solution = replace(solution, values=middle, residual=moved)
-        at_bound = bounds_met(solution.values[self.columns], *self.limits, frame.units)
+        at_bound = fitted.bounds_met(solution.values[self.columns], *self.limits, frame.units)
         error, _ = step_error(frame.shooting, solution.values, states, frame.shooting.substeps)
         information = self._information(frame, weights, solution)
-        return Fit(length, frame, weights, solution, information, at_bound, error)
+        return Fit(length, frame, solution, information, at_bound, error)
 
     def lengths(self) -> tuple[float, ...]:
         """Segment lengths to try, s: the one told, or those with segments enough for sound sds."""
@@ -222,25 +208,16 @@ class OutputError:
         total = sum(float(np.diff(t.segments, axis=1).sum()) * t.period for t in self.trajectories)
         period = max(t.period for t in self.trajectories)
         needed = LEAST_GROUPS * max(self.columns.size, 1)
-        fitting = [
-            length
-            for length in LENGTHS
-            if length >= _LEAST_SAMPLES * period and total >= needed * length
-        ]
-        return tuple(fitting) or (max(LENGTHS[0], _LEAST_SAMPLES * period),)
+        least = _LEAST_SAMPLES * period
+        fitting = [length for length in LENGTHS if length >= least and total >= needed * length]
+        return tuple(fitting) or (max(LENGTHS[0], least),)
 
     def estimate(self, fit: Fit, others: Sequence[Fit] = ()) -> Estimate:
         """State everything a fit says."""
         unit = "rad" if self.chain.load.motion == "rotary" else "m"
         solution, shooting = fit.solution, fit.frame.shooting
-        values = assemble(
-            self.chain,
-            self.observations,
-            self.knowledge,
-            solution.values,
-            fit.information,
-            fit.at_bound,
-        )
+        given = self.chain, self.observations, self.knowledge
+        values = fitted.assemble(*given, solution.values, fit.information, fit.at_bound)
         finest = float(self.grain.min()) * 12**0.5
         length = float(np.median(np.diff(shooting.borders) * shooting.periods))
         n = shooting.n_segments
@@ -327,7 +304,7 @@ class OutputError:
 
     def _units(self, values: Array) -> Array:
         """Change of every parameter that changes the torque by all of itself."""
-        values_size = units_of(self.chain, self.chain.names, values)
+        values_size = fitted.units_of(self.chain, self.chain.names, values)
         steps = 1e-6 + 1e-4 * values_size
         jacobian = torque_jacobian(self.chain, self.observations, values, steps)
         torque = np.concatenate([o.measured for o in self.observations])
@@ -339,9 +316,7 @@ class OutputError:
         of = frame.shooting.recording_of
         rows = np.ones(residual.size)
         if self._weighted:
-            sizes = np.array(
-                [np.sqrt(np.mean(residual[of == i] ** 2)) for i in range(len(self.trajectories))]
-            )
+            sizes = np.sqrt(np.bincount(of, residual**2) / np.bincount(of))
             # a joint that stands still is simulated exactly, and measured to a count no better
             sizes = np.maximum(sizes, np.maximum(self.grain, 1e-3 * sizes.max()))
             rows = float(np.sqrt(np.mean(residual**2))) / np.maximum(sizes, 1e-300)[of]
@@ -367,7 +342,7 @@ class OutputError:
             frame.units,
             places=frame.shooting.places,
             known=frame.told,
-            known_null=open_directions(
+            known_null=fitted.open_directions(
                 self.chain, self.knowledge, self.observations, solution.values
             ),
             tolerance=_NULL,
@@ -390,7 +365,7 @@ def _spread(fit: Fit) -> float:
 def _split(chain: Joint, observations: Sequence[Observation], knowledge: Knowledge) -> Array:
     """Least-squares totals split into parameters, as a second place to start from."""
     values = starting_values(chain, least_squares(chain, observations), 0.2, 0.5)
-    return chain.vector({**values, **{k: knowledge.fixed[k] for k in knowledge.fixed}})
+    return chain.vector({**values, **knowledge.fixed})
 
 
 def _check(chain: Joint, trajectories: Sequence[Trajectory], knowledge: Knowledge) -> None:

@@ -10,7 +10,7 @@ shooting without continuity constraints.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,48 +29,35 @@ _SHARE_OF_RESOLUTION = 0.01
 _LEAST_REACH = 1e-2
 
 
-@dataclass(frozen=True, eq=False)
-class Sensitivities:
-    """Simulated positions ``(n,)`` and their derivatives.
+class Sensitivities(NamedTuple):
+    """Simulated positions and their derivatives."""
 
-    ``parameters`` ``(n, d)`` by the free parameters; ``states`` ``(n, 2)`` by position and speed at
-    the start of the segment each sample is in.
-    """
-
-    positions: Array
-    parameters: Array
-    states: Array
+    positions: Array  # (n,)
+    parameters: Array  # (n, d) by the free parameters
+    states: Array  # (n, 2) by position and speed at the start of the segment each sample is in
 
 
 class Shooting:
     """Simulation of recordings from one state for each of their segments.
 
-    Attributes
-    ----------
-    measured
-        ``(n,)`` measured position inside the segments of all recordings, rad or m.
-    segment_of, recording_of, places
-        ``(n,)`` number of the segment, counted over all recordings, and of the recording; and
-        place on an even grid of time, recordings far apart.
-    borders
-        ``(K + 1,)``: segment ``k`` is ``borders[k]:borders[k + 1]`` of the above.
-    initial
-        ``(K, 2)`` position and speed to start the search for the initial states from.
-    substeps
-        Integration steps a sample.
+    ``substeps`` are integration steps a sample.
     """
 
     def __init__(self, chain: Joint, trajectories: Sequence[Trajectory], substeps: int) -> None:
         self.chain, self.trajectories, self.substeps = chain, tuple(trajectories), substeps
-        sizes = [int(np.diff(t.segments, axis=1).sum()) for t in trajectories]
+        # (n,) position inside the segments of all recordings, rad or m; of each sample the
+        # recording, the segment counted over all, the place on an even grid of time
         self.measured = np.concatenate([t.position[t.samples] for t in trajectories])
+        sizes = [t.samples.size for t in trajectories]
         self.recording_of = np.repeat(np.arange(len(sizes)), sizes)
         lengths = np.concatenate([np.diff(t.segments, axis=1)[:, 0] for t in trajectories])
+        # (K + 1,): segment k is borders[k]:borders[k + 1] of these
         self.borders = np.concatenate([[0], np.cumsum(lengths)])
         self.segment_of = np.repeat(np.arange(lengths.size), lengths)
         self.periods = np.repeat(
             [t.period for t in trajectories], [len(t.segments) for t in trajectories]
         )
+        # (K, 2) position and speed to start the search for the initial states from
         self.initial = np.concatenate([np.stack([t.q0, t.qd0], axis=1) for t in trajectories])
         places, begin = [], 0
         for t in trajectories:
@@ -123,23 +110,9 @@ class Shooting:
         """Simulate and differentiate, all differences side by side in one go.
 
         Central differences; where they would leave the limits, the one-sided formula of
-        the same order. Without ``central`` plain one-sided ones, at half the cost.
-
-        Parameters
-        ----------
-        values, states
-            ``(n_parameters,)`` and ``(K, 2)``.
-        steps
-            ``(n_parameters,)`` widths of the differences; zero for parameters to leave out.
-        state_steps
-            Of initial position and speed.
-        limits
-            Of every parameter, ``(n_parameters,)`` each; the supports where left out.
-
-        Returns
-        -------
-        Sensitivities
-            NaN where neither side can be simulated.
+        the same order. Without ``central`` plain one-sided ones, at half the cost. ``steps``
+        ``(n_parameters,)`` are their widths, zero for parameters to leave out; ``limits`` those
+        of every parameter, the supports where left out. NaN where neither side can be simulated.
         """
         if limits is None:
             lower = np.array([p.lower for p in self.chain.parameters])
@@ -151,28 +124,26 @@ class Shooting:
         h = steps[moving]
         near = np.where(values[moving] - h < lower[moving], 1.0, -1.0)
         far = np.where(near > 0, 2.0, np.where(values[moving] + h > upper[moving], -2.0, 1.0))
-        k = 2 if central else 1
-        # k rows a parameter, k rows a state, the middle
-        vectors = np.tile(values, (k * d + 2 * k + 1, 1))
-        starts = np.tile(states, (k * d + 2 * k + 1, 1, 1))
-        vectors[np.arange(d), moving] += near * h
-        for i, step in enumerate(state_steps):
-            starts[k * d + i, :, i] += step
-        if central:
-            vectors[d + np.arange(d), moving] += far * h
-            for i, step in enumerate(state_steps):
-                starts[2 * d + 2 + i, :, i] -= step
-        out = self.positions(vectors, starts)
-        middle = out[-1]
-        columns = np.empty((self.measured.size, d))
-        by_state = np.empty((self.measured.size, 2))
-        for j in range(d):
-            two = out[d + j] if central else None
-            columns[:, j] = _slope(middle, out[j], two, near[j] * h[j], far[j] * h[j])
-        for i, step in enumerate(state_steps):
-            two = out[2 * d + 2 + i] if central else None
-            by_state[:, i] = _slope(middle, out[k * d + i], two, step, -step)
-        return Sensitivities(middle, columns, by_state)
+        ways = np.array([near, far]) * h
+        widths = np.concatenate([ways, np.multiply.outer([1.0, -1.0], state_steps)], axis=1)
+        widths = widths if central else widths[:1]
+        # for each way a row a parameter and a row a state; then the middle
+        rows = widths.size + 1
+        vectors, starts = np.tile(values, (rows, 1)), np.tile(states, (rows, 1, 1))
+        for way, changes in enumerate(widths):
+            first = way * (d + 2)
+            vectors[first + np.arange(d), moving] += changes[:d]
+            for i in range(2):
+                starts[first + d + i, :, i] += changes[d + i]
+        *out, middle = self.positions(vectors, starts)
+        found = np.stack(
+            [
+                _slope(middle, out[j], out[d + 2 + j] if central else None, *widths[:, j])
+                for j in range(d + 2)
+            ],
+            axis=1,
+        )
+        return Sensitivities(middle, found[:, :d], found[:, d:])
 
     def eliminate(self, states: Array, columns: Array) -> Elimination:
         """Take the initial states out of a least-squares problem.
@@ -193,38 +164,33 @@ class Shooting:
             lost += rank
             base[a:b, :rank] = q[:, :rank]
             back[k, :rank, :rank] = np.linalg.inv(r[:rank, :rank])
-        return Elimination(*_off(base, back, self.borders, columns), lost, base, back, self.borders)
+        return Elimination(columns, lost, base, back, self.borders)
 
 
-@dataclass(frozen=True, eq=False)
 class Elimination:
     """A least-squares problem without its initial states.
 
-    ``projected`` ``(n, k)``: columns, each segment's made orthogonal to its two state columns.
-    ``onto`` ``(K, 2, k)``: change of the states that each column stands for. ``lost``: number of
-    states taken out. ``base``, ``back``: ``(n, 2)`` orthonormal in each segment, and ``(K, 2, 2)``
-    from their coefficients to the states.
+    ``columns`` ``(n, k)`` are residual and derivatives; ``lost`` is the number of states taken out.
+    ``base``, ``back``: ``(n, 2)`` orthonormal in each segment, and ``(K, 2, 2)`` from their
+    coefficients to the states.
     """
 
-    projected: Array
-    onto: Array
-    lost: int
-    base: Array
-    back: Array
-    borders: NDArray[np.int64]
+    def __init__(
+        self, columns: Array, lost: int, base: Array, back: Array, borders: NDArray[np.int64]
+    ) -> None:
+        self.lost, self.back, self._base, self._borders = lost, back, base, borders
+        self.projected, self.onto = self.of(columns)
 
     def of(self, columns: Array) -> tuple[Array, Array]:
-        """Take the same states out of more columns ``(n, k)``: projected, and onto."""
-        return _off(self.base, self.back, self.borders, columns)
+        """Take the states out of columns ``(n, k)``.
 
-
-def _off(
-    base: Array, back: Array, borders: NDArray[np.int64], columns: Array
-) -> tuple[Array, Array]:
-    parts = base[:, :, None] * columns[:, None, :]
-    coefficients = np.add.reduceat(parts, borders[:-1], axis=0)
-    spread = np.repeat(coefficients, np.diff(borders), axis=0)
-    return columns - np.einsum("ni,nik->nk", base, spread), back @ coefficients
+        Gives them, each segment's made orthogonal to its two state columns, and the change of the
+        states that each stands for, ``(K, 2, k)``.
+        """
+        parts = self._base[:, :, None] * columns[:, None, :]
+        coefficients = np.add.reduceat(parts, self._borders[:-1], axis=0)
+        spread = np.repeat(coefficients, np.diff(self._borders), axis=0)
+        return columns - np.einsum("ni,nik->nk", self._base, spread), self.back @ coefficients
 
 
 def resolution(position: Array) -> float:
@@ -273,7 +239,7 @@ def step_error(
     return float(np.nanmax(np.abs(fine - coarse))) * 16.0 / 15.0, fine
 
 
-def _slope(middle: Array, one: Array, two: Array | None, a: float, b: float) -> Array:
+def _slope(middle: Array, one: Array, two: Array | None, a: float, b: float = 0.0) -> Array:
     """Differentiate at zero the parabola through 0, ``a`` and ``b``; a line if one is missing."""
     if two is None or not np.isfinite(two).all():
         return np.asarray((one - middle) / a)

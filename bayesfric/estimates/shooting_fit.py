@@ -37,30 +37,18 @@ _LARGEST_BEND = 0.75
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What stays the same while one fit descends.
-
-    ``columns`` ``(d,)`` are the free parameters among the chain's, ``units`` ``(d,)`` changes of
-    them that change the torque by all of itself, ``scalings`` those that nothing known takes away.
-    ``told`` ``(k, d)`` and ``targets`` are rows ``1/sd`` and ``mean/sd`` of what is known besides.
-    ``speed``, ``span``: typical speed and range of the position, for the size of state steps.
-    ``deadline``: CPU time of the process, s, at which a descent ends where it is.
-    """
+    """What stays the same while one fit descends."""
 
     shooting: Shooting
-    columns: NDArray[np.int64]
-    units: Array
+    columns: NDArray[np.int64]  # (d,) the free parameters among the chain's
+    units: Array  # (d,) changes of them that change the torque by all of itself
     limits: tuple[Array, Array]
-    scalings: tuple[Scaling, ...]
-    told: Array
-    targets: Array
-    speed: float
+    scalings: tuple[Scaling, ...]  # that nothing known takes away
+    told: Array  # (k, d) rows 1/sd of what is known besides
+    targets: Array  # mean/sd of it
+    speed: float  # typical speed and range of the position, for the size of state steps
     span: float
-    deadline: float = math.inf
-
-    @property
-    def state_steps(self) -> tuple[float, float]:
-        """Widths of the differences by initial position and speed."""
-        return STEP * self.span, STEP * self.speed
+    deadline: float = math.inf  # CPU time of the process, s, at which a descent ends where it is
 
     def tangents(self, values: Array) -> Array:
         """Directions along the scalings, ``(d, g)``, orthonormal in units."""
@@ -72,15 +60,11 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """How residuals count.
+    """How residuals count."""
 
-    ``rows`` ``(n,)``: factor on each; ``sigma``: sd of the residuals times that; ``knee``: weighted
-    residual beyond which the loss is linear, infinite for squares.
-    """
-
-    rows: Array
-    sigma: float
-    knee: float
+    rows: Array  # (n,) factor on each
+    sigma: float  # sd of the residuals times that
+    knee: float  # weighted residual beyond which the loss is linear, infinite for squares
 
     def irls(self, residual: Array) -> Array:
         """Weights of the squares that descend like the Huber loss does, ``(n,)``."""
@@ -89,20 +73,15 @@ class Weights:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where a descent ended.
-
-    ``residual`` ``(n,)`` is measured minus simulated position, not weighted; ``cost`` the sum of
-    the losses, of what is told too; ``gain`` by how much a further step would lower it, in
-    residual variances. ``converged``: the last step was as small as wanted, or nothing smaller
-    could be found; not where time ran out.
-    """
+    """Where a descent ended."""
 
     values: Array
     states: Array
-    residual: Array
-    cost: float
-    gain: float
+    residual: Array  # (n,) measured minus simulated position, not weighted
+    cost: float  # sum of the losses, of what is told too
+    gain: float  # by how much a further step would lower it, in residual variances
     iterations: int
+    # the last step was as small as wanted, or nothing smaller was found; not where time ran out
     converged: bool
 
 
@@ -133,9 +112,12 @@ class Linearised:
         columns, units, d = frame.columns, frame.units, frame.columns.size
         steps = np.zeros(values.size)
         steps[columns] = STEP * units
-        limits = _all_limits(frame, values.size)
+        # differences by initial position and speed
+        widths = STEP * frame.span, STEP * frame.speed
+        lower, upper = np.full((2, values.size), [[-np.inf], [np.inf]])
+        lower[columns], upper[columns] = frame.limits
         found = frame.shooting.sensitivities(
-            values, states, steps, frame.state_steps, limits, central=central
+            values, states, steps, widths, (lower, upper), central=central
         )
         self.jacobian = np.where(np.isfinite(found.parameters), found.parameters, 0.0)
         tangents = frame.tangents(values)
@@ -375,9 +357,3 @@ def _told_cost(frame: Frame, weights: Weights, at: Array) -> float:
     if not frame.targets.size:
         return 0.0
     return float(weights.sigma**2 * np.sum((frame.targets - frame.told @ at) ** 2))
-
-
-def _all_limits(frame: Frame, n_parameters: int) -> tuple[Array, Array]:
-    lower, upper = np.full(n_parameters, -np.inf), np.full(n_parameters, np.inf)
-    lower[frame.columns], upper[frame.columns] = frame.limits
-    return lower, upper

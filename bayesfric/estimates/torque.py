@@ -23,21 +23,9 @@ _LOAD_QUANTILE = 0.95
 
 
 def filtered_torque(chain: Joint, observation: Observation, values: Array) -> Array:
-    """Motor torque of parameter vectors along a measured motion, filtered.
+    """Motor torque of vectors ``(n, n_parameters)`` along a measured motion, filtered.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    observation
-        A prepared recording.
-    values
-        ``(n, n_parameters)`` in the order of ``chain.names``.
-
-    Returns
-    -------
-    ndarray
-        ``(n, n_outputs)``, N m or N.
+    Gives ``(n, n_outputs)``, N m or N.
     """
     out = np.empty((values.shape[0], observation.filter.n_outputs))
     # unfiltered torque of a long recording is kept for a few vectors at a time
@@ -62,28 +50,14 @@ def torque_jacobian(
     """Differentiate the filtered torque by the chain's parameters.
 
     The torque is linear in nearly every parameter, so central differences are exact up
-    to rounding except where a step changes the direction of power.
-
-    Parameters
-    ----------
-    chain, observations
-        The mechanism and one or more prepared recordings.
-    values
-        ``(n_parameters,)`` in the order of ``chain.names``.
-    steps
-        ``(n_parameters,)`` widths of the differences; zero for parameters to leave out.
-
-    Returns
-    -------
-    ndarray
-        ``(n_outputs, n_parameters)`` over all recordings; zero where the step is.
+    to rounding except where a step changes the direction of power. ``steps``
+    ``(n_parameters,)`` are their widths; zero for parameters to leave out. Gives
+    ``(n_outputs, n_parameters)`` over all recordings; zero where the step is.
     """
     moving = np.flatnonzero(steps)
     k = moving.size
-    moved = np.tile(values, (2 * k, 1))
-    index = np.arange(k)
-    moved[index, moving] += steps[moving]
-    moved[k + index, moving] -= steps[moving]
+    beside = np.eye(values.size)[moving] * steps
+    moved = values + np.concatenate([beside, -beside])
     blocks = []
     for o in observations:
         torque = filtered_torque(chain, o, moved)
@@ -99,23 +73,16 @@ def typical_load(chain: Joint, observations: Sequence[Observation], values: Arra
     ``values`` ``(n_parameters,)`` in the order of ``chain.names``; the result is in N m or N.
     """
     loads = [
-        np.abs(
-            load_torque(
-                chain, values, o.q[o.filter.centres], o.qdd[o.filter.centres], inputs=o.inputs
-            )
-        )
+        load_torque(chain, values, o.q[o.filter.centres], o.qdd[o.filter.centres], inputs=o.inputs)
         for o in observations
     ]
-    return float(np.quantile(np.concatenate(loads), _LOAD_QUANTILE))
+    return float(np.quantile(np.abs(np.concatenate(loads)), _LOAD_QUANTILE))
 
 
 def places(observations: Sequence[Observation]) -> NDArray[np.int64]:
-    """Position of every output on an even grid of time, segments and recordings far apart.
+    """Position of every output ``(n_outputs,)`` on an even grid of time, rising.
 
-    Returns
-    -------
-    ndarray
-        ``(n_outputs,)`` over all recordings, rising.
+    Segments and recordings are far apart.
     """
     found, begin = [], 0
     for o in observations:

@@ -17,7 +17,7 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Carried
 from bayesfric.mechanism.parameter import Parameter
 from bayesfric.mechanism.quantities import TOTALS, State
-from bayesfric.mechanism.scaling import scalings
+from bayesfric.mechanism.scaling import Scaling, scalings
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
@@ -31,30 +31,18 @@ POSITIVE = tuple(total.name for total in TOTALS.values() if total.positive)
 
 @dataclass(frozen=True, eq=False)
 class TorqueForm:
-    """How a chain's parameters make up ``Theta1`` and ``Theta2`` of eq. (13).
-
-    Attributes
-    ----------
-    chain
-        The mechanism.
-    names1, names2
-        Columns of ``psi`` that ``Theta1`` and ``Theta2`` multiply, those of
-        :data:`bayesfric.mechanism.quantities.TOTALS` in motor units, as the paper's:
-        ``offset`` is one, ``offset.<recording>`` one in that one; ``added_load`` the torque of
-        the known mass at the motor, whose coefficients are lambda_1 and lambda_2. A term with
-        a shape of its own has a column by the name of its parameter.
-    front, behind
-        Parameters in each column, up to the gearbox and behind it.
-    loss
-        Name of the element with load loss; empty for none.
-    """
+    """How a chain's parameters make up ``Theta1`` and ``Theta2`` of eq. (13)."""
 
     chain: Joint
+    # Columns of psi that Theta1 and Theta2 multiply, those of TOTALS in motor units, as the
+    # paper's: offset is one, offset.<recording> one in that one; added_load the torque of the
+    # known mass at the motor, whose coefficients are lambda_1 and lambda_2. A term with a shape of
+    # its own has a column by the name of its parameter.
     names1: tuple[str, ...]
     names2: tuple[str, ...]
-    front: Mapping[str, list[Term]] = field(repr=False)
-    behind: Mapping[str, list[Term]] = field(repr=False)
-    loss: str
+    front: Mapping[str, list[Term]] = field(repr=False)  # in each column, up to the gearbox
+    behind: Mapping[str, list[Term]] = field(repr=False)  # and behind it
+    loss: str  # name of the element with load loss; empty for none
 
     def lambdas(self, values: Array) -> tuple[float, float]:
         """``lambda_1`` and ``lambda_2`` of a parameter vector ``(n_parameters,)``."""
@@ -81,21 +69,9 @@ class TorqueForm:
 
         ``lambda_1/lambda_2`` comes from the columns that only the load fills
         (``theta5/theta10``), then motor = ``Theta1 - (lambda_1/lambda_2) Theta2`` and
-        leg = ``Theta2/lambda_2``. The scale comes from the known mass, a fixed
+        leg = ``Theta2/lambda_2``. The scale comes from the known mass, a ``fixed``
         parameter, or is the middle of what a passive gearbox allows. Where more
-        parameters than one fill a column, they share it evenly.
-
-        Parameters
-        ----------
-        theta1, theta2
-            In the order of ``names1`` and ``names2``, the sign of ``theta2`` chosen.
-        fixed
-            Known parameter values.
-
-        Returns
-        -------
-        ndarray
-            ``(n_parameters,)``; negative values are not mended.
+        parameters than one fill a column, they share it evenly; negative values are not mended.
         """
         one = dict(zip(self.names1, theta1.tolist(), strict=True))
         two = dict(zip(self.names2, theta2.tolist(), strict=True))
@@ -122,7 +98,7 @@ class TorqueForm:
     def _sums(self, terms: Mapping[str, list[Term]], values: Array) -> dict[str, float]:
         out = {k: sum(values[i] * c for i, c in found) for k, found in terms.items()}
         if "gravity_cosine" in out:
-            angle = float(values[self.chain.names.index("load.gravity_angle")])
+            angle = float(values[_turning(self.chain)[0]])
             out["gravity_cosine"] = out["gravity"] * math.sin(angle)
             out["gravity"] *= math.cos(angle)
         if terms is self.behind:
@@ -149,7 +125,7 @@ class TorqueForm:
             sine, cosine = totals["gravity"], totals.get("gravity_cosine", 0.0)
             way = math.copysign(1.0, self.chain.load.gravity)
             angle = math.atan2(way * cosine, way * sine)
-            values[self.chain.names.index("load.gravity_angle")] = angle
+            values[_turning(self.chain)[0]] = angle
             totals = {**totals, "gravity": way * math.hypot(sine, cosine)}
         for kind, found in terms.items():
             if kind != "gravity_cosine":
@@ -163,41 +139,38 @@ def scale_known(chain: Joint, values: Array, fixed: Mapping[str, float]) -> Arra
     Where none is fixed it goes to the middle of what a passive gearbox allows.
     """
     for scaling in scalings(chain):
-        factors = []
-        for name in scaling.names:
-            if name not in fixed:
-                continue
-            now = float(values[chain.names.index(name)])
-            if name == scaling.drive:
-                factors.append((1.0 + now) / (1.0 + fixed[name]))
-            elif name == scaling.back:
-                factors.append((1.0 - now) / (1.0 - fixed[name]) if fixed[name] < 1.0 else 0.0)
-            elif now:
-                factors.append(fixed[name] / now)
-        good = [k for k in factors if k > 0.0]
-        values = scaling.scaled(values, good[0] if good else scaling.middle(values))
+        names = [name for name in scaling.names if name in fixed]
+        factors = [factor_to(scaling, values, name, fixed[name]) for name in names]
+        values = scaling.scaled(values, next(filter(None, factors), 0.0) or scaling.middle(values))
     return values
+
+
+def factor_to(scaling: Scaling, values: Array, name: str, value: float) -> float:
+    """Factor of a scaling that gives a parameter a value; zero where none does."""
+    if name not in scaling.names:
+        return 0.0
+    now = float(values[scaling.chain.names.index(name)])
+    if name in scaling.behind:
+        return max(value / now, 0.0) if now else 0.0
+    way = 1.0 if name == scaling.drive else -1.0  # alpha_1 = 1/(1 + mu_1), alpha_2 = 1/(1 - mu_2)
+    above, below = 1.0 + way * now, 1.0 + way * value
+    return above / below if above > 0.0 and below > 0.0 else 0.0
+
+
+def _turning(chain: Joint) -> list[int]:
+    """Index of the angle that turns gravity's two columns, where there is one."""
+    return [i for i, p in enumerate(chain.parameters) if p.circular]
 
 
 def torque_form(chain: Joint, observations: Sequence[Observation] = ()) -> TorqueForm | None:
     """Write a chain's torque in the form of eq. (13).
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    observations
-        Say whether there is a known mass, whose torque then has its own column if the
-        motion sets it apart.
-
-    Returns
-    -------
-    TorqueForm or None
-        ``None`` for a chain with several load losses, a Stribeck rise or an unknown
-        gain, or with a known mass at an unknown angle: these are not of the form.
+    A known mass of the observations has a column of its own if the motion sets it apart. ``None``
+    for a chain with several load losses, a Stribeck rise or an unknown gain, or with a known mass
+    at an unknown angle: these are not of the form.
     """
     lossy = [i for i, e in enumerate(chain.elements) if e.load_loss != "none"]
-    angled = "load.gravity_angle" in chain.names
+    angled = bool(_turning(chain))
     masses = any(o.inputs.added_mass for o in observations)
     shaped = any(p.row.role == "form" and not p.circular for p in chain.parameters)
     if len(lossy) > 1 or shaped or (angled and masses):
@@ -286,6 +259,20 @@ def columns(chain: Joint, observation: Observation, names: Iterable[str]) -> Arr
 
     found = [column(name) for name in names]
     return np.stack(found) if found else np.empty((0, o.q.size))
+
+
+def shortest(regressors: Array) -> tuple[Array, NDArray[np.bool_], Array, Array]:
+    """Solve a linear least-squares problem ``(n, k)`` once for all targets.
+
+    Gives norms of the columns ``(k,)``, which of them others can stand for, the map ``(k, n)`` to
+    the shortest solution, and an orthonormal basis of what they span.
+    """
+    size = np.linalg.norm(regressors, axis=0)
+    size[size == 0.0] = 1.0
+    left, singular, right = np.linalg.svd(regressors / size, full_matrices=False)
+    told = singular > OPEN * singular.max(initial=0.0)
+    solution = (right[told].T / singular[told]) @ left.T[told] / size[:, None]
+    return size, np.asarray((right[~told] ** 2).sum(axis=0) > 1e-8), solution, left[:, told]
 
 
 def _rank(rows: Array) -> int:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from bayesfric.estimates.torque_form import OPEN, POSITIVE, TorqueForm, columns
+from bayesfric.estimates.torque_form import POSITIVE, TorqueForm, columns, shortest
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
@@ -19,52 +20,22 @@ _SAME = 1e-6  # two minima closer than this, relatively, are one
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """Where the criterion (12) is smallest.
+    """Where the criterion (12) is smallest."""
 
-    Attributes
-    ----------
-    names1, names2
-        Columns, as in :class:`TorqueForm`.
-    theta1, theta2
-        Their coefficients, in motor units; of ``theta2`` and ``-theta2``, which make
-        the same torque, the one that a mechanism can have.
-    rms
-        Root mean square of the weighted residual, N m or N.
-    starts, starts_agreeing
-        How many starts there were and how many reached this minimum.
-    iterations
-        Evaluations of the residual in all.
-    """
-
-    names1: tuple[str, ...]
-    names2: tuple[str, ...]
-    theta1: Array
-    theta2: Array
-    rms: float
+    theta1: Array  # coefficients of the columns of the form, in motor units
+    theta2: Array  # of this and its negative, the same torque, the one that a mechanism can have
     starts: int
-    starts_agreeing: int
-    iterations: int
+    starts_agreeing: int  # how many reached this minimum
 
 
 class VariableProjection:
     """The criterion (12) as a function of ``Theta2`` alone.
 
-    Model and measurement have passed the same linear filter, so (18) holds with
-    filtered regressors.
-
-    Parameters
-    ----------
-    form
-        From :func:`torque_form`, with the same observations.
-    observations
-        One or more prepared recordings.
-    weights
-        ``(n_outputs,)`` factor on each residual, such as one over its sd.
+    Model and measurement have passed the same linear filter, so (18) holds with filtered
+    regressors. The form is that with the same observations.
     """
 
-    def __init__(
-        self, form: TorqueForm, observations: Sequence[Observation], weights: Array | None = None
-    ) -> None:
+    def __init__(self, form: TorqueForm, observations: Sequence[Observation]) -> None:
         self.form, self._observations = form, observations
         chain = form.chain
         self._psi2 = [columns(chain, o, form.names2) for o in observations]
@@ -77,16 +48,8 @@ class VariableProjection:
                 known = o.filter.apply(columns(chain, o, ("added_load",)))[0]
             target.append(o.measured - known)
             regressors.append(o.filter.apply(columns(chain, o, form.names1)))
-        self._weights = np.ones(sum(t.size for t in target)) if weights is None else weights
-        self._target = self._weights * np.concatenate(target)
-        psi1 = self._weights[:, None] * np.concatenate(regressors, axis=1).T
-        size = np.linalg.norm(psi1, axis=0)
-        size[size == 0.0] = 1.0
-        left, singular, right = np.linalg.svd(psi1 / size, full_matrices=False)
-        told = singular > OPEN * singular.max(initial=0.0)
-        # the shortest solution where the motion leaves some of Theta1 open
-        self._range = left[:, told]
-        self._solution = (right[told].T / singular[told]) @ left.T[told] / size[:, None]
+        self._target = np.concatenate(target)
+        *_, self._solution, self._range = shortest(np.concatenate(regressors, axis=1).T)
         norms = np.sqrt(sum(((p**2).sum(axis=1) for p in self._psi2), np.zeros(len(form.names2))))
         self.scale: Array = np.where(norms > 0.0, norms, 1.0)
 
@@ -99,7 +62,7 @@ class VariableProjection:
         return np.asarray(self._solution @ (self._target - self._folded(theta2)))
 
     def residual(self, theta2: Array) -> Array:
-        """Weighted measured minus modelled torque at the best ``Theta1``, ``(n_outputs,)``."""
+        """Measured minus modelled torque at the best ``Theta1``, ``(n_outputs,)``."""
         return self._outside(self._target - self._folded(theta2))
 
     def jacobian(self, theta2: Array) -> Array:
@@ -108,58 +71,28 @@ class VariableProjection:
             o.filter.apply(sign * np.sign(theta2 @ psi2) * psi2)
             for o, sign, psi2 in zip(self._observations, self._sign, self._psi2, strict=True)
         ]
-        return -self._outside(self._weights[:, None] * np.concatenate(blocks, axis=1).T)
+        return -self._outside(np.concatenate(blocks, axis=1).T)
 
     def criterion(self, theta2: Array) -> float:
         """Sum of squares (12) at the best ``Theta1``."""
         residual = self.residual(theta2)
         return float(residual @ residual)
 
-    def gradient(self, theta2: Array) -> Array:
-        """Differentiate :meth:`criterion`; zero where eq. (19) is solved, ``(n2,)``."""
-        return np.asarray(2.0 * self.jacobian(theta2).T @ self.residual(theta2))
-
     def minimise(self, starts: Sequence[Array]) -> Minimum:
-        """Search from several ``Theta2`` (Levenberg-Marquardt) and keep the best.
-
-        Parameters
-        ----------
-        starts
-            At least one ``(n2,)``.
-        """
-        found, evaluations = [np.zeros(0)], 1
+        """Search from several ``Theta2`` (Levenberg-Marquardt) and keep the best."""
+        settings: Any = {"method": "lm", "x_scale": 1.0 / self.scale, "max_nfev": 100}
+        settings |= {"xtol": 1e-12, "ftol": 1e-12, "gtol": 1e-14}
+        # a start of zero would sit on the fold of |psi Theta2|
+        begins = [np.where(start == 0.0, 1e-6 / self.scale, start) for start in starts]
+        found = [np.zeros(0)]
         if self.form.names2:
-            found = []
-            for start in starts:
-                # a start of zero would sit on the fold of |psi Theta2|
-                begin = np.where(start == 0.0, 1e-6 / self.scale, start)
-                result = least_squares(
-                    self.residual,
-                    begin,
-                    self.jacobian,
-                    method="lm",
-                    x_scale=1.0 / self.scale,
-                    xtol=1e-12,
-                    ftol=1e-12,
-                    gtol=1e-14,
-                    max_nfev=100,
-                )
-                found.append(result.x)
-                evaluations += int(result.nfev)
+            found = [least_squares(self.residual, x, self.jacobian, **settings).x for x in begins]
         heights = np.array([self.criterion(theta2) for theta2 in found])
         best = int(np.argmin(heights))
         limit = (1.0 + _SAME) * heights[best] + 1e-20 * float(self._target @ self._target)
         theta2 = self._signed(found[best])
-        return Minimum(
-            self.form.names1,
-            self.form.names2,
-            self.theta1(theta2),
-            theta2,
-            float(np.sqrt(heights[best] / self._target.size)),
-            len(found),
-            int(np.count_nonzero(heights <= limit)),
-            evaluations,
-        )
+        agreeing = int(np.count_nonzero(heights <= limit))
+        return Minimum(self.theta1(theta2), theta2, len(found), agreeing)
 
     def _signed(self, theta2: Array) -> Array:
         """Of the two equal solutions the one with ``Jc > 0`` and ``alpha_2 > alpha_1``.
@@ -177,12 +110,12 @@ class VariableProjection:
         return -theta2 if score < 0.0 else theta2
 
     def _folded(self, theta2: Array) -> Array:
-        """``sign(qd) |psi Theta2|``, filtered and weighted."""
+        """``sign(qd) |psi Theta2|``, filtered."""
         blocks = [
             o.filter.apply(sign * np.abs(theta2 @ psi2))
             for o, sign, psi2 in zip(self._observations, self._sign, self._psi2, strict=True)
         ]
-        return np.asarray(self._weights * np.concatenate(blocks))
+        return np.concatenate(blocks)
 
     def _outside(self, x: Array) -> Array:
         """Take away what ``psi Theta1`` can make up for."""

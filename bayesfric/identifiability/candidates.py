@@ -16,6 +16,7 @@ from bayesfric.identifiability.virtual_recording import (
     LINES,
     known_mass,
     longest_stretch,
+    of_load,
     pace,
     played,
     sample_period,
@@ -25,6 +26,7 @@ from bayesfric.identifiability.virtual_recording import (
 from bayesfric.mechanism import excitation
 from bayesfric.mechanism.forward import RunsAway
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
@@ -56,8 +58,7 @@ class Limits:
     angles: tuple[float, float] | None  # lowest and highest position, rad or m, if there is a limit
     duration: float  # s
     lag: float  # time constant of the current loop, s
-    # kg and m of each known mass that may be bolted on; (0, 0) for none is one of them
-    masses: tuple[tuple[float, float], ...]
+    masses: tuple[Inputs, ...]  # each known mass that may be bolted on; none is one of them
     # where the joint rests when the recording begins, rad or m: where gravity holds it, else where
     # the longest recording began
     start: float
@@ -74,8 +75,7 @@ class Candidate:
     command: Array  # (N,) N m or N
     period: float  # from one sample of it to the next, s
     lag: float  # time constant of the current loop, s
-    added_mass: float  # kg
-    radius: float  # m
+    inputs: Inputs  # what is bolted on
     q0: float  # position and speed at the first sample, rad or m and s
     qd0: float
     made: Observation | None = None  # for "longer": what there is, one more of which would be made
@@ -122,14 +122,14 @@ def limits_of(
         outside its limits.
     """
     rotary = chain.load.motion == "rotary"
-    carried = [(o.inputs.added_mass, o.inputs.radius) for o in observations if o.inputs.added_mass]
+    carried = [replace(o.inputs, recording="") for o in observations if o.inputs.added_mass]
     if options.masses is None:
         # what was bolted on once is on hand; a guess is for those who never did
         on_hand = [] if carried else [known_mass(chain, values)]
     else:
-        on_hand = [(m.mass, m.radius) for m in options.masses]
-        for number, (_, radius) in enumerate(on_hand, start=1):
-            if rotary and not radius:
+        on_hand = [Inputs(m.mass, m.radius) for m in options.masses]
+        for number, one in enumerate(on_hand, start=1):
+            if rotary and not one.radius:
                 raise BadInput(
                     f"advice.masses.{number}.radius", "is missing", 'add radius, such as "0.35 m"'
                 )
@@ -157,7 +157,7 @@ def limits_of(
         options.angle_limits,
         duration,
         options.lag,
-        tuple(dict.fromkeys([(0.0, 0.0), *on_hand, *carried])),
+        tuple(dict.fromkeys([Inputs(), *on_hand, *carried])),
         start,
         (min(float(o.q.min()) for o in observations), max(float(o.q.max()) for o in observations)),
     )
@@ -187,23 +187,22 @@ def candidates(observations: Sequence[Observation], limits: Limits) -> Iterator[
         again,
         period,
         0.0,  # measured torque is behind the current loop already
-        base.inputs.added_mass,
-        base.inputs.radius,
+        replace(base.inputs, recording=""),
         float(base.q[stretch.start]),
         float(base.qd[stretch.start]),
         base,
     )
     time = period * np.arange(max(round(limits.duration / period), 1), dtype=np.float64)
-    bare = {(o.inputs.added_mass, o.inputs.radius) for o in observations} == {(0.0, 0.0)}
-    for mass, radius in limits.masses:
-        kind: CandidateKind = "known mass" if mass or not bare else "excitation"
+    bare = not any(o.inputs.added_mass for o in observations)
+    for bolted in limits.masses:
+        kind: CandidateKind = "known mass" if bolted.added_mass or not bare else "excitation"
         for form, shape in _shapes(time, hertz):
             # the drive is not left with a torque when the command ends
             shape[-1] = 0.0
             for share in _AMPLITUDES:
                 peak = share * limits.torque
                 signal = peak, peak * shape, period, limits.lag
-                yield Candidate(kind, form, *signal, mass, radius, limits.start, 0.0)
+                yield Candidate(kind, form, *signal, bolted, limits.start, 0.0)
 
 
 def _shapes(time: Array, hertz: float) -> Iterator[tuple[str, Array]]:
@@ -214,10 +213,8 @@ def _shapes(time: Array, hertz: float) -> Iterator[tuple[str, Array]]:
         yield f"sine at {f:.3g} Hz", excitation.sine(time, 1.0, f)
     for low, high in _CHIRPS:
         first, last = low * hertz, high * hertz
-        yield (
-            f"chirp from {first:.3g} to {last:.3g} Hz",
-            excitation.chirp(time, 1.0, first, last),
-        )
+        form = f"chirp from {first:.3g} to {last:.3g} Hz"
+        yield form, excitation.chirp(time, 1.0, first, last)
     for name, multiples in _LINES.items():
         lines = hertz * multiples
         span = f"of {lines.size} sines from {lines[0]:.2g} to {lines[-1]:.2g} Hz"
@@ -247,11 +244,11 @@ def try_out(
     for _ in range(_TRIES):
         trial = candidate.smaller(factor, limit)
         torque = excitation.current_loop(trial.command, trial.period, trial.lag)
-        bolted = trial.added_mass, trial.radius, (trial.q0, trial.qd0)
+        told = trial.inputs, (trial.q0, trial.qd0)
         found: dict[int, Observation] = {}
         for i in order:
             try:
-                found[i] = played(chain, vectors[i], base, torque, *bolted)
+                found[i] = played(chain, vectors[i], base, torque, *told)
                 broken = _broken(found[i], limits, chain)
             except RunsAway:
                 broken = "runs_away"
@@ -280,8 +277,8 @@ def _broken(recording: Observation, limits: Limits, chain: Joint) -> Limit | Non
 
 def _hanging(chain: Joint, values: Array, near: float) -> float:
     """Position at which gravity holds the load, rad; where there is no gravity, ``near``."""
-    of = dict(zip(chain.names, values.tolist(), strict=True))
-    if "load.first_moment" not in of:
+    of = of_load(chain, values)
+    if "first_moment" not in of:
         return near
-    angle = of.get("load.gravity_angle", 0.0) + (np.pi if chain.load.gravity < 0.0 else 0.0)
+    angle = of.get("gravity_angle", 0.0) + (np.pi if chain.load.gravity < 0.0 else 0.0)
     return float(-angle + 2.0 * np.pi * np.round((near + angle) / (2.0 * np.pi)))

@@ -58,25 +58,21 @@ def coverage_of(
 
     ``noise`` ``(R,)`` are the scales of the torque's, N m or N.
     """
-    found = []
-    for o, sigma in zip(observations, noise.tolist(), strict=True):
-        shares = back_driven(chain, [o], values[None])
-        levels = _at_levels(o.measured, sigma)
-        found.append(
-            Coverage(
-                name=o.name,
-                outputs=int(o.measured.size),
-                moving=float(np.mean(o.qd[o.filter.centres] != 0.0)),
-                load_drives={name: float(share[0]) for name, share in shares.items()},
-                at_levels=levels,
-                piecewise_constant=levels is not None and levels > 0.9,
-                turn=float(np.ptp(o.q[o.filter.centres])),
-                steady=_steady(chain, o, values),
-                added_mass=o.inputs.added_mass,
-                radius=o.inputs.radius,
-            )
+    return tuple(
+        Coverage(
+            name=o.name,
+            outputs=int(o.measured.size),
+            moving=float(np.mean(o.qd[o.filter.centres] != 0.0)),
+            load_drives={k: float(x[0]) for k, x in back_driven(chain, [o], values[None]).items()},
+            at_levels=(levels := _at_levels(o.measured, sigma)),
+            piecewise_constant=levels is not None and levels > 0.9,
+            turn=float(np.ptp(o.q[o.filter.centres])),
+            steady=_steady(chain, o, values),
+            added_mass=o.inputs.added_mass,
+            radius=o.inputs.radius,
         )
-    return tuple(found)
+        for o, sigma in zip(observations, noise.tolist(), strict=True)
+    )
 
 
 def back_driven(

@@ -44,98 +44,49 @@ _ON_BOUND = 1e-6
 
 @dataclass(frozen=True)
 class Prospect:
-    """One parameter or derived quantity and how well it would be known.
-
-    Attributes
-    ----------
-    name, unit, meaning
-        As everywhere.
-    value
-        At the estimate; it means nothing where ``data_sd`` is infinite.
-    data_sd
-        What the data alone would leave.
-    expected_sd
-        Data and prior together.
-    prior_sd
-        Of the prior; ``nan`` for derived quantities.
-    verdict
-        To be expected of the posterior; ``None`` for derived quantities.
-    on_bound
-        ``lower`` or ``upper`` where the estimate stands on a bound: there these sds, made
-        for a normal posterior, are too wide.
-    """
+    """One parameter or derived quantity and how well it would be known."""
 
     name: str
     unit: str
     meaning: str
-    value: float
-    data_sd: float
-    expected_sd: float
-    prior_sd: float = float("nan")
-    verdict: Verdict | None = None
+    value: float  # at the estimate; it means nothing where data_sd is infinite
+    data_sd: float  # what the data alone would leave
+    expected_sd: float  # data and prior together
+    prior_sd: float = float("nan")  # and these two of parameters alone
+    verdict: Verdict | None = None  # to be expected of the posterior
+    # lower or upper; there these sds, made for a normal posterior, are too wide
     on_bound: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """Everything that the local picture says.
+    """Everything that the local picture says."""
 
-    Attributes
-    ----------
-    method
-        ``input-error`` or ``output-error``.
-    origins
-        Where each point comes from; the estimate first.
-    singular_values
-        ``(n_points, d)``, largest first.
-    null_counts
-        Number of null directions at each point.
-    local
-        The local picture at the estimate.
-    directions
-        Null ones first, then weak ones, the weakest first.
-    parameters, combinations
-        Prospects: free parameters and noise scales; what they amount to, of which no
-        scaling changes any, best known first.
-    recordings, back_driving
-        What the recordings went through, and how often the load drove.
-    known_mass
-        What rests on the added mass being known, where there is one.
-    voltage
-        Parameters that a back-EMF cannot be told from; set by who knows of a voltage.
-    notes
-        What changes from point to point.
-    """
-
-    method: str
-    origins: tuple[Origin, ...]
-    singular_values: Array
-    null_counts: tuple[int, ...]
-    local: LocalInformation
-    directions: tuple[OpenDirection, ...]
-    parameters: tuple[Prospect, ...]
-    combinations: tuple[Prospect, ...]
-    recordings: tuple[Coverage, ...]
-    back_driving: tuple[BackDriving, ...]
-    known_mass: UnknownMass | None
-    voltage: SpeedTerm | None
-    notes: tuple[Statement, ...]
+    method: str  # of the likelihood
+    origins: tuple[Origin, ...]  # where each point comes from; the estimate first
+    singular_values: Array  # (n_points, d), largest first
+    null_counts: tuple[int, ...]  # number of null directions at each point
+    local: LocalInformation  # the local picture at the estimate
+    directions: tuple[OpenDirection, ...]  # null ones first, then weak ones, the weakest first
+    parameters: tuple[Prospect, ...]  # the free ones
+    combinations: tuple[Prospect, ...]  # what they amount to, best known first
+    recordings: tuple[Coverage, ...]  # what the recordings went through
+    back_driving: tuple[BackDriving, ...]  # how often the load drove
+    known_mass: UnknownMass | None  # what rests on the added mass being known
+    voltage: SpeedTerm | None  # what a back-EMF cannot be told from
+    notes: tuple[Statement, ...]  # what changes from point to point
 
     @property
     def frame(self) -> pd.DataFrame:
         """One row a parameter: how well it would be known, by what, and with what it is open."""
         found = pd.DataFrame([vars(one) for one in self.parameters]).set_index("name")
-        found["open_with"] = [
-            ", ".join(
-                dict.fromkeys(
-                    other
-                    for one in self.directions
-                    if label in one.exponents
-                    for other in one.exponents
-                    if other != label
-                )
-            )
+        sharing = [
+            [name for one in self.directions if label in one.exponents for name in one.exponents]
             for label in self.local.labels
+        ]
+        found["open_with"] = [
+            ", ".join(dict.fromkeys(name for name in names if name != label))
+            for label, names in zip(self.local.labels, sharing, strict=True)
         ]
         return found
 
@@ -182,10 +133,8 @@ class Identification:
 
     def as_json(self) -> dict[str, Any]:
         """Give what ``bayesfric identify --json`` prints; what is infinite is ``None``."""
-        names = ("at_estimate", "least", "largest")
-        values = (
-            dict(zip(names, zip(*self.ranges, strict=True), strict=True)) if self.ranges else {}
-        )
+        ranges = pd.DataFrame(self.ranges, columns=["at_estimate", "least", "largest"])
+        values = ranges.to_dict("list") if self.ranges else {}
         null = {"null": self.local.directions.tolerance}
         mass, voltage = self.known_mass, self.voltage
         derived = ("name", "prior_sd", "verdict", "on_bound")
@@ -218,15 +167,9 @@ def identify(
 ) -> Identification:
     """Find out what the recordings can tell.
 
-    Parameters
-    ----------
-    target
-        Likelihood, priors and noise.
-    points
-        The estimate first, then others that may be true; see
-        :func:`bayesfric.identifiability.plausible.points_around`.
-    speed
-        What a back-EMF is confounded with, where the torque comes from a voltage.
+    ``points`` are the estimate, then others that may be true, see
+    :func:`bayesfric.identifiability.plausible.points_around`; ``speed`` is what a back-EMF is
+    confounded with, where the torque comes from a voltage.
 
     Raises
     ------
@@ -244,14 +187,14 @@ def identify(
     back = back_driving(chain, observations, vectors, plausible)
     rare = any(one.plausible[0] < HARDLY for one in back)
     tried = trials(target, estimate, local, coverage, rare=rare)
-    units = {p.name: p.unit for p in chain.parameters}
+    free = [p for p in chain.parameters if p.name in target.free]
     return Identification(
         target.likelihood.method,
         tuple(p.origin for p in points),
         np.abs([one.directions.singular_values for one in locals_]),
         tuple(int(one.directions.null.sum()) for one in locals_),
         local,
-        tuple(open_directions(locals_, units, coverage, back, tried)),
+        tuple(open_directions(locals_, free, coverage, back, tried)),
         _parameters(target, estimate, local),
         _combinations(target, estimate, local, typical_load(chain, observations, vectors[0])),
         coverage,
@@ -294,8 +237,8 @@ def expected_covariance(target: Target, local: LocalInformation) -> Array:
     open_ = values <= 1e-15 * values[-1]
     inverse = np.where(open_, 0.0, 1.0 / np.where(open_, 1.0, values))
     covariance = (vectors * inverse) @ vectors.T
-    for i in np.flatnonzero(open_):
-        touched = np.abs(vectors[:, i]) > 1e-6
+    for row in vectors.T[open_]:
+        touched = np.abs(row) > 1e-6
         covariance[np.ix_(touched, touched)] = np.inf
     return np.asarray(covariance)
 
@@ -303,12 +246,8 @@ def expected_covariance(target: Target, local: LocalInformation) -> Array:
 def moved_beside(local: LocalInformation, parameters: Array) -> tuple[Array, Array]:
     """Move each free parameter of ``(d,)`` up, then down: ``(2 k, d)``, and the widths ``(k,)``."""
     steps = 1e-5 * np.abs(local.units)
-    k = steps.size
-    moved = np.tile(parameters, (2 * k, 1))
-    index = np.arange(k)
-    moved[index, index] += steps
-    moved[k + index, index] -= steps
-    return moved, 2.0 * steps
+    beside = np.eye(steps.size, parameters.size) * steps[:, None]
+    return parameters + np.concatenate([beside, -beside]), 2.0 * steps
 
 
 def _parameters(target: Target, estimate: Array, local: LocalInformation) -> tuple[Prospect, ...]:

@@ -39,12 +39,8 @@ _FEWEST = 100
 class Influence:
     """Power-scaling sensitivity of one parameter.
 
-    Attributes
-    ----------
-    prior, likelihood
-        Change of its marginal posterior for each doubling of the power of the prior, or
-        of the likelihood, as a normalised cumulative Jensen-Shannon distance; ``nan``
-        where the draws do not move.
+    Change of its marginal posterior for each doubling of the power of the prior, or of the
+    likelihood, as a normalised cumulative Jensen-Shannon distance; ``nan`` where draws stand still.
     """
 
     prior: float

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
-from bayesfric.estimates.assemble import open_directions
+from bayesfric.estimates.assemble import alpha_way, open_directions
 from bayesfric.estimates.information import NULL, Directions, directions
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.torque import torque_jacobian
@@ -40,91 +40,58 @@ _ROUNDING = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class LocalUnits:
-    """What counts as a change of one, in logarithms wherever there is one.
+    """What counts as a change of one, in logarithms wherever there is one."""
 
-    Attributes
-    ----------
-    names
-        Free parameters of the chain.
-    labels
-        What a change of one is called: the parameter, or its alpha for load losses.
-    units
-        ``(d,)`` change of each parameter that counts as one: its own value, so that ones
-        are changes of logarithms; something else where the value is next to zero.
-    shifted
-        ``(d,)`` where it is something else.
-    """
-
-    names: tuple[str, ...]
-    labels: tuple[str, ...]
+    names: tuple[str, ...]  # free parameters of the chain
+    labels: tuple[str, ...]  # what a change of one is called: the parameter, or its alpha
+    ways: NDArray[np.int_]  # (d,) 1 and -1 for losses with alpha_1 and alpha_2, else 0
+    # (d,) change of each parameter that counts as one: its own value, so that ones are changes of
+    # logarithms; something else where the value is next to zero
     units: Array
-    shifted: NDArray[np.bool_]
+    shifted: NDArray[np.bool_]  # (d,) where it is something else
 
     def moved(self, values: Array, step: Array) -> Array:
         """Move free parameters ``(d,)`` by a step in these units, along logarithms."""
         grown = np.exp(np.clip(step, -50.0, 50.0))
         out = np.where(self.shifted, values + step * self.units, values * grown)
-        for j, label in enumerate(self.labels):
-            if label.endswith(".alpha_drive"):
-                out[j] = (1.0 + values[j]) / grown[j] - 1.0
-            elif label.endswith(".alpha_back"):
-                out[j] = 1.0 - (1.0 - values[j]) / grown[j]
-        return np.asarray(out)
+        ways = self.ways
+        return np.where(ways, ways * ((1.0 + ways * values) / grown - 1.0), out)
 
 
 @dataclass(frozen=True)
 class NullDirection:
-    """Parameters that can change together without changing any predicted torque.
+    """Parameters that can change together without changing any predicted torque."""
 
-    Attributes
-    ----------
-    exponents
-        Parameter (or alpha) and its relative change, the largest being one; a
-        parameter that is next to zero changes in units of its prior sd.
-    """
-
+    # Parameter (or alpha) and its relative change, the largest being one; one that is next to zero
+    # changes in units of its prior sd.
     exponents: dict[str, float]
 
     @property
-    def meaning(self) -> str:
-        """The same in words."""
-        return str(null_meaning(self.exponents))
+    def meaning(self) -> Statement:
+        """The same as powers of one factor."""
+        same = all(abs(x - 1.0) < _ROUNDING for x in self.exponents.values())
+        kind = "unseen" if len(self.exponents) == 1 else "factor" if same else "powers"
+        return stated("meaning", kind, exponents=self.exponents)
 
 
 @dataclass(frozen=True, eq=False)
 class LocalInformation(LocalUnits):
-    """Fisher information of the torque near one parameter vector, in :class:`LocalUnits`.
+    """Fisher information of the torque near one parameter vector, in :class:`LocalUnits`."""
 
-    Attributes
-    ----------
-    data_sd
-        ``(d,)`` standard deviation that the data alone would leave, in the
-        parameter's unit; infinite where a null direction touches it.
-    null_rows
-        ``(n_null, d)`` what no torque can tell, in units, the largest entry of each being one.
-    directions
-        Of the Jacobian over the noise scale, in log parameters.
-    from_theory
-        How many null directions, the first ones, are scalings that hold at every point.
-    """
-
+    # (d,) sd that the data alone would leave, in the parameter's unit; infinite where a null
+    # direction touches it
     data_sd: Array
-    null_rows: Array
-    directions: Directions
-    from_theory: int = 0
+    null_rows: Array  # (n_null, d) what no torque can tell, in units, the largest entry of each one
+    directions: Directions  # of the Jacobian over the noise scale, in log parameters
+    from_theory: int = 0  # how many null directions, the first, are scalings that hold everywhere
 
     @property
     def null_directions(self) -> tuple[NullDirection, ...]:
         """What no torque can tell, by name."""
+        named = (zip(self.labels, row.tolist(), strict=True) for row in self.null_rows)
         return tuple(
-            NullDirection(
-                {
-                    label: float(round(x, 9))
-                    for label, x in zip(self.labels, row, strict=True)
-                    if abs(x) > _ROUNDING
-                }
-            )
-            for row in self.null_rows
+            NullDirection({label: round(x, 9) for label, x in pairs if abs(x) > _ROUNDING})
+            for pairs in named
         )
 
     @property
@@ -140,19 +107,10 @@ class LocalInformation(LocalUnits):
         return np.asarray(told.T @ told)
 
     def data_sd_of(self, gradient: Array, *, gauge_free: bool = False) -> float:
-        """Give the sd that the data alone would leave of a function of the parameters.
+        """Give the sd that the data alone would leave of a function with a gradient ``(d,)``.
 
-        Parameters
-        ----------
-        gradient
-            ``(d,)`` derivative of the function by the free parameters.
-        gauge_free
-            Whether theory says that no scaling of leg and alpha changes it.
-
-        Returns
-        -------
-        float
-            Infinite where the function changes along a null direction.
+        Infinite where it changes along a null direction; ``gauge_free`` says that by theory no
+        scaling of leg and alpha changes it.
         """
         if gauge_free:
             gradient = self.directions.off_known(gradient)
@@ -213,9 +171,7 @@ def in_natural_units(
         floor = np.fmin(_FELT * np.linalg.norm(measured) / effect, sds)
     size = np.abs(parameters[:k])
     small = np.isfinite(local.data_sd) & (size < local.data_sd) & (size < floor)
-    small &= np.array(
-        [name == label for name, label in zip(local.names, local.labels, strict=True)]
-    )
+    small &= local.ways == 0
     units = np.where(small, floor, local.units)
     d = local.directions
     found = directions(local.told * (units / local.units), np.ones(k), d.tolerance)
@@ -244,14 +200,8 @@ def verdict(posterior_sd: float, prior_sd: float, data_sd: float) -> Verdict:
     at most half as wide as the prior. ``prior``: the data alone would leave it
     more than twice as wide as the posterior is, or they left the prior as it was.
     ``weak``: in between, or the posterior is much wider than the local picture
-    says, as where it is curved or has several peaks.
-
-    Parameters
-    ----------
-    posterior_sd, prior_sd
-        Of the parameter; an infinite or undefined prior sd counts as very wide.
-    data_sd
-        From :func:`local_information`.
+    says, as where it is curved or has several peaks. An infinite or undefined prior sd
+    counts as very wide; ``data_sd`` is from :func:`local_information`.
     """
     if not data_sd > 0.0 or not posterior_sd > 0.0:  # also where it is no number
         return "prior"
@@ -270,27 +220,22 @@ def units_of(target: Target, parameters: Array) -> LocalUnits:
     to zero, as on a bound, has no logarithm worth the name: there the prior sd counts
     as one.
     """
-    units = parameters[: len(target.free)].copy()
-    shifted = np.zeros(units.size, dtype=np.bool_)
-    labels = []
-    described = {p.name: p for p in target.likelihood.chain.parameters}
-    for j, (name, value) in enumerate(zip(target.free, units.tolist(), strict=True)):
-        p = described[name]
-        labels.append(
-            name.replace(".load_drive", ".alpha_drive").replace(".load_back", ".alpha_back")
-        )
-        if p.quantity == "load_drive":
-            units[j] = -(1.0 + value)  # alpha_1 = 1/(1 + mu_1)
-        elif p.quantity == "load_back":
-            # alpha_2 = 1/(1 - mu_2), endless where the gearbox is irreversible
-            units[j] = 1.0 - value if abs(1.0 - value) > 1e-3 else 1e-3
-        else:
-            sd = target.priors[j].sd()
-            sd = sd if np.isfinite(sd) else 1.0
-            small = _SMALL if p.lower == 0.0 else _SMALL_SIGNED
-            if abs(value) <= small * sd:
-                units[j], shifted[j] = sd, True
-    return LocalUnits(target.free, tuple(labels), units, shifted)
+    chain, values = target.likelihood.chain, parameters[: len(target.free)]
+    free = [chain.parameters[chain.names.index(name)] for name in target.free]
+    ways = np.array([alpha_way(p) for p in free], dtype=np.int_)
+    labels = tuple(
+        f"{p.owner}.{p.quantity.replace('load', 'alpha')}" if way else p.name
+        for p, way in zip(free, ways, strict=True)
+    )
+    # alpha_1 = 1/(1 + mu_1) and alpha_2 = 1/(1 - mu_2), endless where the gearbox is irreversible
+    alpha = -ways * (1.0 + ways * values)
+    alpha = np.where((ways < 0) & (np.abs(alpha) <= 1e-3), 1e-3, alpha)
+    sds = np.array([p.sd() for p in target.priors[: len(free)]])
+    sds = np.where(np.isfinite(sds), sds, 1.0)
+    least = np.array([_SMALL if p.lower == 0.0 else _SMALL_SIGNED for p in free]) * sds
+    shifted = (ways == 0) & (np.abs(values) <= least)
+    units = np.where(shifted, sds, np.where(ways, alpha, values))
+    return LocalUnits(target.free, labels, ways, units, shifted)
 
 
 def jacobian_of(target: Target, parameters: Array, units: Array) -> Array:
@@ -310,11 +255,8 @@ def jacobian_of(target: Target, parameters: Array, units: Array) -> Array:
     both[k + index, index] = np.clip(point - steps, low, high)
     widths = (both[index, index] - both[k + index, index]) / units
     scales = target.noise.scales(parameters[None, k:])[0]
-    blocks = [
-        (output[:k] - output[k:]) / widths[:, None]
-        for output in target.likelihood.standardised(target.chain_values(both), scales)
-    ]
-    return np.concatenate(blocks, axis=1).T
+    outputs = target.likelihood.standardised(target.chain_values(both), scales)
+    return np.concatenate([(o[:k] - o[k:]) / widths[:, None] for o in outputs], axis=1).T
 
 
 def _null_basis(rows: Array, theory: Array) -> Array:
@@ -347,10 +289,3 @@ def _sparse(rows: Array) -> Array:
             if j != i:
                 basis[j] -= basis[j, pivot] * basis[i]
     return np.array([row / row[int(np.argmax(np.abs(row)))] for row in basis]).reshape(rows.shape)
-
-
-def null_meaning(exponents: Mapping[str, float]) -> Statement:
-    """Say what a null direction is whose entries are powers of one factor, the largest one."""
-    same = all(abs(x - 1.0) < _ROUNDING for x in exponents.values())
-    kind = "unseen" if len(exponents) == 1 else "factor" if same else "powers"
-    return stated("meaning", kind, exponents=exponents)

@@ -41,6 +41,7 @@ from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.experiment import Simulation, measure
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
@@ -85,51 +86,24 @@ class Advice:
         ``torque`` N m or N; raises ``ValueError`` if the joint runs away.
         """
         one = self.candidate
-        told = {"rate": 1.0 / one.period, "lag": one.lag}
-        told |= {"added_mass": one.added_mass, "radius": one.radius}
-        columns, _ = measure(
-            chain,
-            values,
-            one.command,
-            options.model_copy(update=told),
-            np.random.default_rng(seed),
-            q0=one.q0,
-            qd0=one.qd0,
-        )
-        return columns
+        told = {"rate": 1.0 / one.period, "lag": one.lag, **_bolted(one)}
+        options, rng = options.model_copy(update=told), np.random.default_rng(seed)
+        return measure(chain, values, one.command, options, rng, q0=one.q0, qd0=one.qd0)[0]
 
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
-    """Candidates by the sd that they would leave of one quantity, the best first.
+    """Candidates by the sd that they would leave of one quantity, the best first."""
 
-    Attributes
-    ----------
-    quantity, unit, meaning
-        What is to be known.
-    value
-        At the estimate; it means nothing where ``now.data_sd`` is infinite.
-    now
-        How well it is known at present.
-    advices
-        The best first.
-    dropped
-        Candidates that are no use, and why.
-    limits
-        What they had to keep.
-    points
-        Number of parameter vectors that all was simulated at.
-    """
-
-    quantity: str
+    quantity: str  # what is to be known
     unit: str
     meaning: str
-    value: float
-    now: Uncertainty
-    advices: tuple[Advice, ...]
-    dropped: tuple[tuple[Candidate, Statement], ...]
-    limits: Limits
-    points: int
+    value: float  # at the estimate; it means nothing where now.data_sd is infinite
+    now: Uncertainty  # how well it is known at present
+    advices: tuple[Advice, ...]  # the best first
+    dropped: tuple[tuple[Candidate, Statement], ...]  # candidates that are no use, and why
+    limits: Limits  # what they had to keep
+    points: int  # number of parameter vectors that all was simulated at
 
     @property
     def determined(self) -> bool:
@@ -163,7 +137,7 @@ class Ranking:
         else:
             kind = "would_leave"
         share = best.sd / self.now.sd if best else float("nan")
-        with_masses = any(mass for mass, _ in self.limits.masses)
+        with_masses = any(one.added_mass for one in self.limits.masses)
         return stated("advice", kind, name=self.quantity, share=share, with_masses=with_masses)
 
     @property
@@ -171,16 +145,14 @@ class Ranking:
         """The first few with their ranks, then the first of each kind that is not there."""
         seen: set[tuple[str, float]] = set()
         for rank, one in enumerate(self.advices, start=1):
-            kind = (one.candidate.kind, one.candidate.added_mass)
+            kind = (one.candidate.kind, one.candidate.inputs.added_mass)
             if rank <= _LISTED or kind not in seen:
                 yield rank, one
             seen.add(kind)
 
     def _described(self, one: Candidate) -> dict[str, Any]:
-        start = one.q0 if one.made is not None else self.limits.start
         found = {"kind": one.kind, "form": one.form, "peak_torque": one.amplitude}
-        found |= {"duration": one.duration, "added_mass": one.added_mass, "radius": one.radius}
-        return found | {"start": start}
+        return found | {"duration": one.duration, **_bolted(one), "start": one.q0}
 
     def as_json(self) -> dict[str, Any]:
         """Give what ``identify --advise --json`` prints; what is infinite is ``None``."""
@@ -189,7 +161,7 @@ class Ranking:
             row = self._described(one.candidate) | {"rank": rank} | vars(one)
             row |= {"torque_lowered_to": one.candidate.lowered, "because_of": one.candidate.limit}
             rows.append({name: value for name, value in row.items() if name != "candidate"})
-        masses = [one for one in self.limits.masses if one[0]]
+        masses = [(m.added_mass, m.radius) for m in self.limits.masses if m.added_mass]
         found = {name: getattr(self, name) for name in ("quantity", "unit", "meaning", "value")}
         found |= {"determined": bool(np.isfinite(self.now.data_sd)), "now": self.now}
         found |= {"points": self.points, "limits": {**vars(self.limits), "masses": masses}}
@@ -205,6 +177,10 @@ class Ranking:
     def _repr_html_(self) -> str:
         """Show the table in a notebook."""
         return str(self.frame.to_html(float_format="{:.4g}".format))
+
+
+def _bolted(one: Candidate) -> dict[str, float]:
+    return {"added_mass": one.inputs.added_mass, "radius": one.inputs.radius}
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,22 +204,10 @@ def ranking(
 ) -> Ranking:
     """Rank candidates for the next recording by what they would leave of one quantity.
 
-    Parameters
-    ----------
-    target
-        Likelihood, priors and noise. With the output error, a candidate still adds the
-        information of its torque, at the noise of a torque sample.
-    points
-        The estimate first, then others that may be true; see
-        :func:`bayesfric.identifiability.plausible.points_around`.
-    local
-        Of the target at the estimate.
-    options
-        The ``[advice]`` table.
-    name
-        A free parameter or a derived quantity.
-    progress
-        Called with the name of each stage before it begins.
+    With the output error, a candidate still adds the information of its torque, at the noise of a
+    torque sample. ``points`` are the estimate, whose picture is ``local``, then others that may be
+    true, see :func:`bayesfric.identifiability.plausible.points_around`; ``name`` is a free
+    parameter or a derived quantity. ``progress`` is called with each stage before it begins.
 
     Raises
     ------
@@ -270,9 +234,9 @@ def ranking(
     noise = torque_noise(target, first, number)
     vectors = np.stack([one.values for one in there])
     advices, dropped = [], []
-    least: dict[tuple[str, float, float], float] = {}
+    least: dict[tuple[str, Inputs], float] = {}
     for candidate in candidates(observations, limits):
-        same = candidate.form, candidate.added_mass, candidate.radius
+        same = candidate.form, candidate.inputs
         if candidate.amplitude >= least.get(same, np.inf):
             continue  # more than this breaks a limit, as was found; or this does not move
         progress(f"simulating {candidate.form}")
@@ -284,29 +248,22 @@ def ranking(
         tried_one, recordings = tried
         if tried_one.because_of:
             least[same] = tried_one.amplitude
-        sds = [_sds(target, at, o, noise) for at, o in zip(there, recordings, strict=True)]
-        shares = [
-            back_driven(chain, [o], at.values[None])
-            for at, o in zip(there, recordings, strict=True)
-        ]
-        low, high = zip(*((float(o.q.min()), float(o.q.max())) for o in recordings), strict=True)
-        advices.append(
-            Advice(
-                tried_one,
-                _averaged(sds, value),
-                {
-                    element: {
-                        "mean": float(x.mean()),
-                        "least": float(x.min()),
-                        "most": float(x.max()),
-                    }
-                    for element in shares[0]
-                    if (x := np.concatenate([share[element] for share in shares])).size
-                },
-                max(float(np.abs(o.qd).max()) for o in recordings),
-                (min(low), max(high)),
-            )
+        pairs = list(zip(there, recordings, strict=True))
+        sds = _averaged([_sds(target, at, o, noise) for at, o in pairs], value)
+        shares = pd.DataFrame(
+            [
+                {k: x[0] for k, x in back_driven(chain, [o], v.values[None]).items()}
+                for v, o in pairs
+            ]
         )
+        drives = {
+            str(k): {"mean": float(x.mean()), "least": float(x.min()), "most": float(x.max())}
+            for k, x in shares.items()
+        }
+        fastest = max(float(np.abs(o.qd).max()) for o in recordings)
+        q = np.concatenate([o.q for o in recordings])
+        ends = float(q.min()), float(q.max())
+        advices.append(Advice(tried_one, sds, drives, fastest, ends))
     advices.sort(key=lambda one: (one.after.sd, one.after.data_sd))
     now = _averaged([_sds(target, one) for one in there], value)
     return Ranking(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.identifiability.coverage import BackDriving, Coverage
-from bayesfric.identifiability.local import LocalInformation, null_meaning
+from bayesfric.identifiability.local import LocalInformation, NullDirection
 from bayesfric.identifiability.remedies import HARDLY, WEAK, Remedy, Trial, left_along, remedies
 from bayesfric.identifiability.sentences import Statement, stated
+from bayesfric.mechanism.parameter import Parameter
 
 Array = NDArray[np.float64]
 
@@ -24,36 +25,19 @@ _NAMED = 0.2
 
 @dataclass(frozen=True)
 class OpenDirection:
-    """Parameters that can change together, and the data say little or nothing.
+    """Parameters that can change together, and the data say little or nothing."""
 
-    Attributes
-    ----------
-    kind
-        ``null`` where nothing changes at all, else ``weak``.
-    exponents
-        Parameter or alpha and its power of one factor; of those in ``in_units`` the change
-        in their unit that goes with the factor e.
-    in_units
-        Parameters next to zero, of which no logarithm is taken, and their unit.
-    log_sd
-        Sd that the data leave of the factor's logarithm; infinite for a null direction.
-    meaning, reasons
-        What can change, and why it does not show.
-    remedies
-        What lifts it.
-    null_at_points, open_at_points
-        At how many points it is null, and at how many it is null or weak.
-    """
-
-    kind: Literal["null", "weak"]
+    kind: Literal["null", "weak"]  # null where nothing changes at all
+    # parameter or alpha and its power of one factor; of those in in_units the change in their unit
+    # that goes with the factor e
     exponents: dict[str, float]
-    in_units: dict[str, str]
-    log_sd: float
-    meaning: Statement
-    reasons: tuple[Statement, ...]
-    remedies: tuple[Remedy, ...]
-    null_at_points: int
-    open_at_points: int
+    in_units: dict[str, str]  # parameters next to zero, of which no logarithm is taken, and unit
+    log_sd: float  # that the data leave of the factor's logarithm; infinite for a null direction
+    meaning: Statement  # what can change
+    reasons: tuple[Statement, ...]  # why it does not show
+    remedies: tuple[Remedy, ...]  # what lifts it
+    null_at_points: int  # at how many points it is null
+    open_at_points: int  # and at how many it is null or weak
 
     @property
     def null(self) -> bool:
@@ -63,14 +47,14 @@ class OpenDirection:
 
 def open_directions(
     locals_: Sequence[LocalInformation],
-    units: Mapping[str, str],
+    free: Sequence[Parameter],
     coverage: Sequence[Coverage],
     back: Sequence[BackDriving],
     tried: Sequence[Trial],
 ) -> Iterator[OpenDirection]:
     """List null directions first, then weak ones, the weakest first.
 
-    ``locals_`` are of every point looked at, the estimate first; ``units`` those of parameters.
+    ``locals_`` are of every point looked at, the estimate first, by ``free`` parameters.
     """
     local = locals_[0]
     rows = list(_open_rows(local))
@@ -80,7 +64,7 @@ def open_directions(
         at = [(theory, theory) if theory else _open_among(one, others, row) for one in locals_]
         least = _ROUNDING if null else _NAMED
         named = [j for j, x in enumerate(row) if abs(x) > least]
-        in_units = {local.labels[j]: units[local.labels[j]] for j in named if local.shifted[j]}
+        in_units = {free[j].name: free[j].unit for j in named if local.shifted[j]}
         exponents = {
             local.labels[j]: float(row[j] * local.units[j])
             if local.shifted[j]
@@ -95,14 +79,14 @@ def open_directions(
         elif in_units and len(exponents) > 1:
             meaning = stated("meaning", "shifts", exponents=exponents, in_units=in_units)
         else:
-            meaning = null_meaning(exponents)
+            meaning = NullDirection(exponents).meaning
         yield OpenDirection(
             "null" if null else "weak",
             exponents,
             in_units,
             log_sd,
             meaning,
-            tuple(_reasons(local, row, null, theory, coverage, back)),
+            tuple(_reasons(free, row, null, theory, coverage, back)),
             remedies(local, row, tried),
             sum(one for one, _ in at),
             sum(one for _, one in at),
@@ -152,7 +136,7 @@ def _open_among(there: LocalInformation, rows: Sequence[Array], row: Array) -> t
 
 
 def _reasons(
-    local: LocalInformation,
+    free: Sequence[Parameter],
     row: Array,
     null: bool,
     theory: bool,
@@ -160,7 +144,9 @@ def _reasons(
     back: Sequence[BackDriving],
 ) -> list[Statement]:
     """Say why a direction is open; ``theory`` where it is the scaling of section 4.2."""
-    members = {name for name, x in zip(local.names, row, strict=True) if abs(x) > _NAMED}
+    members = [p for p, x in zip(free, row, strict=True) if abs(x) > _NAMED]
+    # what they shape: the terms that they fill, or turn
+    shaped = {kind for p in members for kind, _ in p.row.fills}
     if theory:
         return [stated("reason", "scaling", with_mass=all(one.added_mass for one in coverage))]
     found = []
@@ -175,13 +161,13 @@ def _reasons(
         levels = min(one.at_levels or 0.0 for one in coverage)
         found.append(stated("reason", "piecewise_constant", null=null, at_levels=levels))
     turn = max(one.turn for one in coverage)
-    if members & {"load.first_moment", "load.gravity_angle"} and turn < 1.0:
+    if ("gravity" in shaped or any(p.circular for p in members)) and turn < 1.0:
         found.append(stated("reason", "small_turn", turn=turn))
     steady = min(one.steady for one in coverage)
-    if any(name.endswith("inertia") for name in members) and steady > 0.8:
+    if "inertia" in shaped and steady > 0.8:
         found.append(stated("reason", "steady", steady=steady))
     if not found and null and len(members) == 1:
-        found.append(stated("reason", "unseen", name=members.pop()))
+        found.append(stated("reason", "unseen", name=members[0].name))
     elif not found:
         found.append(stated("reason", "same_shape" if len(members) > 1 else "small"))
     return found

@@ -31,19 +31,10 @@ _SUITS = 4.0
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """One vector of sampled parameters, and where it comes from.
+    """One vector of sampled parameters, and where it comes from."""
 
-    Attributes
-    ----------
-    origin
-        ``estimate``; ``data and prior``, drawn around it as far as both leave open;
-        ``prior``, drawn from the priors alone.
-    parameters
-        ``(d,)`` noise scales last.
-    """
-
-    origin: Origin
-    parameters: Array
+    origin: Origin  # the estimate; drawn around it as far as both leave open; from priors alone
+    parameters: Array  # (d,) noise scales last
 
 
 def estimate_point(target: Target, estimate: Mapping[str, float]) -> Point:
@@ -72,27 +63,10 @@ def points_around(
 ) -> list[Point]:
     """Draw other vectors that may be true.
 
-    Parameters
-    ----------
-    target
-        Likelihood, priors and noise.
-    estimate
-        From :func:`estimate_point`.
-    local
-        Of the target at the estimate.
-    rng
-        Source of randomness.
-    around
-        How many to draw from the normal distribution that data and priors leave around
-        the estimate, in logarithms; they are then moved by the least that makes their
-        output that of the estimate again, which straight lines in logarithms do not keep.
-    prior
-        How many to draw from the priors.
-
-    Returns
-    -------
-    list of Point
-        Only those the priors allow and the model has finite outputs for: maybe fewer.
+    So many ``around`` the estimate, whose picture is ``local``: from the normal distribution that
+    data and priors leave there, in logarithms. They are then moved by the least that makes their
+    output that of the estimate again, which straight lines in logarithms do not keep. So many from
+    each ``prior``. Only those the priors allow and the model has finite outputs for: maybe fewer.
     """
     k = len(target.free)
     sds = np.array([p.sd() for p in target.priors[:k]])

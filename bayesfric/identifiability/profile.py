@@ -12,6 +12,7 @@ from scipy.stats import chi2
 from bayesfric.estimates.assemble import bounds_met, centred
 from bayesfric.estimates.descent import Terms, TorqueProblem, descend, few_threads
 from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.torque_form import factor_to
 from bayesfric.inference.fit import Fit
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.scaling import scalings
@@ -82,31 +83,19 @@ def profile_likelihoods(
 ) -> tuple[Profile, ...]:
     """Profile the log-likelihood of the torque, white noise of unknown scale.
 
-    At each value of one parameter all others are fitted anew within their limits, each
-    fit starting from its neighbour's, outwards from the best. The noise scale that fits
-    best is known in closed form and leaves ``-n/2 log SS``.
-
-    Parameters
-    ----------
-    chain, observations
-        The mechanism and one or more prepared recordings.
-    knowledge
-        Known values and limits; told values do not enter.
-    grids
-        Rising values of the parameters to profile.
-    starts
-        Vectors ``(n_parameters,)`` to look for the best fit from, at least one.
-    own_noise
-        Whether each recording has a noise scale of its own.
+    At each value of one parameter, of rising ``grids``, all others are fitted anew within their
+    limits, each fit starting from its neighbour's, outwards from the best, which is looked for
+    from ``starts`` ``(n_parameters,)``. The noise scale that fits best, each recording's if it has
+    its ``own_noise``, is known in closed form and leaves ``-n/2 log SS``. Told values do not enter.
     """
     with few_threads(observations):
-        whole = _Search(chain, observations, knowledge, own_noise)
+        whole = _Search(TorqueProblem(chain, observations, knowledge), own_noise)
         best = max((whole.fit(start) for start in starts), key=lambda one: one.height)
         found = {}
         for name, grid in grids.items():
             value = float(best.values[chain.names.index(name)])
             held = replace(knowledge, fixed={**knowledge.fixed, name: value})
-            search = _Search(chain, observations, held, own_noise)
+            search = _Search(TorqueProblem(chain, observations, held), own_noise)
             found[name] = _walk(search, name, np.asarray(grid), best)
     # a profile may have come upon a better fit than the search for it
     top = max([best.height, *(p.height for points in found.values() for p in points)])
@@ -133,20 +122,10 @@ class _Point:
 class _Search:
     """The best fit with some parameters held."""
 
-    def __init__(
-        self,
-        chain: Joint,
-        observations: Sequence[Observation],
-        knowledge: Knowledge,
-        own_noise: bool,
-    ) -> None:
-        self.problem = TorqueProblem(chain, observations, knowledge)
-        sizes = [o.measured.size for o in observations]
+    def __init__(self, problem: TorqueProblem, own_noise: bool) -> None:
+        self.problem = problem
+        sizes = [o.measured.size for o in problem.observations]
         self._borders = np.cumsum(sizes)[:-1] if own_noise else np.array([], dtype=np.int64)
-
-    def hold(self, name: str, value: float) -> None:
-        """Hold a parameter, one of the known ones, at another value."""
-        self.problem.base[self.problem.chain.names.index(name)] = value
 
     def fit(self, values: Array) -> _Point:
         """Search downhill from a vector ``(n_parameters,)``."""
@@ -186,13 +165,14 @@ class _Search:
 
 def _walk(search: _Search, name: str, grid: Array, best: _Point) -> list[_Point]:
     """Fit at every value of a grid, from the one nearest to the best fit to both sides."""
-    chain = search.problem.chain
-    nearest = int(np.argmin(np.abs(grid - best.values[chain.names.index(name)])))
+    chain, base = search.problem.chain, search.problem.base
+    column = chain.names.index(name)
+    nearest = int(np.argmin(np.abs(grid - best.values[column])))
     points: dict[int, _Point] = {}
     for order in (range(nearest, grid.size), range(nearest - 1, -1, -1)):
         before = best if order.start == nearest else points[nearest]
         for k in order:
-            search.hold(name, float(grid[k]))
+            base[column] = grid[k]
             begin = max(
                 _neighbours(chain, name, before.values, float(grid[k])),
                 key=lambda values: search.height(search.problem.inside(values)),
@@ -203,18 +183,5 @@ def _walk(search: _Search, name: str, grid: Array, best: _Point) -> list[_Point]
 
 def _neighbours(chain: Joint, name: str, values: Array, value: float) -> list[Array]:
     """Start a parameter at another value: the others as they were, or scaled along with it."""
-    column = chain.names.index(name)
-    old = float(values[column])
-    starts = [values.copy()]
-    for scaling in scalings(chain):
-        if name == scaling.drive:
-            above, below = 1.0 + old, 1.0 + value  # alpha_1 = 1/(1 + mu_1)
-        elif name == scaling.back:
-            above, below = 1.0 - old, 1.0 - value  # alpha_2 = 1/(1 - mu_2)
-        elif name in scaling.behind:
-            above, below = value, old
-        else:
-            continue
-        if above > 0.0 and below > 0.0:
-            starts.append(scaling.scaled(values, above / below))
-    return starts
+    factors = [(one, factor_to(one, values, name, value)) for one in scalings(chain)]
+    return [values.copy(), *(one.scaled(values, k) for one, k in factors if k)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -26,6 +26,7 @@ from bayesfric.identifiability.virtual_recording import (
 )
 from bayesfric.inference.target import Target
 from bayesfric.mechanism import excitation
+from bayesfric.recordings.inputs import Inputs
 
 Array = NDArray[np.float64]
 RemedyKind = Literal["known value", "known mass", "excitation"]
@@ -45,27 +46,14 @@ _SMALL_TURN = 1.0
 
 @dataclass(frozen=True)
 class Remedy:
-    """Something to do about an open direction, and what it was found to do.
-
-    Attributes
-    ----------
-    kind
-        ``known value``, ``known mass`` or ``excitation``.
-    text
-        What to do.
-    parameters
-        For a known value: any one of these.
-    log_sd_after
-        Sd of the logarithm along the direction once it is done; ``None`` for a known value.
-    open_after
-        Number of directions, null or weak, that are then still open; of known values the
-        one that leaves fewest.
-    """
+    """Something to do about an open direction, and what it was found to do."""
 
     kind: RemedyKind
-    text: Statement
-    parameters: tuple[str, ...]
+    text: Statement  # what to do
+    parameters: tuple[str, ...]  # for a known value: any one of these
+    # sd of the logarithm along the direction once it is done; None for a known value
     log_sd_after: float | None
+    # directions, null or weak, that are then still open; of known values the one that leaves fewest
     open_after: int
 
 
@@ -111,23 +99,16 @@ def trials(
     time = period * np.arange(measured.size, dtype=np.float64)
     peak = float(np.quantile(np.abs(measured), 0.99))
     told = {"peak": peak, "pace": hertz, "unit": "N m" if chain.motor_motion == "rotary" else "N"}
-    there = base.inputs.added_mass, base.inputs.radius
 
-    wanted: list[tuple[RemedyKind, Statement, Array, tuple[float, float]]] = []
+    wanted: list[tuple[RemedyKind, Statement, Array, Inputs]] = []
 
     def excite(form: str, torque: Array) -> None:
-        wanted.append(("excitation", stated("remedy", form, **told), torque, there))
+        wanted.append(("excitation", stated("remedy", form, **told), torque, base.inputs))
 
-    if len({(one.added_mass, one.radius) for one in coverage}) == 1:
-        mass, radius = known_mass(chain, values)
-        bolted = {
-            "again": bool(base.inputs.added_mass),
-            "mass": mass,
-            "radius": radius,
-            "rotary": rotary,
-        }
-        text = stated("remedy", "known_mass", **bolted)
-        wanted.append(("known mass", text, measured, (mass, radius)))
+    if len({replace(o.inputs, recording="") for o in observations}) == 1:
+        mass, again = known_mass(chain, values), bool(base.inputs.added_mass)
+        text = stated("remedy", "known_mass", again=again, rotary=rotary, **vars(mass))
+        wanted.append(("known mass", text, measured, mass))
     if rare:
         shape = excitation.square(time, peak, hertz)
         excite("square", excitation.current_loop(shape, period, LAG))
@@ -137,9 +118,9 @@ def trials(
     if rotary and max(one.turn for one in coverage) < _SMALL_TURN:
         excite("same", 1.5 * measured)
     found = []
-    for kind, text, torque, (mass, radius) in wanted:
+    for kind, text, torque, bolted in wanted:
         try:
-            recording = played(chain, values, base, torque, mass, radius)
+            recording = played(chain, values, base, torque, bolted)
         except ValueError:
             continue  # the joint cannot be simulated, or would stand still: nothing to propose
         rows = scaled_jacobian(target, recording, values, local, noise)

@@ -15,19 +15,11 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 @dataclass(frozen=True)
 class Statement:
-    """Something found.
+    """Something found."""
 
-    Attributes
-    ----------
-    topic, kind
-        Table and key of ``wording/sentences.toml``.
-    values
-        What its template is filled with.
-    """
-
-    topic: str
-    kind: str
-    values: Mapping[str, Any]
+    topic: str  # table of wording/sentences.toml
+    kind: str  # key there
+    values: Mapping[str, Any]  # what its template is filled with
 
     def __str__(self) -> str:
         """Word it."""

@@ -18,6 +18,7 @@ from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.filters import derivative, lay_windows, lowpass
+from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.observation import Observation, moving_samples
 
 Array = NDArray[np.float64]
@@ -44,26 +45,32 @@ def sample_period(observation: Observation) -> float:
     return observation.period / max(int(step.min(initial=step[:1].sum())), 1)
 
 
-def known_mass(chain: Joint, values: Array) -> tuple[float, float]:
-    """Choose a mass, kg, and a radius, m, about as heavy as the load itself, rounded.
+def of_load(chain: Joint, values: Array) -> dict[str, float]:
+    """Give what ``values`` ``(n_parameters,)`` say of the load, by quantity."""
+    pairs = zip(chain.parameters, values.tolist(), strict=True)
+    return {p.quantity: value for p, value in pairs if p.owner == "load"}
+
+
+def known_mass(chain: Joint, values: Array) -> Inputs:
+    """Choose a mass and a radius about as heavy as the load itself, rounded.
 
     Their inertia and first moment come to those of the load where it has both and is not too
     heavy; where it has neither, to the inertia of the whole. ``values`` ``(n_parameters,)``.
     """
-    of = dict(zip(chain.names, values.tolist(), strict=True))
-    inertia, moment = of.get("load.inertia", 0.0), of.get("load.first_moment", 0.0)
+    of = of_load(chain, values)
+    inertia, moment = of.get("inertia", 0.0), of.get("first_moment", 0.0)
     # all inertia there is, seen at the joint, for a load that is no parameter of its own
     still = inverse_torque(chain, values, [0.0, 0.0], [0.0, 0.0], [0.0, 1.0])
     felt = inertia if inertia > 0.0 else float(chain.ratio * (still[1] - still[0]))
     radius = 0.0 if chain.load.motion == "linear" else _RADIUS
     if radius == 0.0 or moment <= 0.0:
         mass = felt / (radius**2 or 1.0)
-        return (_two_digits(min(mass, _MOST)) if felt > 0.0 else _MASS), radius
+        return Inputs(_two_digits(min(mass, _MOST)) if felt > 0.0 else _MASS, radius)
     if inertia > 0.0:
         radius = float(np.clip(inertia / moment, 0.05, 1.0))
     elif moment <= 0.1:
         radius = 0.1
-    return _two_digits(min(moment / radius, _MOST)), _two_digits(radius)
+    return Inputs(_two_digits(min(moment / radius, _MOST)), _two_digits(radius))
 
 
 def square_with_sines(time: Array, hertz: float, lines: Array) -> Array:
@@ -144,24 +151,14 @@ def played(
     values: Array,
     observation: Observation,
     torque: Array,
-    added_mass: float,
-    radius: float,
+    inputs: Inputs,
     state: tuple[float, float] | None = None,
 ) -> Observation:
     """Play a torque to the joint, and look at it as one looks at a recording.
 
-    Parameters
-    ----------
-    chain, values
-        The mechanism and its parameters, ``(n_parameters,)``.
-    observation
-        The recording whose sample rate, filter and dead zone are used.
-    torque
-        ``(N,)`` motor torque at every sample, N m or N.
-    added_mass, radius
-        kg and m.
-    state
-        Position and speed to begin with, rad or m and s; those of the recording if left out.
+    ``torque`` ``(N,)`` is the motor's at every sample, N m or N. Sample rate, filter and dead zone
+    are those of the ``observation``, and so are position and speed to begin with if no ``state``
+    is given.
 
     Raises
     ------
@@ -171,18 +168,10 @@ def played(
     if state is None:
         first = longest_stretch(observation).start
         state = float(observation.q[first]), float(observation.qd[first])
-    inputs = replace(observation.inputs, added_mass=added_mass, radius=radius)
-    motion = simulate(
-        chain,
-        values,
-        torque,
-        sample_period(observation),
-        q0=state[0],
-        qd0=state[1],
-        inputs=inputs,
-        substeps=4,
-    )
     period, size = sample_period(observation), torque.size
+    inputs = replace(inputs, recording=observation.inputs.recording)
+    q0, qd0 = state
+    motion = simulate(chain, values, torque, period, q0=q0, qd0=qd0, inputs=inputs, substeps=4)
     told, whole = observation.settings, ((0, torque.size),)
     q, qd, qdd = motion.q, motion.qd, motion.qdd
     cutoff, order = float(told.get("lowpass", 0.0)), int(told.get("order", 0))

@@ -76,7 +76,7 @@ def test_only_a_known_mass_lifts_the_scale(knee):
     """Leg and alpha scale together whatever torque is played (section 4.2 of the paper)."""
     assert knee.now.data_sd == np.inf
     for one in knee.advices:
-        assert np.isfinite(one.after.data_sd) == (one.candidate.added_mass > 0.0)
+        assert np.isfinite(one.after.data_sd) == (one.candidate.inputs.added_mass > 0.0)
         assert np.isfinite(one.after.sd)
         assert one.after.sd <= one.after.data_sd * (1.0 + 1e-9)
         # more data never widen a normal posterior
@@ -186,7 +186,7 @@ def test_every_limit_is_kept(square):
     assert any(one.candidate.because_of == "speed" for one in found.advices)
     # what had to be lowered is not proposed once more with less
     forms = [
-        (one.candidate.form, one.candidate.added_mass)
+        (one.candidate.form, one.candidate.inputs)
         for one in found.advices
         if one.candidate.because_of
     ]
@@ -194,7 +194,7 @@ def test_every_limit_is_kept(square):
         amplitudes = [
             one.candidate.amplitude
             for one in found.advices
-            if (one.candidate.form, one.candidate.added_mass) == form
+            if (one.candidate.form, one.candidate.inputs) == form
         ]
         assert len(set(amplitudes)) == len(amplitudes)
     for _, reason in found.dropped:
@@ -238,17 +238,17 @@ def test_the_mass_that_is_there_already_is_no_news():
     """Load and mass scale as one where every recording has the same mass."""
     loaded = recorded(1.4 * lagged(), added_mass=2.0, radius=0.35)
     found = ranked("load.inertia", loaded, options=AdviceOptions(masses=()))
-    assert set(found.limits.masses) == {(0.0, 0.0), (2.0, 0.35)}
+    assert set(found.limits.masses) == {Inputs(), Inputs(2.0, 0.35)}
     # what was bolted on once is on hand, and nothing else is guessed
     assert ranked("load.inertia", loaded).limits.masses == found.limits.masses
     for one in found.advices:
-        same = one.candidate.added_mass == 2.0
+        same = one.candidate.inputs.added_mass == 2.0
         assert np.isfinite(one.after.data_sd) == (not same)
 
 
 def test_a_played_recording_is_prepared_like_a_real_one(square):
     """Play the same torque: the virtual recording is the recording, up to its last digits."""
-    again = played(CHAIN, VALUES, square, square.torque, 0.0, 0.0, (0.0, 0.0))
+    again = played(CHAIN, VALUES, square, square.torque, Inputs(), (0.0, 0.0))
     np.testing.assert_array_equal(again.filter.starts, square.filter.starts)
     np.testing.assert_allclose(again.qdd, square.qdd, atol=1e-9 * np.abs(square.qdd).max())
     np.testing.assert_array_equal(again.measured, square.measured)
@@ -264,7 +264,7 @@ def test_an_advice_gives_its_recording_back(knee):
         VALUES,
         columns["torque"],
         PERIOD,
-        inputs=Inputs(best.candidate.added_mass, best.candidate.radius),
+        inputs=best.candidate.inputs,
     )
     # an encoder on the motor shaft turns fifty times as far
     np.testing.assert_allclose(columns["position"] / 50.0, expected.q, atol=1e-8)
@@ -317,10 +317,10 @@ def test_limits_left_out_come_from_the_recordings(square):
 
 def test_a_mass_is_proposed_that_weighs_about_as_much_as_there_is():
     """Inertia and moment of the leg; of the axis, which has no load, all its inertia."""
-    mass, radius = known_mass(CHAIN, VALUES)
+    inertia, moment = known_mass(CHAIN, VALUES).load("rotary")
     # both are rounded to two digits
-    assert mass * radius == pytest.approx(KNEE.values["load.first_moment"], rel=0.06)
-    assert mass * radius**2 == pytest.approx(KNEE.values["load.inertia"], rel=0.12)
+    assert moment == pytest.approx(KNEE.values["load.first_moment"], rel=0.06)
+    assert inertia == pytest.approx(KNEE.values["load.inertia"], rel=0.12)
     chain = AXIS.chain()
-    mass, radius = known_mass(chain, chain.vector(AXIS.values))
-    assert mass * radius**2 == pytest.approx(AXIS.values["motor.inertia"], rel=0.06)
+    inertia, _ = known_mass(chain, chain.vector(AXIS.values)).load("rotary")
+    assert inertia == pytest.approx(AXIS.values["motor.inertia"], rel=0.06)

@@ -184,7 +184,7 @@ def test_what_is_proposed_does_it(lagged):
     for name in fixed.parameters:
         known = look(plain, texts={name: KNEE.values[name]}, others=False)
         assert known.null_counts == (0,)
-    loaded = played(CHAIN, VALUES, plain, plain.torque, 2.0, 0.35)
+    loaded = played(CHAIN, VALUES, plain, plain.torque, Inputs(2.0, 0.35))
     both = look(plain, loaded, others=False)
     assert both.null_counts == (0,)
     assert all(np.isfinite(one.data_sd) for one in both.parameters)

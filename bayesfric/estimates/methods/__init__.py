@@ -33,28 +33,15 @@ class Given:
 
 @dataclass(frozen=True)
 class Estimator:
-    """A method of point estimation.
+    """A method of point estimation."""
 
-    Attributes
-    ----------
-    name, title
-        As asked for, and as a heading.
-    rank
-        Place in every list; those it starts from have lower ones.
-    estimate
-        Makes the estimate, from the ones that were made before, by name.
-    starts_from
-        Name of the method whose estimate it needs, if any.
-    simulates
-        Whether it is dear, and some mechanisms have none.
-    """
-
-    name: str
-    title: str
-    rank: int
+    name: str  # as asked for
+    title: str  # as a heading
+    rank: int  # place in every list; those it starts from have lower ones
+    # makes the estimate, from the ones that were made before, by name
     estimate: Callable[[Given, Mapping[str, Estimate]], Estimate]
-    starts_from: str = ""
-    simulates: bool = False
+    starts_from: str = ""  # name of the method whose estimate it needs, if any
+    simulates: bool = False  # whether it is dear, and some mechanisms have none
 
 
 _FOUND: list[Estimator] = [
@@ -72,21 +59,8 @@ def estimate_by(
 ) -> dict[str, Estimate]:
     """Estimate by some methods, and by those they start from unless ``found`` has them.
 
-    Parameters
-    ----------
-    methods
-        Names.
-    given
-        What to estimate from.
-    found
-        Estimates made already.
-    progress
-        Called with the name of each method before it begins.
-
-    Returns
-    -------
-    dict
-        By every name in ``methods``, in the order of their ranks.
+    ``progress`` is called with the name of each method before it begins. Gives estimates by every
+    name in ``methods``, in the order of their ranks.
 
     Raises
     ------
