@@ -25,34 +25,16 @@ _LEAST_MASS = 1e-6
 
 @dataclass(frozen=True)
 class Prior:
-    """What is believed of one parameter before the recording is looked at.
+    """What is believed of one parameter before the recording is looked at."""
 
-    Attributes
-    ----------
-    text
-        As printed: ``fixed at 0.33``, ``uniform(0, 1)``, ``halfnorm(loc=0, scale=0.5)``.
-    distribution
-        SciPy's frozen distribution, ``None`` where the parameter is fixed.
-    value
-        The fixed value, ``nan`` where the parameter is free.
-    lower, upper
-        Support: the distribution's, cut to the parameter's.
-    mass
-        The distribution's mass inside the support; the density is divided by it.
-    default
-        Whether the package chose it.
-    circular
-        Whether values a turn apart are the same.
-    """
-
-    text: str
-    distribution: Any
-    value: float
-    lower: float
+    text: str  # as printed: fixed at 0.33, uniform(0, 1), halfnorm(loc=0, scale=0.5)
+    distribution: Any  # SciPy's frozen distribution, None where the parameter is fixed
+    value: float  # the fixed value, nan where the parameter is free
+    lower: float  # support: the distribution's, cut to the parameter's
     upper: float
-    mass: float = 1.0
-    default: bool = False
-    circular: bool = False
+    mass: float = 1.0  # of the distribution inside the support; the density is divided by it
+    default: bool = False  # whether the package chose it
+    circular: bool = False  # whether values a turn apart are the same
 
     @property
     def fixed(self) -> bool:
@@ -104,19 +86,15 @@ class Prior:
 
     def sd(self) -> float:
         """Return the standard deviation of the cut distribution; 0 where fixed."""
-        if self.fixed:
-            return 0.0
-        if self.mass > 1.0 - 1e-12:
-            return float(self.distribution.std())
+        if self.fixed or self.mass > 1.0 - 1e-12:
+            return 0.0 if self.fixed else float(self.distribution.std())
         x, weights = self._nodes()
         return float(np.sqrt(weights @ (x - weights @ x) ** 2))
 
     def mean(self) -> float:
         """Return the mean of the cut distribution, or the fixed value."""
-        if self.fixed:
-            return self.value
-        if self.mass > 1.0 - 1e-12:
-            return float(self.distribution.mean())
+        if self.fixed or self.mass > 1.0 - 1e-12:
+            return self.value if self.fixed else float(self.distribution.mean())
         x, weights = self._nodes()
         return float(weights @ x)
 
@@ -143,25 +121,9 @@ def read_prior(
 ) -> Prior:
     """Turn what a configuration says of one parameter into a prior.
 
-    Parameters
-    ----------
-    name
-        Parameter name, for messages.
-    text
-        A number, a pair ``[low, high]``, or a mapping with ``distribution`` (a
-        name in :mod:`scipy.stats`) and its arguments.
-    lower, upper
-        The parameter's support.
-    default
-        Mark the prior as the package's own choice.
-    circular
-        Whether values a turn apart are the same: then the prior spans one turn at most.
-
-    Raises
-    ------
-    BadInput
-        If the prior cannot be, names no SciPy distribution, or lies outside
-        the support.
+    ``text`` is a number, a pair ``[low, high]``, or a mapping with ``distribution`` (a name in
+    :mod:`scipy.stats`) and its arguments. A ``circular`` one spans one turn at most. BadInput if
+    the prior cannot be, names no SciPy distribution, or lies outside the support.
     """
     where = f"priors.{name}"
     span = f"{name} {_span(lower, upper)}"

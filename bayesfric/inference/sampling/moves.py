@@ -142,15 +142,10 @@ class SurrogateMove(_VectorisedMove):
             gain = there - height
             gain[~near] += (suits - would_suit)[~near]
             taken = gain > np.log(random.rand(n))
-            where[taken], height[taken], suits[taken] = (
-                trial[taken],
-                there[taken],
-                would_suit[taken],
-            )
+            where[taken], height[taken] = trial[taken], there[taken]
+            suits[taken] = would_suit[taken]
         # a walker that never left is where it was: nothing to ask
         moved = np.flatnonzero((where != state.coords).any(axis=1))
-        accepted = np.zeros(n, dtype=np.bool_)
-        accepted[moved] = self._judge(
-            model, state, moved, where[moved], begun[moved] - height[moved]
-        )
+        accepted, factors = np.zeros(n, dtype=np.bool_), (begun - height)[moved]
+        accepted[moved] = self._judge(model, state, moved, where[moved], factors)
         return state, accepted

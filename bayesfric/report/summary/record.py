@@ -463,5 +463,9 @@ def of_noise(name: str) -> bool:
 
 
 def quantity_of(name: str) -> str:
-    """Give the quantity that a name ends with: ``inertia`` of ``total.inertia``."""
-    return name.rpartition(".")[2]
+    """Give the quantity of a parameter or total: ``inertia`` of ``total.inertia``.
+
+    An offset may go by a recording's name, which says nothing: ``total.offset.<recording>``.
+    """
+    first, _, rest = name.removeprefix("total.").partition(".")
+    return first if first == "offset" or not rest else rest
