@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 # As numpy.random.RandomState gives and takes it.
 RandomState = tuple[str, NDArray[np.uint32], int, int, float]
 
-FORMAT = 1
+FORMAT = 2
 # Share of the time that may go into saving.
 _SHARE = 0.02
 # Seconds of a long block that may be lost.
@@ -83,7 +83,7 @@ class _Step(NamedTuple):
 class Checkpoint:
     """The steps of one sampling on disk: those it has made, and those it need not make again.
 
-    ``<name>.h5`` in an existing ``folder`` holds the steps, ``<name>.json`` the rest. ``facts`` are
+    ``<name>.steps`` in an existing folder holds the steps, ``<name>.json`` the rest. ``facts`` are
     what the steps depend on, as JSON would give it back: a checkpoint of others is refused
     (BadInput), naming the first that differs. When ``asked_to_stop``, which is asked after every
     step, everything is saved and KeyboardInterrupt raised.
@@ -101,7 +101,7 @@ class Checkpoint:
         asked_to_stop: Callable[[], bool] = lambda: False,
     ) -> None:
         self._folder, self._asked_to_stop = folder, asked_to_stop
-        self._manifest_path, self._steps_path = folder / f"{name}.json", folder / f"{name}.h5"
+        self._manifest_path, self._steps_path = folder / f"{name}.json", folder / f"{name}.steps"
         self._facts: dict[str, Any] = json.loads(json.dumps(facts))
         self.saved, self.seconds, self.walking = 0, 0.0, False
         self._checksum = self._replayed = 0
@@ -201,11 +201,7 @@ class Checkpoint:
         began = time.perf_counter()
         pending, last = self._pending, self._pending[-1]
         steps = Steps(*(np.stack(column) for column in list(zip(*pending, strict=True))[:3]))
-        try:
-            rows = self._file.append(steps, self.saved)
-        except ValueError as error:
-            raise OSError(5, f"{error}", str(self._steps_path)) from None
-        checksum = zlib.crc32(rows, self._checksum)
+        checksum = zlib.crc32(self._file.append(steps, self.saved), self._checksum)
         _, key, position, has_gauss, cached = last.random_state
         manifest = Manifest(
             format=FORMAT,
@@ -262,9 +258,8 @@ class Checkpoint:
         self._compare(found.facts, self._facts)
         file = StepFile(self._steps_path, found.walkers, found.dimension)
         try:
-            for steps in file.pieces(found.steps):
-                self._checksum = zlib.crc32(file.packed(steps), self._checksum)
-        except (OSError, ValueError, MemoryError) as error:
+            self._checksum = file.checksum(found.steps)
+        except (OSError, ValueError) as error:
             raise self._unreadable(self._steps_path, error) from None
         if self._checksum != found.checksum:
             raise self._unreadable(

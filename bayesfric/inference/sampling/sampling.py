@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -308,7 +307,7 @@ class _Ensembles:
             walk = self._sampler.sample(
                 self._state, iterations=end - self.steps, skip_initial_state_check=True
             )
-            with _quiet_emcee(), recording as record:
+            with recording as record:
                 for self._state in walk:
                     self.steps += 1
                     record(self._state, accepted, self.target.not_finite)
@@ -460,15 +459,3 @@ def _given_up(names: tuple[str, ...], needed: Array, steps: int, max_steps: int)
         f"sampling.max_steps is {max_steps}; slowest are {', '.join(slow)}: give them "
         "narrower priors, or fix what is known"
     )
-
-
-@contextmanager
-def _quiet_emcee() -> Iterator[None]:
-    """Keep emcee's remarks on autocorrelation off the user's screen; ours replace them."""
-    logger = logging.getLogger()
-    previous = logger.level
-    logger.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        logger.setLevel(previous)

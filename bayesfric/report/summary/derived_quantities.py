@@ -53,6 +53,11 @@ def derived_rows(fit: Fit, local: LocalInformation) -> dict[str, dict[str, Any]]
     return {name: row for group in groups(fit) for name, row in _rows(fit, local, group)}
 
 
+def rms_of(x: Array) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(x**2)))
+
+
 def spread(x: Array) -> dict[str, Any]:
     """Mean, sd, median and interval of draws; those that are no numbers do not count."""
     x = x[np.isfinite(x)]
@@ -160,20 +165,10 @@ def _robust_sd(x: Array) -> float:
 def sound_quantities(
     fit: Fit, values: Callable[[Array], Array], number: int, most: int
 ) -> NDArray[np.bool_]:
-    """Judge quantities by R-hat and independent draws of their own, ``(number,)``.
+    """Judge so many quantities by R-hat and independent draws of their own, ``(number,)``.
 
-    What no scaling changes may be known where the parameters it is made of still wander.
-
-    Parameters
-    ----------
-    fit
-        A finished fit.
-    values
-        The chain's parameters ``(n, n_parameters)`` to the quantities, ``(number, n)``.
-    number
-        Of quantities.
-    most
-        Draws to look at.
+    What no scaling changes may be known where the parameters it is made of still wander. At most
+    so many draws are looked at; for ``values`` see :class:`Group`.
     """
     diagnostics = fit.posterior.diagnostics
     if diagnostics.status == "reliable":

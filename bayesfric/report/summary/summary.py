@@ -21,7 +21,7 @@ from bayesfric.inference.noise import SCALES
 from bayesfric.inference.posterior import Posterior
 from bayesfric.mechanism.parameter import TURN
 from bayesfric.report.summary.bounds import bound_warning
-from bayesfric.report.summary.derived_quantities import LEVEL, derived_rows, groups, spread
+from bayesfric.report.summary.derived_quantities import LEVEL, derived_rows, groups, rms_of, spread
 from bayesfric.report.summary.noise import (
     correlation_warning,
     linearisation_warning,
@@ -45,21 +45,10 @@ _COLUMNS = ["name", "unit", "mean", "sd", "median", "low", "high", "level", "rha
 def summarise(
     fit: Fit, references: Mapping[str, Any] | None = None, choice: Choice | None = None
 ) -> Summary:
-    """Put all numbers of a fit together.
+    """Put all numbers of a fit together; those that do not exist are ``None``.
 
-    Parameters
-    ----------
-    fit
-        A finished fit.
-    references
-        Values to compare with, as a configuration gives them.
-    choice
-        How the order of the noise was chosen, where it was.
-
-    Returns
-    -------
-    Summary
-        Numbers that do not exist are ``None``.
+    ``references`` are values to compare with, as a configuration gives them, ``choice`` how the
+    order of the noise was chosen, where it was.
     """
     posterior = fit.posterior
     local = local_information(fit.target, posterior.median)
@@ -98,7 +87,7 @@ def summarise(
             **_discretisation(fit.target.likelihood),
             "recordings": {
                 o.name: {
-                    "residual_rms": _rms(r),
+                    "residual_rms": rms_of(r),
                     "residual_lag1": _number(lag),
                     "outputs": int(o.measured.size),
                     **observation.settings,
@@ -146,7 +135,7 @@ def _sampler(posterior: Posterior) -> dict[str, Any]:
 
 def rms(fit: Fit) -> float:
     """Give the root mean square of all residuals."""
-    return _rms(np.concatenate(fit.residuals))
+    return rms_of(np.concatenate(fit.residuals))
 
 
 def _explained(fit: Fit) -> dict[str, float]:
@@ -258,10 +247,6 @@ def _at_bound(
         "bound": prior[side],
         "bound_physical": prior[side] == possible[side],
     }
-
-
-def _rms(x: Array) -> float:
-    return float(np.sqrt(np.mean(x**2)))
 
 
 def _number(x: float) -> float | None:
