@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from bayesfric.inference.coordinates import BoundedCoordinates, choose_coordinates
 from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.noise.scale import Noise
-from bayesfric.inference.prior.joint_prior import JointPrior
-from bayesfric.inference.prior.priors import Prior
+from bayesfric.inference.prior.priors import JointPrior, Prior
 
 Array = NDArray[np.float64]
 

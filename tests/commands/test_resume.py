@@ -176,7 +176,7 @@ def test_what_is_refused(here, whole):
 
 def test_other_code_is_refused(here, whole, monkeypatch):
     stopped(here.folder, blocks(whole)[6])
-    from bayesfric.inference.prior.joint_prior import JointPrior
+    from bayesfric.inference.prior.priors import JointPrior
 
     original = JointPrior.log_density
     monkeypatch.setattr(JointPrior, "log_density", lambda self, x: original(self, x) + 1e-3)

@@ -41,7 +41,7 @@ class Evidence:
 
     order: int  # predecessors that each residual remembers
     bic: float  # Bayesian information criterion over that of white noise; the smallest is chosen
-    innovations: float  # their root mean square over that of the residuals
+    innovation_share: float  # root mean square of the innovations over that of the residuals
     p_value: float  # of the Ljung-Box test that the innovations are white
     # by how much it moves the estimate at most, in robust standard deviations, and the root mean
     # square of the residuals that it then has, over that of least squares

@@ -82,10 +82,6 @@ class TorqueLikelihood(Likelihood):
         out.moments = moments
         return out
 
-    def with_noise(self, noise: ResidualNoise) -> TorqueLikelihood:
-        """Make the same likelihood with other noise, not prepared."""
-        return TorqueLikelihood(self.chain, self.observations, noise)
-
     def sum_of_squares(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Sum of squared residuals of each recording, ``(n, n_recordings)``."""
         return self.moments.at(values).sum_of_squares

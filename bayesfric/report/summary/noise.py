@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -76,15 +77,7 @@ def noise_record(
             for o, s in zip(likelihood.outputs, scales, strict=True)
         }
     if choice is not None:
-        record["order_chosen_from"] = [
-            {
-                "order": one.order,
-                "bic": one.bic,
-                "innovation_share": one.innovations,
-                "p_value": one.p_value,
-            }
-            for one in choice.tried
-        ]
+        record["order_chosen_from"] = [asdict(one) for one in choice.tried]
     return record
 
 
