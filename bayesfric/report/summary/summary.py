@@ -20,7 +20,7 @@ from bayesfric.inference.likelihood.position_likelihood import PositionLikelihoo
 from bayesfric.inference.noise import SCALES
 from bayesfric.inference.posterior import Posterior
 from bayesfric.mechanism.parameter import TURN
-from bayesfric.report.summary import noise as of_noise
+from bayesfric.report.summary import noise as noise_part
 from bayesfric.report.summary.bounds import bound_warning
 from bayesfric.report.summary.derived_quantities import (
     LEVEL,
@@ -78,7 +78,7 @@ def summarise(
             ],
             "singular_values": [float(x) for x in local.directions.singular_values],
         },
-        "noise": of_noise.noise_record(fit, residual, lags, choice),
+        "noise": noise_part.noise_record(fit, residual, lags, choice),
         "fit": {
             "residual_rms": rms(fit),
             **_explained(fit),
@@ -106,8 +106,8 @@ def summarise(
     warnings = [
         *posterior.diagnostics.warnings,
         *(bound_warning(name, row) for name, row in sound.items()),
-        of_noise.correlation_warning(summary),
-        of_noise.linearisation_warning(summary.likelihood),
+        noise_part.correlation_warning(summary),
+        noise_part.linearisation_warning(summary.likelihood),
         *(
             f"{o.name}: {text}"
             for o in (*fit.observations, *(p.held_out.observation for p in fit.held_out))
@@ -195,7 +195,7 @@ def _parameters(fit: Fit, local: LocalInformation) -> dict[str, Any]:
     possible = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
     noise = fit.target.noise
     for name, symbol, quantity in zip(noise.names, noise.symbols, noise.quantities, strict=True):
-        unit, meaning = of_noise.noise_unit(fit, quantity), of_noise.noise_meaning(fit, quantity)
+        unit, meaning = noise_part.noise_unit(fit, quantity), noise_part.noise_meaning(fit, quantity)
         described[name] = {"unit": unit, "symbol": symbol, "meaning": meaning}
         possible[name] = (SCALES[quantity].lower, SCALES[quantity].upper)
     rows = {}
