@@ -195,7 +195,10 @@ def _parameters(fit: Fit, local: LocalInformation) -> dict[str, Any]:
     possible = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
     noise = fit.target.noise
     for name, symbol, quantity in zip(noise.names, noise.symbols, noise.quantities, strict=True):
-        unit, meaning = noise_part.noise_unit(fit, quantity), noise_part.noise_meaning(fit, quantity)
+        unit, meaning = (
+            noise_part.noise_unit(fit, quantity),
+            noise_part.noise_meaning(fit, quantity),
+        )
         described[name] = {"unit": unit, "symbol": symbol, "meaning": meaning}
         possible[name] = (SCALES[quantity].lower, SCALES[quantity].upper)
     rows = {}
