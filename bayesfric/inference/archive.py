@@ -34,19 +34,9 @@ def make_archive(
 ) -> Any:
     """Put groups of named arrays together as the installed ArviZ has them.
 
-    Parameters
-    ----------
-    groups
-        Group name to variable name to array. Variables of sampled groups begin
-        with the dimensions ``chain`` and ``draw``.
-    dims
-        Names of the dimensions behind those two.
-    coords
-        Labels of the dimensions.
-    attrs
-        Root attributes.
-    variable_attrs
-        What variables say of themselves, by group and name.
+    Variables of sampled groups begin with the dimensions ``chain`` and ``draw``; ``dims`` names
+    those behind, ``coords`` labels them. ``attrs`` are root attributes, ``variable_attrs`` what
+    variables say of themselves, by group and name.
     """
     options = {"dims": dict(dims), "coords": dict(coords)}
     named = {group: dict(variables) for group, variables in groups.items()}
@@ -80,10 +70,7 @@ def make_archive(
 def write_archive(path: Path, groups: Groups, **named: Any) -> None:
     """Write what :func:`make_archive` makes of the same arguments, as NetCDF that any ArviZ reads.
 
-    Raises
-    ------
-    OSError
-        If there is no room for it, or the folder of ``path`` cannot be written to.
+    OSError if there is no room for it, or the folder of ``path`` cannot be written to.
     """
     data = make_archive(groups, **named)
     arrays = [array for variables in groups.values() for array in variables.values()]

@@ -63,21 +63,17 @@ class BoundedCoordinates:
     def __init__(
         self, lower: Sequence[float], upper: Sequence[float], widths: Array | None = None
     ) -> None:
-        self.description = (
-            "logarithm or normal quantile of each parameter between its bounds"
-            if widths is None
-            else "each parameter by itself, bent where it comes near a bound"
-        )
-        self.lower = np.asarray(lower, dtype=np.float64)
-        self.upper = np.asarray(upper, dtype=np.float64)
+        self._bend = widths is not None
+        self.description = "logarithm or normal quantile of each parameter between its bounds"
+        if self._bend:
+            self.description = "each parameter by itself, bent where it comes near a bound"
+        self.lower, self.upper = np.array(lower, dtype=float), np.array(upper, dtype=float)
         low, high = np.isfinite(self.lower), np.isfinite(self.upper)
         span = np.where(low & high, self.upper - self.lower, np.inf)
         self._widths = np.ones(self.lower.size) if widths is None else widths
-        wide = self._widths > _WIDE * span if widths is not None else low & high
-        self._between = low & high & wide
+        self._between = low & high & ((self._widths > _WIDE * span) | (not self._bend))
         self._above = low & ~self._between
         self._below = ~low & high
-        self._bend = widths is not None
         self._span = np.where(self._between, span, 1.0)
         self._low = np.where(low, self.lower, 0.0)
         self._high = np.where(high, self.upper, 0.0)
@@ -118,19 +114,9 @@ class BoundedCoordinates:
 
 # The chain whose inverse model is eq. (13), in this order of parameters: which element, whatever
 # it is called, and what of it.
-_GEARBOX_FORM = (
-    "0.inertia",
-    "0.viscous",
-    "0.coulomb_positive",
-    "0.coulomb_negative",
-    "1.load_drive",
-    "1.load_back",
-    "2.viscous",
-    "2.coulomb_positive",
-    "2.coulomb_negative",
-    "load.inertia",
-    "load.first_moment",
-)
+_GEARBOX_FORM = ("0.inertia", "0.viscous", "0.coulomb_positive", "0.coulomb_negative",
+    "1.load_drive", "1.load_back", "2.viscous", "2.coulomb_positive", "2.coulomb_negative",
+    "load.inertia", "load.first_moment")  # fmt: skip
 # The same chain with one mu for both directions of power.
 _SINGLE_LOSS_FORM = (*_GEARBOX_FORM[:4], "1.load", *_GEARBOX_FORM[6:])
 
@@ -150,21 +136,13 @@ class TorqueFormCoordinates:
     parameters, ``Theta1 - rho Theta2``, do not depend on the scale at all.
 
     Here Theta2's rows are leg parameters times ``lambda_2``, in joint units (the
-    paper's rows divided by constants), and Theta1's in motor units.
+    paper's rows divided by constants), and Theta1's in motor units. ``ratio`` is ``N``, motor
+    speed over joint speed.
 
-    Parameters
-    ----------
-    ratio
-        ``N``, motor speed over joint speed.
-    gravity
-        m/s².
-    first_moment
-        ``ml`` in kg m where it is known: it fixes the scale, ``lambda_2 = theta10 N/(g ml)``,
-        and there is no eleventh coordinate.
-    told
-        Name of ``ml`` or of ``mu_1`` where a prior tells it well: then its logarithm (that of
-        ``1 + mu_1``) is the eleventh coordinate, in which such a posterior is straight, while
-        its place between the bounds would be a bent ridge.
+    A known ``first_moment``, ``ml`` in kg m, fixes the scale, ``lambda_2 = theta10 N/(g ml)``, and
+    there is no eleventh coordinate. Of the ``ml`` or ``mu_1`` ``told`` well by a prior, the
+    logarithm (that of ``1 + mu_1``) is the eleventh coordinate, in which such a posterior is
+    straight, while its place between the bounds would be a bent ridge.
     """
 
     def __init__(
@@ -180,8 +158,7 @@ class TorqueFormCoordinates:
         self.description = f"Theta1 and Theta2 of eq. (13), and {scale}"
         self._to_motor = _worth_at_motor(ratio, gravity)
         self._log_constant = -float(np.log(self._to_motor[:4]).sum())
-        self._order_leg = [9, 6, 7, 8, 10]  # in _GEARBOX_FORM: J, f, C1, C2, ml
-        self._order_motor = [0, 1, 2, 3]
+        self._leg = [9, 6, 7, 8, 10]  # in _GEARBOX_FORM: J, f, C1, C2, ml
 
     def to_parameters(self, u: Array) -> tuple[Array, Array]:
         """See :class:`Coordinates`. ``u``: theta_1..5, theta_6..10, place of the scale."""
@@ -192,19 +169,13 @@ class TorqueFormCoordinates:
             lambda2 = np.exp(log_lambda2)
             lambda1 = rho * lambda2
             parameters = np.empty((u.shape[0], 11))
-            parameters[:, self._order_leg] = theta2 / (lambda2[:, None] * self._to_motor)
-            parameters[:, self._order_motor] = theta1[:, :4] - rho[:, None] * theta2[:, :4]
+            parameters[:, self._leg] = theta2 / (lambda2[:, None] * self._to_motor)
+            parameters[:, :4] = theta1[:, :4] - rho[:, None] * theta2[:, :4]
             parameters[:, 4] = lambda1 + lambda2 - 1.0
             parameters[:, 5] = 1.0 - (lambda1 - lambda2)
             # |d(motor, mu, leg)/d(Theta1, Theta2, log lambda2)|, see the tests for the check
-            jacobian = (
-                self._log_constant
-                - math.log(self._to_motor[4])
-                + math.log(2.0)
-                - 3.0 * log_lambda2
-                - np.log(theta2[:, 4])
-                + log_slope
-            )
+            constant = self._log_constant - math.log(self._to_motor[4]) + math.log(2.0)
+            jacobian = constant - 3.0 * log_lambda2 - np.log(theta2[:, 4]) + log_slope
             possible = (theta2[:, 4] > 0.0) & (rho > 1.0)
             possible &= np.isfinite(jacobian) & np.isfinite(parameters).all(axis=1)
         return parameters[:, : u.shape[1]], np.where(possible, jacobian, -np.inf)
@@ -216,11 +187,11 @@ class TorqueFormCoordinates:
             parameters = np.concatenate([parameters, known], axis=1)
         drive, back = 1.0 + parameters[:, 4], 1.0 - parameters[:, 5]
         lambda1, lambda2 = (drive + back) / 2.0, (drive - back) / 2.0
-        leg = parameters[:, self._order_leg] * self._to_motor
+        leg = parameters[:, self._leg] * self._to_motor
         u = np.empty_like(parameters)
         u[:, 5:10] = lambda2[:, None] * leg
         u[:, :5] = lambda1[:, None] * leg
-        u[:, :4] += parameters[:, self._order_motor]
+        u[:, :4] += parameters[:, :4]
         if self.first_moment is not None:
             return u[:, :10]
         if self.told:
@@ -310,10 +281,7 @@ def _tells(prior: Prior) -> bool:
 def choose_coordinates(
     chain: Joint, priors: Mapping[str, Prior], widths: Array | None = None
 ) -> Coordinates:
-    """Take the coordinates that suit the chain and its priors best.
-
-    ``widths`` ``(d,)`` are about the posterior sds of the free parameters, where they are known.
-    """
+    """Take the coordinates that suit the chain, its priors and posterior sds ``(d,)`` best."""
     free = [name for name in chain.names if not priors[name].fixed]
     if all(e.ratio == 1.0 for i, e in enumerate(chain.elements) if i != 1):
         form, joint = _form(chain), (chain.ratio, chain.load.gravity)
@@ -334,8 +302,5 @@ def choose_coordinates(
 def _form(chain: Joint) -> tuple[str, ...]:
     """Tell parameters by place and quantity, whatever elements are called: ``0.inertia``."""
     places = {element.name: str(i) for i, element in enumerate(chain.elements)}
-    owners = (p.name.rpartition(".")[0] for p in chain.parameters)
-    return tuple(
-        f"{places.get(owner, owner)}.{p.quantity}"
-        for owner, p in zip(owners, chain.parameters, strict=True)
-    )
+    owners = [(p.name.rpartition(".")[0], p.quantity) for p in chain.parameters]
+    return tuple(f"{places.get(owner, owner)}.{quantity}" for owner, quantity in owners)

@@ -29,6 +29,8 @@ from bayesfric.inference.target import Target
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.observation import Observation
 
+Array = NDArray[np.float64]
+
 # Draws of the expected posterior that a cheaper likelihood is prepared for.
 _DRAWS = 300
 # Evaluations of a climb's step that may be dear before it is prepared anew.
@@ -44,28 +46,15 @@ _MOST_SIMULATED = 20
 
 @dataclass(frozen=True)
 class Fit:
-    """A finished fit.
-
-    Attributes
-    ----------
-    target
-        Log-posterior; its ``likelihood`` holds chain and observations.
-    posterior
-        Draws and diagnostics.
-    estimates
-        Point estimates of the same recordings, least squares first.
-    held_out
-        Predictions of what the likelihood did not see.
-    linearisation
-        By how much the log-likelihood changes, as a standard deviation over draws, when what
-        torque noise does to the motion is linearised at each draw and not at the mode. Far
-        below 1 it does not matter. ``None`` where nothing is linearised.
-    """
+    """A finished fit; the target's likelihood holds chain and observations."""
 
     target: Target
     posterior: Posterior
-    estimates: tuple[Estimate, ...]
-    held_out: tuple[Prediction, ...] = ()
+    estimates: tuple[Estimate, ...]  # of the same recordings, least squares first
+    held_out: tuple[Prediction, ...] = ()  # of what the likelihood did not see
+    # By how much the log-likelihood changes, as a standard deviation over draws, when what torque
+    # noise does to the motion is linearised at each draw and not at the mode. Far below 1 it does
+    # not matter; None where nothing is linearised.
     linearisation: float | None = None
 
     @property
@@ -79,17 +68,14 @@ class Fit:
         return self.target.likelihood.observations
 
     @cached_property
-    def residuals(self) -> list[NDArray[np.float64]]:
+    def residuals(self) -> list[Array]:
         """Measured minus posterior mean output of each recording."""
         likelihood = self.target.likelihood
-        return [
-            o.measured - predicted.mean(axis=0)
-            for o, predicted in zip(
-                likelihood.outputs, likelihood.predict(self.chain_draws(200)), strict=True
-            )
-        ]
+        predicted = likelihood.predict(self.chain_draws(200))
+        pairs = zip(likelihood.outputs, predicted, strict=True)
+        return [o.measured - rows.mean(axis=0) for o, rows in pairs]
 
-    def chain_draws(self, n: int | None = None) -> NDArray[np.float64]:
+    def chain_draws(self, n: int | None = None) -> Array:
         """Draws of all chain parameters, fixed ones included, ``(n, n_parameters)``.
 
         At most ``n``, evenly spread; all if left out.
@@ -103,11 +89,10 @@ def read_priors(
     observations: Sequence[Observation],
     noise: Sequence[str] = ("sigma",),
 ) -> dict[str, Prior]:
-    """Priors of every parameter of the chain: the given ones and defaults for the rest.
+    """Priors of every parameter of the chain: those that a configuration gives, and defaults.
 
-    ``texts`` is what a configuration says by parameter name, noise scales included; ``noise``
-    names the scales that the likelihood has: ``sigma`` makes ``noise.sigma``. BadInput if a name
-    is unknown or a prior cannot be.
+    ``noise`` names the scales that the likelihood has: ``sigma`` makes ``noise.sigma``. BadInput
+    if a name is unknown or a prior cannot be.
     """
     noises = [f"noise.{quantity}" for quantity in noise]
     # one prior for the offset stands for those of all recordings that have none of their own
@@ -144,20 +129,14 @@ def make_target(
     noise_scale: NoiseScale,
     noise: ResidualNoise | None = None,
 ) -> Target:
-    """Put the likelihood of the torque, priors and noise together.
-
-    ``priors`` is what :func:`read_priors` gives; the noise is white if left out.
-    """
+    """Put the likelihood of the torque, priors and noise together; white if left out."""
     return target_of(TorqueLikelihood(chain, observations, noise), priors, noise_scale)
 
 
 def target_of(
     likelihood: Likelihood, priors: Mapping[str, Prior], noise_scale: NoiseScale
 ) -> Target:
-    """Put any likelihood, priors and noise together.
-
-    ``priors`` is what :func:`read_priors` gives for the likelihood's noise scales.
-    """
+    """Put any likelihood and what :func:`read_priors` gives for its noise scales together."""
     recordings = [o.name for o in likelihood.observations]
     noise = noise_of(recordings, likelihood.noise.scales, priors, noise_scale)
     return Target(likelihood, priors, noise)
@@ -173,19 +152,14 @@ def fit(
 ) -> Fit:
     """Estimate, climb to the mode, sample.
 
-    ``estimates`` are point estimates already made: the search starts from theirs. For
-    ``checkpoint`` see :func:`bayesfric.inference.sampling.sampling.sample`.
-
-    Raises
-    ------
-    BadInput
-        If the motion cannot tell the totals of eq. (11) apart, or the priors
-        leave no place the search could start from.
+    The search starts from ``estimates`` already made. For ``checkpoint`` see
+    :func:`bayesfric.inference.sampling.sampling.sample`. BadInput if the motion cannot tell the
+    totals of eq. (11) apart, or the priors leave no place the search could start from.
     """
     likelihood = target.likelihood
     if not estimates:
         estimates = (least_squares(likelihood.chain, likelihood.observations),)
-    progress(Progress("searching the mode", 0, float("nan"), float("nan")))
+    progress(Progress("searching the mode"))
     rng = np.random.default_rng(np.random.SeedSequence(sampling.seed, spawn_key=(2**31,)))
     # what only stands beside the posterior, and may be cut off by the clock, must not move it
     beside = {one.name for one in ESTIMATORS.values() if one.simulates} - {likelihood.method}
@@ -249,17 +223,14 @@ class _Search:
     With a million samples a vector outside costs ten thousand times one inside.
     """
 
-    def __init__(
-        self, target: Target, prior_places: NDArray[np.float64], rng: np.random.Generator
-    ) -> None:
-        self.target = target
-        self._prior_places, self._rng = prior_places, rng
+    def __init__(self, target: Target, prior_places: Array, rng: np.random.Generator) -> None:
+        self.target, self._prior_places, self._rng = target, prior_places, rng
         self._outside = target.likelihood.outside
 
-    def __call__(self, u: NDArray[np.float64]) -> NDArray[np.float64]:
+    def __call__(self, u: Array) -> Array:
         return self.target(u)
 
-    def prepare_again(self, place: NDArray[np.float64]) -> None:
+    def prepare_again(self, place: Array) -> None:
         """Prepare at coordinates ``(d,)`` if the last step was mostly outside."""
         before, self._outside = self._outside, self.target.likelihood.outside
         if self._outside - before > _OUTSIDE:
@@ -268,12 +239,10 @@ class _Search:
             self._outside = self.target.likelihood.outside
 
 
-def _simulated_mode(
-    target: Target, candidates: NDArray[np.float64], prior_places: NDArray[np.float64]
-) -> tuple[Target, NDArray[np.float64]]:
+def _simulated_mode(target: Target, candidates: Array, prior_places: Array) -> tuple[Target, Array]:
     """Climb with few simulations, and linearise the simulation anew at what is found."""
 
-    def curvature(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def curvature(x: Array) -> Array:
         return np.asarray(np.linalg.inv(gauss_newton(target, x, prior_places).covariance))
 
     mode = climb(target, candidates, climbs=1, max_steps=_MOST_SIMULATED, curvature=curvature)
@@ -289,28 +258,24 @@ def _prepared(target: Target, start: Start, rng: np.random.Generator) -> Target:
     return target.prepared(start.mode + rng.standard_normal((_DRAWS, start.mode.size)) @ root.T)
 
 
-def _place_and_widths(
-    target: Target, start: Start
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _place_and_widths(target: Target, start: Start) -> tuple[Array, Array]:
     """Carry a normal in coordinates over to parameters: its centre and sds, ``(d,)`` each."""
     sds = np.minimum(np.sqrt(np.diag(start.covariance)), 1.0 + np.abs(start.mode))
     centre, _ = target.to_parameters(start.mode[None])
     shifted, _ = target.to_parameters(start.mode + np.concatenate([np.diag(sds), -np.diag(sds)]))
     d = start.mode.size
-    index = np.arange(d)
-    widths = np.abs(shifted[index, index] - shifted[d + index, index]) / 2.0
+    widths = np.abs(np.diag(shifted[:d]) - np.diag(shifted[d:])) / 2.0
     widths = np.where(np.isfinite(widths), widths, np.abs(centre[0]))
     return centre[0], np.maximum(widths, 1e-12 * np.abs(centre[0]) + 1e-300)
 
 
 def _points(target: Target, estimates: Sequence[Estimate]) -> list[dict[str, float]]:
     """Parameters to start from: estimates, and totals split in several ways."""
-    chain, likelihood = target.likelihood.chain, target.likelihood
     points = [dict(e.point) for e in estimates if e.point]
     # a simulation costs more than an inverse model, and starts from a simulation's estimate
-    if likelihood.method == "input-error" or not points:
+    if target.likelihood.method == "input-error" or not points:
         points += [
-            starting_values(chain, e, mu, share)
+            starting_values(target.likelihood.chain, e, mu, share)
             for e in estimates
             if not e.point
             for mu in (0.02, 0.1, 0.2, 0.4)
@@ -319,7 +284,7 @@ def _points(target: Target, estimates: Sequence[Estimate]) -> list[dict[str, flo
     return points
 
 
-def _on_turn(target: Target, parameters: NDArray[np.float64]) -> NDArray[np.float64]:
+def _on_turn(target: Target, parameters: Array) -> Array:
     """Bring angles of parameters ``(n, d)`` or ``(n, free)`` to the turn of their priors."""
     columns = zip(target.priors, parameters.T, strict=False)
     return np.stack([prior.turned(column) for prior, column in columns], axis=1)
@@ -329,13 +294,12 @@ def _candidates(
     target: Target,
     estimates: Sequence[Estimate],
     points: Sequence[Mapping[str, float]],
-    prior_draws: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    prior_draws: Array,
+) -> Array:
     """Places to start from: points, and draws from the priors."""
     likelihood = target.likelihood
     k = len(target.free)
-    rows = np.array([[values[name] for name in target.free] for values in points])
-    rows = _on_turn(target, rows)
+    rows = _on_turn(target, np.array([[p[name] for name in target.free] for p in points]))
     # a start at a bound would have no finite coordinates
     inner = np.quantile(prior_draws, [0.002, 0.998], axis=0)
     for j, prior in enumerate(target.priors[:k]):
@@ -348,35 +312,33 @@ def _candidates(
         unexplained = float(np.sqrt(np.mean(measured**2)))
         candidates = np.concatenate(
             [
-                np.concatenate([some, np.tile(scales, (len(some), 1))], axis=1)
+                np.column_stack([some, np.tile(scales, (len(some), 1))])
                 for some, size in ((rows, rms), (prior_draws[:100, :k], unexplained))
                 for scales in _noise_starts(target, size)
             ]
         )
     else:
         scales = _noise_grid(target, inner[:, k:])
-        candidates = np.concatenate(
-            [np.repeat(rows, len(scales), axis=0), np.tile(scales, (len(rows), 1))], axis=1
+        candidates = np.column_stack(
+            [np.repeat(rows, len(scales), axis=0), np.tile(scales, (len(rows), 1))]
         )
     candidates[:, k:] = np.clip(candidates[:, k:], *inner[:, k:])
     return target.from_parameters(candidates)
 
 
-def _noise_starts(target: Target, size: float) -> NDArray[np.float64]:
+def _noise_starts(target: Target, size: float) -> Array:
     """Noise scales for residuals of this size, the same for all recordings, ``(m, scales)``."""
     likelihood = target.likelihood
     assert isinstance(likelihood, TorqueLikelihood)
-    starts = likelihood.noise.starts(size)
     columns = [likelihood.noise.quantities.index(kind) for kind in target.noise.quantities]
-    return np.asarray(starts[:, columns])
+    return np.asarray(likelihood.noise.starts(size)[:, columns])
 
 
-def _noise_grid(target: Target, inner: NDArray[np.float64]) -> NDArray[np.float64]:
+def _noise_grid(target: Target, inner: Array) -> Array:
     """Noise scales over their priors' ranges, the same for all recordings, ``(n, scales)``."""
     kinds = target.noise.quantities
-    axes = {
-        kind: np.geomspace(inner[0, kinds.index(kind)], inner[1, kinds.index(kind)], 9)
-        for kind in dict.fromkeys(kinds)
-    }
-    grid = np.stack(np.meshgrid(*axes.values(), indexing="ij"), axis=-1).reshape(-1, len(axes))
-    return grid[:, [list(axes).index(kind) for kind in kinds]]
+    own = list(dict.fromkeys(kinds))
+    ends = [inner[:, kinds.index(kind)] for kind in own]
+    axes = [np.geomspace(low, high, 9) for low, high in ends]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(own))
+    return grid[:, [own.index(kind) for kind in kinds]]

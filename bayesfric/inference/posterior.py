@@ -19,53 +19,25 @@ Status = Literal["reliable", "tentative", "unusable"]
 
 @dataclass(frozen=True)
 class Diagnostics:
-    """Whether the sampling can be trusted.
+    """Whether the sampling can be trusted; arrays are of every sampled parameter, ``(d,)``."""
 
-    Attributes
-    ----------
-    status
-        ``reliable``: every criterion met. ``tentative``: stopped early, but the
-        ensembles agree roughly. ``unusable``: they do not.
-    problems
-        One plain sentence each, with the mend; empty when reliable.
-    rhat, tau, ess
-        Nested R-hat, autocorrelation time in steps and effective sample size of
-        each sampled parameter, ``(d,)``.
-    acceptance
-        Accepted share of proposals of each walker, ``(ensembles, walkers)``.
-    ensembles, walkers, warmup, steps
-        Shape of the sample before thinning; ``steps`` counts after warm-up.
-    thin
-        Every ``thin``-th step is kept in the draws.
-    not_finite
-        Likelihood evaluations that came out as no number, those of warm-up included.
-    seconds
-        Wall-clock time of sampling.
-    not_finite_share
-        Share of places beside the posterior where the likelihood is no number; see
-        :mod:`bayesfric.inference.sampling.undefined_likelihood`.
-    warnings
-        What to know of a sample that has converged, with the mend.
-    max_rhat
-        Largest nested R-hat that was accepted.
-    """
-
+    # reliable: every criterion met; tentative: stopped early, but the ensembles agree roughly
     status: Status
-    problems: tuple[str, ...]
-    rhat: NDArray[np.float64]
-    tau: NDArray[np.float64]
-    ess: NDArray[np.float64]
-    acceptance: NDArray[np.float64]
+    problems: tuple[str, ...]  # one plain sentence each, with the mend; empty when reliable
+    rhat: NDArray[np.float64]  # nested R-hat
+    tau: NDArray[np.float64]  # autocorrelation time in steps
+    ess: NDArray[np.float64]  # effective sample size
+    acceptance: NDArray[np.float64]  # accepted share of proposals, (ensembles, walkers)
     ensembles: int
     walkers: int
     warmup: int
-    steps: int
-    thin: int
-    not_finite: int
-    seconds: float
-    not_finite_share: float = 0.0
-    warnings: tuple[str, ...] = ()
-    max_rhat: float = 1.01
+    steps: int  # after warm-up, before thinning
+    thin: int  # which steps are kept in the draws
+    not_finite: int  # likelihoods that came out as no number, those of warm-up included
+    seconds: float  # wall-clock time of sampling
+    not_finite_share: float = 0.0  # of places beside the posterior, see undefined_likelihood
+    warnings: tuple[str, ...] = ()  # on a sample that has converged, with the mend
+    max_rhat: float = 1.01  # largest nested R-hat that was accepted
 
     def sound(self, rhat: NDArray[np.float64], ess: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Whether numbers with these diagnostics may be told, whatever the others do."""
@@ -76,32 +48,14 @@ class Diagnostics:
 
 @dataclass(frozen=True)
 class Posterior:
-    """Draws of the sampled parameters.
-
-    Attributes
-    ----------
-    names
-        Sampled parameters, noise scales last.
-    priors
-        Theirs.
-    draws
-        ``(ensembles, walkers, steps, d)`` in physical units, thinned.
-    log_density
-        ``(ensembles, walkers, steps)`` log posterior in sampling coordinates.
-    coordinates
-        In words, which coordinates were sampled.
-    diagnostics
-        Of the whole sample, before thinning.
-    seed
-        Of this sample.
-    """
+    """Draws of the sampled parameters, noise scales last."""
 
     names: tuple[str, ...]
     priors: tuple[Prior, ...]
-    draws: NDArray[np.float64]
-    log_density: NDArray[np.float64]
-    coordinates: str
-    diagnostics: Diagnostics
+    draws: NDArray[np.float64]  # (ensembles, walkers, steps, d), in physical units, thinned
+    log_density: NDArray[np.float64]  # in sampling coordinates, (ensembles, walkers, steps)
+    coordinates: str  # that were sampled, in words
+    diagnostics: Diagnostics  # of the whole sample, before thinning
     seed: int
 
     def flat(self, most: int | None = None) -> NDArray[np.float64]:

@@ -34,23 +34,13 @@ class Prediction:
     It is a mixture with one component a draw: that draw's modelled torque, and about it
     one residual of that draw's noise. What the noise remembers of neighbouring outputs is not
     used: the prediction is made from the motion alone.
-
-    Attributes
-    ----------
-    held_out
-        What is predicted.
-    torque
-        ``(n, M)`` modelled by each draw, filtered like the measured.
-    noise
-        SciPy's distribution of a residual in each draw, of shape ``(n, 1)``.
-    borrowed
-        What the recording would have of its own but no fit has seen, ``noise scale``
-        or ``offset``: each draw takes them from one fitted recording, picked at random.
     """
 
     held_out: HeldOut
-    torque: Array
-    noise: Any
+    torque: Array  # (n, M) modelled by each draw, filtered like the measured
+    noise: Any  # SciPy's distribution of a residual in each draw, of shape (n, 1)
+    # What the recording would have of its own but no fit has seen, "noise scale" or "offset":
+    # each draw takes them from one fitted recording, picked at random.
     borrowed: tuple[str, ...]
 
     @property
@@ -133,12 +123,10 @@ def predict_held_out(
         n = len(draws)
         values = target.chain_values(draws)
         scales = target.noise.scales(draws[:, len(target.free) :])
-        if one.name in names:
-            like, borrowed = np.full(n, names.index(one.name)), []
-        else:
+        like, borrowed = np.full(n, names.index(one.name) if one.name in names else 0), []
+        if one.name not in names:
             like = rng.integers(len(names), size=n)
-            apart = np.ptp(target.noise.places, axis=0).any()
-            borrowed = ["noise scale"] if apart else []
+            borrowed += ["noise scale"] if np.ptp(target.noise.places, axis=0).any() else []
             borrowed += ["offset"] if chain.own_offsets else []
         torque = np.empty((n, outputs))
         for r in np.unique(like):

@@ -12,37 +12,20 @@ from numpy.typing import NDArray
 from bayesfric.inference.coordinates import BoundedCoordinates, choose_coordinates
 from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.noise.scale import Noise
-from bayesfric.inference.prior.joint_prior import JointPrior
-from bayesfric.inference.prior.priors import Prior
+from bayesfric.inference.prior.priors import JointPrior, Prior
 
 Array = NDArray[np.float64]
 
 
 class Target:
-    """Posterior of the free parameters and the noise scales.
+    """Posterior of the free parameters and the noise scales, the chain's first.
 
-    Parameters
-    ----------
-    likelihood
-        Of the measured torque or position.
-    priors
-        One for every parameter of the chain, fixed ones included.
-    noise
-        The noise model with its own priors.
-    widths
-        About the posterior sds of the sampled parameters, ``(d,)``; they shape
-        the coordinates, not the posterior. See :meth:`with_widths`.
+    ``priors`` are of every parameter of the chain, fixed ones included, ``noise`` has its own;
+    ``widths`` ``(d,)`` are about the posterior sds, and shape the coordinates, not the posterior.
 
-    Attributes
-    ----------
-    names
-        Sampled parameters, the chain's free ones first.
-    priors
-        Theirs.
-    not_finite
-        How often the likelihood came out as no number; such points count as
-        impossible. So does the edge of a prior that is infinitely dense there: a walker
-        that rounding put on it would never leave.
+    ``not_finite`` counts how often the likelihood came out as no number; such points are
+    impossible. So is the edge of a prior that is infinitely dense there: a walker that rounding
+    put on it would never leave.
     """
 
     def __init__(
@@ -53,8 +36,7 @@ class Target:
         widths: Array | None = None,
     ) -> None:
         chain = likelihood.chain
-        self.likelihood = likelihood
-        self.noise = noise
+        self.likelihood, self.noise = likelihood, noise
         self.free = tuple(name for name in chain.names if not priors[name].fixed)
         self.names = self.free + noise.names
         self.priors = tuple(priors[name] for name in self.free) + noise.priors
@@ -65,14 +47,10 @@ class Target:
             [priors[name].value if priors[name].fixed else 0.0 for name in chain.names]
         )
         self._all_priors = priors
-        self.coordinates = choose_coordinates(
-            chain, priors, None if widths is None else widths[: len(self.free)]
-        )
-        self._noise_coordinates = BoundedCoordinates(
-            [p.lower for p in noise.priors],
-            [p.upper for p in noise.priors],
-            None if widths is None else widths[len(self.free) :],
-        )
+        own, of_noise = (None, None) if widths is None else np.split(widths, [len(self.free)])
+        self.coordinates = choose_coordinates(chain, priors, own)
+        low, high = [p.lower for p in noise.priors], [p.upper for p in noise.priors]
+        self._noise_coordinates = BoundedCoordinates(low, high, of_noise)
 
     @cached_property
     def dimension(self) -> int:
@@ -119,13 +97,9 @@ class Target:
     def from_parameters(self, parameters: Array) -> Array:
         """Map parameters ``(n, d)`` to coordinates."""
         k = len(self.free)
-        return np.concatenate(
-            [
-                self.coordinates.from_parameters(parameters[:, :k]),
-                self._noise_coordinates.from_parameters(parameters[:, k:]),
-            ],
-            axis=1,
-        )
+        model = self.coordinates.from_parameters(parameters[:, :k])
+        noise = self._noise_coordinates.from_parameters(parameters[:, k:])
+        return np.concatenate([model, noise], axis=1)
 
     def log_prior(self, parameters: Array) -> Array:
         """Log prior density of physical parameters ``(n, d)``."""

@@ -31,6 +31,7 @@ from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import least_squares
 from bayesfric.inference.fit import fit, target_of
+from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.moments.fast_moments import fast_moments
 from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.inference.prior.priors import read_prior
@@ -47,7 +48,8 @@ def target(n: int, order: int) -> Target:
     white = problem.target(n)
     if order == 0:
         return white
-    likelihood = white.likelihood.with_noise(Autoregressive(order))
+    known = white.likelihood
+    likelihood = TorqueLikelihood(known.chain, known.observations, Autoregressive(order))
     priors = dict(problem.priors())
     for k in range(1, order + 1):
         priors[f"noise.pacf_{k}"] = read_prior(

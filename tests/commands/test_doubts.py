@@ -8,9 +8,10 @@ import pytest
 
 from bayesfric.commands.check import check, check_text
 from bayesfric.commands.fit import fit_text
+from bayesfric.estimates.estimate import Estimate, EstimatedValue
 from bayesfric.model import Model
 from bayesfric.report.alerts import doubt_text
-from bayesfric.report.summary.doubts import find_doubts, put_doubts
+from bayesfric.report.summary.doubts import doubts_before, find_doubts, put_doubts
 from bayesfric.report.summary.record import Spread, Summary
 from tests.conftest import REPOSITORY
 
@@ -198,6 +199,27 @@ def test_residuals_that_rise_with_a_noise_model_make_all_of_it_doubtful():
     summary = summary_of({"a.b": row(1.0, 0.9, 1.1)})
     (one,) = find_doubts(_Fit(), summary, white=(summary.parameters, 0.8))
     assert (one["parameters"], one["rise"]) == (["a.b"], 1.25)
+
+
+@pytest.mark.parametrize(
+    ("name", "doubted"),
+    [
+        ("total.inertia", True),
+        ("motor.viscous", True),
+        ("total.coulomb", True),
+        ("total.quadratic", False),  # it bends the curve of a loss, which is still one
+        ("total.gravity", False),
+        ("offset", False),
+        # a recording may be called what it likes
+        ("offset.inertia", False),
+        ("total.offset.viscous", False),
+    ],
+)
+def test_what_loses_energy_is_not_negative(name, doubted):
+    value = EstimatedValue(name, "", "", "", -1.0, 0.01, 0.01)
+    totals = Estimate("least-squares", (value,), 0.1, 100, "")
+    found = doubts_before(totals, [])
+    assert found == ([{"kind": "negative", "values": {name: -1.0}}] if doubted else [])
 
 
 @pytest.mark.parametrize(

@@ -58,7 +58,6 @@ def plain():
     with pytest.MonkeyPatch.context() as patch:
         without_figures(patch)
         patch.setattr(checkpoint, "_SHARE", 1e9)
-        patch.setattr(step_file, "_ROOM", 2**16)
         yield
 
 
@@ -165,10 +164,10 @@ def test_what_is_refused(here, whole):
     recording.write_bytes(raw + b"\n")
     has(refused(here, "--resume"), "recording.small was ")
     recording.write_bytes(raw)
-    path = here.folder / HIDDEN / "posterior.h5"
+    path = here.folder / HIDDEN / "posterior.steps"
     good = path.read_bytes()
     path.write_bytes(good[:3000])
-    has(refused(here, "--resume"), "posterior.h5: cannot be resumed (")
+    has(refused(here, "--resume"), "posterior.steps: cannot be resumed (")
     path.write_bytes(good)
     fit(read_config(config), here.folder / "run", resume=True)
     same(here.folder, whole)
@@ -177,7 +176,7 @@ def test_what_is_refused(here, whole):
 
 def test_other_code_is_refused(here, whole, monkeypatch):
     stopped(here.folder, blocks(whole)[6])
-    from bayesfric.inference.prior.joint_prior import JointPrior
+    from bayesfric.inference.prior.priors import JointPrior
 
     original = JointPrior.log_density
     monkeypatch.setattr(JointPrior, "log_density", lambda self, x: original(self, x) + 1e-3)
@@ -453,12 +452,12 @@ def test_errors_of_the_disk_are_told(here, whole, monkeypatch):
     before = steps(here.folder)
 
     def broken(*_):
-        raise OSError(errno.EIO, "Input/output error", "steps.h5")
+        raise OSError(errno.EIO, "Input/output error", "posterior.steps")
 
     with monkeypatch.context() as patch:
-        patch.setattr(step_file.StepFile, "_count", broken)
+        patch.setattr(step_file.StepFile, "append", broken)
         message = here.run("fit", "few.toml", "-o", "run", "--resume").err
-    has(message, "steps.h5: cannot be written (Input/output error)", "go on with --resume")
+    has(message, "posterior.steps: cannot be written (Input/output error)", "go on with --resume")
     assert steps(here.folder) == before
     with monkeypatch.context() as patch:
         patch.setattr(run_directory, "write_posterior", broken)

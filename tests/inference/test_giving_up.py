@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from bayesfric.inference.sampling.convergence import (
+    few,
     hopeless,
-    left_out,
     nested_rhat,
     steps_needed,
     without_stuck,
@@ -89,12 +89,13 @@ def test_a_few_that_hardly_move_are_a_warning_and_many_a_problem():
 def test_many_stuck_or_all_in_one_ensemble_are_no_few():
     moved = np.ones((4, 128))
     moved[0, :5] = 0.0
-    assert left_out(moved) == 5
+    assert few(moved == 0.0)
     moved[1, 0] = 0.0
-    assert left_out(moved) == 0  # more than one in a hundred
+    assert not few(moved == 0.0)  # more than one in a hundred
     uneven = np.ones((64, 8))
     uneven[3, 0] = 0.0
-    assert left_out(uneven) == 0  # that ensemble has lost one of eight
+    assert not few(uneven == 0.0)  # that ensemble has lost one of eight
+    assert without_stuck(uneven, uneven) is uneven
 
 
 def test_the_same_number_stays_in_every_ensemble():

@@ -6,8 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesfric.inference.prior.joint_prior import JointPrior
-from bayesfric.inference.prior.priors import read_prior
+from bayesfric.inference.prior.priors import JointPrior, read_prior
 
 INF = float("inf")
 TEXTS = [

@@ -20,7 +20,7 @@ def test_the_order_is_found_again(partial, own):
     assert found.white
     # p orders take the variance of the series down to that of its innovations
     expected = np.sqrt(np.prod(1.0 - np.array(partial) ** 2))
-    assert found.tried[found.order].innovations == pytest.approx(expected, rel=0.03)
+    assert found.tried[found.order].innovation_share == pytest.approx(expected, rel=0.03)
     assert found.tried[0].bic == 0.0
     if partial:
         assert found.tried[0].p_value < 1e-6

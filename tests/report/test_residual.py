@@ -7,6 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from bayesfric.inference.fit import read_priors, target_of
+from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.recordings import Processing
 from bayesfric.report.figures.residual import residual_figure
@@ -177,7 +178,7 @@ def test_heavy_tails_are_told(knee):
 
 def remembering(fit, partial):
     """Give the fit's noise a memory of one, known well."""
-    likelihood = fit.target.likelihood.with_noise(Autoregressive(1))
+    likelihood = TorqueLikelihood(fit.chain, fit.observations, Autoregressive(1))
     priors = read_priors(fit.chain, {}, fit.observations, likelihood.noise.quantities)
     target = target_of(likelihood, priors, "shared")
     draws = fit.posterior.draws

@@ -19,34 +19,16 @@ LikelihoodMethod = Literal["input-error", "output-error"]
 
 @dataclass(frozen=True, eq=False)
 class Outputs:
-    """The measured numbers of one recording that a likelihood is about.
-
-    Attributes
-    ----------
-    name
-        Of the recording.
-    quantity, unit
-        ``motor torque`` in N m, ``motor force`` in N, or ``joint position`` in rad or m.
-    time
-        ``(M,)``, s.
-    measured
-        ``(M,)``
-    period
-        From one output to the next of the same segment, s.
-    segment_of
-        ``(M,)`` number of the segment each belongs to.
-    follows
-        ``(M - 1,)`` whether output m + 1 comes one period after output m.
-    """
+    """The measured numbers ``(M,)`` of one recording that a likelihood is about."""
 
     name: str
-    quantity: str
+    quantity: str  # motor torque or force, or joint position
     unit: str
-    time: Array
+    time: Array  # s
     measured: Array
-    period: float
-    segment_of: NDArray[np.int64]
-    follows: NDArray[np.bool_]
+    period: float  # from one output to the next of the same segment, s
+    segment_of: NDArray[np.int64]  # number of the segment each belongs to
+    follows: NDArray[np.bool_]  # (M - 1,) whether the next comes one period after
 
 
 class Likelihood(ABC):

@@ -11,20 +11,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.estimates.information import long_run_variance
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian
-from bayesfric.inference.likelihood.autoregression import (
-    PASSES,
-    burg,
-    ljung_box,
-    variances,
-    whitened,
-)
+from bayesfric.inference.likelihood import autoregression as ar
 from bayesfric.inference.moments.residual_moments import follows
 from bayesfric.inference.noise.autoregressive import MEMORY, MOST
 from bayesfric.inference.prior.priors import Prior
@@ -48,29 +42,14 @@ _APART = 50
 
 @dataclass(frozen=True)
 class Evidence:
-    """How well residuals are autoregressive noise of one order.
+    """How well residuals are autoregressive noise of one order."""
 
-    Attributes
-    ----------
-    order
-        Predecessors that each residual remembers.
-    bic
-        Bayesian information criterion over that of white noise; the smallest is chosen.
-    innovations
-        Root mean square of the innovations over that of the residuals.
-    p_value
-        Of the Ljung-Box test that the innovations are white.
-    shift
-        By how much this order moves the estimate, over its robust standard deviation, in the
-        direction where that is most.
-    rise
-        Root mean square of the residuals that it then has, over that of least squares.
-    """
-
-    order: int
-    bic: float
-    innovations: float
-    p_value: float
+    order: int  # predecessors that each residual remembers
+    bic: float  # Bayesian information criterion over that of white noise; the smallest is chosen
+    innovation_share: float  # root mean square of the innovations over that of the residuals
+    p_value: float  # of the Ljung-Box test that the innovations are white
+    # by how much it moves the estimate at most, in robust standard deviations, and the root mean
+    # square of the residuals that it then has, over that of least squares
     shift: float = 0.0
     rise: float = 1.0
 
@@ -88,15 +67,20 @@ class Choice:
     tried: tuple[Evidence, ...]
 
     @property
+    def asked(self) -> Evidence:
+        """What the residuals ask for."""
+        return min(self.tried, key=lambda one: one.bic)
+
+    @property
     def refused(self) -> bool:
-        """Whether the residuals ask for another order, which would move the estimates."""
-        asked = min(self.tried, key=lambda one: one.bic)
+        """Whether that is another order, which would move the estimates."""
+        asked = self.asked
         return asked.order != self.order and not asked.harmless and asked.bic < -_EVIDENCE
 
     @property
     def white(self) -> bool:
         """Whether the innovations of the chosen order pass as white."""
-        return self.tried[self.order].p_value >= PASSES
+        return self.tried[self.order].p_value >= ar.PASSES
 
 
 def choice_at(
@@ -132,52 +116,38 @@ def choose_order(
 ) -> Choice:
     """Choose the order of autoregressive noise by the Bayesian information criterion.
 
-    Parameters
-    ----------
-    residuals, follows
-        Of every recording ``(M,)``, and whether runs go on, ``(M - 1,)``.
-    own_scales
-        Whether every recording has a scale of its own.
-    most
-        Largest order tried.
-    effects
-        ``(M, k)`` each: what a change of every parameter by its prior's sd does to the outputs.
-        Only orders that leave the estimate alone are chosen; any where left out.
+    ``residuals`` ``(M,)`` are of every recording, which may have ``own_scales``; ``follows``
+    ``(M - 1,)`` tells where runs go on. With ``effects`` ``(M, k)``, what a change of every
+    parameter by its prior's sd does to the outputs, orders that move the estimate are not chosen.
     """
     n = sum(r.size for r in residuals)
-    most = min(most, max(0, n // 20))
     whole = sum(float(r @ r) for r in residuals)
     if not whole > 0.0:
         return Choice(0, (Evidence(0, 0.0, 1.0, 1.0),))
     sizes = [_size([r]) if own_scales else _size(residuals) for r in residuals]
-    scaled = [r / size if size > 0.0 else r for r, size in zip(residuals, sizes, strict=True)]
-    plain = None
-    if effects is not None:
-        pairs = zip(effects, sizes, strict=True)
-        plain = _Plain(scaled, follows, [e / size if size > 0.0 else e for e, size in pairs])
+    scaled = _over(residuals, sizes)
+    plain = None if effects is None else _Plain(scaled, follows, _over(effects, sizes))
     tried: list[Evidence] = []
-    for order in range(most + 1):
+    for order in range(min(most, n // 20) + 1):
         # beyond, the prior ends too
-        partial = np.clip(burg(scaled, follows, order), -MEMORY, MEMORY)
-        left = [whitened(r, partial, f) for r, f in zip(scaled, follows, strict=True)]
+        partial = np.clip(ar.burg(scaled, follows, order), -MEMORY, MEMORY)
+        left = [ar.whitened(r, partial, f) for r, f in zip(scaled, follows, strict=True)]
         # the first of a run are divided by their own, larger sds
         deviance = 2.0 * sum(float(_log_sds(partial, f).sum()) for f in follows)
         inner = [_size([z]) if own_scales else _size(left) for z in left]
         for z, size in zip(left, inner, strict=True):
             deviance += 2.0 * z.size * math.log(size) if size > 0.0 else 0.0
         power = sum(z.size * (a * b) ** 2 for z, a, b in zip(left, sizes, inner, strict=True))
-        normal = [z / size if size > 0.0 else z for z, size in zip(left, inner, strict=True)]
         tried.append(
             Evidence(
                 order,
                 deviance + order * math.log(n) - (tried[0].bic if tried else 0.0),
                 math.sqrt(power / whole),
-                ljung_box(normal, follows, _LAGS + order, order),
+                ar.ljung_box(_over(left, inner), follows, _LAGS + order, order),
                 *(plain.compared(partial) if plain is not None and order else (0.0, 1.0)),
             )
         )
-    first = tried[0]
-    tried[0] = Evidence(0, 0.0, first.innovations, first.p_value)
+    tried[0] = replace(tried[0], bic=0.0)
     best = min((one for one in tried if one.harmless), key=lambda one: one.bic)
     return Choice(best.order if best.bic < -_EVIDENCE else 0, tuple(tried))
 
@@ -206,7 +176,7 @@ class _Plain:
             return 0.0, 1.0
         rows = np.vstack([self._residual, self._basis.T])
         pieces = zip(np.split(rows, self._ends, axis=1), self._follows, strict=True)
-        weighted = np.concatenate([whitened(part, partial, f) for part, f in pieces], axis=1)
+        weighted = np.concatenate([ar.whitened(part, partial, f) for part, f in pieces], axis=1)
         step = np.linalg.lstsq(weighted[1:].T, weighted[0], rcond=None)[0]
         apart = step - self._basis.T @ self._residual
         left = self._residual - self._basis @ step
@@ -217,10 +187,15 @@ class _Plain:
 
 def _log_sds(partial: Array, follows: Flags) -> Array:
     """Logarithms of the sds, over the innovations', that the first of every run have."""
-    heads = np.log(variances(partial[None])[0]) / 2.0
+    heads = np.log(ar.variances(partial[None])[0]) / 2.0
     begins = np.concatenate([[0], np.flatnonzero(~follows) + 1])
     lengths = np.diff(np.append(begins, follows.size + 1))
     return np.concatenate([heads[: min(k, partial.size)] for k in lengths.tolist()] or [heads[:0]])
+
+
+def _over(parts: Sequence[Array], sizes: Sequence[float]) -> list[Array]:
+    """Divide by sizes that are not zero."""
+    return [x / size if size > 0.0 else x for x, size in zip(parts, sizes, strict=True)]
 
 
 def _size(parts: Sequence[Array]) -> float:

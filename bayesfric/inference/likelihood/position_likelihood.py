@@ -66,25 +66,9 @@ class _Segment:
 class PositionLikelihood(Likelihood):
     """How probable the measured positions are, given the joint's parameters and torques.
 
-    See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    trajectories
-        One or more recordings, cut into segments.
-    observations
-        The same recordings, prepared.
-    point
-        ``(n_parameters,)`` where the derivatives are taken, near the posterior's mode.
-    substeps
-        Integration steps per sample; chosen at ``point`` if left out.
-
-    Raises
-    ------
-    BadInput
-        If the joint cannot be simulated at ``point``.
+    ``trajectories`` are the observed recordings, cut into segments; ``point`` ``(n_parameters,)``
+    near the posterior's mode is where derivatives are taken and the integration steps per sample
+    chosen, if left out. BadInput if the joint cannot be simulated there.
     """
 
     method = "output-error"
@@ -98,8 +82,7 @@ class PositionLikelihood(Likelihood):
         point: Array,
         substeps: int | None = None,
     ) -> None:
-        self.chain = chain
-        self.observations = tuple(observations)
+        self.chain, self.observations = chain, tuple(observations)
         self._trajectories, self._given = tuple(trajectories), substeps
         self._runs = [_Run(chain, t, point, substeps) for t in trajectories]
         self.outputs = tuple(run.outputs for run in self._runs)
@@ -122,11 +105,7 @@ class PositionLikelihood(Likelihood):
         return "simulation of every segment"
 
     def log_density(self, values: Array, scales: Array) -> Array:
-        """Log-likelihood, the initial states integrated out with flat priors.
-
-        ``scales`` ``(n, n_recordings, 2)`` are noise of torque and position samples. ``-inf``
-        where the joint cannot be simulated.
-        """
+        """Integrate the initial states out with flat priors; -inf where nothing is simulated."""
         total = np.zeros(values.shape[0])
         for r, run in enumerate(self._runs):
             z = run.terms(values)
@@ -135,7 +114,7 @@ class PositionLikelihood(Likelihood):
         return np.where(np.isnan(total), -np.inf, total)
 
     def pointwise(self, values: Array, scales: Array) -> list[Array]:
-        """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
+        """See :class:`Likelihood`."""
         sds = [np.sqrt(run.variances(scales[:, r])) for r, run in enumerate(self._runs)]
         z = [run.terms(values) / sd for run, sd in zip(self._runs, sds, strict=True)]
         return [
@@ -147,14 +126,14 @@ class PositionLikelihood(Likelihood):
         return [run.predict(values) for run in self._runs]
 
     def standardised(self, values: Array, scales: Array) -> list[Array]:
-        """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
+        """See :class:`Likelihood`."""
         return [
             -run.terms(values) / np.sqrt(run.variances(scales[None, r]))
             for r, run in enumerate(self._runs)
         ]
 
     def noise_information(self, scales: Array) -> Array:
-        """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
+        """See :class:`Likelihood`."""
         found = np.empty((len(self._runs), 2, 2))
         for r, run in enumerate(self._runs):
             torque, position = run.parts(scales[None, r])
@@ -165,14 +144,14 @@ class PositionLikelihood(Likelihood):
         return found
 
     def noise_sd(self, scales: Array) -> list[Array]:
-        """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
+        """See :class:`Likelihood`."""
         return [
             np.sqrt(np.concatenate([np.diag(c) for c in run.covariances(scales[r])]))
             for r, run in enumerate(self._runs)
         ]
 
     def draw_noise(self, scales: Array, rng: np.random.Generator) -> list[Array]:
-        """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
+        """See :class:`Likelihood`."""
         found = []
         for r, run in enumerate(self._runs):
             # shapes differ little over the draws: one factor, at the mean scales
@@ -195,7 +174,7 @@ class _Run:
         t = replace(t, segments=t.segments[long], q0=t.q0[long], qd0=t.qd0[long])
         self._trajectory, self._shooting = t, Shooting(chain, [t], 1)
         self._states = self._shooting.initial.copy()
-        if not np.isfinite(self._simulate(point[None])).any():
+        if not np.isfinite(self._shooting.positions(point[None], self._states)).any():
             raise BadInput(
                 f"recording '{t.name}'",
                 "cannot be simulated with the estimated parameters",
@@ -205,11 +184,10 @@ class _Run:
             self._settle_states(point)
         small = float(np.ptp(self._shooting.measured)) * _DISCRETISATION
         if substeps is None:
-            found = choose_substeps(self._shooting, point, self._states, small)
+            substeps, self.step_error = choose_substeps(self._shooting, point, self._states, small)
         else:
-            found = substeps, step_error(self._shooting, point, self._states, substeps)[0]
-        self._shooting.substeps = self.substeps = found[0]
-        self.step_error = found[1]
+            self.step_error = step_error(self._shooting, point, self._states, substeps)[0]
+        self._shooting.substeps = self.substeps = substeps
         self._segments = self._linearised(point)
         count = [s.state.shape[0] for s in self._segments]
         number = np.repeat(np.arange(len(count)), count)
@@ -229,14 +207,10 @@ class _Run:
 
     def terms(self, values: Array) -> Array:
         """Independent combinations of measured minus simulated position, ``(n, terms)``."""
-        q = self._simulate(values)
-        return np.concatenate(
-            [
-                (self._measured[k] - self._averaged(q, k)) @ s.rotation.T
-                for k, s in enumerate(self._segments)
-            ],
-            axis=1,
-        )
+        q = self._shooting.positions(values, self._states)
+        segments = zip(self._measured, self._segments, strict=True)
+        left = [(m - self._averaged(q, k)) @ s.rotation.T for k, (m, s) in enumerate(segments)]
+        return np.concatenate(left, axis=1)
 
     def parts(self, scales: Array) -> tuple[Array, Array]:
         """Variances from torque and from position noise, ``(n, terms)`` each."""
@@ -261,7 +235,7 @@ class _Run:
 
     def predict(self, values: Array) -> Array:
         """Averaged positions ``(n, M)`` from the states that suit the measured ones best."""
-        q = self._simulate(values)
+        q = self._shooting.positions(values, self._states)
         blocks = []
         for k, s in enumerate(self._segments):
             simulated = self._averaged(q, k)
@@ -271,9 +245,6 @@ class _Run:
                 whole = np.eye(len(whole))
             blocks.append(simulated + residual @ (s.state @ _state_gain(s, whole)).T)
         return np.concatenate(blocks, axis=1)
-
-    def _simulate(self, values: Array) -> Array:
-        return self._shooting.positions(values, self._states)
 
     def _averaged(self, x: Array, k: int) -> Array:
         """Average a signal ``(..., n)`` over blocks of the segment's samples."""

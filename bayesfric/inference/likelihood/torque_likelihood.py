@@ -25,11 +25,7 @@ Array = NDArray[np.float64]
 
 
 class TorqueLikelihood(Likelihood):
-    """How probable the measured torques are, given the joint's parameters.
-
-    See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`. The recordings share the
-    chain's parameters; their noise is white if left out.
-    """
+    """How probable the measured torques are, given the joint's parameters; white if left out."""
 
     method = "input-error"
 
@@ -39,20 +35,11 @@ class TorqueLikelihood(Likelihood):
         observations: Sequence[Observation],
         noise: ResidualNoise | None = None,
     ) -> None:
-        self.chain = chain
-        self.observations = tuple(observations)
+        self.chain, self.observations = chain, tuple(observations)
         rotary = chain.motor_motion == "rotary"
+        kind = ("motor torque", "N m") if rotary else ("motor force", "N")
         self.outputs = tuple(
-            Outputs(
-                name=o.name,
-                quantity="motor torque" if rotary else "motor force",
-                unit="N m" if rotary else "N",
-                time=o.time,
-                measured=o.measured,
-                period=o.period,
-                segment_of=o.segment_of,
-                follows=follows(o),
-            )
+            Outputs(o.name, *kind, o.time, o.measured, o.period, o.segment_of, follows(o))
             for o in self.observations
         )
         self.sizes = np.array([o.measured.size for o in self.observations])
@@ -63,7 +50,7 @@ class TorqueLikelihood(Likelihood):
 
     @property
     def outside(self) -> int:
-        """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
+        """See :class:`Likelihood`."""
         return self.moments.outside if isinstance(self.moments, FastMoments) else 0
 
     @property
@@ -95,20 +82,16 @@ class TorqueLikelihood(Likelihood):
         out.moments = moments
         return out
 
-    def with_noise(self, noise: ResidualNoise) -> TorqueLikelihood:
-        """Make the same likelihood with other noise, not prepared."""
-        return TorqueLikelihood(self.chain, self.observations, noise)
-
     def sum_of_squares(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Sum of squared residuals of each recording, ``(n, n_recordings)``."""
         return self.moments.at(values).sum_of_squares
 
     def log_density(self, values: Array, scales: Array) -> Array:
-        """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
+        """See :class:`Likelihood`."""
         return self.noise.log_density_of(self._plain, self.moments, values, scales)
 
     def pointwise(self, values: Array, scales: Array) -> list[Array]:
-        """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
+        """See :class:`Likelihood`."""
         return [
             np.stack(
                 [
@@ -124,7 +107,7 @@ class TorqueLikelihood(Likelihood):
         return [filtered_torque(self.chain, o, values) for o in self.observations]
 
     def standardised(self, values: Array, scales: Array) -> list[Array]:
-        """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
+        """See :class:`Likelihood`."""
         return self.innovations(self.predict(values), scales)
 
     def innovations(self, residuals: Sequence[Array], scales: Array) -> list[Array]:
@@ -138,15 +121,15 @@ class TorqueLikelihood(Likelihood):
         ]
 
     def noise_information(self, scales: Array) -> Array:
-        """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
+        """See :class:`Likelihood`."""
         return np.stack(
             [self.noise.information(s, int(n)) for s, n in zip(scales, self.sizes, strict=True)]
         )
 
     def noise_sd(self, scales: Array) -> list[Array]:
-        """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
+        """See :class:`Likelihood`."""
         return [np.full(n, self.noise.sd(s)) for n, s in zip(self.sizes, scales, strict=True)]
 
     def draw_noise(self, scales: Array, rng: np.random.Generator) -> list[Array]:
-        """See :class:`bayesfric.inference.likelihood.likelihood.Likelihood`."""
+        """See :class:`Likelihood`."""
         return [self.noise.draw(o.follows, scales[:, r], rng) for r, o in enumerate(self.outputs)]

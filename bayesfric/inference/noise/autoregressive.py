@@ -12,14 +12,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.linalg import toeplitz
 
-from bayesfric.inference.likelihood.autoregression import (
-    ages,
-    autocovariance,
-    predictors,
-    simulated,
-    variances,
-    whitened,
-)
+from bayesfric.inference.likelihood import autoregression as ar
 from bayesfric.inference.moments.residual_moments import Moments, PlainMoments, ResidualMoments
 from bayesfric.inference.noise.residual_noise import SIGMA, NoiseModel, ResidualNoise
 from bayesfric.inference.noise.scale import Scale
@@ -95,13 +88,10 @@ class Autoregressive(ResidualNoise):
     ) -> Array:
         """Exact log density ``(n,)`` of all residuals from their lagged products.
 
-        ``counts``, ``head_counts`` as
-        :class:`bayesfric.inference.moments.residual_moments.ResidualMoments` has them.
+        Counts as :class:`bayesfric.inference.moments.residual_moments.ResidualMoments` has them.
         """
-        p = self.order
-        sigma = scales[..., 0]
-        if p == 0:
-            squares = moments.lagged[..., 0, 0]
+        if not self.order:
+            sigma, squares = scales[..., 0], moments.lagged[..., 0, 0]
             with np.errstate(over="ignore"):  # so far out the density is zero
                 total = squares / sigma**2 + counts * (2.0 * np.log(sigma) + _LOG_2PI)
             return np.asarray(-0.5 * total.sum(axis=1))
@@ -111,9 +101,9 @@ class Autoregressive(ResidualNoise):
 
     def standard(self, residual: Array, follows: Flags, scales: Array) -> tuple[Array, Array]:
         """See :class:`ResidualNoise`."""
-        z = whitened(residual, scales[1:], follows) / scales[0]
-        left = variances(scales[None, 1:])[0]
-        return z, scales[0] * np.sqrt(left[ages(follows, self.order)])
+        z = ar.whitened(residual, scales[1:], follows) / scales[0]
+        left = ar.variances(scales[None, 1:])[0]
+        return z, scales[0] * np.sqrt(left[ar.ages(follows, self.order)])
 
     def log_terms(self, standard: Array, sds: Array, scales: Array) -> Array:  # noqa: ARG002
         """See :class:`ResidualNoise`."""
@@ -121,17 +111,17 @@ class Autoregressive(ResidualNoise):
 
     def sd(self, scales: Array) -> float:
         """See :class:`ResidualNoise`."""
-        return float(scales[0] * math.sqrt(variances(scales[None, 1:])[0, 0]))
+        return float(scales[0] * math.sqrt(ar.variances(scales[None, 1:])[0, 0]))
 
     def marginal(self, scales: Array) -> Any:
         """See :class:`ResidualNoise`."""
-        return stats.norm(scale=scales[:, :1] * np.sqrt(variances(scales[:, 1:])[:, :1]))
+        return stats.norm(scale=scales[:, :1] * np.sqrt(ar.variances(scales[:, 1:])[:, :1]))
 
     def draw(self, follows: Flags, scales: Array, rng: np.random.Generator) -> Array:
         """See :class:`ResidualNoise`."""
         if not self.order:
             return np.asarray(scales[:, :1] * rng.standard_normal((len(scales), follows.size + 1)))
-        return np.concatenate([s[0] * simulated(s[1:], follows, 1, rng) for s in scales])
+        return np.concatenate([s[0] * ar.simulated(s[1:], follows, 1, rng) for s in scales])
 
     def information(self, scales: Array, outputs: int) -> Array:
         """See :class:`ResidualNoise`; of partial autocorrelations for many outputs.
@@ -144,9 +134,9 @@ class Autoregressive(ResidualNoise):
         if self.order:
             partial = scales[None, 1:]
             step = 1e-6 * np.eye(self.order)
-            up, down = predictors(partial + step)[-1], predictors(partial - step)[-1]
+            up, down = ar.predictors(partial + step)[-1], ar.predictors(partial - step)[-1]
             slope = ((up - down) / 2e-6).T
-            out[1:, 1:] = slope.T @ toeplitz(autocovariance(partial[0])[:-1]) @ slope
+            out[1:, 1:] = slope.T @ toeplitz(ar.autocovariance(partial[0])[:-1]) @ slope
         return np.asarray(outputs * out)
 
     def starts(self, sigma: float) -> Array:
@@ -154,10 +144,8 @@ class Autoregressive(ResidualNoise):
         if not self.order:
             return np.array([[sigma]])
         first = np.array([0.0, 0.5, 0.9])
-        out = np.zeros((first.size, 1 + self.order))
-        out[:, 0] = sigma * np.sqrt(1.0 - first**2)
-        out[:, 1] = first
-        return out
+        rest = np.zeros((first.size, self.order - 1))
+        return np.column_stack([sigma * np.sqrt(1.0 - first**2), first, rest])
 
 
 @njit(cache=True)

@@ -52,16 +52,10 @@ class ResidualNoise(NoiseDescription):
     def log_density_of(
         self, plain: PlainMoments, moments: ResidualMoments, values: Array, scales: Array
     ) -> Array:
-        """Log density of all residuals of parameter vectors, ``(n,)``.
+        """Log density of all residuals of parameters ``(n, n_parameters)``, ``(n,)``.
 
-        Parameters
-        ----------
-        plain, moments
-            What goes through every sample, and what computes the same moments faster.
-        values
-            ``(n, n_parameters)``
-        scales
-            ``(n, R, Q)``
+        ``plain`` goes through every sample, ``moments`` computes the same faster; ``scales`` are
+        ``(n, R, Q)``.
         """
 
     @abstractmethod
@@ -82,10 +76,7 @@ class ResidualNoise(NoiseDescription):
 
     @abstractmethod
     def marginal(self, scales: Array) -> Any:
-        """SciPy's distribution of one residual by itself, of shape ``(n, 1)``.
-
-        ``scales`` ``(n, Q)``.
-        """
+        """SciPy's distribution of one residual, of shape ``(n, 1)`` for scales ``(n, Q)``."""
 
     @abstractmethod
     def draw(self, follows: Flags, scales: Array, rng: np.random.Generator) -> Array:

@@ -19,41 +19,20 @@ NoiseScale = Literal["shared", "per-recording"]
 
 @dataclass(frozen=True)
 class Scale:
-    """One number that noise is described by.
+    """One number that noise is described by."""
 
-    Attributes
-    ----------
-    name
-        Behind ``noise.`` in the parameter's name.
-    symbol
-        LaTeX without dollar signs.
-    meaning
-        One line for people, worded for what turns.
-    prior
-        The default one, for the sizes of what was measured.
-    lower, upper
-        Support.
-    unit
-        What it is measured like.
-    shared
-        Whether all recordings have the same in any case. How noise is shaped, its memory or its
-        tails, comes from one bench.
-    chosen
-        Whether the residuals of an estimate say if the noise has it.
-    remark
-        A sentence for the methods paragraph, with the reference it rests on.
-    """
-
-    name: str
-    symbol: str
-    meaning: str
-    prior: Callable[[Scales], PriorText]
+    name: str  # behind "noise." in the parameter's name
+    symbol: str  # LaTeX without dollar signs
+    meaning: str  # one line for people, worded for what turns
+    prior: Callable[[Scales], PriorText]  # the default one, for the sizes of what was measured
     lower: float = 0.0
     upper: float = np.inf
-    unit: Literal["torque", "position", ""] = "torque"
+    unit: Literal["torque", "position", ""] = "torque"  # what it is measured like
+    # whether all recordings have the same in any case: how noise is shaped, its memory or its
+    # tails, comes from one bench
     shared: bool = False
-    chosen: bool = False
-    remark: str = ""
+    chosen: bool = False  # whether the residuals of an estimate say if the noise has it
+    remark: str = ""  # a sentence for the methods paragraph, with the reference it rests on
 
     def read_prior(self, texts: Mapping[str, PriorText], sizes: Scales) -> Prior:
         """Take the prior that a configuration gives by parameter name, or the default."""
@@ -94,34 +73,21 @@ class NoiseDescription(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """Noise with scales shared by all recordings, or some for each.
+    """Noise with scales shared by all recordings, or some for each."""
 
-    Attributes
-    ----------
-    names
-        Parameter names: ``noise.sigma``, or ``noise.sigma.<recording>``; the quantities
-        of the first recording first.
-    symbols, quantities, priors
-        LaTeX symbol, :attr:`Scale.name` and prior of each.
-    places
-        ``(n_recordings, quantities)`` which name each recording's scales are.
-    """
-
+    # noise.sigma, or noise.sigma.<recording>; the quantities of the first recording first
     names: tuple[str, ...]
-    symbols: tuple[str, ...]
-    quantities: tuple[str, ...]
+    symbols: tuple[str, ...]  # in LaTeX
+    quantities: tuple[str, ...]  # Scale.name of each
     priors: tuple[Prior, ...]
-    places: NDArray[np.int64]
+    places: NDArray[np.int64]  # (n_recordings, quantities): which name each one's scales are
 
     def scales(self, parameters: Array) -> Array:
         """Scales of every recording: ``(n, len(names))`` to ``(n, n_recordings, quantities)``."""
         return parameters[:, self.places]
 
     def fold(self, information: Array) -> Array:
-        """Information of every recording's scales, ``(n_recordings, quantities, quantities)``.
-
-        Gives that of the parameters, ``(len(names), len(names))``.
-        """
+        """Bring information of every recording's scales, ``(R, Q, Q)``, to that of the names."""
         out = np.zeros((len(self.names), len(self.names)))
         for own, one in zip(self.places, information, strict=True):
             out[np.ix_(own, own)] += one
@@ -134,19 +100,7 @@ def noise_of(
     priors: Mapping[str, Prior],
     scale: NoiseScale,
 ) -> Noise:
-    """Set up the noise of the named recordings.
-
-    Parameters
-    ----------
-    recordings
-        Their names.
-    scales
-        Those that the likelihood has.
-    priors
-        Of every scale, by ``noise.<quantity>``.
-    scale
-        ``shared`` by all recordings or some ``per-recording``.
-    """
+    """Set up the noise of the named recordings; ``priors`` are by ``noise.<quantity>``."""
     own = scale == "per-recording" and len(recordings) > 1
     found: dict[str, tuple[str, str, Prior]] = {}
     places = np.zeros((len(recordings), len(scales)), dtype=np.int64)

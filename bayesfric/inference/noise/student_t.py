@@ -50,17 +50,9 @@ class StudentT(ResidualNoise):
         scales: Array,
     ) -> Array:
         """See :class:`ResidualNoise`; outliers have no moments to sum."""
-        return self.log_density(plain.student_terms(values, scales), plain.counts, scales)
-
-    def log_density(self, terms: Array, sizes: NDArray[np.int64], scales: Array) -> Array:
-        """Log density ``(n,)`` of all residuals.
-
-        ``terms`` ``(n, R)`` are sums of ``log(1 + r²/(dof sigma²))``, ``sizes`` ``(R,)`` numbers
-        of residuals.
-        """
         sigma, dof = scales[..., 0], scales[..., 1]
-        constant = gammaln((dof + 1.0) / 2.0) - gammaln(dof / 2.0) - 0.5 * np.log(dof * math.pi)
-        total = sizes * (constant - np.log(sigma)) - (dof + 1.0) / 2.0 * terms
+        terms = plain.student_terms(values, scales)
+        total = plain.counts * (_log_constant(dof) - np.log(sigma)) - (dof + 1.0) / 2.0 * terms
         return np.asarray(total.sum(axis=1))
 
     def standard(self, residual: Array, follows: Flags, scales: Array) -> tuple[Array, Array]:
@@ -70,8 +62,8 @@ class StudentT(ResidualNoise):
     def log_terms(self, standard: Array, sds: Array, scales: Array) -> Array:
         """See :class:`ResidualNoise`."""
         dof = scales[1]
-        constant = gammaln((dof + 1.0) / 2.0) - gammaln(dof / 2.0) - 0.5 * math.log(dof * math.pi)
-        return np.asarray(constant - np.log(sds) - (dof + 1.0) / 2.0 * np.log1p(standard**2 / dof))
+        left = (dof + 1.0) / 2.0 * np.log1p(standard**2 / dof)
+        return np.asarray(_log_constant(dof) - np.log(sds) - left)
 
     def sd(self, scales: Array) -> float:
         """See :class:`ResidualNoise`."""
@@ -84,10 +76,8 @@ class StudentT(ResidualNoise):
 
     def draw(self, follows: Flags, scales: Array, rng: np.random.Generator) -> Array:
         """See :class:`ResidualNoise`."""
-        n = len(scales)
-        return np.asarray(
-            scales[:, :1] * rng.standard_t(scales[:, 1:2], size=(n, follows.size + 1))
-        )
+        drawn = rng.standard_t(scales[:, 1:2], size=(len(scales), follows.size + 1))
+        return np.asarray(scales[:, :1] * drawn)
 
     def information(self, scales: Array, outputs: int) -> Array:
         """See :class:`ResidualNoise` (Lange, Little and Taylor, JASA 84, 1989, appendix B)."""
@@ -101,6 +91,10 @@ class StudentT(ResidualNoise):
     def starts(self, sigma: float) -> Array:
         """See :class:`ResidualNoise`."""
         return np.array([[sigma, 10.0], [0.5 * sigma, 3.0]])
+
+
+def _log_constant(dof: Any) -> Any:
+    return gammaln((dof + 1.0) / 2.0) - gammaln(dof / 2.0) - 0.5 * np.log(dof * math.pi)
 
 
 SCALES = (_DOF,)

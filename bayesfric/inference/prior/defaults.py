@@ -25,24 +25,13 @@ from bayesfric.recordings.observation import Observation
 
 @dataclass(frozen=True)
 class Scales:
-    """Sizes of what was measured.
+    """Sizes of what was measured."""
 
-    Attributes
-    ----------
-    torque
-        Largest measured motor torque (99.9th percentile), N m or N.
-    speed, acceleration
-        Root mean square at the joint.
-    position
-        Range of the joint's position, rad or m.
-    columns
-        Root mean square torque of each term with a shape of its own, for a value of one.
-    """
-
-    torque: float
-    speed: float
+    torque: float  # largest measured of the motor (99.9th percentile), N m or N
+    speed: float  # root mean square at the joint
     acceleration: float
-    position: float = 1.0
+    position: float = 1.0  # range of the joint's, rad or m
+    # root mean square torque of each term with a shape of its own, for a value of one
     columns: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -53,12 +42,11 @@ def measured_scales(chain: Joint, observations: Sequence[Observation]) -> Scales
     speed = np.concatenate([o.qd[o.filter.centres] for o in observations])
     acceleration = np.concatenate([o.qdd[o.filter.centres] for o in observations])
     duration = sum(o.period * o.measured.size for o in observations)
-    rms_speed = float(np.sqrt(np.mean(speed**2)))
     return Scales(
         torque=float(np.quantile(np.abs(torque), 0.999)),
-        speed=rms_speed,
+        speed=_rms(speed),
         # a motion that hardly accelerates still changes its speed once in the recording
-        acceleration=max(float(np.sqrt(np.mean(acceleration**2))), rms_speed / duration),
+        acceleration=max(_rms(acceleration), _rms(speed) / duration),
         position=max(float(np.ptp(o.q[o.filter.centres])) for o in observations),
         columns={
             chain.names[c.index]: _rms(np.concatenate([_at_outputs(c, o) for o in observations]))
@@ -77,17 +65,7 @@ def _rms(x: NDArray[np.float64]) -> float:
 
 
 def default_prior(chain: Joint, p: Parameter, scales: Scales) -> Prior:
-    """Choose the default prior of one parameter.
-
-    Parameters
-    ----------
-    chain
-        The mechanism, for the ratio between the motor and the parameter's shaft.
-    p
-        The parameter.
-    scales
-        From :func:`measured_scales`.
-    """
+    """Choose the default prior of one parameter, by what :func:`measured_scales` gives."""
     text = _text(chain, p, scales)
     upper = min(p.upper, p.row.prior_upper)
     return read_prior(p.name, text, lower=p.lower, upper=upper, default=True, circular=p.circular)
@@ -109,20 +87,13 @@ def _text(chain: Joint, p: Parameter, scales: Scales) -> PriorText:
     elif row.role == "own" and row.column is not None:
         if row.power is None:
             size = scales.columns[p.name]
-        else:
-            ways = (1.0, -1.0)  # some losses are there in one direction only
-            size = max(
-                abs(row.column(State(w, w * sizes.speed, w * sizes.acceleration, w, 0.0)))
-                for w in ways
-            )
+        else:  # some losses are there in one direction only
+            ways = [State(w, w * sizes.speed, w * sizes.acceleration, w, 0.0) for w in (1.0, -1.0)]
+            size = max(abs(row.column(way)) for way in ways)
         scale = sizes.torque / size if size > 0.0 else sizes.torque
     else:
         raise KeyError(f"{p.name}: the table gives {p.quantity!r} no default prior")
     if row.prior == "lognorm":
         return {"distribution": "lognorm", "s": scale}
     family = row.prior or ("halfnorm" if p.lower == 0.0 else "norm")
-    return {"distribution": family, "scale": _one_digit(scale)}
-
-
-def _one_digit(x: float) -> float:
-    return float(f"{x:.0e}")
+    return {"distribution": family, "scale": float(f"{scale:.0e}")}

@@ -14,6 +14,7 @@ from scipy import stats
 from bayesfric.errors import BadInput, nearest
 from bayesfric.mechanism.parameter import TURN, turned
 
+Array = NDArray[np.float64]
 # What a configuration may say: 3.3e-4, [0, 1] or {distribution = "norm", loc = 1, scale = 2}.
 PriorText = float | Sequence[float] | Mapping[str, Any]
 
@@ -25,34 +26,16 @@ _LEAST_MASS = 1e-6
 
 @dataclass(frozen=True)
 class Prior:
-    """What is believed of one parameter before the recording is looked at.
+    """What is believed of one parameter before the recording is looked at."""
 
-    Attributes
-    ----------
-    text
-        As printed: ``fixed at 0.33``, ``uniform(0, 1)``, ``halfnorm(loc=0, scale=0.5)``.
-    distribution
-        SciPy's frozen distribution, ``None`` where the parameter is fixed.
-    value
-        The fixed value, ``nan`` where the parameter is free.
-    lower, upper
-        Support: the distribution's, cut to the parameter's.
-    mass
-        The distribution's mass inside the support; the density is divided by it.
-    default
-        Whether the package chose it.
-    circular
-        Whether values a turn apart are the same.
-    """
-
-    text: str
-    distribution: Any
-    value: float
-    lower: float
+    text: str  # as printed: fixed at 0.33, uniform(0, 1), halfnorm(loc=0, scale=0.5)
+    distribution: Any  # SciPy's frozen distribution, None where the parameter is fixed
+    value: float  # the fixed value, nan where the parameter is free
+    lower: float  # support: the distribution's, cut to the parameter's
     upper: float
-    mass: float = 1.0
-    default: bool = False
-    circular: bool = False
+    mass: float = 1.0  # of the distribution inside the support; the density is divided by it
+    default: bool = False  # whether the package chose it
+    circular: bool = False  # whether values a turn apart are the same
 
     @property
     def fixed(self) -> bool:
@@ -82,11 +65,11 @@ class Prior:
         whole = stats.uniform(low, TURN)
         return replace(self, distribution=whole, lower=low, upper=low + TURN, mass=1.0)
 
-    def turned(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def turned(self, x: Array) -> Array:
         """Bring angles ``(n,)`` by whole turns to the turn the support lies on."""
         return turned(x, (self.lower + self.upper) / 2.0) if self.circular else x
 
-    def log_density(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def log_density(self, x: Array) -> Array:
         """Log of the density at ``(n,)`` values, ``-inf`` outside the support."""
         with np.errstate(all="ignore"):
             density = self.distribution.logpdf(x) - math.log(self.mass)
@@ -94,7 +77,7 @@ class Prior:
         inside = (x >= self.lower) & (x <= self.upper) & ~np.isnan(density)
         return np.where(inside, density, -np.inf)
 
-    def draw(self, n: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    def draw(self, n: int, rng: np.random.Generator) -> Array:
         """Draw ``n`` values by inversion, inside the support."""
         if self.fixed:
             return np.full(n, self.value)
@@ -104,23 +87,19 @@ class Prior:
 
     def sd(self) -> float:
         """Return the standard deviation of the cut distribution; 0 where fixed."""
-        if self.fixed:
-            return 0.0
-        if self.mass > 1.0 - 1e-12:
-            return float(self.distribution.std())
+        if self.fixed or self.mass > 1.0 - 1e-12:
+            return 0.0 if self.fixed else float(self.distribution.std())
         x, weights = self._nodes()
         return float(np.sqrt(weights @ (x - weights @ x) ** 2))
 
     def mean(self) -> float:
         """Return the mean of the cut distribution, or the fixed value."""
-        if self.fixed:
-            return self.value
-        if self.mass > 1.0 - 1e-12:
-            return float(self.distribution.mean())
+        if self.fixed or self.mass > 1.0 - 1e-12:
+            return self.value if self.fixed else float(self.distribution.mean())
         x, weights = self._nodes()
         return float(weights @ x)
 
-    def _nodes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _nodes(self) -> tuple[Array, Array]:
         """Nodes and weights of a quadrature in probability, inside the support."""
         low, high = self.distribution.cdf(self.lower), self.distribution.cdf(self.upper)
         nodes, weights = np.polynomial.legendre.leggauss(200)
@@ -143,25 +122,9 @@ def read_prior(
 ) -> Prior:
     """Turn what a configuration says of one parameter into a prior.
 
-    Parameters
-    ----------
-    name
-        Parameter name, for messages.
-    text
-        A number, a pair ``[low, high]``, or a mapping with ``distribution`` (a
-        name in :mod:`scipy.stats`) and its arguments.
-    lower, upper
-        The parameter's support.
-    default
-        Mark the prior as the package's own choice.
-    circular
-        Whether values a turn apart are the same: then the prior spans one turn at most.
-
-    Raises
-    ------
-    BadInput
-        If the prior cannot be, names no SciPy distribution, or lies outside
-        the support.
+    ``text`` is a number, a pair ``[low, high]``, or a mapping with ``distribution`` (a name in
+    :mod:`scipy.stats`) and its arguments. A ``circular`` one spans one turn at most. BadInput if
+    the prior cannot be, names no SciPy distribution, or lies outside the support.
     """
     where = f"priors.{name}"
     span = f"{name} {_span(lower, upper)}"
@@ -261,3 +224,78 @@ def _span(lower: float, upper: float) -> str:
     if math.isfinite(upper):
         return f"lies between {lower:.6g} and {upper:.6g}"
     return f"is {lower:g} or more" if math.isfinite(lower) else "is any finite number"
+
+
+class JointPrior:
+    """Independent priors of several parameters, none of them fixed, evaluated together.
+
+    A step of the sampler asks for the density of some hundred vectors. One parameter at a
+    time, the calls alone cost more than the likelihood of a long recording.
+    """
+
+    def __init__(self, priors: Sequence[Prior]) -> None:
+        self._lower = np.array([p.lower for p in priors])
+        self._upper = np.array([p.upper for p in priors])
+        self._constant = 0.0
+        # Every common family is, up to a constant, -z²/2 - L with z of x or of its logarithm
+        # L, and one of the two missing in some.
+        straight: list[tuple[int, float, float]] = []
+        logarithmic: list[tuple[int, float, float]] = []
+        falling: list[tuple[int, float, float]] = []
+        self._others: list[tuple[int, Prior]] = []
+        for j, prior in enumerate(priors):
+            family = prior.distribution.dist.name
+            shapes, loc, scale = prior.distribution.dist._parse_args(
+                *prior.distribution.args, **prior.distribution.kwds
+            )
+            half_log = 0.5 * math.log(2.0 * math.pi)
+            if family in ("norm", "halfnorm"):
+                straight.append((j, loc, scale))
+                self._constant -= math.log(scale) + half_log
+                self._constant += math.log(2.0) if family == "halfnorm" else 0.0
+            elif family == "lognorm":
+                logarithmic.append((j, math.log(scale), float(shapes[0])))
+                falling.append((j, loc, 1.0))
+                self._constant -= math.log(shapes[0]) + half_log
+            elif family == "loguniform":
+                falling.append((j, loc, 1.0))
+                self._constant -= math.log(math.log(shapes[1] / shapes[0]))
+            elif family == "uniform":
+                self._constant -= math.log(scale)
+            else:
+                self._others.append((j, prior))
+                continue
+            self._constant -= math.log(prior.mass)
+        self._straight = _columns(straight)
+        self._falling = _columns(falling)
+        places = {j: i for i, (j, _, _) in enumerate(falling)}
+        self._logarithmic = _columns([(places[j], m, s) for j, m, s in logarithmic])
+
+    def log_density(self, x: Array) -> Array:
+        """Log of the joint density at ``(n, d)``, ``(n,)``; ``-inf`` outside a support."""
+        with np.errstate(all="ignore"):
+            total = np.full(x.shape[0], self._constant)
+            columns, loc, scale = self._straight
+            if columns.size:
+                total -= 0.5 * np.sum(((x[:, columns] - loc) / scale) ** 2, axis=1)
+            columns, loc, _ = self._falling
+            if columns.size:
+                logs = np.log(x[:, columns] - loc)
+                total -= np.sum(logs, axis=1)
+                columns, middle, sd = self._logarithmic
+                if columns.size:
+                    total -= 0.5 * np.sum(((logs[:, columns] - middle) / sd) ** 2, axis=1)
+            inside = np.all((x >= self._lower) & (x <= self._upper), axis=1)
+            # at the very edge some closed forms are 0 - inf - inf: no number, no density
+            total = np.where(inside & ~np.isnan(total), total, -np.inf)
+            for j, prior in self._others:
+                total = total + prior.log_density(x[:, j])
+        return np.asarray(total)
+
+
+def _columns(rows: Sequence[tuple[float, float, float]]) -> tuple[NDArray[np.int64], Array, Array]:
+    """Turn rows that begin with a column's number into arrays, the numbers whole."""
+    if not rows:
+        return (np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))
+    table = np.array(rows, dtype=np.float64)
+    return table[:, 0].astype(np.int64), table[:, 1], table[:, 2]

@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 # As numpy.random.RandomState gives and takes it.
 RandomState = tuple[str, NDArray[np.uint32], int, int, float]
 
-FORMAT = 1
+FORMAT = 2
 # Share of the time that may go into saving.
 _SHARE = 0.02
 # Seconds of a long block that may be lost.
@@ -83,24 +83,13 @@ class _Step(NamedTuple):
 class Checkpoint:
     """The steps of one sampling on disk: those it has made, and those it need not make again.
 
-    Parameters
-    ----------
-    folder
-        Where to keep it; it exists, and nobody else writes there.
-    name
-        Of the sampling: ``<name>.h5`` holds its steps, ``<name>.json`` the rest.
-    facts
-        What the steps depend on, as JSON would give it back. A checkpoint of other
-        facts is refused (BadInput), naming the first that differs.
-    asked_to_stop
-        Asked after every step; if so, everything is saved and KeyboardInterrupt raised.
+    ``<name>.steps`` in an existing folder holds the steps, ``<name>.json`` the rest. ``facts`` are
+    what the steps depend on, as JSON would give it back: a checkpoint of others is refused
+    (BadInput), naming the first that differs. When ``asked_to_stop``, which is asked after every
+    step, everything is saved and KeyboardInterrupt raised.
 
-    Attributes
-    ----------
-    saved, seconds
-        Steps on disk, and what sampling took before.
-    walking
-        Whether steps are being made at this moment, so that it is worth waiting for one.
+    There are so many steps ``saved``, which took so many ``seconds`` before; ``walking`` is whether
+    steps are being made at this moment, so that it is worth waiting for one.
     """
 
     def __init__(
@@ -112,19 +101,13 @@ class Checkpoint:
         asked_to_stop: Callable[[], bool] = lambda: False,
     ) -> None:
         self._folder, self._asked_to_stop = folder, asked_to_stop
-        self._manifest_path, self._steps_path = (
-            folder / f"{name}{suffix}" for suffix in (".json", ".h5")
-        )
+        self._manifest_path, self._steps_path = folder / f"{name}.json", folder / f"{name}.steps"
         self._facts: dict[str, Any] = json.loads(json.dumps(facts))
-        self.saved = 0
-        self.seconds = 0.0
-        self.walking = False
-        self._checksum = 0
-        self._replayed = 0
+        self.saved, self.seconds, self.walking = 0, 0.0, False
+        self._checksum = self._replayed = 0
         self._pending: list[_Step] = []
         self._file: StepFile | None = None
-        self._description = ""
-        self._spent = 0.0
+        self._description, self._spent = "", 0.0
         self._began = self._last = time.perf_counter()
         self._resumed = self._read()
         if self._resumed is not None:
@@ -135,15 +118,10 @@ class Checkpoint:
         self._file = StepFile(self._steps_path, walkers, dimension)
         self._description = coordinates
         self._began = self._last = time.perf_counter()
-        if self._resumed is None:
-            return
-        for what, then, now in (
-            ("walkers", self._resumed.walkers, walkers),
-            ("parameters", self._resumed.dimension, dimension),
-            ("coordinates", self._resumed.coordinates, coordinates),
-        ):
-            if then != now:
-                raise self._differs(what, then, now)
+        if (was := self._resumed) is not None:
+            then = {"walkers": was.walkers, "parameters": was.dimension}
+            now = {"walkers": walkers, "parameters": dimension, "coordinates": coordinates}
+            self._compare(then | {"coordinates": was.coordinates}, now)
 
     def replay(self, most: int) -> Steps | None:
         """Give the next steps that need not be made again, at most so many."""
@@ -195,16 +173,9 @@ class Checkpoint:
             flags = accepted > before
             before[:] = accepted
             # emcee goes on in the same arrays
-            self._pending.append(
-                _Step(
-                    state.coords.copy(),
-                    state.log_prob.copy(),
-                    flags,
-                    state.random_state,
-                    not_finite,
-                    phase,
-                )
-            )
+            coords, height = state.coords.copy(), state.log_prob.copy()
+            step = _Step(coords, height, flags, state.random_state, not_finite, phase)
+            self._pending.append(step)
             self._stop_if_asked()
             if self._affordable() and time.perf_counter() - self._last > _LOSS:
                 self.save()
@@ -229,16 +200,8 @@ class Checkpoint:
         assert self._file is not None
         began = time.perf_counter()
         pending, last = self._pending, self._pending[-1]
-        steps = Steps(
-            np.stack([s.coordinates for s in pending]),
-            np.stack([s.log_density for s in pending]),
-            np.stack([s.accepted for s in pending]),
-        )
-        try:
-            rows = self._file.append(steps, self.saved)
-        except ValueError as error:
-            raise OSError(5, f"{error}", str(self._steps_path)) from None
-        checksum = zlib.crc32(rows, self._checksum)
+        steps = Steps(*(np.stack(column) for column in list(zip(*pending, strict=True))[:3]))
+        checksum = zlib.crc32(self._file.append(steps, self.saved), self._checksum)
         _, key, position, has_gauss, cached = last.random_state
         manifest = Manifest(
             format=FORMAT,
@@ -292,19 +255,21 @@ class Checkpoint:
             first = error.errors()[0]
             where = ".".join(map(str, first["loc"]))
             raise self._unreadable(path, f"{where}: {first['msg']}") from None
-        for what, then, now in _differences(found.facts, self._facts):
-            raise self._differs(what, then, now)
+        self._compare(found.facts, self._facts)
         file = StepFile(self._steps_path, found.walkers, found.dimension)
         try:
-            for steps in file.pieces(found.steps):
-                self._checksum = zlib.crc32(file.packed(steps), self._checksum)
-        except (OSError, ValueError, MemoryError) as error:
+            self._checksum = file.checksum(found.steps)
+        except (OSError, ValueError) as error:
             raise self._unreadable(self._steps_path, error) from None
         if self._checksum != found.checksum:
             raise self._unreadable(
                 self._steps_path, f"its steps are not those that {path.name} tells of"
             )
         return found
+
+    def _compare(self, then: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+        for difference in _differences(then, now):
+            raise self._differs(*difference)
 
     def _unreadable(self, path: Path, error: Exception | str) -> BadInput:
         reason = getattr(error, "strerror", None) or str(error)

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+Array = NDArray[np.float64]
+
 # A run is trusted when it is this many autocorrelation times long.
 LONG_ENOUGH = 50.0
 # Share of all walkers that may be left out where they never moved: if each stood for its share
@@ -24,7 +26,7 @@ _FALLING = 0.7
 _WALKERS = 64
 
 
-def nested_rhat(draws: NDArray[np.float64]) -> NDArray[np.float64]:
+def nested_rhat(draws: Array) -> Array:
     """Nested R-hat of Margossian et al. (2024): ensembles against each other, ``(d,)``.
 
     Plain R-hat over the walkers of one ensemble says nothing, since they are not
@@ -48,7 +50,7 @@ def nested_rhat(draws: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(np.ptp(draws, axis=(0, 1, 2)) == 0.0, 1.0, found)
 
 
-def autocorrelation_time(draws: NDArray[np.float64]) -> NDArray[np.float64]:
+def autocorrelation_time(draws: Array) -> Array:
     """Integrated autocorrelation time of ``(ensembles, walkers, steps, d)`` in steps, ``(d,)``.
 
     The larger of two estimates. One averages the walkers' autocorrelations, taken around the mean
@@ -81,7 +83,7 @@ def autocorrelation_time(draws: NDArray[np.float64]) -> NDArray[np.float64]:
     return times
 
 
-def autocorrelation(series: NDArray[np.float64]) -> NDArray[np.float64]:
+def autocorrelation(series: Array) -> Array:
     """Autocorrelation of ``(walkers, steps)`` around their common mean, ``(steps,)``."""
     x = series - series.mean()
     variance = np.mean(x**2)
@@ -90,7 +92,7 @@ def autocorrelation(series: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(_autocovariance(x) / variance)
 
 
-def _autocovariance(x: NDArray[np.float64]) -> NDArray[np.float64]:
+def _autocovariance(x: Array) -> Array:
     """Mean over rows of ``(rows, n)`` of the autocovariance around zero, ``(n,)``."""
     n = x.shape[1]
     spectrum = fft.rfft(x, fft.next_fast_len(2 * n, real=True), axis=1)
@@ -98,28 +100,17 @@ def _autocovariance(x: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(fft.irfft(power, fft.next_fast_len(2 * n, real=True))[:n] / n)
 
 
-def _integrated(correlation: NDArray[np.float64]) -> float:
+def _integrated(correlation: Array) -> float:
     """Sum an autocorrelation over Sokal's window, the first lag above five times the sum."""
     sums = 2.0 * np.cumsum(correlation) - 1.0
     beyond = np.arange(sums.size) >= 5.0 * sums
     return float(max(sums[int(np.argmax(beyond))] if beyond.any() else sums[-1], 1.0))
 
 
-def effective_sample_size(
-    draws: NDArray[np.float64], tau: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def effective_sample_size(draws: Array, tau: Array) -> Array:
     """Count the independent draws that ``(ensembles, walkers, steps, d)`` are worth, ``(d,)``."""
     ensembles, walkers, steps, _ = draws.shape
     return np.asarray(ensembles * walkers * steps / tau)
-
-
-def left_out(acceptance: NDArray[np.float64]) -> int:
-    """Count the walkers that never moved, where they are so few that the others tell all.
-
-    ``acceptance`` is the accepted share of proposals, ``(ensembles, walkers)``.
-    """
-    stuck = acceptance == 0.0
-    return int(stuck.sum()) if few(stuck) else 0
 
 
 def few(walkers: NDArray[np.bool_]) -> bool:
@@ -127,20 +118,20 @@ def few(walkers: NDArray[np.bool_]) -> bool:
     return bool(walkers.mean() <= _STUCK and walkers.mean(axis=1).max() <= _STUCK_IN_ONE)
 
 
-def without_stuck(
-    draws: NDArray[np.float64], acceptance: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Leave those walkers out of ``(ensembles, walkers, ...)``, and of other ensembles as many."""
-    if not left_out(acceptance):
-        return draws
+def without_stuck(draws: Array, acceptance: Array) -> Array:
+    """Leave the few that never moved out of ``(ensembles, walkers, ..)``, as many of each ensemble.
+
+    ``acceptance`` is the accepted share of proposals, ``(ensembles, walkers)``. Where they are
+    more, they are not left out: the others do not tell all.
+    """
     moved = acceptance > 0.0
+    if moved.all() or not few(~moved):
+        return draws
     kept = int(moved.sum(axis=1).min())
     return np.stack([own[np.flatnonzero(m)[:kept]] for own, m in zip(draws, moved, strict=True)])
 
 
-def steps_needed(
-    steps: int, rhat: NDArray[np.float64], max_rhat: float, tau: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def steps_needed(steps: int, rhat: Array, max_rhat: float, tau: Array) -> Array:
     """Predict after how many steps each parameter would have converged, ``(d,)``.
 
     The variance between ensembles falls with the number of steps; an autocorrelation time

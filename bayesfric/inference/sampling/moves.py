@@ -25,6 +25,9 @@ from bayesfric.inference.sampling.surrogate import Surrogate
 Array = NDArray[np.float64]
 Chosen = NDArray[np.bool_]
 
+# Relative sd of the scatter around a step of differential evolution.
+_JITTER = 1e-5
+
 
 class _VectorisedMove(Move):  # type: ignore[misc]
     """Judge all proposals at once; emcee's own moves loop over walkers in Python."""
@@ -50,12 +53,11 @@ class DifferentialEvolutionMove(_VectorisedMove):
     """Step along the difference of two walkers of the other half of the same ensemble.
 
     ter Braak (2006), vectorised over walkers. One proposal in ten takes the whole
-    difference, which lets walkers change between separate modes. ``jitter``: relative
-    sd of the scatter around the step length.
+    difference, which lets walkers change between separate modes.
     """
 
-    def __init__(self, ensembles: int = 1, jitter: float = 1e-5) -> None:
-        self.ensembles, self.jitter = ensembles, jitter
+    def __init__(self, ensembles: int = 1) -> None:
+        self.ensembles = ensembles
 
     def propose(self, model: Any, state: Any) -> tuple[Any, Chosen]:
         """Move both halves of every ensemble, one after the other."""
@@ -73,7 +75,7 @@ class DifferentialEvolutionMove(_VectorisedMove):
             j = random.randint(other.size - 1, size=shape)
             j += j >= i
             length = np.where(random.rand(some.size) < 0.1, 1.0, 2.38 / math.sqrt(2.0 * d))
-            length *= 1.0 + self.jitter * random.randn(some.size)
+            length *= 1.0 + _JITTER * random.randn(some.size)
             difference = state.coords[first + other[i]] - state.coords[first + other[j]]
             proposed = state.coords[some] + length[:, None] * difference.reshape(-1, d)
             accepted[some] = self._judge(model, state, some, proposed, np.zeros(some.size))
@@ -142,15 +144,10 @@ class SurrogateMove(_VectorisedMove):
             gain = there - height
             gain[~near] += (suits - would_suit)[~near]
             taken = gain > np.log(random.rand(n))
-            where[taken], height[taken], suits[taken] = (
-                trial[taken],
-                there[taken],
-                would_suit[taken],
-            )
+            where[taken], height[taken] = trial[taken], there[taken]
+            suits[taken] = would_suit[taken]
         # a walker that never left is where it was: nothing to ask
         moved = np.flatnonzero((where != state.coords).any(axis=1))
-        accepted = np.zeros(n, dtype=np.bool_)
-        accepted[moved] = self._judge(
-            model, state, moved, where[moved], begun[moved] - height[moved]
-        )
+        accepted, factors = np.zeros(n, dtype=np.bool_), (begun - height)[moved]
+        accepted[moved] = self._judge(model, state, moved, where[moved], factors)
         return state, accepted

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import logging
+import math
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from typing import Any
 
 import emcee
 import numpy as np
@@ -15,17 +16,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy import stats
 
 from bayesfric.inference.posterior import Diagnostics, Posterior, Status
+from bayesfric.inference.sampling import convergence
 from bayesfric.inference.sampling.checkpoint import Checkpoint
-from bayesfric.inference.sampling.convergence import (
-    LONG_ENOUGH,
-    autocorrelation_time,
-    effective_sample_size,
-    few,
-    hopeless,
-    nested_rhat,
-    steps_needed,
-    without_stuck,
-)
+from bayesfric.inference.sampling.convergence import LONG_ENOUGH, few, hopeless, nested_rhat
 from bayesfric.inference.sampling.moves import (
     DifferentialEvolutionMove,
     IndependenceMove,
@@ -94,20 +87,17 @@ class Sampling(BaseModel):
 
 @dataclass(frozen=True)
 class Progress:
-    """How far sampling has come, for a progress bar.
-
-    ``ess`` and ``rhat`` are of the worst parameter, ``nan`` during warm-up.
-    """
+    """How far sampling has come, for a progress bar; diagnostics of the worst parameter."""
 
     phase: str
-    steps: int
-    ess: float
-    rhat: float
+    steps: int = 0
+    ess: float = math.nan
+    rhat: float = math.nan
 
 
 def phase(name: str) -> Progress:
     """Progress of something before or after sampling that has no numbers."""
-    return Progress(name, 0, float("nan"), float("nan"))
+    return Progress(name)
 
 
 def sample(
@@ -135,8 +125,8 @@ def sample(
     began = time.perf_counter() - (checkpoint.seconds if checkpoint else 0.0)
     d = target.dimension
     # emcee refuses fewer than two walkers a dimension
-    few = 128 if target.likelihood.cheap else 32
-    walkers = max(settings.walkers or max(few, 3 * d), 2 * d)
+    least = 128 if target.likelihood.cheap else 32
+    walkers = max(settings.walkers or max(least, 3 * d), 2 * d)
     walkers += walkers % 2
     for_emcee, for_starts = np.random.SeedSequence(settings.seed).spawn(2)
     random = np.random.RandomState(np.random.MT19937(for_emcee))
@@ -144,7 +134,7 @@ def sample(
     # Every ensemble around a point of its own, the points further apart than its walkers:
     # only then does nested R-hat, which compares ensembles, say anything.
     centres = start.draw(settings.ensembles, target, rng, spread=2.0)
-    around = [Start(centre, start.covariance) for centre in centres]
+    around = (Start(centre, start.covariance) for centre in centres)
     positions = np.stack([one.draw(walkers, target, rng, spread=0.5) for one in around])
     if checkpoint is not None:
         checkpoint.begin(positions.shape[0] * walkers, d, target.coordinates.description)
@@ -155,7 +145,8 @@ def sample(
     warm = _Ensembles(target, moves, positions, random, checkpoint, "warm-up")
     half, settled = _warm_up(warm, learning, settings, rng, progress)
     # Where the posterior really lies, a likelihood can be prepared best.
-    target = target.prepared(_spread_out(half))
+    states = half.reshape(-1, d)
+    target = target.prepared(states[:: max(1, len(states) // 500)])
     frozen = _learned(target, half, warm, last=True)
     search = DifferentialEvolutionMove(settings.ensembles)
     moves = [(frozen, 1.0 - _OTHERWISE), (search, _OTHERWISE)]
@@ -165,18 +156,17 @@ def sample(
     wanted = max(_KEPT_DRAWS, 2 * int(settings.min_ess))
     thin = min(max(1, main.steps * walkers * settings.ensembles // wanted), main.steps)
     kept = main.chain()[:, :, thin - 1 :: thin]
-    parameters, _ = target.to_parameters(kept.reshape(-1, d))
-    draws = parameters.reshape(*kept.shape)
+    draws = target.to_parameters(kept.reshape(-1, d))[0].reshape(kept.shape)
+    acceptance = main.acceptance()
     problems = list(_problems(target, settings, look, main, draws))
-    if look.hopeless and main.acceptance().any():
+    if look.hopeless and acceptance.any():
         steps = warm.steps + main.steps
         problems.insert(0, _given_up(target.names, look.needed, steps, settings.max_steps))
     if not settled:
         problems.append(_UNSETTLED)
     # counted up to here: what follows looks at places that were never proposed
-    not_finite = target.not_finite
-    warnings = [text for text, harmless in _standing(main.acceptance()) if harmless]
-    share = 0.0
+    not_finite, share = target.not_finite, 0.0
+    warnings = [text for text, harmless in _standing(acceptance) if harmless]
     if not_finite:
         batch = settings.ensembles * walkers
         places = beside_posterior(target, frozen.proposal, settings.seed, batch)
@@ -194,7 +184,7 @@ def sample(
             rhat=look.rhat,
             tau=look.tau,
             ess=look.ess,
-            acceptance=main.acceptance(),
+            acceptance=acceptance,
             ensembles=settings.ensembles,
             walkers=walkers,
             warmup=warm.steps,
@@ -229,12 +219,12 @@ def _warm_up(
     while True:
         warm.run(block)
         warm.bring_back_lost(rng)
-        progress(Progress("warm-up", warm.steps, float("nan"), float("nan")))
+        progress(Progress("warm-up", warm.steps))
         half = warm.chain()[:, :, warm.steps // 2 :]
         rhats = nested_rhat(half)
         agree = warm.steps >= _LEAST_BLOCKS * block and rhats.max() < _WARM_RHAT
         settled = agree and warm.settled()
-        needed = steps_needed(warm.steps, rhats, _WARM_RHAT, np.zeros(rhats.size))
+        needed = convergence.steps_needed(warm.steps, rhats, _WARM_RHAT, np.zeros(rhats.size))
         seen.append((warm.steps, float(needed.max())))
         if settled or warm.steps >= most or hopeless(seen, most):
             return half, settled
@@ -266,16 +256,16 @@ def _walk(
     while True:
         # looks at growing distances: a stopping rule asked too often stops by luck
         main.run(min(max(block, main.steps // 3), most - main.steps))
-        moving = without_stuck(main.chain(), main.acceptance())
-        rhats, tau = nested_rhat(moving), autocorrelation_time(moving)
-        ess = effective_sample_size(moving, tau)
+        moving = convergence.without_stuck(main.chain(), main.acceptance())
+        rhats, tau = nested_rhat(moving), convergence.autocorrelation_time(moving)
+        ess = convergence.effective_sample_size(moving, tau)
         progress(Progress("sampling", main.steps, float(ess.min()), float(rhats.max())))
         done = (
             ess.min() >= settings.min_ess
             and rhats.max() <= settings.max_rhat
             and main.steps >= LONG_ENOUGH * tau.max()
         )
-        needed = steps_needed(main.steps, rhats, settings.max_rhat, tau)
+        needed = convergence.steps_needed(main.steps, rhats, settings.max_rhat, tau)
         seen.append((main.steps, float(needed.max())))
         lost = not done and hopeless(seen, most)
         if done or lost or main.steps >= most:
@@ -308,17 +298,19 @@ class _Ensembles:
 
     def run(self, steps: int) -> None:
         """Go so many steps further; those that a checkpoint holds are not made again."""
-        end = self.steps + steps
+        end, accepted = self.steps + steps, self._sampler.backend.accepted
+        recording: AbstractContextManager[Any] = nullcontext(lambda *_: None)
         if self._checkpoint is not None:
             self._replay(self._checkpoint, steps)
+            recording = self._checkpoint.recording(self._phase, accepted)
         if self.steps < end:
             walk = self._sampler.sample(
                 self._state, iterations=end - self.steps, skip_initial_state_check=True
             )
-            with _quiet_emcee(), self._recording() as record:
+            with recording as record:
                 for self._state in walk:
                     self.steps += 1
-                    record(self._state, self._sampler.backend.accepted, self.target.not_finite)
+                    record(self._state, accepted, self.target.not_finite)
         # so that what comes next goes on where this stream ends
         self._random.set_state(self._sampler.random_state)
 
@@ -340,11 +332,6 @@ class _Ensembles:
         stopped = checkpoint.where_it_stopped(lambda: self.target(self._state.coords))
         if stopped is not None:
             self._sampler.random_state, self.target.not_finite = stopped
-
-    def _recording(self) -> AbstractContextManager[Callable[[emcee.State, Array, int], None]]:
-        if self._checkpoint is None:
-            return nullcontext(lambda *_: None)
-        return self._checkpoint.recording(self._phase, self._sampler.backend.accepted)
 
     def bring_back_lost(self, rng: np.random.Generator) -> None:
         """Move walkers that hang on to a hopelessly improbable mode next to the others.
@@ -370,13 +357,9 @@ class _Ensembles:
         """Whether over the second half of the steps nothing climbs, shrinks or spreads."""
         third, fourth = np.array_split(self.log_density()[:, :, self.steps // 2 :], 2, axis=2)
         climbing = abs(fourth.mean() - third.mean()) > 0.25 * fourth.std()
-        d = self._shape[2]
-        before, after = (
-            x.reshape(-1, d).std(axis=0)
-            for x in np.array_split(self.chain()[:, :, self.steps // 2 :], 2, axis=2)
-        )
-        spreading = np.abs(np.log(after / before)).max() > 0.2
-        return not (climbing or spreading)
+        quarters = np.array_split(self.chain()[:, :, self.steps // 2 :], 2, axis=2)
+        before, after = (x.reshape(-1, self._shape[2]).std(axis=0) for x in quarters)
+        return not (climbing or np.abs(np.log(after / before)).max() > 0.2)
 
     def chain(self) -> Array:
         """All steps, ``(ensembles, walkers, steps, d)``."""
@@ -409,12 +392,6 @@ def _learned(
         if surrogate is not None:
             return SurrogateMove(surrogate, proposal)
     return IndependenceMove(proposal)
-
-
-def _spread_out(chain: Array) -> Array:
-    """Pick some draws, ``(n, d)``, from all ensembles and steps."""
-    draws = chain.reshape(-1, chain.shape[-1])
-    return np.asarray(draws[:: max(1, draws.shape[0] // 500)])
 
 
 def _problems(
@@ -455,20 +432,20 @@ def _problems(
 
 def _standing(acceptance: Array) -> Iterator[tuple[str, bool]]:
     """Say how many walkers stood still, and whether they are too few to change an interval."""
-    never, hardly = acceptance == 0.0, (acceptance > 0.0) & (acceptance < 0.01)
-    of = acceptance.size
-    if never.any():
-        yield (
-            f"{_count(never.sum(), 'walker')} of {of} never moved, and left out of every "
-            "interval: look at the trace; try another sampling.seed, or narrower priors",
-            few(never),
-        )
-    if hardly.any():
-        yield (
-            f"{_count(hardly.sum(), 'walker')} of {of} hardly ever moved: look at the trace; "
-            "raise sampling.max_steps, or give narrower priors",
-            few(hardly),
-        )
+    for walkers, said in (
+        (
+            acceptance == 0.0,
+            "never moved, and left out of every interval: look at the trace; try another "
+            "sampling.seed, or narrower priors",
+        ),
+        (
+            (acceptance > 0.0) & (acceptance < 0.01),
+            "hardly ever moved: look at the trace; raise sampling.max_steps, or give narrower "
+            "priors",
+        ),
+    ):
+        if n := np.count_nonzero(walkers):
+            yield f"{n} walker{'s' if n > 1 else ''} of {walkers.size} {said}", few(walkers)
 
 
 def _given_up(names: tuple[str, ...], needed: Array, steps: int, max_steps: int) -> str:
@@ -482,19 +459,3 @@ def _given_up(names: tuple[str, ...], needed: Array, steps: int, max_steps: int)
         f"sampling.max_steps is {max_steps}; slowest are {', '.join(slow)}: give them "
         "narrower priors, or fix what is known"
     )
-
-
-def _count(n: int, what: str) -> str:
-    return f"{n} {what}{'s' if n > 1 else ''}"
-
-
-@contextmanager
-def _quiet_emcee() -> Iterator[None]:
-    """Keep emcee's remarks on autocorrelation off the user's screen; ours replace them."""
-    logger = logging.getLogger()
-    previous = logger.level
-    logger.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        logger.setLevel(previous)

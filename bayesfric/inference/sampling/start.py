@@ -68,13 +68,10 @@ def gauss_newton(target: Target, mode: Array, prior_draws: Array) -> Start:
     centre, _ = target.to_parameters(mode[None])
     scales = target.noise.scales(centre[:, k:])[0]
     both = target.chain_values(np.concatenate([moved, centre]))
-    jacobian = np.concatenate(
-        [_differences(output, steps) for output in target.likelihood.standardised(both, scales)],
-        axis=1,
-    )
+    outputs = target.likelihood.standardised(both, scales)
+    jacobian = np.concatenate([_differences(output, steps) for output in outputs], axis=1)
     information = jacobian @ jacobian.T + np.diag(1.0 / prior_sd**2)
-    index = np.arange(k, d)
-    slope = (moved[index, index] - moved[d + index, index]) / (2.0 * steps[k:])
+    slope = ((np.diag(moved[:d]) - np.diag(moved[d:])) / (2.0 * steps))[k:]
     noise = target.noise.fold(target.likelihood.noise_information(scales))
     information[k:, k:] += noise * np.outer(slope, slope)
     scale = 1.0 / np.sqrt(np.diag(information))
@@ -93,10 +90,8 @@ def _differences(output: Array, steps: Array) -> Array:
     up, down, centre = output[:d], output[d : 2 * d], output[2 * d]
     right, left = (up - centre) / steps[:, None], (centre - down) / steps[:, None]
     usable = np.stack([np.isfinite(right).all(axis=1), np.isfinite(left).all(axis=1)])
-    weights = usable / np.maximum(usable.sum(axis=0), 1)
-    return np.asarray(
-        weights[0][:, None] * np.nan_to_num(right) + weights[1][:, None] * np.nan_to_num(left)
-    )
+    weights = (usable / np.maximum(usable.sum(axis=0), 1))[:, :, None]
+    return np.asarray(weights[0] * np.nan_to_num(right) + weights[1] * np.nan_to_num(left))
 
 
 def climb(
@@ -115,27 +110,17 @@ def climb(
     by half a unit, which averages over the kinks that direction-dependent losses
     leave in it.
 
-    Parameters
-    ----------
-    climbs
-        How many of the best ones are followed to their peak.
-    curvature
-        Negative Hessian, ``(d, d)``, from elsewhere. By differences it takes ``d²`` evaluations
-        a step, which a density that simulates cannot afford.
-    moved
-        Called with every place ``(d,)`` a climb gets to; the density may prepare itself for it.
-
-    Raises
-    ------
-    ValueError
-        If every candidate has zero probability.
+    So many ``climbs`` follow the best candidates to their peak. ``curvature`` is the negative
+    Hessian, ``(d, d)``, from elsewhere: by differences it takes ``d²`` evaluations a step, which a
+    density that simulates cannot afford. ``moved`` is called with every place ``(d,)`` a climb
+    gets to; the density may prepare itself for it. ValueError if no candidate is possible.
     """
     heights = log_density(candidates)
-    if not np.isfinite(heights).any():
-        raise ValueError("every starting point has zero probability")
     # Direction-dependent losses make several peaks, and the highest candidate need
     # not stand at the foot of the highest one.
     order = [i for i in np.argsort(-heights)[:climbs] if np.isfinite(heights[i])]
+    if not order:
+        raise ValueError("every starting point has zero probability")
     found = [
         _climb(log_density, candidates[i], heights[i], max_steps, curvature, moved) for i in order
     ]
@@ -169,10 +154,8 @@ def _climb(
         values, vectors = np.linalg.eigh((curvature + curvature.T) / 2.0)
         rotated = vectors.T @ gradient
         dampings = damping * 10.0 ** np.arange(-3.0, 5.0)
-        moves = np.array(
-            [vectors @ (rotated / (np.clip(values, 1e-3, None) + d)) for d in dampings]
-        )
-        trials = x + moves * steps
+        clipped = np.clip(values, 1e-3, None)
+        trials = x + np.array([vectors @ (rotated / (clipped + d)) for d in dampings]) * steps
         heights = log_density(trials)
         best = int(np.argmax(heights))
         gain = heights[best] - height

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -17,6 +18,7 @@ _SO_IMPROBABLE = 1e-6
 _STATES_A_COEFFICIENT = 2
 
 
+@dataclass(frozen=True)
 class Surrogate:
     """Log posterior with the likelihood replaced by a cubic in the coordinates.
 
@@ -30,21 +32,13 @@ class Surrogate:
     end.
     """
 
-    def __init__(
-        self,
-        log_prior: Callable[[Array], Array],
-        centre: Array,
-        whiten: Array,
-        gradient: Array,
-        curvature: Array,
-        third: Array,
-        radius: float,
-    ) -> None:
-        self._log_prior = log_prior
-        self._centre, self._whiten = centre, whiten
-        self._gradient, self._curvature = gradient, curvature
-        self._third = third.reshape(centre.size, -1)
-        self._radius = radius
+    log_prior: Callable[[Array], Array]
+    centre: Array
+    whiten: Array
+    gradient: Array
+    curvature: Array
+    third: Array  # (d, d, d)
+    radius: float
 
     @classmethod
     def fitted(
@@ -55,7 +49,9 @@ class Surrogate:
         ``None`` if it is too little for a quadratic. ``states`` ``(n, d)`` may repeat.
         """
         d = states.shape[1]
-        states, log_density = _distinct(states, log_density)
+        # a walker that stayed where it was says nothing new
+        first = np.sort(np.unique(log_density, return_index=True)[1])
+        states, log_density = states[first], log_density[first]
         near = log_density > log_density.max() - stats.chi2.isf(_SO_IMPROBABLE, d) / 2.0
         states, log_density = states[near], log_density[near]
         pairs = np.array(list(combinations_with_replacement(range(d), 2))).T
@@ -88,16 +84,9 @@ class Surrogate:
     def __call__(self, u: Array) -> Array:
         """Log density up to a constant, ``(n, d)`` to ``(n,)``."""
         n, d = u.shape
-        z = (u - self._centre) @ self._whiten
-        level = z @ self._gradient + np.sum(z @ self._curvature * z, axis=1)
-        inner = z * np.minimum(1.0, self._radius / np.linalg.norm(z, axis=1))[:, None]
-        bent = (inner @ self._third).reshape(n, d, d)
+        z = (u - self.centre) @ self.whiten
+        level = z @ self.gradient + np.sum(z @ self.curvature * z, axis=1)
+        inner = z * np.minimum(1.0, self.radius / np.linalg.norm(z, axis=1))[:, None]
+        bent = (inner @ self.third.reshape(d, -1)).reshape(n, d, d)
         level += np.einsum("nij,ni,nj->n", bent, inner, inner)
-        return np.asarray(self._log_prior(u) + level)
-
-
-def _distinct(states: Array, log_density: Array) -> tuple[Array, Array]:
-    """Leave repeated states out: a walker that stayed where it was says nothing new."""
-    _, first = np.unique(log_density, return_index=True)
-    first.sort()
-    return states[first], log_density[first]
+        return np.asarray(self.log_prior(u) + level)

@@ -17,8 +17,6 @@ _PLACES = 2000
 _SPAWN = 2**31 + 1
 # The parameter that tells bad places from good ones in so many of their pairs is named.
 _TELLING = 0.8
-
-
 # Share of such places that may lie beside the posterior. The proposal is the posterior's
 # own shape, so about this share of the posterior may be missing, and the tail beyond an end
 # of a 90 % interval, 5 %, may be off by as much. Below this it drowns in what chance leaves:
@@ -54,17 +52,14 @@ def complaint(names: tuple[str, ...], places: Array) -> str | None:
         f"at {100 * share:.2g} % of the places beside the posterior the likelihood is no number; "
         "they count as impossible"
     )
+    check = "check units and columns of the recordings with 'bayesfric check'"
     where = _where(names, parameters, bad)
     if where is None:
-        return (
-            f"{text}, and lie in no one direction: check units and columns of the recordings "
-            "with 'bayesfric check', and do not trust the intervals"
-        )
+        return f"{text}, and lie in no one direction: {check}, and do not trust the intervals"
     name, side, edge = where
     return (
         f"{text}, most of them where {name} is {side} {edge:.3g}: if the joint cannot be so, end "
-        f"priors.{name} there; if it can, that end of its interval is cut short: check units and "
-        "columns of the recordings with 'bayesfric check'"
+        f"priors.{name} there; if it can, that end of its interval is cut short: {check}"
     )
 
 

@@ -26,19 +26,8 @@ def smooth_p_value(residual: Array, x: Array, columns: Array) -> float:
     long as it is lost from swing to swing. No correlation has to be estimated, and a dependence,
     the same in every swing, does not pass for memory.
 
-    Parameters
-    ----------
-    residual
-        ``(M,)`` in order of time.
-    x
-        ``(M,)``
-    columns
-        ``(M, k)`` derivatives of the predictions: what of a curve lies in them was fitted away.
-
-    Returns
-    -------
-    float
-        1 where there are too few swings to tell.
+    ``residual`` ``(M,)`` is in order of time. What of a curve lies in ``columns`` ``(M, k)``,
+    derivatives of the predictions, was fitted away. Gives 1 where there are too few swings to tell.
     """
     n = residual.size
     places = stats.rankdata(x) * 2.0 / (n + 1) - 1.0

@@ -13,13 +13,9 @@ from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.torque import filtered_torque, typical_load
 from bayesfric.identifiability.local import LocalInformation, verdict
 from bayesfric.inference.fit import Fit
-from bayesfric.inference.sampling.convergence import (
-    autocorrelation_time,
-    effective_sample_size,
-    nested_rhat,
-    without_stuck,
-)
+from bayesfric.inference.sampling import convergence
 from bayesfric.mechanism.derived import Derived, derive
+from bayesfric.report.summary.record import Described
 
 Array = NDArray[np.float64]
 
@@ -53,6 +49,16 @@ def derived_rows(fit: Fit, local: LocalInformation) -> dict[str, dict[str, Any]]
     return {name: row for group in groups(fit) for name, row in _rows(fit, local, group)}
 
 
+def described_as(what: Any) -> dict[str, str]:
+    """Give unit, symbol and meaning of a parameter or derived quantity."""
+    return {key: getattr(what, key) for key in Described.model_fields}
+
+
+def rms_of(x: Array) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(x**2)))
+
+
 def spread(x: Array) -> dict[str, Any]:
     """Mean, sd, median and interval of draws; those that are no numbers do not count."""
     x = x[np.isfinite(x)]
@@ -71,12 +77,14 @@ def _rows(fit: Fit, local: LocalInformation, group: Group) -> Iterator[tuple[str
         return
     median, k = fit.posterior.median, len(fit.target.free)
     steps = 1e-5 * np.maximum(np.abs(median[:k]), 1e-9)
+    either = np.concatenate([np.diag(steps), -np.diag(steps)])
+    moved = median + np.pad(either, ((0, 0), (0, median.size - k)))
     n, key = group.prior
     rng = np.random.default_rng(np.random.SeedSequence(fit.posterior.seed, spawn_key=(key,)))
     drawn = np.stack([prior.draw(n, rng) for prior in fit.posterior.priors], axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         in_prior = group.values(fit.target.chain_values(drawn))
-        change = group.values(fit.target.chain_values(_moved(median, steps)))
+        change = group.values(fit.target.chain_values(moved))
     gradients = (change[:, :k] - change[:, k:]) / (2.0 * steps)
     sound = sound_quantities(fit, group.values, len(group.found), group.most)
     for q, prior, gradient, converged in zip(group.found, in_prior, gradients, sound, strict=True):
@@ -84,9 +92,7 @@ def _rows(fit: Fit, local: LocalInformation, group: Group) -> Iterator[tuple[str
         yield (
             q.name,
             {
-                "unit": q.unit,
-                "symbol": q.symbol,
-                "meaning": q.meaning,
+                **described_as(q),
                 **spread(q.values),
                 "converged": bool(converged),
                 "verdict": verdict(_robust_sd(q.values), _robust_sd(prior), told),
@@ -140,16 +146,6 @@ def _has_interval(x: Array) -> bool:
     return bool(np.ptp(x) > 1e-12 * np.abs(x).max())
 
 
-def _moved(median: Array, steps: Array) -> Array:
-    """Vectors a step to either side in each free parameter, ``(2k, d)``."""
-    k = steps.size
-    moved = np.tile(median, (2 * k, 1))
-    index = np.arange(k)
-    moved[index, index] += steps
-    moved[k + index, index] -= steps
-    return moved
-
-
 def _robust_sd(x: Array) -> float:
     """Estimate a sd from quartiles: alpha_2 = 1/(1 - mu_2) has no finite one under many priors."""
     x = x[np.isfinite(x)]
@@ -160,25 +156,15 @@ def _robust_sd(x: Array) -> float:
 def sound_quantities(
     fit: Fit, values: Callable[[Array], Array], number: int, most: int
 ) -> NDArray[np.bool_]:
-    """Judge quantities by R-hat and independent draws of their own, ``(number,)``.
+    """Judge so many quantities by R-hat and independent draws of their own, ``(number,)``.
 
-    What no scaling changes may be known where the parameters it is made of still wander.
-
-    Parameters
-    ----------
-    fit
-        A finished fit.
-    values
-        The chain's parameters ``(n, n_parameters)`` to the quantities, ``(number, n)``.
-    number
-        Of quantities.
-    most
-        Draws to look at.
+    What no scaling changes may be known where the parameters it is made of still wander. At most
+    so many draws are looked at; for ``values`` see :class:`Group`.
     """
     diagnostics = fit.posterior.diagnostics
     if diagnostics.status == "reliable":
         return np.ones(number, dtype=np.bool_)
-    draws = without_stuck(fit.posterior.draws, diagnostics.acceptance)
+    draws = convergence.without_stuck(fit.posterior.draws, diagnostics.acceptance)
     ensembles, walkers, steps, d = draws.shape
     draws = draws[:, :, :: max(1, -(-ensembles * walkers * steps // most))]
     if draws.shape[2] < 2:
@@ -189,5 +175,5 @@ def sound_quantities(
     # draws that do not have a quantity say nothing against it
     found = np.where(np.isfinite(found), found, middle)
     series = np.moveaxis(found.reshape(number, *draws.shape[:3]), 0, -1)
-    ess = effective_sample_size(series, autocorrelation_time(series))
-    return diagnostics.sound(nested_rhat(series), ess)
+    ess = convergence.effective_sample_size(series, convergence.autocorrelation_time(series))
+    return diagnostics.sound(convergence.nested_rhat(series), ess)

@@ -16,8 +16,9 @@ from bayesfric.estimates.estimate import Estimate
 from bayesfric.estimates.information import CORRELATED
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.likelihood.noise_choice import Choice
+from bayesfric.mechanism.quantities import QUANTITIES, Quantity, State
 from bayesfric.recordings.observation import LEAST_RATIO, Observation
-from bayesfric.report.summary.record import Doubt, Spread, Summary, of_noise, quantity_of
+from bayesfric.report.summary.record import Doubt, Spread, Summary, quantity_of
 
 # Share of the torque's variance that a model of the joint should explain, where what it leaves
 # is no white noise.
@@ -26,9 +27,6 @@ _EXPLAINED = 0.8
 _RISE = 1.1
 # Robust standard deviations below zero that are no chance.
 _NEGATIVE = 3.0
-
-# What is never negative: by it energy is lost or stored.
-_LOSING = ("inertia", "viscous", "coulomb")
 
 White = Mapping[str, Spread]
 
@@ -39,29 +37,17 @@ def find_doubts(
     choice: Choice | None = None,
     white: tuple[White, float] | None = None,
 ) -> list[dict[str, Any]]:
-    """Look for what makes the numbers of a fit doubtful.
+    """Look for what makes the numbers of a fit doubtful, for ``summary["doubts"]``.
 
-    Parameters
-    ----------
-    fit
-        A finished fit.
-    summary
-        Of it.
-    choice
-        How the order of the noise was chosen, where it was.
-    white
-        Of the same recordings with white noise, where that was sampled: from
-        :func:`bayesfric.report.summary.summary.spreads`, and the residuals' root mean square.
-
-    Returns
-    -------
-    list of dict
-        ``kind``, ``parameters`` and what else tells of each, for ``summary["doubts"]``.
+    ``choice`` is how the order of the noise was chosen, where it was; ``white`` what the same
+    recordings say with white noise, where that was sampled:
+    :func:`bayesfric.report.summary.summary.spreads`, and the residuals' root mean square. Gives
+    ``kind``, ``parameters`` and what else tells of each.
     """
     if summary.sampler.status == "unusable":
         return []  # there is no posterior to doubt
-    rows = {**summary.parameters, **summary.derived}
-    told = [name for name, row in rows.items() if row.verdict == "data" and not of_noise(name)]
+    rows = {**summary.joint, **summary.derived}
+    told = [name for name, row in rows.items() if row.verdict == "data"]
     found = [
         *_unexplained(summary),
         *doubts_before(fit.estimates[0], fit.observations),
@@ -95,19 +81,10 @@ def _unexplained(summary: Summary) -> Iterator[dict[str, Any]]:
 
 
 def doubts_before(totals: Estimate, observations: Sequence[Observation]) -> list[dict[str, Any]]:
-    """Look for what makes any fit doubtful, before there is one.
+    """Look for what makes any fit doubtful, before there is one, as :func:`find_doubts` does.
 
-    Parameters
-    ----------
-    totals
-        From :func:`bayesfric.estimates.least_squares.least_squares`.
-    observations
-        What it was made from.
-
-    Returns
-    -------
-    list of dict
-        As :func:`find_doubts`, without ``parameters``: all are doubtful.
+    ``totals`` are of :func:`bayesfric.estimates.least_squares.least_squares`; no ``parameters`` are
+    named: all are doubtful.
     """
     return [*_feedback(observations), *_negative(totals)]
 
@@ -126,7 +103,7 @@ def _negative(totals: Estimate) -> Iterator[dict[str, Any]]:
     below = {
         v.name: v.value
         for v in totals.values
-        if quantity_of(v.name) in _LOSING
+        if _loses(QUANTITIES.get(quantity_of(v.name)))
         and np.isfinite(v.sd_robust)
         and v.value < -_NEGATIVE * max(v.sd, v.sd_robust)
     }
@@ -134,17 +111,16 @@ def _negative(totals: Estimate) -> Iterator[dict[str, Any]]:
         yield {"kind": "negative", "values": below}
 
 
+def _loses(row: Quantity | None) -> bool:
+    """Whether energy is lost or stored by it; a negative square only bends the curve of a loss."""
+    return row is not None and row.role == "own" and row.lower == 0.0 and row.power in (0, 1)
+
+
 def _memory(choice: Choice | None) -> Iterator[dict[str, Any]]:
-    if choice is None or not choice.refused:
-        return
-    asked = min(choice.tried, key=lambda one: one.bic)
-    yield {
-        "kind": "memory",
-        "asked": asked.order,
-        "taken": choice.order,
-        "shift": asked.shift,
-        "rise": asked.rise,
-    }
+    if choice is not None and choice.refused:
+        asked = choice.asked
+        told = {"asked": asked.order, "taken": choice.order}
+        yield {"kind": "memory", **told, "shift": asked.shift, "rise": asked.rise}
 
 
 def _noise(
@@ -160,10 +136,9 @@ def _noise(
         if name in spreads and _apart(rows[name].interval, spreads[name].interval)
     }
     rise = (summary.fit.residual_rms or 0.0) / rms if rms > 0.0 else 1.0
-    if rise > _RISE:
-        yield {"kind": "noise", "rise": rise, "white": moved}
-    elif moved:
-        yield {"kind": "noise", "rise": rise, "white": moved, "of": list(moved)}
+    if moved or rise > _RISE:
+        of = {} if rise > _RISE else {"of": list(moved)}
+        yield {"kind": "noise", "rise": rise, "white": moved, **of}
 
 
 def _apart(one: Sequence[float], other: Sequence[float]) -> bool:
@@ -181,11 +156,20 @@ def _acceleration(fit: Fit, summary: Summary, told: list[str]) -> Iterator[dict[
         return
     # about the share of an inertia that noise in its acceleration takes away
     lost = noise / power
-    rows = summary.rows
+    own = {p.name: p.row for p in fit.chain.parameters}
     names = [
         name
         for name in told
-        if quantity_of(name) == "inertia" and rows[name].sd < lost * abs(rows[name].middle)
+        if _accelerates(own.get(name) or QUANTITIES.get(quantity_of(name)))
+        and summary.rows[name].sd < lost * abs(summary.rows[name].middle)
     ]
     if names and lost > 1.0 / LEAST_RATIO**2:
         yield {"kind": "acceleration", "ratio": float(lost**-0.5), "of": names}
+
+
+def _accelerates(row: Quantity | None) -> bool:
+    """Whether its torque depends on the acceleration."""
+    if row is None or row.column is None:
+        return False
+    still = State(0.0, 0.0, 0.0, 0.0, 0.0)
+    return bool(row.column(still) != row.column(still._replace(acceleration=1.0)))

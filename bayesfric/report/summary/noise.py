@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -43,16 +44,8 @@ def noise_record(
 ) -> dict[str, Any]:
     """Put the noise of a fit into the form of ``summary.json``.
 
-    Parameters
-    ----------
-    fit
-        A finished fit.
-    residuals
-        ``(M,)`` of every recording, measured minus posterior mean.
-    lags
-        Their lag-1 correlations.
-    choice
-        How the order was chosen, where it was.
+    ``residuals`` ``(M,)`` of every recording, measured minus posterior mean, have the lag-1
+    correlations ``lags``; ``choice`` is how the order was chosen, where it was.
     """
     likelihood = fit.target.likelihood
     record: dict[str, Any] = {
@@ -84,28 +77,15 @@ def noise_record(
             for o, s in zip(likelihood.outputs, scales, strict=True)
         }
     if choice is not None:
-        record["order_chosen_from"] = [
-            {
-                "order": one.order,
-                "bic": one.bic,
-                "innovation_share": one.innovations,
-                "p_value": one.p_value,
-            }
-            for one in choice.tried
-        ]
+        record["order_chosen_from"] = [asdict(one) for one in choice.tried]
     return record
 
 
 def add_white_intervals(summary: Summary, white: Mapping[str, Spread] | None) -> Summary:
     """Put beside every interval of a summary the one that white noise would have given.
 
-    Parameters
-    ----------
-    summary
-        Its rows get ``white_interval`` and ``white_sd``, or ``warnings`` says why not.
-    white
-        From :func:`bayesfric.report.summary.summary.spreads`, of the same problem with white noise;
-        ``None`` if its sampling is unusable.
+    ``white`` is what :func:`bayesfric.report.summary.summary.spreads` gives of the same problem,
+    ``None`` if its sampling is unusable.
     """
     if white is None:
         warnings = [*summary.warnings, sentence("white unusable")]

@@ -34,19 +34,10 @@ class Part(BaseModel):
 
     @classmethod
     def read(cls, found: Self | Mapping[str, Any], where: str = "summary.json") -> Self:
-        """Check what a file or another piece of the package tells.
+        """Check what a file, called ``where`` in complaints, or a piece of the package tells.
 
-        Parameters
-        ----------
-        found
-            Contents; what is one already is given back.
-        where
-            What to call it in complaints.
-
-        Raises
-        ------
-        BadInput
-            Naming the key, where something is missing or of another type.
+        What is one already is given back. BadInput, naming the key, where something is missing or
+        of another type.
         """
         if isinstance(found, cls):
             return found
@@ -414,21 +405,20 @@ class Summary(Part):
 
     def with_rows(self, changes: Mapping[str, Mapping[str, Any]], **update: Any) -> Summary:
         """Change keys of rows, by name of parameter or derived quantity, and other parts."""
-
-        def changed(rows: Mapping[str, PosteriorRow]) -> dict[str, PosteriorRow]:
-            return {n: row.model_copy(update=changes.get(n, {})) for n, row in rows.items()}
-
-        tables = {"parameters": changed(self.parameters), "derived": changed(self.derived)}
+        tables = {
+            group: {
+                name: row.model_copy(update=changes.get(name, {}))
+                for name, row in getattr(self, group).items()
+            }
+            for group in ("parameters", "derived")
+        }
         return self.model_copy(update=tables | update)
 
     def frame(self) -> pd.DataFrame:
         """Lay parameters, then derived quantities, out as a table with a line for each.
 
-        Returns
-        -------
-        pandas.DataFrame
-            ``name``, ``group`` and the keys of :class:`PosteriorRow`, ends of intervals in columns
-            of their own; ``doubted`` are kinds of doubts, joined.
+        It has ``name``, ``group`` and the keys of :class:`PosteriorRow`, ends of intervals in
+        columns of their own; ``doubted`` are kinds of doubts, joined.
         """
         import pandas as pd
 
@@ -463,5 +453,9 @@ def of_noise(name: str) -> bool:
 
 
 def quantity_of(name: str) -> str:
-    """Give the quantity that a name ends with: ``inertia`` of ``total.inertia``."""
-    return name.rpartition(".")[2]
+    """Give the quantity of a parameter or total: ``inertia`` of ``total.inertia``.
+
+    An offset may go by a recording's name, which says nothing: ``total.offset.<recording>``.
+    """
+    first, _, rest = name.removeprefix("total.").partition(".")
+    return first if first == "offset" or not rest else rest

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -16,6 +15,7 @@ from bayesfric.inference.likelihood.likelihood import Outputs
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.mechanism.inverse import load_torque
 from bayesfric.report.summary.dependence import smooth_p_value
+from bayesfric.report.summary.derived_quantities import rms_of
 from bayesfric.report.text_templates import filled
 
 Array = NDArray[np.float64]
@@ -40,31 +40,18 @@ _TAILS = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Binned:
-    """Residuals against one quantity, in bins of equally many outputs.
-
-    Attributes
-    ----------
-    name, symbol, unit
-        Of the quantity; the symbol is LaTeX without dollar signs.
-    centre, mean, sd, error
-        ``(bins,)``; ``error`` is the sd of the mean, wider where residuals are correlated.
-    explained
-        Share of the residuals' variance that the bins' means hold.
-    chance
-        Share that the means of residuals with this memory are expected to hold by chance.
-    p_value
-        Of the two tests together: that the bins' means differ, and that there is a smooth curve.
-    """
+    """Residuals against one quantity, in bins of equally many outputs, ``(bins,)`` each."""
 
     name: str
-    symbol: str
+    symbol: str  # LaTeX without dollar signs
     unit: str
     centre: Array
     mean: Array
     sd: Array
-    error: Array
-    explained: float
-    chance: float
+    error: Array  # sd of the mean, wider where residuals are correlated
+    explained: float  # share of the residuals' variance that the bins' means hold
+    chance: float  # share that means of residuals with this memory are expected to hold by chance
+    # that the bins' means differ, and that there is a smooth curve: of the two tests together
     p_value: float
 
     @property
@@ -82,56 +69,32 @@ class Binned:
 
 @dataclass(frozen=True, eq=False)
 class ResidualAnalysis:
-    """Residuals of all recordings, looked at from several sides.
-
-    Attributes
-    ----------
-    unit
-        Of the residuals.
-    lags, correlation, white
-        ``(L,)`` lags in outputs, autocorrelation over all runs without a gap, and the half
-        width of the 95 % band that white residuals keep to.
-    innovations
-        ``(L,)`` autocorrelation of what the noise's memory does not foretell; ``None``
-        where the noise model has no memory.
-    normal, quantiles
-        ``(K,)`` quantiles of a standard normal, and of the residuals (innovations, where
-        there are any) over their rms.
-    kurtosis
-        Excess of theirs over a normal's.
-    against
-        Speed, load and joint angle, where they vary.
-    """
+    """Residuals of all recordings, looked at from several sides."""
 
     unit: str
-    lags: Array
-    correlation: Array
-    white: Array
+    lags: Array  # (L,) in outputs
+    correlation: Array  # (L,) over all runs without a gap
+    white: Array  # (L,) half width of the 95 % band that white residuals keep to
+    # (L,) of what the noise's memory does not foretell; None where the model has no memory
     innovations: Array | None
+    # (K,) quantiles of a standard normal, and of residuals (or innovations) over their rms
     normal: Array
     quantiles: Array
-    kurtosis: float
-    against: tuple[Binned, ...]
+    kurtosis: float  # excess of theirs over a normal's
+    against: tuple[Binned, ...]  # speed, load and joint angle, where they vary
 
 
 def residual_analysis(fit: Fit) -> ResidualAnalysis:
-    """Look at what the posterior mean leaves of the measurements.
-
-    Parameters
-    ----------
-    fit
-        A finished fit.
-    """
+    """Look at what the posterior mean leaves of the measurements."""
     outputs, left = fit.target.likelihood.outputs, fit.residuals
     lags, correlation, white = _autocorrelation(outputs, left)
     inner = _innovations(fit, left)
     # each recording over its own rms: they may differ in noise
-    scaled = np.concatenate([r / max(_rms(r), 1e-300) for r in inner or left])
+    scaled = np.concatenate([r / max(rms_of(r), 1e-300) for r in inner or left])
     n = scaled.size
-    shares = (np.arange(n) + 0.5) / n
-    shown = np.unique(np.linspace(0, n - 1, min(n, _POINTS)).astype(int))
     # the tails tell most: all of their points
-    shown = np.unique(np.concatenate([shown, np.arange(min(20, n)), np.arange(max(n - 20, 0), n)]))
+    spaced = np.linspace(0, n - 1, min(n, _POINTS)).astype(int)
+    shown = np.unique(np.r_[spaced, : min(20, n), max(n - 20, 0) : n])
     columns = _columns(fit)
     against = [
         _binned((name, symbol, unit), np.concatenate(x), outputs, left, columns)
@@ -144,7 +107,7 @@ def residual_analysis(fit: Fit) -> ResidualAnalysis:
         correlation,
         white,
         _autocorrelation(outputs, inner)[1] if inner else None,
-        np.asarray(stats.norm.ppf(shares[shown])),
+        np.asarray(stats.norm.ppf((shown + 0.5) / n)),
         np.sort(scaled)[shown],
         float(stats.kurtosis(scaled)),
         tuple(b for b in against if b.centre.size > 1),
@@ -171,18 +134,14 @@ def _columns(fit: Fit) -> Array:
     return np.concatenate([rows[:-1] - rows[-1] for rows in predicted], axis=1).T
 
 
-def _rms(x: Array) -> float:
-    return math.sqrt(float(np.mean(x**2)))
-
-
 def _autocorrelation(outputs: tuple[Outputs, ...], left: list[Array]) -> tuple[Array, Array, Array]:
     """Correlate residuals at even distances in time, gaps left out."""
     longest = max(r.size for r in left)
     lags = np.arange(1, min(_LAGS, max(longest // 4, 1)) + 1)
-    products, pairs, power = np.zeros(lags.size), np.zeros(lags.size), 0.0
-    total = 0
+    products, pairs = np.zeros(lags.size), np.zeros(lags.size)
+    power, total = 0.0, 0
     for o, r in zip(outputs, left, strict=True):
-        rms = _rms(r)
+        rms = rms_of(r)
         if not rms > 0.0:
             continue
         scaled = (r - r.mean()) / rms
@@ -191,9 +150,7 @@ def _autocorrelation(outputs: tuple[Outputs, ...], left: list[Array]) -> tuple[A
         for k, (here, there) in enumerate(_pairs(o, lags.size)):
             products[k] += scaled[here] @ scaled[there]
             pairs[k] += here.size
-    seen = pairs > 0
-    if not power > 0.0:
-        seen[:] = False
+    seen = (pairs > 0) & (power > 0.0)
     correlation = (products[seen] / pairs[seen]) / (power / total if power > 0.0 else 1.0)
     white = _WHITE / np.sqrt(pairs[seen])
     return lags[seen].astype(np.float64), correlation, np.asarray(white)
@@ -216,25 +173,16 @@ def _pairs(o: Outputs, most: int) -> Iterator[tuple[Places, Places]]:
 def _abscissae(fit: Fit, outputs: tuple[Outputs, ...]) -> list[tuple[str, str, str, list[Array]]]:
     """Speed, load torque and angle at every output."""
     median = fit.target.chain_values(fit.posterior.median[None])[0]
-    speed, load, angle = [], [], []
+    speed: list[Array] = []
+    load: list[Array] = []
+    angle: list[Array] = []
     for o, seen in zip(outputs, fit.observations, strict=True):
-        at = seen.filter.centres
-        gamma = load_torque(
-            fit.chain,
-            median,
-            seen.q[at],
-            seen.qdd[at],
-            inputs=seen.inputs,
-        )
-
-        def now(x: Array, times: Array = seen.time, o: Outputs = o) -> Array:
-            # outputs of a simulation are at other times than those of the filter
-            same = times.size == o.time.size and np.array_equal(times, o.time)
-            return x if same else np.interp(o.time, times, x)
-
-        speed.append(now(seen.speed))
-        load.append(now(gamma))
-        angle.append(now(seen.q[at]))
+        q, qdd = seen.q[seen.filter.centres], seen.qdd[seen.filter.centres]
+        gamma = load_torque(fit.chain, median, q, qdd, inputs=seen.inputs)
+        # outputs of a simulation are at other times than those of the filter
+        same = np.array_equal(seen.time, o.time)
+        for kept, x in ((speed, seen.speed), (load, gamma), (angle, q)):
+            kept.append(x if same else np.interp(o.time, seen.time, x))
     rotary = fit.chain.load.motion == "rotary"
     return [
         ("joint speed", r"\dot q", "rad/s" if rotary else "m/s", speed),
@@ -263,10 +211,9 @@ def _binned(
     mean = np.array([r[p].mean() for p in parts])
     sd = np.array([r[p].std() for p in parts])
     sizes = np.array([p.size for p in parts])
-    inside, bin_of = r.copy(), np.empty(r.size, dtype=np.int64)
-    for number, part in enumerate(parts):
-        inside[part] -= mean[number]
-        bin_of[part] = number
+    bin_of = np.empty(r.size, dtype=np.int64)
+    bin_of[order] = np.repeat(np.arange(bins), sizes)
+    inside = r - mean[bin_of]
     ends = np.cumsum([one.size for one in left])[:-1]
     lags, correlation, white = _autocorrelation(outputs, np.split(inside, ends))
     # up to the first that chance explains
@@ -290,7 +237,7 @@ def _binned(
             p_value = float(stats.f.sf(ratio, bins - 1, freedom))
         # one for sharp dependences, one for smooth ones that a memory would hide; recordings
         # may differ in noise
-        size = np.concatenate([np.full(one.size, max(_rms(one), 1e-300)) for one in left])
+        size = np.concatenate([np.full(one.size, max(rms_of(one), 1e-300)) for one in left])
         smooth = smooth_p_value(r / size, x, columns / size[:, None])
         p_value = min(1.0, 2.0 * min(p_value, smooth))
     return Binned(
@@ -306,19 +253,7 @@ def _binned(
 
 
 def lacking(fit: Fit) -> Iterator[dict[str, Any]]:
-    """Name what the residuals' mean depends on, or may depend on: the model lacks it.
-
-    Parameters
-    ----------
-    fit
-        A finished fit.
-
-    Yields
-    ------
-    dict
-        ``on``, a quantity, ``share`` of the residuals' variance that it holds, ``chance``, the
-        share expected of chance, ``p_value``, and whether it is ``sure``.
-    """
+    """Name what the residuals' mean depends on, or may depend on: the model lacks it."""
     for b in residual_analysis(fit).against:
         if b.outcome != "none":
             yield {
@@ -331,24 +266,17 @@ def lacking(fit: Fit) -> Iterator[dict[str, Any]]:
 
 
 def residual_words(fit: Fit) -> tuple[str, ...]:
-    """Say what the residual figure shows, one sentence each.
-
-    Parameters
-    ----------
-    fit
-        A finished fit.
-    """
+    """Say what the residual figure shows, one sentence each."""
     found = residual_analysis(fit)
-    return tuple(
-        filled(
-            "residual.txt.j2",
-            found=found,
-            residuals=_outside(found.correlation, found.white),
-            innovations=_outside(found.innovations, found.white),
-            drifts=fit.target.likelihood.method == "output-error",
-            tails=_TAILS,
-        ).splitlines()
+    text = filled(
+        "residual.txt.j2",
+        found=found,
+        residuals=_outside(found.correlation, found.white),
+        innovations=_outside(found.innovations, found.white),
+        drifts=fit.target.likelihood.method == "output-error",
+        tails=_TAILS,
     )
+    return tuple(text.splitlines())
 
 
 def _outside(correlation: Array | None, white: Array) -> dict[str, Any] | None:

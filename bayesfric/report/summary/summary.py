@@ -20,14 +20,15 @@ from bayesfric.inference.likelihood.position_likelihood import PositionLikelihoo
 from bayesfric.inference.noise import SCALES
 from bayesfric.inference.posterior import Posterior
 from bayesfric.mechanism.parameter import TURN
+from bayesfric.report.summary import noise as noise_part
 from bayesfric.report.summary.bounds import bound_warning
-from bayesfric.report.summary.derived_quantities import LEVEL, derived_rows, groups, spread
-from bayesfric.report.summary.noise import (
-    correlation_warning,
-    linearisation_warning,
-    noise_meaning,
-    noise_record,
-    noise_unit,
+from bayesfric.report.summary.derived_quantities import (
+    LEVEL,
+    derived_rows,
+    described_as,
+    groups,
+    rms_of,
+    spread,
 )
 from bayesfric.report.summary.record import EstimatedRow, Readable, Spread, Summary
 from bayesfric.report.summary.residual_analysis import lacking
@@ -45,21 +46,10 @@ _COLUMNS = ["name", "unit", "mean", "sd", "median", "low", "high", "level", "rha
 def summarise(
     fit: Fit, references: Mapping[str, Any] | None = None, choice: Choice | None = None
 ) -> Summary:
-    """Put all numbers of a fit together.
+    """Put all numbers of a fit together; those that do not exist are ``None``.
 
-    Parameters
-    ----------
-    fit
-        A finished fit.
-    references
-        Values to compare with, as a configuration gives them.
-    choice
-        How the order of the noise was chosen, where it was.
-
-    Returns
-    -------
-    Summary
-        Numbers that do not exist are ``None``.
+    ``references`` are values to compare with, as a configuration gives them, ``choice`` how the
+    order of the noise was chosen, where it was.
     """
     posterior = fit.posterior
     local = local_information(fit.target, posterior.median)
@@ -89,7 +79,7 @@ def summarise(
             ],
             "singular_values": [float(x) for x in local.directions.singular_values],
         },
-        "noise": noise_record(fit, residual, lags, choice),
+        "noise": noise_part.noise_record(fit, residual, lags, choice),
         "fit": {
             "residual_rms": rms(fit),
             **_explained(fit),
@@ -99,7 +89,7 @@ def summarise(
             **_discretisation(fit.target.likelihood),
             "recordings": {
                 o.name: {
-                    "residual_rms": _rms(r),
+                    "residual_rms": rms_of(r),
                     "residual_lag1": _number(lag),
                     "outputs": int(o.measured.size),
                     **observation.settings,
@@ -117,8 +107,8 @@ def summarise(
     warnings = [
         *posterior.diagnostics.warnings,
         *(bound_warning(name, row) for name, row in sound.items()),
-        correlation_warning(summary),
-        linearisation_warning(summary.likelihood),
+        noise_part.correlation_warning(summary),
+        noise_part.linearisation_warning(summary.likelihood),
         *(
             f"{o.name}: {text}"
             for o in (*fit.observations, *(p.held_out.observation for p in fit.held_out))
@@ -147,7 +137,7 @@ def _sampler(posterior: Posterior) -> dict[str, Any]:
 
 def rms(fit: Fit) -> float:
     """Give the root mean square of all residuals."""
-    return _rms(np.concatenate(fit.residuals))
+    return rms_of(np.concatenate(fit.residuals))
 
 
 def _explained(fit: Fit) -> dict[str, float]:
@@ -202,24 +192,25 @@ def estimate_summary(estimate: Estimate) -> dict[str, Any]:
 
 def _parameters(fit: Fit, local: LocalInformation) -> dict[str, Any]:
     d, flat = fit.posterior.diagnostics, fit.posterior.flat()
-    described = {p.name: (p.unit, p.symbol, p.meaning) for p in fit.chain.parameters}
+    described = {p.name: described_as(p) for p in fit.chain.parameters}
     possible = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
     noise = fit.target.noise
     for name, symbol, quantity in zip(noise.names, noise.symbols, noise.quantities, strict=True):
-        described[name] = (noise_unit(fit, quantity), symbol, noise_meaning(fit, quantity))
+        unit, meaning = (
+            noise_part.noise_unit(fit, quantity),
+            noise_part.noise_meaning(fit, quantity),
+        )
+        described[name] = {"unit": unit, "symbol": symbol, "meaning": meaning}
         possible[name] = (SCALES[quantity].lower, SCALES[quantity].upper)
     rows = {}
     moved_by = influence(fit)
     sound = d.sound(d.rhat, d.ess)
     for j, (name, prior) in enumerate(zip(fit.posterior.names, fit.posterior.priors, strict=True)):
-        unit, symbol, meaning = described[name]
         sd, prior_sd = float(flat[:, j].std()), prior.sd()
         # the noise scale's own information: a variance estimated from n residuals
         data_sd = local.data_sd[j] if j < len(local.names) else sd
         rows[name] = {
-            "unit": unit,
-            "symbol": symbol,
-            "meaning": meaning,
+            **described[name],
             **spread(flat[:, j]),
             "rhat": _number(d.rhat[j]),
             "ess": _number(d.ess[j]),
@@ -248,21 +239,11 @@ def _at_bound(
     """
     low, high = np.quantile(x, [0.05, 0.95])
     near = 0.2 * x.std()
-    if low - prior[0] < near:
-        side = 0
-    elif prior[1] - high < near:
-        side = 1
-    else:
+    if not (low - prior[0] < near or prior[1] - high < near):
         return {"at_bound": None}
-    return {
-        "at_bound": ("lower", "upper")[side],
-        "bound": prior[side],
-        "bound_physical": prior[side] == possible[side],
-    }
-
-
-def _rms(x: Array) -> float:
-    return float(np.sqrt(np.mean(x**2)))
+    side = 0 if low - prior[0] < near else 1
+    bound = {"at_bound": ("lower", "upper")[side], "bound": prior[side]}
+    return bound | {"bound_physical": prior[side] == possible[side]}
 
 
 def _number(x: float) -> float | None:

@@ -16,6 +16,7 @@ from bayesfric.inference.fit import Fit
 from bayesfric.inference.likelihood.likelihood import Outputs
 from bayesfric.inference.moments.residual_moments import follows
 from bayesfric.inference.predictive import Prediction
+from bayesfric.report.summary.derived_quantities import rms_of
 from bayesfric.report.summary.noise import mean_lag
 from bayesfric.report.summary.record import Coverage, Validation
 from bayesfric.report.text_templates import filled, sentence
@@ -39,14 +40,8 @@ def share_of(inside: NDArray[np.bool_], at: NDArray[np.int64], fallback: Array) 
     Agresti and Coull (The American Statistician 52, 1998) for the effective number,
     which does not vanish where all outputs or none are inside.
 
-    Parameters
-    ----------
-    inside
-        ``(M,)``
-    at
-        ``(M,)`` place of each on an even grid of time.
-    fallback
-        ``(M,)`` of mean zero, whose correlation counts where the indicator never changes.
+    ``at`` is the place of each on an even grid of time, ``fallback`` ``(M,)`` of mean zero what
+    counts for the correlation where the indicator never changes.
     """
     n = inside.size
     share = float(inside.mean())
@@ -65,18 +60,7 @@ def covered(pit: Array, level: float) -> NDArray[np.bool_]:
 
 
 def validation_record(fit: Fit) -> dict[str, Any]:
-    """Put predictions of what was held out beside what was measured, for ``summary.json``.
-
-    Parameters
-    ----------
-    fit
-        With something held out.
-
-    Returns
-    -------
-    dict
-        Numbers of each held-out part, by recording in ``parts``, and of all, in ``pooled``.
-    """
+    """Put predictions of what was held out beside what was measured, for ``summary.json``."""
     outputs = fit.target.likelihood.outputs[0]
     borrowed = sorted({what for p in fit.held_out for what in p.borrowed})
     how = (
@@ -114,14 +98,14 @@ def _numbers(predictions: Sequence[Prediction], outputs: Outputs) -> dict[str, A
     variance = np.concatenate([p.variance for p in predictions])
     # a Student-t may have no variance
     finite = bool(np.isfinite(variance).all())
-    standard = residual / np.sqrt(variance) if finite else residual / _rms(residual)
+    standard = residual / np.sqrt(variance) if finite else residual / rms_of(residual)
     centred = standard - standard.mean()
     shares = {level: share_of(covered(pit, level), at, centred) for level in LEVELS}
     lags = [lag_one(r, follows(o)) for r, o in zip(residuals, observations, strict=True)]
     numbers: dict[str, Any] = {
         "outputs": residual.size,
         "coverage": {f"{level:g}": told.as_dict() for level, told in shares.items()},
-        "residual_rms": _rms(residual),
+        "residual_rms": rms_of(residual),
         "predictive_sd": math.sqrt(float(variance.mean())) if finite else None,
         "mean_standardised": float(standard.mean()) if finite else None,
         "mean_standardised_error": (
@@ -158,7 +142,3 @@ def _verdict(share: Coverage) -> str:
 def validation_lines(record: Validation | Mapping[str, Any]) -> Iterator[str]:
     """Word what was held out and how well it was predicted, for a person."""
     yield from filled("validation.txt.j2", found=Validation.read(record)).splitlines()
-
-
-def _rms(x: Array) -> float:
-    return math.sqrt(float(np.mean(x**2)))
