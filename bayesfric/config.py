@@ -78,10 +78,7 @@ class LikelihoodOptions(BaseModel):
         "motion; output-error: the position, by simulation, nothing differentiated",
     )
     segment: float = Field(
-        0.5,
-        gt=0,
-        le=1e5,
-        description="s after which the output-error simulation starts anew",
+        0.5, gt=0, le=1e5, description="s after which the output-error simulation starts anew"
     )
 
 
@@ -342,9 +339,7 @@ def _no_toml(path: Path, text: str, message: str) -> BadInput:
     if found[1].startswith("Cannot "):
         return BadInput(where, f"{line[:60]!r} is there twice ({found[1]})", "leave one out")
     return BadInput(
-        where,
-        f"{line[:60]!r} is no TOML ({found[1]})",
-        'write key = value, with text in "quotes"',
+        where, f"{line[:60]!r} is no TOML ({found[1]})", 'write key = value, with text in "quotes"'
     )
 
 

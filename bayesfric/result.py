@@ -101,9 +101,7 @@ def result_of(posterior: Any) -> Result:
     found, made = getattr(posterior, _KEPT, (None, lambda: None))
     if found is None or made() is not posterior:
         raise BadInput(
-            "posterior",
-            "is not what Model.sample returned",
-            "give that, and no copy or part of it",
+            "posterior", "is not what Model.sample returned", "give that, and no copy or part of it"
         )
     return cast(Result, found)
 

@@ -11,11 +11,7 @@ from typing import Any
 from bayesfric.errors import BadInput
 from bayesfric.mechanism.joint import Joint
 from bayesfric.report.comparison.comparison import Comparison, comparison
-from bayesfric.report.comparison.table import (
-    comparison_csv,
-    comparison_dict,
-    comparison_markdown,
-)
+from bayesfric.report.comparison.table import comparison_csv, comparison_dict, comparison_markdown
 from bayesfric.report.summary.record import Summary
 
 # A summary is a page or two of numbers; anything larger is some other file.

@@ -86,11 +86,7 @@ def simulate(config: Config, target: Path, *, seed: int | None = None) -> dict[s
         "reversals": motion.reversals,
     }
     write_beside(  # an older simulation is replaced
-        {
-            target: table.getvalue(),
-            truth_file: json.dumps(truth, indent=1) + "\n",
-        },
-        replace=True,
+        {target: table.getvalue(), truth_file: json.dumps(truth, indent=1) + "\n"}, replace=True
     )
     return truth
 
