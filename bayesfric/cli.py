@@ -163,7 +163,7 @@ def identify(
 
 
 def _advise(config: Path, name: str, output: Path | None, force: bool, as_json: bool) -> None:
-    from bayesfric.commands.advise import advice_file, advice_record, advice_text, write_advice
+    from bayesfric.commands.identify import advice_file, advice_record, advice_text, write_advice
 
     model = _model(config)
     path = advice_file(name, output, force=force)

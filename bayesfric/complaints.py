@@ -1,4 +1,4 @@
-"""What is wrong with a configuration, in words for the person who wrote it."""
+"""Reading configurations and summaries, and what is wrong with them in words for a person."""
 
 from __future__ import annotations
 
@@ -34,32 +34,32 @@ _BOUNDS = {
 }
 
 
-def complaint(path: Path, error: ValidationError, document: Any, model: Any) -> BadInput:
-    """Word the first thing wrong with a configuration.
+def read_text(path: Path, largest: int, kind: str, mend: str, mend_text: str) -> str:
+    """Read a UTF-8 file of at most ``largest`` bytes; errors of the disk are the caller's.
 
-    Parameters
-    ----------
-    path
-        The configuration.
-    error
-        What its check found.
-    document
-        What the file holds.
-    model
-        What it was checked against, for the keys it could have held.
+    Promised to hostile input: a pipe and what never ends are refused; ``kind`` is what the file
+    was taken for.
     """
-    if error.errors(include_url=False)[0]["type"] == "json_invalid":
-        return BadInput(str(path), "is nested too deep for a configuration", "correct the file")
-    return complaint_of(f"{path}: ", "configuration", error, document, model)
+    if path.is_fifo():
+        # opening it would wait for ever if nobody writes
+        raise BadInput(str(path), "is a named pipe, no file", mend)
+    with path.open("rb") as file:
+        raw = file.read(largest + 1)
+    if len(raw) > largest:
+        raise BadInput(str(path), f"is too large for a {kind}", mend)
+    try:
+        return raw.decode("utf-8-sig")  # Windows editors put a mark in front
+    except UnicodeDecodeError as error:
+        raise BadInput(str(path), f"is not UTF-8 (byte {error.start})", mend_text) from None
 
 
-def complaint_of(
+def complaint(
     prefix: str, whole: str, error: ValidationError, document: Any, model: Any
 ) -> BadInput:
-    """Word the first thing wrong with a part of a configuration.
+    """Word the first thing wrong with a configuration or another document, or a part of one.
 
-    ``prefix`` goes before the key complained about, ``whole`` names the part itself; the
-    rest is as in :func:`complaint`.
+    ``prefix`` goes before the key complained about, ``whole`` names the part itself; ``model`` is
+    what it was checked against, for the keys it could have held.
     """
     found = [(_place(e["loc"], document), e) for e in error.errors(include_url=False)]
     # A misspelt key often causes further complaints: name it first.

@@ -8,7 +8,6 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, cast
 from weakref import ref
 
-from bayesfric.commands.compare import read_summary_file
 from bayesfric.config_text import saved_name
 from bayesfric.errors import BadInput
 from bayesfric.inference.archive import make_archive
@@ -16,7 +15,7 @@ from bayesfric.inference.fit import Fit
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.tables import sha256
 from bayesfric.report.run_directory import archived, check_free, write_run
-from bayesfric.report.summary.record import Summary
+from bayesfric.report.summary.record import Summary, read_summary_file
 
 if TYPE_CHECKING:
     from bayesfric.model import Model

@@ -16,13 +16,7 @@ from bayesfric.report.summary.doubts import doubts_before
 
 
 def check(model: Model) -> dict[str, Any]:
-    """Collect everything there is to say before a fit.
-
-    Raises
-    ------
-    BadInput
-        If the motion cannot tell the totals of eq. (11) apart.
-    """
+    """Collect everything there is to say before a fit."""
     (totals,) = model.estimates(["least-squares"])
     unsettled = {f"noise.{scale.name}" for scale in SCALES.values() if scale.chosen}
     return {

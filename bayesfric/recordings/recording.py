@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import ValidationError
 
-from bayesfric.complaints import complaint_of
+from bayesfric.complaints import complaint
 from bayesfric.errors import BadInput, nearest
 from bayesfric.recordings.source import SI, Columns, Source
 from bayesfric.recordings.tables.table import Table, column_cells
@@ -212,4 +212,4 @@ def _checked(
     try:
         return kind.model_validate(document)
     except ValidationError as error:
-        raise complaint_of(f"{whose}: ", whose, error, document, kind) from None
+        raise complaint(f"{whose}: ", whose, error, document, kind) from None

@@ -284,6 +284,7 @@ def test_configuration_in_another_encoding(bench, encoding):
         ("folder", ".", ["is a folder; name the .toml file in it"]),
         ("below-a-file", "run.csv/c.toml", ["run.csv/c.toml: cannot be read (Not a directory)"]),
         ("endless", "/dev/zero", ["too large for a configuration"]),
+        ("long", "c" * 300, ["cannot be read (File name too long)"]),
         ("empty", "/dev/null", ["mechanism: is missing"]),
     ),
 )

@@ -17,7 +17,7 @@ import pytest
 
 from bayesfric.commands import unfinished as module
 from bayesfric.commands.fit import fit
-from bayesfric.commands.lock import Taken, alone_in
+from bayesfric.commands.unfinished import Taken, alone_in
 from bayesfric.config import read_config
 from bayesfric.errors import BadInput, Interrupted
 from bayesfric.inference.archive import read_archive
@@ -238,7 +238,8 @@ def test_the_second_of_two_is_told(here):
 
 def test_a_killed_process_leaves_no_lock(tmp_path):
     code = (
-        "import sys, time; from pathlib import Path; from bayesfric.commands.lock import alone_in\n"
+        "import sys, time; from pathlib import Path\n"
+        "from bayesfric.commands.unfinished import alone_in\n"
         "with alone_in(Path(sys.argv[1])): print('in', flush=True); time.sleep(60)"
     )
     with subprocess.Popen(
