@@ -31,6 +31,7 @@ from bayesfric.recordings.held_out import Validation
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.source import Source
+from bayesfric.recordings.tables.reader import Options
 
 if TYPE_CHECKING:
     NoiseName = str
@@ -46,10 +47,8 @@ _LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ 
 _NUL = re.compile(r"(?<!\\)(?:\\\\)*\\u0000")
 
 
-class NoiseOptions(BaseModel):
+class NoiseOptions(Options):
     """The ``[noise]`` table."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     scale: NoiseScale = Field(
         "per-recording", description="one noise scale for each recording, or one shared by all"
@@ -67,10 +66,8 @@ class NoiseOptions(BaseModel):
     )
 
 
-class LikelihoodOptions(BaseModel):
+class LikelihoodOptions(Options):
     """The ``[likelihood]`` table: which measured quantity the posterior explains."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     method: LikelihoodMethod = Field(
         "input-error",
@@ -82,10 +79,8 @@ class LikelihoodOptions(BaseModel):
     )
 
 
-class Tables(BaseModel):
+class Tables(Options):
     """Everything a configuration may hold; ``init`` writes the tables of options by this list."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     mechanism: MechanismOptions
     recordings: tuple[Source, ...] = ()

@@ -7,12 +7,13 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from bayesfric.errors import BadInput, nearest
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation, observe, settled, window
 from bayesfric.recordings.processing import Processing
+from bayesfric.recordings.tables.reader import Options
 
 # Outputs left out before a held-out end, beyond one window of the parallel filter: noise that
 # remembers its predecessors must have forgotten them.
@@ -21,10 +22,8 @@ _MEMORY = 10
 _LEAST = 20
 
 
-class Validation(BaseModel):
+class Validation(Options):
     """The ``[validation]`` table."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     recordings: tuple[str, ...] = Field(
         (),

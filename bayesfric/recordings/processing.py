@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
 
 from bayesfric.errors import Unfit
 from bayesfric.recordings import units
+from bayesfric.recordings.tables.reader import Options
 from bayesfric.recordings.units import Hertz, HertzOrOff, Seconds
 
 
-class Processing(BaseModel):
+class Processing(Options):
     """How a recording is filtered, differentiated and decimated."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     lowpass: HertzOrOff | None = Field(
         None,

@@ -11,6 +11,7 @@ from bayesfric.recordings import units
 from bayesfric.recordings.tables.reader import Options, TableOptions
 from bayesfric.recordings.units import Hertz, Kilograms, Metres, Seconds
 
+CHANNELS = ("time", "position", "velocity", "torque", "current", "voltage")
 # Unit of numbers that are in SI already, whether the joint turns or slides.
 SI = "SI"
 
@@ -163,8 +164,7 @@ class Columns(Options):
     @property
     def channels(self) -> dict[str, Channel]:
         """The channels that are given, by key."""
-        keys = ("time", "position", "velocity", "torque", "current", "voltage")
-        return {key: found for key in keys if (found := getattr(self, key)) is not None}
+        return {key: found for key in CHANNELS if (found := getattr(self, key)) is not None}
 
     @property
     def columns(self) -> list[str | int]:
