@@ -105,7 +105,9 @@ def _worded(errors: Sequence[Any]) -> tuple[str, str]:
     if kind == "literal_error":
         expected = first["ctx"]["expected"]
         choices = re.findall(r"'([^']*)'", expected)
-        if isinstance(value, str) and choices and all(map(str.isalpha, choices[0])):
+        # only words, which can be misspelt
+        words = "True" not in expected and all(choice[:1].isalpha() for choice in choices)
+        if isinstance(value, str) and choices and words:
             return f"got {_shown(value)}", nearest(value, choices)
         # TOML writes them small
         expected = expected.replace("True", "true").replace("False", "false")

@@ -174,11 +174,7 @@ class Config(BaseModel):
     @property
     def priors(self) -> dict[str, PriorText]:
         """Priors by parameter name, nested tables flattened."""
-        return dict(self.prior_list())
-
-    def prior_list(self) -> list[tuple[str, PriorText]]:
-        """Names and priors as written; a name may come twice, dotted and in a table."""
-        return list(_flatten(self.tables.priors, "distribution"))
+        return dict(_flatten(self.tables.priors, "distribution"))
 
     @property
     def references(self) -> dict[str, Reference]:
@@ -266,11 +262,11 @@ def parse_config(text: str, path: Path) -> Config:
             what = "is nested too deep for a configuration"
             raise BadInput(str(path), what, "correct the file") from None
         raise complaint(f"{path}: ", "configuration", error, document, Tables) from None
-    config = Config(path=path, text=text, tables=tables)
-    for name, count in Counter(name for name, _ in config.prior_list()).items():
+    # a name may come twice, dotted and in a table
+    for name, count in Counter(n for n, _ in _flatten(tables.priors, "distribution")).items():
         if count > 1:
             raise BadInput(f"{path}: priors.{name}", "is given twice", "leave one out")
-    return config
+    return Config(path=path, text=text, tables=tables)
 
 
 def _no_toml(path: Path, text: str, message: str) -> BadInput:

@@ -77,7 +77,8 @@ def check_text(found: dict[str, Any]) -> Iterator[str]:
         held = f", {recording['held_out']} held out" if recording["held_out"] else ""
         yield f"{recording['name']}{held}  ({recording['file']}, {recording['duration']:.3g} s)"
         if recording["added_mass"]:
-            yield f"  added mass: {recording['added_mass']:g} kg at {recording['radius']:g} m"
+            at = f" at {recording['radius']:g} m" if recording["radius"] else ""
+            yield f"  added mass: {recording['added_mass']:g} kg{at}"
         for step in recording["steps"]:
             yield f"  {step}"
         for warning in recording["warnings"]:

@@ -55,21 +55,21 @@ def compare(
     # what cannot be drawn is told before anything is written
     drawn = {stem: one.draw(compared) for stem, one in comparison_figures().items()}
     with made_beside(output) as beside:
-        (beside / "comparison.csv").write_text(comparison_csv(found), encoding="utf-8")
-        (beside / "comparison.md").write_text(comparison_markdown(found), encoding="utf-8")
-        (beside / "comparison.json").write_text(
-            json.dumps(comparison_dict(found), indent=1, ensure_ascii=False, allow_nan=False)
-            + "\n",
-            encoding="utf-8",
-        )
+        as_json = json.dumps(comparison_dict(found), indent=1, ensure_ascii=False, allow_nan=False)
+        texts = {
+            "comparison.csv": comparison_csv(found),
+            "comparison.md": comparison_markdown(found),
+            "comparison.json": f"{as_json}\n",
+        }
+        if len(checked) > 1:
+            texts["between-runs.csv"] = between_runs_csv(pooled)
         (beside / "figures").mkdir()
         for stem, figure in drawn.items():
             if figure is not None:
                 save(figure, beside / "figures", stem)
-        if len(checked) > 1:
-            (beside / "between-runs.csv").write_text(between_runs_csv(pooled), encoding="utf-8")
-        page = compare_page(beside, compared, provenance)
-        (beside / "report.html").write_text(page, encoding="utf-8")
+        texts["report.html"] = compare_page(beside, compared, provenance)
+        for name, text in texts.items():
+            (beside / name).write_text(text, encoding="utf-8")
     return found
 
 

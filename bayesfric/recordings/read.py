@@ -262,12 +262,12 @@ def _names(paths: Sequence[Path]) -> list[str]:
     names = [path.stem for path in paths]
     for level in range(1, max((len(path.parts) for path in paths), default=0)):
         names = [
-            "/".join((*path.parts[-1 - level : -1], path.stem)) if count > 1 else name
+            "-".join((*path.parts[-1 - level : -1], path.stem)) if count > 1 else name
             for path, name, count in _counted(paths, names)
         ]
     # left over are files that differ in their suffix only
     return [
-        "/".join(path.parts[-2:]) if count > 1 else name
+        "-".join(path.parts[-2:]) if count > 1 else name
         for path, name, count in _counted(paths, names)
     ]
 
