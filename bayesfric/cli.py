@@ -206,7 +206,7 @@ def demo(
     as_json: AsJson = False,
 ) -> None:
     """Fit the packaged knee: a recording SIMULATED from Table 3 of the paper."""
-    from bayesfric.commands.demo import demo_config
+    from bayesfric.commands.fit import demo_config
 
     output = output or Path("demo-run")
     remark = "The demo recording is simulated, from Table 3 of the paper."

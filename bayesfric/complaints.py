@@ -97,11 +97,8 @@ def _worded(errors: Sequence[Any]) -> tuple[str, str]:
     kind = first["type"]
     if kind == "value_error":
         error = first["ctx"]["error"]
-        return (
-            (error.what, f"give {error.wanted}")
-            if isinstance(error, Unfit)
-            else (str(error), "correct it")
-        )
+        fits = isinstance(error, Unfit)
+        return (error.what, f"give {error.wanted}") if fits else (str(error), "correct it")
     if kind == "literal_error":
         expected = first["ctx"]["expected"]
         choices = re.findall(r"'([^']*)'", expected)
@@ -124,8 +121,12 @@ def _worded(errors: Sequence[Any]) -> tuple[str, str]:
     if not all(known):
         return f"got {_shown(value)}: {first['msg']}", "correct it"
     mend = " or ".join(dict.fromkeys(known))
-    if isinstance(value, str) and "text" not in mend:
-        mend += ", without quotes" + (" or unit" if "number" in mend else "")
+    numbers, texts = (
+        any(e["type"].startswith(kinds) for e in errors)
+        for kinds in (("int_", "float_", "finite_number"), ("string_",))
+    )
+    if isinstance(value, str) and not texts:
+        mend += ", without quotes" + (" or unit" if numbers else "")
     return f"got {_shown(value)}", f"give {mend}"
 
 
@@ -149,8 +150,5 @@ def _known_keys(place: Sequence[int | str], model: Any) -> list[str]:
 def _model_in(annotation: Any) -> Any:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    for part in getattr(annotation, "__args__", ()):
-        found = _model_in(part)
-        if found is not None:
-            return found
-    return None
+    inner = map(_model_in, getattr(annotation, "__args__", ()))
+    return next((found for found in inner if found is not None), None)

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
-
 from bayesfric.inference.noise import SCALES
 from bayesfric.model import Model
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.report.alerts import doubt_text
 from bayesfric.report.summary.doubts import doubts_before
+from bayesfric.report.summary.summary import estimate_summary
 
 
 def check(model: Model) -> dict[str, Any]:
@@ -48,18 +47,7 @@ def check(model: Model) -> dict[str, Any]:
             if not (prior.default and name in unsettled)
         },
         "doubts": doubts_before(totals, model.observations),
-        "least_squares": {
-            "residual_rms": totals.residual_rms,
-            "parameters": {
-                v.name: {
-                    "value": v.value,
-                    "sd": v.sd if np.isfinite(v.sd) else None,
-                    "unit": v.unit,
-                    "meaning": v.meaning,
-                }
-                for v in totals.values
-            },
-        },
+        "least_squares": estimate_summary(totals),
     }
 
 

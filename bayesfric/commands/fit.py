@@ -1,14 +1,15 @@
-"""``bayesfric fit``: sample the posterior and write the run directory."""
+"""``bayesfric fit`` and ``demo``: sample the posterior and write the run directory."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
 from bayesfric.commands.unfinished import unfinished
-from bayesfric.config import Config
+from bayesfric.config import Config, read_config
 from bayesfric.errors import BadInput
 from bayesfric.inference.sampling.sampling import Progress, phase
 from bayesfric.model import Model
@@ -51,3 +52,9 @@ def fit(
             raise BadInput(error.where, error.what, mend) from None
         run.remove()
     return summary.as_dict()
+
+
+def demo_config() -> Config:
+    """Read the packaged configuration; its recording lies beside it in the package."""
+    with as_file(files("bayesfric") / "examples") as folder:
+        return read_config(folder / "knee.toml")

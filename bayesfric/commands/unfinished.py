@@ -109,7 +109,7 @@ def unfinished(folder: Path, *, resume: bool, force: bool) -> Iterator[Unfinishe
     if resume and force:
         raise BadInput("--resume", "cannot go with --force", "give one of them")
     try:
-        with alone_in(place):
+        with alone_in(place, folder):
             run = Unfinished(folder, place)
             there = run.kept
             if resume and not there:
@@ -130,10 +130,6 @@ def unfinished(folder: Path, *, resume: bool, force: bool) -> Iterator[Unfinishe
                 yield run
     except OSError as error:
         raise _cannot(error, folder, kept=False) from None
-    except Taken as taken:
-        raise BadInput(
-            str(folder), f"{taken} is making this run", "wait for it, or name another with -o"
-        ) from None
 
 
 @contextmanager
@@ -215,13 +211,9 @@ def asked_to_stop(worth_waiting: Callable[[], bool]) -> Iterator[Asked]:
             signal.signal(number, handler)
 
 
-class Taken(Exception):
-    """Another process is in the folder; the text tells which."""
-
-
 @contextmanager
-def alone_in(folder: Path) -> Iterator[None]:
-    """Be the only process in a folder; it is made, and removed again if it stays empty.
+def alone_in(folder: Path, run: Path) -> Iterator[None]:
+    """Be the only process in a run's folder; it is made, and removed again if it stays empty.
 
     The operating system gives the lock back when a process ends, however it ends.
     """
@@ -233,7 +225,8 @@ def alone_in(folder: Path) -> Iterator[None]:
         except FileNotFoundError:
             continue  # its owner just left and removed the folder
         except Timeout:
-            raise Taken(_name(owner)) from None
+            what = f"{_name(owner)} is making this run"
+            raise BadInput(str(run), what, "wait for it, or name another with -o") from None
         except OSError as error:
             if error.errno not in _NO_LOCKS:
                 raise

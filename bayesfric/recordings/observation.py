@@ -252,21 +252,18 @@ def _prepared(
     inside = np.zeros(len(q), dtype=np.bool_)
     for a, b in kept:
         inside[a:b] = True
-    dead_zone = _dead_zone(processing, qd[inside])
+    dead_zone = processing.dead_zone
+    if isinstance(dead_zone, str):
+        dead_zone = units.quantity(dead_zone, "angular_speed", "speed")
+    elif dead_zone is None:
+        speeds = np.abs(qd[inside])
+        dead_zone = _DEAD_SHARE * float(np.percentile(speeds, 99)) if speeds.size else 0.0
     moving = moving_samples(qd, segments, dead_zone, numbers.guard)
     if share > SMALL_SHARE and numbers.cutoff:
         # no window is lost by it: the low-pass smears the jolt of a reversal over half a period
         moving &= ~_near(~moving, round(0.5 * numbers.fs / numbers.cutoff))
     chosen, dropped = _windows(recording, numbers, kept, moving, share)
-    return _Prepared(q, qd, inside & moving, dead_zone, chosen, dropped)
-
-
-def _dead_zone(processing: Processing, qd: Array) -> float:
-    if isinstance(processing.dead_zone, str):
-        return units.quantity(processing.dead_zone, "angular_speed", "speed")
-    if processing.dead_zone is not None:
-        return float(processing.dead_zone)
-    return _DEAD_SHARE * float(np.percentile(np.abs(qd), 99)) if len(qd) else 0.0
+    return _Prepared(q, qd, inside & moving, float(dead_zone), chosen, dropped)
 
 
 def _windows(

@@ -260,19 +260,12 @@ def _matching(pattern: str, folder: Path) -> Iterator[Path]:
 def _names(paths: Sequence[Path]) -> list[str]:
     """Name files by their stem, and as many of their folders as tell them apart."""
     names = [path.stem for path in paths]
-    for level in range(1, max((len(path.parts) for path in paths), default=0)):
-        names = [
-            "-".join((*path.parts[-1 - level : -1], path.stem)) if count > 1 else name
-            for path, name, count in _counted(paths, names)
-        ]
-    # left over are files that differ in their suffix only
-    return [
-        "-".join(path.parts[-2:]) if count > 1 else name
-        for path, name, count in _counted(paths, names)
-    ]
-
-
-def _counted(paths: Sequence[Path], names: Sequence[str]) -> Iterator[tuple[Path, str, int]]:
-    counts = Counter(names)
-    for path, name in zip(paths, names, strict=True):
-        yield path, name, counts[name]
+    deepest = max((len(path.parts) for path in paths), default=0)
+    for level in range(1, deepest + 1):
+        counts = Counter(names)
+        longer = [(*path.parts[-1 - level : -1], path.stem) for path in paths]
+        if level == deepest:  # left over are files that differ in their suffix only
+            longer = [path.parts[-2:] for path in paths]
+        both = zip(names, longer, strict=True)
+        names = ["-".join(parts) if counts[name] > 1 else name for name, parts in both]
+    return names

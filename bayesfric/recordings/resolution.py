@@ -79,7 +79,10 @@ def resolve(recording: Measurement, band: float | None = None) -> Resolution:
     if seen is None:
         chosen = WIDEST * fs if band is None else band
         return Resolution(chosen, "sampling", 0.0, math.inf, math.inf)
-    variance = max(_floor(seen, fs), _steps(recording))
+    # a position's noise is what it shows where no joint moves, or its rounding
+    quiet = seen.frequency >= _QUIET * fs
+    floor = float(np.median(seen.motion[quiet] / seen.noise[quiet])) if quiet.any() else 0.0
+    variance = max(floor, _steps(recording))
     reason: Reason = "sampling"
     if band is None:
         band, reason = _choose(recording, seen, variance)
@@ -131,12 +134,6 @@ def _steps(recording: Measurement) -> float:
     if not 3 <= levels.size <= recording.time.size / 3:
         return 0.0
     return float(np.min(np.diff(levels))) ** 2 / 12.0
-
-
-def _floor(seen: _Spectra, fs: float) -> float:
-    """Variance of the noise that a position shows where no joint moves."""
-    quiet = seen.frequency >= _QUIET * fs
-    return float(np.median(seen.motion[quiet] / seen.noise[quiet])) if quiet.any() else 0.0
 
 
 def _spectra(recording: Measurement) -> _Spectra | None:
