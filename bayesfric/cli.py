@@ -163,7 +163,7 @@ def identify(
 
 
 def _advise(config: Path, name: str, output: Path | None, force: bool, as_json: bool) -> None:
-    from bayesfric.commands.advise import advice_file, advice_record, advice_text, write_advice
+    from bayesfric.commands.identify import advice_file, advice_record, advice_text, write_advice
 
     model = _model(config)
     path = advice_file(name, output, force=force)
@@ -206,7 +206,7 @@ def demo(
     as_json: AsJson = False,
 ) -> None:
     """Fit the packaged knee: a recording SIMULATED from Table 3 of the paper."""
-    from bayesfric.commands.demo import demo_config
+    from bayesfric.commands.fit import demo_config
 
     output = output or Path("demo-run")
     remark = "The demo recording is simulated, from Table 3 of the paper."

@@ -1,4 +1,4 @@
-"""What is wrong with a configuration, in words for the person who wrote it."""
+"""Reading configurations and summaries, and what is wrong with them in words for a person."""
 
 from __future__ import annotations
 
@@ -34,32 +34,32 @@ _BOUNDS = {
 }
 
 
-def complaint(path: Path, error: ValidationError, document: Any, model: Any) -> BadInput:
-    """Word the first thing wrong with a configuration.
+def read_text(path: Path, largest: int, kind: str, mend: str, mend_text: str) -> str:
+    """Read a UTF-8 file of at most ``largest`` bytes; errors of the disk are the caller's.
 
-    Parameters
-    ----------
-    path
-        The configuration.
-    error
-        What its check found.
-    document
-        What the file holds.
-    model
-        What it was checked against, for the keys it could have held.
+    Promised to hostile input: a pipe and what never ends are refused; ``kind`` is what the file
+    was taken for.
     """
-    if error.errors(include_url=False)[0]["type"] == "json_invalid":
-        return BadInput(str(path), "is nested too deep for a configuration", "correct the file")
-    return complaint_of(f"{path}: ", "configuration", error, document, model)
+    if path.is_fifo():
+        # opening it would wait for ever if nobody writes
+        raise BadInput(str(path), "is a named pipe, no file", mend)
+    with path.open("rb") as file:
+        raw = file.read(largest + 1)
+    if len(raw) > largest:
+        raise BadInput(str(path), f"is too large for a {kind}", mend)
+    try:
+        return raw.decode("utf-8-sig")  # Windows editors put a mark in front
+    except UnicodeDecodeError as error:
+        raise BadInput(str(path), f"is not UTF-8 (byte {error.start})", mend_text) from None
 
 
-def complaint_of(
+def complaint(
     prefix: str, whole: str, error: ValidationError, document: Any, model: Any
 ) -> BadInput:
-    """Word the first thing wrong with a part of a configuration.
+    """Word the first thing wrong with a configuration or another document, or a part of one.
 
-    ``prefix`` goes before the key complained about, ``whole`` names the part itself; the
-    rest is as in :func:`complaint`.
+    ``prefix`` goes before the key complained about, ``whole`` names the part itself; ``model`` is
+    what it was checked against, for the keys it could have held.
     """
     found = [(_place(e["loc"], document), e) for e in error.errors(include_url=False)]
     # A misspelt key often causes further complaints: name it first.
@@ -97,15 +97,14 @@ def _worded(errors: Sequence[Any]) -> tuple[str, str]:
     kind = first["type"]
     if kind == "value_error":
         error = first["ctx"]["error"]
-        return (
-            (error.what, f"give {error.wanted}")
-            if isinstance(error, Unfit)
-            else (str(error), "correct it")
-        )
+        fits = isinstance(error, Unfit)
+        return (error.what, f"give {error.wanted}") if fits else (str(error), "correct it")
     if kind == "literal_error":
         expected = first["ctx"]["expected"]
         choices = re.findall(r"'([^']*)'", expected)
-        if isinstance(value, str) and choices and all(map(str.isalpha, choices[0])):
+        # only words, which can be misspelt
+        words = "True" not in expected and all(choice[:1].isalpha() for choice in choices)
+        if isinstance(value, str) and choices and words:
             return f"got {_shown(value)}", nearest(value, choices)
         # TOML writes them small
         expected = expected.replace("True", "true").replace("False", "false")
@@ -122,8 +121,12 @@ def _worded(errors: Sequence[Any]) -> tuple[str, str]:
     if not all(known):
         return f"got {_shown(value)}: {first['msg']}", "correct it"
     mend = " or ".join(dict.fromkeys(known))
-    if isinstance(value, str) and "text" not in mend:
-        mend += ", without quotes" + (" or unit" if "number" in mend else "")
+    numbers, texts = (
+        any(e["type"].startswith(kinds) for e in errors)
+        for kinds in (("int_", "float_", "finite_number"), ("string_",))
+    )
+    if isinstance(value, str) and not texts:
+        mend += ", without quotes" + (" or unit" if numbers else "")
     return f"got {_shown(value)}", f"give {mend}"
 
 
@@ -147,8 +150,5 @@ def _known_keys(place: Sequence[int | str], model: Any) -> list[str]:
 def _model_in(annotation: Any) -> Any:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    for part in getattr(annotation, "__args__", ()):
-        found = _model_in(part)
-        if found is not None:
-            return found
-    return None
+    inner = map(_model_in, getattr(annotation, "__args__", ()))
+    return next((found for found in inner if found is not None), None)

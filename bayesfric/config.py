@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from bayesfric.complaints import complaint, complaint_of
+from bayesfric.complaints import complaint, read_text
 from bayesfric.errors import BadInput
 from bayesfric.estimates.estimation import Estimation, Reference
 from bayesfric.identifiability.advice_options import AdviceOptions
@@ -31,6 +31,7 @@ from bayesfric.recordings.held_out import Validation
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.source import Source
+from bayesfric.recordings.tables.reader import Options
 
 if TYPE_CHECKING:
     NoiseName = str
@@ -46,10 +47,8 @@ _LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ 
 _NUL = re.compile(r"(?<!\\)(?:\\\\)*\\u0000")
 
 
-class NoiseOptions(BaseModel):
+class NoiseOptions(Options):
     """The ``[noise]`` table."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     scale: NoiseScale = Field(
         "per-recording", description="one noise scale for each recording, or one shared by all"
@@ -67,10 +66,8 @@ class NoiseOptions(BaseModel):
     )
 
 
-class LikelihoodOptions(BaseModel):
+class LikelihoodOptions(Options):
     """The ``[likelihood]`` table: which measured quantity the posterior explains."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     method: LikelihoodMethod = Field(
         "input-error",
@@ -78,40 +75,31 @@ class LikelihoodOptions(BaseModel):
         "motion; output-error: the position, by simulation, nothing differentiated",
     )
     segment: float = Field(
-        0.5,
-        gt=0,
-        le=1e5,
-        description="s after which the output-error simulation starts anew",
+        0.5, gt=0, le=1e5, description="s after which the output-error simulation starts anew"
     )
 
 
-class Tables(BaseModel):
-    """Everything a configuration may hold."""
+class Tables(Options):
+    """Everything a configuration may hold; ``init`` writes the tables of options by this list."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    mechanism: MechanismOptions = Field(description="what the joint is")
-    recordings: tuple[Source, ...] = Field((), description="what was measured")
-    processing: Processing = Field(default_factory=Processing, description="how it is filtered")
-    priors: dict[str, Any] = Field(default_factory=dict, description="what is known beforehand")
-    references: dict[str, Any] = Field(
-        default_factory=dict, description="values to compare with; they enter no fit"
-    )
-    estimation: Estimation = Field(
-        default_factory=Estimation, description="how point estimates are made"
-    )
-    likelihood: LikelihoodOptions = Field(
-        default_factory=LikelihoodOptions, description="which quantity the posterior explains"
-    )
-    noise: NoiseOptions = Field(default_factory=NoiseOptions, description="what residuals are")
-    sampling: Sampling = Field(default_factory=Sampling, description="how the posterior is sampled")
+    mechanism: MechanismOptions
+    recordings: tuple[Source, ...] = ()
+    processing: Processing = Processing()
+    priors: dict[str, Any] = Field(default_factory=dict)
+    references: dict[str, Any] = Field(default_factory=dict)
+    estimation: Estimation = Estimation()
+    likelihood: LikelihoodOptions = LikelihoodOptions()
+    noise: NoiseOptions = NoiseOptions()
+    sampling: Sampling = Sampling()
     validation: Validation = Field(
-        default_factory=Validation, description="what the fit does not see but predicts"
+        Validation(),
+        description="What the fit does not see, so that 'bayesfric fit' can say how well it "
+        "predicts:",
     )
     advice: AdviceOptions = Field(
-        default_factory=AdviceOptions, description="what the next experiment may be"
+        AdviceOptions(), description="Only for 'bayesfric identify --advise':"
     )
-    simulation: Simulation | None = Field(None, description="for bayesfric simulate")
+    simulation: Simulation | None = Field(None, description="Only for 'bayesfric simulate':")
 
 
 class Kept(BaseModel):
@@ -133,38 +121,21 @@ class Origin(BaseModel):
 
 
 class Config(BaseModel):
-    """A configuration with where it came from.
-
-    Attributes
-    ----------
-    path
-        The file.
-    text
-        Its contents, kept with every result.
-    tables
-        The checked options.
-    origin
-        Where it lay before, if it is that of a run.
-    """
+    """A configuration with where it came from."""
 
     model_config = ConfigDict(frozen=True)
 
     path: Path
-    text: str
-    tables: Tables
-    origin: Origin | None = None
+    text: str  # contents of the file, kept with every result
+    tables: Tables  # the checked options
+    origin: Origin | None = None  # where it lay before, if it is that of a run
 
     @property
     def folder(self) -> Path:
         """Folder that file names in the configuration are relative to.
 
         That of a run's configuration is where it lay before, unless all that was fitted is
-        there beside it.
-
-        Raises
-        ------
-        BadInput
-            If what was fitted is at neither place.
+        there beside it; bad input if what was fitted is at neither place.
         """
         here, origin = self.path.parent, self.origin
         if origin is None:
@@ -176,9 +147,9 @@ class Config(BaseModel):
             for name, one in origin.recordings.items()
             if not any(str(one.file) == p or fnmatch(str(one.file), p) for p in absolute)
         }
-        moved = all(file.exists() for file in moves.values())
+        moved = all(_is_there(file) for file in moves.values())
         for name, one in origin.recordings.items():
-            if not one.file.exists() and not (moved and name in moves):
+            if not _is_there(one.file) and not (moved and name in moves):
                 beside = f", or beside {self.path}" if name in moves else ""
                 raise BadInput(
                     f"{self.path}: recording {name!r}",
@@ -203,21 +174,11 @@ class Config(BaseModel):
     @property
     def priors(self) -> dict[str, PriorText]:
         """Priors by parameter name, nested tables flattened."""
-        return dict(self.prior_list())
-
-    def prior_list(self) -> list[tuple[str, PriorText]]:
-        """Names and priors as written; a name may come twice, dotted and in a table."""
-        return list(_flatten(self.tables.priors, "distribution"))
+        return dict(_flatten(self.tables.priors, "distribution"))
 
     @property
     def references(self) -> dict[str, Reference]:
-        """References by name of what they are of, nested tables flattened.
-
-        Raises
-        ------
-        BadInput
-            If one is no number and no table with a value.
-        """
+        """References by name of what they are of, nested tables flattened."""
         found = {}
         for name, entry in _flatten(self.tables.references, "value"):
             given = entry if isinstance(entry, Mapping) else {"value": entry}
@@ -225,18 +186,12 @@ class Config(BaseModel):
             try:
                 found[name] = Reference.model_validate(given, strict=True)
             except ValidationError as error:
-                raise complaint_of(f"{where}.", "value", error, given, Reference) from None
+                raise complaint(f"{where}.", "value", error, given, Reference) from None
         return found
 
     @contextmanager
     def named(self, place: str = "") -> Iterator[None]:
-        """Put the configuration's name, and a place in it, before keys complained about.
-
-        Parameters
-        ----------
-        place
-            Such as ``recordings.2``.
-        """
+        """Put the configuration's name, and a place such as ``recordings.2``, before keys."""
         try:
             yield
         except BadInput as error:
@@ -245,46 +200,23 @@ class Config(BaseModel):
 
 
 def read_config(path: Path) -> Config:
-    """Read and check a configuration.
-
-    Parameters
-    ----------
-    path
-        A TOML file.
-
-    Raises
-    ------
-    BadInput
-        With the key and the mend, for anything that cannot be used.
-    """
+    """Read and check a configuration; what cannot be used is bad input, with key and mend."""
+    mend = "name the .toml file"
     try:
         str(path).encode()
+        text = read_text(path, _LARGEST, "configuration", mend, "save it as UTF-8")
     except UnicodeEncodeError:
         # every later print of it would end in an error
         raise BadInput(
             str(path), "its name is not UTF-8", "rename the file or its folder"
         ) from None
-    if path.is_fifo():
-        # opening it would wait for ever if nobody writes
-        raise BadInput(str(path), "is a named pipe, no file", "name the .toml file")
-    try:
-        with path.open("rb") as file:
-            raw = file.read(_LARGEST + 1)
     except FileNotFoundError:
         raise BadInput(str(path), "there is no such file", "check the name") from None
     except IsADirectoryError:
-        raise BadInput(str(path), "is a folder", "name the .toml file in it") from None
+        raise BadInput(str(path), "is a folder", f"{mend} in it") from None
     except OSError as error:
         raise BadInput(
             str(path), f"cannot be read ({error.strerror})", "check its name and its rights"
-        ) from None
-    if len(raw) > _LARGEST:
-        raise BadInput(str(path), "is too large for a configuration", "name the .toml file")
-    try:
-        text = raw.decode("utf-8-sig")  # Windows editors put a mark in front
-    except UnicodeDecodeError as error:
-        raise BadInput(
-            str(path), f"is not UTF-8 (byte {error.start})", "save it as UTF-8"
         ) from None
     return parse_config(text, path).model_copy(update={"origin": _origin(path)})
 
@@ -298,6 +230,10 @@ def _origin(path: Path) -> Origin | None:
         return Origin.model_validate(json.loads(beside.read_text(encoding="utf-8"))["source"])
     except (OSError, ValueError, LookupError, TypeError, RecursionError):
         return None
+
+
+def _is_there(path: Path) -> bool:
+    return os.path.exists(path)  # noqa: PTH110  (Path.exists fails on a name that is too long)
 
 
 def _absolute(path: Path) -> Path:
@@ -322,14 +258,15 @@ def parse_config(text: str, path: Path) -> Config:
     try:
         tables = Tables.model_validate_json(as_json, strict=True)
     except ValidationError as error:
-        raise complaint(path, error, document, Tables) from None
-    config = Config(path=path, text=text, tables=tables)
-    doubled = [
-        name for name, n in Counter(name for name, _ in config.prior_list()).items() if n > 1
-    ]
-    if doubled:
-        raise BadInput(f"{path}: priors.{doubled[0]}", "is given twice", "leave one out")
-    return config
+        if error.errors(include_url=False)[0]["type"] == "json_invalid":
+            what = "is nested too deep for a configuration"
+            raise BadInput(str(path), what, "correct the file") from None
+        raise complaint(f"{path}: ", "configuration", error, document, Tables) from None
+    # a name may come twice, dotted and in a table
+    for name, count in Counter(n for n, _ in _flatten(tables.priors, "distribution")).items():
+        if count > 1:
+            raise BadInput(f"{path}: priors.{name}", "is given twice", "leave one out")
+    return Config(path=path, text=text, tables=tables)
 
 
 def _no_toml(path: Path, text: str, message: str) -> BadInput:
@@ -342,9 +279,7 @@ def _no_toml(path: Path, text: str, message: str) -> BadInput:
     if found[1].startswith("Cannot "):
         return BadInput(where, f"{line[:60]!r} is there twice ({found[1]})", "leave one out")
     return BadInput(
-        where,
-        f"{line[:60]!r} is no TOML ({found[1]})",
-        'write key = value, with text in "quotes"',
+        where, f"{line[:60]!r} is no TOML ({found[1]})", 'write key = value, with text in "quotes"'
     )
 
 

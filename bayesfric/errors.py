@@ -13,19 +13,9 @@ _LONGEST_WORD = 100
 class BadInput(Exception):
     """Input that cannot be used, told in one line.
 
-    Parameters
-    ----------
-    where
-        The file, column, row or key at fault, as the user wrote it.
-    what
-        What is wrong with it.
-    mend
-        What to do about it.
-
-    Notes
-    -----
-    The command line prints ``str(error)`` and exits with code 2; a library
-    caller gets the three parts as attributes.
+    ``where`` is the file, column, row or key at fault, as the user wrote it, ``what`` is wrong with
+    it, and ``mend`` says what to do about it. The command line prints ``str(error)`` and exits with
+    code 2; a library caller gets the three parts as attributes.
     """
 
     def __init__(self, where: str, what: str, mend: str) -> None:
@@ -38,12 +28,8 @@ class BadInput(Exception):
 class Unfit(ValueError):
     """An option's value that does not fit, for a model's validator to raise.
 
-    Parameters
-    ----------
-    wanted
-        What is expected: ``"a mass like '2 kg'"``.
-    what
-        What is there: ``"got '2 m'"``.
+    ``wanted`` is what is expected, as ``"a mass like '2 kg'"``, and ``what`` is there, as
+    ``"got '2 m'"``.
     """
 
     def __init__(self, wanted: str, what: str) -> None:
@@ -54,12 +40,7 @@ class Unfit(ValueError):
 class Interrupted(KeyboardInterrupt):
     """The user asked to stop, and what was done so far is kept.
 
-    Parameters
-    ----------
-    signal
-        That asked; Ctrl-C if left out.
-    saved
-        Steps of the sampler that are on disk.
+    ``signal`` asked for it, Ctrl-C if there was none; ``saved`` steps of the sampler are on disk.
     """
 
     def __init__(self, signal: int | None, saved: int) -> None:
@@ -68,15 +49,7 @@ class Interrupted(KeyboardInterrupt):
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Word a mend for a misspelt name: the nearest known one, or all of them.
-
-    Parameters
-    ----------
-    word
-        What was written.
-    known
-        What could have been.
-    """
+    """Word a mend for a misspelt name: the nearest known one, or all of them."""
     choices = list(known)
     # comparing takes time with the square of the length
     close = difflib.get_close_matches(word[:_LONGEST_WORD], choices, n=1, cutoff=0.6)

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from bayesfric.config import Config, NoiseOptions, Origin
+from bayesfric.config import Config, NoiseOptions
 from bayesfric.errors import BadInput
 from bayesfric.inference.fit import read_priors
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
@@ -37,21 +37,9 @@ class Prepared:
 def prepare(
     config: Config, recordings: Sequence[Recording] | None = None, terms: Sequence[Term] = ()
 ) -> Prepared:
-    """Read every recording of a configuration, and prepare it.
+    """Read every recording of a configuration, or those given where not all are in files.
 
-    Parameters
-    ----------
-    config
-        Whose tables are used.
-    recordings
-        Its recordings, where they are not all in files.
-    terms
-        Of one's own, that its table ``mechanism`` names.
-
-    Raises
-    ------
-    BadInput
-        For anything that cannot be used.
+    ``terms`` are those of one's own that its table ``mechanism`` names.
     """
     tables = config.tables
     with config.named():
@@ -68,8 +56,11 @@ def prepare(
         recordings = [Recording(source, folder) for source in tables.recordings]
     for number, recording in enumerate(recordings, start=1):
         found += _read(config, chain, recording, number)
-    if config.origin is not None:
-        found = [_changed_since(r, config.origin) for r in found]
+    kept = config.origin.recordings if config.origin else {}
+    for k, r in enumerate(found):
+        if r.name in kept and kept[r.name].sha256 != r.sha256:
+            text = f"changed since the run was made: its SHA-256 was {kept[r.name].sha256}"
+            found[k] = replace(r, warnings=(*r.warnings, text))
     _check_recordings(config, chain, found)
     with config.named():
         divided = divide(found, tables.processing, tables.validation)
@@ -84,7 +75,15 @@ def prepare(
                 f"too short: {outputs} outputs after filtering, {len(chain.parameters)} parameters",
                 "record longer, or decimate less",
             )
-        _check_names(config, chain)
+        for name in config.priors:
+            parameter = name.rpartition(".")[0]
+            # a table that stands for a prior but names no distribution
+            if parameter in chain.names or parameter.startswith("noise."):
+                raise BadInput(
+                    f"priors.{parameter}",
+                    "its table names no distribution",
+                    'write for example {distribution = "norm", loc = 0.4, scale = 0.05}',
+                )
         priors = read_priors(chain, config.priors, observations, _noise_quantities(config))
     return Prepared(chain, divided.recordings, observations, priors, divided.held_out)
 
@@ -132,15 +131,6 @@ def residual_noise(noise: NoiseOptions, chosen: int) -> ResidualNoise:
     return model.make(0 if model.order == "none" else noise.order or chosen)
 
 
-def _changed_since(recording: Measurement, origin: Origin) -> Measurement:
-    """Warn of a file that is another one than the run was made of."""
-    kept = origin.recordings.get(recording.name)
-    if kept is None or kept.sha256 == recording.sha256:
-        return recording
-    text = f"changed since the run was made: its SHA-256 was {kept.sha256}"
-    return replace(recording, warnings=(*recording.warnings, text))
-
-
 def _read(config: Config, chain: Joint, recording: Recording, number: int) -> list[Measurement]:
     place, source = f"recordings.{number}", recording.source
     if source.added_mass and not source.radius and chain.load.motion == "rotary":
@@ -157,30 +147,16 @@ def _read(config: Config, chain: Joint, recording: Recording, number: int) -> li
             number=number,
         )
     except BadInput as error:
-        # what is not about a file is about a key
+        # what is not about a file is about a key: of the recording, or of [processing]
+        named = {"file": place, "name": place, "processing": ""}
         key = error.where.partition(" = ")[0].partition(",")[0]
-        if key in ("file", "name"):
-            with config.named(place):
-                raise
-        if key == "processing":
-            with config.named():
-                raise
-        raise
+        if key not in named:
+            raise
+        with config.named(named[key]):
+            raise
     except OSError as error:
         raise BadInput(
             f"{config.path}: {place}.file",
             f"cannot be read ({error.strerror})",
             "check the file's name",
         ) from None
-
-
-def _check_names(config: Config, chain: Joint) -> None:
-    """Refuse a table that stands for a prior but names no distribution."""
-    for name in config.priors:
-        parameter = name.rpartition(".")[0]
-        if parameter in chain.names or parameter.startswith("noise."):
-            raise BadInput(
-                f"priors.{parameter}",
-                "its table names no distribution",
-                'write for example {distribution = "norm", loc = 0.4, scale = 0.05}',
-            )

@@ -8,7 +8,6 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, cast
 from weakref import ref
 
-from bayesfric.commands.compare import read_summary_file
 from bayesfric.config_text import saved_name
 from bayesfric.errors import BadInput
 from bayesfric.inference.archive import make_archive
@@ -16,7 +15,7 @@ from bayesfric.inference.fit import Fit
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.tables import sha256
 from bayesfric.report.run_directory import archived, check_free, write_run
-from bayesfric.report.summary.record import Summary
+from bayesfric.report.summary.record import Summary, read_summary_file
 
 if TYPE_CHECKING:
     from bayesfric.model import Model
@@ -28,21 +27,11 @@ _KEPT = "_bayesfric_result"
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """A sampled model.
-
-    Attributes
-    ----------
-    model
-        What was sampled.
-    fit
-        Draws and diagnostics, point estimates, predictions of what was held out.
-    summary
-        What ``summary.json`` holds, but for the place of recordings.
-    """
+    """A sampled model."""
 
     model: Model
-    fit: Fit
-    summary: Summary
+    fit: Fit  # draws and diagnostics, point estimates, predictions of what was held out
+    summary: Summary  # what summary.json holds, but for the place of recordings
 
     @property
     def recordings(self) -> list[Measurement]:
@@ -62,10 +51,7 @@ class Result:
     def write(self, folder: Path) -> Summary:
         """Write a run directory, and give what its ``summary.json`` holds.
 
-        Raises
-        ------
-        BadInput
-            If the folder cannot be written to; nothing is left behind then.
+        Nothing is left behind where the folder cannot be written to.
         """
         config, measured = self.model.config, self.recordings
         # what was given as a table in memory is saved in the run, where its configuration has it
@@ -89,21 +75,13 @@ class Result:
 
 
 def result_of(posterior: Any) -> Result:
-    """Give what a posterior was made from.
-
-    Raises
-    ------
-    BadInput
-        If it is none that :meth:`bayesfric.Model.sample` returned.
-    """
+    """Give what a posterior was made from, one that :meth:`bayesfric.Model.sample` returned."""
     if isinstance(posterior, Result):
         return posterior
     found, made = getattr(posterior, _KEPT, (None, lambda: None))
     if found is None or made() is not posterior:
         raise BadInput(
-            "posterior",
-            "is not what Model.sample returned",
-            "give that, and no copy or part of it",
+            "posterior", "is not what Model.sample returned", "give that, and no copy or part of it"
         )
     return cast(Result, found)
 

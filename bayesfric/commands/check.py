@@ -5,24 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
-
 from bayesfric.inference.noise import SCALES
 from bayesfric.model import Model
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.report.alerts import doubt_text
 from bayesfric.report.summary.doubts import doubts_before
+from bayesfric.report.summary.summary import estimate_summary
 
 
 def check(model: Model) -> dict[str, Any]:
-    """Collect everything there is to say before a fit.
-
-    Raises
-    ------
-    BadInput
-        If the motion cannot tell the totals of eq. (11) apart.
-    """
+    """Collect everything there is to say before a fit."""
     (totals,) = model.estimates(["least-squares"])
     unsettled = {f"noise.{scale.name}" for scale in SCALES.values() if scale.chosen}
     return {
@@ -54,18 +47,7 @@ def check(model: Model) -> dict[str, Any]:
             if not (prior.default and name in unsettled)
         },
         "doubts": doubts_before(totals, model.observations),
-        "least_squares": {
-            "residual_rms": totals.residual_rms,
-            "parameters": {
-                v.name: {
-                    "value": v.value,
-                    "sd": v.sd if np.isfinite(v.sd) else None,
-                    "unit": v.unit,
-                    "meaning": v.meaning,
-                }
-                for v in totals.values
-            },
-        },
+        "least_squares": estimate_summary(totals),
     }
 
 
@@ -83,7 +65,8 @@ def check_text(found: dict[str, Any]) -> Iterator[str]:
         held = f", {recording['held_out']} held out" if recording["held_out"] else ""
         yield f"{recording['name']}{held}  ({recording['file']}, {recording['duration']:.3g} s)"
         if recording["added_mass"]:
-            yield f"  added mass: {recording['added_mass']:g} kg at {recording['radius']:g} m"
+            at = f" at {recording['radius']:g} m" if recording["radius"] else ""
+            yield f"  added mass: {recording['added_mass']:g} kg{at}"
         for step in recording["steps"]:
             yield f"  {step}"
         for warning in recording["warnings"]:

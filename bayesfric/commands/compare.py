@@ -11,37 +11,19 @@ from typing import Any
 from bayesfric.errors import BadInput
 from bayesfric.mechanism.joint import Joint
 from bayesfric.report.comparison.comparison import Comparison, comparison
-from bayesfric.report.comparison.table import (
-    comparison_csv,
-    comparison_dict,
-    comparison_markdown,
-)
-from bayesfric.report.summary.record import Summary
-
-# A summary is a page or two of numbers; anything larger is some other file.
-_LARGEST = 20_000_000
+from bayesfric.report.comparison.table import comparison_csv, comparison_dict, comparison_markdown
+from bayesfric.report.summary.record import Summary, read_summary_file
 
 
 def compare(
     runs: Sequence[Path], output: Path | None = None, *, estimates: bool | None = None
 ) -> Comparison:
-    """Compare finished runs; with ``output``, write tables and the forest figure.
+    """Compare finished runs, or the methods of a single one.
 
-    Parameters
-    ----------
-    runs
-        Run directories; of a single one its methods are compared.
-    output
-        Folder to make: ``report.html``, ``comparison.csv``, ``.md`` and ``.json``,
-        ``figures/forest.pdf``, ``.svg`` and ``.png``; of several runs ``between-runs.csv``
-        and, where two hold their draws, ``figures/overlay``.
-    estimates
-        Whether to show point estimates; if left out, of a single run only.
-
-    Raises
-    ------
-    BadInput
-        For anything that cannot be compared; nothing is written then.
+    ``output`` is a folder to make: ``report.html``, ``comparison.csv``, ``.md`` and ``.json``,
+    ``figures/forest.pdf``, ``.svg`` and ``.png``; of several runs ``between-runs.csv`` and, where
+    two hold their draws, ``figures/overlay``. Point estimates are shown of a single run only if
+    ``estimates`` is left out. Of what cannot be compared nothing is written.
     """
     summaries = read_summaries(runs)
     if output is None:
@@ -73,21 +55,21 @@ def compare(
     # what cannot be drawn is told before anything is written
     drawn = {stem: one.draw(compared) for stem, one in comparison_figures().items()}
     with made_beside(output) as beside:
-        (beside / "comparison.csv").write_text(comparison_csv(found), encoding="utf-8")
-        (beside / "comparison.md").write_text(comparison_markdown(found), encoding="utf-8")
-        (beside / "comparison.json").write_text(
-            json.dumps(comparison_dict(found), indent=1, ensure_ascii=False, allow_nan=False)
-            + "\n",
-            encoding="utf-8",
-        )
+        as_json = json.dumps(comparison_dict(found), indent=1, ensure_ascii=False, allow_nan=False)
+        texts = {
+            "comparison.csv": comparison_csv(found),
+            "comparison.md": comparison_markdown(found),
+            "comparison.json": f"{as_json}\n",
+        }
+        if len(checked) > 1:
+            texts["between-runs.csv"] = between_runs_csv(pooled)
         (beside / "figures").mkdir()
         for stem, figure in drawn.items():
             if figure is not None:
                 save(figure, beside / "figures", stem)
-        if len(checked) > 1:
-            (beside / "between-runs.csv").write_text(between_runs_csv(pooled), encoding="utf-8")
-        page = compare_page(beside, compared, provenance)
-        (beside / "report.html").write_text(page, encoding="utf-8")
+        texts["report.html"] = compare_page(beside, compared, provenance)
+        for name, text in texts.items():
+            (beside / name).write_text(text, encoding="utf-8")
     return found
 
 
@@ -119,35 +101,3 @@ def _names(folders: Sequence[Path]) -> list[str]:
         if len(set(names)) == len(names):
             return names
     return [str(folder) for folder in folders]
-
-
-def read_summary_file(run: Path) -> Mapping[str, Any]:
-    """Read ``summary.json`` of a run directory; ``BadInput`` where there is none that is whole."""
-    file = run / "summary.json"
-    mend = "name a run directory, as 'bayesfric fit' makes it"
-    try:
-        if not run.is_dir():
-            what = "is a file" if run.exists() else "there is no such folder"
-            raise BadInput(str(run), what, mend)
-        with file.open("rb") as opened:
-            raw = opened.read(_LARGEST + 1)
-        if len(raw) > _LARGEST:
-            raise BadInput(str(file), "is too large for a summary", mend)
-        found = json.loads(raw.decode("utf-8"), parse_constant=_refuse)
-    except FileNotFoundError:
-        raise BadInput(str(run), "holds no summary.json", mend) from None
-    except OSError as error:
-        raise BadInput(str(file), f"cannot be read ({error.strerror})", mend) from None
-    except UnicodeDecodeError as error:
-        raise BadInput(
-            str(file), f"is not UTF-8 (byte {error.start})", "fit this run again"
-        ) from None
-    except (ValueError, RecursionError) as error:
-        raise BadInput(str(file), f"is no JSON ({error})", "fit this run again") from None
-    if not isinstance(found, dict):
-        raise BadInput(str(file), "holds no table of results", "fit this run again")
-    return found
-
-
-def _refuse(constant: str) -> float:
-    raise ValueError(f"{constant} is no number")

@@ -1,14 +1,15 @@
-"""``bayesfric fit``: sample the posterior and write the run directory."""
+"""``bayesfric fit`` and ``demo``: sample the posterior and write the run directory."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
 from bayesfric.commands.unfinished import unfinished
-from bayesfric.config import Config
+from bayesfric.config import Config, read_config
 from bayesfric.errors import BadInput
 from bayesfric.inference.sampling.sampling import Progress, phase
 from bayesfric.model import Model
@@ -26,38 +27,12 @@ def fit(
     output_error: bool = False,
     progress: Callable[[Progress], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Fit a configuration and write the run directory.
+    """Fit a configuration, write the run directory, and return what ``summary.json`` holds.
 
-    Parameters
-    ----------
-    config
-        From :func:`bayesfric.config.read_config`.
-    folder
-        Run directory to make.
-    seed
-        Replaces the configuration's.
-    resume
-        Go on with an interrupted run; the result is that of one never interrupted.
-    force
-        Keep what stands there, and an interrupted run's checkpoint, under other names
-        and start afresh.
-    output_error
-        Make the output-error estimate too, as ``estimation.output_error`` asks for it.
-    progress
-        Called as sampling goes on.
-
-    Returns
-    -------
-    dict
-        What ``summary.json`` holds.
-
-    Raises
-    ------
-    BadInput
-        For anything that cannot be used; nothing is written then. For a disk that is full
-        or gone; the last checkpoint is kept then.
-    Interrupted
-        On Ctrl-C or SIGTERM; what was sampled is kept.
+    ``resume`` goes on with an interrupted run; the result is that of one never interrupted.
+    ``force`` keeps what stands there, and an interrupted run's checkpoint, under other names and
+    starts afresh. Nothing is written of what cannot be used; where the disk is full or gone, and
+    on Ctrl-C or SIGTERM, what was sampled is kept.
     """
     # who resumes has an old run kept, if --force came with the first command
     check_free(folder, force=force or resume)
@@ -77,3 +52,9 @@ def fit(
             raise BadInput(error.where, error.what, mend) from None
         run.remove()
     return summary.as_dict()
+
+
+def demo_config() -> Config:
+    """Read the packaged configuration; its recording lies beside it in the package."""
+    with as_file(files("bayesfric") / "examples") as folder:
+        return read_config(folder / "knee.toml")

@@ -1,12 +1,22 @@
-"""``bayesfric identify``: what the recordings can and cannot tell, before sampling."""
+"""``bayesfric identify``: what the recordings can and cannot tell, before sampling.
+
+With ``--advise``: which recording to make next, and the torque to play.
+"""
 
 from __future__ import annotations
 
+import io
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from bayesfric.errors import BadInput
 from bayesfric.identifiability.identification import Identification
+from bayesfric.identifiability.next_recording import Ranking
 from bayesfric.identifiability.sentences import page
 from bayesfric.model import Model
+from bayesfric.report.files import write_beside
 
 
 def identify_record(found: Identification, model: Model) -> dict[str, Any]:
@@ -18,3 +28,59 @@ def identify_text(found: Identification, model: Model) -> list[str]:
     """Word an identification for a person: first what cannot be told, then the tables."""
     unit = "rad" if model.chain.load.motion == "rotary" else "m"
     return page("identify.txt", found=found, unit=unit)
+
+
+def advice_file(name: str, output: Path | None, *, force: bool) -> Path:
+    """Settle where the winning excitation goes, before anything is computed.
+
+    It is a CSV that is not there already, or is replaced by ``force``.
+    """
+    path = output or Path(f"advice-{name}.csv")
+    if path.suffix.lower() != ".csv":
+        raise BadInput(str(path), "is not named .csv", "name the excitation something.csv")
+    if path.exists() and not force:
+        raise BadInput(
+            str(path), "exists already", "name another file with -o, or replace it with --force"
+        )
+    return path
+
+
+def write_advice(found: Ranking, path: Path, model: Model, *, force: bool) -> bool:
+    """Write the winning excitation, and tell whether there was any that is worth it.
+
+    Columns are time and torque, their units in the second line.
+    """
+    if not found.worth:
+        return False
+    table = io.StringIO()
+    np.savetxt(
+        table,
+        found.advices[0].candidate.rows,
+        fmt=["%.10g", "%.6g"],
+        delimiter=",",
+        header=f"time,torque\ns,{_torque_unit(model)}",
+        comments="",
+    )
+    write_beside({path: table.getvalue()}, replace=force)
+    return True
+
+
+def advice_record(found: Ranking, model: Model, written: Path | None) -> dict[str, Any]:
+    """Put a ranking into the form that ``--json`` prints; what is infinite is ``None``."""
+    file = str(written) if written else None
+    return {"config": str(model.config.path), **found.as_json(), "written": file}
+
+
+def advice_text(found: Ranking, model: Model, written: Path | None) -> list[str]:
+    """Word a ranking for a person: what to do first, then the table."""
+    return page(
+        "advise.txt",
+        found=found,
+        written=written,
+        torque_unit=_torque_unit(model),
+        position_unit="rad" if model.chain.load.motion == "rotary" else "m",
+    )
+
+
+def _torque_unit(model: Model) -> str:
+    return "N m" if model.chain.motor_motion == "rotary" else "N"

@@ -2,38 +2,30 @@
 
 from __future__ import annotations
 
+import json
 import textwrap
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
-from bayesfric.config import LikelihoodOptions, NoiseOptions
+from bayesfric.config import Tables
 from bayesfric.errors import BadInput, nearest
-from bayesfric.estimates.estimation import Estimation
-from bayesfric.identifiability.advice_options import AdviceOptions
-from bayesfric.inference.sampling.sampling import Sampling
-from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.quantities import CHOICES, OPTION_MEANINGS
-from bayesfric.recordings.held_out import Validation
-from bayesfric.recordings.processing import Processing
 
 
 def configuration(preset: str) -> str:
-    """Text of a commented configuration for a preset.
-
-    Raises
-    ------
-    BadInput
-        If there is no such preset.
-    """
+    """Text of a commented configuration for a preset."""
     if preset not in PRESETS:
         raise BadInput(preset, "there is no such preset", nearest(preset, PRESETS))
     chosen = PRESETS[preset]
     chain = chosen.chain()
+    name = "load.first_moment" if "load.first_moment" in chain.names else chain.names[0]
+    tables = list(Tables.model_fields)
+    first = tables.index("references") + 1
     return "\n".join(
         [
             f"# bayesfric configuration: {chosen.meaning}.",
@@ -42,39 +34,14 @@ def configuration(preset: str) -> str:
             *_mechanism(preset, chain),
             "",
             *_recordings(chain),
-            "",
-            "[processing]",
-            *_options(Processing),
+            *_options("processing"),
             "",
             *_priors(chain),
             "",
             "# Values to compare results with, from a data sheet or CAD; they enter no fit.",
             "# [references]",
-            *_references(chain),
-            "",
-            "[estimation]",
-            *_options(Estimation),
-            "",
-            "[likelihood]",
-            *_options(LikelihoodOptions),
-            "",
-            "[noise]",
-            *_options(NoiseOptions),
-            "",
-            "[sampling]",
-            *_options(Sampling),
-            "",
-            "# What the fit does not see, so that 'bayesfric fit' can say how well it predicts:",
-            "[validation]",
-            *_options(Validation),
-            "",
-            "# Only for 'bayesfric identify --advise':",
-            "[advice]",
-            *_options(AdviceOptions),
-            "",
-            "# Only for 'bayesfric simulate':",
-            "[simulation]",
-            *_options(Simulation),
+            f'# "{name}" = {{ value = 0.41, source = "CAD" }}',
+            *(line for key in tables[first:] for line in _options(key)),
             f"# Parameters are those of {chosen.source}, unless given here:",
             "# [simulation.parameters]",
             *(f'# "{name}" = {value:.6g}' for name, value in chosen.values.items()),
@@ -132,28 +99,26 @@ def _priors(chain: Joint) -> Iterator[str]:
         yield f"# {p.name:<26} {p.unit or '-':<8} {p.meaning}"
 
 
-def _references(chain: Joint) -> Iterator[str]:
-    name = "load.first_moment" if "load.first_moment" in chain.names else chain.names[0]
-    yield f'# "{name}" = {{ value = 0.41, source = "CAD" }}'
-
-
-def _options(model: type[BaseModel]) -> Iterator[str]:
-    for key, field in model.model_fields.items():
+def _options(table: str) -> Iterator[str]:
+    """Write a table of options, with their meanings and defaults or examples."""
+    field = Tables.model_fields[table]
+    yield ""
+    if field.description:
+        yield f"# {field.description}"
+    yield f"[{table}]"
+    kinds = (field.annotation, *get_args(field.annotation))  # [simulation] may be left out
+    model = next(k for k in kinds if isinstance(k, type) and issubclass(k, BaseModel))
+    for key, option in model.model_fields.items():
         if key == "parameters":
             continue
-        text = f"{key}: {field.description}"
+        text = f"{key}: {option.description}"
         yield from textwrap.wrap(text, 92, initial_indent="# ", subsequent_indent="#   ")
-        shown = field.examples[0] if field.examples else field.default
-        yield f"# {key} = {_toml(shown)}"
+        yield f"# {key} = {_toml(option.examples[0] if option.examples else option.default)}"
 
 
 def _toml(value: Any) -> str:
     if value is None or value is PydanticUndefined:
         return '"..."  # found by itself when left out'
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return f'"{value}"'
     if isinstance(value, tuple):
         return "[" + ", ".join(_toml(v) for v in value) + "]"
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    return f"{value:g}" if isinstance(value, float) else json.dumps(value)

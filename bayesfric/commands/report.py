@@ -7,30 +7,17 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from bayesfric.commands.compare import read_summary_file
 from bayesfric.errors import BadInput
 from bayesfric.report.files import write_beside
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.summary_texts import summary_texts
+from bayesfric.report.summary.record import read_summary_file
 
 
 def report(run: Path) -> dict[str, Any]:
     """Make ``report.html`` and what follows from ``summary.json`` again; nothing is sampled.
 
-    Parameters
-    ----------
-    run
-        A run directory.
-
-    Returns
-    -------
-    dict
-        ``run`` and the files written.
-
-    Raises
-    ------
-    BadInput
-        If the folder holds no finished run, or cannot be written to; then nothing is changed.
+    Nothing is changed where the folder holds no finished run, or cannot be written to.
     """
     summary = read_summary_file(run)
     name = Path(os.path.realpath(run)).name

@@ -22,26 +22,9 @@ _MOST_SAMPLES = 10_000_000
 
 
 def simulate(config: Config, target: Path, *, seed: int | None = None) -> dict[str, Any]:
-    """Simulate what ``[simulation]`` describes and write it as CSV.
+    """Simulate what ``[simulation]`` describes, or its defaults, and write it as CSV.
 
-    Parameters
-    ----------
-    config
-        Its ``[mechanism]`` and ``[simulation]`` are used; without the latter, defaults.
-    target
-        CSV file to write; the truth goes beside it as ``<stem>.truth.json``.
-    seed
-        Replaces the configuration's.
-
-    Returns
-    -------
-    dict
-        The truth, as written.
-
-    Raises
-    ------
-    BadInput
-        If a value is impossible or the files cannot be written.
+    The truth goes beside it as ``<stem>.truth.json``, and is returned.
     """
     if target.suffix.lower() != ".csv":
         raise BadInput(str(target), "is not named .csv", "name the recording something.csv")
@@ -86,11 +69,7 @@ def simulate(config: Config, target: Path, *, seed: int | None = None) -> dict[s
         "reversals": motion.reversals,
     }
     write_beside(  # an older simulation is replaced
-        {
-            target: table.getvalue(),
-            truth_file: json.dumps(truth, indent=1) + "\n",
-        },
-        replace=True,
+        {target: table.getvalue(), truth_file: json.dumps(truth, indent=1) + "\n"}, replace=True
     )
     return truth
 

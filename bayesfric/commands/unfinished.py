@@ -1,23 +1,46 @@
-"""A run that is not finished: its checkpoints beside the run directory, its lock, its end."""
+"""A run that is not finished: its checkpoints beside the run directory, its lock, its end.
+
+One process at a time is in a folder (by ``filelock``, and who is there, for the one that is not);
+Ctrl-C and SIGTERM wait while something is done that should not break off anywhere.
+"""
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import platform
-from collections.abc import Iterator, Mapping
+import signal
+import socket
+import sys
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from types import FrameType
+
+from filelock import FileLock, Timeout
 
 import bayesfric
-from bayesfric.commands.lock import LOCK, OWNER, Taken, alone_in
-from bayesfric.commands.signals import Asked, asked_to_stop
 from bayesfric.errors import BadInput, Interrupted
 from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.model import Model
+
+# How a disk without locks tells it: better one run without than none at all.
+_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
+# Files of a lock.
+LOCK, OWNER = "lock", "lock.owner"
+
+
+@dataclass
+class Asked:
+    """Whether the user asked to stop."""
+
+    by: int | None = None  # the signal
+    again: bool = False  # whether they asked a second time, and want no more waiting
 
 
 class Unfinished:
@@ -41,28 +64,19 @@ class Unfinished:
         return any(c.walking for c in self._samplings)
 
     def sampling(self, model: Model, name: str, settings: Sampling) -> Checkpoint:
-        """Give the checkpoint of one sampling.
-
-        Parameters
-        ----------
-        model, settings
-            What is sampled, and how.
-        name
-            Of the sampling, as a file may be called.
-
-        Raises
-        ------
-        BadInput
-            If there is one, but of something else.
-        """
+        """Give the checkpoint of one sampling; bad input if there is one of something else."""
         if self.afresh:
             _set_aside(self._place)
             self.afresh = False
+        tables = json.loads(model.config.tables.model_dump_json())
+        # what its steps depend on
+        facts = {
+            "version": _versions(),
+            "recording": {r.name: r.sha256 for r in model.recordings},
+            "configuration": tables | {"sampling": settings.model_dump(mode="json")},
+        }
         checkpoint = Checkpoint(
-            self._place,
-            name,
-            _facts(model, settings),
-            asked_to_stop=lambda: self.asked.by is not None,
+            self._place, name, facts, asked_to_stop=lambda: self.asked.by is not None
         )
         self._samplings.append(checkpoint)
         return checkpoint
@@ -87,29 +101,15 @@ class Unfinished:
 def unfinished(folder: Path, *, resume: bool, force: bool) -> Iterator[Unfinished]:
     """Work on a run directory that is to be made, alone, so that the work can be gone on with.
 
-    Parameters
-    ----------
-    folder
-        The run directory.
-    resume
-        Go on with the checkpoint that is there.
-    force
-        Keep the checkpoint that is there under another name.
-
-    Raises
-    ------
-    BadInput
-        If there is a checkpoint and neither was said, or none to resume, or another
-        process at work; if a checkpoint cannot be written.
-    Interrupted
-        On Ctrl-C or SIGTERM, after everything sampled was saved.
+    ``resume`` goes on with the checkpoint that is there, ``force`` keeps it under another name.
+    Ctrl-C and SIGTERM end in :class:`Interrupted`, after everything sampled was saved.
     """
     target = Path(os.path.abspath(folder))  # noqa: PTH100  (links stay)
     place = target.with_name(f".{target.name}.checkpoint")
     if resume and force:
         raise BadInput("--resume", "cannot go with --force", "give one of them")
     try:
-        with alone_in(place):
+        with alone_in(place, folder):
             run = Unfinished(folder, place)
             there = run.kept
             if resume and not there:
@@ -130,10 +130,6 @@ def unfinished(folder: Path, *, resume: bool, force: bool) -> Iterator[Unfinishe
                 yield run
     except OSError as error:
         raise _cannot(error, folder, kept=False) from None
-    except Taken as taken:
-        raise BadInput(
-            str(folder), f"{taken} is making this run", "wait for it, or name another with -o"
-        ) from None
 
 
 @contextmanager
@@ -166,22 +162,11 @@ def _cannot(error: OSError, folder: Path, kept: bool) -> BadInput:
     return BadInput(str(error.filename or folder), f"cannot be written ({reason})", mend)
 
 
-def _facts(model: Model, settings: Sampling) -> dict[str, Any]:
-    """Put together what a sampling's steps depend on."""
-    tables = json.loads(model.config.tables.model_dump_json())
-    return {
-        "version": _versions(),
-        "recording": {r.name: r.sha256 for r in model.recordings},
-        "configuration": tables | {"sampling": settings.model_dump(mode="json")},
-    }
-
-
-def _versions() -> Mapping[str, str]:
-    libraries = ("numpy", "scipy", "emcee", "numba")
+def _versions() -> dict[str, str]:
     return {
         "bayesfric": bayesfric.__version__,
         "python": ".".join(platform.python_version_tuple()[:2]),
-        **{name: version(name) for name in libraries},
+        **{name: version(name) for name in ("numpy", "scipy", "emcee", "numba")},
     }
 
 
@@ -195,3 +180,73 @@ def _set_aside(place: Path) -> None:
     for path in sorted(place.iterdir(), key=lambda path: path.suffix == ".json"):
         if path.name not in (LOCK, OWNER):
             path.rename(old / path.name)
+
+
+@contextmanager
+def asked_to_stop(worth_waiting: Callable[[], bool]) -> Iterator[Asked]:
+    """Note a signal while ``worth_waiting``; raise KeyboardInterrupt at any other moment.
+
+    A second signal always does. Signals that are ignored, as those of a run under ``nohup``
+    are, stay so, and the previous handlers are put back at the end.
+    """
+    asked = Asked()
+
+    def note(number: int, _: FrameType | None) -> None:
+        asked.again = asked.by is not None
+        asked.by = asked.by or number
+        if asked.again or not worth_waiting():
+            raise KeyboardInterrupt
+
+    before = {}
+    # Python lets only the main thread have handlers
+    if threading.current_thread() is threading.main_thread():
+        before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    heard = {n: h for n, h in before.items() if h is not None and h is not signal.SIG_IGN}
+    try:
+        for number in heard:
+            signal.signal(number, note)
+        yield asked
+    finally:
+        for number, handler in heard.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def alone_in(folder: Path, run: Path) -> Iterator[None]:
+    """Be the only process in a run's folder; it is made, and removed again if it stays empty.
+
+    The operating system gives the lock back when a process ends, however it ends.
+    """
+    lock, owner = FileLock(folder / LOCK), folder / OWNER
+    while True:
+        folder.mkdir(exist_ok=True)
+        try:
+            lock.acquire(timeout=0)
+        except FileNotFoundError:
+            continue  # its owner just left and removed the folder
+        except Timeout:
+            what = f"{_name(owner)} is making this run"
+            raise BadInput(str(run), what, "wait for it, or name another with -o") from None
+        except OSError as error:
+            if error.errno not in _NO_LOCKS:
+                raise
+        break
+    try:
+        owner.write_text(f"process {os.getpid()} on {socket.gethostname()}\n", encoding="utf-8")
+        yield
+    finally:
+        if sys.platform == "win32":
+            lock.release()  # nothing open can be removed there
+        # nobody can take it before it is released, and who waits finds it gone
+        for path in (owner, folder / LOCK):
+            with suppress(OSError):
+                path.unlink()
+        with suppress(OSError):
+            folder.rmdir()
+        lock.release()
+
+
+def _name(owner: Path) -> str:
+    with suppress(OSError, UnicodeDecodeError), owner.open(encoding="utf-8") as file:
+        return file.readline(200).strip() or "another process"
+    return "another process"

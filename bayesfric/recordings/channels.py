@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
 from bayesfric.recordings import units
 from bayesfric.recordings.checks import unwrapped
+from bayesfric.recordings.measurement import Array
 from bayesfric.recordings.source import SI, Channel, Columns, Position, Velocity
 from bayesfric.recordings.tables.table import Table
 
@@ -53,7 +53,7 @@ def check_columns(source: Columns, table: Table) -> None:
             )
 
 
-def signed(channel: Channel, table: Table) -> NDArray[np.float64]:
+def signed(channel: Channel, table: Table) -> Array:
     """Return a channel's raw numbers with their sign, before any factor, shape (n,)."""
     values = table.column(channel.column)
     if channel.twos_complement is not None:
@@ -70,9 +70,7 @@ def signed(channel: Channel, table: Table) -> NDArray[np.float64]:
     return values * channel.sign
 
 
-def scaled(
-    channel: Channel, table: Table, kind: units.Kind, key: str, *more: str
-) -> NDArray[np.float64]:
+def scaled(channel: Channel, table: Table, kind: units.Kind, key: str, *more: str) -> Array:
     """Return a channel of a kind in SI units, shape (n,), times further constants with units."""
     texts = [channel.unit, *more]
     if channel.times is not None:
@@ -85,9 +83,7 @@ def scaled(
     return values * factor
 
 
-def joint_signal(
-    channel: Position, key: str, table: Table, drive: Drive
-) -> tuple[NDArray[np.float64], str]:
+def joint_signal(channel: Position, key: str, table: Table, drive: Drive) -> tuple[Array, str]:
     """Return the joint's position or velocity in SI units, shape (n,), and how it came about."""
     if channel.side is None and (drive.ratio != 1 or drive.motion != drive.motor_motion):
         raise BadInput(
@@ -108,9 +104,7 @@ def joint_signal(
     return values / drive.ratio if motor else values, step
 
 
-def drive_signal(
-    source: Columns, table: Table, drive: Drive
-) -> tuple[Channel, NDArray[np.float64], str]:
+def drive_signal(source: Columns, table: Table, drive: Drive) -> tuple[Channel, Array, str]:
     """Return the channel that drives the joint, its motor torque or voltage, and which it is."""
     kind = TORQUE[drive.motor_motion]
     if source.torque is not None:

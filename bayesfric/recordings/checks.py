@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
+from bayesfric.recordings.measurement import Array, Flags
 
 # Shorter runs of one value are chance in a quantised signal
 _RUN = 4
@@ -27,7 +27,7 @@ _LEAST_SEEN = 50
 Feedback = Literal["sign of speed", "position error"]
 
 
-def check_moves(values: NDArray[np.float64], where: str, what: str) -> None:
+def check_moves(values: Array, where: str, what: str) -> None:
     """Refuse a signal that never changes; ``where`` names it, ``what`` says what it is."""
     if np.ptp(values) == 0:
         raise BadInput(
@@ -37,7 +37,7 @@ def check_moves(values: NDArray[np.float64], where: str, what: str) -> None:
         )
 
 
-def check_not_huge(values: NDArray[np.float64], where: str, what: str) -> None:
+def check_not_huge(values: Array, where: str, what: str) -> None:
     """Refuse a signal with a value, in SI, that no joint has, or that left floating point."""
     fine = np.abs(values) < _HUGE
     if not fine.all():
@@ -48,14 +48,14 @@ def check_not_huge(values: NDArray[np.float64], where: str, what: str) -> None:
         )
 
 
-def check_size(values: NDArray[np.float64], where: str, what: str) -> None:
+def check_size(values: Array, where: str, what: str) -> None:
     """Refuse a signal of a size that no joint has: its products would leave floating point."""
     largest = float(np.abs(values).max())
     if not 1 / _HUGE < largest < _HUGE:
         raise BadInput(where, f"the {what} is at most {largest:.3g} in SI units", "check its unit")
 
 
-def clipped(values: NDArray[np.float64], what: str) -> list[str]:
+def clipped(values: Array, what: str) -> list[str]:
     """Warn of each limit of a raw signal at which 1 % of the samples lie, in runs of 4 and more."""
     warnings = []
     for word, limit in (("maximum", values.max()), ("minimum", values.min())):
@@ -70,7 +70,7 @@ def clipped(values: NDArray[np.float64], what: str) -> list[str]:
     return warnings
 
 
-def quantisation(values: NDArray[np.float64]) -> float | None:
+def quantisation(values: Array) -> float | None:
     """Return the step of a coarsely quantised signal; None if it has too many values for that."""
     levels = np.unique(values)
     if not 3 <= len(levels) <= len(values) / 3:
@@ -81,7 +81,7 @@ def quantisation(values: NDArray[np.float64]) -> float | None:
     return step if bool(np.all(np.abs(multiples - np.round(multiples)) < 0.05)) else None
 
 
-def unwrapped(angle: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
+def unwrapped(angle: Array) -> tuple[Array, int]:
     """Undo the jumps of an angle in rad that is told within one turn, and count them.
 
     It is that of the shaft the encoder is on, and begins where it began.
@@ -101,9 +101,7 @@ def unwrapped(angle: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
     return values, int(np.count_nonzero(jumps))
 
 
-def speed_mismatch(
-    velocity: NDArray[np.float64], differentiated: NDArray[np.float64], usable: NDArray[np.bool_]
-) -> float | None:
+def speed_mismatch(velocity: Array, differentiated: Array, usable: Flags) -> float | None:
     """Compare a measured velocity with the differentiated position, filtered alike.
 
     Returns the factor between them where it is no factor of one: beyond 10 %, and more than the two
@@ -121,10 +119,7 @@ def speed_mismatch(
 
 
 def feedback(
-    torque: NDArray[np.float64],
-    position: NDArray[np.float64],
-    velocity: NDArray[np.float64],
-    usable: NDArray[np.bool_],
+    torque: Array, position: Array, velocity: Array, usable: Flags
 ) -> tuple[Feedback, float] | None:
     """Look for a torque that a controller makes of the motion by a simple law.
 
@@ -153,7 +148,7 @@ def feedback(
     return None
 
 
-def _in_runs(flags: NDArray[np.bool_]) -> int:
+def _in_runs(flags: Flags) -> int:
     padded = np.concatenate([[False], flags, [False]]).astype(np.int8)
     change = np.diff(padded)
     lengths = np.flatnonzero(change == -1) - np.flatnonzero(change == 1)

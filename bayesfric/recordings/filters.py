@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
+from bayesfric.recordings.measurement import Array, Flags, Segments
 
 # A cut-off this small a share of the sampling rate leaves nothing but rounding.
 _LOWEST_CUTOFF = 1e-6
@@ -41,32 +41,11 @@ def check_cutoff(cutoff: float, fs: float, where: str) -> None:
         )
 
 
-def lowpass(
-    values: NDArray[np.float64],
-    segments: Sequence[tuple[int, int]],
-    fs: float,
-    cutoff: float,
-    order: int,
-) -> NDArray[np.float64]:
-    """Low-pass a signal forwards and backwards in every segment, without phase shift.
+def lowpass(values: Array, segments: Segments, fs: float, cutoff: float, order: int) -> Array:
+    """Low-pass a signal (n,) forwards and backwards in every segment, without phase shift.
 
-    Parameters
-    ----------
-    values
-        The signal, shape (n,).
-    segments
-        Half-open ranges; what lies outside is left as it is.
-    fs
-        Sampling rate in Hz.
-    cutoff
-        Cut-off of the Butterworth filter in Hz: -3 dB a pass, -6 dB in all. 0 for no filter.
-    order
-        Order of the Butterworth filter, one pass.
-
-    Raises
-    ------
-    BadInput
-        If the cut-off is not below half the sampling rate.
+    What lies outside the segments is left as it is. ``cutoff`` is that of the Butterworth filter
+    in Hz, -3 dB a pass, -6 dB in all, and 0 for no filter; ``order`` is that of one pass.
     """
     if cutoff == 0:
         return values.copy()
@@ -83,7 +62,7 @@ def lowpass(
     return result
 
 
-def differentiator(reach: int) -> NDArray[np.float64]:
+def differentiator(reach: int) -> Array:
     """Weights ``(2 reach + 1,)`` of the derivative that is exact for degree ``2 reach``.
 
     Of all odd kernels of that length it is flattest at low frequencies: at ``w`` rad a sample
@@ -119,26 +98,12 @@ def reach_of(how: Literal["exact", "central"], cutoff: float, fs: float) -> int:
     return 1 if how == "central" else exact_reach(cutoff, fs)
 
 
-def derivative(
-    values: NDArray[np.float64],
-    segments: Sequence[tuple[int, int]],
-    period: float,
-    reach: int = 1,
-) -> NDArray[np.float64]:
-    """Differentiate a signal in every segment.
+def derivative(values: Array, segments: Segments, period: float, reach: int = 1) -> Array:
+    """Differentiate a signal (n,) in every segment of at least three samples; else it is 0.
 
-    Parameters
-    ----------
-    values
-        The signal, shape (n,).
-    segments
-        Half-open ranges of at least three samples; outside, the result is 0.
-    period
-        Sampling period in s.
-    reach
-        Neighbours on either side, see :func:`differentiator`; 1 for central differences. Nearer to
-        a segment's end as many count as there are, and at the end itself the one-sided formula of
-        second order.
+    ``reach`` counts the neighbours on either side, see :func:`differentiator`; 1 for central
+    differences. Nearer to a segment's end as many count as there are, and at the end itself the
+    one-sided formula of second order.
     """
     result = np.zeros_like(values)
     for a, b in segments:
@@ -160,24 +125,15 @@ def derivative(
 class ParallelFilter:
     """Low-pass and decimation that measurement and model pass alike.
 
-    Parameters
-    ----------
-    taps
-        Symmetric weights that sum to 1, shape (L,).
-    starts
-        First sample of every window, shape (M,).
-    used
-        1 for samples that count and 0 for others, shape (N,).
-    gains
-        Shape (M,): output m is ``gains[m] * taps @ (used * x)[starts[m]:starts[m]+L]``. One where
-        all of a window counts, and else what makes up for the samples that do not: a constant
-        stays what it is.
+    Output m is ``gains[m] * taps @ (used * x)[starts[m]:starts[m]+L]``. A gain is one where all of
+    a window counts, and else what makes up for the samples that do not: a constant stays what it
+    is.
     """
 
-    taps: NDArray[np.float64]
-    starts: NDArray[np.int64]
-    used: NDArray[np.float64]
-    gains: NDArray[np.float64]
+    taps: Array  # (L,) symmetric weights that sum to 1
+    starts: NDArray[np.int64]  # (M,) first sample of every window
+    used: Array  # (N,) 1 for samples that count and 0 for others
+    gains: Array  # (M,)
 
     @classmethod
     def every_sample(cls, n: int) -> ParallelFilter:
@@ -194,7 +150,7 @@ class ParallelFilter:
         """Sample in the middle of every window, shape (M,)."""
         return self.starts + len(self.taps) // 2
 
-    def apply(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def apply(self, x: Array) -> Array:
         """Filter and decimate one or more signals, shape (..., N) to (..., M)."""
         x = np.asarray(x, dtype=np.float64)
         if len(self.taps) == 1:
@@ -208,9 +164,7 @@ class ParallelFilter:
         return out
 
 
-def _windowed(
-    x: NDArray[np.float64], taps: NDArray[np.float64], starts: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def _windowed(x: Array, taps: Array, starts: NDArray[np.int64]) -> Array:
     """Weigh the windows of a signal ``(N,)`` that begin at ``starts``."""
     windows = np.lib.stride_tricks.sliding_window_view(x, len(taps))
     return np.asarray(windows[starts] @ taps)
@@ -228,7 +182,7 @@ def parallel_length(factor: int, band: float | None, fs: float) -> int:
     return 2 * int(np.ceil(2 * fs / band)) + 1 if band < nyquist else 8 * factor + 1
 
 
-def parallel_taps(factor: int, band: float | None, fs: float) -> NDArray[np.float64]:
+def parallel_taps(factor: int, band: float | None, fs: float) -> Array:
     """Design the weights ``(L,)`` of a parallel filter, L odd; they sum to 1.
 
     ``factor`` is samples an output. ``band`` is the cut-off in Hz; None for half the decimated
@@ -246,31 +200,12 @@ def parallel_taps(factor: int, band: float | None, fs: float) -> NDArray[np.floa
 
 
 def lay_windows(
-    taps: NDArray[np.float64],
-    segments: Sequence[tuple[int, int]],
-    factor: int,
-    usable: NDArray[np.bool_],
-    largest_share: float = SMALL_SHARE,
+    taps: Array, segments: Segments, factor: int, usable: Flags, largest_share: float = SMALL_SHARE
 ) -> ParallelFilter:
-    """Lay windows of a parallel filter over the usable samples.
+    """Lay windows of weights ``taps`` (L,), one every ``factor`` samples, fully inside segments.
 
-    Parameters
-    ----------
-    taps
-        Weights of a window, shape (L,).
-    segments
-        Half-open ranges; every window lies fully inside one.
-    factor
-        Samples from one window's start to the next.
-    usable
-        Samples that may be used, shape (N,); others count for nothing.
-    largest_share
-        Windows with more of their weight on samples that are not usable are left out.
-
-    Returns
-    -------
-    ParallelFilter
-        Possibly without outputs.
+    Samples that are not ``usable`` (N,) count for nothing; windows with more than
+    ``largest_share`` of their weight on them are left out. There may be no window.
     """
     length = len(taps)
     parts = [np.arange(a, b - length + 1, factor, dtype=np.int64) for a, b in segments]

@@ -7,12 +7,13 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from bayesfric.errors import BadInput, nearest
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation, observe, settled, window
 from bayesfric.recordings.processing import Processing
+from bayesfric.recordings.tables.reader import Options
 
 # Outputs left out before a held-out end, beyond one window of the parallel filter: noise that
 # remembers its predecessors must have forgotten them.
@@ -21,10 +22,8 @@ _MEMORY = 10
 _LEAST = 20
 
 
-class Validation(BaseModel):
+class Validation(Options):
     """The ``[validation]`` table."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     recordings: tuple[str, ...] = Field(
         (),
@@ -44,19 +43,11 @@ class Validation(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """A recording, or the end of one, that is predicted and not fitted.
+    """A recording, or the end of one, that is predicted and not fitted."""
 
-    Attributes
-    ----------
-    recording, observation
-        As read and as prepared. The name is that of the whole recording.
-    part
-        ``whole recording``, or ``last 20 %``.
-    """
-
-    recording: Measurement
-    observation: Observation
-    part: str
+    recording: Measurement  # as read; the name is that of the whole recording
+    observation: Observation  # as prepared
+    part: str  # "whole recording", or "last 20 %"
 
     @property
     def name(self) -> str:
@@ -80,22 +71,7 @@ def divide(
 
     The torque of what is held out is seen by nothing that is fitted: ends are cut off before
     anything is filtered, and a gap of one window of the parallel filter and ten outputs
-    more is left out before them.
-
-    Parameters
-    ----------
-    recordings
-        As read; their names differ.
-    processing
-        How to prepare them. An end is prepared with the dead zone of the rest.
-    validation
-        What to hold out.
-
-    Raises
-    ------
-    BadInput
-        For a name that no recording has, if nothing is left to fit, or if what is held out is
-        too short or does not move.
+    more is left out before them. An end is prepared with the dead zone of the rest.
     """
     names = [r.name for r in recordings]
     for name in validation.recordings:
@@ -105,8 +81,7 @@ def divide(
             )
     if set(names) == set(validation.recordings):
         raise BadInput("validation.recordings", "holds out every recording", "leave one to fit")
-    fitted: list[Measurement] = []
-    observations: list[Observation] = []
+    fitted: list[tuple[Measurement, Observation]] = []
     held_out: list[HeldOut] = []
     for recording in recordings:
         if recording.name in validation.recordings:
@@ -115,13 +90,11 @@ def divide(
             held_out.append(HeldOut(recording, o, "whole recording"))
         elif validation.hold_out is not None:
             rest, o, end = _without_end(recording, processing, validation.hold_out)
-            fitted.append(rest)
-            observations.append(o)
+            fitted.append((rest, o))
             held_out.append(end)
         else:
-            fitted.append(recording)
-            observations.append(observe(recording, processing))
-    return Divided(fitted, observations, tuple(held_out))
+            fitted.append((recording, observe(recording, processing)))
+    return Divided([r for r, _ in fitted], [o for _, o in fitted], tuple(held_out))
 
 
 def _without_end(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,11 +23,10 @@ from bayesfric.recordings.filters import (
     reach_of,
 )
 from bayesfric.recordings.inputs import Inputs
-from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.measurement import Array, Flags, Measurement, Segments
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.resolution import WIDEST, Resolution, lowpass_above, resolve
 
-Segments = tuple[tuple[int, int], ...]
 _DEAD_SHARE = 0.01
 _TRIM_SAMPLES = 10
 # Samples beside a rest that are not used, at least; and of a rest.
@@ -45,55 +44,26 @@ LEAST_RATIO = 10.0
 class Observation:
     """What a model is compared with, and what it needs to predict it.
 
-    Parameters
-    ----------
-    name
-        Of the recording.
-    q, qd, qdd
-        Joint position, velocity and acceleration, rad or m and s, shape (N,) each.
-    torque
-        Motor torque as measured, N m or N, shape (N,).
-    filter
-        Takes N samples of any signal to M outputs.
-    time
-        Seconds since the file's first stamp at the windows' centres, shape (M,).
-    measured
-        ``filter.apply(torque)``, shape (M,).
-    speed
-        qd at the windows' centres, shape (M,).
-    period
-        Time from one output to the next of the same segment, s.
-    segment_of
-        Segment of every output, shape (M,). Inside a segment outputs may be missing (dead zone,
-        excluded spans); neighbours are those whose ``filter.starts`` differ by ``decimate``.
-    stamps
-        Time of every sample, s since the file's first stamp, shape (N,).
-    inputs
-        What the joint feels besides its motion.
-    steps
-        One sentence for every choice made, reading included.
-    warnings
-        One sentence for everything a user should look at.
-    settings
-        Every number actually used, in SI units.
+    Inside a segment outputs may be missing (dead zone, excluded spans); neighbours are those whose
+    ``filter.starts`` differ by ``decimate``.
     """
 
-    name: str
-    q: NDArray[np.float64]
-    qd: NDArray[np.float64]
-    qdd: NDArray[np.float64]
-    torque: NDArray[np.float64]
-    filter: ParallelFilter
-    time: NDArray[np.float64]
-    measured: NDArray[np.float64]
-    speed: NDArray[np.float64]
-    period: float
-    segment_of: NDArray[np.int64]
-    stamps: NDArray[np.float64]
-    inputs: Inputs
-    steps: tuple[str, ...]
-    warnings: tuple[str, ...]
-    settings: dict[str, float | int | str]
+    name: str  # of the recording
+    q: Array  # (N,) of the joint, rad or m; so are the next two
+    qd: Array
+    qdd: Array
+    torque: Array  # (N,) of the motor as measured, N m or N
+    filter: ParallelFilter  # takes N samples of any signal to M outputs
+    time: Array  # (M,) s since the file's first stamp at the windows' centres
+    measured: Array  # (M,) filter.apply(torque)
+    speed: Array  # (M,) qd at the windows' centres
+    period: float  # s from one output to the next of the same segment
+    segment_of: NDArray[np.int64]  # (M,) segment of every output
+    stamps: Array  # (N,) s since the file's first stamp
+    inputs: Inputs  # what the joint feels besides its motion
+    steps: tuple[str, ...]  # one sentence for every choice made, reading included
+    warnings: tuple[str, ...]  # one sentence for everything a user should look at
+    settings: dict[str, float | int | str]  # every number actually used, in SI units
 
 
 @dataclass(frozen=True)
@@ -120,22 +90,8 @@ class _Numbers:
 def observe(recording: Measurement, processing: Processing) -> Observation:
     """Filter, differentiate and decimate a recording.
 
-    Parameters
-    ----------
-    recording
-        What was measured.
-    processing
-        How to process it; what is None is settled from the recording.
-
-    Returns
-    -------
-    Observation
-        What a model is compared with.
-
-    Raises
-    ------
-    BadInput
-        For a cut-off the sampling rate cannot carry, or settings that leave no output.
+    What is None in ``processing`` is settled from the recording. A cut-off that the sampling rate
+    cannot carry, and settings that leave no output, are bad input.
     """
     numbers, made = _laid(recording, processing)
     if made.filter.n_outputs == 0:
@@ -203,13 +159,7 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
 
 
 def settled(recording: Measurement, processing: Processing) -> Processing:
-    """Write down what a recording's filters are, so that another part is treated alike.
-
-    Raises
-    ------
-    BadInput
-        As :func:`observe`.
-    """
+    """Write down what a recording's filters are, so that another part is treated alike."""
     numbers, _ = _laid(recording, processing)
     return processing.model_copy(update={"lowpass": numbers.cutoff, "decimate": numbers.factor})
 
@@ -224,9 +174,9 @@ def window(recording: Measurement, processing: Processing) -> tuple[int, int]:
 class _Prepared:
     """A motion ``(N,)``, filtered and differentiated, and the windows laid over it."""
 
-    q: NDArray[np.float64]
-    qd: NDArray[np.float64]
-    compared: NDArray[np.bool_]
+    q: Array
+    qd: Array
+    compared: Flags
     dead_zone: float
     filter: ParallelFilter
     dropped: dict[str, int]
@@ -302,29 +252,22 @@ def _prepared(
     inside = np.zeros(len(q), dtype=np.bool_)
     for a, b in kept:
         inside[a:b] = True
-    dead_zone = _dead_zone(processing, qd[inside])
+    dead_zone = processing.dead_zone
+    if isinstance(dead_zone, str):
+        dead_zone = units.quantity(dead_zone, "angular_speed", "speed")
+    elif dead_zone is None:
+        speeds = np.abs(qd[inside])
+        dead_zone = _DEAD_SHARE * float(np.percentile(speeds, 99)) if speeds.size else 0.0
     moving = moving_samples(qd, segments, dead_zone, numbers.guard)
     if share > SMALL_SHARE and numbers.cutoff:
         # no window is lost by it: the low-pass smears the jolt of a reversal over half a period
         moving &= ~_near(~moving, round(0.5 * numbers.fs / numbers.cutoff))
     chosen, dropped = _windows(recording, numbers, kept, moving, share)
-    return _Prepared(q, qd, inside & moving, dead_zone, chosen, dropped)
-
-
-def _dead_zone(processing: Processing, qd: NDArray[np.float64]) -> float:
-    if isinstance(processing.dead_zone, str):
-        return units.quantity(processing.dead_zone, "angular_speed", "speed")
-    if processing.dead_zone is not None:
-        return float(processing.dead_zone)
-    return _DEAD_SHARE * float(np.percentile(np.abs(qd), 99)) if len(qd) else 0.0
+    return _Prepared(q, qd, inside & moving, float(dead_zone), chosen, dropped)
 
 
 def _windows(
-    recording: Measurement,
-    numbers: _Numbers,
-    kept: Segments,
-    moving: NDArray[np.bool_],
-    share: float,
+    recording: Measurement, numbers: _Numbers, kept: Segments, moving: Flags, share: float
 ) -> tuple[ParallelFilter, dict[str, int]]:
     """Lay the windows, and count what every setting took away."""
     everything = np.ones(len(moving), dtype=np.bool_)
@@ -341,7 +284,7 @@ def _windows(
         )
     taps = parallel_taps(numbers.factor, numbers.band, numbers.fs)
 
-    def lay(segments: Segments, usable: NDArray[np.bool_]) -> ParallelFilter:
+    def lay(segments: Segments, usable: Flags) -> ParallelFilter:
         return lay_windows(taps, segments, numbers.factor, usable, share)
 
     whole = lay(recording.segments, everything).n_outputs
@@ -366,23 +309,11 @@ def _windows(
     }
 
 
-def moving_samples(
-    qd: NDArray[np.float64], segments: Sequence[tuple[int, int]], dead_zone: float, guard: int
-) -> NDArray[np.bool_]:
-    """Flag the samples that may be used for their speed.
+def moving_samples(qd: Array, segments: Segments, dead_zone: float, guard: int) -> Flags:
+    """Flag the samples that may be used for their speed: those not below the dead zone.
 
-    Parameters
-    ----------
-    qd
-        Joint speed, shape (n,).
-    segments
-        Half-open ranges.
-    dead_zone
-        Speed below which a sample is not used, in the unit of ``qd``.
-    guard
-        So many samples beside a rest are not used either: the low-pass carries its torque and
-        speed a little way past its ends. As many slow samples in a row are a rest, fewer a
-        reversal.
+    ``guard`` samples beside a rest are not used either: the low-pass carries its torque and speed
+    a little way past its ends. As many slow samples in a row are a rest, fewer a reversal.
     """
     moving = np.abs(qd) >= dead_zone
     rests = np.zeros_like(moving)
@@ -391,7 +322,7 @@ def moving_samples(
     return moving if not rests.any() else moving & ~_near(rests, guard)
 
 
-def _near(flags: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+def _near(flags: Flags, reach: int) -> Flags:
     """Flag what lies no more than ``reach`` samples from a flagged one."""
     n = len(flags)
     before = np.concatenate([[0], np.cumsum(flags)])
@@ -400,7 +331,7 @@ def _near(flags: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
     return np.asarray(inside > 0)
 
 
-def without_excluded(segments: Sequence[tuple[int, int]], excluded: NDArray[np.bool_]) -> Segments:
+def without_excluded(segments: Segments, excluded: Flags) -> Segments:
     """Split segments at excluded samples, so that no window touches one."""
     parts: list[tuple[int, int]] = []
     for a, b in segments:
@@ -436,11 +367,7 @@ def _resolution_warnings(found: Resolution, recording: Measurement) -> Iterator[
         )
 
 
-def _velocity_warnings(
-    velocity: NDArray[np.float64],
-    differentiated: NDArray[np.float64],
-    compared: NDArray[np.bool_],
-) -> Iterator[str]:
+def _velocity_warnings(velocity: Array, differentiated: Array, compared: Flags) -> Iterator[str]:
     factor = checks.speed_mismatch(velocity, differentiated, compared)
     if factor is None:
         return

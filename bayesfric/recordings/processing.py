@@ -4,72 +4,69 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
 
 from bayesfric.errors import Unfit
 from bayesfric.recordings import units
+from bayesfric.recordings.tables.reader import Options
 from bayesfric.recordings.units import Hertz, HertzOrOff, Seconds
 
 
-class Processing(BaseModel):
+class Processing(Options):
     """How a recording is filtered, differentiated and decimated."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     lowpass: HertzOrOff | None = Field(
-        default=None,
+        None,
         description="Cut-off of the zero-phase Butterworth low-pass of the position, in Hz; if "
         "left out six times the band, at most a fifth of the sampling rate; 'off' or 0 for none.",
     )
-    order: int = Field(default=4, ge=1, le=12, description="Order of the Butterworth filter.")
+    order: int = Field(4, ge=1, le=12, description="Order of the Butterworth filter.")
     decimate: int | None = Field(
-        default=None,
+        None,
         ge=1,
         description="Keep one output in this many samples; if left out what the band, or else "
         "the low-pass, takes.",
     )
     band: Hertz | None = Field(
-        default=None,
+        None,
         description="Cut-off in Hz of the filter that torque and model pass alike. If left out "
         "half the decimated rate where low-pass or decimate are given, and else as far as the "
         "position resolves the acceleration and the torque has power, at most a twentieth of "
         "the sampling rate.",
     )
     differentiation: Literal["exact", "central"] = Field(
-        default="exact",
+        "exact",
         description="'exact': its gain is right within 1e-4 in all that the low-pass lets pass; "
         "'central': differences of the two neighbours, whose gain falls with frequency, as in "
         "published analyses.",
     )
     dead_zone: float | str | None = Field(
-        default=None,
+        None,
         description="Joint speed below which a sample is not used, in SI units or text such as "
         "'1 deg/s'; 1 % of the 99th percentile of the speed if left out; 0 for none.",
     )
     trim: Seconds | None = Field(
-        default=None,
+        None,
         description="Cut from both ends of every segment after differentiation, in seconds; the "
         "longer of 10 samples and one period of the low-pass if left out.",
     )
     resample: str = Field(
-        default="auto",
+        "auto",
         description="'auto' (if the time steps jitter), 'never', or a period such as '5 ms'.",
     )
     gap: float = Field(
-        default=5.0,
+        5.0,
         gt=1,
         allow_inf_nan=False,
         description="A time step longer than this many median periods separates segments.",
     )
     jitter: float = Field(
-        default=0.01,
+        0.01,
         ge=0,
         allow_inf_nan=False,
         description="Relative rms jitter of the time steps above which 'auto' resamples.",
     )
-    min_samples: int = Field(
-        default=50, ge=5, description="Segments with fewer samples are left out."
-    )
+    min_samples: int = Field(50, ge=5, description="Segments with fewer samples are left out.")
 
     @field_validator("dead_zone")
     @classmethod

@@ -2,29 +2,20 @@
 
 from __future__ import annotations
 
+import glob
 import hashlib
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
-from bayesfric.recordings import checks, filters, units
-from bayesfric.recordings.channels import (
-    CONSTANT,
-    TORQUE,
-    VELOCITY,
-    Drive,
-    Motion,
-    check_columns,
-    drive_signal,
-    joint_signal,
-    scaled,
-    signed,
-)
-from bayesfric.recordings.find_files import find_files
+from bayesfric.recordings import channels, checks, filters, units
+from bayesfric.recordings.channels import CONSTANT, TORQUE, VELOCITY, Drive, Motion
 from bayesfric.recordings.inputs import Inputs
-from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.measurement import Array, Flags, Measurement
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.source import Columns, Source
@@ -41,33 +32,11 @@ def read_recordings(
     processing: Processing,
     number: int = 1,
 ) -> list[Measurement]:
-    """Read all files of a recording, or its table in memory.
+    """Read all files of a recording, sorted inside a pattern, or its table in memory.
 
-    Parameters
-    ----------
-    recording
-        Files or a table, channels and spans.
-    ratio
-        Motor motion per joint motion (rad/rad, rad/m, ...).
-    motion
-        Whether the joint turns or slides.
-    motor_motion
-        Whether the motor turns or slides.
-    processing
-        Its gap, jitter, resample and min_samples are used, and lowpass and order for the motor
-        speed of a voltage channel.
-    number
-        Names a table in memory that has no name, among others.
-
-    Returns
-    -------
-    list of Measurement
-        One a file, in the order of the source, sorted inside a pattern.
-
-    Raises
-    ------
-    BadInput
-        For anything in the files or in the source that cannot be used.
+    ``ratio`` is motor motion per joint motion (rad/rad, rad/m, ...); ``number`` names a table in
+    memory that has no name, among others. The low-pass of ``processing`` is that of the motor's
+    speed where a voltage was measured.
     """
     if not np.isfinite(ratio) or ratio == 0:
         raise BadInput("ratio", f"{ratio} is no gear ratio", "give a finite number other than 0")
@@ -82,7 +51,7 @@ def read_recordings(
         return [replace(found, name=name, sha256=_sha256(source, table))]
     assert isinstance(source, Source)
     measurements = []
-    for path, name in find_files(source, recording.folder):
+    for path, name in _found(source, recording.folder):
         try:
             found = _read(source, read_table(path, source), drive, processing)
         except MemoryError as error:
@@ -106,8 +75,8 @@ def _sha256(source: Columns, table: Table) -> str:
 @np.errstate(all="ignore")
 def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -> Measurement:
     steps = list(table.notes)
-    check_columns(source, table)
-    position, step = joint_signal(source.position, "position", table, drive)
+    channels.check_columns(source, table)
+    position, step = channels.joint_signal(source.position, "position", table, drive)
     steps.append(step)
     time = _time(source, table, len(position))
     chosen = _chosen(source, time, table.where)
@@ -115,16 +84,16 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     checks.check_not_huge(position, table.label(source.position.column), "position")
     velocity = None
     if source.velocity is not None:
-        velocity, step = joint_signal(source.velocity, "velocity", table, drive)
+        velocity, step = channels.joint_signal(source.velocity, "velocity", table, drive)
         checks.check_not_huge(velocity, table.label(source.velocity.column), "velocity")
         steps.append(step)
-    channel, signal, kind = drive_signal(source, table, drive)
+    channel, signal, kind = channels.drive_signal(source, table, drive)
     checks.check_not_huge(signal, table.label(channel.column), kind)
 
     grid = make_grid(time, chosen, processing, table.where)
     checks.check_moves(position[part], table.label(source.position.column), "position")
     checks.check_moves(signal[part], table.label(channel.column), kind)
-    warnings = [*grid.warnings, *checks.clipped(signed(channel, table)[part], kind)]
+    warnings = [*grid.warnings, *checks.clipped(channels.signed(channel, table)[part], kind)]
     coarse = checks.quantisation(position[part])
     if coarse is not None:
         unit = "rad" if drive.motion == "rotary" else "m"
@@ -162,11 +131,11 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     )
 
 
-def _time(source: Columns, table: Table, count: int) -> NDArray[np.float64]:
+def _time(source: Columns, table: Table, count: int) -> Array:
     if source.time is None:
         assert source.rate is not None
         return np.arange(count) / source.rate
-    time = scaled(source.time, table, "time", "time")
+    time = channels.scaled(source.time, table, "time", "time")
     where = table.label(source.time.column)
     check_order(time, where, table.row)
     checks.check_not_huge(time, where, "time")
@@ -176,7 +145,7 @@ def _time(source: Columns, table: Table, count: int) -> NDArray[np.float64]:
     return since
 
 
-def _chosen(source: Columns, time: NDArray[np.float64], where: str) -> tuple[int, int]:
+def _chosen(source: Columns, time: Array, where: str) -> tuple[int, int]:
     first = 0 if source.start is None else int(np.searchsorted(time, source.start, "left"))
     last = len(time) if source.stop is None else int(np.searchsorted(time, source.stop, "right"))
     if source.start is not None and first >= len(time):
@@ -191,13 +160,13 @@ def _chosen(source: Columns, time: NDArray[np.float64], where: str) -> tuple[int
 
 def _torque(
     source: Columns,
-    signal: NDArray[np.float64],
-    position: NDArray[np.float64],
-    velocity: NDArray[np.float64] | None,
+    signal: Array,
+    position: Array,
+    velocity: Array | None,
     grid: Grid,
     drive: Drive,
     processing: Processing,
-) -> tuple[NDArray[np.float64], str]:
+) -> tuple[Array, str]:
     """Return the motor torque on the grid, and how it came about."""
     what = TORQUE[drive.motor_motion]
     if source.current is not None:
@@ -221,7 +190,7 @@ def _torque(
     )
 
 
-def _excluded(source: Columns, time: NDArray[np.float64], warnings: list[str]) -> NDArray[np.bool_]:
+def _excluded(source: Columns, time: Array, warnings: list[str]) -> Flags:
     excluded = np.zeros(len(time), dtype=np.bool_)
     for start, stop in source.exclude:
         span = (time >= start) & (time <= stop)
@@ -229,3 +198,74 @@ def _excluded(source: Columns, time: NDArray[np.float64], warnings: list[str]) -
             warnings.append(f"exclude: no sample lies in [{start:g}, {stop:g}] s")
         excluded |= span
     return excluded
+
+
+def _found(source: Source, folder: Path) -> list[tuple[Path, str]]:
+    """Find every file once, in the order of the source and sorted inside a pattern; and a name."""
+    paths = _expand(source, folder)
+    if source.name is None:
+        return list(zip(paths, _names(paths), strict=True))
+    if len(paths) > 1:
+        raise BadInput(
+            f"name = '{source.name}'",
+            f"one name for {len(paths)} files",
+            "leave name out, or give every file its own entry",
+        )
+    return [(paths[0], source.name)]
+
+
+def _expand(source: Source, folder: Path) -> list[Path]:
+    paths: list[Path] = []
+    for pattern in source.files:
+        if (folder / pattern).exists() or not glob.has_magic(pattern):
+            paths.append(folder / pattern)
+            continue
+        matches = sorted(path for path in _matching(pattern, folder) if path.is_file())
+        if not matches:
+            raise BadInput(
+                f"file = '{pattern}'",
+                f"no file in {folder} matches it",
+                "check the pattern and the folder",
+            )
+        paths.extend(matches)
+    for path in paths:
+        try:
+            str(path).encode()
+        except UnicodeEncodeError:
+            raise BadInput(str(path), "its name is not UTF-8", "rename the file") from None
+    # a file named twice, say by two patterns, would count its measurements twice
+    return list(dict.fromkeys(paths))
+
+
+def _matching(pattern: str, folder: Path) -> Iterator[Path]:
+    """Find files as the shell does; ** enters no linked folder, which may hold itself."""
+    anchor = Path(pattern).anchor
+    root = Path(anchor) if anchor else folder
+    relative = pattern[len(anchor) :]
+    # a last ** means folders only in some versions of Python
+    parts = Path(relative).parts
+    if parts and parts[-1] == "**":
+        relative += "/*"
+    hidden = any(part.startswith(".") for part in parts)
+    try:
+        for path in root.glob(relative):
+            if hidden or not any(p.startswith(".") for p in path.relative_to(root).parts):
+                yield path
+    except (ValueError, NotImplementedError) as error:
+        raise BadInput(
+            f"file = '{pattern}'", f"is no pattern ({error})", "write ** between slashes"
+        ) from None
+
+
+def _names(paths: Sequence[Path]) -> list[str]:
+    """Name files by their stem, and as many of their folders as tell them apart."""
+    names = [path.stem for path in paths]
+    deepest = max((len(path.parts) for path in paths), default=0)
+    for level in range(1, deepest + 1):
+        counts = Counter(names)
+        longer = [(*path.parts[-1 - level : -1], path.stem) for path in paths]
+        if level == deepest:  # left over are files that differ in their suffix only
+            longer = [path.parts[-2:] for path in paths]
+        both = zip(names, longer, strict=True)
+        names = ["-".join(parts) if counts[name] > 1 else name for name, parts in both]
+    return names

@@ -12,15 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import ValidationError
 
-from bayesfric.complaints import complaint_of
+from bayesfric.complaints import complaint
 from bayesfric.errors import BadInput, nearest
-from bayesfric.recordings.source import SI, Columns, Source
+from bayesfric.recordings.source import CHANNELS, SI, Columns, Source
 from bayesfric.recordings.tables.table import Table, column_cells
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_CHANNELS = ("time", "position", "velocity", "torque", "current", "voltage")
 _CONSTANTS = ("torque_constant", "resistance")
 _Keys = TypeVar("_Keys", bound=Columns)
 Column = str | int | Mapping[str, Any]
@@ -35,22 +34,14 @@ class Recording:
     :meth:`from_arrays`, :meth:`from_dataframe` or :meth:`from_file`; what these take besides is
     called as in a ``[[recordings]]`` table of a configuration (``name``, ``added_mass``,
     ``radius``, ``rate``, ``start``, ``stop``, ``exclude``, ``valid``), and numbers may be text
-    with a unit there too. ``torque_constant`` and ``resistance`` are those of the ``current`` or
-    ``voltage`` channel that is given in place of ``torque``.
-
-    Parameters
-    ----------
-    source
-        What the columns mean, and for files which they are.
-    folder
-        That file names are relative to.
-    table
-        Columns in memory.
+    with a unit there too; what cannot be used is refused at once. ``torque_constant`` and
+    ``resistance`` are those of the ``current`` or ``voltage`` channel that is given in place of
+    ``torque``.
     """
 
-    source: Columns
-    folder: Path = field(default_factory=Path)
-    table: Table | None = None
+    source: Columns  # what the columns mean, and for files which they are
+    folder: Path = field(default_factory=Path)  # that file names are relative to
+    table: Table | None = None  # columns in memory
 
     @classmethod
     def from_arrays(
@@ -78,14 +69,9 @@ class Recording:
         **keys
             ``velocity``, ``current``, ``voltage`` and ``valid``, arrays of shape (n,); and what
             else there is to say.
-
-        Raises
-        ------
-        BadInput
-            For a key or value that cannot be used.
         """
         keys |= {"time": time, "position": position, "torque": torque}
-        names = [key for key in (*_CHANNELS, "valid") if keys.get(key) is not None]
+        names = [key for key in (*CHANNELS, "valid") if keys.get(key) is not None]
         # what is changed later is not what was recorded
         arrays = [np.array(keys[name]) for name in names]
         source = _checked(Columns, keys | {name: name for name in names}, units, side)
@@ -118,11 +104,6 @@ class Recording:
         **keys
             ``velocity``, ``current``, ``voltage`` and ``valid``, columns as well; and what else
             there is to say.
-
-        Raises
-        ------
-        BadInput
-            For a key or value that cannot be used.
         """
         keys |= {"position": position, "time": time, "torque": torque}
         names = [str(name) for name in frame.columns]
@@ -144,6 +125,8 @@ class Recording:
     ) -> Recording:
         """Take a file, or all that match a pattern, whose format goes by the suffix.
 
+        It is opened when a model reads it.
+
         Parameters
         ----------
         path
@@ -151,11 +134,6 @@ class Recording:
         position, time, torque, units, side, **keys
             As in :meth:`from_dataframe`, and ``format``, ``delimiter``, ``header``, ``decimal``,
             ``skip_rows`` and ``table``.
-
-        Raises
-        ------
-        BadInput
-            For a key or value that cannot be used; the file is opened later.
         """
         keys |= {"file": str(path), "position": position, "time": time, "torque": torque}
         return cls(_checked(Source, keys, units, side))
@@ -194,7 +172,7 @@ def _checked(
 ) -> _Keys:
     """Check what is said of a recording as a ``[[recordings]]`` table is checked."""
     document = {key: value for key, value in keys.items() if value is not None}
-    for key in _CHANNELS:
+    for key in CHANNELS:
         if key in document:
             given = document[key]
             channel = dict(given) if isinstance(given, Mapping) else {"column": given}
@@ -206,10 +184,10 @@ def _checked(
             document[key] = channel
     whose = f"recording {keys['name']!r}" if keys.get("name") else "recording"
     for key in units or {}:
-        if key not in document or key not in _CHANNELS:
-            known = [name for name in _CHANNELS if name in document]
+        if key not in document or key not in CHANNELS:
+            known = [name for name in CHANNELS if name in document]
             raise BadInput(f"{whose}: units.{key}", "no such channel is given", nearest(key, known))
     try:
         return kind.model_validate(document)
     except ValidationError as error:
-        raise complaint_of(f"{whose}: ", whose, error, document, kind) from None
+        raise complaint(f"{whose}: ", whose, error, document, kind) from None

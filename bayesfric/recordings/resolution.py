@@ -12,11 +12,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.measurement import Array, Measurement
 
-Array = NDArray[np.float64]
 Reason = Literal["sampling", "position", "torque", "length"]
 
 # The motion's power over its noise's, up to the band's end at each frequency and over the whole
@@ -46,24 +44,15 @@ _LEAST = 64
 class Resolution:
     """What a recording resolves.
 
-    Attributes
-    ----------
-    band
-        Hz up to which measured and modelled torque can be compared.
-    reason
-        What ends it: the ``sampling`` rate, the ``position``'s noise, that the ``torque`` has no
-        power beyond, or the ``length`` of the recording, below which there were too few outputs.
-    noise
-        Standard deviation of what a position sample does not resolve, rad or m (of a speed
-        sample, where speed is measured).
-    speed_ratio, acceleration_ratio
-        Root mean square of the motion over that of the noise, in the band; infinite where no
-        noise is seen.
+    ``reason`` is what ends the band: the ``sampling`` rate, the ``position``'s noise, that the
+    ``torque`` has no power beyond, or the ``length`` of the recording, below which there were too
+    few outputs. The ratios are root mean squares of the motion over those of the noise, in the
+    band; infinite where no noise is seen.
     """
 
-    band: float
+    band: float  # Hz up to which measured and modelled torque can be compared
     reason: Reason
-    noise: float
+    noise: float  # sd of what a sample of position (or speed, where measured) does not resolve
     speed_ratio: float
     acceleration_ratio: float
 
@@ -84,26 +73,16 @@ class _Spectra:
 
 
 def resolve(recording: Measurement, band: float | None = None) -> Resolution:
-    """Look at the spectra of a recording.
-
-    Parameters
-    ----------
-    recording
-        As read.
-    band
-        Hz; chosen if left out.
-
-    Returns
-    -------
-    Resolution
-        Of that band.
-    """
+    """Look at the spectra of a recording up to a band in Hz, which is chosen if left out."""
     fs = 1.0 / recording.period
     seen = _spectra(recording)
     if seen is None:
         chosen = WIDEST * fs if band is None else band
         return Resolution(chosen, "sampling", 0.0, math.inf, math.inf)
-    variance = max(_floor(seen, fs), _steps(recording))
+    # a position's noise is what it shows where no joint moves, or its rounding
+    quiet = seen.frequency >= _QUIET * fs
+    floor = float(np.median(seen.motion[quiet] / seen.noise[quiet])) if quiet.any() else 0.0
+    variance = max(floor, _steps(recording))
     reason: Reason = "sampling"
     if band is None:
         band, reason = _choose(recording, seen, variance)
@@ -155,12 +134,6 @@ def _steps(recording: Measurement) -> float:
     if not 3 <= levels.size <= recording.time.size / 3:
         return 0.0
     return float(np.min(np.diff(levels))) ** 2 / 12.0
-
-
-def _floor(seen: _Spectra, fs: float) -> float:
-    """Variance of the noise that a position shows where no joint moves."""
-    quiet = seen.frequency >= _QUIET * fs
-    return float(np.median(seen.motion[quiet] / seen.noise[quiet])) if quiet.any() else 0.0
 
 
 def _spectra(recording: Measurement) -> _Spectra | None:

@@ -11,6 +11,7 @@ from bayesfric.recordings import units
 from bayesfric.recordings.tables.reader import Options, TableOptions
 from bayesfric.recordings.units import Hertz, Kilograms, Metres, Seconds
 
+CHANNELS = ("time", "position", "velocity", "torque", "current", "voltage")
 # Unit of numbers that are in SI already, whether the joint turns or slides.
 SI = "SI"
 
@@ -38,21 +39,21 @@ class Channel(Options):
         description="Unit of the raw numbers, such as 'rad', 'rpm', 'N m', 'turn/4096', "
         "'9.84e-5 N m' (then a raw 1 is that much), or 'SI' for the SI unit."
     )
-    sign: Literal[1, -1] = Field(default=1, description="-1 turns the signal around.")
+    sign: Literal[1, -1] = Field(1, description="-1 turns the signal around.")
     twos_complement: int | None = Field(
-        default=None,
+        None,
         ge=2,
         le=53,
         description="Bits of a signed number recorded as unsigned: values from 2**(bits-1) up "
         "get 2**bits subtracted.",
     )
     times: str | int | None = Field(
-        default=None,
+        None,
         description="A further column multiplied in sample by sample, such as the supply voltage "
         "that a duty cycle refers to.",
     )
     times_unit: str = Field(
-        default="", description="Unit of the column in 'times'; empty for a plain number."
+        "", description="Unit of the column in 'times'; empty for a plain number."
     )
 
     @field_validator("column", "times")
@@ -67,8 +68,7 @@ class Position(Channel):
     """The position channel, of the joint or of the motor."""
 
     side: Literal["motor", "joint"] | None = Field(
-        default=None,
-        description="Where it is measured; may be left out only if the gear ratio is 1.",
+        None, description="Where it is measured; may be left out only if the gear ratio is 1."
     )
 
 
@@ -80,7 +80,7 @@ class Torque(Channel):
     """The motor torque (or force) itself, or a signal proportional to it."""
 
     constant: str | None = Field(
-        default=None, description="What turns the signal into a torque, such as '35.15 N/V'."
+        None, description="What turns the signal into a torque, such as '35.15 N/V'."
     )
 
 
@@ -102,44 +102,40 @@ class Voltage(Channel):
 class Columns(Options):
     """What the columns of a table mean, and what is known besides."""
 
-    time: Channel | None = Field(default=None, description="The time channel.")
+    time: Channel | None = Field(None, description="The time channel.")
     rate: Hertz | None = Field(
-        default=None,
+        None,
         description="Sampling rate in Hz, or text such as '1 kHz', if there is no time channel.",
     )
     position: Position = Field(description="The position channel.")
     velocity: Velocity | None = Field(
-        default=None,
+        None,
         description="The velocity channel; if given it is used in place of the differentiated "
         "position.",
     )
-    torque: Torque | None = Field(default=None, description="The torque channel, or ...")
-    current: Current | None = Field(default=None, description="... the current channel, or ...")
-    voltage: Voltage | None = Field(default=None, description="... the voltage channel.")
+    torque: Torque | None = Field(None, description="The torque channel, or ...")
+    current: Current | None = Field(None, description="... the current channel, or ...")
+    voltage: Voltage | None = Field(None, description="... the voltage channel.")
     start: Seconds | None = Field(
-        default=None, description="Leave out what lies before, in seconds from the first stamp."
+        None, description="Leave out what lies before, in seconds from the first stamp."
     )
     stop: Seconds | None = Field(
-        default=None, description="Leave out what lies after, in seconds from the first stamp."
+        None, description="Leave out what lies after, in seconds from the first stamp."
     )
     exclude: tuple[tuple[Seconds, Seconds], ...] = Field(
-        default=(),
+        (),
         description="Spans [start, stop] in seconds from the first stamp that are not compared "
         "with the model; nor is what lies closer to them than the trim.",
     )
     valid: str | int | None = Field(
-        default=None,
+        None,
         description="Column that is 0 or false where the torque is not what the motor gave, such "
         "as a 'torque enabled' flag; samples there are not compared with the model.",
     )
-    added_mass: Kilograms = Field(
-        default=0.0, description="Known mass added for the recording, kg."
-    )
-    radius: Metres = Field(default=0.0, description="Distance of the added mass from the axis, m.")
+    added_mass: Kilograms = Field(0.0, description="Known mass added for the recording, kg.")
+    radius: Metres = Field(0.0, description="Distance of the added mass from the axis, m.")
     name: str | None = Field(
-        default=None,
-        min_length=1,
-        description="Name of the recording; the file's stem if left out.",
+        None, min_length=1, description="Name of the recording; the file's stem if left out."
     )
 
     @field_validator("exclude")
@@ -168,8 +164,7 @@ class Columns(Options):
     @property
     def channels(self) -> dict[str, Channel]:
         """The channels that are given, by key."""
-        keys = ("time", "position", "velocity", "torque", "current", "voltage")
-        return {key: found for key in keys if (found := getattr(self, key)) is not None}
+        return {key: found for key in CHANNELS if (found := getattr(self, key)) is not None}
 
     @property
     def columns(self) -> list[str | int]:

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
 from bayesfric.recordings import units
+from bayesfric.recordings.measurement import Array, Segments
 from bayesfric.recordings.processing import Processing
 
-Array = NDArray[np.float64]
-Segments = tuple[tuple[int, int], ...]
 _SLOWEST = 1.0
 _FASTEST = 1e-6
 # a period outside these is no sampling at all, and its square leaves floating point
@@ -80,23 +78,9 @@ def check_order(time: Array, where: str, row: Callable[[int], str]) -> None:
 
 
 def make_grid(time: Array, chosen: tuple[int, int], processing: Processing, where: str) -> Grid:
-    """Find segments without gaps, and put a uniform grid over them.
+    """Find segments without gaps in increasing stamps (n,), and put a uniform grid over them.
 
-    Parameters
-    ----------
-    time
-        Increasing time stamps in s, shape (n,).
-    chosen
-        Half-open range of the samples to use.
-    processing
-        Its gap, jitter, resample and min_samples are used.
-    where
-        The file, for messages.
-
-    Raises
-    ------
-    BadInput
-        If no segment has enough samples, or the period is none of a recording.
+    Only the half-open range ``chosen`` is used; ``where`` is the file, for messages.
     """
     steps: list[str] = []
     warnings: list[str] = []

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
 from bayesfric.recordings.inputs import Inputs
-from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.measurement import Array, Measurement
 from bayesfric.recordings.observation import Observation, without_excluded
 
 # Two initial states come off every segment; what is shorter would say next to nothing.
@@ -21,36 +21,19 @@ _LEAST_SAMPLES = 20
 class Trajectory:
     """One recording for the output error, cut into segments that each start anew.
 
-    Attributes
-    ----------
-    name
-        Of the recording.
-    time
-        ``(N,)`` s since the file's first stamp.
-    position
-        ``(N,)`` of the joint as measured, not filtered, rad or m.
-    torque
-        ``(N,)`` motor torque as measured, not filtered, N m or N.
-    period
-        s.
-    segments
-        ``(K, 2)`` half-open ranges of samples.
-    q0, qd0
-        ``(K,)`` position and speed at the first sample of each segment, from the
-        filtered position; a place to start from, no more.
-    inputs
-        What the joint feels besides its motion.
+    ``q0`` and ``qd0`` (K,) are position and speed at the first sample of each segment, from the
+    filtered position; a place to start from, no more.
     """
 
-    name: str
-    time: NDArray[np.float64]
-    position: NDArray[np.float64]
-    torque: NDArray[np.float64]
-    period: float
-    segments: NDArray[np.int64]
-    q0: NDArray[np.float64]
-    qd0: NDArray[np.float64]
-    inputs: Inputs
+    name: str  # of the recording
+    time: Array  # (N,) s since the file's first stamp
+    position: Array  # (N,) of the joint as measured, not filtered, rad or m
+    torque: Array  # (N,) of the motor as measured, not filtered, N m or N
+    period: float  # s
+    segments: NDArray[np.int64]  # (K, 2) half-open ranges of samples
+    q0: Array
+    qd0: Array
+    inputs: Inputs  # what the joint feels besides its motion
 
     @property
     def samples(self) -> NDArray[np.int64]:
@@ -66,20 +49,8 @@ class Trajectory:
 def trajectory(recording: Measurement, observation: Observation, length: float) -> Trajectory:
     """Cut a recording into segments for the output error.
 
-    Parameters
-    ----------
-    recording
-        As measured.
-    observation
-        The same, prepared; its filtered position gives the states to start from.
-    length
-        Of a segment, in s. Stretches between gaps and excluded samples are divided about
-        evenly, at samples where the joint is fast; infinite for no division.
-
-    Raises
-    ------
-    BadInput
-        If no segment has enough samples.
+    Stretches between gaps and excluded samples are divided about evenly into segments of ``length``
+    (s; infinite for no division), at samples where the joint is fast.
     """
     parts = without_excluded(recording.segments, recording.excluded)
     segments = _cut(parts, recording.period, length, observation.qd)
@@ -118,10 +89,7 @@ def divided(whole: Trajectory, observation: Observation, length: float) -> Traje
 
 
 def _cut(
-    stretches: Sequence[tuple[int, int]],
-    period: float,
-    length: float,
-    speed: NDArray[np.float64],
+    stretches: Sequence[tuple[int, int]], period: float, length: float, speed: Array
 ) -> NDArray[np.int64]:
     """Divide stretches about evenly, ``(K, 2)``; too short pieces are left out.
 

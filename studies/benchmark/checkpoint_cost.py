@@ -12,7 +12,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from bayesfric.commands.demo import demo_config
+from bayesfric.commands.fit import demo_config
 from bayesfric.inference.fit import fit
 from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.model import Model

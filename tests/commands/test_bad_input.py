@@ -204,6 +204,7 @@ def test_file(bench, file, parts):
         ("nan", "seed = 1", "max_rhat = nan", ["max_rhat: got nan; give at most 2"]),
         ("date", "seed = 1", "block = 2020-01-01", ["block: got '2020-01-01'; give a whole"]),
         ("noise", '"shared"', '"share"', ["noise.scale: got 'share'; did you mean 'shared'?"]),
+        ("hyphen", '"shared"', '"per-recoding"', ["did you mean 'per-recording'?"]),
         ("sign", '"rad"', '"rad", sign = 2', [".sign: got 2; give 1 or -1"]),
         (
             "bool",
@@ -284,6 +285,7 @@ def test_configuration_in_another_encoding(bench, encoding):
         ("folder", ".", ["is a folder; name the .toml file in it"]),
         ("below-a-file", "run.csv/c.toml", ["run.csv/c.toml: cannot be read (Not a directory)"]),
         ("endless", "/dev/zero", ["too large for a configuration"]),
+        ("long", "c" * 300, ["cannot be read (File name too long)"]),
         ("empty", "/dev/null", ["mechanism: is missing"]),
     ),
 )

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 import re
 
 import h5py
@@ -162,6 +163,11 @@ def test_files_that_hold_something_else(runs, text, parts):
 def test_a_file_that_is_no_text(runs):
     (runs.folder / "knee" / "summary.json").write_bytes(b'{"parameters": "\xff"}')
     has(runs.refused("compare", "knee"), "is not UTF-8")
+
+
+def test_a_summary_that_is_a_pipe(runs):
+    os.mkfifo(runs.folder / "a" / "summary.json")
+    has(runs.refused("compare", "a"), "is a named pipe")
 
 
 def test_a_summary_that_is_a_folder(runs):

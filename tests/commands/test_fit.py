@@ -8,8 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from bayesfric.commands.demo import demo_config
-from bayesfric.commands.fit import fit, fit_text
+from bayesfric.commands.fit import demo_config, fit, fit_text
 from bayesfric.config import read_config
 from bayesfric.inference.archive import read_archive
 from bayesfric.model import Model

@@ -17,7 +17,7 @@ import pytest
 
 from bayesfric.commands import unfinished as module
 from bayesfric.commands.fit import fit
-from bayesfric.commands.lock import Taken, alone_in
+from bayesfric.commands.unfinished import alone_in
 from bayesfric.config import read_config
 from bayesfric.errors import BadInput, Interrupted
 from bayesfric.inference.archive import read_archive
@@ -226,19 +226,20 @@ def test_force_that_is_interrupted_still_keeps_the_old_run(here, whole):
 
 
 def test_the_second_of_two_is_told(here):
-    with alone_in(here.folder / HIDDEN):
+    with alone_in(here.folder / HIDDEN, here.folder / "run"):
         message = refused(here)
         has(message, f"run: process {os.getpid()} on ", "is making this run", "wait for it")
         has(refused(here, "--resume"), "is making this run")
-        with pytest.raises(Taken), alone_in(here.folder / HIDDEN):
+        with pytest.raises(BadInput), alone_in(here.folder / HIDDEN, here.folder / "run"):
             pass
     assert not (here.folder / HIDDEN).exists()
 
 
 def test_a_killed_process_leaves_no_lock(tmp_path):
     code = (
-        "import sys, time; from pathlib import Path; from bayesfric.commands.lock import alone_in\n"
-        "with alone_in(Path(sys.argv[1])): print('in', flush=True); time.sleep(60)"
+        "import sys, time; from pathlib import Path\n"
+        "from bayesfric.commands.unfinished import alone_in\n"
+        "with alone_in(Path(sys.argv[1]), Path()): print('in', flush=True); time.sleep(60)"
     )
     with subprocess.Popen(
         [sys.executable, "-c", code, str(tmp_path / "place")],
@@ -247,10 +248,13 @@ def test_a_killed_process_leaves_no_lock(tmp_path):
         text=True,
     ) as process:
         assert process.stdout.readline() == "in\n"
-        with pytest.raises(Taken, match=f"process {process.pid} on "), alone_in(tmp_path / "place"):
+        with (
+            pytest.raises(BadInput, match=f"process {process.pid} on "),
+            alone_in(tmp_path / "place", tmp_path),
+        ):
             pass
         process.kill()
-    with alone_in(tmp_path / "place"):
+    with alone_in(tmp_path / "place", tmp_path):
         pass
     assert not (tmp_path / "place").exists()
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import tomllib
 from importlib.resources import files
 
@@ -214,6 +215,14 @@ def test_check_names_the_added_mass(bench):
     assert re.search(r"added mass: 0\.25 kg at 0\.12 m", text)
     bench.config()
     assert "added mass" not in bench.run("check", "c.toml").out
+
+
+def test_check_tells_files_of_one_name_apart_by_their_folders(bench):
+    for folder in ("a", "b"):
+        (bench.folder / folder).mkdir()
+        shutil.copy(bench.folder / "run.csv", bench.folder / folder)
+    bench.edit('"run.csv"', '"*/run.csv"')
+    assert [one["name"] for one in checked(bench)["recordings"]] == ["a-run", "b-run"]
 
 
 def test_check_writes_nothing(bench):

@@ -150,7 +150,7 @@ def test_patterns_and_names(tmp_path):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         write(tmp_path, "\n".join(lines()), name)
     found = read(tmp_path, source(["**/run.csv", "b/*.csv"]))
-    assert [r.name for r in found] == ["a/run", "b/run", "other"]
+    assert [r.name for r in found] == ["a-run", "b-run", "other"]
     assert read(tmp_path, source("b/other.csv", name="mine"))[0].name == "mine"
 
 

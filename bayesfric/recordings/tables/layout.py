@@ -27,30 +27,14 @@ _MISSING = {"", "nan", "na", "n/a", "null", "none", "inf", "-inf", "-", "--", "?
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the numbers of a text file are.
+    """Where the numbers of a text file are."""
 
-    Parameters
-    ----------
-    delimiter
-        One character, or ``"whitespace"``.
-    width
-        Number of columns.
-    names
-        Header, one name a column (empty strings without a header).
-    header_line
-        Index from 0 of the header's line, or None.
-    first
-        Index from 0 of the first row's line.
-    notes
-        One sentence for every choice made.
-    """
-
-    delimiter: str
-    width: int
-    names: tuple[str, ...]
-    header_line: int | None
-    first: int
-    notes: tuple[str, ...]
+    delimiter: str  # one character, or "whitespace"
+    width: int  # number of columns
+    names: tuple[str, ...]  # the header, one a column (empty strings without a header)
+    header_line: int | None  # index from 0 of the header's line
+    first: int  # index from 0 of the first row's line
+    notes: tuple[str, ...]  # one sentence for every choice made
 
 
 class _Row(NamedTuple):
@@ -75,13 +59,7 @@ def split(line: str, delimiter: str) -> list[str]:
 
 
 def find_layout(path: Path, head: Sequence[str], options: TableOptions) -> Layout:
-    """Find the layout from a file's first lines; what ``options`` say is not guessed.
-
-    Raises
-    ------
-    BadInput
-        If there is no row of numbers, the header does not fit, or a line is too long.
-    """
+    """Find the layout from a file's first lines; what ``options`` say is not guessed."""
     lines = [(i, text) for i, text in enumerate(head) if i >= options.skip_rows]
     for i, text in lines:
         if len(text) > _LONGEST_LINE:

@@ -39,35 +39,18 @@ def is_number(text: str, decimal: str = ".") -> bool:
 class Table:
     """Columns of one file, or in memory.
 
-    Parameters
-    ----------
-    where
-        The file, or what stands for it in messages.
-    names
-        One name a column, empty for a column without one; no name comes twice.
-    load
-        Gives the raw cells of a column by its index from 0: a numeric array (n,), or an object
-        array (n,) if some cell is no number.
-    names_at
-        What holds the names, for messages.
-    lines
-        Line of every row (n,) in a text file.
-    header_line
-        Line of the header, if there is one.
-    decimal
-        Decimal mark of cells that are text.
-    notes
-        One sentence for every choice made in reading.
+    ``load`` gives the raw cells of a column by its index from 0: a numeric array (n,), or an
+    object array (n,) if some cell is no number.
     """
 
-    where: str
-    names: Sequence[str]
+    where: str  # the file, or what stands for it in messages
+    names: Sequence[str]  # one a column, empty for one without; no name comes twice
     load: Callable[[int], NDArray[Any]]
-    names_at: str = "header"
-    lines: Sequence[int] | None = None
+    names_at: str = "header"  # what holds the names, for messages
+    lines: Sequence[int] | None = None  # line of every row (n,) in a text file
     header_line: int | None = None
-    decimal: str = "."
-    notes: tuple[str, ...] = ()
+    decimal: str = "."  # mark of cells that are text
+    notes: tuple[str, ...] = ()  # one sentence for every choice made in reading
     _columns: dict[int, NDArray[np.float64]] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
@@ -84,22 +67,9 @@ class Table:
         return f"{self.where}, column {shown}"
 
     def column(self, key: str | int) -> NDArray[np.float64]:
-        """Return a column's numbers.
+        """Return a column's numbers as they stand in the file, by name or number from 1.
 
-        Parameters
-        ----------
-        key
-            Name, or number from 1.
-
-        Returns
-        -------
-        numpy.ndarray
-            Finite values as they stand in the file, shape (n,).
-
-        Raises
-        ------
-        BadInput
-            If there is no such column, or a cell is empty, no number, NaN or infinite.
+        A cell that is empty, no number, NaN or infinite is bad input.
         """
         place = self.place(key)
         if place not in self._columns:
@@ -147,13 +117,7 @@ class Table:
         return BadInput(f"{self.label(key)}, {self.row(index)}", what, mend)
 
     def place(self, key: str | int) -> int:
-        """Give the place of a column among the others, from 0.
-
-        Raises
-        ------
-        BadInput
-            If there is none of that name or number.
-        """
+        """Give the place of a column among the others, from 0."""
         if isinstance(key, str) and key and key in self.names:
             return list(self.names).index(key)
         count, named = len(self.names), [name for name in self.names if name]

@@ -5,13 +5,14 @@ Tables, page, terminal and comparison are views of it.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from bayesfric.complaints import complaint
+from bayesfric.complaints import complaint, read_text
 from bayesfric.errors import BadInput
 from bayesfric.estimates.estimate import Kind, Method
 
@@ -24,6 +25,8 @@ NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
 Share = Annotated[FiniteFloat, Field(ge=0.0, le=1.0)]
 Bound = Literal["lower", "upper"]
 Name = Annotated[str, Field(min_length=1)]
+# A summary is a page or two of numbers; anything larger is some other file.
+_LARGEST = 20_000_000
 
 
 class Part(BaseModel):
@@ -44,7 +47,7 @@ class Part(BaseModel):
         try:
             return cls.model_validate(found)
         except ValidationError as error:
-            said = complaint(Path(where), error, found, cls)
+            said = complaint(f"{where}: ", "configuration", error, found, cls)
             mend = "name a run that 'bayesfric fit' wrote, or fit it again"
             raise BadInput(said.where, said.what, mend) from None
 
@@ -459,3 +462,28 @@ def quantity_of(name: str) -> str:
     """
     first, _, rest = name.removeprefix("total.").partition(".")
     return first if first == "offset" or not rest else rest
+
+
+def read_summary_file(run: Path) -> dict[str, Any]:
+    """Read ``summary.json`` of a run directory; ``BadInput`` where there is none that is whole."""
+    file, again = run / "summary.json", "fit this run again"
+    mend = "name a run directory, as 'bayesfric fit' makes it"
+    try:
+        if not run.is_dir():
+            what = "is a file" if run.exists() else "there is no such folder"
+            raise BadInput(str(run), what, mend)
+        text = read_text(file, _LARGEST, "summary", mend, again)
+        found = json.loads(text, parse_constant=_refuse)
+    except FileNotFoundError:
+        raise BadInput(str(run), "holds no summary.json", mend) from None
+    except OSError as error:
+        raise BadInput(str(file), f"cannot be read ({error.strerror})", mend) from None
+    except (ValueError, RecursionError) as error:
+        raise BadInput(str(file), f"is no JSON ({error})", again) from None
+    if not isinstance(found, dict):
+        raise BadInput(str(file), "holds no table of results", again)
+    return found
+
+
+def _refuse(constant: str) -> float:
+    raise ValueError(f"{constant} is no number")
