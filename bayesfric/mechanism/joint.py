@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import ValidationError
 
-from bayesfric.complaints import complaint_of
+from bayesfric.complaints import complaint
 from bayesfric.errors import BadInput, nearest
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.kernels import ELEMENT_SLOTS, LOAD_SLOTS, Samples
@@ -231,7 +231,7 @@ class Joint:
         try:
             checked = Simulation.model_validate(given)
         except ValidationError as error:
-            raise complaint_of("simulation.", "simulation", error, given, Simulation) from None
+            raise complaint("simulation.", "simulation", error, given, Simulation) from None
         columns, _, _ = record(self, checked)
         return pd.DataFrame(columns)
 
