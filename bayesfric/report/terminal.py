@@ -27,10 +27,7 @@ def fit_text(summary: Readable, folder: Path | str) -> Iterator[str]:
     read = Summary.read(summary)
     cells = posterior_cells(read)
     combined = {name: row for name, row in read.derived.items() if row.gauge_free}
-    parts = {
-        "What the motor feels, whatever the scale": combined,
-        "Parameters": read.parameters,
-    }
+    parts = {"What the motor feels, whatever the scale": combined, "Parameters": read.parameters}
     yield from filled(
         "fit.txt.j2",
         summary=read,

@@ -17,14 +17,7 @@ from bayesfric.report.figures.alternative import rows_in_words
 from bayesfric.report.figures.marginal import draw_marginal, marginal_handles, moves
 from bayesfric.report.figures.quantity import Quantity, combinations, not_shown, quantities
 from bayesfric.report.figures.registry import RunFigure
-from bayesfric.report.figures.style import (
-    PAGE,
-    POSTERIOR,
-    SMALL,
-    Array,
-    few_ticks,
-    paper_figure,
-)
+from bayesfric.report.figures.style import PAGE, POSTERIOR, SMALL, Array, few_ticks, paper_figure
 from bayesfric.report.summary.summary import LEVEL
 
 # Combinations that come first; parameters want to be seen too.

@@ -12,13 +12,7 @@ from matplotlib.lines import Line2D
 
 from bayesfric.errors import BadInput
 from bayesfric.report.comparison.cell import Cell
-from bayesfric.report.comparison.comparison import (
-    REFERENCE,
-    Column,
-    Comparison,
-    Row,
-    comparison,
-)
+from bayesfric.report.comparison.comparison import REFERENCE, Column, Comparison, Row, comparison
 from bayesfric.report.figures.registry import ComparisonFigure, RunFigure
 from bayesfric.report.figures.style import (
     COLUMN,

@@ -24,9 +24,7 @@ def _hashes(told: Provenance | None) -> set[str]:
 
 
 def compare_page(
-    folder: Path,
-    compared: ComparedRuns,
-    provenance: Mapping[str, Provenance | None],
+    folder: Path, compared: ComparedRuns, provenance: Mapping[str, Provenance | None]
 ) -> str:
     """Write the page of a comparison.
 
