@@ -11,7 +11,7 @@ from bayesfric.commands.compare import read_summary_file
 from bayesfric.errors import BadInput
 from bayesfric.report.files import write_beside
 from bayesfric.report.page.run_page import run_page
-from bayesfric.report.paper.summary_texts import summary_texts
+from bayesfric.report.paper.tables import summary_texts
 
 
 def report(run: Path) -> dict[str, Any]:

@@ -15,15 +15,7 @@ from bayesfric.report.text_templates import filled
 
 
 def fit_text(summary: Readable, folder: Path | str) -> Iterator[str]:
-    """Word a summary for a person, line by line.
-
-    Parameters
-    ----------
-    summary
-        What ``summary.json`` holds.
-    folder
-        Where it was written to.
-    """
+    """Word a summary, written to ``folder``, for a person, line by line."""
     read = Summary.read(summary)
     cells = posterior_cells(read)
     combined = {name: row for name, row in read.derived.items() if row.gauge_free}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,11 +12,12 @@ from matplotlib.lines import Line2D
 from bayesfric.errors import BadInput, nearest
 from bayesfric.inference.fit import Fit
 from bayesfric.report.comparison.cell import Cell, posterior_cells
-from bayesfric.report.figures.alternative import rows_in_words
 from bayesfric.report.figures.marginal import draw_marginal, marginal_handles, moves
 from bayesfric.report.figures.quantity import Quantity, combinations, not_shown, quantities
 from bayesfric.report.figures.registry import RunFigure
 from bayesfric.report.figures.style import PAGE, POSTERIOR, SMALL, Array, few_ticks, paper_figure
+from bayesfric.report.page.values import rows_in_words
+from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.summary import LEVEL
 
 # Combinations that come first; parameters want to be seen too.
@@ -31,9 +31,7 @@ _BINS = 40
 _SMOOTH = 1.2
 
 
-def corner_figure(
-    fit: Fit, summary: Mapping[str, Any], chosen: Sequence[str] | None = None
-) -> Figure:
+def corner_figure(fit: Fit, summary: Summary, chosen: Sequence[str] | None = None) -> Figure:
     """Draw marginal and pairwise posteriors, a page wide.
 
     On the diagonal the posterior density is a histogram with the prior density of
@@ -41,22 +39,10 @@ def corner_figure(
     hold 50 % and 90 % of the draws. What the data leave open is hatched, without an
     interval, and its pairs are not filled.
 
-    Parameters
-    ----------
-    fit
-        A finished fit.
-    summary
-        From :func:`bayesfric.report.summary.summary.summarise`, for what the data determine.
-    chosen
-        Names of the sampled parameters and of combinations that no scaling changes, in
-        the order to show them. If left out, eight: where the data leave parameters
-        open, first combinations that they determine, then what they determine of the
-        parameters; else the parameters as sampled.
-
-    Raises
-    ------
-    BadInput
-        If a name is not among them, or none is given.
+    ``chosen`` are names of sampled parameters and of combinations that no scaling changes, in the
+    order to show them; ``BadInput`` where a name is not among them, or none is given. If left out,
+    eight: where the data leave parameters open, first combinations that they determine, then what
+    they determine of the parameters; else the parameters as sampled.
     """
     cells = posterior_cells(summary)
     sampled = quantities(fit)

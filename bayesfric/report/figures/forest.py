@@ -13,24 +13,9 @@ from matplotlib.lines import Line2D
 from bayesfric.errors import BadInput
 from bayesfric.report.comparison.cell import Cell
 from bayesfric.report.comparison.comparison import REFERENCE, Column, Comparison, Row, comparison
+from bayesfric.report.figures import style
 from bayesfric.report.figures.registry import ComparisonFigure, RunFigure
-from bayesfric.report.figures.style import (
-    COLUMN,
-    DOTTED,
-    MEASURED,
-    PAGE,
-    PALETTE,
-    SMALL,
-    WORDS,
-    Look,
-    axis_label,
-    few_ticks,
-    paper_figure,
-    power_of_ten,
-    remark_below,
-    run_style,
-    shortened,
-)
+from bayesfric.report.figures.style import Look, power_of_ten, remark_below, run_style, shortened
 from bayesfric.report.summary.summary import LEVEL
 
 # Half width of a 90 % interval of a normal distribution, in standard deviations.
@@ -42,16 +27,16 @@ _HIGHEST = 9.0
 # Inches: between lines, for the axis below a panel, a line of the legend, a letter of a name.
 _LINE, _AXIS, _LEGEND, _LETTER = 0.155, 0.40, 0.135, 0.054
 _MARGIN = 0.65  # lines above the first and below the last
-_REFERENCE = PALETTE[2]
+_REFERENCE = style.PALETTE[2]
 _THICK: Look = {"linewidth": 2.2, "alpha": 0.55, "solid_capstyle": "butt"}
 _THIN: Look = {"linewidth": 0.7, "marker": "|", "markersize": 4.5, "markeredgewidth": 0.7}
-_SPAN: Look = {"linewidth": 0.9, "linestyle": DOTTED}
+_SPAN: Look = {"linewidth": 0.9, "linestyle": style.DOTTED}
 
 # Estimates in greys, posteriors in colours; shapes tell them apart once more.
 _ESTIMATES = {
     "least-squares": ("s", "#8c8c8c"),
     "input-error": ("^", "#5e5e5e"),
-    "output-error": ("D", MEASURED),
+    "output-error": ("D", style.MEASURED),
 }
 _POSTERIORS = ("o", "v", "P", "X", "<", ">")
 
@@ -78,28 +63,18 @@ class _Line:
 
 
 def forest_figure(found: Comparison) -> Figure:
-    """Draw a comparison.
+    """Draw a comparison, a column wide for up to four quantities, else a page.
 
     Bars are 90 % intervals: a posterior's own, an estimate's 1.645 standard
     deviations to either side. Thick ones account for correlated residuals, thin ones
     with caps take them for uncorrelated. What is not determined has an open marker
     and those words, never a bar; dots span the values that fit as well. A reference
-    is a vertical line.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        A column wide for up to four quantities, else a page. Quantities that only one
-        column tells anything of are left out, unless there are no others.
-
-    Raises
-    ------
-    BadInput
-        If nothing at all can be drawn.
+    is a vertical line. Quantities that only one column tells anything of are left out, unless there
+    are no others; ``BadInput`` if nothing at all can be drawn.
     """
     rows = _drawable(found)
     columns = [column for column in found.columns if column.kind != "reference"]
-    width, across = (COLUMN, 1) if len(rows) <= _FEW else (PAGE, _ACROSS)
+    width, across = (style.COLUMN, 1) if len(rows) <= _FEW else (style.PAGE, _ACROSS)
     rooms = _rooms(rows, across, len(columns))
     spare = _LEGEND * (3 if across == 1 else 2)
     while len(rooms) > 1 and spare + sum(rooms) + len(rooms) * _AXIS > _HIGHEST:
@@ -109,7 +84,7 @@ def forest_figure(found: Comparison) -> Figure:
     most = int((0.4 * width - 0.26) / _LETTER)
     names = [shortened(name, most) for name in _names(columns)]
     each = (width - _LETTER * max(map(len, names)) - 0.2) / across - 0.05
-    with paper_figure(width, spare + sum(rooms) + len(rooms) * _AXIS) as figure:
+    with style.paper_figure(width, spare + sum(rooms) + len(rooms) * _AXIS) as figure:
         grid = figure.add_gridspec(len(rooms), across, height_ratios=rooms)
         for k, row in enumerate(shown):
             ax = figure.add_subplot(grid[divmod(k, across)])
@@ -192,11 +167,11 @@ def _panel(ax: Axes, row: Row, lines: list[_Line], inches: float) -> None:
                 _words(ax, cell.value / factor, line.y, cell.remark)
     if REFERENCE in row.cells:
         _reference(ax, row.cells[REFERENCE], factor, inches)
-    few_ticks(ax.xaxis, max(3, int(inches / 0.4)), inner=True)
-    label = axis_label(row.symbol, row.name, exponent, row.unit)
+    style.few_ticks(ax.xaxis, max(3, int(inches / 0.4)), inner=True)
+    label = style.axis_label(row.symbol, row.name, exponent, row.unit)
     # names are longer than symbols
     long = not row.symbol and _LETTER * len(label) > inches
-    ax.set_xlabel(label, fontsize=WORDS if long else SMALL + 1.0)
+    ax.set_xlabel(label, fontsize=style.WORDS if long else style.SMALL + 1.0)
 
 
 def _between(
@@ -274,7 +249,7 @@ def _words(ax: Axes, at: float | None, y: float, words: str, *, right: bool | No
         textcoords="offset points",
         ha="center" if at is None else "left" if right else "right",
         va="center_baseline",
-        fontsize=WORDS,
+        fontsize=style.WORDS,
         # the dots of a span stop for the words
         bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},
         zorder=3.5,
@@ -297,7 +272,7 @@ def _reference(ax: Axes, cell: Cell, factor: float, inches: float) -> None:
         textcoords="offset points",
         ha="left" if right else "right",
         va="top",
-        fontsize=WORDS,
+        fontsize=style.WORDS,
         color=_REFERENCE,
     ).set_in_layout(False)
 
@@ -343,7 +318,7 @@ def _legend(figure: Figure, rows: list[Row], columns: list[Column]) -> None:
         figure.legend(
             handles=handles,
             loc="outside upper right",
-            ncols=2 if figure.get_figwidth() == COLUMN else 4,
+            ncols=2 if figure.get_figwidth() == style.COLUMN else 4,
             handler_map={capped: HandlerLine2D(numpoints=2)},
         )
 

@@ -34,41 +34,24 @@ class OpenGroup:
 
 @dataclass(frozen=True)
 class Findings:
-    """Everything on the first screen.
+    """Everything on the first screen."""
 
-    Attributes
-    ----------
-    joint, combined
-        Rows of the joint's parameters, and of what no scaling changes.
-    known, more
-        Rows the data determine, those of data, prior and bounds together among them, and the
-        number of such rows that are left to the table.
-    limits
-        Rows that the data bound on one side.
-    open
-        What they leave open, by reason.
-    lacks
-        Quantities that what the model leaves depends on.
-    try_auto
-        Whether a noise model with a memory was not tried and seems needed.
-    steps, directions
-        Remedies, the best first, each with how many of the ``directions`` it lifts;
-        ``directions`` is ``None`` where none were looked for.
-    command
-        Asks for advice on what is open; empty where there is nothing to ask for.
-    """
-
+    # rows of the joint's parameters, and of what no scaling changes
     joint: list[ParameterRow]
     combined: list[ParameterRow]
+    # rows the data determine, those of data, prior and bounds together among them, and the number
+    # of such rows that are left to the table
     known: list[ParameterRow]
     more: int
-    limits: list[ParameterRow]
-    open: list[OpenGroup]
-    lacks: list[str]
-    try_auto: bool
+    limits: list[ParameterRow]  # rows that the data bound on one side
+    open: list[OpenGroup]  # what they leave open, by reason
+    lacks: list[str]  # quantities that what the model leaves depends on
+    try_auto: bool  # whether a noise model with a memory was not tried and seems needed
+    # remedies, the best first, each with how many of the `directions` it lifts; `directions` is
+    # `None` where none were looked for
     steps: list[tuple[RemedyRow, int]]
     directions: int | None
-    command: str
+    command: str  # asks for advice on what is open; empty where there is nothing to ask for
 
     @property
     def lost(self) -> list[str]:

@@ -27,40 +27,20 @@ _COORDINATES = ("d", "x", "y")
 
 @dataclass(frozen=True)
 class Drawing:
-    """An SVG ready to stand in a page.
+    """An SVG ready to stand in a page."""
 
-    Attributes
-    ----------
-    markup
-        The ``svg`` element, without names or references of others.
-    width, height
-        In points, of its view box.
-    """
-
-    markup: Markup
+    markup: Markup  # the `svg` element, without names or references of others
+    # in points, of its view box
     width: float
     height: float
 
 
 def inline_svg(text: str, prefix: str, label: str) -> Drawing:
-    """Make an SVG fit to stand inside a page.
+    """Make an SVG, as this package saves it, fit to stand inside a page; else ``ValueError``.
 
     Matplotlib gives the same names (``figure_1``, clip paths) in every figure; two of
-    them in one page would clip each other.
-
-    Parameters
-    ----------
-    text
-        The file's contents, as :func:`bayesfric.report.figures.style.save` wrote them.
-    prefix
-        Put before every ``id`` that is referred to; unique in the page.
-    label
-        What a screen reader says in its place.
-
-    Raises
-    ------
-    ValueError
-        If this is no SVG with a view box.
+    them in one page would clip each other: ``prefix``, unique in the page, is put before every
+    ``id`` that is referred to. ``label`` is what a screen reader says in its place.
     """
     try:
         root = ET.fromstring(text)
