@@ -140,21 +140,15 @@ def overlay(compared: ComparedRuns) -> Overlay:
         if len(have) < 2:
             without += [row.name] if len(told) > 1 else []
             continue
-        curves = tuple(
-            Curve(
-                run,
-                number,
-                *density(draws[run].values[row.name]),
-                told[run],
-                _row(runs[run], row.name),
-                row.cells[labels[run]],
-            )
-            for number, run in enumerate(runs)
-            if run in have
-        )
+        curves = []
+        for number, run in enumerate(runs):
+            if run in have:
+                x, y = density(draws[run].values[row.name])
+                what = runs[run].rows[row.name], row.cells[labels[run]]
+                curves.append(Curve(run, number, x, y, told[run], *what))
         # of what none of those with draws determines there is nothing to compare
         if any(curve.told != "open" for curve in curves):
-            panels.append(OverlayPanel(row, curves, agree.get(row.name)))
+            panels.append(OverlayPanel(row, tuple(curves), agree.get(row.name)))
     panels.sort(key=lambda panel: not panel.row.gauge_free)
     left_out = {run: one.missing for run, one in draws.items() if one.missing}
     if sum(not one.missing for one in draws.values()) < 2:
@@ -162,18 +156,13 @@ def overlay(compared: ComparedRuns) -> Overlay:
     return Overlay(tuple(panels), left_out, tuple(without))
 
 
-def _row(run: Summary, name: str) -> PosteriorRow:
-    return run.parameters[name] if name in run.parameters else run.derived[name]
-
-
 def _told(row: Row, label: str, run: Summary) -> Told | None:
     """Judge as the table does; ``None`` where the run did not sample the quantity."""
-    if label not in row.cells or not (row.name in run.parameters or row.name in run.derived):
+    if label not in row.cells or row.name not in run.rows:
         return None
-    cell = row.cells[label]
-    if cell.status == "undetermined":
+    if row.cells[label].status == "undetermined":
         return "open"
-    return "data" if _row(run, row.name).verdict == "data" else "both"
+    return "data" if run.rows[row.name].verdict == "data" else "both"
 
 
 def overlay_figure(shown: Overlay) -> Figure:
