@@ -46,11 +46,11 @@ class CurveBand:
         return CurveBand(median, low, high, self.determined[where], self.undefined_share[where])
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class LoadCurve:
     """A band over, or at, loads ``(N,)``, and whether recordings were near ``(N,)``."""
 
-    load: Array
+    load: Array  # loss-free, see :mod:`bayesfric.report.figures.friction_curve`
     band: CurveBand
     covered: Flags
 
@@ -152,16 +152,9 @@ def draw_curve(
             gid = "open" if open_ else "band"
             ax.fill_between(x, band.low, band.high, where=inside, gid=gid, **area)
     ax.plot(x, band.median, color=look.colour, gid="outside", **_OUTSIDE)
-    ax.plot(
-        x,
-        np.where(_joined(shown, np.isfinite(band.median)), band.median, np.nan),
-        color=look.colour,
-        marker=look.marker,
-        markersize=2.6,
-        markevery=(look.start, look.every),
-        label=label,
-        gid="median",
-    )
+    seen = np.where(_joined(shown, np.isfinite(band.median)), band.median, np.nan)
+    marks: Look = {"marker": look.marker, "markersize": 2.6, "markevery": (look.start, look.every)}
+    ax.plot(x, seen, color=look.colour, label=label, gid="median", **marks)
 
 
 def curve_handles(curves: Sequence[LoadCurve], band: str, other: str) -> list[Artist]:
@@ -192,12 +185,8 @@ def _joined(flags: Flags, within: Flags) -> Flags:
 
 def _both_ways(centre: Array, steps: Array) -> Array:
     """Vectors a step to either side in each free parameter, ``(2k, d)``."""
-    k = steps.size
-    moved = np.tile(centre, (2 * k, 1))
-    index = np.arange(k)
-    moved[index, index] += steps
-    moved[k + index, index] -= steps
-    return moved
+    moves = np.pad(np.diag(steps), ((0, 0), (0, centre.size - steps.size)))
+    return np.concatenate([centre + moves, centre - moves])
 
 
 def _finite(x: Array) -> Array:

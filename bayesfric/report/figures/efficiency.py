@@ -46,7 +46,7 @@ _REFERENCE: Look = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class EfficiencyCurve(LoadCurve):
     """Efficiency of one element in one direction of power, over the load at the joint.
 
@@ -89,7 +89,7 @@ def efficiency_curves(fit: Fit) -> tuple[EfficiencyCurve, ...]:
 
         band = judge.band(curve, gauge_free=False, draws=_DRAWS)
         near = _near(load, np.sort(sign * joint))
-        return EfficiencyCurve(element=element, side=side, load=load, band=band, covered=near)
+        return EfficiencyCurve(load, band, near, element, side)
 
     return tuple(of(one, *side) for one in elements for side in (("drive", 1.0), ("back", -1.0)))
 

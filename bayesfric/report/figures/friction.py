@@ -36,29 +36,20 @@ _HEIGHT = 2.4
 _MARKS = ("o", "s", "^")
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class FrictionCurve(LoadCurve):
-    """Friction along a line in the plane of speed and load, N m or N against the motion.
+    """Friction, N m or N against the motion, along a line in the plane of speed and load."""
 
-    ``speed`` ``(N,)`` is the motor's, ``load`` its loss-free torque of the load; see
-    :mod:`bayesfric.report.figures.friction_curve` for what that is.
-    """
-
-    speed: Array
+    speed: Array  # the motor's
 
 
 @dataclass(frozen=True, eq=False)
 class FrictionCurves:
     """Everything the friction figure shows."""
 
-    # whether loads are the mean of what driving and back-driving feel, for the scale between leg
-    # and alpha is open
-    open_scale: bool
-    # at no load, at a driven and at a driving load; the first alone where friction cannot depend on
-    # load
-    over_speed: tuple[FrictionCurve, ...]
-    # at a low and a high speed; empty where friction cannot depend on load
-    over_load: tuple[FrictionCurve, ...]
+    open_scale: bool  # whether loads are the mean of what driving and back-driving feel
+    over_speed: tuple[FrictionCurve, ...]  # at no load, at a driven and at a driving load
+    over_load: tuple[FrictionCurve, ...]  # at a low and a high speed; empty without load losses
     place: Covered
 
 
@@ -75,7 +66,7 @@ def friction_curves(fit: Fit, judge: CurveJudge | None = None) -> FrictionCurves
             gauge_free=judge.open_scale,
         )
         near = place.near(speed, load if lossy else None)
-        return FrictionCurve(speed=speed, load=load, band=band, covered=near)
+        return FrictionCurve(load, band, near, speed)
 
     low, high = (float(x) for x in (place.speed.min(), place.speed.max()))
     # friction jumps at rest: no point there
@@ -150,11 +141,8 @@ def _over_speed(ax: Axes, fit: Fit, found: FrictionCurves) -> None:
                 _draw(ax, curve, curve.speed, mine, k, side, label)
                 label = None
     ax.axhline(0.0, color="0.6", linewidth=0.5, zorder=0.5)
-    _label_speed(ax, fit)
-    _label_friction(ax, fit)
-    few_ticks(ax.xaxis, 6)
-    if several:
-        _legend(ax, "at load")
+    ax.set_xlabel(_speed_label(fit))
+    _friction_axis(ax, fit, 6, "at load" if several else "")
 
 
 def _over_load(ax: Axes, fit: Fit, found: FrictionCurves) -> None:
@@ -170,9 +158,7 @@ def _over_load(ax: Axes, fit: Fit, found: FrictionCurves) -> None:
     ax.text(0.03, 0.03, "load helps", ha="left", va="bottom", **said)
     ax.text(0.97, 0.03, "load resists", ha="right", va="bottom", **said)
     ax.set_xlabel(_load_label(fit, found))
-    _label_friction(ax, fit)
-    few_ticks(ax.xaxis, 5)
-    _legend(ax, "at motor speed")
+    _friction_axis(ax, fit, 5, "at motor speed")
 
 
 def _draw(
@@ -180,11 +166,9 @@ def _draw(
 ) -> None:
     every = max(1, int(mine.sum()) // 6)
     start = max(0, every // 2 - k * every // 4)
-    part = LoadCurve(
-        load=curve.load[mine], band=curve.band.part(mine, side), covered=curve.covered[mine]
-    )
+    part = curve.band.part(mine, side)
     look = CurveLook(style.PALETTE[k], _MARKS[k], start=start, every=every)
-    draw_curve(ax, x[mine], part, look, label)
+    draw_curve(ax, x[mine], LoadCurve(curve.load[mine], part, curve.covered[mine]), look, label)
 
 
 def _map(figure: Figure, ax: Axes, fit: Fit, judge: CurveJudge, found: FrictionCurves) -> None:
@@ -206,33 +190,22 @@ def _map(figure: Figure, ax: Axes, fit: Fit, judge: CurveJudge, found: FrictionC
         return np.ma.masked_where(~where.reshape(shape), values.reshape(shape))
 
     half = 0.5 * (band.high - band.low)
-    shades = ax.pcolormesh(
-        x, y, shown(half, near), cmap="Blues", vmin=0.0, shading="nearest", rasterized=True
-    )
-    lines = ax.contour(
-        x,
-        y,
-        shown(band.median, near & band.determined),
-        levels=4,
-        colors=style.PALETTE[0],
-        linewidths=0.7,
-    )
-    _name_contours(ax, lines)
+    look: Look = {"cmap": "Blues", "vmin": 0.0, "shading": "nearest", "rasterized": True}
+    shades = ax.pcolormesh(x, y, shown(half, near), **look)
+    told: Look = {"levels": 4, "colors": style.PALETTE[0], "linewidths": 0.7}
+    _name_contours(ax, ax.contour(x, y, shown(band.median, near & band.determined), **told))
     open_ = near & ~band.determined
     if open_.any():
-        ax.contourf(
-            x, y, open_.reshape(shape).astype(float), levels=[0.5, 1.5], colors="none",
-            hatches=[style.OPEN_HATCH],
-        )  # fmt: skip
+        hatched: Look = {"levels": [0.5, 1.5], "colors": "none", "hatches": [style.OPEN_HATCH]}
+        ax.contourf(x, y, open_.reshape(shape).astype(float), **hatched)
     ax.axhline(0.0, color="0.6", linewidth=0.5)
-    _label_speed(ax, fit)
+    ax.set_xlabel(_speed_label(fit))
     ax.set_ylabel(_load_label(fit, found))
     few_ticks(ax.xaxis, 5)
     few_ticks(ax.yaxis, 6)
     bar = figure.colorbar(shades, ax=ax, fraction=0.06)
-    bar.set_label(
-        f"half width of the {100 * LEVEL:.0f} % band ({_units(fit)[1]})", fontsize=style.SMALL
-    )
+    width = f"half width of the {100 * LEVEL:.0f} % band ({_units(fit)[1]})"
+    bar.set_label(width, fontsize=style.SMALL)
     few_ticks(bar.ax.yaxis, 5)
     bar.outline.set_linewidth(0.5)
 
@@ -252,10 +225,6 @@ def _name_contours(ax: Axes, lines: ContourSet) -> None:
         text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.4, "alpha": 0.8})
 
 
-def _legend(ax: Axes, head: str) -> None:
-    ax.legend(loc="upper left", title=head, title_fontsize=style.SMALL, alignment="left")
-
-
 def _inner(x: Array) -> tuple[float, float]:
     """Nearly all of the values: single jerks would leave the rest no room."""
     return float(np.quantile(x, 0.005)), float(np.quantile(x, 0.995))
@@ -271,14 +240,17 @@ def _units(fit: Fit) -> tuple[str, str, str]:
     return ("torque", "N m", "rad/s") if rotary else ("force", "N", "m/s")
 
 
-def _label_speed(ax: Axes, fit: Fit) -> None:
-    ax.set_xlabel(rf"motor speed $\dot q_m$ ({_units(fit)[2]})")
-
-
-def _label_friction(ax: Axes, fit: Fit) -> None:
+def _friction_axis(ax: Axes, fit: Fit, ticks: int, legend: str) -> None:
     kind, unit, _ = _units(fit)
     ax.set_ylabel(f"friction {kind} $F$ ({unit})")
+    few_ticks(ax.xaxis, ticks)
     few_ticks(ax.yaxis, 6)
+    if legend:
+        ax.legend(loc="upper left", title=legend, title_fontsize=style.SMALL, alignment="left")
+
+
+def _speed_label(fit: Fit) -> str:
+    return rf"motor speed $\dot q_m$ ({_units(fit)[2]})"
 
 
 def load_symbol(fit: Fit, *, open_scale: bool) -> str:
