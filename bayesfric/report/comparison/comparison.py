@@ -156,7 +156,12 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
             if not fact.gauge_free:
                 _withhold(fact.cells, labels, posteriors)
     _check_common(facts, runs, columns)
-    notes = [*_reliability(runs), *_meanings(facts)]
+    notes = [
+        f"The posterior of {name} is {run.sampler.status}: it has not converged."
+        for name, run in runs.items()
+        if run.sampler.status != "reliable"
+    ]
+    notes += _meanings(facts)
     reference = _add_references(facts, runs, notes)
     if reference is not None:
         columns.append(reference)
@@ -319,12 +324,6 @@ def _check_common(
                 "has no quantity in common with the other runs",
                 "compare runs whose mechanisms share elements",
             )
-
-
-def _reliability(runs: Mapping[str, Summary]) -> Iterator[str]:
-    for name, run in runs.items():
-        if run.sampler.status != "reliable":
-            yield f"The posterior of {name} is {run.sampler.status}: it has not converged."
 
 
 def _meanings(facts: Mapping[str, _Facts]) -> Iterator[str]:

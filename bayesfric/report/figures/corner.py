@@ -15,7 +15,15 @@ from bayesfric.report.comparison.cell import Cell, posterior_cells
 from bayesfric.report.figures.marginal import draw_marginal, marginal_handles, moves
 from bayesfric.report.figures.quantity import Quantity, combinations, not_shown, quantities
 from bayesfric.report.figures.registry import RunFigure
-from bayesfric.report.figures.style import PAGE, POSTERIOR, SMALL, Array, few_ticks, paper_figure
+from bayesfric.report.figures.style import (
+    PAGE,
+    POSTERIOR,
+    SMALL,
+    Array,
+    Look,
+    few_ticks,
+    paper_figure,
+)
 from bayesfric.report.page.values import rows_in_words
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.summary import LEVEL
@@ -115,20 +123,10 @@ def _pair(
     import corner  # brings ArviZ along, which takes a second or more
 
     if all(map(moves, pair)):
-        corner.hist2d(
-            *pair,
-            ax=ax,
-            bins=_BINS,
-            range=list(limits),
-            levels=MASSES,
-            smooth=_SMOOTH,
-            color=POSTERIOR,
-            plot_datapoints=False,
-            plot_density=False,
-            fill_contours=filled,
-            contour_kwargs={"linewidths": (0.6, 0.9)},
-            quiet=True,
-        )
+        look: Look = {"color": POSTERIOR, "contour_kwargs": {"linewidths": (0.6, 0.9)}}
+        look |= {"plot_datapoints": False, "plot_density": False, "fill_contours": filled}
+        look |= {"bins": _BINS, "range": list(limits), "levels": MASSES, "smooth": _SMOOTH}
+        corner.hist2d(*pair, ax=ax, quiet=True, **look)
     else:
         # a parameter that never changes: the interval of the other one, or a point
         ends = [

@@ -140,17 +140,9 @@ def _panel(ax: Axes, fit: Fit, panel: Sequence[EfficiencyCurve], *, several: boo
 
 
 def _reference(ax: Axes, curve: EfficiencyCurve, given: ReferenceRow, stated: float) -> None:
-    ax.errorbar(
-        [stated],
-        [given.value],
-        yerr=[given.sd] if given.sd else None,
-        capsize=2.0,
-        elinewidth=0.8,
-        zorder=3.0,
-        gid="reference",
-        marker=_LOOKS[curve.side].marker,
-        **_REFERENCE,
-    )
+    look = _REFERENCE | {"marker": _LOOKS[curve.side].marker, "zorder": 3.0, "gid": "reference"}
+    bar = [given.sd] if given.sd else None
+    ax.errorbar([stated], [given.value], yerr=bar, capsize=2.0, elinewidth=0.8, **look)
 
 
 def _handles(

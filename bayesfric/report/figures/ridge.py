@@ -179,15 +179,8 @@ def _pair(ax: Axes, fit: Fit, found: Ridge, x: _Quantity, y: _Quantity) -> None:
     _prior(ax, fit, (x, y), limits, factors)
     dots: Look = {"linestyle": "none", "marker": ".", "markersize": 2.2, "markeredgewidth": 0.0}
     points, line = points / factors[:, None], line / factors[:, None]
-    ax.plot(
-        *points,
-        color=style.POSTERIOR,
-        alpha=0.25,
-        rasterized=True,
-        zorder=2,
-        gid="posterior",
-        **dots,
-    )
+    dots |= {"color": style.POSTERIOR, "alpha": 0.25, "rasterized": True, "zorder": 2}
+    ax.plot(*points, gid="posterior", **dots)
     ax.plot(*line, color=_LINE, zorder=3, gid="line")
     for k, marker in _marked(found):
         ax.plot(*line[:, k], marker=marker, markersize=5.0, zorder=4, gid=f"end {k}", **_MARKER)

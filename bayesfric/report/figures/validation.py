@@ -11,7 +11,14 @@ from bayesfric.inference.predictive import Prediction
 from bayesfric.report.figures import style
 from bayesfric.report.figures.over_time import as_pixels, broken, draw_band, draw_measured
 from bayesfric.report.figures.registry import FinishedRun, JudgedRun, RunFigure
-from bayesfric.report.figures.style import Array, few_ticks, legend_above, paper_figure, shortened
+from bayesfric.report.figures.style import (
+    Array,
+    Look,
+    few_ticks,
+    legend_above,
+    paper_figure,
+    shortened,
+)
 from bayesfric.report.summary.record import HeldOut, Validation
 from bayesfric.report.summary.validation import covered
 
@@ -66,15 +73,9 @@ def _torque(above: Axes, beneath: Axes, p: Prediction) -> None:
         low, high = (end - less for end in ends)
         draw_band(ax, o, low, high, label=f"predicted, {100 * _LEVEL:.0f} % band", gid="band")
         time, measured = broken(o, p.measured - less)
+        named = {"marker": "." if time.size < 400 else None, "label": "measured, held out"}
         draw_measured(
-            ax,
-            time,
-            measured,
-            linewidth=0.6,
-            pixels=as_pixels(o),
-            marker="." if time.size < 400 else None,
-            label="measured, held out",
-            gid="measured",
+            ax, time, measured, linewidth=0.6, pixels=as_pixels(o), gid="measured", **named
         )
         ax.set_xlim(float(o.time.min()), float(o.time.max()))
         few_ticks(ax.yaxis, 5)
@@ -83,14 +84,8 @@ def _torque(above: Axes, beneath: Axes, p: Prediction) -> None:
 
 def _transform(ax: Axes, pit: Array) -> None:
     counts, edges = np.histogram(pit, bins=_BINS, range=(0.0, 1.0))
-    ax.stairs(
-        counts * _BINS / pit.size,
-        edges,
-        fill=True,
-        color=style.BAND,
-        edgecolor=style.PALETTE[1],
-        gid="pit",
-    )
+    look: Look = {"fill": True, "color": style.BAND, "edgecolor": style.PALETTE[1], "gid": "pit"}
+    ax.stairs(counts * _BINS / pit.size, edges, **look)
     ax.axhline(1.0, color=style.PALETTE[2], linewidth=0.9, linestyle=style.DASHED)
     ax.set_xlim(0.0, 1.0)
     ax.set_xlabel("predicted probability of less")
@@ -108,16 +103,10 @@ def _coverage(ax: Axes, pooled: HeldOut, pit: Array) -> None:
     )
     ax.plot(100.0 * levels, shares, color=style.PALETTE[1], gid="coverage")
     for level, one in pooled.coverage.items():
-        ax.errorbar(
-            100.0 * float(level),
-            100.0 * one.share,
-            yerr=200.0 * one.standard_error,
-            color=style.PALETTE[0],
-            linewidth=0.8,
-            marker="o",
-            markersize=2.5,
-            capsize=1.5,
-        )
+        look: Look = {"linewidth": 0.8, "marker": "o", "markersize": 2.5, "capsize": 1.5}
+        bar = 200.0 * one.standard_error
+        x, y = 100.0 * float(level), 100.0 * one.share
+        ax.errorbar(x, y, yerr=bar, color=style.PALETTE[0], **look)
     ax.set_xlim(0.0, 103.0)
     ax.set_ylim(0.0, 105.0)
     ax.set_xlabel("predicted (%)")
