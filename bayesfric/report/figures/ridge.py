@@ -16,6 +16,8 @@ from matplotlib.patches import Patch
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.prior.priors import Prior, fixed
+from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.parameter import Parameter
 from bayesfric.mechanism.quantities import CHOICES, QUANTITIES
 from bayesfric.mechanism.scaling import Scaling, scalings
 from bayesfric.report.figures import style
@@ -152,18 +154,23 @@ def _quantities(fit: Fit, found: Ridge) -> tuple[_Quantity, list[_Quantity]]:
         symbol = alpha or style.mathtext(p.symbol, name)
         return _Quantity(name, symbol, "" if alpha else p.unit, column, prior, sign)
 
-    # what only a load has, then as the table lists it, of the load before of elements
-    def rank(name: str) -> tuple[bool, int, bool]:
-        p, table = described[name], [*QUANTITIES]
-        place = table.index(p.quantity) if p.quantity in QUANTITIES else len(table)
-        return p.row.option in CHOICES, place, p.owner != "load"
-
-    torques = [name for name in scaling.behind if described[name].row.role == "own"]
-    others = [shown(name) for name in sorted(torques, key=rank)[:2]]
+    others = [shown(name) for name in siblings(fit.chain, scaling)]
     others.append(shown(scaling.back, r"$\alpha_2$", -1.0))
     # what is zero, and the alpha_2 of an irreversible gearbox, have no logarithm
     others = [q for q in others if float(q.of(found.values)) > 0.0]
     return shown(scaling.drive, r"$\alpha_1$", 1.0), others
+
+
+def siblings(chain: Joint, scaling: Scaling) -> list[str]:
+    """Name two torques behind the gearbox: what only loads have, then as the table lists them."""
+    table = [*QUANTITIES]
+
+    def rank(p: Parameter) -> tuple[bool, int, bool]:
+        place = table.index(p.quantity) if p.quantity in QUANTITIES else len(table)
+        return p.row.option in CHOICES, place, p.owner != "load"
+
+    behind = [p for p in chain.parameters if p.name in scaling.behind and p.row.role == "own"]
+    return [p.name for p in sorted(behind, key=rank)[:2]]
 
 
 def _pair(ax: Axes, fit: Fit, found: Ridge, x: _Quantity, y: _Quantity) -> None:
