@@ -16,24 +16,12 @@ DOUBTS = ("unexplained", "feedback", "negative", "memory", "noise", "acceleratio
 
 @dataclass(frozen=True)
 class Alert:
-    """One thing to know before using a number.
+    """One thing to know before using a number."""
 
-    Attributes
-    ----------
-    kind
-        What it is about, for programs.
-    text
-        One sentence without its full stop.
-    section
-        Of the page, which tells more; empty where none does.
-    first
-        Whether it comes before all numbers.
-    """
-
-    kind: str
-    text: str
-    section: str = ""
-    first: bool = False
+    kind: str  # what it is about, for programs
+    text: str  # one sentence without its full stop
+    section: str = ""  # of the page, which tells more; empty where none does
+    first: bool = False  # whether it comes before all numbers
 
 
 def doubt_text(doubt: Mapping[str, Any]) -> str:
@@ -44,13 +32,7 @@ def doubt_text(doubt: Mapping[str, Any]) -> str:
 
 
 def alerts_of(summary: Readable, where: str = "run") -> tuple[Alert, ...]:
-    """Gather what a summary warns of; see :func:`alerts`.
-
-    Raises
-    ------
-    BadInput
-        Where the summary, of the run ``where``, lacks something.
-    """
+    """Gather what a summary of the run ``where`` warns of."""
     read = Summary.read(summary, where)
     return alerts(read, comparison({where: read}).contested)
 
@@ -58,12 +40,7 @@ def alerts_of(summary: Readable, where: str = "run") -> tuple[Alert, ...]:
 def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:
     """Gather what a run warns of, what makes its numbers unsafe first.
 
-    Parameters
-    ----------
-    summary
-        Of the run.
-    contested
-        Numbers of which other methods give other values.
+    ``contested`` are numbers of which other methods give other values.
     """
     found = [Alert("sampler", text, "sampling", first=True) for text in summary.sampler.problems]
     for doubt in summary.doubts:

@@ -11,20 +11,10 @@ from bayesfric.errors import BadInput
 
 
 def write_beside(texts: Mapping[Path, str], *, replace: bool = False) -> None:
-    """Write several files, all or none.
+    """Write several files, by name, all or none.
 
-    Parameters
-    ----------
-    texts
-        Contents by file name.
-    replace
-        Whether files that are there already may be replaced.
-
-    Raises
-    ------
-    BadInput
-        If a file is there already, or a folder is missing or cannot be written to;
-        nothing is left behind.
+    ``BadInput`` if a file is there already and must not be replaced, or a folder is missing or
+    cannot be written to; nothing is left behind.
     """
     beside: dict[Path, Path] = {}
     at = next(iter(texts))

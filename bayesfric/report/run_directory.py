@@ -24,7 +24,7 @@ from bayesfric.report.figures.files import two_at_once
 from bayesfric.report.figures.registry import FinishedRun, captions, run_figures
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.methods_text import methods_text
-from bayesfric.report.paper.summary_texts import summary_texts
+from bayesfric.report.paper.tables import summary_texts
 from bayesfric.report.summary.derived_quantities import coefficients
 from bayesfric.report.summary.record import PosteriorRow, Readable, Summary
 
@@ -38,18 +38,8 @@ Array = NDArray[np.float64]
 def check_free(folder: Path, *, force: bool | None) -> None:
     """Refuse a run directory that would overwrite another, or cannot be made.
 
-    Parameters
-    ----------
-    folder
-        The run directory.
-    force
-        Whether an old run may be kept under another name; ``None`` where the
-        command has no such option.
-
-    Raises
-    ------
-    BadInput
-        Before any sampling is spent on it.
+    ``force`` is whether an old run may be kept under another name; ``None`` where the command has
+    no such option. ``BadInput`` comes before any sampling is spent on it.
     """
     try:
         if folder.is_symlink() and not folder.exists():
@@ -129,36 +119,23 @@ def write_run(
     recordings: list[Measurement],
     saved: Path | None = None,
 ) -> None:
-    """Write a run directory.
+    """Write a run directory that :func:`check_free` let pass.
 
-    Parameters
-    ----------
-    folder
-        Where to; :func:`check_free` has passed.
-    fit
-        The finished fit.
-    summary
-        From :func:`bayesfric.report.summary.summary.summarise`.
-    config_text
-        The configuration as read.
-    recordings
-        For their SHA-256.
-    saved
-        A folder whose contents belong into it.
+    ``config_text`` is the configuration as read; of ``recordings`` it keeps the SHA-256; what
+    the folder ``saved`` holds belongs into it.
     """
     summary = Summary.read(summary)
-    as_json = summary.as_dict()
     with made_beside(folder) as beside:
         if saved is not None:
             shutil.copytree(saved, beside, dirs_exist_ok=True)
         (beside / "config.toml").write_text(config_text, encoding="utf-8")
         (beside / "summary.json").write_text(
-            json.dumps(as_json, indent=1, ensure_ascii=False, allow_nan=False) + "\n",
+            json.dumps(summary.as_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n",
             encoding="utf-8",
         )
         figures = beside / "figures"
         figures.mkdir()
-        run, drawn = FinishedRun(fit, as_json), []
+        run, drawn = FinishedRun(fit, summary), []
         with two_at_once(figures) as save:
             for stem, one in FIGURES.items():
                 if (figure := one.draw(run)) is not None:

@@ -15,22 +15,11 @@ from bayesfric.report.text_templates import filled
 
 
 def fit_text(summary: Readable, folder: Path | str) -> Iterator[str]:
-    """Word a summary for a person, line by line.
-
-    Parameters
-    ----------
-    summary
-        What ``summary.json`` holds.
-    folder
-        Where it was written to.
-    """
+    """Word a summary, written to ``folder``, for a person, line by line."""
     read = Summary.read(summary)
     cells = posterior_cells(read)
     combined = {name: row for name, row in read.derived.items() if row.gauge_free}
-    parts = {
-        "What the motor feels, whatever the scale": combined,
-        "Parameters": read.parameters,
-    }
+    parts = {"What the motor feels, whatever the scale": combined, "Parameters": read.parameters}
     yield from filled(
         "fit.txt.j2",
         summary=read,

@@ -12,19 +12,9 @@ from bayesfric.report.numbers import p_text
 
 
 def sentence(kind: str, values: Mapping[str, Any] | None = None) -> str:
-    """Word one kind of warning or doubt.
+    """Word one kind of warning or doubt, without a full stop.
 
-    Parameters
-    ----------
-    kind
-        Name of its macro in ``templates/sentences.txt.j2``; spaces stand for underscores.
-    values
-        What it tells.
-
-    Returns
-    -------
-    str
-        Without a full stop.
+    ``kind`` names its macro in ``templates/sentences.txt.j2``; spaces stand for underscores.
     """
     return str(getattr(_sentences(), kind.replace(" ", "_"))(values or {})).strip()
 

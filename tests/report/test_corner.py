@@ -7,6 +7,7 @@ from bayesfric.errors import BadInput
 from bayesfric.report.figures.corner import corner_figure
 from bayesfric.report.figures.quantity import combinations, quantities
 from bayesfric.report.paper.tables import parameter_table
+from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.summary import summarise
 
 from .conftest import draw_fast
@@ -28,7 +29,7 @@ def by_gid(ax, gid):
 
 
 def drawn(fit, *chosen):
-    return corner_figure(fit, summarise(fit).as_dict(), *chosen)
+    return corner_figure(fit, summarise(fit), *chosen)
 
 
 def test_prior_is_drawn_in_the_posteriors_density_unit(knee):
@@ -36,7 +37,7 @@ def test_prior_is_drawn_in_the_posteriors_density_unit(knee):
     summary = summarise(knee).as_dict()
     for row in summary["parameters"].values():
         row["verdict"] = "data"
-    figure = corner_figure(knee, summary, [q.name for q in shown])
+    figure = corner_figure(knee, Summary.read(summary), [q.name for q in shown])
     for i, q in enumerate(shown):
         ax = panels(figure)[i, i]
         x, y = by_gid(ax, "prior").get_data()
@@ -59,7 +60,7 @@ def test_eight_by_default_and_the_rest_named(knee, many):
 def test_what_the_data_tell_comes_first(knee):
     """Combinations that no scaling changes, then parameters; what is open has no interval."""
     summary = summarise(knee).as_dict()
-    figure = corner_figure(knee, summary)
+    figure = corner_figure(knee, Summary.read(summary))
     table = {row.name: row for row in parameter_table(summary).rows}
     symbols = [panels(figure)[7, j].get_xlabel().split("\n")[0] for j in range(8)]
     free = [q.symbol for q in combinations(knee) if table[q.name].cell.status == "determined"]
@@ -87,14 +88,14 @@ def test_a_limit_has_one_end(knee):
     summary = summarise(knee).as_dict()
     row = summary["parameters"]["motor.viscous"]
     row |= {"verdict": "prior", "at_bound": "lower", "data_sd": 1e-9, "prior_sd": 1.0}
-    figure = corner_figure(knee, summary, ["motor.viscous"])
+    figure = corner_figure(knee, Summary.read(summary), ["motor.viscous"])
     (end,) = [line for line in panels(figure)[0, 0].lines if line.get_gid() is None]
     (q,) = [q for q in quantities(knee) if q.name == "motor.viscous"]
     assert end.get_xdata()[0] == pytest.approx(row["interval"][1] / q.factor)
 
 
 def test_ensembles_that_disagree_determine_nothing(knee):
-    figure = corner_figure(knee, failed(summarise(knee).as_dict()))
+    figure = corner_figure(knee, Summary.read(failed(summarise(knee).as_dict())))
     for k in range(8):
         assert "posterior" not in {a.get_gid() for a in panels(figure)[k, k].get_children()}
     (legend,) = figure.legends
@@ -107,7 +108,7 @@ def test_nothing_open_shows_the_parameters_as_sampled(knee):
     summary = summarise(knee).as_dict()
     for row in summary["parameters"].values():
         row["verdict"] = "data"
-    figure = corner_figure(knee, summary)
+    figure = corner_figure(knee, Summary.read(summary))
     symbols = [panels(figure)[7, j].get_xlabel().split("\n")[0] for j in range(8)]
     assert symbols == [q.symbol for q in quantities(knee)[:8]]
 

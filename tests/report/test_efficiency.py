@@ -9,6 +9,7 @@ from bayesfric.mechanism.derived import derive, efficiencies
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.figures.efficiency import efficiency_curves, efficiency_figure
 from bayesfric.report.figures.style import COLUMN
+from bayesfric.report.summary.record import ReferenceRow
 from bayesfric.report.summary.summary import summarise
 
 from .conftest import draw_fast
@@ -59,7 +60,7 @@ def test_one_recording_does_not_determine_it(knee, curves):
     """The scale is open, and efficiency is of the load at the joint."""
     for curve in curves:
         assert not curve.band.determined.any()
-    figure = efficiency_figure(knee, {"references": {}})
+    figure = efficiency_figure(knee, {})
     gids = [c.get_gid() for c in figure.axes[0].collections]
     assert "open" in gids
     assert "band" not in gids
@@ -67,8 +68,8 @@ def test_one_recording_does_not_determine_it(knee, curves):
 
 
 def test_a_reference_stands_at_the_stated_load(knee):
-    given = {"value": 0.7, "sd": 0.05, "unit": "", "source": "data sheet"}
-    figure = efficiency_figure(knee, {"references": {"gearbox.efficiency_drive": given}})
+    given = ReferenceRow(value=0.7, sd=0.05, unit="", source="data sheet")
+    figure = efficiency_figure(knee, {"gearbox.efficiency_drive": given})
     draw_fast(figure)
     (shown,) = [c for c in figure.axes[0].containers if c.get_label() or True][:1]
     assert shown.lines[0].get_ydata() == pytest.approx([0.7])

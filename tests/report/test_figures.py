@@ -28,7 +28,7 @@ from bayesfric.report.summary.summary import summarise
 
 
 def draw_corner(fit):
-    return corner_figure(fit, summarise(fit).as_dict())
+    return corner_figure(fit, summarise(fit))
 
 
 DRAW = {"corner": draw_corner, "prediction": prediction_figure, "trace": trace_figure}
@@ -127,7 +127,7 @@ def test_same_fit_same_bytes_whatever_the_readers_style(draw, slide, tmp_path):
 
 FOR_PAPERS = {
     "friction": lambda fit, _: friction_figure(fit),
-    "efficiency": efficiency_figure,
+    "efficiency": lambda fit, summary: efficiency_figure(fit, summary.references),
     "prior_posterior": prior_posterior_figure,
     "residual": lambda fit, _: residual_figure(fit),
 }
@@ -136,7 +136,7 @@ FOR_PAPERS = {
 @pytest.mark.parametrize("stem", FOR_PAPERS)
 def test_figures_for_papers(stem, knee, tmp_path):
     """Printed size, nothing cut off or on top of each other, TrueType fonts, units, no title."""
-    summary = summarise(knee).as_dict()
+    summary = summarise(knee)
     figure = FOR_PAPERS[stem](knee, summary)
     assert figure.get_figwidth() in (COLUMN, PAGE)
     width, height = figure.bbox.size

@@ -11,11 +11,16 @@ from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
+from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.figures.curve_band import CurveJudge
 from bayesfric.report.figures.friction import friction_caption, friction_curves, friction_figure
 from bayesfric.report.figures.friction_curve import Covered, covered, friction_torque, load_reach
+from bayesfric.report.figures.registry import JudgedRun, run_figures
 from bayesfric.report.figures.style import COLUMN, PAGE
+from bayesfric.report.paper.tables import parameter_table
+from bayesfric.report.summary.record import Summary
 
+from . import made_summaries
 from .conftest import SLIDE, draw_fast
 
 KNEE = PRESETS["rabbit-knee"].chain()
@@ -233,3 +238,15 @@ def test_the_caption_says_what_load_is(knee, slide):
     assert "mean of what the motor feels" in friction_caption(knee)
     assert "No element" in friction_caption(slide)
     assert SLIDE.motor_motion == "linear"
+
+
+def test_the_words_name_losses_as_the_table_has_them_and_terms_of_ones_own():
+    told = made_summaries.knee()
+    told["parameters"]["motor.creak"] = told["parameters"]["motor.viscous"]
+    told["parameters"]["offset.one"] = told["parameters"]["motor.viscous"]
+    judged = JudgedRun(Summary.read(told), parameter_table(told), comparison({"knee": told}))
+    said = run_figures()["friction"].words(judged)
+    for name in ("motor.viscous", "total_drive.coulomb_positive", "motor.creak"):
+        assert f"{name}: " in said
+    for name in ("inertia", "first_moment", "offset", "noise", "alpha"):
+        assert name not in said

@@ -7,8 +7,7 @@ from importlib.metadata import version
 import pytest
 
 import bayesfric
-from bayesfric.report.paper.bibliography import ENTRIES
-from bayesfric.report.paper.methods_text import methods_text
+from bayesfric.report.paper.methods_text import ENTRIES, methods_text
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.summary import summarise
 

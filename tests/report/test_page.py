@@ -13,11 +13,11 @@ import pytest
 from markupsafe import Markup
 
 from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.figures.alternative import text_of
 from bayesfric.report.figures.registry import JudgedRun, run_figures
 from bayesfric.report.page.inline_svg import inline_svg
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.page.symbol import html_symbol
+from bayesfric.report.page.values import text_of
 from bayesfric.report.paper.tables import (
     parameter_table,
     parameters_csv,

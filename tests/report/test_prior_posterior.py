@@ -8,6 +8,7 @@ import pytest
 from bayesfric.report.figures.prior_posterior import prior_posterior_figure
 from bayesfric.report.figures.quantity import quantities
 from bayesfric.report.figures.style import PAGE
+from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.summary import summarise
 
 from .conftest import draw_fast
@@ -17,7 +18,7 @@ from .made_summaries import failed
 @pytest.fixture(scope="module")
 def drawn(knee):
     summary = summarise(knee).as_dict()
-    return knee, summary, prior_posterior_figure(knee, summary)
+    return knee, summary, prior_posterior_figure(knee, Summary.read(summary))
 
 
 def text(ax, gid):
@@ -55,7 +56,7 @@ def test_what_is_open_is_hatched(drawn):
     other = copy.deepcopy(summary)
     for row in other["parameters"].values():
         row["verdict"], row["at_bound"] = "prior", None
-    figure = prior_posterior_figure(fit, other)
+    figure = prior_posterior_figure(fit, Summary.read(other))
     assert all([p.get_gid() for p in ax.patches if p.get_hatch()] == ["open"] for ax in figure.axes)
     # and has no interval
     assert all([line.get_gid() for line in ax.lines] == ["prior"] for ax in figure.axes)
@@ -66,19 +67,19 @@ def test_a_limit_is_told_as_one(drawn):
     other = copy.deepcopy(summary)
     row = other["parameters"]["motor.viscous"]
     row |= {"verdict": "prior", "at_bound": "lower", "data_sd": 1e-9, "prior_sd": 1.0}
-    figure = prior_posterior_figure(fit, other)
+    figure = prior_posterior_figure(fit, Summary.read(other))
     ax = figure.axes[fit.posterior.names.index("motor.viscous")]
     assert text(ax, "verdict") == [f"at most {row['interval'][1]:.3g}"]
 
 
 def test_a_constant_parameter(make_fit):
     fit = make_fit(constant=("motor.viscous",), samples=400)
-    draw_fast(prior_posterior_figure(fit, summarise(fit).as_dict()))
+    draw_fast(prior_posterior_figure(fit, summarise(fit)))
 
 
 def test_ensembles_that_disagree_determine_nothing(drawn):
     fit, summary, _ = drawn
-    figure = prior_posterior_figure(fit, failed(summary))
+    figure = prior_posterior_figure(fit, Summary.read(failed(summary)))
     for ax in figure.axes:
         assert text(ax, "verdict") == ["NOT converged"]
         assert [p.get_gid() for p in ax.patches if p.get_hatch()] == ["open"]

@@ -9,8 +9,11 @@ from scipy import stats
 
 from bayesfric.inference.fit import fit, make_target, read_priors
 from bayesfric.inference.sampling.sampling import Sampling
+from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.own_term import Term
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.report.figures.ridge import ridge, ridge_figure
+from bayesfric.mechanism.scaling import scalings
+from bayesfric.report.figures.ridge import ridge, ridge_figure, siblings
 from bayesfric.report.figures.style import PAGE, save
 
 from .conftest import draw_fast
@@ -281,3 +284,13 @@ def test_fonts_and_bytes(flat, figure, tmp_path):
     assert b"/FontFile2" in content
     again, _ = save(ridge_figure(flat), tmp_path, "two")
     assert again.read_bytes() == content
+
+
+def test_what_stands_beside_alpha_is_read_from_the_table():
+    chain = KNEE.chain()
+    assert siblings(chain, scalings(chain)[0]) == [ML, JC]
+    loss = Term("joint.creak", lambda m: m.direction, "N m", positive=True)
+    bare = Load(inertia=False, first_moment=False)
+    only = replace(chain, load=bare, elements=(*chain.elements[:2], Element("joint", ratio=1.0)))
+    only = only.with_term(loss)
+    assert siblings(only, scalings(only)[0]) == ["joint.creak"]

@@ -15,6 +15,7 @@ from bayesfric.recordings import Processing
 from bayesfric.recordings.held_out import Validation, divide
 from bayesfric.report.figures.style import COLUMN, save
 from bayesfric.report.figures.validation import validation_figure
+from bayesfric.report.summary.record import Validation as Told
 from bayesfric.report.summary.validation import share_of, validation_lines, validation_record
 
 from .conftest import NOISE, recording
@@ -210,14 +211,14 @@ def test_noise_without_a_variance(knee):
     assert pooled["discrepancy"] is None
     assert pooled["verdict"] == "too wide"
     assert "\n".join(validation_lines(record))
-    assert validation_figure(fit, {"validation": record}) is not None
+    assert validation_figure(fit, Told.read(record)) is not None
 
 
 def test_the_figure_shows_what_is_furthest_off(knee, tmp_path):
     fit, record = predicted(knee, lambda t: t + (0.1 if t[0] > 0 else -0.1), ("one", "$two$"))
     shares = {k: p["coverage"]["0.9"]["share"] for k, p in record["parts"].items()}
     worst = max(shares, key=lambda name: abs(shares[name] - 0.9))
-    figure = validation_figure(fit, {"validation": record})
+    figure = validation_figure(fit, Told.read(record))
     assert figure.get_figwidth() == COLUMN
     assert figure.axes[0].get_title().replace("\\", "").startswith(f"{worst}, whole recording")
     assert figure.axes[0].get_ylabel() == "motor torque (N m)"
@@ -233,4 +234,4 @@ def test_the_figure_shows_what_is_furthest_off(knee, tmp_path):
 
 
 def test_nothing_held_out_draws_nothing(knee):
-    assert validation_figure(knee, {}) is None
+    assert validation_figure(knee, None) is None

@@ -12,7 +12,7 @@ from scipy import stats
 from scipy.optimize import brentq
 
 from bayesfric.report.comparison.cell import has_converged
-from bayesfric.report.comparison.one_turn import on_one_turn
+from bayesfric.report.comparison.comparison import on_one_turn
 from bayesfric.report.summary.record import PosteriorRow, Summary, of_noise
 
 Array = NDArray[np.float64]
@@ -23,25 +23,16 @@ _SELDOM = 0.05
 
 @dataclass(frozen=True)
 class Pool:
-    """Several measurements of one quantity, taken together.
+    """Several measurements of one quantity, taken together."""
 
-    Attributes
-    ----------
-    mean, sd
-        Of the mean over all runs there could be.
-    low, high
-        Ends of its interval.
-    between_sd
-        Standard deviation of the true values between runs.
-    q, p_value
-        Cochran's Q of one common truth, and how often chance alone gives as much.
-    """
-
+    # of the mean over all runs there could be
     mean: float
     sd: float
+    # ends of its interval
     low: float
     high: float
-    between_sd: float
+    between_sd: float  # standard deviation of the true values between runs
+    # Cochran's Q of one common truth, and how often chance alone gives as much
     q: float
     p_value: float
 
@@ -135,15 +126,10 @@ def _spread(y: Array, s: Array, tau2: float) -> float:
 
 
 def between_runs(runs: Mapping[str, Summary]) -> list[PooledQuantity]:
-    """Pool every quantity that the data of every run determine.
+    """Pool every quantity that the data of every run, on recordings of its own, determine.
 
     What any run's prior has a say in is left out: pooled, it would count one prior
     several times. So is a run whose ensembles disagree or stand still: it has no posterior.
-
-    Parameters
-    ----------
-    runs
-        Checked summaries by name, of recordings of their own.
     """
     tables = {
         name: run.rows

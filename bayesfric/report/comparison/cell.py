@@ -6,13 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from bayesfric.report.summary.bounds import told_by_data
-from bayesfric.report.summary.record import (
-    Bound,
-    EstimatedRow,
-    PosteriorRow,
-    Readable,
-    Summary,
-)
+from bayesfric.report.summary.record import Bound, EstimatedRow, PosteriorRow, Readable, Summary
 
 Status = Literal["determined", "undetermined", "bound", "limit", "known"]
 _NOT_DETERMINED = "not determined"
@@ -24,52 +18,33 @@ _LOST = "the search has not converged"
 
 @dataclass(frozen=True)
 class Cell:
-    """One number as one column tells it.
+    """One number as one column tells it."""
 
-    Attributes
-    ----------
-    value
-        Estimate, posterior median or known value; where ``status`` is
-        ``undetermined`` one of many that fit as well.
-    status
-        ``determined``; ``undetermined``: the data leave it open; ``bound``: an
-        estimate that stands on a bound; ``limit``: a posterior that the data push
-        against a bound; ``known``: taken as known, or a reference.
-    sd
-        Standard deviation, accounting for correlated residuals where the column
-        does; ``None`` where there is none.
-    sd_plain
-        The one for uncorrelated residuals, where the column has both or only that.
-    accounts
-        Whether ``sd`` accounts for correlated residuals.
-    interval, level
-        Of a posterior.
-    span
-        What fits as well, where the number is open and that is known.
-    limit, at_bound
-        End of the interval away from the bound, and which bound that is, where ``status`` is
-        ``limit``.
-    remark
-        What else to know, in a few words.
-    disagreement
-        Difference to the first posterior in standard deviations; see
-        :func:`comparison`.
-    converged
-        Whether there is a posterior, or an estimate, at all; ``undetermined`` where not.
-    """
-
+    # estimate, posterior median or known value; where `status` is `undetermined` one of many that
+    # fit as well
     value: float
+    # `determined`; `undetermined`: the data leave it open; `bound`: an estimate that stands on a
+    # bound; `limit`: a posterior that the data push against a bound; `known`: taken as known, or a
+    # reference
     status: Status
+    # standard deviation, accounting for correlated residuals where the column does; `None` where
+    # there is none
     sd: float | None = None
+    # the one for uncorrelated residuals, where the column has both or only that
     sd_plain: float | None = None
-    accounts: bool = False
+    accounts: bool = False  # whether `sd` accounts for correlated residuals
+    # of a posterior
     interval: tuple[float, float] | None = None
     level: float | None = None
+    # what fits as well, where the number is open and that is known
     span: tuple[float, float] | None = None
+    # end of the interval away from the bound, and which bound that is, where `status` is `limit`
     limit: float | None = None
     at_bound: Bound | None = None
-    remark: str = ""
+    remark: str = ""  # what else to know, in a few words
+    # difference to the first posterior in standard deviations; see `comparison`
     disagreement: float | None = None
+    # whether there is a posterior, or an estimate, at all; `undetermined` where not
     converged: bool = True
 
 
@@ -110,14 +85,8 @@ def has_converged(row: PosteriorRow, status: str) -> bool:
 def posterior_cell(row: PosteriorRow, accounts: bool, status: str = "reliable") -> Cell:
     """Judge one number of a posterior.
 
-    Parameters
-    ----------
-    row
-        The number.
-    accounts
-        Whether the noise model accounts for correlated residuals.
-    status
-        Of the sampling; see :func:`has_converged`.
+    ``accounts`` is whether the noise model accounts for correlated residuals, ``status`` that of
+    the sampling; see :func:`has_converged`.
     """
     low, high = row.interval
     if not has_converged(row, status):

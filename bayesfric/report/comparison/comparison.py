@@ -14,9 +14,15 @@ from typing import Any, Literal
 
 from bayesfric.errors import BadInput
 from bayesfric.estimates.estimate import METHODS, Kind, Method
+from bayesfric.mechanism.parameter import turned
 from bayesfric.report.comparison.cell import Cell, estimate_cell, left_open, posterior_cell
-from bayesfric.report.comparison.one_turn import on_one_turn
-from bayesfric.report.summary.record import Readable, ReferenceRow, Summary, of_noise
+from bayesfric.report.summary.record import (
+    PosteriorRow,
+    Readable,
+    ReferenceRow,
+    Summary,
+    of_noise,
+)
 
 REFERENCE = "reference"
 # Standard deviations of the posterior beyond which an estimate is another one.
@@ -25,29 +31,14 @@ _FAR = 3.0
 
 @dataclass(frozen=True)
 class Column:
-    """A method, a posterior, or values from elsewhere.
+    """A method, a posterior, or values from elsewhere."""
 
-    Attributes
-    ----------
-    label
-        As printed, unique.
-    kind
-        ``estimate``, ``posterior`` or ``reference``.
-    run
-        Name of the run; empty for references.
-    method
-        Of an estimate.
-    told
-        What its numbers take for granted.
-    residual_rms, residual_unit
-        Of measured minus modelled; ``None`` where it is not known.
-    """
-
-    label: str
+    label: str  # as printed, unique
     kind: Literal["estimate", "posterior", "reference"]
-    run: str
-    method: Method | None = None
-    told: str = ""
+    run: str  # name of the run; empty for references
+    method: Method | None = None  # of an estimate
+    told: str = ""  # what its numbers take for granted
+    # of measured minus modelled; `None` where it is not known
     residual_rms: float | None = None
     residual_unit: str = ""
 
@@ -71,24 +62,14 @@ class Row:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Quantities by columns.
+    """Quantities by columns."""
 
-    Attributes
-    ----------
-    columns, rows
-        In the order to print them.
-    baseline
-        Label of the posterior that disagreement is measured against, if any.
-    notes
-        What a reader must know besides, one sentence each.
-    contested
-        Names of the rows in which an estimate of the first posterior's run is far from it.
-    """
-
+    # in the order to print them
     columns: tuple[Column, ...]
     rows: tuple[Row, ...]
-    baseline: str | None
-    notes: tuple[str, ...]
+    baseline: str | None  # label of the posterior that disagreement is measured against, if any
+    notes: tuple[str, ...]  # what a reader must know besides, one sentence each
+    # names of the rows in which an estimate of the first posterior's run is far from it
     contested: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> Row:
@@ -175,7 +156,12 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
             if not fact.gauge_free:
                 _withhold(fact.cells, labels, posteriors)
     _check_common(facts, runs, columns)
-    notes = [*_reliability(runs), *_meanings(facts)]
+    notes = [
+        f"The posterior of {name} is {run.sampler.status}: it has not converged."
+        for name, run in runs.items()
+        if run.sampler.status != "reliable"
+    ]
+    notes += _meanings(facts)
     reference = _add_references(facts, runs, notes)
     if reference is not None:
         columns.append(reference)
@@ -340,12 +326,6 @@ def _check_common(
             )
 
 
-def _reliability(runs: Mapping[str, Summary]) -> Iterator[str]:
-    for name, run in runs.items():
-        if run.sampler.status != "reliable":
-            yield f"The posterior of {name} is {run.sampler.status}: it has not converged."
-
-
 def _meanings(facts: Mapping[str, _Facts]) -> Iterator[str]:
     for name, fact in facts.items():
         said = {run: words for run, words in fact.meanings.items() if words}
@@ -415,3 +395,34 @@ def _measured(
             apart = (cell.value - base.value) / scale
             ordered[column.label] = replace(cell, disagreement=apart)
     return ordered
+
+
+def on_one_turn(runs: Mapping[str, Summary]) -> dict[str, Summary]:
+    """Bring every number of an angle by whole turns next to the first run's: 3.13 to -3.13."""
+    towards: dict[str, float] = {}
+    for run in runs.values():
+        for name, row in run.parameters.items():
+            if row.period is not None:
+                towards.setdefault(name, row.middle)
+
+    def turn(rows: Mapping[str, Any]) -> dict[str, Any]:
+        return {n: _turned(r, towards[n]) if n in towards else r for n, r in rows.items()}
+
+    found = {}
+    for key, run in runs.items():
+        estimates = {
+            method: one.model_copy(update={"parameters": turn(one.parameters)})
+            for method, one in run.estimates.items()
+        }
+        tables = {key: turn(getattr(run, key)) for key in ("parameters", "fixed", "references")}
+        found[key] = run.model_copy(update=tables | {"estimates": estimates})
+    return found if towards else dict(runs)
+
+
+def _turned(row: Any, towards: float) -> Any:
+    middle = row.middle if isinstance(row, PosteriorRow) else row.value
+    by = float(turned(middle, towards) - middle)
+    told = row.model_dump(exclude_none=True)
+    moved = {key: told[key] + by for key in ("mean", "median", "value", "bound") if key in told}
+    moved |= {key: [end + by for end in told[key]] for key in ("interval", "span") if key in told}
+    return row.model_copy(update=moved)

@@ -26,15 +26,7 @@ _COLUMNS = ["name", "unit", "symbol", "meaning", "kind", "gauge_free", "column",
 
 
 def comparison_text(found: Comparison, width: int = _WIDTH) -> Iterator[str]:
-    """Lay a comparison out for a terminal, line by line.
-
-    Parameters
-    ----------
-    found
-        From :func:`bayesfric.report.comparison.comparison.comparison`.
-    width
-        Characters a line may have; columns that do not fit come in further blocks.
-    """
+    """Lay a comparison out for a terminal; columns that do not fit come in further blocks."""
     names = [[row.name, *([f"  {row.unit}"] if row.unit else [])] for row in found.rows]
     left = max((len(line) for lines in names for line in lines), default=0)
     each = max(1, (width - left) // (_NARROWEST + len(_BETWEEN)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,7 +12,6 @@ from matplotlib.lines import Line2D
 from bayesfric.errors import BadInput, nearest
 from bayesfric.inference.fit import Fit
 from bayesfric.report.comparison.cell import Cell, posterior_cells
-from bayesfric.report.figures.alternative import rows_in_words
 from bayesfric.report.figures.marginal import draw_marginal, marginal_handles, moves
 from bayesfric.report.figures.quantity import Quantity, combinations, not_shown, quantities
 from bayesfric.report.figures.registry import RunFigure
@@ -22,9 +20,12 @@ from bayesfric.report.figures.style import (
     POSTERIOR,
     SMALL,
     Array,
+    Look,
     few_ticks,
     paper_figure,
 )
+from bayesfric.report.page.values import rows_in_words
+from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.summary import LEVEL
 
 # Combinations that come first; parameters want to be seen too.
@@ -38,9 +39,7 @@ _BINS = 40
 _SMOOTH = 1.2
 
 
-def corner_figure(
-    fit: Fit, summary: Mapping[str, Any], chosen: Sequence[str] | None = None
-) -> Figure:
+def corner_figure(fit: Fit, summary: Summary, chosen: Sequence[str] | None = None) -> Figure:
     """Draw marginal and pairwise posteriors, a page wide.
 
     On the diagonal the posterior density is a histogram with the prior density of
@@ -48,22 +47,10 @@ def corner_figure(
     hold 50 % and 90 % of the draws. What the data leave open is hatched, without an
     interval, and its pairs are not filled.
 
-    Parameters
-    ----------
-    fit
-        A finished fit.
-    summary
-        From :func:`bayesfric.report.summary.summary.summarise`, for what the data determine.
-    chosen
-        Names of the sampled parameters and of combinations that no scaling changes, in
-        the order to show them. If left out, eight: where the data leave parameters
-        open, first combinations that they determine, then what they determine of the
-        parameters; else the parameters as sampled.
-
-    Raises
-    ------
-    BadInput
-        If a name is not among them, or none is given.
+    ``chosen`` are names of sampled parameters and of combinations that no scaling changes, in the
+    order to show them; ``BadInput`` where a name is not among them, or none is given. If left out,
+    eight: where the data leave parameters open, first combinations that they determine, then what
+    they determine of the parameters; else the parameters as sampled.
     """
     cells = posterior_cells(summary)
     sampled = quantities(fit)
@@ -136,20 +123,10 @@ def _pair(
     import corner  # brings ArviZ along, which takes a second or more
 
     if all(map(moves, pair)):
-        corner.hist2d(
-            *pair,
-            ax=ax,
-            bins=_BINS,
-            range=list(limits),
-            levels=MASSES,
-            smooth=_SMOOTH,
-            color=POSTERIOR,
-            plot_datapoints=False,
-            plot_density=False,
-            fill_contours=filled,
-            contour_kwargs={"linewidths": (0.6, 0.9)},
-            quiet=True,
-        )
+        look: Look = {"color": POSTERIOR, "contour_kwargs": {"linewidths": (0.6, 0.9)}}
+        look |= {"plot_datapoints": False, "plot_density": False, "fill_contours": filled}
+        look |= {"bins": _BINS, "range": list(limits), "levels": MASSES, "smooth": _SMOOTH}
+        corner.hist2d(*pair, ax=ax, quiet=True, **look)
     else:
         # a parameter that never changes: the interval of the other one, or a point
         ends = [

@@ -30,24 +30,15 @@ _OUTSIDE: Look = {"linestyle": (0, (3.0, 2.0)), "linewidth": 0.6}
 
 @dataclass(frozen=True, eq=False)
 class CurveBand:
-    """A function of the parameters at ``N`` places.
+    """A function of the parameters at ``N`` places."""
 
-    Attributes
-    ----------
-    median, low, high
-        ``(N,)`` of the posterior; the ends of its central 90 % interval. Over the draws
-        that have a value; ``nan`` where fewer than half of them do.
-    determined
-        ``(N,)`` whether the data had a say: false where the verdict is ``prior``.
-    undefined_share
-        ``(N,)`` share of the draws without a value.
-    """
-
+    # `(N,)` of the posterior; the ends of its central 90 % interval. Over the draws that have a
+    # value; `nan` where fewer than half of them do.
     median: Array
     low: Array
     high: Array
-    determined: Flags
-    undefined_share: Array
+    determined: Flags  # `(N,)` whether the data had a say: false where the verdict is `prior`
+    undefined_share: Array  # `(N,)` share of the draws without a value
 
     def part(self, where: Flags, sign: float = 1.0) -> CurveBand:
         """Take some of the places, times plus or minus one."""
@@ -55,11 +46,11 @@ class CurveBand:
         return CurveBand(median, low, high, self.determined[where], self.undefined_share[where])
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class LoadCurve:
     """A band over, or at, loads ``(N,)``, and whether recordings were near ``(N,)``."""
 
-    load: Array
+    load: Array  # loss-free, see :mod:`bayesfric.report.figures.friction_curve`
     band: CurveBand
     covered: Flags
 
@@ -115,20 +106,12 @@ class CurveJudge:
         return self.local.from_theory > 0
 
     def band(self, curve: Curve, *, gauge_free: bool, draws: int = _DRAWS) -> CurveBand:
-        """Evaluate a curve over the posterior and judge every point of it.
+        """Evaluate a curve over at most ``draws`` of the posterior and judge every point of it.
 
         Points are judged as single quantities are in ``summary.json``: by the posterior's
-        sd against the prior's and the one that the data alone would leave.
-
-        Parameters
-        ----------
-        curve
-            Joint parameters ``(n, n_parameters)`` to values ``(n, N)``; ``nan`` where a
-            draw has none.
-        gauge_free
-            Whether theory says that no scaling of leg and alpha changes it.
-        draws
-            At most so many of the posterior are used.
+        sd against the prior's and the one that the data alone would leave. The curve is ``nan``
+        where a draw has no value; ``gauge_free`` is whether, by theory, no scaling of leg and
+        alpha changes it.
         """
         with np.errstate(all="ignore"), warnings.catch_warnings():
             # points that no draw has are nan, and say so by that
@@ -169,16 +152,9 @@ def draw_curve(
             gid = "open" if open_ else "band"
             ax.fill_between(x, band.low, band.high, where=inside, gid=gid, **area)
     ax.plot(x, band.median, color=look.colour, gid="outside", **_OUTSIDE)
-    ax.plot(
-        x,
-        np.where(_joined(shown, np.isfinite(band.median)), band.median, np.nan),
-        color=look.colour,
-        marker=look.marker,
-        markersize=2.6,
-        markevery=(look.start, look.every),
-        label=label,
-        gid="median",
-    )
+    seen = np.where(_joined(shown, np.isfinite(band.median)), band.median, np.nan)
+    marks: Look = {"marker": look.marker, "markersize": 2.6, "markevery": (look.start, look.every)}
+    ax.plot(x, seen, color=look.colour, label=label, gid="median", **marks)
 
 
 def curve_handles(curves: Sequence[LoadCurve], band: str, other: str) -> list[Artist]:
@@ -209,12 +185,8 @@ def _joined(flags: Flags, within: Flags) -> Flags:
 
 def _both_ways(centre: Array, steps: Array) -> Array:
     """Vectors a step to either side in each free parameter, ``(2k, d)``."""
-    k = steps.size
-    moved = np.tile(centre, (2 * k, 1))
-    index = np.arange(k)
-    moved[index, index] += steps
-    moved[k + index, index] -= steps
-    return moved
+    moves = np.pad(np.diag(steps), ((0, 0), (0, centre.size - steps.size)))
+    return np.concatenate([centre + moves, centre - moves])
 
 
 def _finite(x: Array) -> Array:

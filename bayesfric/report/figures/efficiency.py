@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -15,7 +14,7 @@ from matplotlib.lines import Line2D
 from bayesfric.estimates.torque import typical_load
 from bayesfric.inference.fit import Fit
 from bayesfric.mechanism.derived import derive
-from bayesfric.report.figures.alternative import quantity_of, rows_in_words
+from bayesfric.report.figures import style
 from bayesfric.report.figures.curve_band import (
     CurveJudge,
     CurveLook,
@@ -26,18 +25,9 @@ from bayesfric.report.figures.curve_band import (
 )
 from bayesfric.report.figures.friction_curve import covered, load_reach
 from bayesfric.report.figures.registry import JudgedRun, RunFigure
-from bayesfric.report.figures.style import (
-    COLUMN,
-    MEASURED,
-    OPEN_HATCH_BACK,
-    PAGE,
-    PALETTE,
-    Array,
-    Look,
-    few_ticks,
-    legend_above,
-    paper_figure,
-)
+from bayesfric.report.figures.style import Array, Look, few_ticks, legend_above, paper_figure
+from bayesfric.report.page.values import rows_in_words
+from bayesfric.report.summary.record import ReferenceRow, quantity_of
 from bayesfric.report.summary.summary import LEVEL
 
 _POINTS = 40
@@ -48,32 +38,23 @@ _WORDS = {"drive": "motor drives", "back": "load drives"}
 _SYMBOLS = {"drive": r"\eta_m", "back": r"\eta_r"}
 # hatched the other way round for the other direction of power
 _LOOKS = {
-    "drive": CurveLook(PALETTE[1], "o"),
-    "back": CurveLook(PALETTE[2], "s", hatch=OPEN_HATCH_BACK),
+    "drive": CurveLook(style.PALETTE[1], "o"),
+    "back": CurveLook(style.PALETTE[2], "s", hatch=style.OPEN_HATCH_BACK),
 }
 _REFERENCE: Look = {
-    "color": MEASURED, "markersize": 4.0, "markerfacecolor": "white", "linestyle": "none"
+    "color": style.MEASURED, "markersize": 4.0, "markerfacecolor": "white", "linestyle": "none"
 }  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class EfficiencyCurve(LoadCurve):
-    """Efficiency of one element in one direction of power.
+    """Efficiency of one element in one direction of power, over the load at the joint.
 
-    Attributes
-    ----------
-    element
-        Its name.
-    side
-        ``drive`` or ``back``.
-    load, band, covered
-        Torque of the load at the joint, N m or N; the band is without a value where half of
-        the draws call the transmission irreversible; whether recordings had such loads in
-        this direction of power.
+    The band is without a value where half of the draws call the transmission irreversible.
     """
 
-    element: str
-    side: str
+    element: str  # its name
+    side: str  # `drive` or `back`
 
     @property
     def name(self) -> str:
@@ -82,17 +63,12 @@ class EfficiencyCurve(LoadCurve):
 
 
 def efficiency_curves(fit: Fit) -> tuple[EfficiencyCurve, ...]:
-    """Evaluate eq. (4) over the loads of the recordings.
+    """Evaluate eq. (4) over the loads of the recordings, two curves an element with a load loss.
 
     The definition is that of :func:`bayesfric.mechanism.derived.derive`: constant losses in
     and behind the element count, viscous ones do not. Unlike friction at the motor it is
     of the load at the joint, which scaling leg and alpha together does change: where that
-    scale is open, so are efficiencies.
-
-    Returns
-    -------
-    tuple of EfficiencyCurve
-        Two for each element with a load loss; none where there is no load.
+    scale is open, so are efficiencies. None where there is no load.
     """
     chain = fit.chain
     elements = [element.name for element in chain.elements if element.load_loss != "none"]
@@ -113,7 +89,7 @@ def efficiency_curves(fit: Fit) -> tuple[EfficiencyCurve, ...]:
 
         band = judge.band(curve, gauge_free=False, draws=_DRAWS)
         near = _near(load, np.sort(sign * joint))
-        return EfficiencyCurve(element=element, side=side, load=load, band=band, covered=near)
+        return EfficiencyCurve(load, band, near, element, side)
 
     return tuple(of(one, *side) for one in elements for side in (("drive", 1.0), ("back", -1.0)))
 
@@ -125,35 +101,29 @@ def _near(load: Array, seen: Array) -> Flags:
     return np.asarray(count >= 3)
 
 
-def efficiency_figure(fit: Fit, summary: Mapping[str, Any]) -> Figure | None:
+def efficiency_figure(fit: Fit, references: Mapping[str, ReferenceRow]) -> Figure | None:
     """Draw efficiency over load, with references where the configuration gives any.
 
-    A panel for each of at most two elements with load losses. Where the data do not
-    determine it, the band is hatched; where no recording had such a load, there is only
-    a dashed median. A reference stands at the load the summary states efficiencies for.
-
-    Returns
-    -------
-    matplotlib.figure.Figure or None
-        A column wide, or a page for two elements; ``None`` where no element has a load
-        loss, or nothing loads it.
+    A panel for each of at most two elements with load losses, a column wide or a page; ``None``
+    where there is none, or nothing loads it. Where the data do not determine it, the band is
+    hatched; where no recording had such a load, there is only a dashed median. A reference stands
+    at the load the summary states efficiencies for.
     """
     curves = efficiency_curves(fit)[: 2 * _MOST]
     if not curves:
         return None
     panels = [curves[i : i + 2] for i in range(0, len(curves), 2)]
-    width = COLUMN if len(panels) == 1 else PAGE
+    width = style.COLUMN if len(panels) == 1 else style.PAGE
     median = fit.target.chain_values(fit.posterior.median[None])[0]
     stated = typical_load(fit.chain, fit.observations, median)
-    references = summary.get("references", {})
     with paper_figure(width, _HEIGHT) as figure:
         axes = figure.subplots(1, len(panels), squeeze=False)[0]
         for ax, panel in zip(axes, panels, strict=True):
             _panel(ax, fit, panel, several=len(panels) > 1)
             for curve in panel:
-                if (given := references.get(curve.name)) is not None:
-                    _reference(ax, curve, given, stated)
-        legend_above(figure, _handles(curves, references), 2 if width == COLUMN else None)
+                if curve.name in references:
+                    _reference(ax, curve, references[curve.name], stated)
+        legend_above(figure, _handles(curves, references), 2 if width == style.COLUMN else None)
     return figure
 
 
@@ -169,47 +139,31 @@ def _panel(ax: Axes, fit: Fit, panel: Sequence[EfficiencyCurve], *, several: boo
     few_ticks(ax.yaxis, 6)
 
 
-def _reference(ax: Axes, curve: EfficiencyCurve, given: Mapping[str, Any], stated: float) -> None:
-    ax.errorbar(
-        [stated],
-        [given["value"]],
-        yerr=[given["sd"]] if given.get("sd") else None,
-        capsize=2.0,
-        elinewidth=0.8,
-        zorder=3.0,
-        gid="reference",
-        marker=_LOOKS[curve.side].marker,
-        **_REFERENCE,
-    )
+def _reference(ax: Axes, curve: EfficiencyCurve, given: ReferenceRow, stated: float) -> None:
+    look = _REFERENCE | {"marker": _LOOKS[curve.side].marker, "zorder": 3.0, "gid": "reference"}
+    bar = [given.sd] if given.sd else None
+    ax.errorbar([stated], [given.value], yerr=bar, capsize=2.0, elinewidth=0.8, **look)
 
 
-def _handles(curves: Sequence[EfficiencyCurve], references: Mapping[str, Any]) -> list[Artist]:
+def _handles(
+    curves: Sequence[EfficiencyCurve], references: Mapping[str, ReferenceRow]
+) -> list[Artist]:
     lines: list[Artist] = []
+    marks: list[Artist] = []
     for side, look in _LOOKS.items():
         said = rf"{_WORDS[side]}, ${_SYMBOLS[side]}$"
         mark: Look = {"marker": look.marker, "markersize": 2.6}
         lines.append(Line2D([], [], color=look.colour, label=said, **mark))
-    given = {
-        (references[c.name]["source"], c.side): None
-        for c in curves
-        if references.get(c.name) is not None
-    }
-    marks = [
-        Line2D(
-            [],
-            [],
-            label=f"{source}, {_WORDS[side]}".replace("$", r"\$"),
-            marker=_LOOKS[side].marker,
-            **_REFERENCE,
-        )
-        for source, side in given
-    ]
-    return [*lines, *curve_handles(curves, PALETTE[1], MEASURED), *marks]
+    given = {(references[c.name].source, c.side): None for c in curves if c.name in references}
+    for source, side in given:
+        said = f"{source}, {_WORDS[side]}".replace("$", r"\$")
+        marks.append(Line2D([], [], label=said, marker=_LOOKS[side].marker, **_REFERENCE))
+    return [*lines, *curve_handles(curves, style.PALETTE[1], style.MEASURED), *marks]
 
 
 def _words(judged: JudgedRun) -> str:
     quantities = {f"{what}_{side}" for what in ("efficiency", "alpha") for side in _LOOKS}
-    rows = [row for row in judged.table.rows if quantity_of(row) in quantities]
+    rows = [row for row in judged.table.rows if quantity_of(row.name) in quantities]
     return rows_in_words(rows) if rows else "See the table of derived quantities."
 
 
@@ -217,7 +171,7 @@ FIGURE = RunFigure(
     stem="efficiency",
     title="Efficiency against load",
     section="efficiency",
-    draw=lambda run: efficiency_figure(run.fit, run.summary),
+    draw=lambda run: efficiency_figure(run.fit, run.summary.references),
     caption=(
         f"Efficiency of eq. (4) over the load at the joint: posterior median and "
         f"{100 * LEVEL:.0f} % band, constant losses in and behind the element counted, viscous "

@@ -27,12 +27,7 @@ def two_at_once(folder: Path) -> Iterator[Callable[[Figure, str], None]]:
     Setting text and embedding fonts three times a figure takes longer than all drawing, so
     whenever a second process is free the figure is handed to it through a pipe. What it
     cannot do, for whatever reason, is done here, where an error is told. The bytes are the
-    same wherever a figure is saved.
-
-    Parameters
-    ----------
-    folder
-        Must exist. Holds all files when the block ends well.
+    same wherever a figure is saved. ``folder`` holds all files when the block ends well.
     """
     helper = _helper()
     waiting = ThreadPoolExecutor(1)

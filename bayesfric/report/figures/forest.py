@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -12,31 +13,10 @@ from matplotlib.lines import Line2D
 
 from bayesfric.errors import BadInput
 from bayesfric.report.comparison.cell import Cell
-from bayesfric.report.comparison.comparison import (
-    REFERENCE,
-    Column,
-    Comparison,
-    Row,
-    comparison,
-)
+from bayesfric.report.comparison.comparison import REFERENCE, Column, Comparison, Row, comparison
+from bayesfric.report.figures import style
 from bayesfric.report.figures.registry import ComparisonFigure, RunFigure
-from bayesfric.report.figures.style import (
-    COLUMN,
-    DOTTED,
-    MEASURED,
-    PAGE,
-    PALETTE,
-    SMALL,
-    WORDS,
-    Look,
-    axis_label,
-    few_ticks,
-    paper_figure,
-    power_of_ten,
-    remark_below,
-    run_style,
-    shortened,
-)
+from bayesfric.report.figures.style import Look, power_of_ten, remark_below, run_style, shortened
 from bayesfric.report.summary.summary import LEVEL
 
 # Half width of a 90 % interval of a normal distribution, in standard deviations.
@@ -48,16 +28,16 @@ _HIGHEST = 9.0
 # Inches: between lines, for the axis below a panel, a line of the legend, a letter of a name.
 _LINE, _AXIS, _LEGEND, _LETTER = 0.155, 0.40, 0.135, 0.054
 _MARGIN = 0.65  # lines above the first and below the last
-_REFERENCE = PALETTE[2]
+_REFERENCE = style.PALETTE[2]
 _THICK: Look = {"linewidth": 2.2, "alpha": 0.55, "solid_capstyle": "butt"}
 _THIN: Look = {"linewidth": 0.7, "marker": "|", "markersize": 4.5, "markeredgewidth": 0.7}
-_SPAN: Look = {"linewidth": 0.9, "linestyle": DOTTED}
+_SPAN: Look = {"linewidth": 0.9, "linestyle": style.DOTTED}
 
 # Estimates in greys, posteriors in colours; shapes tell them apart once more.
 _ESTIMATES = {
     "least-squares": ("s", "#8c8c8c"),
     "input-error": ("^", "#5e5e5e"),
-    "output-error": ("D", MEASURED),
+    "output-error": ("D", style.MEASURED),
 }
 _POSTERIORS = ("o", "v", "P", "X", "<", ">")
 
@@ -82,30 +62,24 @@ class _Line:
             "linestyle": "none",
         }
 
+    def draw(self, ax: Axes, x: list[float], kind: str, look: Look) -> None:
+        """Draw a bar of some kind."""
+        ax.plot(x, [self.y] * 2, color=self.colour, gid=kind, **look)
+
 
 def forest_figure(found: Comparison) -> Figure:
-    """Draw a comparison.
+    """Draw a comparison, a column wide for up to four quantities, else a page.
 
     Bars are 90 % intervals: a posterior's own, an estimate's 1.645 standard
     deviations to either side. Thick ones account for correlated residuals, thin ones
     with caps take them for uncorrelated. What is not determined has an open marker
     and those words, never a bar; dots span the values that fit as well. A reference
-    is a vertical line.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        A column wide for up to four quantities, else a page. Quantities that only one
-        column tells anything of are left out, unless there are no others.
-
-    Raises
-    ------
-    BadInput
-        If nothing at all can be drawn.
+    is a vertical line. Quantities that only one column tells anything of are left out, unless there
+    are no others; ``BadInput`` if nothing at all can be drawn.
     """
     rows = _drawable(found)
     columns = [column for column in found.columns if column.kind != "reference"]
-    width, across = (COLUMN, 1) if len(rows) <= _FEW else (PAGE, _ACROSS)
+    width, across = (style.COLUMN, 1) if len(rows) <= _FEW else (style.PAGE, _ACROSS)
     rooms = _rooms(rows, across, len(columns))
     spare = _LEGEND * (3 if across == 1 else 2)
     while len(rooms) > 1 and spare + sum(rooms) + len(rooms) * _AXIS > _HIGHEST:
@@ -113,9 +87,11 @@ def forest_figure(found: Comparison) -> Figure:
     shown = rows[: across * len(rooms)]
     left_out = len(rows) - len(shown)
     most = int((0.4 * width - 0.26) / _LETTER)
-    names = [shortened(name, most) for name in _names(columns)]
+    # the run alone where there is nothing but posteriors
+    runs = len(columns) > 1 and all(column.kind == "posterior" for column in columns)
+    names = [shortened(c.run if runs else c.label, most) for c in columns]
     each = (width - _LETTER * max(map(len, names)) - 0.2) / across - 0.05
-    with paper_figure(width, spare + sum(rooms) + len(rooms) * _AXIS) as figure:
+    with style.paper_figure(width, spare + sum(rooms) + len(rooms) * _AXIS) as figure:
         grid = figure.add_gridspec(len(rooms), across, height_ratios=rooms)
         for k, row in enumerate(shown):
             ax = figure.add_subplot(grid[divmod(k, across)])
@@ -143,12 +119,6 @@ def _rooms(rows: list[Row], across: int, lines: int) -> list[float]:
     return rooms
 
 
-def _names(columns: list[Column]) -> list[str]:
-    """Names at the side; the run alone where there is nothing but posteriors."""
-    runs = len(columns) > 1 and all(column.kind == "posterior" for column in columns)
-    return [column.run if runs else column.label for column in columns]
-
-
 def _styled(columns: list[Column]) -> list[_Line]:
     lines, posteriors = [], 0
     for k, column in enumerate(columns):
@@ -163,14 +133,12 @@ def _styled(columns: list[Column]) -> list[_Line]:
 
 def _drawable(found: Comparison) -> list[Row]:
     """Rows with something to compare, or else with anything to show."""
+
+    def told(row: Row) -> int:
+        return sum(c.status != "undetermined" or c.span is not None for c in row.cells.values())
+
     for least in (2, 1):
-        rows = [
-            row
-            for row in found.rows
-            if sum(c.status != "undetermined" or c.span is not None for c in row.cells.values())
-            >= least
-        ]
-        if rows:
+        if rows := [row for row in found.rows if told(row) >= least]:
             return rows
     raise BadInput(
         "forest", "no quantity is determined by any of the columns", "see what a fit says of them"
@@ -192,24 +160,17 @@ def _panel(ax: Axes, row: Row, lines: list[_Line], inches: float) -> None:
             _limit(ax, line, cell, factor)
         else:
             for ends, kind, look in _bars(cell):
-                _between(ax, line, ends, factor, kind, look)
+                line.draw(ax, [end / factor for end in ends], kind, look)
             ax.plot(cell.value / factor, line.y, gid="value", zorder=4, **line.mark())
             if cell.status != "determined":
                 _words(ax, cell.value / factor, line.y, cell.remark)
     if REFERENCE in row.cells:
         _reference(ax, row.cells[REFERENCE], factor, inches)
-    few_ticks(ax.xaxis, max(3, int(inches / 0.4)), inner=True)
-    label = axis_label(row.symbol, row.name, exponent, row.unit)
+    style.few_ticks(ax.xaxis, max(3, int(inches / 0.4)), inner=True)
+    label = style.axis_label(row.symbol, row.name, exponent, row.unit)
     # names are longer than symbols
     long = not row.symbol and _LETTER * len(label) > inches
-    ax.set_xlabel(label, fontsize=WORDS if long else SMALL + 1.0)
-
-
-def _between(
-    ax: Axes, line: _Line, ends: tuple[float, float], factor: float, kind: str, look: Look
-) -> None:
-    x = [end / factor for end in ends]
-    ax.plot(x, [line.y] * 2, color=line.colour, gid=kind, **look)
+    ax.set_xlabel(label, fontsize=style.WORDS if long else style.SMALL + 1.0)
 
 
 def _around(cell: Cell, sd: float) -> tuple[float, float]:
@@ -244,9 +205,9 @@ def _open(ax: Axes, line: _Line, cell: Cell, factor: float, inches: float) -> No
     if cell.span is None:
         _words(ax, at if inside else None, line.y, words)
         return
-    _between(ax, line, cell.span, factor, "span", _SPAN)
-    # behind the dots if there is room, else where they are longer: their ends must be seen
     start, end = (x / factor for x in cell.span)
+    line.draw(ax, [start, end], "span", _SPAN)
+    # behind the dots if there is room, else where they are longer: their ends must be seen
     needed = 0.9 * _LETTER * len(words) * (high - low) / inches
     if max(high - end, start - low) > needed:
         right = high - end > start - low
@@ -262,7 +223,7 @@ def _limit(ax: Axes, line: _Line, cell: Cell, factor: float) -> None:
     left = cell.limit >= cell.value
     low, high = ax.get_xlim()
     end = low + (0.03 if left else 0.97) * (high - low)
-    ax.plot([limit, end], [line.y] * 2, color=line.colour, linewidth=0.9, gid="limit")
+    line.draw(ax, [limit, end], "limit", {"linewidth": 0.9})
     ax.plot(limit, line.y, color=line.colour, marker="|", markersize=6.0, gid="limit")
     ax.plot(end, line.y, gid="limit", **line.mark() | {"marker": "<" if left else ">"})
     _words(ax, limit, line.y, cell.remark)
@@ -273,18 +234,18 @@ def _words(ax: Axes, at: float | None, y: float, words: str, *, right: bool | No
     low, high = ax.get_xlim()
     if right is None:
         right = at is not None and at - low < high - at
-    ax.annotate(
-        words,
-        (0.5 * (low + high) if at is None else at, y),
-        xytext=(0.0 if at is None else 4.5 if right else -4.5, 0.0),
-        textcoords="offset points",
-        ha="center" if at is None else "left" if right else "right",
-        va="center_baseline",
-        fontsize=WORDS,
-        # the dots of a span stop for the words
-        bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},
-        zorder=3.5,
-    ).set_in_layout(False)
+    side, away = ("center", 0.0) if at is None else ("left", 4.5) if right else ("right", -4.5)
+    place = (0.5 * (low + high) if at is None else at, y)
+    # the dots of a span stop for the words
+    look: Look = {"bbox": {"facecolor": "white", "edgecolor": "none", "pad": 0.6}, "zorder": 3.5}
+    _annotate(ax, words, place, (away, 0.0), ha=side, va="center_baseline", **look)
+
+
+def _annotate(
+    ax: Axes, words: str, at: tuple[float, float], away: tuple[float, float], **look: Any
+) -> None:
+    look |= {"textcoords": "offset points", "fontsize": style.WORDS}
+    ax.annotate(words, at, xytext=away, **look).set_in_layout(False)
 
 
 def _reference(ax: Axes, cell: Cell, factor: float, inches: float) -> None:
@@ -295,17 +256,10 @@ def _reference(ax: Axes, cell: Cell, factor: float, inches: float) -> None:
     ax.axvline(at, color=_REFERENCE, linewidth=0.8, zorder=1, gid="reference")
     low, high = ax.get_xlim()
     right = at - low < high - at
-    ax.annotate(
-        shortened(cell.remark, max(6, int((0.6 * inches - 0.1) / _LETTER))),
-        (at, 1.0),
-        xycoords=ax.get_xaxis_transform(),
-        xytext=(2.0 if right else -2.0, -1.5),
-        textcoords="offset points",
-        ha="left" if right else "right",
-        va="top",
-        fontsize=WORDS,
-        color=_REFERENCE,
-    ).set_in_layout(False)
+    words = shortened(cell.remark, max(6, int((0.6 * inches - 0.1) / _LETTER)))
+    look: Look = {"xycoords": ax.get_xaxis_transform(), "color": _REFERENCE, "va": "top"}
+    side, away = ("left", 2.0) if right else ("right", -2.0)
+    _annotate(ax, words, (at, 1.0), (away, -1.5), ha=side, **look)
 
 
 def _range(row: Row) -> tuple[float, float]:
@@ -333,25 +287,21 @@ def _legend(figure: Figure, rows: list[Row], columns: list[Column]) -> None:
     grey = _ESTIMATES["output-error"][1]
     capped = Line2D([], [], color=grey, label="90 %, uncorrelated residuals", **_THIN)
     open_: Look = {"marker": "o", "markersize": 4.0, "markeredgewidth": 0.7}
+    open_["markerfacecolor"] = "white"
     handles: list[Line2D] = []
     if any(cell.accounts and cell.sd is not None for cell in cells):
         handles.append(Line2D([], [], color=grey, label="90 %, correlated residuals", **_THICK))
     if any(cell.sd_plain is not None for cell in cells):
         handles.append(capped)
     if any(cell.status == "undetermined" and cell.converged for cell in cells):
-        label = "not determined: fits as well"
-        handles.append(
-            Line2D([], [], color=grey, label=label, markerfacecolor="white", **_SPAN, **open_)
-        )
+        open_ |= {"color": grey, "label": "not determined: fits as well"}
+        handles.append(Line2D([], [], **_SPAN, **open_))
     if any(REFERENCE in row.cells for row in rows):
         handles.append(Line2D([], [], color=_REFERENCE, linewidth=0.8, label="reference"))
     if handles:
-        figure.legend(
-            handles=handles,
-            loc="outside upper right",
-            ncols=2 if figure.get_figwidth() == COLUMN else 4,
-            handler_map={capped: HandlerLine2D(numpoints=2)},
-        )
+        look: Look = {"handler_map": {capped: HandlerLine2D(numpoints=2)}}
+        across = 2 if figure.get_figwidth() == style.COLUMN else 4
+        figure.legend(handles=handles, loc="outside upper right", ncols=across, **look)
 
 
 def forest_words(found: Comparison) -> str:

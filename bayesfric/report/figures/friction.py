@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from bayesfric.inference.fit import Fit
-from bayesfric.report.figures.alternative import quantity_of, rows_in_words
+from bayesfric.mechanism.quantities import CHOICES, LOAD_CHOICES, QUANTITIES
+from bayesfric.report.figures import style
 from bayesfric.report.figures.curve_band import (
     CurveJudge,
     CurveLook,
@@ -23,18 +24,9 @@ from bayesfric.report.figures.curve_band import (
 )
 from bayesfric.report.figures.friction_curve import Covered, covered, friction_torque
 from bayesfric.report.figures.registry import JudgedRun, RunFigure
-from bayesfric.report.figures.style import (
-    COLUMN,
-    OPEN_HATCH,
-    PAGE,
-    PALETTE,
-    SMALL,
-    Array,
-    Look,
-    few_ticks,
-    legend_above,
-    paper_figure,
-)
+from bayesfric.report.figures.style import Array, Look, few_ticks, legend_above, paper_figure
+from bayesfric.report.page.values import rows_in_words
+from bayesfric.report.paper.tables import ParameterRow
 from bayesfric.report.summary.summary import LEVEL
 
 _POINTS = 121
@@ -42,43 +34,22 @@ _POINTS = 121
 _CELLS, _MAP_DRAWS = 31, 200
 _HEIGHT = 2.4
 _MARKS = ("o", "s", "^")
-# Quantities of elements, and totals of them, that the curves follow from.
-_LOSSES = {
-    "coulomb", "coulomb_positive", "coulomb_negative", "viscous", "quadratic", "stribeck_ratio",
-    "stribeck_velocity", "load", "load_drive", "load_back",
-}  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class FrictionCurve(LoadCurve):
-    """Friction along a line in the plane of speed and load, N m or N against the motion.
+    """Friction, N m or N against the motion, along a line in the plane of speed and load."""
 
-    ``speed`` ``(N,)`` is the motor's, ``load`` its loss-free torque of the load; see
-    :mod:`bayesfric.report.figures.friction_curve` for what that is.
-    """
-
-    speed: Array
+    speed: Array  # the motor's
 
 
 @dataclass(frozen=True, eq=False)
 class FrictionCurves:
-    """Everything the friction figure shows.
+    """Everything the friction figure shows."""
 
-    Attributes
-    ----------
-    open_scale
-        Whether loads are the mean of what driving and back-driving feel, for the scale
-        between leg and alpha is open.
-    over_speed
-        At no load, at a driven and at a driving load; the first alone where friction
-        cannot depend on load.
-    over_load
-        At a low and a high speed; empty where friction cannot depend on load.
-    """
-
-    open_scale: bool
-    over_speed: tuple[FrictionCurve, ...]
-    over_load: tuple[FrictionCurve, ...]
+    open_scale: bool  # whether loads are the mean of what driving and back-driving feel
+    over_speed: tuple[FrictionCurve, ...]  # at no load, at a driven and at a driving load
+    over_load: tuple[FrictionCurve, ...]  # at a low and a high speed; empty without load losses
     place: Covered
 
 
@@ -95,7 +66,7 @@ def friction_curves(fit: Fit, judge: CurveJudge | None = None) -> FrictionCurves
             gauge_free=judge.open_scale,
         )
         near = place.near(speed, load if lossy else None)
-        return FrictionCurve(speed=speed, load=load, band=band, covered=near)
+        return FrictionCurve(load, band, near, speed)
 
     low, high = (float(x) for x in (place.speed.min(), place.speed.max()))
     # friction jumps at rest: no point there
@@ -137,30 +108,24 @@ def _round(x: float) -> float:
 
 
 def friction_figure(fit: Fit) -> Figure:
-    """Draw friction over speed, over load, and a map over both.
+    """Draw friction over speed, over load, and a map over both; only the first without load loss.
 
     All at the motor, with the posterior median and its 90 % band. Loads left of zero drive
     the motor (back-driving). Beyond what the recordings covered the median goes on dashed,
     without a band; where the data do not determine the curve the band is hatched.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        A page wide; a column wide, with the curve over speed alone, where no element has
-        a loss that depends on load.
     """
     judge = CurveJudge(fit)
     found = friction_curves(fit, judge)
     alone = not found.over_load
-    with paper_figure(COLUMN if alone else PAGE, _HEIGHT) as figure:
+    with paper_figure(style.COLUMN if alone else style.PAGE, _HEIGHT) as figure:
         axes = figure.subplots(1, 1 if alone else 3, squeeze=False)[0]
         _over_speed(axes[0], fit, found)
         if not alone:
             _over_load(axes[1], fit, found)
             _map(figure, axes[2], fit, judge, found)
-        median = Line2D([], [], color=PALETTE[0], label="posterior median")
+        median = Line2D([], [], color=style.PALETTE[0], label="posterior median")
         curves = [*found.over_speed, *found.over_load]
-        handles = [median, *curve_handles(curves, PALETTE[0], PALETTE[0])]
+        handles = [median, *curve_handles(curves, style.PALETTE[0], style.PALETTE[0])]
         legend_above(figure, handles, 2 if alone else None)
     return figure
 
@@ -176,11 +141,8 @@ def _over_speed(ax: Axes, fit: Fit, found: FrictionCurves) -> None:
                 _draw(ax, curve, curve.speed, mine, k, side, label)
                 label = None
     ax.axhline(0.0, color="0.6", linewidth=0.5, zorder=0.5)
-    _label_speed(ax, fit)
-    _label_friction(ax, fit)
-    few_ticks(ax.xaxis, 6)
-    if several:
-        _legend(ax, "at load")
+    ax.set_xlabel(_speed_label(fit))
+    _friction_axis(ax, fit, 6, "at load" if several else "")
 
 
 def _over_load(ax: Axes, fit: Fit, found: FrictionCurves) -> None:
@@ -192,13 +154,11 @@ def _over_load(ax: Axes, fit: Fit, found: FrictionCurves) -> None:
     low = min(low, 0.0)
     # room for the words above and below
     ax.set_ylim(low - 0.02 * (high - low), high + 0.38 * (high - low))
-    said: Look = {"fontsize": SMALL, "color": "0.35", "transform": ax.transAxes}
+    said: Look = {"fontsize": style.SMALL, "color": "0.35", "transform": ax.transAxes}
     ax.text(0.03, 0.03, "load helps", ha="left", va="bottom", **said)
     ax.text(0.97, 0.03, "load resists", ha="right", va="bottom", **said)
     ax.set_xlabel(_load_label(fit, found))
-    _label_friction(ax, fit)
-    few_ticks(ax.xaxis, 5)
-    _legend(ax, "at motor speed")
+    _friction_axis(ax, fit, 5, "at motor speed")
 
 
 def _draw(
@@ -206,11 +166,9 @@ def _draw(
 ) -> None:
     every = max(1, int(mine.sum()) // 6)
     start = max(0, every // 2 - k * every // 4)
-    part = LoadCurve(
-        load=curve.load[mine], band=curve.band.part(mine, side), covered=curve.covered[mine]
-    )
-    look = CurveLook(PALETTE[k], _MARKS[k], start=start, every=every)
-    draw_curve(ax, x[mine], part, look, label)
+    part = curve.band.part(mine, side)
+    look = CurveLook(style.PALETTE[k], _MARKS[k], start=start, every=every)
+    draw_curve(ax, x[mine], LoadCurve(curve.load[mine], part, curve.covered[mine]), look, label)
 
 
 def _map(figure: Figure, ax: Axes, fit: Fit, judge: CurveJudge, found: FrictionCurves) -> None:
@@ -232,31 +190,22 @@ def _map(figure: Figure, ax: Axes, fit: Fit, judge: CurveJudge, found: FrictionC
         return np.ma.masked_where(~where.reshape(shape), values.reshape(shape))
 
     half = 0.5 * (band.high - band.low)
-    shades = ax.pcolormesh(
-        x, y, shown(half, near), cmap="Blues", vmin=0.0, shading="nearest", rasterized=True
-    )
-    lines = ax.contour(
-        x,
-        y,
-        shown(band.median, near & band.determined),
-        levels=4,
-        colors=PALETTE[0],
-        linewidths=0.7,
-    )
-    _name_contours(ax, lines)
+    look: Look = {"cmap": "Blues", "vmin": 0.0, "shading": "nearest", "rasterized": True}
+    shades = ax.pcolormesh(x, y, shown(half, near), **look)
+    told: Look = {"levels": 4, "colors": style.PALETTE[0], "linewidths": 0.7}
+    _name_contours(ax, ax.contour(x, y, shown(band.median, near & band.determined), **told))
     open_ = near & ~band.determined
     if open_.any():
-        ax.contourf(
-            x, y, open_.reshape(shape).astype(float), levels=[0.5, 1.5], colors="none",
-            hatches=[OPEN_HATCH],
-        )  # fmt: skip
+        hatched: Look = {"levels": [0.5, 1.5], "colors": "none", "hatches": [style.OPEN_HATCH]}
+        ax.contourf(x, y, open_.reshape(shape).astype(float), **hatched)
     ax.axhline(0.0, color="0.6", linewidth=0.5)
-    _label_speed(ax, fit)
+    ax.set_xlabel(_speed_label(fit))
     ax.set_ylabel(_load_label(fit, found))
     few_ticks(ax.xaxis, 5)
     few_ticks(ax.yaxis, 6)
     bar = figure.colorbar(shades, ax=ax, fraction=0.06)
-    bar.set_label(f"half width of the {100 * LEVEL:.0f} % band ({_units(fit)[1]})", fontsize=SMALL)
+    width = f"half width of the {100 * LEVEL:.0f} % band ({_units(fit)[1]})"
+    bar.set_label(width, fontsize=style.SMALL)
     few_ticks(bar.ax.yaxis, 5)
     bar.outline.set_linewidth(0.5)
 
@@ -264,7 +213,7 @@ def _map(figure: Figure, ax: Axes, fit: Fit, judge: CurveJudge, found: FrictionC
 def _name_contours(ax: Axes, lines: ContourSet) -> None:
     """Write levels beside their lines, upright, where there is room."""
     taken: list[Array] = []
-    for text in ax.clabel(lines, fontsize=SMALL, inline=False):
+    for text in ax.clabel(lines, fontsize=style.SMALL, inline=False):
         at = ax.transAxes.inverted().transform(ax.transData.transform(text.get_position()))
         crowded = any((np.abs(at - other) < (0.22, 0.09)).all() for other in taken)
         if crowded or not (0.1 < at[0] < 0.9 and 0.04 < at[1] < 0.96):
@@ -274,10 +223,6 @@ def _name_contours(ax: Axes, lines: ContourSet) -> None:
         text.set_rotation(0.0)
         # nobody can read it over the shades
         text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.4, "alpha": 0.8})
-
-
-def _legend(ax: Axes, head: str) -> None:
-    ax.legend(loc="upper left", title=head, title_fontsize=SMALL, alignment="left")
 
 
 def _inner(x: Array) -> tuple[float, float]:
@@ -295,14 +240,17 @@ def _units(fit: Fit) -> tuple[str, str, str]:
     return ("torque", "N m", "rad/s") if rotary else ("force", "N", "m/s")
 
 
-def _label_speed(ax: Axes, fit: Fit) -> None:
-    ax.set_xlabel(rf"motor speed $\dot q_m$ ({_units(fit)[2]})")
-
-
-def _label_friction(ax: Axes, fit: Fit) -> None:
+def _friction_axis(ax: Axes, fit: Fit, ticks: int, legend: str) -> None:
     kind, unit, _ = _units(fit)
     ax.set_ylabel(f"friction {kind} $F$ ({unit})")
+    few_ticks(ax.xaxis, ticks)
     few_ticks(ax.yaxis, 6)
+    if legend:
+        ax.legend(loc="upper left", title=legend, title_fontsize=style.SMALL, alignment="left")
+
+
+def _speed_label(fit: Fit) -> str:
+    return rf"motor speed $\dot q_m$ ({_units(fit)[2]})"
 
 
 def load_symbol(fit: Fit, *, open_scale: bool) -> str:
@@ -336,10 +284,17 @@ def friction_caption(fit: Fit) -> str:
 
 
 def _words(judged: JudgedRun) -> str:
-    rows = [
-        row for row in judged.table.rows if quantity_of(row) in _LOSSES and row.group != "derived"
-    ]
+    rows = [row for row in judged.table.rows if row.group != "derived" and _is_loss(row)]
     return f"Losses that the curves follow from: {rows_in_words(rows)}"
+
+
+def _is_loss(row: ParameterRow) -> bool:
+    """Whether it is what only elements have, or a total of that; or a term of the user's own."""
+    owner, _, name = row.name.rpartition(".")
+    if name not in QUANTITIES:
+        return row.group == "parameter" and owner not in ("noise", *QUANTITIES)
+    option = QUANTITIES[name].option
+    return option in CHOICES and option not in LOAD_CHOICES
 
 
 FIGURE = RunFigure(

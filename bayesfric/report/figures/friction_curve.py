@@ -36,22 +36,10 @@ _NEAR = 0.08
 
 
 def load_reach(chain: Joint, values: Array, *, open_scale: bool) -> Array:
-    """Factor from the load's torque at the joint to its loss-free torque at the motor.
+    """Factors ``(n,)`` from the load's torque at the joint to its loss-free torque at the motor.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    values
-        ``(n, n_parameters)`` in the order of ``chain.names``.
-    open_scale
-        Whether the scale between leg and alpha is open; see the module.
-
-    Returns
-    -------
-    ndarray
-        ``(n,)``, ``1/N`` or ``lambda_1/N``; over ``drive.gain`` where that is a parameter, as
-        the torque itself is.
+    ``1/N``, or ``lambda_1/N`` where the scale between leg and alpha is open (see the module); over
+    ``drive.gain`` where that is a parameter, as the torque itself is.
     """
     elements, load, _ = chain.tables(values)
     gain = load[:, kernels.GAIN]
@@ -67,26 +55,11 @@ def friction_torque(
 ) -> Array:
     """Friction of the whole joint at constant speed, seen at the motor.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    values
-        ``(n, n_parameters)`` in the order of ``chain.names``.
-    speed
-        ``(N,)`` of the motor, rad/s or m/s; not zero, where friction has no one value.
-    load
-        ``(N,)`` loss-free torque of the load at the motor, N m or N; positive where it
-        resists the motion, negative where it helps it.
-    open_scale
-        What that torque is; see the module.
-
-    Returns
-    -------
-    ndarray
-        ``(n, N)``, N m or N; positive where it resists the motion. At no load this is the
-        constant, viscous and quadratic loss that ``total_drive.*`` of
-        :func:`bayesfric.mechanism.derived.derive` sums up.
+    ``speed`` ``(N,)`` is the motor's, not zero, where friction has no one value; ``load`` ``(N,)``
+    is its loss-free torque of the load (``open_scale`` says which, see the module), positive where
+    it resists the motion. Given as ``(n, N)``, positive against the motion; at no load it is what
+    the constant, viscous and quadratic ``total_drive.*`` of
+    :func:`bayesfric.mechanism.derived.derive` sum up.
     """
     sign = np.sign(speed)
     elements, table, carried = chain.tables(values)
@@ -107,18 +80,11 @@ def friction_torque(
 
 @dataclass(frozen=True, eq=False)
 class Covered:
-    """Where the recordings were.
+    """Where the recordings were."""
 
-    Attributes
-    ----------
-    speed
-        ``(M,)`` of the motor at every output, rad/s or m/s.
-    load
-        ``(M,)`` loss-free torque of the load at the motor at the posterior median, its
-        inertia included; positive where it resists the motion.
-    """
-
-    speed: Array
+    speed: Array  # `(M,)` of the motor at every output, rad/s or m/s
+    # `(M,)` loss-free torque of the load at the motor at the posterior median, its inertia
+    # included; positive where it resists the motion
     load: Array
 
     def near(self, speed: Array, load: Array | None) -> Flags:
@@ -139,17 +105,7 @@ class Covered:
 
 
 def covered(fit: Fit, median: Array, *, open_scale: bool) -> Covered:
-    """Collect speeds and loads of all outputs.
-
-    Parameters
-    ----------
-    fit
-        A finished fit.
-    median
-        ``(n_parameters,)`` chain parameters at which loads are computed.
-    open_scale
-        What the loss-free torque of the load is; see the module.
-    """
+    """Collect speeds of all outputs, and their loads at the chain parameters ``median``."""
     reach = float(load_reach(fit.chain, median[None], open_scale=open_scale)[0])
     speeds, loads = [], []
     for o in fit.observations:

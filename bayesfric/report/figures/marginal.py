@@ -32,18 +32,9 @@ def draw_marginal(
 ) -> None:
     """Draw the densities of a quantity, both in one over the unit of the axis.
 
-    Parameters
-    ----------
-    ax
-        Its limits are set.
-    q
-        The quantity; its draws are a histogram, its prior a line.
-    limits
-        Of the axis, in scaled units.
-    cell
-        What the data tell of it: what they leave open has no interval, and a limit one end.
-    headroom
-        Height of the panel over that of the highest density.
+    ``limits`` of the axis are in scaled units; ``cell`` is what the data tell: what they leave open
+    has no interval, and a limit one end. ``headroom`` is the height of the panel over that of the
+    highest density.
     """
     draws = q.draws / q.factor
     highest = 0.0

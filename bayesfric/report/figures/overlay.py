@@ -19,26 +19,9 @@ from scipy.ndimage import gaussian_filter1d
 
 from bayesfric.report.comparison.cell import TOGETHER, Cell
 from bayesfric.report.comparison.comparison import Row
+from bayesfric.report.figures import style
 from bayesfric.report.figures.registry import ComparedRuns, ComparisonFigure
-from bayesfric.report.figures.style import (
-    OPEN_HATCH,
-    OPEN_HATCH_BACK,
-    PAGE,
-    SMALL,
-    WORDS,
-    Array,
-    Look,
-    axis_label,
-    corner_words,
-    few_ticks,
-    legend_above,
-    panel_grid,
-    paper_figure,
-    power_of_ten,
-    remark_below,
-    run_style,
-    shortened,
-)
+from bayesfric.report.figures.style import Array, Look, corner_words, run_style, shortened
 from bayesfric.report.summary.record import PosteriorRow, Summary
 
 Told = Literal["data", "both", "open"]
@@ -67,26 +50,17 @@ _TOLD: dict[Told, str] = {
 
 @dataclass(frozen=True)
 class Curve:
-    """The marginal posterior density of one quantity in one run.
+    """The marginal posterior density of one quantity in one run."""
 
-    Attributes
-    ----------
-    run, number
-        Name of the run and its place among all that are compared.
-    x, density
-        ``(n,)``, in the quantity's unit and in one over it; both of length one where all
-        draws are the same.
-    told
-        ``data``, ``both`` (data and prior, or the data from one side only) or ``open``.
-    row, cell
-        What the summary says, and what may be said of it.
-    """
-
+    # name of the run and its place among all that are compared
     run: str
     number: int
+    # `(n,)`, in the quantity's unit and in one over it; both of length one where all draws are the
+    # same
     x: Array
     density: Array
-    told: Told
+    told: Told  # `data`, `both` (data and prior, or the data from one side only) or `open`
+    # what the summary says, and what may be said of it
     row: PosteriorRow
     cell: Cell
 
@@ -102,40 +76,21 @@ class OverlayPanel:
 
 @dataclass(frozen=True)
 class Overlay:
-    """Everything to draw, and what cannot be.
+    """Everything to draw, and what cannot be."""
 
-    Attributes
-    ----------
-    panels
-        What no scaling changes first, then parameters.
-    left_out
-        Why a run has no curves, by its name.
-    without_draws
-        Quantities of the same kinds that runs determine but that fewer than two hold draws of.
-    """
-
-    panels: tuple[OverlayPanel, ...]
-    left_out: Mapping[str, str]
+    panels: tuple[OverlayPanel, ...]  # what no scaling changes first, then parameters
+    left_out: Mapping[str, str]  # why a run has no curves, by its name
+    # quantities of the same kinds that runs determine but that fewer than two hold draws of
     without_draws: tuple[str, ...]
 
 
 def density(draws: Array) -> tuple[Array, Array]:
-    """Estimate a density from draws by a normal kernel, reflected at the outermost draws.
+    """Estimate a density from draws ``(n,)`` by a normal kernel, reflected at the outermost draws.
 
     The reflection keeps a density that ends at a bound from leaking over it [1]_; the
     bandwidth is Silverman's [1]_. The integral is one, less the share of draws that are
-    further than twenty quartile ranges away.
-
-    Parameters
-    ----------
-    draws
-        ``(n,)``; what is not finite is left aside.
-
-    Returns
-    -------
-    x, density : ndarray
-        ``(k,)`` midpoints of equal steps and the density there; one point, and infinity,
-        where the draws are all the same.
+    further than twenty quartile ranges away. Given are midpoints of equal steps and the density
+    there; one point, and infinity, where the finite draws are all the same.
 
     References
     ----------
@@ -185,21 +140,15 @@ def overlay(compared: ComparedRuns) -> Overlay:
         if len(have) < 2:
             without += [row.name] if len(told) > 1 else []
             continue
-        curves = tuple(
-            Curve(
-                run,
-                number,
-                *density(draws[run].values[row.name]),
-                told[run],
-                _row(runs[run], row.name),
-                row.cells[labels[run]],
-            )
-            for number, run in enumerate(runs)
-            if run in have
-        )
+        curves = []
+        for number, run in enumerate(runs):
+            if run in have:
+                x, y = density(draws[run].values[row.name])
+                what = runs[run].rows[row.name], row.cells[labels[run]]
+                curves.append(Curve(run, number, x, y, told[run], *what))
         # of what none of those with draws determines there is nothing to compare
         if any(curve.told != "open" for curve in curves):
-            panels.append(OverlayPanel(row, curves, agree.get(row.name)))
+            panels.append(OverlayPanel(row, tuple(curves), agree.get(row.name)))
     panels.sort(key=lambda panel: not panel.row.gauge_free)
     left_out = {run: one.missing for run, one in draws.items() if one.missing}
     if sum(not one.missing for one in draws.values()) < 2:
@@ -207,18 +156,13 @@ def overlay(compared: ComparedRuns) -> Overlay:
     return Overlay(tuple(panels), left_out, tuple(without))
 
 
-def _row(run: Summary, name: str) -> PosteriorRow:
-    return run.parameters[name] if name in run.parameters else run.derived[name]
-
-
 def _told(row: Row, label: str, run: Summary) -> Told | None:
     """Judge as the table does; ``None`` where the run did not sample the quantity."""
-    if label not in row.cells or not (row.name in run.parameters or row.name in run.derived):
+    if label not in row.cells or row.name not in run.rows:
         return None
-    cell = row.cells[label]
-    if cell.status == "undetermined":
+    if row.cells[label].status == "undetermined":
         return "open"
-    return "data" if _row(run, row.name).verdict == "data" else "both"
+    return "data" if run.rows[row.name].verdict == "data" else "both"
 
 
 def overlay_figure(shown: Overlay) -> Figure:
@@ -230,17 +174,17 @@ def overlay_figure(shown: Overlay) -> Figure:
     panels = shown.panels[:_MOST]
     remarks = _remarks(shown)
     rows = -(-len(panels) // _COLUMNS)
-    with paper_figure(PAGE, rows * _ROW, apart=0.05) as figure:
+    with style.paper_figure(style.PAGE, rows * _ROW, apart=0.05) as figure:
         handles = _handles(panels)
         lines = len(handles) // _ACROSS + len(remarks)
         figure.set_figheight(0.1 + lines * _LINE + rows * _ROW)
-        every = panel_grid(figure, len(panels), _COLUMNS)
+        every = style.panel_grid(figure, len(panels), _COLUMNS)
         for k, (ax, panel) in enumerate(zip(every, panels, strict=True)):
             _panel(ax, panel)
             if k % _COLUMNS == 0:
-                ax.set_ylabel("density (1/unit)", fontsize=SMALL)
-        legend_above(figure, handles, _ACROSS)
-        remark_below(figure, "\n".join(remarks))
+                ax.set_ylabel("density (1/unit)", fontsize=style.SMALL)
+        style.legend_above(figure, handles, _ACROSS)
+        style.remark_below(figure, "\n".join(remarks))
     return figure
 
 
@@ -257,7 +201,7 @@ def _shortened(run: str, most: int = _NAME) -> str:
 
 def _panel(ax: Axes, panel: OverlayPanel) -> None:
     low, high = _range(panel.curves)
-    exponent = power_of_ten(low, high)
+    exponent = style.power_of_ten(low, high)
     factor = 10.0**exponent
     top = 0.0
     for curve in panel.curves:
@@ -272,7 +216,7 @@ def _panel(ax: Axes, panel: OverlayPanel) -> None:
         top = max(top, float(y[inside].max(initial=0.0)))
         if curve.told != "both":
             # two runs' hatches cross, and stay apart
-            hatch = OPEN_HATCH_BACK if curve.number % 2 else OPEN_HATCH
+            hatch = style.OPEN_HATCH_BACK if curve.number % 2 else style.OPEN_HATCH
             area = _area(curve.told, colour, hatch)
             ax.fill_between(x, y, gid=f"{curve.told} area {curve.run}", **area)
         ax.plot(x, y, color=colour, linestyle=dashes, gid=f"{curve.told} {curve.run}")
@@ -281,20 +225,20 @@ def _panel(ax: Axes, panel: OverlayPanel) -> None:
     ax.set_ylim(0.0, 1.28 * top or 1.0)
     ax.set_yticks([])
     ax.set_gid(panel.row.name)
-    few_ticks(ax.xaxis, 3, inner=True)
-    label = axis_label(panel.row.symbol, panel.row.name, exponent, panel.row.unit)
+    style.few_ticks(ax.xaxis, 3, inner=True)
+    label = style.axis_label(panel.row.symbol, panel.row.name, exponent, panel.row.unit)
     long = not label.startswith("$") and _LETTER * len(label) > _WIDTH
-    ax.set_xlabel(label, fontsize=WORDS if long else 8.0)
+    ax.set_xlabel(label, fontsize=style.WORDS if long else 8.0)
     # what is pooled, every run determines: there is never both to say
     if panel.agree is not None:
-        corner_words(ax, "agree" if panel.agree else "DIFFER", "agreement", size=WORDS)
+        corner_words(ax, "agree" if panel.agree else "DIFFER", "agreement", size=style.WORDS)
     if open_ := [curve.run for curve in panel.curves if curve.told == "open"]:
         # a wide curve may be too low for its hatching to be seen
         who = f"{len(open_)} runs" if len(open_) > 1 else _shortened(open_[0], _SHORT_NAME)
-        corner_words(ax, f"{who}: NOT determined", "open", size=WORDS)
+        corner_words(ax, f"{who}: NOT determined", "open", size=style.WORDS)
 
 
-def _area(told: Told, colour: str, hatch: str = OPEN_HATCH) -> Look:
+def _area(told: Told, colour: str, hatch: str = style.OPEN_HATCH) -> Look:
     if told == "data":
         return {"facecolor": colour, "alpha": 0.18, "linewidth": 0.0}
     if told == "both":

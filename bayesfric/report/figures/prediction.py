@@ -11,21 +11,10 @@ from scipy.special import ndtri
 
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.likelihood.likelihood import Outputs
+from bayesfric.report.figures import style
 from bayesfric.report.figures.over_time import as_pixels, broken, draw_band, draw_measured
 from bayesfric.report.figures.registry import JudgedRun, RunFigure
-from bayesfric.report.figures.style import (
-    DASHED,
-    PAGE,
-    PALETTE,
-    SMALL,
-    Array,
-    Look,
-    few_ticks,
-    legend_above,
-    paper_figure,
-    remark_below,
-    shortened,
-)
+from bayesfric.report.figures.style import Array, Look, few_ticks, remark_below, shortened
 from bayesfric.report.summary.summary import LEVEL
 
 _MOST = 3
@@ -40,21 +29,11 @@ _HEIGHT = 3.4
 
 @dataclass(frozen=True)
 class Predictive:
-    """Posterior predictive of one recording.
+    """Posterior predictive of one recording."""
 
-    Attributes
-    ----------
-    mean
-        ``(n_outputs,)``
-    sd
-        ``(n_outputs,)``, noise included.
-    sigma
-        ``(n_outputs,)`` noise alone, root mean square over the draws.
-    """
-
-    mean: Array
-    sd: Array
-    sigma: Array
+    mean: Array  # `(n_outputs,)`
+    sd: Array  # `(n_outputs,)`, noise included
+    sigma: Array  # `(n_outputs,)` noise alone, root mean square over the draws
 
     def band(self, level: float) -> tuple[Array, Array]:
         """Lower and upper end of the central interval of probability ``level``.
@@ -96,22 +75,17 @@ def predictive(fit: Fit) -> list[Predictive]:
 
 
 def prediction_figure(fit: Fit) -> Figure:
-    """Draw measured and predicted torque or position, and what is left, over time.
+    """Draw measured and predicted torque or position, and what is left, over time, a page wide.
 
     A column for each of at most three recordings: above, the measured output
     (torque after the parallel filter, or position), the posterior predictive mean and
     its 90 % band, noise included; below, the residual and two noise scales on either side.
     Where outputs are missing (dead zone, excluded spans) the lines break.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        A page wide.
     """
     outputs = fit.target.likelihood.outputs
     shown = outputs[:_MOST]
     what, unit = outputs[0].quantity, outputs[0].unit
-    with paper_figure(PAGE, _HEIGHT) as figure:
+    with style.paper_figure(style.PAGE, _HEIGHT) as figure:
         axes = figure.subplots(
             2, len(shown), squeeze=False, sharex="col", sharey="row", height_ratios=(1.8, 1.0)
         )
@@ -122,13 +96,15 @@ def prediction_figure(fit: Fit) -> Figure:
             below.set_xlabel("time (s)")
             below.set_xlim(float(o.time.min()), max(float(o.time.max()), o.time.min() + 1e-9))
             few_ticks(below.xaxis, 8 if len(shown) == 1 else 4)
-            above.set_title(shortened(o.name), fontsize=SMALL, pad=2.5)
+            above.set_title(shortened(o.name), fontsize=style.SMALL, pad=2.5)
         few_ticks(axes[0, 0].yaxis, 5)
         few_ticks(axes[1, 0].yaxis, 4)
         axes[0, 0].set_ylabel(f"{what} ({unit})")
         axes[1, 0].set_ylabel(f"residual ({unit})")
         figure.align_ylabels(axes[:, 0])
-        legend_above(figure, [h for ax in axes[:, 0] for h in ax.get_legend_handles_labels()[0]])
+        style.legend_above(
+            figure, [h for ax in axes[:, 0] for h in ax.get_legend_handles_labels()[0]]
+        )
         if len(outputs) > _MOST:
             remark_below(figure, f"first {_MOST} of {len(outputs)} recordings")
     return figure
@@ -140,7 +116,7 @@ def _torque(ax: Axes, o: Outputs, p: Predictive, most_dots: float) -> None:
     # wide below and thin above, so that both are seen where they agree
     width = 1.0 if as_pixels(o) else 1.5
     named: Look = {"label": "predictive mean", "gid": "mean", "rasterized": as_pixels(o)}
-    ax.plot(time, mean, color=PALETTE[2], linewidth=width, **named)
+    ax.plot(time, mean, color=style.PALETTE[2], linewidth=width, **named)
     dots = _dots(measured, most_dots)
     named = {"marker": ".", "markevery": dots, "label": "measured", "gid": "measured"}
     draw_measured(ax, time, measured, linewidth=0.5, pixels=as_pixels(o), **named)
@@ -152,7 +128,12 @@ def _residual(ax: Axes, o: Outputs, p: Predictive, most_dots: float) -> None:
     time, residual, sigma = broken(o, o.measured - p.mean, p.sigma)
     named: Look = {"marker": ".", "markevery": _dots(residual, most_dots), "gid": "residual"}
     draw_measured(ax, time, residual, linewidth=0.4, pixels=as_pixels(o), **named)
-    look: Look = {"color": PALETTE[1], "linewidth": 0.8, "linestyle": DASHED, "gid": "sigma"}
+    look: Look = {
+        "color": style.PALETTE[1],
+        "linewidth": 0.8,
+        "linestyle": style.DASHED,
+        "gid": "sigma",
+    }
     ax.plot(time, -2.0 * sigma, **look)
     ax.plot(time, 2.0 * sigma, label=r"$\pm 2\sigma$", **look)
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -12,19 +9,13 @@ from matplotlib.lines import Line2D
 
 from bayesfric.inference.fit import Fit
 from bayesfric.report.comparison.cell import Cell, posterior_cells
-from bayesfric.report.figures.alternative import judgement
+from bayesfric.report.figures import style
 from bayesfric.report.figures.marginal import draw_marginal, marginal_handles
 from bayesfric.report.figures.quantity import Quantity, not_shown, quantities
 from bayesfric.report.figures.registry import JudgedRun, RunFigure
-from bayesfric.report.figures.style import (
-    PAGE,
-    corner_words,
-    few_ticks,
-    legend_above,
-    panel_grid,
-    paper_figure,
-    remark_below,
-)
+from bayesfric.report.figures.style import corner_words, panel_grid, paper_figure, remark_below
+from bayesfric.report.page.values import judgement
+from bayesfric.report.summary.record import PosteriorRow, Summary
 from bayesfric.report.summary.summary import LEVEL
 
 _COLUMNS = 4
@@ -35,7 +26,7 @@ _ROW, _AROUND = 1.22, 0.3  # inches
 _WORDS = {"data": "data", "weak": "weak: prior and data", "prior": "prior: NOT determined"}
 
 
-def prior_posterior_figure(fit: Fit, summary: Mapping[str, Any]) -> Figure:
+def prior_posterior_figure(fit: Fit, summary: Summary) -> Figure:
     """Draw prior and posterior density of each sampled parameter, a page wide.
 
     Densities are scaled to the panel. A panel shows the whole prior where that is at most
@@ -46,27 +37,29 @@ def prior_posterior_figure(fit: Fit, summary: Mapping[str, Any]) -> Figure:
     shown, left_out = everything[:_MOST], everything[_MOST:]
     judged = posterior_cells(summary)
     cells = [judged[q.name] for q in shown]
-    with paper_figure(PAGE, _AROUND + _ROW * -(-len(shown) // _COLUMNS), apart=0.05) as figure:
+    with paper_figure(
+        style.PAGE, _AROUND + _ROW * -(-len(shown) // _COLUMNS), apart=0.05
+    ) as figure:
         panels = panel_grid(figure, len(shown), _COLUMNS)
         for ax, q, cell in zip(panels, shown, cells, strict=True):
-            _panel(ax, q, summary["parameters"][q.name], cell)
+            _panel(ax, q, summary.parameters[q.name], cell)
         ratio = Line2D([], [], linestyle="none", label="1:n  sd of posterior to prior")
-        legend_above(figure, [*marginal_handles(cells), ratio])
+        style.legend_above(figure, [*marginal_handles(cells), ratio])
         remark_below(figure, not_shown(left_out))
     return figure
 
 
-def _panel(ax: Axes, q: Quantity, row: Mapping[str, Any], cell: Cell) -> None:
-    words = _WORDS[row["verdict"]] if cell.converged else "NOT converged"
+def _panel(ax: Axes, q: Quantity, row: PosteriorRow, cell: Cell) -> None:
+    words = _WORDS[row.verdict] if cell.converged else "NOT converged"
     # what the data push against a bound they do determine: from the other side
     words = cell.remark if cell.status == "limit" else words
     # room for the verdict
     draw_marginal(ax, q, _range(q), cell=cell, headroom=1.35)
-    few_ticks(ax.xaxis, 3, inner=True)
+    style.few_ticks(ax.xaxis, 3, inner=True)
     ax.set_xlabel(q.label())
     corner_words(ax, words, "verdict")
-    if row["prior_sd"] and row["sd"] and row["prior_sd"] > _WIDEST * row["sd"]:
-        corner_words(ax, f"1:{_two_digits(row['prior_sd'] / row['sd'])}", "ratio", "right")
+    if (row.narrowing or 0.0) > _WIDEST:
+        corner_words(ax, f"1:{_two_digits(row.narrowing or 0.0)}", "ratio", "right")
 
 
 def _two_digits(x: float) -> str:
@@ -88,8 +81,8 @@ def _words(judged: JudgedRun) -> str:
     parts = []
     for row in judged.table.rows:
         facts = judged.summary.parameters.get(row.name)
-        if facts is not None and facts.prior_sd and facts.sd:
-            ratio = f"posterior 1:{facts.prior_sd / facts.sd:.3g} as wide as its prior"
+        if facts is not None and facts.narrowing:
+            ratio = f"posterior 1:{facts.narrowing:.3g} as wide as its prior"
             parts.append(f"{row.name}: {ratio}, {judgement(row)}")
     return "; ".join(parts) + "."
 

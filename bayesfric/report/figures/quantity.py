@@ -15,27 +15,13 @@ from bayesfric.report.summary.noise import noise_unit
 
 @dataclass(frozen=True, eq=False)
 class Quantity:
-    """A sampled parameter, or a combination of them, as figures show it.
+    """A sampled parameter, or a combination of them, as figures show it."""
 
-    Attributes
-    ----------
-    name
-        As in ``posterior.names``, or of the derived quantity.
-    symbol
-        With dollar signs, ready for Matplotlib.
-    unit
-        SI, empty where there is none.
-    draws
-        ``(n,)`` in ``unit``; walkers that never moved are left out.
-    prior
-        Of the parameter; ``None`` of a combination.
-    """
-
-    name: str
-    symbol: str
-    unit: str
-    draws: Array
-    prior: Prior | None
+    name: str  # as in `posterior.names`, or of the derived quantity
+    symbol: str  # with dollar signs, ready for Matplotlib
+    unit: str  # SI, empty where there is none
+    draws: Array  # `(n,)` in `unit`; walkers that never moved are left out
+    prior: Prior | None  # of the parameter; `None` of a combination
 
     @property
     def exponent(self) -> int:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from pkgutil import iter_modules
-from typing import Any, Generic, Literal, TypeVar, get_args
+from typing import Generic, Literal, TypeVar, get_args
 
 from matplotlib.figure import Figure
 
@@ -32,10 +32,10 @@ Section = Literal[
 
 @dataclass(frozen=True, eq=False)
 class FinishedRun:
-    """What a run's figures and captions are made of: the fit and its ``summary.json``."""
+    """What a run's figures and captions are made of."""
 
     fit: Fit
-    summary: Mapping[str, Any]
+    summary: Summary
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,31 +63,18 @@ Judged = TypeVar("Judged")
 
 @dataclass(frozen=True)
 class Declared(Generic[Drawn, Judged]):
-    """All that is known of one figure.
+    """All that is known of one figure."""
 
-    Attributes
-    ----------
-    stem
-        Its files' name.
-    title, section
-        What the page calls it, and where it stands there.
-    draw
-        Gives ``None`` where there is nothing to show.
-    caption
-        What is drawn, and what it says; words where it is the same for all.
-    alternative
-        The numbers it shows, for who cannot see them; none of what the data leave open.
-    place
-        Its order among those of its section.
-    """
-
-    stem: str
+    stem: str  # its files' name
+    # what the page calls it, and where it stands there
     title: str
     section: Section
-    draw: Callable[[Drawn], Figure | None]
+    draw: Callable[[Drawn], Figure | None]  # gives `None` where there is nothing to show
+    # what is drawn, and what it says; words where it is the same for all
     caption: str | Callable[[Drawn], str]
+    # the numbers it shows, for who cannot see them; none of what the data leave open
     alternative: Callable[[Judged], str]
-    place: int = 0
+    place: int = 0  # its order among those of its section
 
     def caption_of(self, drawn: Drawn) -> str:
         """Give the caption of one drawing."""

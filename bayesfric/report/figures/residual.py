@@ -8,21 +8,10 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from bayesfric.inference.fit import Fit
+from bayesfric.report.figures import style
 from bayesfric.report.figures.prediction import residuals_in_words
 from bayesfric.report.figures.registry import FinishedRun, JudgedRun, RunFigure
-from bayesfric.report.figures.style import (
-    BAND,
-    DASHED,
-    MEASURED,
-    PAGE,
-    PALETTE,
-    corner_words,
-    few_ticks,
-    panel_grid,
-    paper_figure,
-    power_of_ten,
-    scaled_unit,
-)
+from bayesfric.report.figures.style import few_ticks, paper_figure, power_of_ten, scaled_unit
 from bayesfric.report.numbers import p_text
 from bayesfric.report.summary.residual_analysis import (
     Binned,
@@ -39,23 +28,19 @@ _HALF = float(stats.norm.ppf(0.975))
 
 
 def residual_figure(fit: Fit) -> Figure:
-    """Draw autocorrelation, quantiles, and residuals against speed, load and angle.
+    """Draw autocorrelation, quantiles, and residuals against speed, load and angle, a page wide.
 
-    Returns
-    -------
-    matplotlib.figure.Figure
-        A page wide, two rows. Bars hold one sd of the residuals either way, thick ones the
-        95 % interval of their mean.
+    Bars hold one sd of the residuals either way, thick ones the 95 % interval of their mean.
     """
     found = residual_analysis(fit)
-    with paper_figure(PAGE, _HEIGHT) as figure:
+    with paper_figure(style.PAGE, _HEIGHT) as figure:
         halves = figure.add_gridspec(2, 1)
         upper = halves[0].subgridspec(1, 2, width_ratios=(2.0, 1.0))
         _draw_correlation(figure.add_subplot(upper[0]), fit, found)
         _draw_quantiles(figure.add_subplot(upper[1]), found)
         reach = max((float((abs(b.mean) + b.sd).max()) for b in found.against), default=1.0)
         exponent = power_of_ten(-reach, reach)
-        lower = panel_grid(figure, len(found.against), max(len(found.against), 1), halves[1])
+        lower = style.panel_grid(figure, len(found.against), max(len(found.against), 1), halves[1])
         for ax, binned in zip(lower, found.against, strict=True):
             _draw_binned(ax, binned, 10.0**exponent)
             ax.set_ylim(-1.15 * reach / 10.0**exponent, 1.45 * reach / 10.0**exponent)
@@ -70,19 +55,19 @@ def _draw_correlation(ax: Axes, fit: Fit, found: ResidualAnalysis) -> None:
     period = fit.target.likelihood.outputs[0].period
     ax.axhline(0.0, color="0.6", linewidth=0.5)
     ax.fill_between(
-        found.lags, -found.white, found.white, color=BAND, linewidth=0.0, gid="white",
+        found.lags, -found.white, found.white, color=style.BAND, linewidth=0.0, gid="white",
         label="95 % of white residuals",
     )  # fmt: skip
-    ax.vlines(found.lags, 0.0, found.correlation, color=PALETTE[0], linewidth=0.8)
+    ax.vlines(found.lags, 0.0, found.correlation, color=style.PALETTE[0], linewidth=0.8)
     ax.plot(
-        found.lags, found.correlation, color=PALETTE[0], linestyle="none", marker="o",
+        found.lags, found.correlation, color=style.PALETTE[0], linestyle="none", marker="o",
         markersize=2.2, gid="correlation",
     )  # fmt: skip
     if found.innovations is not None:
         ax.plot(
             found.lags + 0.3,
             found.innovations,
-            color=PALETTE[2],
+            color=style.PALETTE[2],
             linestyle="none",
             marker="s",
             markersize=2.2,
@@ -104,9 +89,9 @@ def _draw_correlation(ax: Axes, fit: Fit, found: ResidualAnalysis) -> None:
 
 def _draw_quantiles(ax: Axes, found: ResidualAnalysis) -> None:
     reach = 1.08 * float(np.abs(found.normal).max(initial=1.0))
-    ax.plot([-reach, reach], [-reach, reach], color=PALETTE[2], linestyle=DASHED)
+    ax.plot([-reach, reach], [-reach, reach], color=style.PALETTE[2], linestyle=style.DASHED)
     ax.plot(
-        found.normal, found.quantiles, color=MEASURED, linestyle="none", marker=".",
+        found.normal, found.quantiles, color=style.MEASURED, linestyle="none", marker=".",
         markersize=2.2, gid="quantiles",
     )  # fmt: skip
     ax.set_xlim(-reach, reach)
@@ -119,16 +104,16 @@ def _draw_quantiles(ax: Axes, found: ResidualAnalysis) -> None:
 def _draw_binned(ax: Axes, b: Binned, factor: float) -> None:
     ax.axhline(0.0, color="0.6", linewidth=0.5)
     ax.errorbar(
-        b.centre, b.mean / factor, yerr=b.sd / factor, color=PALETTE[3], linestyle="none",
+        b.centre, b.mean / factor, yerr=b.sd / factor, color=style.PALETTE[3], linestyle="none",
         elinewidth=0.8, gid="spread",
     )  # fmt: skip
     ax.errorbar(
-        b.centre, b.mean / factor, yerr=_HALF * b.error / factor, color=PALETTE[0],
+        b.centre, b.mean / factor, yerr=_HALF * b.error / factor, color=style.PALETTE[0],
         linestyle="none", marker="o", markersize=2.4, elinewidth=1.6, gid="mean",
     )  # fmt: skip
     ax.set_xlabel(f"{b.what} ({b.unit})")
     few_ticks(ax.xaxis, 5)
-    corner_words(ax, f"{100 * b.explained:.2g} % of variance{_STRANGE[b.outcome]}")
+    style.corner_words(ax, f"{100 * b.explained:.2g} % of variance{_STRANGE[b.outcome]}")
 
 
 def _caption(run: FinishedRun) -> str:

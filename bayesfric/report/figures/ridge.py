@@ -16,31 +16,15 @@ from matplotlib.patches import Patch
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.prior.priors import Prior, fixed
+from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.parameter import Parameter
+from bayesfric.mechanism.quantities import CHOICES, QUANTITIES
 from bayesfric.mechanism.scaling import Scaling, scalings
+from bayesfric.report.figures import style
 from bayesfric.report.figures.over_time import broken
 from bayesfric.report.figures.registry import JudgedRun, RunFigure
-from bayesfric.report.figures.style import (
-    DASHED,
-    DOTTED,
-    PAGE,
-    PALETTE,
-    POSTERIOR,
-    PRIOR,
-    Array,
-    Look,
-    corner_words,
-    few_ticks,
-    legend_above,
-    mathtext,
-    panel_grid,
-    paper_figure,
-    power_of_ten,
-    scaled_unit,
-    shortened,
-)
+from bayesfric.report.figures.style import Array, Look, few_ticks, power_of_ten, scaled_unit
 
-# What stands beside alpha_1, as long as the chain has it; the first two.
-_SIBLINGS = ("first_moment", "inertia", "viscous", "coulomb", "coulomb_positive", "quadratic")
 _MOST_DRAWS = 1500
 # Below this, in N m, a difference is rounding.
 ROUNDING = 1e-10
@@ -53,7 +37,7 @@ _MOST_NAMED = 3
 _DIGITS = ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0))
 
 _HEIGHT = 4.3
-_LINE = PALETTE[0]
+_LINE = style.PALETTE[0]
 _ENDS = (r"end $\alpha_2 = 1$", r"end $\alpha_1 = 1$")
 _MARKER: Look = {
     "linestyle": "none", "markerfacecolor": "white", "markeredgecolor": _LINE,
@@ -63,28 +47,16 @@ _MARKER: Look = {
 
 @dataclass(frozen=True, eq=False)
 class Ridge:
-    """The line of equal torque through a posterior.
+    """The line of equal torque through a posterior."""
 
-    Attributes
-    ----------
-    scaling
-        What is multiplied together.
-    values
-        ``(n_parameters,)`` where the line is taken from: the posterior's median.
-    bounds
-        Smallest and largest factor, ``1/alpha_2 <= k <= 1/alpha_1``; the smallest is zero
-        where ``mu_2`` is one or more.
-    line
-        ``(101, n_parameters)`` vectors from one end to the other.
-    torque
-        Predicted motor torque at the lower end, in the middle and at the upper end,
-        ``(3, n_outputs)`` a recording.
-    """
-
-    scaling: Scaling
-    values: Array
+    scaling: Scaling  # what is multiplied together
+    values: Array  # `(n_parameters,)` where the line is taken from: the posterior's median
+    # smallest and largest factor, `1/alpha_2 <= k <= 1/alpha_1`; the smallest is zero where `mu_2`
+    # is one or more
     bounds: tuple[float, float]
-    line: Array
+    line: Array  # `(101, n_parameters)` vectors from one end to the other
+    # predicted motor torque at the lower end, in the middle and at the upper end, `(3, n_outputs)`
+    # a recording
     torque: tuple[Array, ...]
 
     @property
@@ -118,12 +90,8 @@ def ridge_figure(fit: Fit) -> Figure | None:
     exact scaling line through the posterior's median and its ends, where a passive
     gearbox would have ``alpha_2 = 1`` and ``alpha_1 = 1``. Below, the torque predicted in
     the middle and at the ends of that line, and the difference. A recording with a known
-    mass tells the ends apart; the posterior is a spot on the line then.
-
-    Returns
-    -------
-    matplotlib.figure.Figure or None
-        A page wide; nothing for a chain that has no such scaling.
+    mass tells the ends apart; the posterior is a spot on the line then. A page wide; ``None`` for a
+    chain that has no such scaling.
     """
     found = ridge(fit)
     if found is None:
@@ -131,14 +99,14 @@ def ridge_figure(fit: Fit) -> Figure | None:
     drive, others = _quantities(fit, found)
     if not others:
         return None
-    with paper_figure(PAGE, _HEIGHT) as figure:
+    with style.paper_figure(style.PAGE, _HEIGHT) as figure:
         halves = figure.add_gridspec(2, 1, height_ratios=(1.35, 1.0))
-        upper = panel_grid(figure, len(others), len(others), halves[0])
+        upper = style.panel_grid(figure, len(others), len(others), halves[0])
         for ax, other in zip(upper, others, strict=True):
             _pair(ax, fit, found, drive, other)
-        left, right = panel_grid(figure, 2, 2, halves[1])
+        left, right = style.panel_grid(figure, 2, 2, halves[1])
         _torque(left, right, fit, found)
-        legend_above(figure, _handles(found))
+        style.legend_above(figure, _handles(found))
     return figure
 
 
@@ -183,21 +151,26 @@ def _quantities(fit: Fit, found: Ridge) -> tuple[_Quantity, list[_Quantity]]:
     def shown(name: str, alpha: str = "", sign: float = 0.0) -> _Quantity:
         p, column = described[name], names.index(name)
         prior = told.get(name) or fixed(float(found.values[column]))
-        symbol = alpha or mathtext(p.symbol, name)
+        symbol = alpha or style.mathtext(p.symbol, name)
         return _Quantity(name, symbol, "" if alpha else p.unit, column, prior, sign)
 
-    # the load's own before those of elements in between
-    behind = sorted(scaling.behind, key=lambda name: not name.startswith("load."))
-    others = [
-        shown(name)
-        for quantity in _SIBLINGS
-        for name in behind
-        if described[name].quantity == quantity
-    ][:2]
+    others = [shown(name) for name in siblings(fit.chain, scaling)]
     others.append(shown(scaling.back, r"$\alpha_2$", -1.0))
     # what is zero, and the alpha_2 of an irreversible gearbox, have no logarithm
     others = [q for q in others if float(q.of(found.values)) > 0.0]
     return shown(scaling.drive, r"$\alpha_1$", 1.0), others
+
+
+def siblings(chain: Joint, scaling: Scaling) -> list[str]:
+    """Name two torques behind the gearbox: what only loads have, then as the table lists them."""
+    table = [*QUANTITIES]
+
+    def rank(p: Parameter) -> tuple[bool, int, bool]:
+        place = table.index(p.quantity) if p.quantity in QUANTITIES else len(table)
+        return p.row.option in CHOICES, place, p.owner != "load"
+
+    behind = [p for p in chain.parameters if p.name in scaling.behind and p.row.role == "own"]
+    return [p.name for p in sorted(behind, key=rank)[:2]]
 
 
 def _pair(ax: Axes, fit: Fit, found: Ridge, x: _Quantity, y: _Quantity) -> None:
@@ -213,9 +186,8 @@ def _pair(ax: Axes, fit: Fit, found: Ridge, x: _Quantity, y: _Quantity) -> None:
     _prior(ax, fit, (x, y), limits, factors)
     dots: Look = {"linestyle": "none", "marker": ".", "markersize": 2.2, "markeredgewidth": 0.0}
     points, line = points / factors[:, None], line / factors[:, None]
-    ax.plot(
-        *points, color=POSTERIOR, alpha=0.25, rasterized=True, zorder=2, gid="posterior", **dots
-    )
+    dots |= {"color": style.POSTERIOR, "alpha": 0.25, "rasterized": True, "zorder": 2}
+    ax.plot(*points, gid="posterior", **dots)
     ax.plot(*line, color=_LINE, zorder=3, gid="line")
     for k, marker in _marked(found):
         ax.plot(*line[:, k], marker=marker, markersize=5.0, zorder=4, gid=f"end {k}", **_MARKER)
@@ -263,12 +235,12 @@ def _prior(
     factors: Array,
 ) -> None:
     """Draw where half and nine tenths of the prior lie, or the line on which it is known."""
-    style: Look = {"color": PRIOR, "linestyle": DASHED, "linewidth": 0.9}
+    dashed: Look = {"color": style.PRIOR, "linestyle": style.DASHED, "linewidth": 0.9}
     if any(q.prior.fixed for q in pair):
         for q, draw, factor in zip(pair, (ax.axvline, ax.axhline), factors, strict=True):
             if q.prior.fixed:
                 known = float(q.shown(np.asarray(q.prior.value)))
-                draw(known / factor, gid="prior", **style)
+                draw(known / factor, gid="prior", **dashed)
         return
     rng = np.random.default_rng(np.random.SeedSequence(fit.posterior.seed, spawn_key=(4,)))
     draws = [q.shown(q.prior.draw(40_000, rng)) for q in pair]
@@ -282,10 +254,12 @@ def _prior(
     places = (x / factors[0], y / factors[1], height)
     steps = [float(np.exp(levels[0] - levels[1])), 1.0]
     top = max(float(height.max()), 1.0) * 2.0
-    shades = ax.contourf(*places, levels=[*steps, top], colors=[PRIOR] * 2, alpha=0.10, zorder=0)
+    shades = ax.contourf(
+        *places, levels=[*steps, top], colors=[style.PRIOR] * 2, alpha=0.10, zorder=0
+    )
     shades.set_gid("prior mass")
-    look: Look = {"linestyles": [DOTTED, DASHED], "linewidths": [0.7, 0.9]}
-    ax.contour(*places, levels=steps, colors=[PRIOR], zorder=1, **look).set_gid("prior")
+    look: Look = {"linestyles": [style.DOTTED, style.DASHED], "linewidths": [0.7, 0.9]}
+    ax.contour(*places, levels=steps, colors=[style.PRIOR], zorder=1, **look).set_gid("prior")
 
 
 def _grid(draws: Array, low: float, high: float) -> Array:
@@ -304,8 +278,10 @@ def _torque(left: Axes, right: Axes, fit: Fit, found: Ridge) -> None:
     time, low, middle, high = broken(o, *torque)
     same = max(differences) <= ROUNDING
     exponent = -10 if same else power_of_ten(0.0, differences[r])
-    left.plot(time, middle, color=PALETTE[3], linewidth=2.4, label="middle", gid="torque middle")
-    looks = ((DASHED, _LINE), (DOTTED, PALETTE[2]))
+    left.plot(
+        time, middle, color=style.PALETTE[3], linewidth=2.4, label="middle", gid="torque middle"
+    )
+    looks = ((style.DASHED, _LINE), (style.DOTTED, style.PALETTE[2]))
     for t, (dashes, colour), words in zip((low, high), looks, _ENDS, strict=True):
         look: Look = {"color": colour, "linestyle": dashes}
         left.plot(time, t, label=words, gid="torque", **look)
@@ -324,21 +300,21 @@ def _torque(left: Axes, right: Axes, fit: Fit, found: Ridge) -> None:
     left.set_ylim(float(torque.min()) - 0.08 * span, float(torque.max()) + 0.35 * span)
     left.legend(loc="upper left", ncols=3, handlelength=2.2)
     lines = [
-        f"{shortened(one.name, 24)}: at most {difference:.2g} {unit}"
+        f"{style.shortened(one.name, 24)}: at most {difference:.2g} {unit}"
         for one, difference in zip(fit.observations, differences, strict=True)
     ]
     if len(lines) > _MOST_NAMED:
         lines = [*lines[: _MOST_NAMED - 1], f"and {len(lines) - _MOST_NAMED + 1} more"]
-    corner_words(right, "\n".join(lines), "largest")
+    style.corner_words(right, "\n".join(lines), "largest")
 
 
 def _handles(found: Ridge) -> list[Artist]:
     same = max(found.differences) <= ROUNDING
     dots: Look = {"linestyle": "none", "marker": ".", "markersize": 4.0}
-    prior: Look = {"facecolor": "#f6e3d6", "edgecolor": PRIOR, "linewidth": 0.7}
+    prior: Look = {"facecolor": "#f6e3d6", "edgecolor": style.PRIOR, "linewidth": 0.7}
     handles: list[Artist] = [
-        Line2D([], [], color=POSTERIOR, label="posterior", **dots),
-        Patch(linestyle=DASHED, label="prior, 50 and 90 %", **prior),
+        Line2D([], [], color=style.POSTERIOR, label="posterior", **dots),
+        Patch(linestyle=style.DASHED, label="prior, 50 and 90 %", **prior),
         Line2D([], [], color=_LINE, label="no torque changes" if same else "same torque unloaded"),
     ]
     for k, marker in _marked(found):

@@ -25,36 +25,21 @@ _NEAR = 0.1  # sds
 
 @dataclass(frozen=True)
 class RunDraws:
-    """What a run drew.
+    """What a run drew."""
 
-    Attributes
-    ----------
-    values
-        ``(n,)`` draws in the quantity's unit, by its name: the sampled parameters and the
-        derived quantities that no scaling of leg parameters and alpha changes.
-    missing
-        Why there are none, in words that follow the run's name; empty if there are.
-    """
-
+    # `(n,)` draws in the quantity's unit, by its name: the sampled parameters and the derived
+    # quantities that no scaling of leg parameters and alpha changes
     values: Mapping[str, Array] = field(default_factory=dict)
-    missing: str = ""
+    missing: str = ""  # why there are none, in words that follow the run's name; empty if there are
 
 
 def read_draws(run: Path, summary: Summary, rebuild: Callable[[str], Joint | None]) -> RunDraws:
-    """Read the draws of what a summary tells.
+    """Read the draws of what a run's checked summary tells.
 
     Draws that do not have the summary's medians are not its own, and left out. Totals as
-    least squares would see them need the recordings and are never among them.
-
-    Parameters
-    ----------
-    run
-        A run directory.
-    summary
-        Its summary, checked.
-    rebuild
-        Makes the chain from the text of the run's configuration, ``None`` where it cannot;
-        derived quantities are left out then.
+    least squares would see them need the recordings and are never among them. ``rebuild`` makes the
+    chain from the text of the run's configuration; where it cannot, derived quantities are left
+    out.
     """
     path = run / "posterior.nc"
     if not path.is_file():

@@ -110,24 +110,10 @@ def paper_style() -> Iterator[None]:
 
 
 def save(figure: Figure, folder: Path, stem: str) -> tuple[Path, Path]:
-    """Write a figure as ``<stem>.pdf``, ``<stem>.svg`` and ``<stem>.png`` (300 dpi).
+    """Write a figure as ``<stem>.pdf``, ``.svg``, ``.png`` (300 dpi); give PDF and PNG.
 
     The same figure gives the same bytes: no date is written, and names inside the SVG
-    come from a fixed salt.
-
-    Parameters
-    ----------
-    figure
-        Drawn by this package; its size is kept, nothing is cropped.
-    folder
-        Must exist.
-    stem
-        File name without suffix.
-
-    Returns
-    -------
-    tuple of pathlib.Path
-        The PDF and the PNG; the SVG lies beside them.
+    come from a fixed salt. Its size is kept, nothing is cropped.
     """
     pdf, svg, png = (folder / f"{stem}.{kind}" for kind in ("pdf", "svg", "png"))
     with paper_style():
@@ -172,18 +158,11 @@ def axis_label(symbol: str, name: str, exponent: int, unit: str) -> str:
 
 @cache
 def mathtext(symbol: str, name: str) -> str:
-    r"""Turn a LaTeX symbol into text that Matplotlib can set.
+    """Turn a LaTeX symbol, without dollar signs, into text that Matplotlib can set.
 
     Words in subscripts (names of elements) are set upright. A symbol that
     cannot be set, for example through odd characters in an element's name, is
     replaced by the parameter's name.
-
-    Parameters
-    ----------
-    symbol
-        Without dollar signs.
-    name
-        Of the parameter.
     """
     # an empty subscript is the paper's bare symbol
     symbol = symbol.replace("_{}", "")

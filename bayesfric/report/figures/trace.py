@@ -9,19 +9,10 @@ from matplotlib.lines import Line2D
 
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.sampling.convergence import autocorrelation
+from bayesfric.report.figures import style
 from bayesfric.report.figures.quantity import Quantity, not_shown, quantities
 from bayesfric.report.figures.registry import JudgedRun, RunFigure
-from bayesfric.report.figures.style import (
-    PAGE,
-    SMALL,
-    Array,
-    Look,
-    few_ticks,
-    legend_above,
-    line_style,
-    paper_figure,
-    remark_below,
-)
+from bayesfric.report.figures.style import Array, Look, few_ticks, line_style, remark_below
 from bayesfric.report.summary.summary import LEVEL
 
 _MOST = 14
@@ -30,23 +21,17 @@ _TALLEST, _ROW, _AROUND = 9.0, 0.72, 0.66
 
 
 def trace_figure(fit: Fit) -> Figure:
-    """Draw the way of every ensemble and its autocorrelation.
+    """Draw the way of every ensemble and its autocorrelation, a page wide, noise scales last.
 
     On the left the median of each ensemble's walkers at every kept step and a
     90 % band over them; on the right the autocorrelation of the walkers over
     the lag in steps of the sampler.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        A page wide, at most nine inches high; a row for each of at most
-        fourteen parameters, noise scales last.
     """
     everything = quantities(fit)
     shown, left_out = everything[:_MOST], everything[_MOST:]
     diagnostics = fit.posterior.diagnostics
     ensembles, _, steps, _ = fit.posterior.draws.shape
-    with paper_figure(PAGE, min(_TALLEST, _AROUND + _ROW * len(shown))) as figure:
+    with style.paper_figure(style.PAGE, min(_TALLEST, _AROUND + _ROW * len(shown))) as figure:
         axes = figure.subplots(len(shown), 2, squeeze=False, sharex="col", width_ratios=(2.0, 1.0))
         figure.align_ylabels(axes[:, 0])
         longest = _longest_lag(fit)
@@ -61,7 +46,7 @@ def trace_figure(fit: Fit) -> Figure:
         few_ticks(axes[-1, 1].xaxis, 6)
         # sixteen line styles differ; a legend of more would be longer than the page is wide
         looks = enumerate(map(line_style, range(min(ensembles, 6))), start=1)
-        legend_above(
+        style.legend_above(
             figure,
             [Line2D([], [], color=c, linestyle=d, label=f"ensemble {k}") for k, (c, d) in looks],
         )
@@ -100,7 +85,7 @@ def _forgetting(ax: Axes, ensembles: Array, thin: int, tau: float, longest: floa
     ax.set_yticks([0.0, 0.5, 1.0])
     ax.set_ylabel("ACF")
     said = rf"$\tau$ = {tau:.3g} steps" if np.isfinite(tau) else "never moved"
-    ax.text(0.97, 0.88, said, ha="right", va="top", fontsize=SMALL, transform=ax.transAxes)
+    ax.text(0.97, 0.88, said, ha="right", va="top", fontsize=style.SMALL, transform=ax.transAxes)
 
 
 def _longest_lag(fit: Fit) -> float:

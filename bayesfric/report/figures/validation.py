@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bayesfric.inference.fit import Fit
 from bayesfric.inference.predictive import Prediction
+from bayesfric.report.figures import style
 from bayesfric.report.figures.over_time import as_pixels, broken, draw_band, draw_measured
 from bayesfric.report.figures.registry import FinishedRun, JudgedRun, RunFigure
 from bayesfric.report.figures.style import (
-    BAND,
-    COLUMN,
-    DASHED,
-    PALETTE,
-    SMALL,
     Array,
+    Look,
     few_ticks,
     legend_above,
     paper_figure,
     shortened,
 )
+from bayesfric.report.summary.record import HeldOut, Validation
 from bayesfric.report.summary.validation import covered
 
 _LEVEL = 0.9
@@ -32,27 +27,22 @@ _BINS = 10
 _HEIGHT = 4.6
 
 
-def validation_figure(fit: Fit, summary: Mapping[str, Any]) -> Figure | None:
-    """Draw how well what was held out is predicted.
+def validation_figure(fit: Fit, validation: Validation | None) -> Figure | None:
+    """Draw how well what was held out is predicted, a column wide; ``None`` where nothing was.
 
     Above, over time, the measured torque of the part whose 90 % bands cover the share furthest
     from 90 %, that band, and the residual. Below, of all parts together: the probability integral
     transform, whose bars are level where predictions are right and heap up at both ends where
     they are too narrow; and the share of outputs inside intervals of every level, with two
     standard errors at three of them.
-
-    Returns
-    -------
-    matplotlib.figure.Figure or None
-        A column wide; ``None`` where nothing was held out.
     """
-    if not fit.held_out:
+    if not fit.held_out or validation is None:
         return None
     pits = [p.pit for p in fit.held_out]
     off = [abs(covered(pit, _LEVEL).mean() - _LEVEL) for pit in pits]
     worst = fit.held_out[int(np.argmax(off))]
     outputs = fit.target.likelihood.outputs[0]
-    with paper_figure(COLUMN, _HEIGHT) as figure:
+    with paper_figure(style.COLUMN, _HEIGHT) as figure:
         above, beneath, transform, coverage = figure.subplot_mosaic(
             [["above"] * 2, ["beneath"] * 2, ["transform", "coverage"]],
             height_ratios=(1.5, 1.0, 1.3),
@@ -67,10 +57,10 @@ def validation_figure(fit: Fit, summary: Mapping[str, Any]) -> Figure | None:
         words = f"{shortened(worst.held_out.name)}, {worst.held_out.part}"
         if len(fit.held_out) > 1:
             words += f" (furthest off of {len(fit.held_out)})"
-        above.set_title(words, fontsize=SMALL, pad=2.5)
+        above.set_title(words, fontsize=style.SMALL, pad=2.5)
         every = np.concatenate(pits)
         _transform(transform, every)
-        _coverage(coverage, summary["validation"]["pooled"], every)
+        _coverage(coverage, validation.pooled, every)
         figure.align_ylabels([above, beneath])
     return figure
 
@@ -83,15 +73,9 @@ def _torque(above: Axes, beneath: Axes, p: Prediction) -> None:
         low, high = (end - less for end in ends)
         draw_band(ax, o, low, high, label=f"predicted, {100 * _LEVEL:.0f} % band", gid="band")
         time, measured = broken(o, p.measured - less)
+        named = {"marker": "." if time.size < 400 else None, "label": "measured, held out"}
         draw_measured(
-            ax,
-            time,
-            measured,
-            linewidth=0.6,
-            pixels=as_pixels(o),
-            marker="." if time.size < 400 else None,
-            label="measured, held out",
-            gid="measured",
+            ax, time, measured, linewidth=0.6, pixels=as_pixels(o), gid="measured", **named
         )
         ax.set_xlim(float(o.time.min()), float(o.time.max()))
         few_ticks(ax.yaxis, 5)
@@ -100,10 +84,9 @@ def _torque(above: Axes, beneath: Axes, p: Prediction) -> None:
 
 def _transform(ax: Axes, pit: Array) -> None:
     counts, edges = np.histogram(pit, bins=_BINS, range=(0.0, 1.0))
-    ax.stairs(
-        counts * _BINS / pit.size, edges, fill=True, color=BAND, edgecolor=PALETTE[1], gid="pit"
-    )
-    ax.axhline(1.0, color=PALETTE[2], linewidth=0.9, linestyle=DASHED)
+    look: Look = {"fill": True, "color": style.BAND, "edgecolor": style.PALETTE[1], "gid": "pit"}
+    ax.stairs(counts * _BINS / pit.size, edges, **look)
+    ax.axhline(1.0, color=style.PALETTE[2], linewidth=0.9, linestyle=style.DASHED)
     ax.set_xlim(0.0, 1.0)
     ax.set_xlabel("predicted probability of less")
     ax.set_ylabel("density")
@@ -111,23 +94,19 @@ def _transform(ax: Axes, pit: Array) -> None:
     few_ticks(ax.yaxis, 4)
 
 
-def _coverage(ax: Axes, pooled: Mapping[str, Any], pit: Array) -> None:
+def _coverage(ax: Axes, pooled: HeldOut, pit: Array) -> None:
     levels = np.linspace(0.0, 1.0, 101)
     # an interval of probability one covers everything
     shares = [100.0 * covered(pit, level).mean() for level in levels]
-    ax.plot([0.0, 100.0], [0.0, 100.0], color=PALETTE[2], linewidth=0.9, linestyle=DASHED)
-    ax.plot(100.0 * levels, shares, color=PALETTE[1], gid="coverage")
-    for level, one in pooled["coverage"].items():
-        ax.errorbar(
-            100.0 * float(level),
-            100.0 * one["share"],
-            yerr=200.0 * one["standard_error"],
-            color=PALETTE[0],
-            linewidth=0.8,
-            marker="o",
-            markersize=2.5,
-            capsize=1.5,
-        )
+    ax.plot(
+        [0.0, 100.0], [0.0, 100.0], color=style.PALETTE[2], linewidth=0.9, linestyle=style.DASHED
+    )
+    ax.plot(100.0 * levels, shares, color=style.PALETTE[1], gid="coverage")
+    for level, one in pooled.coverage.items():
+        look: Look = {"linewidth": 0.8, "marker": "o", "markersize": 2.5, "capsize": 1.5}
+        bar = 200.0 * one.standard_error
+        x, y = 100.0 * float(level), 100.0 * one.share
+        ax.errorbar(x, y, yerr=bar, color=style.PALETTE[0], **look)
     ax.set_xlim(0.0, 103.0)
     ax.set_ylim(0.0, 105.0)
     ax.set_xlabel("predicted (%)")
@@ -165,7 +144,7 @@ FIGURE = RunFigure(
     stem="validation",
     title="What was held out, predicted",
     section="held-out",
-    draw=lambda run: validation_figure(run.fit, run.summary),
+    draw=lambda run: validation_figure(run.fit, run.summary.validation),
     caption=_caption,
     alternative=_words,
 )

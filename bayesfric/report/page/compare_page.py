@@ -24,26 +24,9 @@ def _hashes(told: Provenance | None) -> set[str]:
 
 
 def compare_page(
-    folder: Path,
-    compared: ComparedRuns,
-    provenance: Mapping[str, Provenance | None],
+    folder: Path, compared: ComparedRuns, provenance: Mapping[str, Provenance | None]
 ) -> str:
-    """Write the page of a comparison.
-
-    Parameters
-    ----------
-    folder
-        Where ``figures/`` is; figures that are missing are left out.
-    compared
-        The runs, as read and checked.
-    provenance
-        Of each run, where it is known.
-
-    Returns
-    -------
-    str
-        HTML that fetches nothing.
-    """
+    """Write the page of a comparison; figures that ``folder`` lacks are left out."""
     found, runs, pooled = compared.found, compared.runs, compared.pooled
     captions = {stem: one.caption_of(compared) for stem, one in comparison_figures().items()}
     return render(

@@ -16,22 +16,13 @@ _COLUMN = 300.0
 
 @dataclass(frozen=True)
 class PageFigure:
-    """One figure.
+    """One figure."""
 
-    Attributes
-    ----------
-    stem
-        Its file's name, and its anchor behind ``figure-``.
-    title, caption
-        In words.
-    drawing
-        The SVG, with its text alternative.
-    """
-
-    stem: str
+    stem: str  # its file's name, and its anchor behind `figure-`
+    # in words
     title: str
     caption: str
-    drawing: Drawing
+    drawing: Drawing  # the SVG, with its text alternative
 
     @property
     def wide(self) -> bool:
@@ -53,20 +44,10 @@ def page_figures(
     captions: Mapping[str, str],
     judged: Judged,
 ) -> dict[str, PageFigures]:
-    """Read figures, sorted by section of the page.
+    """Read figures, sorted by section of the page; no drawing of this package counts as missing.
 
-    A file that is no drawing of this package counts as missing.
-
-    Parameters
-    ----------
-    folder
-        Holds ``figures/``.
-    figures
-        What may lie there.
-    captions
-        By stem; they come before what a figure declares of itself.
-    judged
-        What the text alternatives are made of.
+    ``captions``, by stem, come before what a figure declares of itself; ``judged`` is what text
+    alternatives are made of.
     """
     sections = {section: PageFigures() for section in get_args(Section)}
     for one in figures:

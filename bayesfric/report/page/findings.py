@@ -9,7 +9,7 @@ import re
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from bayesfric.report.paper.tables import ParameterRow, ParameterTable
 from bayesfric.report.summary.record import OpenDirectionRow, RemedyRow, Summary
@@ -32,54 +32,10 @@ class OpenGroup:
     reasons: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class Findings:
-    """Everything on the first screen.
-
-    Attributes
-    ----------
-    joint, combined
-        Rows of the joint's parameters, and of what no scaling changes.
-    known, more
-        Rows the data determine, those of data, prior and bounds together among them, and the
-        number of such rows that are left to the table.
-    limits
-        Rows that the data bound on one side.
-    open
-        What they leave open, by reason.
-    lacks
-        Quantities that what the model leaves depends on.
-    try_auto
-        Whether a noise model with a memory was not tried and seems needed.
-    steps, directions
-        Remedies, the best first, each with how many of the ``directions`` it lifts;
-        ``directions`` is ``None`` where none were looked for.
-    command
-        Asks for advice on what is open; empty where there is nothing to ask for.
-    """
-
-    joint: list[ParameterRow]
-    combined: list[ParameterRow]
-    known: list[ParameterRow]
-    more: int
-    limits: list[ParameterRow]
-    open: list[OpenGroup]
-    lacks: list[str]
-    try_auto: bool
-    steps: list[tuple[RemedyRow, int]]
-    directions: int | None
-    command: str
-
-    @property
-    def lost(self) -> list[str]:
-        """Names of the joint's parameters that have not converged."""
-        return [row.name for row in self.joint if not row.cell.converged]
-
-
-def findings(table: ParameterTable, summary: Summary) -> Findings:
-    """Gather what the first screen of a run's page says."""
+def findings(table: ParameterTable, summary: Summary) -> dict[str, Any]:
+    """Gather what the first screen of a run's page says, for the template to word."""
     joint = table.joint
-    combined = [r for r in table.rows if r.group == "free"]
+    combined = [r for r in table.rows if r.group == "free"]  # what no scaling changes
     known = [r for r in [*combined, *joint] if r.cell.status == "determined"]
     if any(r.by == "open" for r in joint):
         # what data alone determine says more than what they share with the prior
@@ -87,23 +43,24 @@ def findings(table: ParameterTable, summary: Summary) -> Findings:
     else:  # then the joint's own parameters are what is asked for
         known.sort(key=lambda r: r.group != "parameter")
     white, directions = summary.noise.innovation_whiteness, summary.identifiability.directions
-    return Findings(
-        joint,
-        combined,
-        known[:_MOST],
-        max(0, len(known) - _MOST),
-        [r for r in [*joint, *combined] if r.by == "limit"],
-        list(_groups([*joint, *combined], summary)),
-        [lack.on for lack in summary.fit.lacks if lack.sure],
+    correlated = not summary.accounts and white is not None and not white.white
+    return {
+        "joint": joint,
+        "combined": combined,
+        "lost": [r.name for r in joint if not r.cell.converged],
+        "known": known[:_MOST],
+        "more": max(0, len(known) - _MOST),
+        "limits": [r for r in [*joint, *combined] if r.by == "limit"],
+        "open": list(_groups([*joint, *combined], summary)),
+        # what the model leaves depends on these
+        "lacks": [lack.on for lack in summary.fit.lacks if lack.sure],
         # where the order was chosen, auto itself found that no memory helps
-        not summary.accounts
-        and white is not None
-        and not white.white
-        and not summary.noise.order_chosen_from,
-        _steps(directions or []),
-        None if directions is None else len(directions),
-        _command(joint),
-    )
+        "try_auto": correlated and not summary.noise.order_chosen_from,
+        # remedies, each with how many of the directions it lifts, if any were looked for
+        "steps": _steps(directions or []),
+        "directions": None if directions is None else len(directions),
+        "command": _command(joint),
+    }
 
 
 def _groups(rows: Sequence[ParameterRow], summary: Summary) -> Iterator[OpenGroup]:

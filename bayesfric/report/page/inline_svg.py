@@ -27,40 +27,20 @@ _COORDINATES = ("d", "x", "y")
 
 @dataclass(frozen=True)
 class Drawing:
-    """An SVG ready to stand in a page.
+    """An SVG ready to stand in a page."""
 
-    Attributes
-    ----------
-    markup
-        The ``svg`` element, without names or references of others.
-    width, height
-        In points, of its view box.
-    """
-
-    markup: Markup
+    markup: Markup  # the `svg` element, without names or references of others
+    # in points, of its view box
     width: float
     height: float
 
 
 def inline_svg(text: str, prefix: str, label: str) -> Drawing:
-    """Make an SVG fit to stand inside a page.
+    """Make an SVG, as this package saves it, fit to stand inside a page; else ``ValueError``.
 
     Matplotlib gives the same names (``figure_1``, clip paths) in every figure; two of
-    them in one page would clip each other.
-
-    Parameters
-    ----------
-    text
-        The file's contents, as :func:`bayesfric.report.figures.style.save` wrote them.
-    prefix
-        Put before every ``id`` that is referred to; unique in the page.
-    label
-        What a screen reader says in its place.
-
-    Raises
-    ------
-    ValueError
-        If this is no SVG with a view box.
+    them in one page would clip each other: ``prefix``, unique in the page, is put before every
+    ``id`` that is referred to. ``label`` is what a screen reader says in its place.
     """
     try:
         root = ET.fromstring(text)
@@ -75,10 +55,10 @@ def inline_svg(text: str, prefix: str, label: str) -> Drawing:
     for element in root.iter():
         if element.attrib.get("id", "") not in referred:
             element.attrib.pop("id", None)
-    out: list[str] = []
-    root.attrib.pop("width", None)
-    root.attrib.pop("height", None)
+    for key in ("width", "height"):
+        root.attrib.pop(key, None)
     root.attrib.update({"role": "img", "aria-label": label})
+    out: list[str] = []
     _write(root, prefix, out)
     return Drawing(Markup("".join(out)), width, height)
 
@@ -87,18 +67,17 @@ def _write(element: ET.Element, prefix: str, out: list[str]) -> None:
     tag = element.tag.removeprefix(f"{{{_SVG}}}") if isinstance(element.tag, str) else ""
     if tag not in _DRAWN:
         return
+    kept = (_attribute(key, value, prefix) for key, value in element.attrib.items())
+    told = "".join(f' {key}="{escape(value, _QUOTE)}"' for key, value in filter(None, kept))
+
+    def words(text: str | None) -> str:
+        return escape((text or "").strip("\n"), _QUOTE) if tag in ("text", "tspan") else ""
+
     # an svg element of a page is in the right namespace already
-    out.append(f"<{tag}")
-    for key, value in element.attrib.items():
-        told = _attribute(key, value, prefix)
-        if told is not None:
-            out.append(f' {told[0]}="{escape(told[1], _QUOTE)}"')
-    out.append(">")
-    out.append(escape((element.text or "").strip("\n"), _QUOTE) if tag in ("text", "tspan") else "")
+    out.append(f"<{tag}{told}>{words(element.text)}")
     for child in element:
         _write(child, prefix, out)
-        if tag in ("text", "tspan"):
-            out.append(escape((child.tail or "").strip("\n"), _QUOTE))
+        out.append(words(child.tail))
     out.append(f"</{tag}>")
 
 

@@ -12,31 +12,17 @@ import h5py
 
 @dataclass(frozen=True)
 class Provenance:
-    """What is needed to repeat a run.
+    """What is needed to repeat a run."""
 
-    Attributes
-    ----------
-    versions
-        Of Python and the libraries, by name.
-    recordings
-        SHA-256 of every recording, by its name.
-    seed
-        As text; empty where it is not known.
-    """
-
+    # of Python and the libraries, by name
     versions: Mapping[str, str] = field(default_factory=dict)
+    # SHA-256 of every recording, by its name
     recordings: Mapping[str, str] = field(default_factory=dict)
-    seed: str = ""
+    seed: str = ""  # as text; empty where it is not known
 
 
 def read_provenance(run: Path) -> Provenance | None:
-    """Read the root attributes of a run's ``posterior.nc``, and no draws.
-
-    Returns
-    -------
-    Provenance or None
-        ``None`` where the file is not there or holds no such attributes.
-    """
+    """Read the root attributes of a run's ``posterior.nc``, and no draws; ``None`` without them."""
     try:
         with h5py.File(run / "posterior.nc") as file:
             told = {key: str(file.attrs[key]) for key in ("versions", "recordings", "seed")}

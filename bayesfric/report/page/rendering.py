@@ -21,17 +21,10 @@ from bayesfric.report.text_templates import FILTERS
 
 
 def render(template: str, **told: Any) -> str:
-    """Fill a template.
+    """Fill a template of ``templates/``; text is escaped.
 
     The page's policy forbids every request and every script but its own, which is
     named by its hash: what a file of the run may hold cannot act.
-
-    Parameters
-    ----------
-    template
-        File name in ``templates/``.
-    told
-        What it shows; text is escaped.
     """
     style, script = _asset("page.css"), _asset("page.js")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()

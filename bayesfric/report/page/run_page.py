@@ -18,27 +18,10 @@ from bayesfric.report.summary.record import Readable, Summary
 
 
 def run_page(folder: Path, summary: Readable, name: str) -> str:
-    """Write the page of a run.
+    """Write the page of a run: HTML that fetches nothing.
 
-    Parameters
-    ----------
-    folder
-        A run directory: figures, texts, configuration and the head of ``posterior.nc``
-        are read from it; what is missing is left out.
-    summary
-        What its ``summary.json`` holds.
-    name
-        What to call the run.
-
-    Returns
-    -------
-    str
-        HTML that fetches nothing.
-
-    Raises
-    ------
-    BadInput
-        Where the summary lacks something.
+    Figures, texts, configuration and the head of ``posterior.nc`` are read from the run directory
+    ``folder``; what is missing is left out. ``BadInput`` where the summary lacks something.
     """
     config = _text(folder / "config.toml")
     read = Summary.read(summary, name)

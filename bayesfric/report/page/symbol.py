@@ -22,19 +22,9 @@ _TOKEN = re.compile(r"\\([A-Za-z]+|.)|([{}_^])|([^\\{}_^]+)", re.DOTALL)
 
 
 def html_symbol(symbol: str, name: str) -> Markup:
-    """Set a quantity's symbol for a page.
+    """Set a quantity's LaTeX symbol for a page; its name as code where that cannot be.
 
-    Parameters
-    ----------
-    symbol
-        LaTeX without dollar signs, as parameters carry it.
-    name
-        Shown as code where there is no symbol, or one that cannot be set.
-
-    Returns
-    -------
-    markupsafe.Markup
-        Only ``i``, ``sub``, ``sup`` and escaped text, whatever the symbol holds.
+    Only ``i``, ``sub``, ``sup`` and escaped text, whatever the symbol holds.
     """
     # as figures set it: words in subscripts upright, underscores of names kept
     shown = mathtext(symbol, name) if symbol else ""

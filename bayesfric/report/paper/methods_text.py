@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import platform
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
+from importlib.resources import files
 
 import bayesfric
 from bayesfric.inference.fit import Fit
@@ -17,11 +19,36 @@ from bayesfric.inference.noise import SCALES
 from bayesfric.mechanism.parameter import effort_words
 from bayesfric.report.comparison.cell import TOGETHER
 from bayesfric.report.paper import latex
-from bayesfric.report.paper.bibliography import ENTRIES, bibliography
 from bayesfric.report.paper.tables import counts, parameter_table
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Readable, Summary
 from bayesfric.report.text_templates import filled
+
+_ENTRY = re.compile(r"^% ([^\n]+)\n(@\w+\{(\w+),\n.*?^\}\n)", re.MULTILINE | re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One reference: ``short`` as written in plain text, ``text`` its BibTeX."""
+
+    short: str
+    text: str
+
+
+def _read() -> dict[str, Entry]:
+    text = (files("bayesfric.report.paper") / "references.bib").read_text(encoding="utf-8")
+    # this package's own entry names its version
+    found = _ENTRY.findall(text.replace("VERSION", bayesfric.__version__))
+    return {key: Entry(short, entry) for short, entry, key in found}
+
+
+ENTRIES = _read()
+
+
+def bibliography(keys: Sequence[str]) -> str:
+    """Write the entries of the given keys as a BibTeX file, in that order."""
+    return "\n".join(ENTRIES[key].text for key in keys)
+
 
 _CITED = re.compile(r"\s*\[@([\w;@]+)\]")
 _VERSIONS = ("numpy", "scipy", "emcee", "arviz", "numba")
@@ -29,36 +56,16 @@ _VERSIONS = ("numpy", "scipy", "emcee", "arviz", "numba")
 
 @dataclass(frozen=True)
 class MethodsText:
-    r"""A paragraph in three forms.
+    """A paragraph in three forms."""
 
-    Attributes
-    ----------
-    plain
-        Text with citations such as (Foreman-Mackey et al. 2013).
-    latex
-        The same with ``\cite``.
-    bibtex
-        What it cites.
-    keys
-        BibTeX keys in the order of first use.
-    """
-
-    plain: str
-    latex: str
-    bibtex: str
-    keys: tuple[str, ...]
+    plain: str  # text with citations such as (Foreman-Mackey et al. 2013)
+    latex: str  # the same with `\cite`
+    bibtex: str  # what it cites
+    keys: tuple[str, ...]  # BibTeX keys in the order of first use
 
 
 def methods_text(fit: Fit, summary: Readable) -> MethodsText:
-    """Write what was done in a run.
-
-    Parameters
-    ----------
-    fit
-        A finished fit.
-    summary
-        From :func:`bayesfric.report.summary.summary.summarise`.
-    """
+    """Write what was done in a run."""
     marked = effort_words(_sentences(fit, Summary.read(summary)), fit.chain.motor_motion)
     keys = tuple(
         dict.fromkeys(key for found in _CITED.findall(marked) for key in found.split(";@"))

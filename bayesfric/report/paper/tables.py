@@ -12,13 +12,14 @@ from dataclasses import dataclass
 import pandas as pd
 
 from bayesfric.report.comparison.cell import Cell, posterior_cell
-from bayesfric.report.comparison.comparison import Comparison
-from bayesfric.report.comparison.table import markdown_table
+from bayesfric.report.comparison.comparison import Comparison, comparison
+from bayesfric.report.comparison.table import comparison_csv, comparison_markdown, markdown_table
 from bayesfric.report.numbers import LATEX, TEXT, Medium, latex_number, latex_value
 from bayesfric.report.paper import latex
 from bayesfric.report.summary.bounds import bound_mend
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import KnownRow, PosteriorRow, Readable, Summary, of_noise
+from bayesfric.report.summary.summary import summary_table
 from bayesfric.report.text_templates import filled
 
 # Ends of the interval whose distances from the median differ by more than this are skewed.
@@ -38,22 +39,13 @@ COLUMNS = [
 
 @dataclass(frozen=True)
 class ParameterRow:
-    """One line of the table of parameters.
+    """One line of the table of parameters."""
 
-    Attributes
-    ----------
-    group
-        ``free`` (of scaling), ``parameter``, ``derived`` or ``known``.
-    name, told
-        As in ``summary.json``.
-    cell
-        What may be said of it, as in the comparison of methods.
-    """
-
-    group: str
+    group: str  # `free` (of scaling), `parameter`, `derived` or `known`
+    # as in `summary.json`
     name: str
     told: PosteriorRow | KnownRow
-    cell: Cell
+    cell: Cell  # what may be said of it, as in the comparison of methods
 
     @property
     def row(self) -> PosteriorRow | None:
@@ -161,22 +153,7 @@ class ParameterTable:
 def parameter_table(summary: Readable, run: str = "summary.json") -> ParameterTable:
     """Judge every number of a summary for the table of parameters.
 
-    Parameters
-    ----------
-    summary
-        What ``summary.json`` holds.
-    run
-        What to call it in complaints.
-
-    Returns
-    -------
-    ParameterTable
-        What no scaling of leg and alpha changes comes first.
-
-    Raises
-    ------
-    BadInput
-        Where the summary lacks something.
+    What no scaling of leg and alpha changes comes first; ``run`` is what complaints call it.
     """
     read = Summary.read(summary, run)
     groups = {
@@ -286,13 +263,7 @@ def _table(
 
 
 def methods_latex(found: Comparison) -> str:
-    r"""Lay a comparison of methods out as a ``table*``.
-
-    Parameters
-    ----------
-    found
-        From :func:`bayesfric.report.comparison.comparison.comparison`.
-    """
+    """Lay a comparison of methods out as a ``table*``."""
     body: list[str] = []
     group = None
     for row in found.rows:
@@ -334,3 +305,21 @@ def _cell(cell: Cell | None) -> str:
         return shown + r"\textsuperscript{b}"
     plain = cell.status == "determined" and not cell.accounts
     return shown + (r"\textsuperscript{\dag}" if plain else "")
+
+
+def summary_texts(summary: Readable, run: str) -> dict[str, str]:
+    """Lay the numbers of a run's summary out as its tables, by file name inside the run directory.
+
+    ``BadInput`` where the summary lacks something.
+    """
+    table = parameter_table(summary, run)
+    methods = comparison({run: summary})
+    return {
+        "summary.csv": summary_table(summary),
+        "methods.csv": comparison_csv(methods),
+        "methods.md": comparison_markdown(methods),
+        "tables/parameters.tex": parameters_latex(table),
+        "tables/parameters.md": parameters_markdown(table),
+        "tables/parameters.csv": parameters_csv(table),
+        "tables/methods.tex": methods_latex(methods),
+    }
