@@ -80,7 +80,7 @@ def knee_loaded(make_observation):
 
 @pytest.fixture(scope="module")
 def emps(make_observation):
-    chain = MechanismOptions(preset="motor-axis", motion="linear").chain()
+    chain = MechanismOptions(preset="motor-axis", motion="linear").joint()
     observation = make_observation(chain, EMPS, sigma=5.0, amplitude=0.1)
     return fitted(chain, [observation], {"motor.viscous": [0.0, 1000.0]})
 
