@@ -23,16 +23,16 @@ from bayesfric.config_text import (
 )
 from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.descent import few_threads
-from bayesfric.estimates.estimate import METHODS, Estimate, Method
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.methods import ESTIMATORS, Given, estimate_by
+from bayesfric.estimates.point_estimate import METHODS, Estimate, Method
 from bayesfric.identifiability.identification import Identification, identify
 from bayesfric.identifiability.known_quantities import speed_term
 from bayesfric.identifiability.local import LocalInformation, local_information
 from bayesfric.identifiability.next_recording import Ranking, ranking
 from bayesfric.identifiability.plausible import Point, estimate_point, points_around
 from bayesfric.identifiability.sentences import plain
-from bayesfric.inference.fit import fit, make_target, target_of
+from bayesfric.inference.fitting import fit, make_target, target_of
 from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.likelihood.noise_choice import Choice, choice_at
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood

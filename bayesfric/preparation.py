@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from bayesfric.config import Config, NoiseOptions
 from bayesfric.errors import BadInput
-from bayesfric.inference.fit import read_priors
+from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.noise import NOISE_MODELS
 from bayesfric.inference.noise.autoregressive import MOST

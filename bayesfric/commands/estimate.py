@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.estimates.estimate import Estimate
 from bayesfric.estimates.methods import ESTIMATORS
+from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.model import Model
 from bayesfric.report.summary.summary import estimate_summary
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
-from bayesfric.estimates.estimate import Estimate, EstimatedValue
 from bayesfric.estimates.information import Information
+from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
 from bayesfric.estimates.torque import places
 from bayesfric.estimates.torque_form import OPEN, columns, filled, in_order, shortest
 from bayesfric.mechanism.joint import Joint

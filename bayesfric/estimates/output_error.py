@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
 from bayesfric.estimates import assemble as fitted
-from bayesfric.estimates.estimate import Estimate
 from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.huber import HUBER, robust_sd
 from bayesfric.estimates.information import LEAST_GROUPS, Information, Scatter
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import least_squares, starting_values
+from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.estimates.shooting import Shooting, choose_substeps, resolution, step_error
 from bayesfric.estimates.shooting_fit import (
     Frame,

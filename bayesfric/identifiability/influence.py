@@ -20,7 +20,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.inference.fit import Fit
+from bayesfric.inference.fitting import Fit
 
 Array = NDArray[np.float64]
 Diagnosis = Literal["prior-data conflict", "strong prior", "weak likelihood", "-"]

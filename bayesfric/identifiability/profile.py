@@ -13,7 +13,7 @@ from bayesfric.estimates.assemble import bounds_met, centred
 from bayesfric.estimates.descent import Terms, TorqueProblem, descend, few_threads
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.torque_form import factor_to
-from bayesfric.inference.fit import Fit
+from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.observation import Observation

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 import bayesfric
 from bayesfric.errors import BadInput
 from bayesfric.inference.archive import as_chains, write_archive
-from bayesfric.inference.fit import Fit
+from bayesfric.inference.fitting import Fit
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.report.figures.files import two_at_once
 from bayesfric.report.figures.registry import FinishedRun, captions, run_figures

@@ -30,7 +30,7 @@ from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import least_squares
-from bayesfric.inference.fit import fit, target_of
+from bayesfric.inference.fitting import fit, target_of
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.moments.fast_moments import fast_moments
 from bayesfric.inference.noise.autoregressive import Autoregressive

@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 
 from bayesfric.commands.fit import demo_config
-from bayesfric.inference.fit import fit
+from bayesfric.inference.fitting import fit
 from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.model import Model
 

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from ranks import summary_of
 
 from bayesfric.estimates.torque import filtered_torque
-from bayesfric.inference.fit import fit, make_target
+from bayesfric.inference.fitting import fit, make_target
 from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.inference.noise.residual_noise import ResidualNoise
 from bayesfric.inference.noise.student_t import StudentT

@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.inference.fit import target_of
+from bayesfric.inference.fitting import target_of
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.prior.priors import Prior, read_prior
 from bayesfric.inference.target import Target

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from bayesfric.estimates.estimate import Estimate
+from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.mechanism.forward import simulate
 from bayesfric.model import Model
 from bayesfric.report.comparison.comparison import comparison

@@ -17,7 +17,7 @@ import numpy as np
 
 from bayesfric.commands.fit import fit
 from bayesfric.config import Config, read_config
-from bayesfric.estimates.estimate import METHODS, Estimate
+from bayesfric.estimates.point_estimate import METHODS, Estimate
 from bayesfric.inference.archive import read_archive
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.presets import PRESETS

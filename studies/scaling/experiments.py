@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bayesfric.config import Config, parse_config, read_config
-from bayesfric.inference.fit import fit
+from bayesfric.inference.fitting import fit
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.presets import PRESETS

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from bayesfric.identifiability.profile import DROP_90, Profile, profiles
-from bayesfric.inference.fit import Fit
+from bayesfric.inference.fitting import Fit
 from bayesfric.report.figures.quantity import Quantity, quantities
 from bayesfric.report.figures.style import (
     MEASURED,

@@ -18,7 +18,7 @@ from experiments import experiments
 from profile_figure import profile_figure
 
 from bayesfric.config import read_config
-from bayesfric.inference.fit import Fit, fit
+from bayesfric.inference.fitting import Fit, fit
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from bayesfric.config import parse_config
-from bayesfric.inference.fit import fit
+from bayesfric.inference.fitting import fit
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.model import Model
 from bayesfric.report.summary.validation import validation_record

@@ -8,7 +8,7 @@ import pytest
 
 from bayesfric.commands.check import check, check_text
 from bayesfric.commands.fit import fit_text
-from bayesfric.estimates.estimate import Estimate, EstimatedValue
+from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
 from bayesfric.model import Model
 from bayesfric.report.alerts import doubt_text
 from bayesfric.report.summary.doubts import doubts_before, find_doubts, put_doubts

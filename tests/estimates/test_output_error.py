@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from bayesfric.errors import BadInput
-from bayesfric.estimates.estimate import Estimate
 from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.output_error import output_error
+from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS

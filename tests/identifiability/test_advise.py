@@ -16,7 +16,7 @@ from bayesfric.identifiability.local import local_information
 from bayesfric.identifiability.next_recording import ranking
 from bayesfric.identifiability.plausible import Point, points_around
 from bayesfric.identifiability.virtual_recording import known_mass, played
-from bayesfric.inference.fit import make_target, read_priors
+from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.mechanism import excitation
 from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.forward import simulate

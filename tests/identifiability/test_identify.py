@@ -13,7 +13,7 @@ from bayesfric.identifiability.local import local_information
 from bayesfric.identifiability.plausible import Point, estimate_point, points_around
 from bayesfric.identifiability.remedies import WEAK, left_along, open_counts
 from bayesfric.identifiability.virtual_recording import played
-from bayesfric.inference.fit import make_target, read_priors
+from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.mechanism import excitation
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.presets import PRESETS

@@ -11,7 +11,7 @@ from bayesfric.identifiability.influence import (
     influence,
     sensitivity,
 )
-from bayesfric.inference.fit import fit, make_target, read_priors
+from bayesfric.inference.fitting import fit, make_target, read_priors
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
 

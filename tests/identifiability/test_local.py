@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesfric.identifiability.local import local_information, verdict
-from bayesfric.inference.fit import make_target, read_priors
+from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.mechanism.own_term import Term
 from bayesfric.mechanism.presets import PRESETS
 

@@ -9,7 +9,7 @@ import pytest
 from bayesfric.estimates.descent import Terms, TorqueProblem, descend
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.identifiability.profile import DROP_90, profile_likelihoods, profiles
-from bayesfric.inference.fit import fit, make_target, read_priors
+from bayesfric.inference.fitting import fit, make_target, read_priors
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from bayesfric.inference.fit import read_priors
+from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.prior.as_knowledge import as_knowledge
 from bayesfric.inference.prior.priors import read_prior
 from bayesfric.mechanism.presets import PRESETS

@@ -15,7 +15,7 @@ from bayesfric.inference.coordinates import (
     TorqueFormCoordinates,
     choose_coordinates,
 )
-from bayesfric.inference.fit import make_target, read_priors
+from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.inference.prior.priors import read_prior
 from bayesfric.mechanism.configuration import ElementOptions, MechanismOptions
 from bayesfric.mechanism.inverse import inverse_torque

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayesfric.inference.fit import fit, make_target, read_priors
+from bayesfric.inference.fitting import fit, make_target, read_priors
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.inference.sampling.start import Start, climb, gauss_newton
 from bayesfric.mechanism.presets import PRESETS

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from bayesfric.errors import BadInput
-from bayesfric.inference.fit import make_target, read_priors
+from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS

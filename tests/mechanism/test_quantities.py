@@ -12,7 +12,7 @@ from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.estimates.torque_form import torque_form
 from bayesfric.estimates.variable_projection import VariableProjection
-from bayesfric.inference.fit import make_target, read_priors
+from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.derived import derive

@@ -12,7 +12,7 @@ import pytest
 
 from bayesfric.commands.simulate import simulate
 from bayesfric.config import parse_config
-from bayesfric.inference.fit import fit, make_target
+from bayesfric.inference.fitting import fit, make_target
 from bayesfric.inference.prior.priors import fixed
 from bayesfric.inference.sampling.start import climb
 from bayesfric.model import Model

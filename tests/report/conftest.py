@@ -8,7 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from bayesfric.estimates.least_squares import least_squares
-from bayesfric.inference.fit import Fit, make_target, read_priors
+from bayesfric.inference.fitting import Fit, make_target, read_priors
 from bayesfric.inference.posterior import Diagnostics, Posterior
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque

@@ -5,7 +5,7 @@ import copy
 import pytest
 
 from bayesfric.commands.fit import fit_text
-from bayesfric.inference.fit import fit, make_target, read_priors
+from bayesfric.inference.fitting import fit, make_target, read_priors
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.comparison.cell import posterior_cells

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 
-from bayesfric.estimates.estimate import Estimate, EstimatedValue
-from bayesfric.inference.fit import fit, make_target, read_priors
+from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
+from bayesfric.inference.fitting import fit, make_target, read_priors
 from bayesfric.inference.likelihood.noise_choice import Choice, Evidence
 from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.inference.noise.student_t import StudentT

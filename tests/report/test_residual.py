@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from bayesfric.inference.fit import read_priors, target_of
+from bayesfric.inference.fitting import read_priors, target_of
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.recordings import Processing

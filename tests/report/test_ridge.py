@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayesfric.inference.fit import fit, make_target, read_priors
+from bayesfric.inference.fitting import fit, make_target, read_priors
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.own_term import Term

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesfric.inference.fit import make_target, read_priors
+from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.inference.likelihood.autoregression import autocovariance, simulated
 from bayesfric.inference.noise.student_t import StudentT
 from bayesfric.inference.predictive import predict_held_out

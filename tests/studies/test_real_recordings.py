@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayesfric.config import read_config
-from bayesfric.inference.fit import fit
+from bayesfric.inference.fitting import fit
 from bayesfric.model import Model
 from tests.conftest import REPOSITORY
 

@@ -12,9 +12,9 @@ from pkgutil import iter_modules
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from bayesfric.estimates.estimate import Estimate
     from bayesfric.estimates.estimation import Estimation
     from bayesfric.estimates.knowledge import Knowledge
+    from bayesfric.estimates.point_estimate import Estimate
     from bayesfric.mechanism.joint import Joint
     from bayesfric.recordings.observation import Observation
     from bayesfric.recordings.trajectory import Trajectory

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from bayesfric.estimates.methods import Estimator, Given
 
 if TYPE_CHECKING:
-    from bayesfric.estimates.estimate import Estimate
+    from bayesfric.estimates.point_estimate import Estimate
 
 
 def _estimate(given: Given, found: Mapping[str, Estimate]) -> Estimate:

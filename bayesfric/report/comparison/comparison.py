@@ -13,7 +13,7 @@ from itertools import combinations
 from typing import Any, Literal
 
 from bayesfric.errors import BadInput
-from bayesfric.estimates.estimate import METHODS, Kind, Method
+from bayesfric.estimates.point_estimate import METHODS, Kind, Method
 from bayesfric.mechanism.parameter import turned
 from bayesfric.report.comparison.cell import Cell, estimate_cell, left_open, posterior_cell
 from bayesfric.report.summary.record import (

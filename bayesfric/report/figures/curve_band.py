@@ -14,7 +14,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from bayesfric.identifiability.local import LocalInformation, local_information, verdict
-from bayesfric.inference.fit import Fit
+from bayesfric.inference.fitting import Fit
 from bayesfric.report.figures.style import OPEN_HATCH, Array, Look
 from bayesfric.report.summary.summary import LEVEL
 

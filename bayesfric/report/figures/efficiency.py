@@ -12,10 +12,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from bayesfric.estimates.torque import typical_load
-from bayesfric.inference.fit import Fit
+from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism.derived import derive
 from bayesfric.report.figures import style
 from bayesfric.report.figures.curve_band import (
+    CurveBand,  # noqa: F401  (of an inherited field, for the reference)
     CurveJudge,
     CurveLook,
     Flags,

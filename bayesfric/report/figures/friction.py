@@ -11,10 +11,11 @@ from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from bayesfric.inference.fit import Fit
+from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism.quantities import CHOICES, LOAD_CHOICES, QUANTITIES
 from bayesfric.report.figures import style
 from bayesfric.report.figures.curve_band import (
+    CurveBand,  # noqa: F401  (of an inherited field, for the reference)
     CurveJudge,
     CurveLook,
     Flags,

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from bayesfric.inference.fit import Fit
+from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.inverse import load_torque
 from bayesfric.mechanism.joint import Joint

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from bayesfric.inference.fit import Fit
+from bayesfric.inference.fitting import Fit
 from bayesfric.report.comparison.cell import Cell, posterior_cells
 from bayesfric.report.figures import style
 from bayesfric.report.figures.marginal import draw_marginal, marginal_handles

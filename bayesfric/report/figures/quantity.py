@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesfric.inference.fit import Fit
+from bayesfric.inference.fitting import Fit
 from bayesfric.inference.prior.priors import Prior
 from bayesfric.mechanism.derived import derive
 from bayesfric.report.figures.style import Array, mathtext, power_of_ten, scaled_unit

@@ -15,7 +15,7 @@ from typing import Generic, Literal, TypeVar, get_args
 
 from matplotlib.figure import Figure
 
-from bayesfric.inference.fit import Fit
+from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism.parameter import effort_words
 from bayesfric.report.comparison.between_runs import PooledQuantity
 from bayesfric.report.comparison.comparison import Comparison

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy import stats
 
-from bayesfric.inference.fit import Fit
+from bayesfric.inference.fitting import Fit
 from bayesfric.report.figures import style
 from bayesfric.report.figures.prediction import residuals_in_words
 from bayesfric.report.figures.registry import FinishedRun, JudgedRun, RunFigure

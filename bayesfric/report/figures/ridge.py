@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from bayesfric.estimates.torque import filtered_torque
-from bayesfric.inference.fit import Fit
+from bayesfric.inference.fitting import Fit
 from bayesfric.inference.prior.priors import Prior, fixed
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import Parameter

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from bayesfric.inference.fit import Fit
+from bayesfric.inference.fitting import Fit
 from bayesfric.inference.sampling.convergence import autocorrelation
 from bayesfric.report.figures import style
 from bayesfric.report.figures.quantity import Quantity, not_shown, quantities

@@ -14,7 +14,7 @@ from importlib.metadata import version
 from importlib.resources import files
 
 import bayesfric
-from bayesfric.inference.fit import Fit
+from bayesfric.inference.fitting import Fit
 from bayesfric.inference.noise import SCALES
 from bayesfric.mechanism.parameter import effort_words
 from bayesfric.report.comparison.cell import TOGETHER

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.torque import filtered_torque, typical_load
 from bayesfric.identifiability.local import LocalInformation, verdict
-from bayesfric.inference.fit import Fit
+from bayesfric.inference.fitting import Fit
 from bayesfric.inference.sampling import convergence
 from bayesfric.mechanism.derived import Derived, derive
 from bayesfric.report.summary.record import Described

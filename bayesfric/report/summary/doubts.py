@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.estimates.estimate import Estimate
 from bayesfric.estimates.information import CORRELATED
-from bayesfric.inference.fit import Fit
+from bayesfric.estimates.point_estimate import Estimate
+from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.mechanism.quantities import QUANTITIES, Quantity, State
 from bayesfric.recordings.observation import LEAST_RATIO, Observation

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.estimates.information import CORRELATED, lag_one
-from bayesfric.inference.fit import Fit
+from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.autoregression import PASSES, ljung_box, predictors
 from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood

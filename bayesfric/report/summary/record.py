@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from bayesfric.complaints import complaint, read_text
 from bayesfric.errors import BadInput
-from bayesfric.estimates.estimate import Kind, Method
+from bayesfric.estimates.point_estimate import Kind, Method
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -71,7 +71,7 @@ class Described(Part):
 
 
 class EstimatedRow(Described):
-    """One number of a point estimate; see :class:`bayesfric.estimates.estimate.EstimatedValue`."""
+    """One number of a point estimate, as ``EstimatedValue`` of estimates has it."""
 
     value: FiniteFloat
     sd: NotNegative | None = None

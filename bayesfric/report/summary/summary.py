@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bayesfric
-from bayesfric.estimates.estimate import Estimate
 from bayesfric.estimates.information import lag_one
+from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.identifiability.influence import influence
 from bayesfric.identifiability.local import LocalInformation, local_information, verdict
-from bayesfric.inference.fit import Fit
+from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood

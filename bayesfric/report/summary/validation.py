@@ -12,7 +12,7 @@ from scipy.special import ndtri
 
 from bayesfric.estimates.information import lag_one, long_run_variance
 from bayesfric.estimates.torque import places
-from bayesfric.inference.fit import Fit
+from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.likelihood import Outputs
 from bayesfric.inference.moments.residual_moments import follows
 from bayesfric.inference.predictive import Prediction
