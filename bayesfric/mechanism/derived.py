@@ -23,24 +23,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Derived:
-    """One derived quantity.
+    """One derived quantity."""
 
-    Attributes
-    ----------
-    name, unit, symbol, meaning
-        As for parameters; the symbol is LaTeX without dollar signs.
-    values
-        ``(n,)``, one for each parameter vector.
-    gauge_free
-        Whether scaling leg parameters and alpha together leaves it unchanged.
-    """
-
+    # name, unit, symbol, meaning: as for parameters; the symbol is LaTeX without dollar signs
     name: str
     unit: str
     symbol: str
     meaning: str
-    values: Array
-    gauge_free: bool
+    values: Array  # (n,), one for each parameter vector
+    gauge_free: bool  # whether scaling leg parameters and alpha together leaves it unchanged
 
 
 def efficiencies(

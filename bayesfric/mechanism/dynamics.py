@@ -35,44 +35,26 @@ from bayesfric.mechanism.own_term import call
 
 
 class Carried(NamedTuple):
-    """Terms without a slot in the kernels.
+    """Terms without a slot in the kernels."""
 
-    Attributes
-    ----------
-    values
-        ``(n_carried,)`` coefficients, or ``(n, n_carried)`` of several parameter vectors.
-    places
-        ``(n_carried,)`` index of the element of each, as in :class:`~.kernels.Samples`.
-    addresses
-        ``(n_carried,)`` of their compiled columns.
-    """
-
+    # (n_carried,) coefficients, or (n, n_carried) of several parameter vectors
     values: NDArray[np.float64]
-    places: NDArray[np.int64]
-    addresses: NDArray[np.int64]
+    places: NDArray[np.int64]  # (n_carried,) index of the element of each, as in kernels.Samples
+    addresses: NDArray[np.int64]  # (n_carried,) of their compiled columns
 
 
 class Moved(NamedTuple):
-    """What the compiled functions of the forward model need of a joint; one parameter vector.
+    """What the compiled functions of the forward model need of a joint; one parameter vector."""
 
-    Attributes
-    ----------
-    elements, load
-        Tables of :meth:`Joint.tables`.
-    inertia
-        Of the load, added mass included, kg m² or kg.
-    weight, angle
-        Amplitude and angle of its gravity torque, added mass included, N m and rad.
-    carried
-        Terms without a slot; ``None`` for a joint that has none, which is compiled by itself:
-        a third faster.
-    """
-
-    elements: NDArray[np.float64]
+    elements: NDArray[np.float64]  # elements, load: tables of Joint.tables
     load: NDArray[np.float64]
-    inertia: float
+    inertia: float  # of the load, added mass included, kg m² or kg
+    # weight, angle: amplitude and angle of its gravity torque, added mass included, N m and
+    # rad
     weight: float
     angle: float
+    # terms without a slot; None for a joint that has none, which is compiled by itself: a
+    # third faster
     carried: Carried | None
 
 

@@ -42,43 +42,24 @@ class RunsAway(ValueError):
 
 @dataclass(frozen=True)
 class Motion:
-    """A simulated motion.
+    """A simulated motion."""
 
-    Attributes
-    ----------
-    time
-        ``(N,)``, s, from zero.
-    q, qd, qdd
-        ``(N,)`` position, speed and acceleration of the joint (rad or m, SI). The
-        acceleration is the one right after the sample.
-    torque
-        ``(N,)`` measured motor torque, as given (N m or N).
-    sticking
-        ``(N,)``, where static friction holds the joint; speed and acceleration
-        are then exactly zero.
-    events
-        Located stops, breakaways and sign changes of transmitted torques.
-    reversals
-        How often the joint moved off against the direction it had moved in before.
-    step_error
-        Estimated discretisation error of ``q`` (rad or m), largest over the samples.
-    substeps
-        Integration steps per sample.
-    unresolved
-        Steps with more events than the simulator follows; their rest was
-        integrated without locating any. Zero unless the steps are far too coarse.
-    """
-
-    time: NDArray[np.float64]
+    time: NDArray[np.float64]  # (N,), s, from zero
+    # q, qd, qdd: (N,) position, speed and acceleration of the joint (rad or m, SI). The
+    # acceleration is the one right after the sample
     q: NDArray[np.float64]
     qd: NDArray[np.float64]
     qdd: NDArray[np.float64]
-    torque: NDArray[np.float64]
+    torque: NDArray[np.float64]  # (N,) measured motor torque, as given (N m or N)
+    # (N,), where static friction holds the joint; speed and acceleration are then exactly
+    # zero
     sticking: NDArray[np.bool_]
-    events: int
-    reversals: int
-    step_error: float
-    substeps: int
+    events: int  # located stops, breakaways and sign changes of transmitted torques
+    reversals: int  # how often the joint moved off against the direction it had moved in before
+    step_error: float  # estimated discretisation error of q (rad or m), largest over the samples
+    substeps: int  # integration steps per sample
+    # steps with more events than the simulator follows; their rest was integrated without
+    # locating any. Zero unless the steps are far too coarse
     unresolved: int = 0
 
 

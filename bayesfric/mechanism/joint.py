@@ -26,20 +26,11 @@ if TYPE_CHECKING:
 
 
 class Tables(NamedTuple):
-    """Parameter vectors laid out for the compiled kernels.
+    """Parameter vectors laid out for the compiled kernels."""
 
-    Attributes
-    ----------
-    elements
-        ``(n, n_elements, n_slots)``; columns are ``kernels.ELEMENT_SLOTS``.
-    load
-        ``(n, n_slots)``; columns are ``kernels.LOAD_SLOTS``.
-    carried
-        ``(n, n_carried)`` coefficients of the terms that have no slot, :attr:`Joint.carried`.
-    """
-
-    elements: NDArray[np.float64]
-    load: NDArray[np.float64]
+    elements: NDArray[np.float64]  # (n, n_elements, n_slots); columns are kernels.ELEMENT_SLOTS
+    load: NDArray[np.float64]  # (n, n_slots); columns are kernels.LOAD_SLOTS
+    # (n, n_carried) coefficients of the terms that have no slot, Joint.carried
     carried: NDArray[np.float64]
 
 

@@ -34,27 +34,17 @@ LOAD_INERTIA, FIRST_MOMENT, GRAVITY_ANGLE, GRAVITY, OFFSET, GAIN = 0, 1, 2, 3, 4
 
 
 class Samples(NamedTuple):
-    """A motion and what the joint feels besides, as the kernels read it; made by a chain.
+    """A motion and what the joint feels besides, as the kernels read it; made by a chain."""
 
-    Attributes
-    ----------
-    added_inertia, added_moment
-        Of a known mass on the load, kg m² and kg m.
-    sin_q, cos_q, speed, acceleration
-        ``(N,)`` of the joint.
-    columns
-        ``(n_carried, N)`` torque of each term without a slot, for a coefficient of one.
-    places
-        ``(n_carried,)`` index of its element; that of the load is the number of elements.
-    """
-
-    added_inertia: float
+    added_inertia: float  # added_inertia, added_moment: of a known mass on the load, kg m² and kg m
     added_moment: float
-    sin_q: NDArray[np.float64]
+    sin_q: NDArray[np.float64]  # sin_q, cos_q, speed, acceleration: (N,) of the joint
     cos_q: NDArray[np.float64]
     speed: NDArray[np.float64]
     acceleration: NDArray[np.float64]
+    # (n_carried, N) torque of each term without a slot, for a coefficient of one
     columns: NDArray[np.float64]
+    # (n_carried,) index of its element; that of the load is the number of elements
     places: NDArray[np.int64]
 
 

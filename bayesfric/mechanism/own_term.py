@@ -97,24 +97,12 @@ class Term:
 
 @dataclass(frozen=True)
 class Carried:
-    """A term of a chain that the kernels do not write out.
+    """A term of a chain that the kernels do not write out."""
 
-    Attributes
-    ----------
-    index
-        Of its parameter among the chain's.
-    place
-        Index of its element, that of the load being the number of elements.
-    reach
-        Speed of the element's input over the joint's.
-    row
-        In the table of quantities, or a term of one's own.
-    """
-
-    index: int
-    place: int
-    reach: float
-    row: Quantity
+    index: int  # of its parameter among the chain's
+    place: int  # index of its element, that of the load being the number of elements
+    reach: float  # speed of the element's input over the joint's
+    row: Quantity  # in the table of quantities, or a term of one's own
 
     @property
     def address(self) -> int:

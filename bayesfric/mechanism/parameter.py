@@ -20,30 +20,14 @@ _TORQUE = re.compile(r"(?<![\w.-])torque(s?)(?![\w]|[.-]\w)")
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number the joint is described by.
+    """One number the joint is described by."""
 
-    Attributes
-    ----------
-    name
-        ``element.quantity``, for example ``motor.inertia``.
-    row
-        Its row in the table of quantities.
-    owner
-        Name of the element, ``load``, ``drive``, or empty for what the whole chain has.
-    unit
-        Unit as printed, in SI.
-    symbol
-        LaTeX symbol without dollar signs, the paper's where it has one.
-    meaning
-        One line for people.
-    """
-
-    name: str
-    row: Quantity
-    owner: str
-    unit: str
-    symbol: str
-    meaning: str
+    name: str  # element.quantity, for example motor.inertia
+    row: Quantity  # its row in the table of quantities
+    owner: str  # name of the element, load, drive, or empty for what the whole chain has
+    unit: str  # unit as printed, in SI
+    symbol: str  # laTeX symbol without dollar signs, the paper's where it has one
+    meaning: str  # one line for people
 
     @property
     def quantity(self) -> str:

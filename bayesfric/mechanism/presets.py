@@ -11,27 +11,13 @@ from bayesfric.mechanism.joint import Joint
 
 @dataclass(frozen=True)
 class Preset:
-    """A named chain with values to simulate it with.
+    """A named chain with values to simulate it with."""
 
-    Attributes
-    ----------
-    name
-        As written in a configuration.
-    meaning
-        One line for people.
-    chain
-        Makes the chain.
-    values
-        Parameter values for simulation, with their source in ``source``.
-    source
-        Where the values come from.
-    """
-
-    name: str
-    meaning: str
-    chain: Callable[[], Joint]
-    values: dict[str, float]
-    source: str
+    name: str  # as written in a configuration
+    meaning: str  # one line for people
+    chain: Callable[[], Joint]  # makes the chain
+    values: dict[str, float]  # parameter values for simulation, with their source in source
+    source: str  # where the values come from
 
 
 def rabbit_knee() -> Joint:

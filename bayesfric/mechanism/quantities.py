@@ -50,22 +50,12 @@ class State(NamedTuple):
 
 
 class Sizes(NamedTuple):
-    """How large things are at a parameter's own shaft; default priors are scaled by it.
+    """How large things are at a parameter's own shaft; default priors are scaled by it."""
 
-    Attributes
-    ----------
-    torque
-        Largest that the recordings show, N m or N.
-    speed, acceleration
-        Root mean square, rad or m and s.
-    gravity
-        m/s².
-    """
-
-    torque: float
-    speed: float
+    torque: float  # largest that the recordings show, N m or N
+    speed: float  # speed, acceleration: root mean square, rad or m and s
     acceleration: float
-    gravity: float
+    gravity: float  # m/s²
 
 
 @dataclass(frozen=True)
@@ -155,26 +145,15 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Total:
-    """A column of ``psi`` in motor units, eq. (13), and what its coefficient means.
+    """A column of ``psi`` in motor units, eq. (13), and what its coefficient means."""
 
-    Attributes
-    ----------
-    name, units, symbol, meaning
-        As of a quantity.
-    column
-        Function of the motor's state.
-    positive
-        Whether its coefficient is positive in any mechanism that loses energy.
-    regressor
-        Name of the regressor of eq. (11) that stands for it in plain least squares.
-    """
-
-    name: str
+    name: str  # name, units, symbol, meaning: as of a quantity
     units: Units
     symbol: str
     meaning: str
-    column: Column
-    positive: bool = False
+    column: Column  # function of the motor's state
+    positive: bool = False  # whether its coefficient is positive in any mechanism that loses energy
+    # name of the regressor of eq. (11) that stands for it in plain least squares
     regressor: str = ""
 
 

@@ -27,22 +27,13 @@ _TRIED = 20_000
 
 @dataclass(frozen=True)
 class Coefficients:
-    """What multiplies the columns, for ``n`` parameter vectors.
+    """What multiplies the columns, for ``n`` parameter vectors."""
 
-    Attributes
-    ----------
-    all
-        ``(n, K)``: one for the measured torque, minus ``Theta1``, minus ``Theta2``, and, where
-        a sample is at rest, minus ``(1 - lambda_1) l``.
-    leg
-        ``(n, n2)`` ``l``, whose product with ``psi2`` has the direction of the load's torque.
-    lambda2
-        ``(n,)``
-    """
-
+    # (n, K): one for the measured torque, minus Theta1, minus Theta2, and, where a sample is
+    # at rest, minus (1 - lambda_1) l
     all: Array
-    leg: Array
-    lambda2: Array
+    leg: Array  # (n, n2) l, whose product with psi2 has the direction of the load's torque
+    lambda2: Array  # (n,)
 
 
 class LinearTorque:

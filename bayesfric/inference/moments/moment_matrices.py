@@ -41,59 +41,37 @@ _KEPT_SHARE, _KEPT = 0.05, 20_000
 
 @dataclass(frozen=True, eq=False)
 class MomentMatrices:
-    """One recording, reduced.
+    """One recording, reduced."""
 
-    Attributes
-    ----------
-    to_columns
-        ``(K, K)`` ``A'``: coefficients ``(n, K)`` times this are ``z``.
-    matrices
-        ``(entries, K, K)`` symmetric: each moment is ``z' Q z``, laid out as in
-        :func:`bayesfric.inference.moments.residual_moments.unpacked`.
-    ratios
-        ``(U,)`` of the kept samples, rising: at a distance below it a sample has the
-        centre's sign.
-    signs
-        ``(n2, U)`` their ``sigma psi2``; its product with the leg is negative where the sign
-        differs.
-    jumps
-        ``(U,)`` by ``2 sign(qd)``, times lambda_2 and that product, the residual changes.
-    first, last
-        ``(U,)`` the kept outputs ``first:last`` that each takes part in.
-    weights
-        ``(U, most)`` what it weighs in each of them.
-    slopes
-        ``(U, order + 1, padded K)``: its product with ``z`` times the residual's jump is what
-        the sum over pairs of outputs 0, 1, .. apart changes by, but for the jump's square.
-        Pairs of outputs that are both at the edge of a run are left out.
-    rows
-        ``(V, padded K)`` ``E inv(A)`` of the kept outputs: those and, for AR noise, their
-        neighbours.
-    age, remaining, head, inner
-        ``(V,)`` of the kept outputs; ``inner`` where the order reaches neither end of the run.
-    samples, outputs
-        How many raw samples outputs rest on, and how many outputs kept samples touch.
-    radius
-        Distance up to which all this is complete.
-    """
-
-    to_columns: Array
+    to_columns: Array  # (K, K) A': coefficients (n, K) times this are z
+    # (entries, K, K) symmetric: each moment is z' Q z, laid out as in
+    # bayesfric.inference.moments.residual_moments.unpacked
     matrices: Array
+    # (U,) of the kept samples, rising: at a distance below it a sample has the centre's sign
     ratios: Array
+    # (n2, U) their sigma psi2; its product with the leg is negative where the sign differs
     signs: Array
-    jumps: Array
-    first: Index
+    jumps: Array  # (U,) by 2 sign(qd), times lambda_2 and that product, the residual changes
+    first: Index  # first, last: (U,) the kept outputs first:last that each takes part in
     last: Index
-    weights: Array
+    weights: Array  # (U, most) what it weighs in each of them
+    # (U, order + 1, padded K): its product with z times the residual's jump is what the sum
+    # over pairs of outputs 0, 1, .. apart changes by, but for the jump's square. Pairs of
+    # outputs that are both at the edge of a run are left out
     slopes: Array
+    # (V, padded K) E inv(A) of the kept outputs: those and, for AR noise, their neighbours
     rows: Array
+    # age, remaining, head, inner: (V,) of the kept outputs; inner where the order reaches
+    # neither end of the run
     age: NDArray[np.int16]
     remaining: NDArray[np.int16]
     head: NDArray[np.int16]
     inner: NDArray[np.bool_]
+    # samples, outputs: how many raw samples outputs rest on, and how many outputs kept
+    # samples touch
     samples: int
     outputs: int
-    radius: float
+    radius: float  # distance up to which all this is complete
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,19 +34,14 @@ class Moments:
     """Lagged products of the residuals of ``n`` parameter vectors and ``R`` recordings.
 
     A run is a stretch of outputs that follow each other one period apart; ``p`` is the order.
-
-    Attributes
-    ----------
-    lagged
-        ``(n, R, p + 1, p + 1)``: entry ``j, k`` is the sum of ``r[m - j] r[m - k]`` over the
-        outputs ``m`` that have at least p predecessors in their run. Torque unit squared.
-    heads
-        For ``l = 1..p`` an ``(n, R, l, l)`` array: entry ``j, k`` is the sum of ``r_j r_k`` of
-        the first l residuals ``r_0, r_1, ..`` in time, over the runs whose head, the first p
-        outputs or fewer if the run is shorter, has the length l.
     """
 
+    # (n, R, p + 1, p + 1): entry j, k is the sum of r[m - j] r[m - k] over the outputs m that
+    # have at least p predecessors in their run. Torque unit squared
     lagged: Array
+    # for l = 1..p an (n, R, l, l) array: entry j, k is the sum of r_j r_k of the first l
+    # residuals r_0, r_1, .. in time, over the runs whose head, the first p outputs or fewer
+    # if the run is shorter, has the length l
     heads: tuple[Array, ...]
 
     @property
@@ -95,21 +90,11 @@ def follows(o: Observation) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """Where each output stands in its run; ``(M,)`` each, counted up to the order.
+    """Where each output stands in its run; ``(M,)`` each, counted up to the order."""
 
-    Attributes
-    ----------
-    age
-        Outputs before it in its run.
-    remaining
-        Outputs after it in its run.
-    head
-        Length of its run's head.
-    """
-
-    age: Short
-    remaining: Short
-    head: Short
+    age: Short  # outputs before it in its run
+    remaining: Short  # outputs after it in its run
+    head: Short  # length of its run's head
 
     @classmethod
     def of(cls, observation: Observation, order: int) -> Runs:

@@ -23,17 +23,10 @@ class SignRegion:
     The sign of ``psi l`` does not depend on the length of ``l``, so what counts is how near
     to the centre the ray through ``l`` comes. A sample's sign is the centre's at all ``l``
     nearer than its ratio ``|psi centre| / |root' psi|``.
-
-    Attributes
-    ----------
-    centre
-        ``(n2,)``
-    root
-        ``(n2, n2)`` lower triangular.
     """
 
-    centre: Array
-    root: Array
+    centre: Array  # (n2,)
+    root: Array  # (n2, n2) lower triangular
 
     @cached_property
     def _inverse(self) -> Array:
