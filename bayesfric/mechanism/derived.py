@@ -117,9 +117,9 @@ def _totals(chain: Joint, at: dict[str, Array], n: int) -> Iterator[Derived]:
 
 
 def _kinds(chain: Joint, p: Parameter) -> tuple[str, ...]:
-    """Totals that a parameter adds to. Load losses are in what passes through them; a low-speed
-    rise is none of what is felt at speed, and a term with a shape of its own adds to no other.
-    """  # noqa: D205
+    """Name the totals that a parameter adds to; most have one, some none."""
+    # Load losses are in what passes through them, a low-speed rise is none of what is felt at
+    # speed, and a term with a shape of its own adds to no other.
     row = p.row
     if row.role != "own" or row.power is None or p.owner in ("", "drive"):
         return ()
