@@ -181,6 +181,8 @@ def test_objects_show_themselves():
     assert "&lt;one&gt;" in model._repr_html_()
     assert "motor.inertia" in model._repr_html_()
     assert "motor.inertia" in axis()._repr_html_()
+    shown = arrays(name="<one>", added_mass="2 kg", radius=0.3)._repr_html_()
+    assert all(text in shown for text in ("&lt;one&gt;", "position", "added_mass", "2"))
 
 
 @pytest.mark.parametrize(

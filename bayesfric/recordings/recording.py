@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
@@ -161,6 +162,15 @@ class Recording:
         if "valid" in keys:
             keys["valid"] = self._header[keys["valid"]]
         return Source(file=file, **keys)
+
+    def _repr_html_(self) -> str:
+        """Show in a notebook which column is what."""
+        given = self.source.model_dump(mode="json", exclude_unset=True, exclude_none=True)
+        rows = "".join(
+            f"<tr><td>{escape(str(key))}</td><td>{escape(str(value))}</td></tr>"
+            for key, value in given.items()
+        )
+        return f"<table><tbody>{rows}</tbody></table>"
 
     @property
     def _header(self) -> dict[str | int, str]:
