@@ -185,10 +185,7 @@ def starting_values(chain: Joint, totals: Estimate, mu: float, share: float) -> 
 
 
 def _labels(chain: Joint) -> dict[str, str]:
-    kinds = [kind for kind in TOTALS if kind != "offset" or not chain.own_offsets]
-    kinds += [f"offset.{recording}" for recording in chain.own_offsets]
-    kinds += [p.name for p in chain.parameters if _has_own(chain, p)]
-    return {name: total_label(chain, name) for name in kinds}
+    return {name: total_label(chain, name) for name in in_order(chain)}
 
 
 def _part(owner: str, peers: set[str], motor: str, share: float) -> float:
@@ -208,7 +205,7 @@ def _regressors(
     if loads != {(0.0, 0.0)} and ("gravity" not in found or len(loads) > 1):
         found.add("added_load")
     if "offset" in found:
-        found |= {f"offset.{recording}" for recording in chain.own_offsets}
+        found |= set(chain.offset_names)
     names = [name for name in in_order(chain) if name in found]
     blocks = [o.filter.apply(columns(chain, o, names)).T for o in observations if names]
     return names, np.concatenate(blocks) if blocks else np.empty((0, 0))

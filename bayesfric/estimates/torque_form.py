@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.own_term import Carried
+from bayesfric.mechanism.own_term import along
 from bayesfric.mechanism.parameter import Parameter
 from bayesfric.mechanism.quantities import TOTALS, State
 from bayesfric.mechanism.scaling import Scaling, scalings
@@ -189,8 +189,7 @@ def torque_form(chain: Joint, observations: Sequence[Observation] = ()) -> Torqu
         for side in (front, behind):
             if "gravity" in side:
                 side["gravity_cosine"] = side["gravity"]
-    own = tuple(f"offset.{recording}" for recording in chain.own_offsets)
-    for name in own or ("offset",) * chain.offset:
+    for name in chain.offset_names:
         front[name] = [(chain.names.index(name), 1.0)]
     order = in_order(chain)
     names1 = tuple(k for k in order if k in front or k in behind)
@@ -226,8 +225,8 @@ def filled(chain: Joint, p: Parameter) -> tuple[tuple[str, float], ...]:
 
 def in_order(chain: Joint) -> list[str]:
     """Names of all columns there may be, in the order of the paper's theta."""
-    own = [f"offset.{recording}" for recording in chain.own_offsets]
-    order = [k for kind in TOTALS for k in ((own or [kind]) if kind == "offset" else [kind])]
+    offsets = chain.offset_names or ("offset",)
+    order = [k for kind in TOTALS for k in (offsets if kind == "offset" else (kind,))]
     return list(dict.fromkeys([*order, *chain.names]))
 
 
@@ -251,11 +250,10 @@ def columns(chain: Joint, observation: Observation, names: Iterable[str]) -> Arr
             turned = name == "gravity_cosine"
             at = state._replace(gravity=np.cos(o.q)) if turned else state
             return np.asarray(TOTALS[name].column(at))
-        if name in (f"offset.{recording}" for recording in chain.own_offsets):
+        if name in chain.offset_names:
             return np.full_like(o.q, name == f"offset.{o.inputs.recording}")
         p = chain.parameters[chain.names.index(name)]
-        carried = Carried(0, 0, chain.reaches[p.owner], p.row)
-        return carried.along(o.q, o.qd, o.stamps)
+        return along(p.row, chain.reaches[p.owner], o.q, o.qd, o.stamps)
 
     found = [column(name) for name in names]
     return np.stack(found) if found else np.empty((0, o.q.size))

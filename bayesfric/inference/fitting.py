@@ -97,7 +97,7 @@ def read_priors(
     noises = [f"noise.{quantity}" for quantity in noise]
     # one prior for the offset stands for those of all recordings that have none of their own
     if "offset" in texts and chain.own_offsets:
-        texts = {f"offset.{r}": texts["offset"] for r in chain.own_offsets} | {
+        texts = dict.fromkeys(chain.offset_names, texts["offset"]) | {
             name: text for name, text in texts.items() if name != "offset"
         }
     known = [*chain.names, *noises]

@@ -34,7 +34,7 @@ from bayesfric.mechanism.kernels import (
 from bayesfric.mechanism.own_term import call
 
 
-class Carried(NamedTuple):
+class CarriedValues(NamedTuple):
     """Terms without a slot in the kernels."""
 
     # (n_carried,) coefficients, or (n, n_carried) of several parameter vectors
@@ -55,7 +55,7 @@ class Moved(NamedTuple):
     angle: float
     # terms without a slot; None for a joint that has none, which is compiled by itself: a
     # third faster
-    carried: Carried | None
+    carried: CarriedValues | None
 
 
 # Lines T = slope qdd + intercept of the transmitted torques; scratch memory.
@@ -66,7 +66,7 @@ Lines = NDArray[np.float64]
 def moved(
     elements: NDArray[np.float64],
     load: NDArray[np.float64],
-    carried: Carried | None,
+    carried: CarriedValues | None,
     added_inertia: float,
     added_moment: float,
 ) -> Moved:
@@ -88,7 +88,7 @@ def carried_by(carried: Any, vector: int) -> Any:
 def _typed_carried_by(carried, vector):  # type: ignore[no-untyped-def]  # noqa: ARG001
     if isinstance(carried, types.NoneType):
         return lambda carried, vector: None  # noqa: ARG005
-    return lambda carried, vector: Carried(
+    return lambda carried, vector: CarriedValues(
         carried.values[vector], carried.places, carried.addresses
     )
 

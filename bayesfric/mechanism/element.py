@@ -127,6 +127,7 @@ class Load(_Bearer):
     """
 
     _options = LOAD_CHOICES
+    name: ClassVar[str] = "load"
     gravity: float
     motion: Motion
     subscript: str

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayesfric.mechanism.dynamics import Carried, Moved, carried_by, moved
+from bayesfric.mechanism.dynamics import CarriedValues, Moved, carried_by, moved
 from bayesfric.mechanism.integrate import RUNAWAY, integrate, integrate_segments
 from bayesfric.mechanism.joint import Joint, Tables
 from bayesfric.mechanism.kernels import (
@@ -271,13 +271,13 @@ def simulate_segments(
     )
 
 
-def _carried(chain: Joint, values: NDArray[np.float64]) -> Carried | None:
+def _carried(chain: Joint, values: NDArray[np.float64]) -> CarriedValues | None:
     """Gather the terms without a slot, their coefficients ``(n, n_carried)``."""
     if not chain.carried:
         return None
     places = np.array([c.place for c in chain.carried], dtype=np.int64)
     addresses = np.array([c.address for c in chain.carried], dtype=np.int64)
-    return Carried(values, places, addresses)
+    return CarriedValues(values, places, addresses)
 
 
 def _possible(

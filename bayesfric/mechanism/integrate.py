@@ -9,7 +9,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from bayesfric.mechanism.dynamics import (
-    Carried,
+    CarriedValues,
     Lines,
     Moved,
     breakaway_torques,
@@ -356,7 +356,7 @@ def integrate(
 def integrate_segments(
     elements: NDArray[np.float64],
     load: NDArray[np.float64],
-    carried: Carried | None,
+    carried: CarriedValues | None,
     added: tuple[float, float],
     torque: NDArray[np.float64],
     period: float,

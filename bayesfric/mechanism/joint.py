@@ -16,7 +16,7 @@ from bayesfric.complaints import complaint
 from bayesfric.errors import BadInput, nearest
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.kernels import ELEMENT_SLOTS, LOAD_SLOTS, Samples
-from bayesfric.mechanism.own_term import Carried, Term
+from bayesfric.mechanism.own_term import CarriedTerm, Term, along
 from bayesfric.mechanism.parameter import Parameter, parameter
 from bayesfric.mechanism.quantities import QUANTITIES, Motion
 from bayesfric.recordings.inputs import Inputs
@@ -85,7 +85,7 @@ class Joint:
         for element in self.elements:
             if not (np.isfinite(element.ratio) and element.ratio > 0):
                 raise ValueError(f"{element.name}.ratio must be a positive number")
-        owners = [*names, "load"]
+        owners = [*names, self.load.name]
         for term in self.terms:
             if term.owner not in owners:
                 mend = nearest(term.owner, owners)
@@ -98,13 +98,13 @@ class Joint:
         # the paper writes mu_1, mu_2 without a name behind them
         several = sum(element.load_loss != "none" for element in self.elements) > 1
         found: list[Parameter] = []
-        for bearer in (*self.elements, self.load):
-            owner = bearer.name if isinstance(bearer, Element) else "load"
-            subscript = bearer.subscript or owner
-            own = tuple(term.row for term in self.terms if term.owner == owner)
+        bearers: list[Element | Load] = [*self.elements, self.load]
+        for bearer in bearers:
+            subscript = bearer.subscript or bearer.name
+            own = tuple(term.row for term in self.terms if term.owner == bearer.name)
             for q in (*bearer.quantities, *own):
                 bare = q.role == "loss" and not several
-                found.append(parameter(owner, q, bearer.motion, "" if bare else subscript))
+                found.append(parameter(bearer.name, q, bearer.motion, "" if bare else subscript))
         offset = parameter("", QUANTITIES["offset"], self.motor_motion, "")
         if self.offset and not self.own_offsets:
             found.append(offset)
@@ -119,6 +119,11 @@ class Joint:
     def names(self) -> tuple[str, ...]:
         """Parameter names in the order of :attr:`parameters`."""
         return tuple(p.name for p in self.parameters)
+
+    @cached_property
+    def offset_names(self) -> tuple[str, ...]:
+        """Names of the constants in the measured torque: one for all, or each recording's own."""
+        return tuple(p.name for p in self.parameters if p.quantity == "offset")
 
     @property
     def motor_motion(self) -> Motion:
@@ -143,11 +148,11 @@ class Joint:
         return {**found, "": self.ratio, "drive": self.ratio}
 
     @cached_property
-    def carried(self) -> tuple[Carried, ...]:
+    def carried(self) -> tuple[CarriedTerm, ...]:
         """Terms that the kernels do not write out."""
         places = {e.name: k for k, e in enumerate(self.elements)} | {"load": len(self.elements)}
         return tuple(
-            Carried(i, places[p.owner], self.reaches[p.owner], p.row)
+            CarriedTerm(i, places[p.owner], self.reaches[p.owner], p.row)
             for i, p in enumerate(self.parameters)
             if p.owner in places and not _slots(p)
         )
@@ -165,8 +170,7 @@ class Joint:
 
     def terms_of(self, bearer: Element | Load) -> list[str]:
         """List what an element, or the load, has, each as it stands in a sentence."""
-        owner = bearer.name if isinstance(bearer, Element) else "load"
-        return bearer.phrases + [term.meaning for term in self.terms if term.owner == owner]
+        return bearer.phrases + [term.meaning for term in self.terms if term.owner == bearer.name]
 
     @classmethod
     def preset(cls, name: str) -> Joint:
@@ -287,7 +291,7 @@ class Joint:
             np.ascontiguousarray(x, dtype=np.float64) for x in (q, qd, qdd)
         )
         stamps = np.full(speed.size, np.nan) if time is None else time
-        columns = [c.along(position, speed, stamps) for c in self.carried]
+        columns = [along(c.row, c.reach, position, speed, stamps) for c in self.carried]
         return Samples(
             *inputs.load(self.load.motion),
             np.sin(position),

@@ -96,7 +96,7 @@ class Term:
 
 
 @dataclass(frozen=True)
-class Carried:
+class CarriedTerm:
     """A term of a chain that the kernels do not write out."""
 
     index: int  # of its parameter among the chain's
@@ -107,15 +107,27 @@ class Carried:
     @property
     def address(self) -> int:
         """Of the compiled column."""
-        assert self.row.column is not None
-        return int(compiled(self.row.column).address)
+        return _address(self.row)
 
-    def along(
-        self, position: NDArray[np.float64], speed: NDArray[np.float64], time: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Torque for a coefficient of one along a motion of the joint, each ``(N,)``."""
-        position, speed = self.reach * position, self.reach * speed
-        return np.asarray(_along(self.address, position, speed, np.sign(speed), time))
+
+def _address(row: Quantity) -> int:
+    assert row.column is not None
+    return int(compiled(row.column).address)
+
+
+def along(
+    row: Quantity,
+    reach: float,
+    position: NDArray[np.float64],
+    speed: NDArray[np.float64],
+    time: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Torque for a coefficient of one along a motion of the joint, each ``(N,)``.
+
+    ``reach`` is the speed of the element's input over the joint's.
+    """
+    position, speed = reach * position, reach * speed
+    return np.asarray(_along(_address(row), position, speed, np.sign(speed), time))
 
 
 @lru_cache(maxsize=256)

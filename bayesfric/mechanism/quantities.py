@@ -297,41 +297,33 @@ QUANTITIES: dict[str, Quantity] = {
     )
 }  # fmt: skip
 
+
+def _total(name: str, symbol: str, meaning: str, *, positive: bool = False) -> Total:
+    """Give what a quantity is called when all of it is seen by the motor."""
+    row = QUANTITIES[name]
+    assert row.column is not None
+    return Total(name, row.units, symbol, meaning, row.column, positive)
+
+
 # In the order of the paper's theta.
 TOTALS: dict[str, Total] = {
     row.name: row
     for row in (
+        _total("inertia", "J_t", "inertia seen by the motor", positive=True),
+        _total("viscous", "f_t", "viscous loss seen by the motor", positive=True),
         Total(
-            "inertia", ("kg m²", "kg"), "J_t", "inertia seen by the motor",
-            lambda m: m.acceleration, positive=True,
-        ),
-        Total(
-            "viscous", ("N m s", "N s/m"), "f_t", "viscous loss seen by the motor",
-            lambda m: m.speed, positive=True,
-        ),
-        Total(
-            "viscous_difference", ("N m s", "N s/m"), r"\Delta f_t",
+            "viscous_difference", QUANTITIES["viscous"].units, r"\Delta f_t",
             "half the difference of the viscous losses at positive and negative speed",
             lambda m: np.abs(m.speed),
         ),
-        Total(
-            "quadratic", ("N m s²", "N s²/m²"), "f_{3,t}", "quadratic loss seen by the motor",
-            lambda m: m.speed * np.abs(m.speed), positive=True,
-        ),
-        Total(
-            "coulomb", _TORQUE, "C_t", "constant loss seen by the motor",
-            lambda m: m.direction, positive=True,
-        ),
+        _total("quadratic", "f_{3,t}", "quadratic loss seen by the motor", positive=True),
+        _total("coulomb", "C_t", "constant loss seen by the motor", positive=True),
         # C1 and C2 act on what moves; plain least squares takes the offset for their difference
         Total(
             "difference", _TORQUE, r"\Delta C", "half the difference of the constant losses",
             lambda m: np.abs(m.direction), regressor="offset",
         ),
-        Total(
-            "offset", _TORQUE, r"\Delta C_t",
-            "constant torque, half the difference of the losses",
-            lambda m: np.ones_like(m.speed),
-        ),
+        _total("offset", r"\Delta C_t", "constant torque, half the difference of the losses"),
         Total(
             "gravity", _TORQUE, r"ml\,g/(\alpha_m N)",
             "gravity torque seen by the motor, sine part",

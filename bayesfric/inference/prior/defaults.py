@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bayesfric.inference.prior.priors import Prior, PriorText, read_prior
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.own_term import Carried
+from bayesfric.mechanism.own_term import CarriedTerm, along
 from bayesfric.mechanism.parameter import TURN, Parameter
 from bayesfric.mechanism.quantities import Sizes, State
 from bayesfric.recordings.observation import Observation
@@ -55,9 +55,9 @@ def measured_scales(chain: Joint, observations: Sequence[Observation]) -> Scales
     )
 
 
-def _at_outputs(carried: Carried, o: Observation) -> NDArray[np.float64]:
+def _at_outputs(carried: CarriedTerm, o: Observation) -> NDArray[np.float64]:
     at = o.filter.centres
-    return carried.along(o.q[at], o.qd[at], o.stamps[at])
+    return along(carried.row, carried.reach, o.q[at], o.qd[at], o.stamps[at])
 
 
 def _rms(x: NDArray[np.float64]) -> float:
