@@ -41,11 +41,12 @@ from bayesfric.inference.noise import NOISE_MODELS
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.inference.prior.as_knowledge import as_knowledge
 from bayesfric.inference.sampling.checkpoint import Checkpoint
-from bayesfric.inference.sampling.sampling import Progress, Sampling, phase
+from bayesfric.inference.sampling.sampling import Progress, Sampling
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
+from bayesfric.notebook import html_table
 from bayesfric.preparation import prepare, residual_noise
 from bayesfric.progress import progress_shown
 from bayesfric.recordings.recording import Recording
@@ -64,8 +65,9 @@ def silent(_: Progress) -> None:
     """Tell nobody how far work has come."""
 
 
-def _by(method: str, progress: Shown) -> None:
-    progress(phase(f"{method} estimate"))
+def _methods(progress: Shown) -> Callable[[str], None]:
+    """Tell by the name of a method of estimation that it begins."""
+    return lambda method: progress(Progress(f"{method} estimate"))
 
 
 # Independent draws that are enough for an interval that only stands beside another.
@@ -76,24 +78,12 @@ _AROUND = 6
 
 @dataclass(frozen=True)
 class Beginning:
-    """What sampling starts from.
+    """What sampling starts from."""
 
-    Attributes
-    ----------
-    estimates
-        Point estimates, least squares first.
-    missing
-        A sentence for each that was wanted and cannot be had.
-    choice
-        How the order of the noise was chosen, where it was.
-    target
-        The log-posterior.
-    """
-
-    estimates: list[Estimate]
-    missing: list[str]
-    choice: Choice | None
-    target: Target
+    estimates: list[Estimate]  # least squares first
+    missing: list[str]  # a sentence for each that was wanted and cannot be had
+    choice: Choice | None  # how the order of the noise was chosen, where it was
+    target: Target  # the log-posterior
 
 
 class Model:
@@ -240,7 +230,7 @@ class Model:
             If a method cannot be used with these recordings.
         """
         with self.config.named():
-            found = estimate_by(methods, self._evidence, progress=lambda name: _by(name, progress))
+            found = estimate_by(methods, self._evidence, progress=_methods(progress))
         return list(found.values())
 
     @property
@@ -328,11 +318,14 @@ class Model:
             others = points_around(target, point, local, rng, around=_AROUND, prior=0)
             options = self.config.tables.advice
             points = [point, *others]
-
-            def tell(stage: str) -> None:
-                progress(phase(stage))
-
-            return ranking(target, points, local, options, name, progress=tell)
+            return ranking(
+                target,
+                points,
+                local,
+                options,
+                name,
+                progress=lambda stage: progress(Progress(stage)),
+            )
 
     def _stream(self, key: int) -> np.random.Generator:
         """Random numbers of one analysis: the seed of the whole, in a stream of its own."""
@@ -358,8 +351,8 @@ class Model:
         knowledge = replace(given.knowledge, told={**finite, **given.knowledge.told})
         given = replace(given, knowledge=knowledge)
         with self.config.named():
-            found = estimate_by([method], given, progress=lambda name: _by(name, progress))[method]
-        progress(phase("identifiability"))
+            found = estimate_by([method], given, progress=_methods(progress))[method]
+        progress(Progress("identifiability"))
         place = dict(found.point)
         target = self.target(place)
         with self.config.named(), few_threads(self.observations):
@@ -443,7 +436,7 @@ class Model:
         for name in simulating:
             try:
                 with self.config.named():
-                    made |= estimate_by([name], given, made, progress=lambda x: _by(x, progress))
+                    made |= estimate_by([name], given, made, progress=_methods(progress))
             except BadInput as error:
                 missing.append(f"no {name} estimate: {error.what}")
         found = list(made.values())
@@ -547,7 +540,7 @@ class Model:
         summary = summarise(found, self.references(), begun.choice)
         compared = None
         if white_alternative(found):
-            progress(phase("the same with white noise"))
+            progress(Progress("the same with white noise"))
             quick = sampling.model_copy(update={"min_ess": min(sampling.min_ess, _WHITE_ESS)})
             kept = checkpoint("white-noise", quick)
             with self.config.named():
@@ -556,7 +549,7 @@ class Model:
                 compared = spreads(white), rms(white)
             summary = add_white_intervals(summary, compared[0] if compared else None)
         summary = put_doubts(summary, find_doubts(found, summary, begun.choice, compared))
-        progress(phase("identifiability"))
+        progress(Progress("identifiability"))
         update: dict[str, Any] = {
             "warnings": [*summary.warnings, *begun.missing],
             # nothing in a file of samples tells; the configuration may
@@ -598,11 +591,6 @@ class Model:
             return self.fit(seed=seed, output_error=output_error, progress=tell).inference_data()
 
     def _repr_html_(self) -> str:
-        rows = "".join(
-            f"<tr><td>{escape(name)}</td><td>{escape(p.text)}</td>"
-            f"<td>{'default' if p.default else 'given'}</td></tr>"
-            for name, p in self.priors.items()
-        )
         seen = ", ".join(f"{escape(o.name)}: {len(o.time)} outputs" for o in self.observations)
-        head = "<tr><th>parameter</th><th>prior</th><th></th></tr>"
-        return f"<p>{seen}</p><table><thead>{head}</thead><tbody>{rows}</tbody></table>"
+        rows = ((n, p.text, "default" if p.default else "given") for n, p in self.priors.items())
+        return f"<p>{seen}</p>{html_table(rows, ('parameter', 'prior', ''))}"

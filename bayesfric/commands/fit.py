@@ -11,7 +11,7 @@ from typing import Any
 from bayesfric.commands.unfinished import unfinished
 from bayesfric.config import Config, read_config
 from bayesfric.errors import BadInput
-from bayesfric.inference.sampling.sampling import Progress, phase
+from bayesfric.inference.sampling.sampling import Progress
 from bayesfric.model import Model
 from bayesfric.report.run_directory import check_free
 from bayesfric.report.terminal import fit_text as fit_text
@@ -44,7 +44,7 @@ def fit(
             progress=progress,
             checkpoint=partial(run.sampling, model),
         )
-        progress(phase("writing results"))
+        progress(Progress("writing results"))
         try:
             summary = result.write(folder)
         except BadInput as error:

@@ -10,7 +10,9 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment
+
+from bayesfric.templates import environment
 
 
 @dataclass(frozen=True)
@@ -91,14 +93,8 @@ def _span(ends: tuple[float, float]) -> str:
 
 @cache
 def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("bayesfric.identifiability", "wording"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        autoescape=False,
-    )
-    environment.filters |= {
+    made = environment("bayesfric.identifiability", "wording")
+    made.filters |= {
         "capital": capital,
         "factor": factor,
         "percent": _percent,
@@ -106,8 +102,8 @@ def _environment() -> Environment:
         "span": _span,
         "to": _to,
     }
-    environment.globals["inf"] = np.inf
-    return environment
+    made.globals["inf"] = np.inf
+    return made
 
 
 @cache

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from html import escape
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -19,6 +18,7 @@ from bayesfric.mechanism.kernels import ELEMENT_SLOTS, LOAD_SLOTS, Samples
 from bayesfric.mechanism.own_term import CarriedTerm, Term, along
 from bayesfric.mechanism.parameter import Parameter, parameter
 from bayesfric.mechanism.quantities import QUANTITIES, Motion
+from bayesfric.notebook import html_table
 from bayesfric.recordings.inputs import Inputs
 
 if TYPE_CHECKING:
@@ -188,11 +188,7 @@ class Joint:
         return PRESETS[name].chain()
 
     def _repr_html_(self) -> str:
-        rows = "".join(
-            f"<tr><td>{escape(p.name)}</td><td>{escape(p.unit)}</td><td>{escape(p.meaning)}</td></tr>"
-            for p in self.parameters
-        )
-        return f"<table><tbody>{rows}</tbody></table>"
+        return html_table((p.name, p.unit, p.meaning) for p in self.parameters)
 
     def simulate(
         self, parameters: Mapping[str, float] | None = None, **options: Any

@@ -5,7 +5,6 @@ from __future__ import annotations
 import glob
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
@@ -15,6 +14,7 @@ from pydantic import ValidationError
 
 from bayesfric.complaints import complaint
 from bayesfric.errors import BadInput, nearest
+from bayesfric.notebook import html_table
 from bayesfric.recordings.source import CHANNELS, SI, Columns, Source
 from bayesfric.recordings.tables.table import Table, column_cells
 
@@ -166,11 +166,7 @@ class Recording:
     def _repr_html_(self) -> str:
         """Show in a notebook which column is what."""
         given = self.source.model_dump(mode="json", exclude_unset=True, exclude_none=True)
-        rows = "".join(
-            f"<tr><td>{escape(str(key))}</td><td>{escape(str(value))}</td></tr>"
-            for key, value in given.items()
-        )
-        return f"<table><tbody>{rows}</tbody></table>"
+        return html_table(given.items())
 
     @property
     def _header(self) -> dict[str | int, str]:

@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment
 
 from bayesfric.report.numbers import p_text
+from bayesfric.templates import environment
 
 
 def sentence(kind: str, values: Mapping[str, Any] | None = None) -> str:
@@ -42,15 +43,9 @@ FILTERS = {"p": p_text, "white": white_words, "listed": listed}
 @cache
 def text_environment() -> Environment:
     """Give the environment of templates that make plain text."""
-    environment = Environment(
-        loader=PackageLoader("bayesfric.report"),
-        autoescape=False,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= FILTERS
-    return environment
+    made = environment("bayesfric.report")
+    made.filters |= FILTERS
+    return made
 
 
 @cache

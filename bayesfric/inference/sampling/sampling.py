@@ -95,11 +95,6 @@ class Progress:
     rhat: float = math.nan
 
 
-def phase(name: str) -> Progress:
-    """Progress of something before or after sampling that has no numbers."""
-    return Progress(name)
-
-
 def sample(
     target: Target,
     start: Start,

@@ -8,7 +8,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment
 from markupsafe import Markup
 
 from bayesfric.identifiability.sentences import capital, factor
@@ -18,6 +18,7 @@ from bayesfric.report.page.symbol import html_symbol
 from bayesfric.report.paper.tables import counts, parameter_table
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.text_templates import FILTERS
+from bayesfric.templates import environment
 
 
 def render(template: str, **told: Any) -> str:
@@ -49,14 +50,8 @@ def _asset(name: str) -> str:
 
 @cache
 def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("bayesfric.report.page"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= FILTERS | {
+    made = environment("bayesfric.report.page", escaped=True)
+    made.filters |= FILTERS | {
         "spaced": numbers.spaced,
         "unit": numbers.html_unit,
         "interval": numbers.html_interval,
@@ -73,5 +68,5 @@ def _environment() -> Environment:
         "verdict_of": values.verdict_words,
         "kind_of": values.verdict_kind,
     }
-    environment.globals |= {"symbol": html_symbol, "number": numbers.html_value}
-    return environment
+    made.globals |= {"symbol": html_symbol, "number": numbers.html_value}
+    return made
