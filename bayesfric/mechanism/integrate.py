@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -29,21 +30,28 @@ RUNAWAY = 1e6  # rad or m
 _MAX_EVENTS = 64  # in one step
 
 
+class At(NamedTuple):
+    """Where a step begins: the motion, the torque with its rate, and which way all goes."""
+
+    q: float
+    qd: float
+    qdd: float
+    torque: float
+    rate: float
+    time: float
+    sign: float
+    pattern: int
+
+
 @njit(cache=True, error_model="numpy")
 def _step(
     joint: Moved,
-    q: float,
-    qd: float,
-    qdd: float,
-    torque: float,
-    rate: float,
-    time: float,
-    sign: float,
-    pattern: int,
+    at: At,
     lines: Lines,
     h: float,
 ) -> tuple[float, float]:
-    """Take one Runge-Kutta step; ``qdd`` is the acceleration at its start."""
+    """Take one Runge-Kutta step."""
+    q, qd, qdd, torque, rate, time, sign, pattern = at
     half = 0.5 * h
     middle = torque + rate * half
     v2 = qd + half * qdd
@@ -70,21 +78,15 @@ def _transmitted(lines: Lines, k: int, qdd: float, sign: float, pattern: int) ->
 @njit(cache=True, error_model="numpy")
 def _agreement(
     joint: Moved,
-    q: float,
-    qd: float,
-    qdd: float,
-    torque: float,
-    rate: float,
-    time: float,
-    sign: float,
-    pattern: int,
+    at: At,
     lines: Lines,
     h: float,
     which: int,
 ) -> float:
     """Value that is positive until event ``which`` (element, or -1: reversal), ``h`` later."""
+    q, qd, _, torque, rate, time, sign, pattern = at
     if h > 0.0:
-        q, qd = _step(joint, q, qd, qdd, torque, rate, time, sign, pattern, lines, h)
+        q, qd = _step(joint, at, lines, h)
     if which < 0:
         return sign * qd
     qdd = frozen_acceleration(joint, q, qd, torque + rate * h, time + h, sign, pattern, lines)
@@ -94,14 +96,7 @@ def _agreement(
 @njit(cache=True, error_model="numpy")
 def _locate(
     joint: Moved,
-    q: float,
-    qd: float,
-    qdd: float,
-    torque: float,
-    rate: float,
-    time: float,
-    sign: float,
-    pattern: int,
+    at: At,
     lines: Lines,
     h: float,
     which: int,
@@ -111,12 +106,12 @@ def _locate(
     Zero if the value is not positive anywhere before, that is, if the event is now.
     """
     a, b = 0.0, h
-    fa = _agreement(joint, q, qd, qdd, torque, rate, time, sign, pattern, lines, a, which)
-    fb = _agreement(joint, q, qd, qdd, torque, rate, time, sign, pattern, lines, b, which)
+    fa = _agreement(joint, at, lines, a, which)
+    fb = _agreement(joint, at, lines, b, which)
     if fa <= 0.0:
         for _ in range(60):
             c = 0.5 * b
-            fc = _agreement(joint, q, qd, qdd, torque, rate, time, sign, pattern, lines, c, which)
+            fc = _agreement(joint, at, lines, c, which)
             if fc > 0.0:
                 a, fa = c, fc
                 break
@@ -132,7 +127,7 @@ def _locate(
             c = 0.5 * (a + b)
             if not a < c < b:
                 break
-        fc = _agreement(joint, q, qd, qdd, torque, rate, time, sign, pattern, lines, c, which)
+        fc = _agreement(joint, at, lines, c, which)
         if fc > 0.0:
             if c - a < b - c:
                 gb *= 0.5
@@ -249,7 +244,8 @@ def integrate(
                     qdd, pattern = exact_acceleration(joint, q, qd, torque, time, sign)
                     continue
 
-                q1, qd1 = _step(joint, q, qd, qdd, torque, rate, time, sign, pattern, lines, h)
+                at = At(q, qd, qdd, torque, rate, time, sign, pattern)
+                q1, qd1 = _step(joint, at, lines, h)
                 then = torque + rate * h
                 qdd1 = frozen_acceleration(joint, q1, qd1, then, time + h, sign, pattern, lines)
                 dip = 0.0
@@ -269,52 +265,15 @@ def integrate(
                 # Something happens within the step: find what comes first.
                 ahead = h
                 first = -2
-                if (
-                    dip > 0.0
-                    and _agreement(
-                        joint, q, qd, qdd, torque, rate, time, sign, pattern, lines, dip, -1
-                    )
-                    <= 0.0
-                ):
+                if dip > 0.0 and _agreement(joint, at, lines, dip, -1) <= 0.0:
                     ahead = dip
                     which = -1
                 if which == -1:
-                    ahead = _locate(
-                        joint, q, qd, qdd, torque, rate, time, sign, pattern, lines, ahead, -1
-                    )
+                    ahead = _locate(joint, at, lines, ahead, -1)
                     first = -1
                 for j in range(n_kinked):
-                    if (
-                        _agreement(
-                            joint,
-                            q,
-                            qd,
-                            qdd,
-                            torque,
-                            rate,
-                            time,
-                            sign,
-                            pattern,
-                            lines,
-                            ahead,
-                            kinked[j],
-                        )
-                        < 0.0
-                    ):
-                        ahead = _locate(
-                            joint,
-                            q,
-                            qd,
-                            qdd,
-                            torque,
-                            rate,
-                            time,
-                            sign,
-                            pattern,
-                            lines,
-                            ahead,
-                            kinked[j],
-                        )
+                    if _agreement(joint, at, lines, ahead, kinked[j]) < 0.0:
+                        ahead = _locate(joint, at, lines, ahead, kinked[j])
                         first = kinked[j]
                 if first == -2:
                     q, qd, qdd, now = q1, qd1, qdd1, end
@@ -325,9 +284,7 @@ def integrate(
                     counts[2] += 1
                     q, qd, now, first = q1, qd1, end, -1 if sign * qd1 <= 0.0 else -3
                 elif ahead > 0.0:
-                    q, qd = _step(
-                        joint, q, qd, qdd, torque, rate, time, sign, pattern, lines, ahead
-                    )
+                    q, qd = _step(joint, at, lines, ahead)
                     now = end if ahead == h else now + ahead
                 elif first == -1:
                     # It was about to leave, by no more than rounding: it has not left.
