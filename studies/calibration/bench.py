@@ -1,0 +1,198 @@
+"""A SIMULATED bench: a known joint, moved in fine steps and recorded as real ones are.
+
+What a user has is a file: a position in counts, at a rate, and a torque that was sampled at some
+instant, with noise, steps and a delay between the two. All of it is made here, from a motion
+whose equation is solved twenty or more times a sample.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric import Element, Joint, Load, Recording, Term
+from bayesfric.mechanism import excitation
+from bayesfric.mechanism.forward import Motion, simulate
+from bayesfric.mechanism.presets import PRESETS
+from bayesfric.recordings.inputs import Inputs
+
+Array = NDArray[np.float64]
+
+# Steps of the simulated torque a sample, at least; and steps a second, at least.
+FINE, FINEST = 20, 10_000.0
+# Parameters differ from one recording to the next by up to this share.
+SPREAD = 0.3
+LINES = (0.31, 0.73, 1.37, 2.9, 5.3)  # Hz
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What moves the joint: a square wave with a multisine on it, behind a current loop."""
+
+    amplitude: float  # N m at the motor
+    square: float = 0.0  # share of the amplitude
+    hertz: float = 1.0  # of the square wave
+    lag: float = 0.003  # s of the current loop
+    added_mass: float = 0.0
+    radius: float = 0.0
+
+
+@dataclass(frozen=True)
+class Bench:
+    """One way to record; every recording draws its own parameters, phases and noise."""
+
+    joint: Joint
+    values: dict[str, float]
+    drives: tuple[Drive, ...]
+    rate: float = 500.0  # Hz
+    duration: float = 10.0  # s
+    counts: int = 4096  # a turn
+    side: Literal["motor", "joint"] = "joint"
+    noise: float = 0.01  # sd of a torque sample over the largest command
+    late: float = 0.0  # samples by which the position comes late
+    current: int = 0  # bits of a current sensor, 0 for a torque; it averages over the sample
+    ripple: tuple[float, int] = (0.0, 0)  # share of the torque's rms, and times a turn
+    tables: dict[str, Any] = field(default_factory=dict)  # of the configuration
+
+    def truth(self, rng: np.random.Generator) -> dict[str, float]:
+        """Draw true parameters."""
+        factors = rng.uniform(1.0 - SPREAD, 1.0 + SPREAD, len(self.values))
+        return {k: v * f for (k, v), f in zip(self.values.items(), factors, strict=True)}
+
+
+def axis(*, ratio: float = 1.0) -> Joint:
+    """Build a motor that swings a load, with or without a gearbox that loses nothing by load."""
+    motor = Element("motor", inertia=True, coulomb="symmetric", viscous=True, ratio=ratio)
+    return Joint(elements=(motor,), load=Load(first_moment=True), offset=True)
+
+
+def recorded(bench: Bench, rng: np.random.Generator, folder: Path) -> tuple[Any, ...]:
+    """Make the files of one recording, and give them with the truth and how much it stuck."""
+    truth = bench.truth(rng)
+    made = []
+    stuck = []
+    for number, drive in enumerate(bench.drives):
+        motion, time, torque = moved(bench, drive, truth, rng)
+        stuck.append(float(np.mean(motion.sticking)))
+        path = folder / f"recording-{number}.csv"
+        columns = measured(bench, motion, time, torque, rng)
+        header = ",".join(columns)
+        table = np.stack(list(columns.values()), axis=1)
+        np.savetxt(path, table, fmt="%.9g", delimiter=",", header=header, comments="")
+        made.append(told(bench, drive, path))
+    return truth, made, float(np.mean(stuck))
+
+
+def moved(
+    bench: Bench, drive: Drive, truth: dict[str, float], rng: np.random.Generator
+) -> tuple[Motion, Array, Array]:
+    """Solve the equation of motion finely; gives the motor's torque, its own ripple left out."""
+    steps = max(FINE, int(np.ceil(FINEST / bench.rate)))
+    period = 1.0 / (bench.rate * steps)
+    # a little before and after, for averages and delays
+    time = np.arange(round((bench.duration + 0.2) / period)) * period
+    sines = excitation.multisine(time, 1.0, LINES, seed=int(rng.integers(2**31)))
+    sines *= (1.0 - drive.square) / np.sqrt(len(LINES) / 2.0)
+    command = sines + excitation.square(time + rng.uniform(0.0, 1.0), drive.square, drive.hertz)
+    torque = excitation.current_loop(drive.amplitude * command, period, drive.lag)
+    joint, vector = bench.joint, [truth[name] for name in bench.joint.names]
+    share, times = bench.ripple
+    if share:
+        own = float(np.sqrt(2.0) * share * np.sqrt(np.mean(torque**2)))
+        ripple = Term("motor.ripple", lambda m, k=float(times): np.sin(k * m.position + 1.0))
+        joint, vector = replace(joint, terms=(ripple,)), None
+        at = truth | {"motor.ripple": own}
+        vector = [at[name] for name in joint.names]
+    inputs = Inputs(drive.added_mass, drive.radius)
+    motion = simulate(joint, np.array(vector), torque, period, inputs=inputs, substeps=1)
+    return motion, time, torque
+
+
+def measured(
+    bench: Bench, motion: Motion, time: Array, torque: Array, rng: np.random.Generator
+) -> dict[str, Array]:
+    """Sample position and torque as the bench's sensors do."""
+    samples = np.arange(int(bench.duration * bench.rate)) / bench.rate + 0.1
+    position = np.interp(samples - bench.late / bench.rate, time, motion.q)
+    position *= bench.joint.ratio if bench.side == "motor" else 1.0
+    counts = np.round(position * bench.counts / (2.0 * np.pi))
+    peak = float(np.max(np.abs(torque)))
+    noise = bench.noise * peak * rng.standard_normal(samples.size)
+    columns = {"time": samples - 0.1, "counts": counts}
+    if not bench.current:
+        return columns | {"torque": np.interp(samples, time, torque) + noise}
+    # mean over the sample about the stamp; the constant is 1 N m/A
+    whole = np.concatenate([[0.0], np.cumsum(torque)]) * (time[1] - time[0])
+    ends = np.append(samples - 0.5 / bench.rate, samples[-1] + 0.5 / bench.rate)
+    sums = np.interp(ends, np.append(time, 2.0 * time[-1] - time[-2]), whole)
+    current = np.diff(sums) * bench.rate + noise
+    step = 4.0 * peak / 2**bench.current
+    return columns | {"current": np.round(current / step) * step}
+
+
+def told(bench: Bench, drive: Drive, path: Path) -> Recording:
+    """Say what the columns are, as a user would."""
+    keys: dict[str, Any] = {"torque": {"column": "torque", "unit": "N m"}}
+    if bench.current:
+        keys = {"current": {"column": "current", "unit": "A"}, "torque_constant": "1 N m/A"}
+    return Recording.from_file(
+        path,
+        time={"column": "time", "unit": "s"},
+        position={"column": "counts", "unit": f"turn/{bench.counts}"},
+        side=bench.side,
+        added_mass=drive.added_mass,
+        radius=drive.radius,
+        **keys,
+    )
+
+
+PLAIN = {
+    "motor.inertia": 0.05,
+    "motor.viscous": 0.1,
+    "motor.coulomb": 0.3,
+    "load.first_moment": 0.3,
+    "offset": 0.05,
+}
+GEARED = {
+    "motor.inertia": 2e-5,
+    "motor.viscous": 4e-5,
+    "motor.coulomb": 6e-3,
+    "load.first_moment": 0.3,
+    "offset": 1e-3,
+}
+KNEE = dict(PRESETS["rabbit-knee"].values)
+_plain = Bench(axis(), PLAIN, (Drive(3.0),))
+_geared = replace(
+    _plain, joint=axis(ratio=50.0), values=GEARED, drives=(Drive(0.06),), counts=8192, side="motor"
+)
+_knee = Bench(
+    PRESETS["rabbit-knee"].chain(),
+    KNEE,
+    (Drive(0.9, square=0.5, lag=0.005),),
+    rate=1000.0,
+    counts=8192,
+    side="motor",
+)
+CASES: dict[str, Bench] = {
+    "plain": _plain,
+    "geared": _geared,
+    "plain, 100 Hz": replace(_plain, rate=100.0, duration=20.0),
+    "plain, 1 kHz": replace(_plain, rate=1000.0),
+    "geared, encoder at the joint": replace(_geared, counts=65536, side="joint"),
+    "sticking": replace(
+        _plain, values={**PLAIN, "motor.coulomb": 1.0}, drives=(Drive(1.25),)
+    ),
+    "current": replace(_geared, current=12),
+    "knee": _knee,
+    "knee, loaded pair": replace(
+        _knee, drives=(_knee.drives[0], Drive(1.2, 0.5, lag=0.005, added_mass=2.0, radius=0.35))
+    ),
+    "late by 0.3 samples": replace(_plain, late=0.3),
+    "late by 2 samples": replace(_plain, late=2.0),
+    "ripple, 100 a turn": replace(_plain, ripple=(0.02, 100)),
+    "ripple, once a turn": replace(_plain, ripple=(0.02, 1)),
+}
