@@ -18,6 +18,7 @@ from bayesfric.recordings.filters import (
     derivative,
     lay_windows,
     lowpass,
+    parallel_cutoff,
     parallel_length,
     parallel_taps,
     reach_of,
@@ -404,11 +405,12 @@ def _told(
             f"signal to noise in the band to {found.band:.3g} Hz (rms): {', '.join(ratios)}; noise "
             f"of a sample {found.noise:.2g}"
         )
+    cutoff = parallel_cutoff(numbers.factor, numbers.band, numbers.fs)
     yield f"trim: {numbers.trim_samples} samples off both ends of every segment"
     yield (
         "parallel filter: none, every sample is an output"
         if settings["taps"] == 1
-        else f"parallel filter: {settings['taps']} taps, cut-off {numbers.used_band:.4g} Hz, "
+        else f"parallel filter: {settings['taps']} taps, cut-off {cutoff:.4g} Hz, "
         f"one output in {numbers.factor} samples"
     )
     yield (

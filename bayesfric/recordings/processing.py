@@ -30,9 +30,9 @@ class Processing(Options):
     band: Hertz | None = Field(
         None,
         description="Cut-off in Hz of the filter that torque and model pass alike. If left out "
-        "half the decimated rate where low-pass or decimate are given, and else as far as the "
-        "position resolves the acceleration and the torque has power, at most a twentieth of "
-        "the sampling rate.",
+        "a tenth above half the decimated rate, where white noise comes out white; and without "
+        "low-pass and decimate that rate is as high as the position resolves the acceleration "
+        "and the torque has power, at most a tenth of the sampling rate.",
     )
     differentiation: Literal["exact", "central"] = Field(
         "exact",

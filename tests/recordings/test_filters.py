@@ -166,8 +166,17 @@ def test_no_unusable_sample_loses_no_window():
 
 def test_parallel_filter_halves_at_its_cutoff():
     t = np.arange(5000) / FS
-    used = lay_windows(parallel_taps(10, None, FS), [(0, 5000)], 10, np.ones(5000, dtype=bool))
+    used = lay_windows(parallel_taps(10, 50.0, FS), [(0, 5000)], 10, np.ones(5000, dtype=bool))
     centres = t[used.centres]
     wave = np.sin(2 * np.pi * 50 * t + 0.4)
     expected = 0.5 * np.sin(2 * np.pi * 50 * centres + 0.4)
     np.testing.assert_allclose(used.apply(wave), expected, atol=0.01)
+
+
+@pytest.mark.parametrize("factor", [2, 3, 10, 43])
+def test_white_noise_comes_out_of_the_default_parallel_filter_white(factor):
+    # the autocorrelation of outputs is that of the weights at multiples of the factor
+    taps = parallel_taps(factor, None, 1.0)
+    of_samples = np.correlate(taps, taps, "full")
+    found = of_samples[len(taps) - 1 :: factor]
+    assert np.abs(found[1:]).max() < 0.003 * found[0]
