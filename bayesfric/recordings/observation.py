@@ -26,7 +26,7 @@ from bayesfric.recordings.filters import (
 from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.measurement import Array, Flags, Measurement, Segments
 from bayesfric.recordings.processing import Processing
-from bayesfric.recordings.resolution import WIDEST, Resolution, lowpass_above, resolve
+from bayesfric.recordings.resolution import ABOVE_GAPS, WIDEST, Resolution, lowpass_above, resolve
 
 _DEAD_SHARE = 0.01
 _TRIM_SAMPLES = 10
@@ -232,7 +232,7 @@ def _settle(recording: Measurement, processing: Processing) -> _Numbers:
 def _quieter(recording: Measurement, processing: Processing, numbers: _Numbers) -> _Numbers:
     """Lower the low-pass until the acceleration behind it is more than its noise."""
     band = numbers.used_band or numbers.fs / 2
-    cutoff = numbers.cutoff
+    cutoff = lowpass_above(band, numbers.fs, ABOVE_GAPS)
     while cutoff > 2.0 * band and resolve(recording, cutoff).acceleration_ratio < LEAST_RATIO:
         cutoff = max(cutoff / 1.5, 2.0 * band)
     lower = processing.model_copy(update={"lowpass": cutoff, "decimate": numbers.factor})
@@ -261,8 +261,8 @@ def _prepared(
         dead_zone = _DEAD_SHARE * float(np.percentile(speeds, 99)) if speeds.size else 0.0
     moving = moving_samples(qd, segments, dead_zone, numbers.guard)
     if share > SMALL_SHARE and numbers.cutoff:
-        # no window is lost by it: the low-pass smears the jolt of a reversal over half a period
-        moving &= ~_near(~moving, round(0.5 * numbers.fs / numbers.cutoff))
+        # the low-pass smears the jolt of a reversal over a period on either side
+        moving &= ~_near(~moving, round(numbers.fs / numbers.cutoff))
     chosen, dropped = _windows(recording, numbers, kept, moving, share)
     return _Prepared(q, qd, inside & moving, float(dead_zone), chosen, dropped)
 

@@ -29,9 +29,13 @@ _CLEAN, _POWER = 1e4, 0.999
 # Widest band over the sampling rate.
 WIDEST = 0.05
 # How far above the band the position's low-pass lies, at most this share of the sampling rate.
-# Nearer, it takes from the model alone what the torque still has; further, the samples that are
-# left out at reversals carry noise from there into the band.
-_ABOVE, _HIGHEST = 6.0, 0.2
+# Nearer, it takes from the model alone what the torque still has (0.4 % at the band's end at
+# twice the band); further, noise from above makes the accelerations' sign, and with it the
+# direction of power, uncertain: losses per torque are then off by a third of their sd. Where
+# samples are left out at reversals it lies further, as it carries what they do to their
+# neighbours the less far.
+ABOVE, ABOVE_GAPS = 3.0, 6.0
+_HIGHEST = 0.2
 # Outputs that a recording should have at least: the band is not made narrower than that takes.
 _OUTPUTS = 60.0
 # Share of the sampling rate above which a position is taken to hold no motion.
@@ -98,9 +102,9 @@ def resolve(recording: Measurement, band: float | None = None) -> Resolution:
     return Resolution(float(band), reason, math.sqrt(variance), *ratios)
 
 
-def lowpass_above(band: float, fs: float) -> float:
+def lowpass_above(band: float, fs: float, times: float = ABOVE) -> float:
     """Give the cut-off in Hz of a position's low-pass that leaves a band as it is."""
-    return min(_ABOVE * band, _HIGHEST * fs)
+    return min(times * band, _HIGHEST * fs)
 
 
 def _choose(recording: Measurement, seen: _Spectra, variance: float) -> tuple[float, Reason]:

@@ -25,8 +25,8 @@ import numpy as np
 from bench import CASES, recorded
 
 from bayesfric import Model
-from bayesfric.mechanism.derived import derive
 from bayesfric.errors import BadInput
+from bayesfric.mechanism.derived import derive
 
 HERE = Path(__file__).resolve().parent
 SEED = 2026
@@ -83,7 +83,8 @@ def table(found: list[dict[str, Any]]) -> list[str]:
         statuses = [one["status"] for one in kept]
         lines.append(
             f"== {case}: {len(runs)} recordings, {len(runs) - len(kept)} refused, "
-            f"{statuses.count('reliable')} reliable; sticks {np.mean([o['stuck'] for o in kept]):.0%}; "
+            f"{statuses.count('reliable')} reliable; "
+            f"sticks {np.mean([o['stuck'] for o in kept]):.0%}; "
             f"median {np.median(seconds):.1f} s, longest {max(seconds):.0f} s"
         )
         for verdict in ("data", "weak", "prior"):
