@@ -9,7 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.inference.coordinates import BoundedCoordinates, choose_coordinates
+from bayesfric.inference.coordinates import BoundedCoordinates
+from bayesfric.inference.gearbox_coordinates import choose_coordinates
 from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.noise.scale import Noise
 from bayesfric.inference.prior.priors import JointPrior, Prior

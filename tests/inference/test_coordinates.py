@@ -9,16 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from bayesfric.inference.coordinates import (
-    BoundedCoordinates,
-    SingleLossCoordinates,
-    TorqueFormCoordinates,
-    choose_coordinates,
-)
+from bayesfric.inference.coordinates import BoundedCoordinates
 from bayesfric.inference.fitting import make_target, read_priors
-from bayesfric.inference.prior.priors import read_prior
-from bayesfric.mechanism.configuration import ElementOptions, MechanismOptions
-from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS
 
 INF = math.inf
@@ -46,73 +38,6 @@ def numeric_log_determinant(coordinates, u):
         high, low = (coordinates.to_parameters(x[None])[0][0] for x in (up, down))
         jacobian[:, i] = (high - low) / (2 * h)
     return np.linalg.slogdet(jacobian)[1]
-
-
-@pytest.mark.parametrize("told", ["", "load.first_moment", "gearbox.load_drive"])
-def test_the_torque_form_round_trips(told):
-    coordinates = TorqueFormCoordinates(50.0, 9.80665, told=told)
-    rows = knee_rows(500)
-    back, jacobian = coordinates.to_parameters(coordinates.from_parameters(rows))
-    np.testing.assert_allclose(back, rows, rtol=1e-9)
-    assert np.isfinite(jacobian).all()
-
-
-@pytest.mark.parametrize("told", ["", "load.first_moment", "gearbox.load_drive"])
-def test_the_torque_forms_jacobian(told):
-    coordinates = TorqueFormCoordinates(50.0, 9.80665, told=told)
-    for u in coordinates.from_parameters(knee_rows(20, seed=1)):
-        closed = coordinates.to_parameters(u[None])[1][0]
-        assert closed == pytest.approx(numeric_log_determinant(coordinates, u), abs=1e-5)
-
-
-def test_one_loss_round_trips_and_its_jacobian_is_right():
-    coordinates = SingleLossCoordinates(50.0, 9.80665)
-    rows = np.delete(knee_rows(50, seed=2), 5, axis=1)
-    u = coordinates.from_parameters(rows)
-    back, jacobian = coordinates.to_parameters(u)
-    np.testing.assert_allclose(back, rows, rtol=1e-9)
-    for place, closed in zip(u[:10], jacobian[:10], strict=True):
-        assert closed == pytest.approx(numeric_log_determinant(coordinates, place), abs=1e-5)
-    u[:, 9] = -u[:, 9]  # a loss that gains
-    assert np.isneginf(coordinates.to_parameters(u)[1]).all()
-
-
-def test_one_loss_is_chosen_where_it_holds():
-    chain = MechanismOptions(
-        preset="rabbit-knee", elements={"gearbox": ElementOptions(load_loss="one")}
-    ).joint()
-    priors = {
-        p.name: read_prior(p.name, [0.0, 9.0], lower=0.0, upper=INF) for p in chain.parameters
-    }
-    assert isinstance(choose_coordinates(chain, priors), SingleLossCoordinates)
-
-
-def test_the_scale_coordinate_leaves_the_torque_alone_and_fills_the_passive_interval():
-    """Notes: dissipativity confines the factor k to [1/alpha_2, 1/alpha_1]."""
-    chain = PRESETS["rabbit-knee"].chain()
-    coordinates = TorqueFormCoordinates(chain.ratio, chain.load.gravity)
-    table = chain.vector(PRESETS["rabbit-knee"].values)
-    u = np.tile(coordinates.from_parameters(table[None]), (41, 1))
-    u[:, 10] = np.linspace(-30.0, 30.0, 41)
-    rows, _ = coordinates.to_parameters(u)
-    rng = np.random.default_rng(2)
-    q, qd, qdd = rng.normal(size=(3, 200))
-    torque = inverse_torque(chain, rows, q, qd, qdd)
-    assert np.abs(torque - torque[0]).max() < 1e-12
-    assert (rows[:, 4] >= -1e-12).all()
-    assert (rows[:, 5] >= -1e-12).all()
-    factor = rows[:, 10] / table[10]
-    assert factor.max() == pytest.approx(1.0 / 0.7432, rel=1e-9)
-    assert factor.min() == pytest.approx(1.0 / 1.408, rel=1e-9)
-
-
-def test_rows_without_a_passive_gearbox_are_impossible():
-    coordinates = TorqueFormCoordinates(50.0, 9.80665)
-    u = np.tile(coordinates.from_parameters(knee_rows(1)), (3, 1))
-    u[0, 9] = -u[0, 9]  # Theta2 and -Theta2 give the same torque; only one is physical
-    u[1, 4] = 0.5 * u[1, 9]  # rho < 1
-    u[2, 0] = np.nan
-    assert np.isneginf(coordinates.to_parameters(u)[1]).all()
 
 
 widths = st.lists(st.floats(0.01, 20.0), min_size=4, max_size=4)
@@ -143,30 +68,6 @@ def test_far_above_its_bound_a_bent_coordinate_is_straight():
     np.testing.assert_allclose(steps, 1.0, rtol=1e-9)
 
 
-def test_the_torque_form_is_chosen_only_where_it_holds():
-    chain = PRESETS["rabbit-knee"].chain()
-
-    def choose(changes=()):
-        changes, priors = dict(changes), {}
-        for p in chain.parameters:
-            upper = 1.0 if p.name == "gearbox.load_back" else p.upper
-            text = {"distribution": "halfnorm", "scale": 1.0}
-            if p.name in changes:
-                text, upper = changes[p.name], p.upper
-            priors[p.name] = read_prior(p.name, text, lower=p.lower, upper=upper)
-        return choose_coordinates(chain, priors)
-
-    assert isinstance(choose(), TorqueFormCoordinates)
-    # mu_2 above one, an irreversible gearbox: rho could fall below one
-    assert isinstance(choose({"gearbox.load_back": [0.0, 2.0]}), BoundedCoordinates)
-    # a parameter less
-    assert isinstance(choose({"motor.inertia": 3e-4}), BoundedCoordinates)
-    # but a known first moment only fixes the scale
-    known = choose({"load.first_moment": 0.42})
-    assert isinstance(known, TorqueFormCoordinates)
-    assert known.first_moment == 0.42
-
-
 @pytest.mark.parametrize("load_loss", ["two", "one"])
 def test_elements_may_be_called_anything(load_loss, make_observation):
     """Names are for people: coordinates, and what makes a likelihood cheap, go by the form."""
@@ -193,18 +94,6 @@ def test_elements_may_be_called_anything(load_loss, make_observation):
     assert found[0][0] is found[1][0] is not BoundedCoordinates
     np.testing.assert_array_equal(found[0][1], found[1][1])
     np.testing.assert_allclose(found[0][2], found[1][2], rtol=1e-12)
-
-
-def test_the_torque_form_with_a_known_first_moment():
-    coordinates = TorqueFormCoordinates(50.0, 9.80665, 0.42)
-    rows = knee_rows(100, seed=3)[:, :10]
-    u = coordinates.from_parameters(rows)
-    assert u.shape == (100, 10)
-    back, jacobian = coordinates.to_parameters(u)
-    np.testing.assert_allclose(back, rows, rtol=1e-9)
-    for i in range(10):
-        numeric = numeric_log_determinant(coordinates, u[i])
-        assert jacobian[i] == pytest.approx(numeric, abs=1e-5)
 
 
 def test_a_uniform_share_between_two_bounds_is_a_standard_normal_coordinate():

@@ -42,7 +42,7 @@ _NAMED = 4
 # Blocks of warm-up at least, so that the proposal has learned from what it proposed.
 _LEAST_BLOCKS = 3
 # Share of the steps that go where the walkers are, for what no proposal has learned.
-_OTHERWISE = 0.1
+_OTHERWISE = 0.3
 _UNSETTLED = (
     "warm-up was still moving when it was cut off: raise sampling.max_steps, or give narrower "
     "priors"
