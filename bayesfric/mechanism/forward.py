@@ -29,6 +29,7 @@ from bayesfric.mechanism.kernels import (
     STRIBECK_RATIO,
     STRIBECK_VELOCITY,
 )
+from bayesfric.recordings.filters import later
 from bayesfric.recordings.inputs import Inputs
 
 Hold = Literal["linear", "zero"]
@@ -87,7 +88,7 @@ def simulate(
         ``(n_parameters,)`` in the order of ``chain.names``.
     torque
         ``(N,)`` measured motor torque (N m or N), one sample every ``period``; what
-        acts is ``gain * torque - offset``.
+        acts is ``gain * torque - offset``, ``delay`` earlier than the motion shows.
     period
         s.
     q0, qd0
@@ -116,15 +117,18 @@ def simulate(
         that the motor's inertia does not outweigh it), or if the joint runs away
         beyond 1e6 rad or m.
     """
-    samples = _torque(torque, period, hold)
+    given = _torque(torque, period, hold)
     if not (math.isfinite(q0) and math.isfinite(qd0)):
         raise ValueError("q0 and qd0 must be finite numbers")
-    joint = _joint(chain, np.asarray(values, dtype=np.float64), inputs)
+    vector = np.asarray(values, dtype=np.float64)
+    joint = _joint(chain, vector, inputs)
+    samples = _acting(chain, vector[np.newaxis], given, period)[0]
     if substeps is not None and substeps < 1:
         raise ValueError("substeps must be at least 1")
 
     def run(steps: int) -> Motion:
-        return _motion(joint, samples, period, begin, hold == "linear", (q0, qd0), steps)
+        made = _motion(joint, samples, period, begin, hold == "linear", (q0, qd0), steps)
+        return replace(made, torque=given)
 
     if substeps is not None:
         fine, even = run(substeps), substeps % 2 == 0
@@ -258,7 +262,7 @@ def simulate_segments(
         tables.load,
         _carried(chain, tables.carried),
         inputs.load(chain.load.motion),
-        samples,
+        _acting(chain, vectors, samples, period),
         float(period),
         float(begin),
         hold == "linear",
@@ -272,12 +276,30 @@ def simulate_segments(
 
 
 def _carried(chain: Joint, values: NDArray[np.float64]) -> CarriedValues | None:
-    """Gather the terms without a slot, their coefficients ``(n, n_carried)``."""
-    if not chain.carried:
+    """Gather the terms without a slot, their coefficients ``(n, n_carried)``.
+
+    A delay is none of them here: the torque that acts is an earlier one, see :func:`_acting`.
+    """
+    felt = [k for k, c in enumerate(chain.carried) if c.row.name != "delay"]
+    if not felt:
         return None
-    places = np.array([c.place for c in chain.carried], dtype=np.int64)
-    addresses = np.array([c.address for c in chain.carried], dtype=np.int64)
-    return CarriedValues(values, places, addresses)
+    terms = [chain.carried[k] for k in felt]
+    places = np.array([c.place for c in terms], dtype=np.int64)
+    addresses = np.array([c.address for c in terms], dtype=np.int64)
+    return CarriedValues(np.ascontiguousarray(values[:, felt]), places, addresses)
+
+
+def _acting(
+    chain: Joint, vectors: NDArray[np.float64], torque: NDArray[np.float64], period: float
+) -> NDArray[np.float64]:
+    """Torque that acts when the recorded motion shows it: one for all, or each vector's own.
+
+    Gives ``(1, N)`` or ``(n, N)``.
+    """
+    if not chain.delay:
+        return torque[np.newaxis]
+    delays = vectors[:, chain.names.index("drive.delay")] / period
+    return np.stack([later(torque, delay) for delay in delays.tolist()])
 
 
 def _possible(

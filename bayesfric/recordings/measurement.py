@@ -33,4 +33,7 @@ class Measurement:
     inputs: Inputs  # what the joint feels besides its motion
     steps: tuple[str, ...]  # one sentence for every choice made in reading
     warnings: tuple[str, ...]  # one sentence for everything a user should look at
+    # (n,) what the motor's speed has taken off a torque computed from a voltage, N m or N; None
+    # where it was not
+    back_emf: Array | None = None
     drive: str = "torque"  # what the torque was measured as: torque, force, current or voltage

@@ -102,7 +102,8 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
 
     joint = grid.smooth(position)
     speed = None if velocity is None else grid.linear(velocity)
-    torque, step = _torque(source, grid.linear(signal), joint, speed, grid, drive, processing)
+    signal = grid.linear(signal)
+    torque, back_emf, step = _torque(source, signal, joint, speed, grid, drive, processing)
     steps.append(step)
     checks.check_size(joint, table.label(source.position.column), "position")
     checks.check_size(torque, table.label(channel.column), "torque")
@@ -121,6 +122,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         position=joint,
         velocity=speed,
         torque=torque,
+        back_emf=back_emf,
         segments=grid.segments,
         period=grid.period,
         excluded=excluded,
@@ -166,13 +168,13 @@ def _torque(
     grid: Grid,
     drive: Drive,
     processing: Processing,
-) -> tuple[Array, str]:
-    """Return the motor torque on the grid, and how it came about."""
+) -> tuple[Array, Array | None, str]:
+    """Return the motor torque on the grid, what speed has taken off it, and how it came about."""
     what = TORQUE[drive.motor_motion]
     if source.current is not None:
-        return signal, f"{what}: current times {source.current.torque_constant}"
+        return signal, None, f"{what}: current times {source.current.torque_constant}"
     if source.voltage is None:
-        return signal, f"{what}: as measured"
+        return signal, None, f"{what}: as measured"
     constant = units.scale([source.voltage.torque_constant], CONSTANT[drive.motor_motion])
     resistance = units.scale([source.voltage.resistance], "resistance")
     origin = "measured"
@@ -183,8 +185,8 @@ def _torque(
         smooth = filters.lowpass(position, grid.segments, fs, cutoff, processing.order)
         reach = filters.reach_of(processing.differentiation, cutoff, fs)
         velocity = filters.derivative(smooth, grid.segments, grid.period, reach)
-    torque = constant / resistance * (signal - constant * drive.ratio * velocity)
-    return torque, (
+    back_emf = constant**2 * drive.ratio / resistance * velocity
+    return constant / resistance * signal - back_emf, back_emf, (
         f"{what}: kt V/R - kt^2 (motor speed)/R with kt = {source.voltage.torque_constant}, "
         f"R = {source.voltage.resistance}, {origin} speed"
     )
