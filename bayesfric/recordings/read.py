@@ -186,9 +186,13 @@ def _torque(
         reach = filters.reach_of(processing.differentiation, cutoff, fs)
         velocity = filters.derivative(smooth, grid.segments, grid.period, reach)
     back_emf = constant**2 * drive.ratio / resistance * velocity
-    return constant / resistance * signal - back_emf, back_emf, (
-        f"{what}: kt V/R - kt^2 (motor speed)/R with kt = {source.voltage.torque_constant}, "
-        f"R = {source.voltage.resistance}, {origin} speed"
+    return (
+        constant / resistance * signal - back_emf,
+        back_emf,
+        (
+            f"{what}: kt V/R - kt^2 (motor speed)/R with kt = {source.voltage.torque_constant}, "
+            f"R = {source.voltage.resistance}, {origin} speed"
+        ),
     )
 
 
