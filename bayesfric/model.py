@@ -22,7 +22,7 @@ from bayesfric.config_text import (
     with_terms,
 )
 from bayesfric.errors import BadInput, nearest
-from bayesfric.estimates.delay import Delay, curved, delays
+from bayesfric.estimates.delay import Delay, delays
 from bayesfric.estimates.descent import few_threads
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.methods import ESTIMATORS, Given, estimate_by
@@ -276,8 +276,8 @@ class Model:
         Parameters
         ----------
         estimates
-            Of this model, where some are made already; where load losses or a Stribeck rise
-            need a point to be taken near, the input error's is made otherwise.
+            Of this model, where some are made already: load losses and a Stribeck rise need
+            the input error's, which is made otherwise.
 
         Returns
         -------
@@ -285,10 +285,7 @@ class Model:
             Recordings that tell nothing are left out.
         """
         point = next((dict(one.point) for one in estimates if one.point), None)
-        if curved(self.chain) and point is None:
-            with suppress(BadInput):
-                point = dict(self.estimates(["input-error"])[0].point)
-        return delays(self.chain, self.recordings, self.observations, point)
+        return delays(self._evidence, self.recordings, point)
 
     # What can be known
 

@@ -99,7 +99,7 @@ def check_text(found: dict[str, Any]) -> Iterator[str]:
         yield f"  {name:<28} {v['value']:>12.5g} ± {v['sd']:<9.2g} {v['unit']:<8} {v['meaning']}"
     yield f"  {'residual rms':<28} {totals['residual_rms']:>12.4g}"
     yield ""
-    yield "Delay of the position after the torque, by least squares"
+    yield "Delay of the position after the torque"
     for one in found["delays"]:
         alone = len(one["recordings"]) == 1
         name = one["recordings"][0] if alone else "all together"

@@ -12,8 +12,10 @@ import numpy as np
 from bayesfric.errors import BadInput
 from bayesfric.estimates.descent import TorqueProblem
 from bayesfric.estimates.information import Information
+from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import TotalsProjection, least_squares
+from bayesfric.estimates.methods import Given
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.estimates.torque import places
 from bayesfric.estimates.torque_form import OPEN, shortest
@@ -55,26 +57,42 @@ class Delay:
 
 
 def delays(
-    chain: Joint,
-    recordings: Sequence[Measurement],
-    observations: Sequence[Observation],
-    point: Mapping[str, float] | None = None,
+    given: Given, recordings: Sequence[Measurement], point: Mapping[str, float] | None = None
 ) -> list[Delay]:
     """Estimate the delay of each recording by itself, and of several together last.
 
-    Where nothing can be estimated, it is left out. ``point`` as in :func:`find_delay`.
+    Where nothing can be estimated, it is left out. ``point`` as in :func:`find_delay`; where the
+    mechanism needs one, it is the input error's if left out.
     """
-    pairs = list(zip(recordings, observations, strict=True))
+
+    def fitted(chain: Joint, observations: Sequence[Observation]) -> Mapping[str, float]:
+        return dict(input_error(chain, observations, given.knowledge, given.options).point)
+
+    pairs = list(zip(recordings, given.observations, strict=True))
+    if not any(p.row.role == "loss" or p.row.option == "stribeck" for p in given.chain.parameters):
+        return _delays(given.chain, pairs, None)
+    try:
+        found = _delays(given.chain, pairs, point or fitted(given.chain, given.observations))
+        if not any(one.matters for one in found):
+            return found
+        # what is hardly determined trades off against a delay: again from where both are fitted
+        delay = found[-1].value
+        there = [retimed(o, r.segments, r.period, delay, r.back_emf) for r, o in pairs]
+        return _delays(given.chain, pairs, fitted(replace(given.chain, delay=True), there))
+    except BadInput:
+        return []
+
+
+def _delays(
+    chain: Joint,
+    pairs: Sequence[tuple[Measurement, Observation]],
+    point: Mapping[str, float] | None,
+) -> list[Delay]:
     found = []
     for some in [*([pair] for pair in pairs), *([pairs] if len(pairs) > 1 else [])]:
         with suppress(BadInput):
             found.append(_delay(chain, some, point))
     return found
-
-
-def curved(chain: Joint) -> bool:
-    """Whether the torque is no linear function of totals, so that a delay needs a point."""
-    return any(p.row.role == "loss" or p.row.option == "stribeck" for p in chain.parameters)
 
 
 def _delay(
