@@ -267,6 +267,12 @@ class Model:
 
     def trajectories(self, segment: float = np.inf) -> list[Trajectory]:
         """Fitted recordings as a simulation follows them, starting anew every ``segment`` s."""
+        if self.chain.delay and any(r.back_emf is not None for r in self.recordings):
+            raise BadInput(
+                "mechanism.delay",
+                "a simulation does not know it of a torque that was computed from a voltage",
+                "give torque or current, or leave output-error out",
+            )
         pairs = zip(self.recordings, self.observations, strict=True)
         return [trajectory(recording, observation, segment) for recording, observation in pairs]
 

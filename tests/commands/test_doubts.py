@@ -255,7 +255,7 @@ def test_no_doubt_changes_nothing():
     assert summary.sampler.status == "reliable"
 
 
-def test_a_late_position_is_warned_of_and_no_speed_term_called_data(fitted, tmp_path):
+def test_a_late_position_is_warned_of_and_no_speed_term_called_data(fitted):
     """Two samples late at 500 Hz; inertia and viscous loss are what that moves."""
     joint = Joint.preset("servo-pendulum")
     late = replace(joint, delay=True)
