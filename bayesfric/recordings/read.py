@@ -22,6 +22,12 @@ from bayesfric.recordings.source import Columns, Source
 from bayesfric.recordings.tables import Table, read_table, sha256
 from bayesfric.recordings.timebase import Grid, check_order, make_grid
 
+_SAMPLED = {
+    "average": "{}: means over the sample about the stamp; position averaged alike",
+    "start": "{}: means over the sample that begins at the stamp; position averaged alike",
+    "end": "{}: means over the sample that ends at the stamp; position averaged alike",
+}
+
 
 def read_recordings(
     recording: Recording,
@@ -103,6 +109,13 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     joint = grid.smooth(position)
     speed = None if velocity is None else grid.linear(velocity)
     signal = grid.linear(signal)
+    if channel.sampled != "instant":
+        length = float(np.median(np.diff(time))) / grid.period
+        signal = _centred(signal, channel.sampled, grid, length)
+        # what the torque has passed the motion passes too
+        joint = filters.averaged(joint, grid.segments, length)
+        speed = None if speed is None else filters.averaged(speed, grid.segments, length)
+        steps.append(_SAMPLED[channel.sampled].format(kind))
     torque, back_emf, step = _torque(source, signal, joint, speed, grid, drive, processing)
     steps.append(step)
     checks.check_size(joint, table.label(source.position.column), "position")
@@ -129,8 +142,18 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         inputs=Inputs(source.added_mass, source.radius),
         steps=tuple(steps),
         warnings=tuple(warnings),
+        hold=channel.hold,
         drive=kind,
     )
+
+
+def _centred(signal: Array, sampled: str, grid: Grid, length: float) -> Array:
+    """Bring means over ``length`` samples from where they begin or end to their middles."""
+    late = {"start": 0.5, "end": -0.5}.get(sampled, 0.0) * length
+    out = signal.copy()
+    for a, b in grid.segments:
+        out[a:b] = filters.later(signal[a:b], late)
+    return out
 
 
 def _time(source: Columns, table: Table, count: int) -> Array:

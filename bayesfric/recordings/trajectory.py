@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
 from bayesfric.recordings.inputs import Inputs
-from bayesfric.recordings.measurement import Array, Measurement
+from bayesfric.recordings.measurement import Array, Hold, Measurement
 from bayesfric.recordings.observation import Observation, without_excluded
 
 # Two initial states come off every segment; what is shorter would say next to nothing.
@@ -34,6 +34,7 @@ class Trajectory:
     q0: Array
     qd0: Array
     inputs: Inputs  # what the joint feels besides its motion
+    hold: Hold = "linear"  # how the torque goes between samples
 
     @property
     def samples(self) -> NDArray[np.int64]:
@@ -71,6 +72,7 @@ def trajectory(recording: Measurement, observation: Observation, length: float) 
         q0=observation.q[starts],
         qd0=observation.qd[starts],
         inputs=observation.inputs,
+        hold=recording.hold,
     )
 
 
