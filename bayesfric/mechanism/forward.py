@@ -322,9 +322,13 @@ def _finer(torque: NDArray[np.float64], finer: int) -> NDArray[np.float64]:
         return torque
     out = np.empty((len(torque), finer * (torque.shape[1] - 1) + 1))
     out[:, ::finer] = torque
+    n = torque.shape[1]
     for i, row in enumerate(torque):
+        # one sample beyond either end, on the parabola through the last three
+        first, last = (3.0 * (x[0] - x[1]) + x[2] if n > 2 else x[0] for x in (row, row[::-1]))
+        padded = np.concatenate([[first], row, [last]])
         for k in range(1, finer):
-            out[i, k::finer] = later(row, -k / finer, beside=2)[:-1]
+            out[i, k::finer] = later(padded, -k / finer, beside=2)[1:-2]
     return out
 
 

@@ -143,7 +143,8 @@ def told(bench: Bench, drive: Drive, path: Path) -> Recording:
     """Say what the columns are, as a user would."""
     keys: dict[str, Any] = {"torque": {"column": "torque", "unit": "N m"}}
     if bench.current:
-        keys = {"current": {"column": "current", "unit": "A"}, "torque_constant": "1 N m/A"}
+        current = {"column": "current", "unit": "A", "sampled": "average"}
+        keys = {"current": {**current, "torque_constant": "1 N m/A"}}
     return Recording.from_file(
         path,
         time={"column": "time", "unit": "s"},
