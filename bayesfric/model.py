@@ -267,28 +267,13 @@ class Model:
 
     def trajectories(self, segment: float = np.inf) -> list[Trajectory]:
         """Fitted recordings as a simulation follows them, starting anew every ``segment`` s."""
-        if self.chain.delay and any(r.back_emf is not None for r in self.recordings):
-            raise BadInput(
-                "mechanism.delay",
-                "a simulation does not know it of a torque that was computed from a voltage",
-                "give torque or current, or leave output-error out",
-            )
         pairs = zip(self.recordings, self.observations, strict=True)
         return [trajectory(recording, observation, segment) for recording, observation in pairs]
 
     def delays(self, estimates: Sequence[Estimate] = ()) -> list[Delay]:
         """Estimate by how much positions come late: each recording's, then all together.
 
-        Parameters
-        ----------
-        estimates
-            Of this model, where some are made already: load losses and a Stribeck rise need
-            the input error's, which is made otherwise.
-
-        Returns
-        -------
-        list of Delay
-            Recordings that tell nothing are left out.
+        Load losses and a Stribeck rise need an input-error estimate, made if none is given.
         """
         point = next((dict(one.point) for one in estimates if one.point), None)
         return delays(self._evidence, self.recordings, point)

@@ -53,6 +53,12 @@ def trajectory(recording: Measurement, observation: Observation, length: float) 
     Stretches between gaps and excluded samples are divided about evenly into segments of ``length``
     (s; infinite for no division), at samples where the joint is fast.
     """
+    if recording.back_emf is not None and observation.inputs.torque_rate is not None:
+        raise BadInput(
+            "mechanism.delay",
+            "a simulation does not know it of a torque that was computed from a voltage",
+            "give torque or current, or leave output-error out",
+        )
     parts = without_excluded(recording.segments, recording.excluded)
     segments = _cut(parts, recording.period, length, observation.qd)
     if not len(segments):

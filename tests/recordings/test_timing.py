@@ -8,6 +8,7 @@ from bayesfric.recordings import Processing
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.observation import observe
 from bayesfric.recordings.timing import retimed, timed
+from bayesfric.recordings.trajectory import trajectory
 from tests.conftest import made_recording
 
 PERIOD = 2e-3
@@ -88,3 +89,12 @@ def test_a_delay_longer_than_the_trim_is_refused():
     r = recording()
     with pytest.raises(BadInput, match=r"delay.*trimmed off the ends.*time stamps"):
         timed(observe(r, Processing()), r, 0.5)
+
+
+def test_a_simulation_refuses_a_late_voltage():
+    taken = 0.3 * wave(TIME, 3.0)
+    r = made_recording(TIME, wave(TIME), wave(TIME) - taken, PERIOD, back_emf=taken)
+    o = observe(r, Processing())
+    assert trajectory(r, o, np.inf).position.size == TIME.size
+    with pytest.raises(BadInput, match="computed from a voltage"):
+        trajectory(r, timed(o, r, 0.003), np.inf)
