@@ -49,6 +49,8 @@ def mechanism_table(joint: Joint) -> dict[str, Any]:
     offset = "per-recording" if joint.own_offsets else joint.offset
     terms = [term.name for term in joint.terms] or None  # what is none is left out
     table: dict[str, Any] = {"offset": offset, "gain": joint.gain, "terms": terms}
+    if joint.delay:  # earlier versions do not know it
+        table["delay"] = True
     if joint.made_from in PRESETS:
         base = PRESETS[joint.made_from].chain()
         if (base.elements, base.load) == (joint.elements, joint.load):

@@ -22,6 +22,7 @@ from bayesfric.config_text import (
     with_terms,
 )
 from bayesfric.errors import BadInput, nearest
+from bayesfric.estimates.delay import Delay, delays
 from bayesfric.estimates.descent import few_threads
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.methods import ESTIMATORS, Given, estimate_by
@@ -268,6 +269,14 @@ class Model:
         """Fitted recordings as a simulation follows them, starting anew every ``segment`` s."""
         pairs = zip(self.recordings, self.observations, strict=True)
         return [trajectory(recording, observation, segment) for recording, observation in pairs]
+
+    def delays(self, estimates: Sequence[Estimate] = ()) -> list[Delay]:
+        """Estimate by how much positions come late: each recording's, then all together.
+
+        Load losses and a Stribeck rise need an input-error estimate, made if none is given.
+        """
+        point = next((dict(one.point) for one in estimates if one.point), None)
+        return delays(self._evidence, self.recordings, point)
 
     # What can be known
 
@@ -548,7 +557,9 @@ class Model:
             if white.posterior.diagnostics.status != "unusable":
                 compared = spreads(white), rms(white)
             summary = add_white_intervals(summary, compared[0] if compared else None)
-        summary = put_doubts(summary, find_doubts(found, summary, begun.choice, compared))
+        late = [] if self.chain.delay else self.delays(begun.estimates)
+        doubts = find_doubts(found, summary, begun.choice, compared, late)
+        summary = put_doubts(summary, doubts)
         progress(Progress("identifiability"))
         update: dict[str, Any] = {
             "warnings": [*summary.warnings, *begun.missing],

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 from bayesfric.config import Config, NoiseOptions
 from bayesfric.errors import BadInput
+from bayesfric.estimates.delay import find_delay
 from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.noise import NOISE_MODELS
@@ -16,11 +17,12 @@ from bayesfric.inference.noise.residual_noise import ResidualNoise
 from bayesfric.inference.prior.priors import Prior
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
-from bayesfric.recordings.held_out import HeldOut, divide
+from bayesfric.recordings.held_out import Divided, HeldOut, divide
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.read import read_recordings
 from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.timing import timed
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +66,8 @@ def prepare(
     _check_recordings(config, chain, found)
     with config.named():
         divided = divide(found, tables.processing, tables.validation)
-        observations = divided.observations
+        # the torque's rate sizes a prior, whatever the delay is
+        observations = (_timed(divided, 0.0) if chain.delay else divided).observations
     if tables.mechanism.offset == "per-recording":
         chain = replace(chain, own_offsets=tuple(o.name for o in observations))
     with config.named():
@@ -85,7 +88,28 @@ def prepare(
                     'write for example {distribution = "norm", loc = 0.4, scale = 0.05}',
                 )
         priors = read_priors(chain, config.priors, observations, _noise_quantities(config))
-    return Prepared(chain, divided.recordings, observations, priors, divided.held_out)
+        if chain.delay:
+            prior = priors["drive.delay"]
+            divided = _timed(
+                divided,
+                prior.value
+                if prior.fixed
+                else find_delay(chain, divided.recordings, observations)[0],
+            )
+    return Prepared(chain, divided.recordings, divided.observations, priors, divided.held_out)
+
+
+def _timed(divided: Divided, delay: float) -> Divided:
+    """Take the torque of ``delay`` seconds earlier."""
+    pairs = zip(divided.recordings, divided.observations, strict=True)
+    return replace(
+        divided,
+        observations=[timed(o, r, delay) for r, o in pairs],
+        held_out=tuple(
+            replace(one, observation=timed(one.observation, one.recording, delay))
+            for one in divided.held_out
+        ),
+    )
 
 
 def _check_recordings(config: Config, chain: Joint, found: Sequence[Measurement]) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+
 from bayesfric.inference.noise import SCALES
 from bayesfric.model import Model
 from bayesfric.recordings.measurement import Measurement
@@ -17,6 +19,7 @@ from bayesfric.report.summary.summary import estimate_summary
 def check(model: Model) -> dict[str, Any]:
     """Collect everything there is to say before a fit."""
     (totals,) = model.estimates(["least-squares"])
+    delays = model.delays()
     unsettled = {f"noise.{scale.name}" for scale in SCALES.values() if scale.chosen}
     return {
         "config": str(model.config.path),
@@ -46,7 +49,18 @@ def check(model: Model) -> dict[str, Any]:
             # whether the noise remembers, the residuals of an estimate will say
             if not (prior.default and name in unsettled)
         },
-        "doubts": doubts_before(totals, model.observations),
+        "delays": [
+            {
+                "recordings": list(one.recordings),
+                "delay": one.value,
+                # what nothing tells has none
+                "sd": one.sd if np.isfinite(one.sd) else None,
+                "samples": one.samples,
+                "moves": dict(one.moves),
+            }
+            for one in delays
+        ],
+        "doubts": doubts_before(totals, model.observations, () if model.chain.delay else delays),
         "least_squares": estimate_summary(totals),
     }
 
@@ -84,5 +98,15 @@ def check_text(found: dict[str, Any]) -> Iterator[str]:
             continue
         yield f"  {name:<28} {v['value']:>12.5g} ± {v['sd']:<9.2g} {v['unit']:<8} {v['meaning']}"
     yield f"  {'residual rms':<28} {totals['residual_rms']:>12.4g}"
+    yield ""
+    yield "Delay of the position after the torque"
+    for one in found["delays"]:
+        alone = len(one["recordings"]) == 1
+        name = one["recordings"][0] if alone else "all together"
+        if one["sd"] is None:
+            yield f"  {name:<28} {'-':>12} not determined by this motion"
+            continue
+        samples = f" ({one['samples']:.2g} samples)" if alone else ""
+        yield f"  {name:<28} {one['delay']:>12.3g} ± {one['sd']:<9.2g} s{samples}"
     for doubt in found["doubts"]:
         yield f"WARNING: {doubt_text(doubt)}"

@@ -58,6 +58,10 @@ def _mechanism(preset: str, chain: Joint) -> Iterator[str]:
         'or "per-recording"'
     )
     yield f"# gain = {str(chain.gain).lower()}  # unknown factor of the torque constant"
+    yield (
+        f"# delay = {str(chain.delay).lower()}  # unknown time by which the recorded position "
+        "comes after the torque"
+    )
     for element in chain.elements:
         yield f"# [mechanism.elements.{element.name}]"
         yield f"# ratio = {element.ratio:g}  # input speed over output speed"

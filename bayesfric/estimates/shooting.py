@@ -92,6 +92,7 @@ class Shooting:
                 part[..., 1],
                 inputs=t.inputs,
                 begin=float(t.time[0]),
+                hold=t.hold,
                 substeps=self.substeps if substeps is None else substeps,
             )
             blocks.append(simulated[:, t.samples])

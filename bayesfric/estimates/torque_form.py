@@ -176,7 +176,7 @@ def torque_form(chain: Joint, observations: Sequence[Observation] = ()) -> Torqu
     if len(lossy) > 1 or shaped or (angled and masses):
         return None
     last = lossy[0] if lossy else len(chain.elements)
-    in_front = {element.name for element in chain.elements[: last + 1]}
+    in_front = {"drive", *(element.name for element in chain.elements[: last + 1])}
     in_front |= set() if lossy else {"load"}
     front: dict[str, list[Term]] = {}
     behind: dict[str, list[Term]] = {}
@@ -253,7 +253,7 @@ def columns(chain: Joint, observation: Observation, names: Iterable[str]) -> Arr
         if name in chain.offset_names:
             return np.full_like(o.q, name == f"offset.{o.inputs.recording}")
         p = chain.parameters[chain.names.index(name)]
-        return along(p.row, chain.reaches[p.owner], o.q, o.qd, o.stamps)
+        return along(p.row, chain.reaches[p.owner], o.q, o.qd, o.stamps, o.inputs)
 
     found = [column(name) for name in names]
     return np.stack(found) if found else np.empty((0, o.q.size))

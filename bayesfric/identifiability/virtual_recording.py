@@ -18,8 +18,9 @@ from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.filters import derivative, lay_windows, lowpass
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.inputs import STEADY, Inputs
 from bayesfric.recordings.observation import Observation, moving_samples
+from bayesfric.recordings.timing import retimed
 
 Array = NDArray[np.float64]
 
@@ -60,7 +61,9 @@ def known_mass(chain: Joint, values: Array) -> Inputs:
     of = of_load(chain, values)
     inertia, moment = of.get("inertia", 0.0), of.get("first_moment", 0.0)
     # all inertia there is, seen at the joint, for a load that is no parameter of its own
-    still = inverse_torque(chain, values, [0.0, 0.0], [0.0, 0.0], [0.0, 1.0])
+    inputs, time = Inputs(torque_rate=STEADY), np.zeros(2)
+    motion = [0.0, 0.0], [0.0, 0.0], [0.0, 1.0]
+    still = inverse_torque(chain, values, *motion, inputs=inputs, time=time)
     felt = inertia if inertia > 0.0 else float(chain.ratio * (still[1] - still[0]))
     radius = 0.0 if chain.load.motion == "linear" else _RADIUS
     if radius == 0.0 or moment <= 0.0:
@@ -189,7 +192,7 @@ def played(
     chosen = lay_windows(observation.filter.taps, (kept,), step, moving & (motion.qd != 0.0))
     if chosen.n_outputs < _FEWEST:
         raise ValueError("the joint hardly moves")
-    return replace(
+    made = replace(
         observation,
         name="simulated",
         q=q,
@@ -204,6 +207,9 @@ def played(
         stamps=motion.time,
         inputs=inputs,
     )
+    if not chain.delay:
+        return made
+    return retimed(made, whole, period, float(values[chain.names.index("drive.delay")]))
 
 
 def _two_digits(x: float) -> float:

@@ -85,6 +85,9 @@ class MechanismOptions(_Options):
         None, description="unknown constant in the motor torque; one for all, or per-recording"
     )
     gain: bool | None = Field(None, description="unknown factor of the torque constant")
+    delay: bool | None = Field(
+        None, description="unknown time by which the recorded position comes after the torque"
+    )
     elements: dict[str, ElementOptions] = Field(
         default_factory=dict,
         description="by name; changes to a preset's elements, or a chain of one's own in order "
@@ -159,6 +162,7 @@ class MechanismOptions(_Options):
                 load=load,
                 offset=base.offset if self.offset is None else bool(self.offset),
                 gain=base.gain if self.gain is None else self.gain,
+                delay=base.delay if self.delay is None else self.delay,
                 made_from=self.preset or "",
                 terms=tuple(terms),
             )

@@ -14,6 +14,7 @@ from bayesfric.mechanism.forward import Motion, simulate
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.measurement import Hold
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -36,6 +37,10 @@ class Simulation(BaseModel):
         description="of the multisine, or first and last of the chirp, Hz",
     )
     lag: NotNegative = Field(0.005, description="time constant of the current loop, s")
+    hold: Hold = Field(
+        "linear",
+        description="how the torque goes between samples: zero, held until the next; linear; cubic",
+    )
     encoder_counts: int = Field(
         8192, ge=0, description="counts a turn of the encoder; 0 for a perfect one"
     )
@@ -182,6 +187,7 @@ def measure(
         q0=q0,
         qd0=qd0,
         inputs=Inputs(options.added_mass, options.radius),
+        hold=options.hold,
     )
     ratio = chain.ratio if options.encoder_side == "motor" else 1.0
     position = motion.q * ratio

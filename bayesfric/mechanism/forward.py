@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,10 +29,12 @@ from bayesfric.mechanism.kernels import (
     STRIBECK_RATIO,
     STRIBECK_VELOCITY,
 )
+from bayesfric.recordings.filters import later
 from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.measurement import Hold
 
-Hold = Literal["linear", "zero"]
-
+# Steps that a cubic torque is straight in, a sample.
+_FINER = 4
 _MAX_SUBSTEPS = 64
 
 
@@ -87,7 +89,7 @@ def simulate(
         ``(n_parameters,)`` in the order of ``chain.names``.
     torque
         ``(N,)`` measured motor torque (N m or N), one sample every ``period``; what
-        acts is ``gain * torque - offset``.
+        acts is ``gain * torque - offset``, ``delay`` earlier than the motion shows.
     period
         s.
     q0, qd0
@@ -97,7 +99,8 @@ def simulate(
     begin
         Time of the first sample, s, for terms that depend on time.
     hold
-        Torque between samples: ``linear``, or ``zero`` for held until the next.
+        Torque between samples: ``linear``, ``zero`` for held until the next, or ``cubic`` for
+        the cubic through four samples, taken in quarters of a sample.
     substeps
         Integration steps per sample. By default they are doubled, from 2, until
         ``q`` changes by less than ``tolerance`` or there are 64.
@@ -116,28 +119,41 @@ def simulate(
         that the motor's inertia does not outweigh it), or if the joint runs away
         beyond 1e6 rad or m.
     """
-    samples = _torque(torque, period, hold)
+    given = _torque(torque, period, hold)
     if not (math.isfinite(q0) and math.isfinite(qd0)):
         raise ValueError("q0 and qd0 must be finite numbers")
-    joint = _joint(chain, np.asarray(values, dtype=np.float64), inputs)
+    vector = np.asarray(values, dtype=np.float64)
+    joint = _joint(chain, vector, inputs)
+    samples = _acting(chain, vector[np.newaxis], given, period)[0]
     if substeps is not None and substeps < 1:
         raise ValueError("substeps must be at least 1")
 
-    def run(steps: int) -> Motion:
-        return _motion(joint, samples, period, begin, hold == "linear", (q0, qd0), steps)
+    finer = _FINER if hold == "cubic" else 1
+    fine = _finer(samples[np.newaxis], finer)[0]
+
+    def run(each: int) -> Motion:
+        made = _motion(joint, fine, period / finer, begin, hold != "zero", (q0, qd0), each)
+        every = slice(None, None, finer)
+        return replace(
+            made,
+            **{name: getattr(made, name)[every] for name in ("time", "q", "qd", "qdd", "sticking")},
+            torque=given,
+            substeps=each * finer,
+        )
 
     if substeps is not None:
-        fine, even = run(substeps), substeps % 2 == 0
-        other = run(substeps // 2 if even else 2 * substeps)
-        change = float(np.max(np.abs(fine.q - other.q)))
-        return replace(fine, step_error=change / 15.0 if even else change * 16.0 / 15.0)
+        each = -(-substeps // finer)
+        found, even = run(each), each % 2 == 0
+        other = run(each // 2 if even else 2 * each)
+        change = float(np.max(np.abs(found.q - other.q)))
+        return replace(found, step_error=change / 15.0 if even else change * 16.0 / 15.0)
     coarse = run(2)
     while True:
-        fine = run(2 * coarse.substeps)
-        change = float(np.max(np.abs(fine.q - coarse.q)))
-        if change < tolerance or fine.substeps >= _MAX_SUBSTEPS:
-            return replace(fine, step_error=change / 15.0)
-        coarse = fine
+        found = run(2 * coarse.substeps // finer)
+        change = float(np.max(np.abs(found.q - coarse.q)))
+        if change < tolerance or found.substeps >= _MAX_SUBSTEPS:
+            return replace(found, step_error=change / 15.0)
+        coarse = found
 
 
 def _joint(chain: Joint, vector: NDArray[np.float64], inputs: Inputs) -> Moved:
@@ -253,31 +269,67 @@ def simulate_segments(
     if substeps < 1:
         raise ValueError("substeps must be at least 1")
     tables = chain.tables(vectors, inputs)
-    return integrate_segments(
+    finer = _FINER if hold == "cubic" else 1
+    found = integrate_segments(
         tables.elements,
         tables.load,
         _carried(chain, tables.carried),
         inputs.load(chain.load.motion),
-        samples,
-        float(period),
+        _finer(_acting(chain, vectors, samples, period), finer),
+        float(period) / finer,
         float(begin),
-        hold == "linear",
-        np.ascontiguousarray(ranges[:, 0]),
-        np.ascontiguousarray(ranges[:, 1]),
+        hold != "zero",
+        np.ascontiguousarray(finer * ranges[:, 0]),
+        np.ascontiguousarray(finer * (ranges[:, 1] - 1) + 1),
         start,
         speed,
-        substeps,
+        -(-substeps // finer),
         _possible(chain, vectors, tables, inputs.load(chain.load.motion)[0]),
     )
+    return np.asarray(found[:, ::finer])
 
 
 def _carried(chain: Joint, values: NDArray[np.float64]) -> CarriedValues | None:
-    """Gather the terms without a slot, their coefficients ``(n, n_carried)``."""
-    if not chain.carried:
+    """Gather the terms without a slot, their coefficients ``(n, n_carried)``.
+
+    A delay is none of them here: the torque that acts is an earlier one, see :func:`_acting`.
+    """
+    felt = [k for k, c in enumerate(chain.carried) if c.row.name != "delay"]
+    if not felt:
         return None
-    places = np.array([c.place for c in chain.carried], dtype=np.int64)
-    addresses = np.array([c.address for c in chain.carried], dtype=np.int64)
-    return CarriedValues(values, places, addresses)
+    terms = [chain.carried[k] for k in felt]
+    places = np.array([c.place for c in terms], dtype=np.int64)
+    addresses = np.array([c.address for c in terms], dtype=np.int64)
+    return CarriedValues(np.ascontiguousarray(values[:, felt]), places, addresses)
+
+
+def _acting(
+    chain: Joint, vectors: NDArray[np.float64], torque: NDArray[np.float64], period: float
+) -> NDArray[np.float64]:
+    """Torque that acts when the recorded motion shows it: one for all, or each vector's own.
+
+    Gives ``(1, N)`` or ``(n, N)``.
+    """
+    if not chain.delay:
+        return torque[np.newaxis]
+    delays = vectors[:, chain.names.index("drive.delay")] / period
+    return np.stack([later(torque, delay) for delay in delays.tolist()])
+
+
+def _finer(torque: NDArray[np.float64], finer: int) -> NDArray[np.float64]:
+    """Give samples ``(n, N)`` and what a cubic puts between them, ``(n, finer (N - 1) + 1)``."""
+    if finer == 1:
+        return torque
+    out = np.empty((len(torque), finer * (torque.shape[1] - 1) + 1))
+    out[:, ::finer] = torque
+    n = torque.shape[1]
+    for i, row in enumerate(torque):
+        # one sample beyond either end, on the parabola through the last three
+        first, last = (3.0 * (x[0] - x[1]) + x[2] if n > 2 else x[0] for x in (row, row[::-1]))
+        padded = np.concatenate([[first], row, [last]])
+        for k in range(1, finer):
+            out[i, k::finer] = later(padded, -k / finer, beside=2)[1:-2]
+    return out
 
 
 def _possible(
@@ -304,8 +356,8 @@ def _torque(torque: ArrayLike, period: float, hold: str) -> NDArray[np.float64]:
         raise ValueError("torque must be finite")
     if not (math.isfinite(period) and period > 0):
         raise ValueError("period must be a positive number of seconds")
-    if hold not in ("linear", "zero"):
-        raise ValueError("hold must be 'linear' or 'zero'")
+    if hold not in get_args(Hold):
+        raise ValueError("hold must be 'zero', 'linear' or 'cubic'")
     return samples
 
 

@@ -326,16 +326,19 @@ def integrate_segments(
     substeps: int,
     valid: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
-    """Integrate many parameter vectors, each anew at the start of every segment."""
+    """Integrate many parameter vectors, each anew at the start of every segment.
+
+    ``torque`` is ``(n, N)``, or ``(1, N)`` for one that acts on all.
+    """
     n, segments = elements.shape[0], starts.shape[0]
-    out = np.full((n, torque.shape[0]), np.nan)
+    out = np.full((n, torque.shape[1]), np.nan)
     for job in prange(n * segments):
         i, k = job // segments, job % segments
         if valid[i]:
             a, b = starts[k], ends[k]
             done = integrate(
                 moved(elements[i], load[i], carried_by(carried, i), added[0], added[1]),
-                torque[a:b],
+                torque[i if torque.shape[0] > 1 else 0, a:b],
                 period,
                 begin + a * period,
                 linear,

@@ -52,6 +52,9 @@ class Joint:
     gain
         Whether the factor from the torque computed from current or voltage to
         the true motor torque is unknown (``drive.gain``).
+    delay
+        Whether the time by which the recorded position comes after the torque is unknown
+        (``drive.delay``).
     made_from
         Name of the preset it was made from, for the record.
     terms
@@ -70,6 +73,7 @@ class Joint:
     offset: bool = False
     own_offsets: tuple[str, ...] = ()
     gain: bool = False
+    delay: bool = False
     made_from: str = ""
     terms: tuple[Term, ...] = ()
 
@@ -113,6 +117,8 @@ class Joint:
             found.append(replace(offset, name=f"offset.{recording}", symbol=symbol))
         if self.gain:
             found.append(parameter("drive", QUANTITIES["gain"], self.motor_motion, ""))
+        if self.delay:
+            found.append(parameter("drive", QUANTITIES["delay"], self.motor_motion, ""))
         return tuple(found)
 
     @cached_property
@@ -150,7 +156,8 @@ class Joint:
     @cached_property
     def carried(self) -> tuple[CarriedTerm, ...]:
         """Terms that the kernels do not write out."""
-        places = {e.name: k for k, e in enumerate(self.elements)} | {"load": len(self.elements)}
+        places = {e.name: k for k, e in enumerate(self.elements)}
+        places |= {"load": len(self.elements), "drive": len(self.elements) + 1}
         return tuple(
             CarriedTerm(i, places[p.owner], self.reaches[p.owner], p.row)
             for i, p in enumerate(self.parameters)
@@ -282,12 +289,17 @@ class Joint:
             What the joint feels besides.
         time
             ``(N,)`` s; without it a term that depends on time is NaN.
+
+        Raises
+        ------
+        ValueError
+            If a term is a signal that the inputs do not hold.
         """
         position, speed, acceleration = (
             np.ascontiguousarray(x, dtype=np.float64) for x in (q, qd, qdd)
         )
         stamps = np.full(speed.size, np.nan) if time is None else time
-        columns = [along(c.row, c.reach, position, speed, stamps) for c in self.carried]
+        columns = [along(c.row, c.reach, position, speed, stamps, inputs) for c in self.carried]
         return Samples(
             *inputs.load(self.load.motion),
             np.sin(position),
@@ -338,6 +350,6 @@ def _slots(p: Parameter) -> tuple[str, ...]:
     slots = (p.quantity,) if p.row.slots is None else p.row.slots
     if slots and set(slots) <= set(known):
         return slots
-    if p.row.role != "own" or p.row.column is None:
+    if p.row.role != "own" or (p.row.column is None and not p.row.signal):
         raise KeyError(f"{p.name}: neither the kernels nor a column know {p.quantity!r}")
     return ()

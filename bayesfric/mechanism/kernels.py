@@ -44,7 +44,8 @@ class Samples(NamedTuple):
     acceleration: NDArray[np.float64]
     # (n_carried, N) torque of each term without a slot, for a coefficient of one
     columns: NDArray[np.float64]
-    # (n_carried,) index of its element; that of the load is the number of elements
+    # (n_carried,) index of its element; that of the load is the number of elements, and one more
+    # what comes on top of the torque measured
     places: NDArray[np.int64]
 
 
@@ -171,6 +172,7 @@ def inverse_one(
         _carry(carried, samples, k, begin, out)
     for j in range(n):
         out[j] = (out[j] + load[OFFSET]) / load[GAIN]
+    _carry(carried, samples, elements.shape[0] + 1, begin, out)
 
 
 @njit(cache=True)

@@ -21,6 +21,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from bayesfric.mechanism.quantities import QUANTITIES, Column, Quantity, State
+from bayesfric.recordings.inputs import Inputs
 
 _SIGNATURE = types.float64(types.float64, types.float64, types.float64, types.float64)
 
@@ -100,7 +101,8 @@ class CarriedTerm:
     """A term of a chain that the kernels do not write out."""
 
     index: int  # of its parameter among the chain's
-    place: int  # index of its element, that of the load being the number of elements
+    # index of its element; the load's is the number of elements, and one more is outside of all
+    place: int
     reach: float  # speed of the element's input over the joint's
     row: Quantity  # in the table of quantities, or a term of one's own
 
@@ -121,11 +123,23 @@ def along(
     position: NDArray[np.float64],
     speed: NDArray[np.float64],
     time: NDArray[np.float64],
+    inputs: Inputs,
 ) -> NDArray[np.float64]:
     """Torque for a coefficient of one along a motion of the joint, each ``(N,)``.
 
-    ``reach`` is the speed of the element's input over the joint's.
+    ``reach`` is the speed of the element's input over the joint's. What is a signal of the
+    recording is looked up in its ``inputs``.
+
+    Raises
+    ------
+    ValueError
+        If the inputs have no such signal.
     """
+    if row.signal:
+        signal = getattr(inputs, row.signal)
+        if signal is None:
+            raise ValueError(f"{row.name}: the inputs hold no {row.signal}")
+        return np.asarray(signal.at(time))
     position, speed = reach * position, reach * speed
     return np.asarray(_along(_address(row), position, speed, np.sign(speed), time))
 

@@ -80,6 +80,9 @@ class Quantity:
         transmitted torque; ``form`` shapes other terms and adds nothing by itself.
     column
         Torque for a value of one.
+    signal
+        Which signal of a recording its column is, a field of
+        :class:`bayesfric.recordings.inputs.Inputs`; empty where ``column`` gives it.
     power
         ``column`` at a state whose position, speed and acceleration are r times as large is
         ``r**power`` times as large; ``None`` where that is not so. It says how the quantity
@@ -118,6 +121,7 @@ class Quantity:
     choice: str | bool = True
     role: Literal["own", "loss", "form"] = "own"
     column: Column | None = None
+    signal: Literal["", "torque_rate"] = ""
     power: int | None = None
     slots: tuple[str, ...] | None = None
     shares: tuple[tuple[str, float], ...] = ()
@@ -293,6 +297,13 @@ QUANTITIES: dict[str, Quantity] = {
             "gain", _NONE, "k",
             "true motor torque over the torque computed from current or voltage",
             role="form", default=1.0, prior="lognorm", spread=lambda _: 0.5,
+        ),
+        # What is recorded with a late position is the torque of earlier on: the torque of now
+        # less what it has changed by since.
+        Quantity(
+            "delay", ("s", "s"), r"\delta",
+            "time by which the recorded position comes after the torque",
+            signal="torque_rate", slots=(), lower=-_INF,
         ),
     )
 }  # fmt: skip

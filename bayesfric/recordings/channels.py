@@ -11,7 +11,7 @@ from bayesfric.errors import BadInput
 from bayesfric.recordings import units
 from bayesfric.recordings.checks import unwrapped
 from bayesfric.recordings.measurement import Array
-from bayesfric.recordings.source import SI, Channel, Columns, Position, Velocity
+from bayesfric.recordings.source import SI, Channel, Columns, Effort, Position, Velocity
 from bayesfric.recordings.tables.table import Table
 
 Motion = Literal["rotary", "linear"]
@@ -104,7 +104,7 @@ def joint_signal(channel: Position, key: str, table: Table, drive: Drive) -> tup
     return values / drive.ratio if motor else values, step
 
 
-def drive_signal(source: Columns, table: Table, drive: Drive) -> tuple[Channel, Array, str]:
+def drive_signal(source: Columns, table: Table, drive: Drive) -> tuple[Effort, Array, str]:
     """Return the channel that drives the joint, its motor torque or voltage, and which it is."""
     kind = TORQUE[drive.motor_motion]
     if source.torque is not None:

@@ -162,6 +162,7 @@ def _piece(r: Measurement, begin: int, end: int, least: int) -> Measurement:
         position=r.position[begin:end],
         velocity=None if r.velocity is None else r.velocity[begin:end],
         torque=r.torque[begin:end],
+        back_emf=None if r.back_emf is None else r.back_emf[begin:end],
         segments=tuple((a - begin, b - begin) for a, b in kept),
         excluded=r.excluded[begin:end],
     )

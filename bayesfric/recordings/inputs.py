@@ -2,7 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """A signal of a recording, looked up by time, so that any part of its samples finds it."""
+
+    stamps: Array  # (N,) s, rising
+    values: Array  # (N,)
+
+    def at(self, time: Array) -> Array:
+        """Values at some times ``(n,)``; exact at stamps, straight lines between them."""
+        return np.asarray(np.interp(time, self.stamps, self.values), dtype=np.float64)
+
+
+# What never changes.
+STEADY = Signal(np.zeros(1), np.zeros(1))
 
 
 @dataclass(frozen=True)
@@ -12,6 +33,9 @@ class Inputs:
     added_mass: float = 0.0  # known mass bolted to the load, kg
     radius: float = 0.0  # its distance from the axis, m; a sliding load takes the mass alone
     recording: str = ""  # its name, for what each has of its own, as an offset
+    # of the measured motor torque, N m/s or N/s, for a joint with an unknown delay; recordings
+    # alike in the rest are alike
+    torque_rate: Signal | None = field(default=None, compare=False)
 
     def load(self, motion: str) -> tuple[float, float]:
         """Inertia and first moment that the known mass brings to a load of a motion.

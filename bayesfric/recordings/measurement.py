@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,8 @@ from bayesfric.recordings.inputs import Inputs
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+# How a torque goes between its samples.
+Hold = Literal["zero", "linear", "cubic"]
 # Half-open ranges of samples.
 Segments = tuple[tuple[int, int], ...]
 
@@ -33,4 +36,8 @@ class Measurement:
     inputs: Inputs  # what the joint feels besides its motion
     steps: tuple[str, ...]  # one sentence for every choice made in reading
     warnings: tuple[str, ...]  # one sentence for everything a user should look at
+    # (n,) what the motor's speed has taken off a torque computed from a voltage, N m or N; None
+    # where it was not
+    back_emf: Array | None = None
+    hold: Hold = "linear"  # how the torque goes between samples
     drive: str = "torque"  # what the torque was measured as: torque, force, current or voltage

@@ -22,6 +22,12 @@ from bayesfric.recordings.source import Columns, Source
 from bayesfric.recordings.tables import Table, read_table, sha256
 from bayesfric.recordings.timebase import Grid, check_order, make_grid
 
+_SAMPLED = {
+    "average": "{}: means over the sample about the stamp; position averaged alike",
+    "start": "{}: means over the sample that begins at the stamp; position averaged alike",
+    "end": "{}: means over the sample that ends at the stamp; position averaged alike",
+}
+
 
 def read_recordings(
     recording: Recording,
@@ -102,7 +108,15 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
 
     joint = grid.smooth(position)
     speed = None if velocity is None else grid.linear(velocity)
-    torque, step = _torque(source, grid.linear(signal), joint, speed, grid, drive, processing)
+    signal = grid.linear(signal)
+    if channel.sampled != "instant":
+        length = float(np.median(np.diff(time))) / grid.period
+        signal = _centred(signal, channel.sampled, grid, length)
+        # what the torque has passed the motion passes too
+        joint = filters.averaged(joint, grid.segments, length)
+        speed = None if speed is None else filters.averaged(speed, grid.segments, length)
+        steps.append(_SAMPLED[channel.sampled].format(kind))
+    torque, back_emf, step = _torque(source, signal, joint, speed, grid, drive, processing)
     steps.append(step)
     checks.check_size(joint, table.label(source.position.column), "position")
     checks.check_size(torque, table.label(channel.column), "torque")
@@ -121,14 +135,25 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         position=joint,
         velocity=speed,
         torque=torque,
+        back_emf=back_emf,
         segments=grid.segments,
         period=grid.period,
         excluded=excluded,
         inputs=Inputs(source.added_mass, source.radius),
         steps=tuple(steps),
         warnings=tuple(warnings),
+        hold=channel.hold,
         drive=kind,
     )
+
+
+def _centred(signal: Array, sampled: str, grid: Grid, length: float) -> Array:
+    """Bring means over ``length`` samples from where they begin or end to their middles."""
+    late = {"start": 0.5, "end": -0.5}.get(sampled, 0.0) * length
+    out = signal.copy()
+    for a, b in grid.segments:
+        out[a:b] = filters.later(signal[a:b], late)
+    return out
 
 
 def _time(source: Columns, table: Table, count: int) -> Array:
@@ -166,13 +191,13 @@ def _torque(
     grid: Grid,
     drive: Drive,
     processing: Processing,
-) -> tuple[Array, str]:
-    """Return the motor torque on the grid, and how it came about."""
+) -> tuple[Array, Array | None, str]:
+    """Return the motor torque on the grid, what speed has taken off it, and how it came about."""
     what = TORQUE[drive.motor_motion]
     if source.current is not None:
-        return signal, f"{what}: current times {source.current.torque_constant}"
+        return signal, None, f"{what}: current times {source.current.torque_constant}"
     if source.voltage is None:
-        return signal, f"{what}: as measured"
+        return signal, None, f"{what}: as measured"
     constant = units.scale([source.voltage.torque_constant], CONSTANT[drive.motor_motion])
     resistance = units.scale([source.voltage.resistance], "resistance")
     origin = "measured"
@@ -183,10 +208,14 @@ def _torque(
         smooth = filters.lowpass(position, grid.segments, fs, cutoff, processing.order)
         reach = filters.reach_of(processing.differentiation, cutoff, fs)
         velocity = filters.derivative(smooth, grid.segments, grid.period, reach)
-    torque = constant / resistance * (signal - constant * drive.ratio * velocity)
-    return torque, (
-        f"{what}: kt V/R - kt^2 (motor speed)/R with kt = {source.voltage.torque_constant}, "
-        f"R = {source.voltage.resistance}, {origin} speed"
+    back_emf = constant**2 * drive.ratio / resistance * velocity
+    return (
+        constant / resistance * signal - back_emf,
+        back_emf,
+        (
+            f"{what}: kt V/R - kt^2 (motor speed)/R with kt = {source.voltage.torque_constant}, "
+            f"R = {source.voltage.resistance}, {origin} speed"
+        ),
     )
 
 

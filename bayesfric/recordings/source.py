@@ -76,7 +76,23 @@ class Velocity(Position):
     """The velocity channel, of the joint or of the motor."""
 
 
-class Torque(Channel):
+class Effort(Channel):
+    """What drives the joint: motor torque, force, current or voltage."""
+
+    sampled: Literal["instant", "average", "start", "end"] = Field(
+        "instant",
+        description="When a sample was taken: 'instant', at its stamp; or a mean over one "
+        "sampling period, of which the stamp is the middle ('average'), the 'start' or the 'end'. "
+        "The motion is then averaged alike.",
+    )
+    hold: Literal["zero", "linear", "cubic"] = Field(
+        "linear",
+        description="How it goes between samples in what simulates (the output error): 'zero', "
+        "held until the next; 'linear', straight; 'cubic', a smooth curve.",
+    )
+
+
+class Torque(Effort):
     """The motor torque (or force) itself, or a signal proportional to it."""
 
     constant: str | None = Field(
@@ -84,13 +100,13 @@ class Torque(Channel):
     )
 
 
-class Current(Channel):
+class Current(Effort):
     """The motor current."""
 
     torque_constant: TorqueConstant = Field(description="Torque per current, such as '0.32 N m/A'.")
 
 
-class Voltage(Channel):
+class Voltage(Effort):
     """The motor voltage; torque = kt V/R - kt**2 (motor speed)/R."""
 
     torque_constant: TorqueConstant = Field(

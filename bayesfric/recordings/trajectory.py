@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
 from bayesfric.recordings.inputs import Inputs
-from bayesfric.recordings.measurement import Array, Measurement
+from bayesfric.recordings.measurement import Array, Hold, Measurement
 from bayesfric.recordings.observation import Observation, without_excluded
 
 # Two initial states come off every segment; what is shorter would say next to nothing.
@@ -34,6 +34,7 @@ class Trajectory:
     q0: Array
     qd0: Array
     inputs: Inputs  # what the joint feels besides its motion
+    hold: Hold = "linear"  # how the torque goes between samples
 
     @property
     def samples(self) -> NDArray[np.int64]:
@@ -52,6 +53,12 @@ def trajectory(recording: Measurement, observation: Observation, length: float) 
     Stretches between gaps and excluded samples are divided about evenly into segments of ``length``
     (s; infinite for no division), at samples where the joint is fast.
     """
+    if recording.back_emf is not None and observation.inputs.torque_rate is not None:
+        raise BadInput(
+            "mechanism.delay",
+            "a simulation does not know it of a torque that was computed from a voltage",
+            "give torque or current, or leave output-error out",
+        )
     parts = without_excluded(recording.segments, recording.excluded)
     segments = _cut(parts, recording.period, length, observation.qd)
     if not len(segments):
@@ -71,6 +78,7 @@ def trajectory(recording: Measurement, observation: Observation, length: float) 
         q0=observation.q[starts],
         qd0=observation.qd[starts],
         inputs=observation.inputs,
+        hold=recording.hold,
     )
 
 

@@ -11,7 +11,7 @@ from bayesfric.report.summary.record import Readable, Summary
 from bayesfric.report.text_templates import sentence
 
 # Kinds of doubts, see bayesfric.report.summary.doubts; each has a macro that words it.
-DOUBTS = ("unexplained", "feedback", "negative", "memory", "noise", "acceleration")
+DOUBTS = ("unexplained", "feedback", "negative", "memory", "noise", "acceleration", "delay")
 
 
 @dataclass(frozen=True)

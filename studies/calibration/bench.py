@@ -59,9 +59,10 @@ class Bench:
     tables: dict[str, Any] = field(default_factory=dict)  # of the configuration
 
     def truth(self, rng: np.random.Generator) -> dict[str, float]:
-        """Draw true parameters."""
+        """Draw true parameters; how late the position comes is no part of the draw."""
         factors = rng.uniform(1.0 - SPREAD, 1.0 + SPREAD, len(self.values))
-        return {k: v * f for (k, v), f in zip(self.values.items(), factors, strict=True)}
+        drawn = {k: v * f for (k, v), f in zip(self.values.items(), factors, strict=True)}
+        return drawn | ({"drive.delay": self.late / self.rate} if self.joint.delay else {})
 
 
 def axis(*, ratio: float = 1.0) -> Joint:
@@ -99,12 +100,14 @@ def moved(
     sines *= (1.0 - drive.square) / np.sqrt(len(LINES) / 2.0)
     command = sines + excitation.square(time + rng.uniform(0.0, 1.0), drive.square, drive.hertz)
     torque = excitation.current_loop(drive.amplitude * command, period, drive.lag)
-    joint, vector = bench.joint, [truth[name] for name in bench.joint.names]
+    # the position comes late in being measured, see below
+    joint = replace(bench.joint, delay=False)
+    vector = [truth[name] for name in joint.names]
     share, times = bench.ripple
     if share:
         own = float(np.sqrt(2.0) * share * np.sqrt(np.mean(torque**2)))
         ripple = Term("motor.ripple", lambda m, k=float(times): np.sin(k * m.position + 1.0))
-        joint, vector = replace(joint, terms=(ripple,)), None
+        joint = replace(joint, terms=(ripple,))
         at = truth | {"motor.ripple": own}
         vector = [at[name] for name in joint.names]
     inputs = Inputs(drive.added_mass, drive.radius)
@@ -126,9 +129,11 @@ def measured(
     if not bench.current:
         return columns | {"torque": np.interp(samples, time, torque) + noise}
     # mean over the sample about the stamp; the constant is 1 N m/A
-    whole = np.concatenate([[0.0], np.cumsum(torque)]) * (time[1] - time[0])
+    # the torque goes straight from one fine step to the next
+    steps = 0.5 * (torque[1:] + torque[:-1]) * (time[1] - time[0])
+    whole = np.concatenate([[0.0], np.cumsum(steps)])
     ends = np.append(samples - 0.5 / bench.rate, samples[-1] + 0.5 / bench.rate)
-    sums = np.interp(ends, np.append(time, 2.0 * time[-1] - time[-2]), whole)
+    sums = np.interp(ends, time, whole)
     current = np.diff(sums) * bench.rate + noise
     step = 4.0 * peak / 2**bench.current
     return columns | {"current": np.round(current / step) * step}
@@ -138,7 +143,8 @@ def told(bench: Bench, drive: Drive, path: Path) -> Recording:
     """Say what the columns are, as a user would."""
     keys: dict[str, Any] = {"torque": {"column": "torque", "unit": "N m"}}
     if bench.current:
-        keys = {"current": {"column": "current", "unit": "A"}, "torque_constant": "1 N m/A"}
+        current = {"column": "current", "unit": "A", "sampled": "average"}
+        keys = {"current": {**current, "torque_constant": "1 N m/A"}}
     return Recording.from_file(
         path,
         time={"column": "time", "unit": "s"},
@@ -177,6 +183,7 @@ _knee = Bench(
     counts=8192,
     side="motor",
 )
+_late = replace(_plain, joint=replace(_plain.joint, delay=True))
 CASES: dict[str, Bench] = {
     "plain": _plain,
     "geared": _geared,
@@ -189,8 +196,8 @@ CASES: dict[str, Bench] = {
     "knee, loaded pair": replace(
         _knee, drives=(_knee.drives[0], Drive(1.2, 0.5, lag=0.005, added_mass=2.0, radius=0.35))
     ),
-    "late by 0.3 samples": replace(_plain, late=0.3),
-    "late by 2 samples": replace(_plain, late=2.0),
+    "late by 0.3 samples": replace(_late, late=0.3),
+    "late by 2 samples": replace(_late, late=2.0),
     "ripple, 100 a turn": replace(_plain, ripple=(0.02, 100)),
     "ripple, once a turn": replace(_plain, ripple=(0.02, 1)),
 }

@@ -2,13 +2,16 @@
 
 import importlib
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from bayesfric.commands.check import check, check_text
 from bayesfric.commands.fit import fit_text
+from bayesfric.estimates.delay import Delay
 from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
+from bayesfric.mechanism.joint import Joint
 from bayesfric.model import Model
 from bayesfric.report.alerts import doubt_text
 from bayesfric.report.summary.doubts import doubts_before, find_doubts, put_doubts
@@ -250,3 +253,32 @@ def test_no_doubt_changes_nothing():
     summary = put_doubts(summary, find_doubts(_Fit(), summary))
     assert summary.as_dict()["doubts"] == []
     assert summary.sampler.status == "reliable"
+
+
+def test_a_late_position_is_warned_of_and_no_speed_term_called_data(fitted):
+    """Two samples late at 500 Hz; inertia and viscous loss are what that moves."""
+    joint = Joint.preset("servo-pendulum")
+    late = replace(joint, delay=True)
+    options = {"rate": 500, "excitation": "multisine", "amplitude": 1.0, "torque_noise": 0.01}
+    made = late.simulate({"drive.delay": 0.004}, encoder_side="joint", **options)
+    columns = (made[name].to_numpy() for name in ("time", "position", "torque"))
+    summary, told = fitted(*columns, preset="servo-pendulum")
+    assert "delay" in kinds(summary)
+    assert verdicts(summary)["motor.inertia"] != "data"
+    assert verdicts(summary)["motor.viscous"] != "data"
+    assert summary["sampler"]["status"] == "tentative"
+    (line,) = [line for line in told if "set delay = true in [mechanism]" in line]
+    assert line.startswith("WARNING: the position comes 0.004")
+
+
+def test_delays_that_contradict_each_other_are_no_delay():
+    def one(value, name):
+        return Delay((name,), value, 1e-4, 2e-3, {"motor.inertia": 4.0})
+
+    totals = Estimate("least-squares", (), 1.0, 100, "")
+    (doubt,) = doubts_before(totals, [], [one(0.01, "a"), one(-0.01, "b"), one(0.0, "c")])
+    assert [late["recordings"] for late in doubt["late"]] == [["a"], ["b"]]
+    assert "contradict each other" in doubt_text(doubt)
+    (doubt,) = doubts_before(totals, [], [one(0.01, "a"), one(0.0101, "b")])
+    assert "set delay = true" in doubt_text(doubt)
+    assert doubts_before(totals, [], [one(2e-4, "a")]) == []

@@ -11,7 +11,7 @@ from scipy.special import ellipk
 
 from bayesfric.mechanism import dynamics, forward, kernels
 from bayesfric.mechanism.element import STANDARD_GRAVITY, Element, Load
-from bayesfric.mechanism.forward import simulate
+from bayesfric.mechanism.forward import simulate, simulate_segments
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
@@ -400,3 +400,27 @@ def test_energy_is_balanced(name):
     throughput = np.trapezoid(np.abs(true_torque * to_input * motion.qd), dx=period)
     assert abs(energy[-1] - energy[0] - work) <= error + 1e-9 * throughput
     assert error < 1e-5 * throughput
+
+
+@pytest.mark.parametrize("hold", ["zero", "linear", "cubic"])
+def test_a_torque_between_samples_goes_as_it_is_told(hold):
+    """A sine on a bare inertia, q = -sin(w t)/w² + t/w: an error each hold has its own order of."""
+    w, errors = 2.0 * np.pi, []
+    for n in (25, 50):
+        time = np.arange(n + 1) / n
+        motion = simulate(axis(), [1.0], np.sin(w * time), 1.0 / n, hold=hold)
+        errors.append(np.abs(motion.q - (time / w - np.sin(w * time) / w**2)).max())
+    # held comes half a sample late; straight lines cut the sine's corners; so do quarters of a
+    # sample of a cubic, a sixteenth as much
+    order, bound = {"zero": (1, 2e-2), "linear": (2, 2.5e-4), "cubic": (2, 3e-5)}[hold]
+    assert errors[1] < bound
+    assert errors[0] / errors[1] > 0.8 * 2**order
+
+
+def test_segments_hold_a_torque_alike():
+    torque = np.sin(np.arange(200) / 9.0)
+    one = simulate(axis(), [1.0], torque, 0.01, hold="cubic", substeps=8)
+    whole = simulate_segments(
+        axis(), [[1.0]], torque, 0.01, [[0, 200]], [0.0], [0.0], hold="cubic", substeps=8
+    )
+    np.testing.assert_array_equal(whole[0], one.q)

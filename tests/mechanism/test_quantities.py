@@ -199,7 +199,8 @@ def test_totals_are_what_the_motor_feels_at_steady_speed():
     """Each total by its own column: the motor's torque per value, at constant speed."""
     for total in TOTALS.values():
         assert total.units
-    filled = {kind for q in QUANTITIES.values() for kind, _ in q.fills if q.role == "own"}
+    own = [q for q in QUANTITIES.values() if q.role == "own" and not q.signal]
+    filled = {kind for q in own for kind, _ in q.fills}
     assert filled <= set(TOTALS)
 
 
@@ -214,7 +215,9 @@ def test_every_option_has_a_meaning_and_every_choice_brings_something():
 def test_every_row_is_known_to_the_kernels_or_has_a_column():
     known = {*kernels.ELEMENT_SLOTS, *kernels.LOAD_SLOTS}
     for q in QUANTITIES.values():
-        assert set(q.slots or (q.name,)) <= known or (q.role == "own" and q.column is not None)
+        # what has no slot has a column, or is a signal of the recording
+        carried = q.role == "own" and (q.column is not None or bool(q.signal))
+        assert set(q.slots or (q.name,)) <= known or carried
 
 
 @pytest.mark.parametrize("role", ["form", "loss", "own"])

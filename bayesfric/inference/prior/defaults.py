@@ -57,7 +57,7 @@ def measured_scales(chain: Joint, observations: Sequence[Observation]) -> Scales
 
 def _at_outputs(carried: CarriedTerm, o: Observation) -> NDArray[np.float64]:
     at = o.filter.centres
-    return along(carried.row, carried.reach, o.q[at], o.qd[at], o.stamps[at])
+    return along(carried.row, carried.reach, o.q[at], o.qd[at], o.stamps[at], o.inputs)
 
 
 def _rms(x: NDArray[np.float64]) -> float:
@@ -84,8 +84,8 @@ def _text(chain: Joint, p: Parameter, scales: Scales) -> PriorText:
     )
     if row.spread is not None:
         scale = row.spread(sizes)
-    elif row.role == "own" and row.column is not None:
-        if row.power is None:
+    elif row.role == "own" and (row.column is not None or row.signal):
+        if row.column is None or row.power is None:
             size = scales.columns[p.name]
         else:  # some losses are there in one direction only
             ways = [State(w, w * sizes.speed, w * sizes.acceleration, w, 0.0) for w in (1.0, -1.0)]

@@ -26,7 +26,7 @@ from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.inverse import load_torque
 from bayesfric.mechanism.joint import Joint
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.inputs import STEADY, Inputs
 from bayesfric.report.figures.curve_band import Flags
 from bayesfric.report.figures.style import Array
 
@@ -72,7 +72,9 @@ def friction_torque(
         table[:, kernels.FIRST_MOMENT] = 1.0 / load_reach(chain, values, open_scale=open_scale)
     # the sine of the angle is put in place of one: the load is any, not that of a position
     still = np.zeros_like(load)
-    samples = chain.samples(still, speed / chain.ratio, still, Inputs(), still)
+    # at constant speed the torque stands still too
+    inputs = Inputs(torque_rate=STEADY)
+    samples = chain.samples(still, speed / chain.ratio, still, inputs, still)
     samples = samples._replace(sin_q=np.ascontiguousarray(sign * load), cos_q=still)
     torque = kernels.inverse_many(elements, table, carried, samples)
     return np.asarray(sign * torque - load)

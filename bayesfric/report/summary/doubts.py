@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesfric.estimates.delay import Delay
 from bayesfric.estimates.information import CORRELATED
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.inference.fitting import Fit
@@ -27,6 +28,8 @@ _EXPLAINED = 0.8
 _RISE = 1.1
 # Robust standard deviations below zero that are no chance.
 _NEGATIVE = 3.0
+# Scatter of the delays of several recordings, over what is expected, that is no chance.
+_SCATTER = 3.0
 
 White = Mapping[str, Spread]
 
@@ -36,13 +39,15 @@ def find_doubts(
     summary: Summary,
     choice: Choice | None = None,
     white: tuple[White, float] | None = None,
+    delays: Sequence[Delay] = (),
 ) -> list[dict[str, Any]]:
     """Look for what makes the numbers of a fit doubtful, for ``summary["doubts"]``.
 
     ``choice`` is how the order of the noise was chosen, where it was; ``white`` what the same
     recordings say with white noise, where that was sampled:
-    :func:`bayesfric.report.summary.summary.spreads`, and the residuals' root mean square. Gives
-    ``kind``, ``parameters`` and what else tells of each.
+    :func:`bayesfric.report.summary.summary.spreads`, and the residuals' root mean square;
+    ``delays`` those that the joint does not have for a parameter. Gives ``kind``, ``parameters``
+    and what else tells of each.
     """
     if summary.sampler.status == "unusable":
         return []  # there is no posterior to doubt
@@ -54,6 +59,7 @@ def find_doubts(
         *_memory(choice),
         *_noise(summary, told, white),
         *_acceleration(fit, summary, told),
+        *({**one, "of": _of_motion(fit, told)} for one in _late(delays)),
     ]
     return [{"kind": one.pop("kind"), "parameters": one.pop("of", told), **one} for one in found]
 
@@ -80,13 +86,51 @@ def _unexplained(summary: Summary) -> Iterator[dict[str, Any]]:
         yield {"kind": "unexplained", "share": share, "quantity": summary.fit.quantity}
 
 
-def doubts_before(totals: Estimate, observations: Sequence[Observation]) -> list[dict[str, Any]]:
+def doubts_before(
+    totals: Estimate, observations: Sequence[Observation], delays: Sequence[Delay] = ()
+) -> list[dict[str, Any]]:
     """Look for what makes any fit doubtful, before there is one, as :func:`find_doubts` does.
 
     ``totals`` are of :func:`bayesfric.estimates.least_squares.least_squares`; no ``parameters`` are
     named: all are doubtful.
     """
-    return [*_feedback(observations), *_negative(totals)]
+    return [*_feedback(observations), *_negative(totals), *_late(delays)]
+
+
+def _late(delays: Sequence[Delay]) -> Iterator[dict[str, Any]]:
+    """Name positions that come late: of all recordings together, or of those that do."""
+    together = [one for one in delays if one.matters and len(one.recordings) > 1]
+    late = together or [one for one in delays if one.matters]
+    if not late:
+        return
+    name, moved = max(
+        (move for one in late for move in one.moves.items()), key=lambda move: abs(move[1])
+    )
+    alone = [one for one in delays if len(one.recordings) == 1]
+    yield {
+        "kind": "delay",
+        "late": [
+            {
+                "recordings": list(one.recordings),
+                **{"delay": one.value, "sd": one.sd, "samples": one.samples},
+            }
+            for one in late
+        ],
+        # one bench has one delay: where recordings contradict each other it is something else
+        "alike": _scatter(alone) < _SCATTER,
+        **{"moved": name, "moves": abs(moved)},
+    }
+
+
+def _scatter(delays: Sequence[Delay]) -> float:
+    """Scatter of delays over what their sds allow."""
+    told = [one for one in delays if np.isfinite(one.sd) and one.sd > 0.0]
+    if len(told) < 2:
+        return 0.0
+    values = np.array([one.value for one in told])
+    weights = np.array([one.sd for one in told]) ** -2.0
+    away = values - weights @ values / weights.sum()
+    return float(np.sqrt(weights @ away**2 / (len(told) - 1)))
 
 
 def _feedback(observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
@@ -165,6 +209,13 @@ def _acceleration(fit: Fit, summary: Summary, told: list[str]) -> Iterator[dict[
     ]
     if names and lost > 1.0 / LEAST_RATIO**2:
         yield {"kind": "acceleration", "ratio": float(lost**-0.5), "of": names}
+
+
+def _of_motion(fit: Fit, told: Sequence[str]) -> list[str]:
+    """Name what grows with speed or acceleration: it is that which a delay moves."""
+    own = {p.name: p.row for p in fit.chain.parameters}
+    rows = {name: own.get(name) or QUANTITIES.get(quantity_of(name)) for name in told}
+    return [name for name, row in rows.items() if row is not None and row.power]
 
 
 def _accelerates(row: Quantity | None) -> bool:

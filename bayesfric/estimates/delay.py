@@ -1,0 +1,203 @@
+"""How late the position of a recording comes after its torque."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayesfric.errors import BadInput
+from bayesfric.estimates.descent import TorqueProblem
+from bayesfric.estimates.information import Information
+from bayesfric.estimates.input_error import input_error
+from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.least_squares import TotalsProjection, least_squares
+from bayesfric.estimates.methods import Given
+from bayesfric.estimates.point_estimate import Estimate
+from bayesfric.estimates.torque import places
+from bayesfric.estimates.torque_form import OPEN, shortest
+from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.measurement import Array, Measurement
+from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.timing import longest_delay, retimed
+
+# Each round takes the torque of the delay that the last one found: far from it, what is linear
+# in the delay holds only roughly. It stands still when it moves by less than this many sds.
+_ROUNDS, _STILL = 10, 0.02
+# Samples that filters and kinks at reversals shift a torque by, even where there is no noise.
+_FINEST = 0.025
+# Standard deviations that are no chance, and by how many of its own it must move a number.
+_SURE, _MOVED = 3.0, 1.0
+
+
+@dataclass(frozen=True)
+class Delay:
+    """By how much positions come late, and what that does to totals where it is ignored."""
+
+    recordings: tuple[str, ...]
+    value: float  # s
+    sd: float  # s, the larger of the plain and the robust one; infinite if nothing tells
+    period: float  # s from one sample to the next, of the first recording
+    # by how many of their sds the totals of least squares are off that ignore it
+    moves: Mapping[str, float]
+
+    @property
+    def samples(self) -> float:
+        """The value in samples."""
+        return self.value / self.period
+
+    @property
+    def matters(self) -> bool:
+        """Whether it is no chance, and moves a number by more than its sd."""
+        late = abs(self.value) > _SURE * math.hypot(self.sd, _FINEST * self.period)
+        return late and max(map(abs, self.moves.values()), default=0.0) > _MOVED
+
+
+def delays(
+    given: Given, recordings: Sequence[Measurement], point: Mapping[str, float] | None = None
+) -> list[Delay]:
+    """Estimate the delay of each recording by itself, and of several together last.
+
+    Where nothing can be estimated, it is left out. ``point`` as in :func:`find_delay`; where the
+    mechanism needs one, it is the input error's if left out.
+    """
+
+    def fitted(chain: Joint, observations: Sequence[Observation]) -> Mapping[str, float]:
+        return dict(input_error(chain, observations, given.knowledge, given.options).point)
+
+    pairs = list(zip(recordings, given.observations, strict=True))
+    if not any(p.row.role == "loss" or p.row.option == "stribeck" for p in given.chain.parameters):
+        return _delays(given.chain, pairs, None)
+    try:
+        found = _delays(given.chain, pairs, point or fitted(given.chain, given.observations))
+        if not any(one.matters for one in found):
+            return found
+        # what is hardly determined trades off against a delay: again from where both are fitted
+        delay = found[-1].value
+        there = [retimed(o, r.segments, r.period, delay, r.back_emf) for r, o in pairs]
+        return _delays(given.chain, pairs, fitted(replace(given.chain, delay=True), there))
+    except BadInput:
+        return []
+
+
+def _delays(
+    chain: Joint,
+    pairs: Sequence[tuple[Measurement, Observation]],
+    point: Mapping[str, float] | None,
+) -> list[Delay]:
+    found = []
+    for some in [*([pair] for pair in pairs), *([pairs] if len(pairs) > 1 else [])]:
+        with suppress(BadInput):
+            found.append(_delay(chain, some, point))
+    return found
+
+
+def _delay(
+    chain: Joint,
+    pairs: Sequence[tuple[Measurement, Observation]],
+    point: Mapping[str, float] | None,
+) -> Delay:
+    recordings, observations = zip(*pairs, strict=True)
+    names = tuple(o.name for o in observations)
+    alone = replace(chain, own_offsets=names if chain.own_offsets else ())
+    value, sd = find_delay(alone, recordings, observations, point)
+    alone = replace(alone, delay=False)
+    totals = [least_squares(alone, _as_if(pairs, delay)) for delay in (0.0, value)]
+    return Delay(names, value, sd, recordings[0].period, _moves(*totals))
+
+
+def find_delay(
+    chain: Joint,
+    recordings: Sequence[Measurement],
+    observations: Sequence[Observation],
+    point: Mapping[str, float] | None = None,
+) -> tuple[float, float]:
+    """Estimate the one delay of all recordings, s, and its sd, infinite where nothing tells.
+
+    Parameters
+    ----------
+    chain
+        Its own delay, if it has one, is not looked at.
+    recordings, observations
+        In the same order.
+    point
+        Values near which the torque is taken for linear in the parameters. Without them it is
+        in the totals of least squares, which load losses and a Stribeck rise bend: about right.
+
+    Returns
+    -------
+    tuple of float
+        No longer than what is trimmed off the ends; the larger of the plain and the robust sd.
+
+    Raises
+    ------
+    BadInput
+        If nothing can be estimated from these recordings.
+    """
+    pairs = list(zip(recordings, observations, strict=True))
+    longest = min(longest_delay(o, r.period) for r, o in pairs)
+    regressors, model = _near(replace(chain, delay=False), observations, point)
+    delay, sd = 0.0, np.inf
+    for _ in range(_ROUNDS):
+        before = delay
+        there = [retimed(o, r.segments, r.period, delay, r.back_emf) for r, o in pairs]
+        target = np.concatenate([o.measured for o in there]) - model
+        rate = np.concatenate([_rate(o) for o in there])
+        matrix = np.column_stack([regressors, rate])
+        if not rate.any() or len(target) <= matrix.shape[1]:
+            break
+        size, _, solution, _ = shortest(matrix)
+        found = solution @ target
+        information = Information(
+            matrix,
+            target - matrix @ found,
+            1.0 / size,
+            places=places([o for _, o in pairs]),
+            tolerance=OPEN,
+        )
+        sds = information.sds(np.eye(len(found))[-1])
+        sd = float(np.nanmax([*sds, 0.0]))
+        if not np.isfinite(sd):
+            return 0.0, np.inf
+        delay = float(np.clip(found[-1], -longest, longest))
+        if not abs(delay - before) > _STILL * sd:
+            break
+    return delay, sd
+
+
+def _near(
+    chain: Joint, observations: Sequence[Observation], point: Mapping[str, float] | None
+) -> tuple[Array, Array]:
+    """Write the torque as regressors ``(n, k)`` and a model ``(n,)`` that they change."""
+    if point is None:
+        regressors = TotalsProjection(chain, observations).regressors
+        return regressors, np.zeros(sum(o.measured.size for o in observations))
+    problem = TorqueProblem(chain, observations, Knowledge())
+    x = np.array([point[name] for name in chain.names])
+    return problem.jacobian(x), problem.measured - problem.residual(x)
+
+
+def _as_if(pairs: Sequence[tuple[Measurement, Observation]], delay: float) -> list[Observation]:
+    """Give recordings with the torque of before, as if the delay were known."""
+    found = []
+    for r, o in pairs:
+        there = retimed(o, r.segments, r.period, delay, r.back_emf)
+        found.append(replace(there, measured=there.measured - delay * _rate(there)))
+    return found
+
+
+def _rate(o: Observation) -> Array:
+    assert o.inputs.torque_rate is not None
+    return o.filter.apply(o.inputs.torque_rate.values)
+
+
+def _moves(ignored: Estimate, known: Estimate) -> dict[str, float]:
+    found = {}
+    for value in ignored.values:
+        sd = float(np.nanmax([value.sd, value.sd_robust, 0.0]))
+        if np.isfinite(sd) and sd > 0.0:
+            found[value.name] = (value.value - known[value.name].value) / sd
+    return found

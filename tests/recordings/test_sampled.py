@@ -1,0 +1,63 @@
+"""When a torque was sampled: means about, after or before the stamp mean one and the same."""
+
+import numpy as np
+import pytest
+
+from bayesfric.recordings import Position, Processing, Torque, read_recordings
+from bayesfric.recordings.recording import Recording
+
+from .samples import source, write
+
+PERIOD, W = 0.01, 2 * np.pi * 2.0  # rad/s
+T = np.round(np.arange(400) * PERIOD, 9)
+SHIFTS = {"average": 0.0, "start": 0.5, "end": -0.5}
+
+
+def mean(middle):
+    """Mean of cos(W t) over one period about some times."""
+    return np.cos(W * middle) * np.sinc(W * PERIOD / (2 * np.pi))
+
+
+def read(folder, sampled, torque, **more):
+    rows = zip(T.tolist(), np.sin(W * T).tolist(), torque.tolist(), strict=True)
+    write(folder, "\n".join(["t,q,tau", *(f"{a!r},{b!r},{c!r}" for a, b, c in rows)]))
+    channel = Torque(column="tau", unit="N m", **({"sampled": sampled} if sampled else {}), **more)
+    (found,) = read_recordings(
+        Recording(source(torque=channel), folder),
+        ratio=1.0,
+        motion="rotary",
+        processing=Processing(),
+    )
+    return found
+
+
+@pytest.mark.parametrize("sampled", SHIFTS)
+def test_torque_and_motion_pass_the_same_mean_about_the_stamp(tmp_path, sampled):
+    found = read(tmp_path, sampled, mean(T + SHIFTS[sampled] * PERIOD))
+    inner = slice(5, -5)
+    np.testing.assert_allclose(found.torque[inner], mean(T)[inner], atol=1e-6)
+    blurred = np.sin(W * T) * np.sinc(W * PERIOD / (2 * np.pi))
+    np.testing.assert_allclose(found.position[inner], blurred[inner], atol=1e-5)
+    assert any("averaged alike" in step for step in found.steps)
+
+
+def test_an_instant_is_left_as_it_is(tmp_path):
+    found = read(tmp_path, None, np.cos(W * T))
+    np.testing.assert_array_equal(found.torque, np.cos(W * T))
+    np.testing.assert_array_equal(found.position, np.sin(W * T))
+    assert found.hold == "linear"
+
+
+def test_the_hold_goes_to_what_simulates(tmp_path):
+    assert read(tmp_path, None, np.cos(W * T), hold="cubic").hold == "cubic"
+
+
+@pytest.mark.parametrize("key", ["sampled", "hold"])
+def test_another_word_is_refused(key):
+    with pytest.raises(ValueError, match=key):
+        Torque(column="tau", unit="N m", **{key: "sometimes"})
+
+
+def test_only_what_drives_the_joint_has_it():
+    with pytest.raises(ValueError, match="sampled"):
+        Position(column="q", unit="rad", sampled="start")
