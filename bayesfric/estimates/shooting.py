@@ -76,12 +76,19 @@ class Shooting:
 
         Gives ``(m, n)``, rad or m; NaN where a vector cannot be simulated.
         """
+        return self.motion(values, states, substeps)[0]
+
+    def motion(
+        self, values: Array, states: Array, substeps: int | None = None
+    ) -> tuple[Array, Array]:
+        """Simulate as :meth:`positions` does; speeds too."""
         m = values.shape[0]
         states = np.broadcast_to(states, (m, self.n_segments, 2))
         blocks, first = [], 0
         for t in self.trajectories:
             part = states[:, first : first + len(t.segments)]
             first += len(t.segments)
+            speeds = np.empty((m, t.torque.size))
             simulated = simulate_segments(
                 self.chain,
                 values,
@@ -93,9 +100,11 @@ class Shooting:
                 inputs=t.inputs,
                 begin=float(t.time[0]),
                 substeps=self.substeps if substeps is None else substeps,
+                speeds=speeds,
             )
-            blocks.append(simulated[:, t.samples])
-        return np.concatenate(blocks, axis=1) if len(blocks) > 1 else blocks[0]
+            blocks.append((simulated[:, t.samples], speeds[:, t.samples]))
+        q, qd = (np.concatenate(both, axis=1) for both in zip(*blocks, strict=True))
+        return q, qd
 
     def sensitivities(
         self,

@@ -18,7 +18,7 @@ from bayesfric.inference.target import Target
 Array = NDArray[np.float64]
 
 # Standard deviation of the log-likelihood's change beyond which a posterior is no use.
-_MOST = 3.0
+_MOST = 2.0
 # Places to linearise at, of how many drawn; what is less probable than all but this share of a
 # normal is none.
 _PLACES, _DRAWN, _IMPROBABLE = 12, 100, 1e-3

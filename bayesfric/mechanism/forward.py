@@ -206,6 +206,7 @@ def simulate_segments(
     begin: float = 0.0,
     hold: Hold = "linear",
     substeps: int = 2,
+    speeds: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
     """Positions of the joint, simulated anew from a given state in every segment, in parallel.
 
@@ -222,6 +223,8 @@ def simulate_segments(
         first sample of every segment (rad or m, SI).
     substeps
         Integration steps per sample.
+    speeds
+        ``(n, N)``, filled with the speeds where the positions are numbers (rad/s or m/s).
 
     Returns
     -------
@@ -268,6 +271,7 @@ def simulate_segments(
         speed,
         substeps,
         _possible(chain, vectors, tables, inputs.load(chain.load.motion)[0]),
+        np.empty((len(vectors), samples.size)) if speeds is None else speeds,
     )
 
 

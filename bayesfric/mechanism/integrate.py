@@ -325,8 +325,12 @@ def integrate_segments(
     qd0: NDArray[np.float64],
     substeps: int,
     valid: NDArray[np.bool_],
+    speeds: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Integrate many parameter vectors, each anew at the start of every segment."""
+    """Integrate many parameter vectors, each anew at the start of every segment.
+
+    Gives the positions ``(n, N)``, and fills in the ``speeds`` of the same shape.
+    """
     n, segments = elements.shape[0], starts.shape[0]
     out = np.full((n, torque.shape[0]), np.nan)
     for job in prange(n * segments):
@@ -343,7 +347,7 @@ def integrate_segments(
                 qd0[i, k],
                 substeps,
                 out[i, a:b],
-                np.empty(b - a),
+                speeds[i, a:b],
                 np.empty(b - a),
                 np.empty(b - a, dtype=np.bool_),
                 np.zeros(3, dtype=np.int64),
