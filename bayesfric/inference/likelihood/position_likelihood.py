@@ -126,6 +126,14 @@ class PositionLikelihood(Likelihood):
             -0.5 * a**2 - np.log(s) - 0.5 * np.log(2.0 * np.pi) for a, s in zip(z, sds, strict=True)
         ]
 
+    def by_segment(self, values: Array, scales: Array) -> dict[tuple[str, float, float], float]:
+        """Log-likelihood of one vector by recording, and begin and end of each segment in s."""
+        found = {}
+        for run, terms in zip(self._runs, self.pointwise(values, scales), strict=True):
+            for key, part in zip(run.spans, run.divide(terms[0]), strict=True):
+                found[key] = float(part.sum())
+        return found
+
     def predict(self, values: Array) -> list[Array]:
         """Averaged positions ``(n, M)``, each segment from the state that suits it best."""
         return [run.predict(values) for run in self._runs]
@@ -210,6 +218,16 @@ class _Run:
         )
         self._weights = np.concatenate([s.weights for s in self._segments])
 
+    @property
+    def spans(self) -> list[tuple[str, float, float]]:
+        """The recording's name, begin and end in s of every segment."""
+        t = self._trajectory
+        return [(t.name, float(t.time[a]), float(t.time[b - 1])) for a, b in t.segments]
+
+    def divide(self, terms: Array) -> list[Array]:
+        """Divide terms ``(terms,)`` into those of each segment."""
+        return np.split(terms, np.cumsum([s.weights.size for s in self._segments])[:-1])
+
     def terms(self, values: Array) -> Array:
         """Independent combinations of measured minus simulated position, ``(n, terms)``."""
         q = self._shooting.positions(values, self._states)
@@ -273,10 +291,14 @@ class _Run:
                 self._states[k] += np.linalg.lstsq(found.states[a:b], residual[a:b], rcond=_RANK)[0]
 
     def _linearised(self, point: Array) -> list[_Segment]:
-        t = self._trajectory
         state = self._state_derivatives(point).states.T
+        blocks = enumerate(self._by_torque(point))
+        return [_segment(self._averaged(state, k).T, block) for k, block in blocks]
+
+    def _by_torque(self, point: Array) -> list[Array]:
+        """Differentiate averaged positions by torque samples, ``(M, samples)`` a segment."""
+        t = self._trajectory
         lengths = np.diff(t.segments, axis=1)[:, 0]
-        # averaged positions by torque samples
         blocks = [np.zeros((n // self._factor, n)) for n in lengths]
         maps, pushes = self._steps(point)
         # position and speed by torque samples, of all segments side by side
@@ -294,7 +316,7 @@ class _Run:
                 block = (i + 1) // self._factor
                 if block < len(blocks[k]):
                     blocks[k][block] += moved[k, : lengths[k], 0] / self._factor
-        return [_segment(self._averaged(state, k).T, block) for k, block in enumerate(blocks)]
+        return blocks
 
     def _steps(self, point: Array) -> tuple[Array, Array]:
         """Differentiate the motion from each sample to the next by state and torque.
