@@ -76,6 +76,12 @@ class Shooting:
 
         Gives ``(m, n)``, rad or m; NaN where a vector cannot be simulated.
         """
+        return self.motion(values, states, substeps)[0]
+
+    def motion(
+        self, values: Array, states: Array, substeps: int | None = None
+    ) -> tuple[Array, Array]:
+        """Simulate as :meth:`positions` does; speeds too."""
         m = values.shape[0]
         states = np.broadcast_to(states, (m, self.n_segments, 2))
         blocks, first = [], 0
@@ -95,8 +101,9 @@ class Shooting:
                 hold=t.hold,
                 substeps=self.substeps if substeps is None else substeps,
             )
-            blocks.append(simulated[:, t.samples])
-        return np.concatenate(blocks, axis=1) if len(blocks) > 1 else blocks[0]
+            blocks.append([x[:, t.samples] for x in simulated])
+        q, qd = (np.concatenate(both, axis=1) for both in zip(*blocks, strict=True))
+        return q, qd
 
     def sensitivities(
         self,

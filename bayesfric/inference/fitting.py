@@ -15,6 +15,7 @@ from bayesfric.estimates.methods import ESTIMATORS
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.linearisation import linearisation_change
 from bayesfric.inference.noise import SCALES
 from bayesfric.inference.noise.residual_noise import ResidualNoise
 from bayesfric.inference.noise.scale import NoiseScale, noise_of
@@ -37,9 +38,6 @@ _DRAWS = 300
 _OUTSIDE = 50
 # How often the simulation is linearised anew at the mode it led to.
 _ROUNDS = 2
-# Draws at which the simulation is linearised anew, to see whether that matters: each costs as
-# much as some thousand evaluations.
-_LINEARISED = 4
 # Steps of a climb that simulates.
 _MOST_SIMULATED = 20
 
@@ -52,9 +50,8 @@ class Fit:
     posterior: Posterior
     estimates: tuple[Estimate, ...]  # of the same recordings, least squares first
     held_out: tuple[Prediction, ...] = ()  # of what the likelihood did not see
-    # By how much the log-likelihood changes, as a standard deviation over draws, when what torque
-    # noise does to the motion is linearised at each draw and not at the mode. Far below 1 it does
-    # not matter; None where nothing is linearised.
+    # What linearisation_change said before sampling; far below 1 it does not matter. None where
+    # nothing is linearised.
     linearisation: float | None = None
 
     @property
@@ -195,26 +192,13 @@ def fit(
         shaped, shaped.from_parameters(place[None])[0], shaped.from_parameters(prior_draws)
     )
     shaped = _prepared(shaped, start, rng)
+    simulated = likelihood.method == "output-error"
+    change = linearisation_change(shaped, start, rng) if simulated else None
     try:
         posterior = sample(shaped, start, sampling, progress=progress, checkpoint=checkpoint)
     except RuntimeError as error:
         raise BadInput("priors", str(error), "widen the narrowest ones") from None
-    simulated = likelihood.method == "output-error"
-    return Fit(
-        shaped,
-        posterior,
-        tuple(estimates),
-        linearisation=_linearisation(shaped, posterior) if simulated else None,
-    )
-
-
-def _linearisation(target: Target, posterior: Posterior) -> float:
-    """See :attr:`Fit.linearisation`."""
-    draws = posterior.flat(_LINEARISED)
-    here = target.log_likelihood(draws)
-    there = [target.about(draw).log_likelihood(draw[None])[0] for draw in draws]
-    apart = np.array(there) - here
-    return float(np.std(apart, ddof=1)) if np.isfinite(apart).all() else float("inf")
+    return Fit(shaped, posterior, tuple(estimates), linearisation=change)
 
 
 class _Search:

@@ -222,8 +222,8 @@ def simulate_segments(
     begin: float = 0.0,
     hold: Hold = "linear",
     substeps: int = 2,
-) -> NDArray[np.float64]:
-    """Positions of the joint, simulated anew from a given state in every segment, in parallel.
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Simulate the joint anew from a given state in every segment, in parallel.
 
     Parameters
     ----------
@@ -241,10 +241,10 @@ def simulate_segments(
 
     Returns
     -------
-    ndarray
-        ``(n, N)``, rad or m; NaN outside the segments. A row is NaN where the vector is outside
-        the support or has no unique motion, and from where the joint runs away, so that a fit can
-        reject the vector.
+    q, qd : ndarray
+        ``(n, N)`` positions and speeds, rad or m; NaN outside the segments. A row is NaN where the
+        vector is outside the support or has no unique motion, and from where the joint runs away,
+        so that a fit can reject the vector.
 
     Raises
     ------
@@ -270,7 +270,7 @@ def simulate_segments(
         raise ValueError("substeps must be at least 1")
     tables = chain.tables(vectors, inputs)
     finer = _FINER if hold == "cubic" else 1
-    found = integrate_segments(
+    q, qd = integrate_segments(
         tables.elements,
         tables.load,
         _carried(chain, tables.carried),
@@ -286,7 +286,7 @@ def simulate_segments(
         -(-substeps // finer),
         _possible(chain, vectors, tables, inputs.load(chain.load.motion)[0]),
     )
-    return np.asarray(found[:, ::finer])
+    return np.asarray(q[:, ::finer]), np.asarray(qd[:, ::finer])
 
 
 def _carried(chain: Joint, values: NDArray[np.float64]) -> CarriedValues | None:

@@ -26,7 +26,14 @@ from bayesfric.recordings.filters import (
 from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.measurement import Array, Flags, Measurement, Segments
 from bayesfric.recordings.processing import Processing
-from bayesfric.recordings.resolution import ABOVE_GAPS, WIDEST, Resolution, lowpass_above, resolve
+from bayesfric.recordings.resolution import (
+    ABOVE_GAPS,
+    WIDEST,
+    Resolution,
+    finest_step,
+    lowpass_above,
+    resolve,
+)
 
 _DEAD_SHARE = 0.01
 _TRIM_SAMPLES = 10
@@ -65,6 +72,8 @@ class Observation:
     steps: tuple[str, ...]  # one sentence for every choice made, reading included
     warnings: tuple[str, ...]  # one sentence for everything a user should look at
     settings: dict[str, float | int | str]  # every number actually used, in SI units
+    # smallest difference of positions as read, rad or m of the joint; 0 where it is not known
+    position_step: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -156,6 +165,7 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         steps=(*recording.steps, *_told(numbers, recording, settings)),
         warnings=tuple(warnings),
         settings=settings,
+        position_step=finest_step(recording.position),
     )
 
 

@@ -42,6 +42,11 @@ _OUTPUTS = 60.0
 _QUIET = 0.3
 # Fewer samples show no spectrum.
 _LEAST = 64
+# The smallest differences of positions, of which a step is the divisor; and by how much of it they
+# may miss its multiples: files round.
+_SMALLEST, _UNEVEN = 100, 0.1
+# Share of a position that is lost where it is converted from unit to unit.
+_ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 
 
 @dataclass(frozen=True)
@@ -100,6 +105,27 @@ def resolve(recording: Measurement, band: float | None = None) -> Resolution:
         motion = float((weight * seen.motion * seen.width)[inside].sum()) - noise
         ratios.append(math.sqrt(max(motion, 0.0) / noise) if noise > 0.0 else math.inf)
     return Resolution(float(band), reason, math.sqrt(variance), *ratios)
+
+
+def finest_step(position: Array) -> float:
+    """Step that all differences of positions read are multiples of; 0 if there is none.
+
+    A fine encoder on a fast joint hardly ever shows one step: it is their common divisor that is
+    looked for, by Euclid's algorithm. A position that is not read in steps gives next to nothing.
+    """
+    gaps = np.diff(np.unique(position))
+    # what a conversion of units left is no step of the encoder
+    lost = _ROUNDING * float(np.abs(position).max())
+    gaps = np.sort(gaps[gaps > lost])[:_SMALLEST]
+    if not gaps.size:
+        return 0.0
+    step = float(gaps.min())
+    while True:
+        left = np.abs(gaps - step * np.round(gaps / step))
+        left = left[left > max(_UNEVEN * step, lost)]
+        if not left.size:
+            return step
+        step = float(left.min())
 
 
 def lowpass_above(band: float, fs: float, times: float = ABOVE) -> float:

@@ -1,10 +1,13 @@
 """Position likelihood: exact where the joint is linear, calibrated where it is not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
 from scipy.linalg import null_space
 
+from bayesfric.estimates.shooting import Shooting
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.experiment import Simulation, record
@@ -94,6 +97,34 @@ def test_terms_sum_to_the_density(linear):
     np.testing.assert_allclose(
         sum(x.sum(axis=1) for x in terms), likelihood.log_density(values, scales)
     )
+
+
+def test_segments_sum_to_the_density(linear):
+    t = linear[0]
+    values, scales = np.array([[INERTIA, VISCOUS]]), np.array([[[0.05, 1e-3]]])
+    likelihood = PositionLikelihood(LINEAR, [t], [], values[0])
+    found = likelihood.by_segment(values, scales)
+    assert list(found) == [("made-up", 0.0, 29 * PERIOD), ("made-up", 30 * PERIOD, 59 * PERIOD)]
+    assert sum(found.values()) == pytest.approx(likelihood.log_density(values, scales)[0])
+
+
+def test_torque_moves_the_knee_as_whole_simulations_say(knee):
+    """Carried on from sample to sample, through reversals: the same as simulated to the end."""
+    chain, truth, likelihood = knee
+    (run,) = likelihood._runs
+    shooting, torque, step = run._shooting, run._trajectory.torque, 1e-4
+    for sample in (700, 1250, 3010):
+        moved = []
+        for sign in (1.0, -1.0):
+            other = torque.copy()
+            other[sample] += sign * step
+            one = Shooting(chain, [replace(run._trajectory, torque=other)], shooting.substeps)
+            moved.append(one.positions(truth[None], run._states)[0])
+        change = (moved[0] - moved[1]) / (2.0 * step)
+        k, j = divmod(sample, 500)
+        expected = change[500 * k : 500 * (k + 1)].reshape(-1, run._factor).mean(axis=1)
+        found = run._by_torque(truth)[k][:, j]
+        np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
 
 
 def test_information_of_the_noise_scales(linear):

@@ -1,6 +1,7 @@
 """Priors against SciPy and against what cannot be."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -169,3 +170,15 @@ def test_default_scales_follow_the_shaft():
     assert sd["load.inertia"] == pytest.approx(1.25, abs=0.3)
     noise = SCALES["sigma"].read_prior({}, scales)
     assert (noise.lower, noise.upper) == (1e-6, 1.0)
+
+
+def test_noise_of_a_position_may_be_as_small_as_what_the_encoder_resolves():
+    """2^20 counts at a motor behind a ratio of 50: a step is 4e-9 of the joint's range."""
+    step = 2.0 * np.pi / 2**20 / 50.0
+    sizes = Scales(torque=1.0, speed=2.0, acceleration=40.0, position=30.0, position_step=step)
+    prior = SCALES["position"].read_prior({}, sizes)
+    rounding = step / math.sqrt(12.0)
+    assert 0.2 * rounding < prior.lower < 0.5 * rounding
+    assert prior.upper == 30.0
+    smooth = SCALES["position"].read_prior({}, replace(sizes, position_step=0.0))
+    assert smooth.lower == pytest.approx(1e-10 * sizes.position)

@@ -75,7 +75,7 @@ def test_inverse_of_forward_is_the_torque(name):
 
 def test_each_vector_has_its_own():
     vectors = np.stack([AXIS.vector(VALUES | {"drive.delay": d}) for d in (0.0, 0.0013, -0.002)])
-    many = simulate_segments(AXIS, vectors, torque(TIME), PERIOD, [[0, 4000]], [0.0], [0.5])
+    many = simulate_segments(AXIS, vectors, torque(TIME), PERIOD, [[0, 4000]], [0.0], [0.5])[0]
     for vector, q in zip(vectors, many, strict=True):
         one = simulate(AXIS, vector, torque(TIME), PERIOD, qd0=0.5, substeps=2)
         np.testing.assert_array_equal(q, one.q)

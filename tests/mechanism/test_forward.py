@@ -422,5 +422,5 @@ def test_segments_hold_a_torque_alike():
     one = simulate(axis(), [1.0], torque, 0.01, hold="cubic", substeps=8)
     whole = simulate_segments(
         axis(), [[1.0]], torque, 0.01, [[0, 200]], [0.0], [0.0], hold="cubic", substeps=8
-    )
+    )[0]
     np.testing.assert_array_equal(whole[0], one.q)

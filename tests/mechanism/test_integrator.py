@@ -83,7 +83,9 @@ def test_default_substeps_meet_the_tolerance():
 def simulate_many(chain, values, torque, period, q0=0.0, qd0=0.0, **options):
     """Positions for many parameter vectors, in one piece."""
     states = (np.asarray(x, dtype=np.float64).reshape(-1, 1) for x in (q0, qd0))
-    return simulate_segments(chain, values, torque, period, [(0, len(torque))], *states, **options)
+    return simulate_segments(chain, values, torque, period, [(0, len(torque))], *states, **options)[
+        0
+    ]
 
 
 def scipy_motion(chain, vector, torque, period):
@@ -203,7 +205,7 @@ def test_refusals():
         ({"torque": [0.0, np.inf]}, "torque must be finite"),
         ({"torque": np.zeros((2, 2))}, "one-dimensional"),
         ({"period": 0.0}, "period"),
-        ({"hold": "cubic"}, "hold"),
+        ({"hold": "quintic"}, "hold"),
         ({"substeps": 0}, "substeps"),
         ({"q0": np.nan}, "q0"),
     ):

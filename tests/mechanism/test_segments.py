@@ -16,7 +16,7 @@ TORQUE = 0.8 * np.sign(np.sin(2 * np.pi * 4.0 * TIME + 0.1))
 def test_each_segment_is_a_simulation_of_its_own():
     segments = [(10, 200), (200, 330), (400, 600)]
     q0, qd0 = np.array([0.1, -0.2, 0.3]), np.array([0.5, 0.0, -2.0])
-    out = simulate_segments(CHAIN, VALUES[None], TORQUE, 1e-3, segments, q0, qd0, substeps=4)
+    out = simulate_segments(CHAIN, VALUES[None], TORQUE, 1e-3, segments, q0, qd0, substeps=4)[0]
     for (a, b), q, qd in zip(segments, q0, qd0, strict=True):
         alone = simulate(CHAIN, VALUES, TORQUE[a:b], 1e-3, q0=q, qd0=qd, substeps=4)
         assert np.array_equal(out[0, a:b], alone.q)
@@ -33,7 +33,7 @@ def test_restarts_at_the_states_of_one_motion_are_that_motion():
     segments = np.stack([starts, starts + 100], axis=1)
     out = simulate_segments(
         CHAIN, VALUES[None], TORQUE, 1e-3, segments, whole.q[starts], whole.qd[starts], substeps=4
-    )
+    )[0]
     # decided afresh at a sample, a step is at most rounded differently
     assert np.max(np.abs(out[0] - whole.q)) < 1e-10
 
@@ -43,16 +43,16 @@ def test_every_vector_may_have_states_of_its_own():
     q0 = np.array([[0.0, 0.1], [0.2, 0.3]])
     both = simulate_segments(
         CHAIN, np.tile(VALUES, (2, 1)), TORQUE, 1e-3, segments, q0, np.zeros((2, 2))
-    )
+    )[0]
     for i in range(2):
-        one = simulate_segments(CHAIN, VALUES[None], TORQUE, 1e-3, segments, q0[i], np.zeros(2))
+        one = simulate_segments(CHAIN, VALUES[None], TORQUE, 1e-3, segments, q0[i], np.zeros(2))[0]
         assert np.array_equal(one[0, :200], both[i, :200])
 
 
 def test_an_impossible_vector_is_not_a_number():
     outside = VALUES.copy()
     outside[0] = -1.0
-    out = simulate_segments(CHAIN, outside[None], TORQUE, 1e-3, [(0, 600)], [0.0], [0.0])
+    out = simulate_segments(CHAIN, outside[None], TORQUE, 1e-3, [(0, 600)], [0.0], [0.0])[0]
     assert np.isnan(out).all()
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesfric.recordings import Processing, observe
-from bayesfric.recordings.resolution import WIDEST, resolve
+from bayesfric.recordings.resolution import WIDEST, finest_step, resolve
 from tests.conftest import made_recording
 
 FS, N = 500.0, 10_000
@@ -31,6 +31,27 @@ def test_rounding_of_a_position_is_seen():
     step = 2e-3
     assert resolve(swing(step=step)).noise >= step / np.sqrt(12.0) * (1 - 1e-9)
     assert resolve(swing()).noise < 1e-9
+
+
+@pytest.mark.parametrize(("counts", "ratio"), [(4096, 1), (8192, 50), (2**20, 50)])
+def test_a_step_is_found_though_no_two_positions_are_one_apart(counts, ratio):
+    """At 30 rad/s of the joint 2^20 counts behind a ratio of 50 pass by the hundred thousand."""
+    step = 2 * np.pi / counts / ratio
+    t = np.arange(5000) / FS
+    q = 10.0 * np.sin(2 * np.pi * 0.3 * t) + 3.0 * np.sin(2 * np.pi * 1.1 * t)
+    read = np.round(q / step) * step
+    assert finest_step(read) == pytest.approx(step, rel=1e-5)
+    assert finest_step(2.0 * read + 0.3) == pytest.approx(2.0 * step, rel=1e-5)
+    assert observe(made_recording(t, read, q, 1.0 / FS), Processing()).position_step == (
+        pytest.approx(step, rel=1e-5)
+    )
+    if counts == 2**20:
+        assert np.diff(np.unique(read)).min() > 5 * step
+
+
+def test_a_position_without_steps_has_none_to_speak_of():
+    assert finest_step(swing(noise=1e-4).position) < 1e-10
+    assert finest_step(np.zeros(5)) == 0.0
 
 
 def test_ratios_are_those_of_motion_and_noise_in_the_band():

@@ -8,6 +8,7 @@ import pytest
 from bayesfric.commands.fit import fit
 from bayesfric.commands.simulate import simulate
 from bayesfric.config import read_config
+from bayesfric.errors import BadInput
 from bayesfric.inference.archive import read_archive
 
 CONFIG = """\
@@ -32,6 +33,7 @@ seed = 4
 duration = 3.0
 rate = 250
 excitation = "multisine"
+amplitude = 3.0
 encoder_counts = 65536
 torque_noise = 0.02
 """
@@ -88,8 +90,23 @@ def test_methods_stand_side_by_side(run):
     assert json.loads((folder / "summary.json").read_text(encoding="utf-8"))["estimates"]
 
 
-def test_an_axis_that_often_sticks_is_told(run):
-    """No linearisation describes an axis between sticking and moving."""
+def test_an_axis_that_hardly_sticks_can_be_linearised(run):
     _, summary = run
-    assert summary["likelihood"]["linearisation"] > 1.0
-    assert any("linearised" in text for text in summary["warnings"])
+    assert summary["likelihood"]["linearisation"] < 0.5
+    assert not any("linearised" in text for text in summary["warnings"])
+
+
+def test_an_axis_that_often_sticks_is_refused_before_sampling(tmp_path):
+    """No linearisation describes an axis between sticking and moving."""
+    text = CONFIG.replace("amplitude = 3.0", "amplitude = 1.0")
+    (tmp_path / "axis.toml").write_text(text, encoding="utf-8")
+    config = read_config(tmp_path / "axis.toml")
+    simulate(config, tmp_path / "axis.csv")
+    told = []
+    with pytest.raises(BadInput, match="cannot be linearised") as caught:
+        fit(config, tmp_path / "run", progress=lambda p: told.append(p.phase))
+    assert caught.value.where == f'{config.path}: likelihood.method = "output-error"'
+    assert "s of recording 'axis'" in caught.value.what
+    assert "input-error" in caught.value.mend
+    assert "warm-up" not in told
+    assert not (tmp_path / "run").exists()

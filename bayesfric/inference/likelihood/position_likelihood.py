@@ -17,8 +17,8 @@ the variances ``sigma_q² w + sigma_Gamma² lambda``.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -28,6 +28,7 @@ from bayesfric.errors import BadInput
 from bayesfric.estimates.shooting import Sensitivities, Shooting, choose_substeps, step_error
 from bayesfric.inference.likelihood.likelihood import Likelihood, Outputs
 from bayesfric.inference.noise.position import PositionNoise
+from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.trajectory import Trajectory
@@ -38,6 +39,10 @@ Array = NDArray[np.float64]
 _OUTPUTS = 100
 # Steps of the derivatives by state and torque, as shares of what is typical.
 _STEP = 1e-4
+# The same of a state for one sample only: fine enough to move no event from sample to sample.
+_ONE_STEP = 1e-6
+# A torque sample is felt for half as many samples on either side, however torque is interpolated.
+_FELT = 16
 # An initial state that moves no output by this share of what it could is not there.
 _RANK = 1e-6
 # Segments with fewer outputs than this are left out.
@@ -120,6 +125,14 @@ class PositionLikelihood(Likelihood):
         return [
             -0.5 * a**2 - np.log(s) - 0.5 * np.log(2.0 * np.pi) for a, s in zip(z, sds, strict=True)
         ]
+
+    def by_segment(self, values: Array, scales: Array) -> dict[tuple[str, float, float], float]:
+        """Log-likelihood of one vector by recording, and begin and end of each segment in s."""
+        found = {}
+        for run, terms in zip(self._runs, self.pointwise(values, scales), strict=True):
+            for key, part in zip(run.spans, run.divide(terms[0]), strict=True):
+                found[key] = float(part.sum())
+        return found
 
     def predict(self, values: Array) -> list[Array]:
         """Averaged positions ``(n, M)``, each segment from the state that suits it best."""
@@ -205,6 +218,16 @@ class _Run:
         )
         self._weights = np.concatenate([s.weights for s in self._segments])
 
+    @property
+    def spans(self) -> list[tuple[str, float, float]]:
+        """The recording's name, begin and end in s of every segment."""
+        t = self._trajectory
+        return [(t.name, float(t.time[a]), float(t.time[b - 1])) for a, b in t.segments]
+
+    def divide(self, terms: Array) -> list[Array]:
+        """Divide terms ``(terms,)`` into those of each segment."""
+        return np.split(terms, np.cumsum([s.weights.size for s in self._segments])[:-1])
+
     def terms(self, values: Array) -> Array:
         """Independent combinations of measured minus simulated position, ``(n, terms)``."""
         q = self._shooting.positions(values, self._states)
@@ -268,25 +291,85 @@ class _Run:
                 self._states[k] += np.linalg.lstsq(found.states[a:b], residual[a:b], rcond=_RANK)[0]
 
     def _linearised(self, point: Array) -> list[_Segment]:
-        t, moved = self._trajectory, copy(self._shooting)
         state = self._state_derivatives(point).states.T
-        step = _STEP * max(float(np.abs(t.torque[t.samples]).max()), 1e-12)
+        blocks = enumerate(self._by_torque(point))
+        return [_segment(self._averaged(state, k).T, block) for k, block in blocks]
+
+    def _by_torque(self, point: Array) -> list[Array]:
+        """Differentiate averaged positions by torque samples, ``(M, samples)`` a segment."""
+        t = self._trajectory
         lengths = np.diff(t.segments, axis=1)[:, 0]
-        # averaged positions by torque samples
         blocks = [np.zeros((n // self._factor, n)) for n in lengths]
-        for j in range(int(lengths.max())):
-            # the same sample of every segment at once: segments do not feel each other
-            at = t.segments[lengths > j, 0] + j
-            sides = []
-            for sign in (1.0, -1.0):
-                torque = t.torque.copy()
-                torque[at] += sign * step
-                moved.trajectories = (replace(t, torque=torque),)
-                sides.append(moved.positions(point[None], self._states)[0])
-            change = (sides[0] - sides[1]) / (2.0 * step)
-            for k in np.flatnonzero(lengths > j).tolist():
-                blocks[k][:, j] = self._averaged(change, k)
-        return [_segment(self._averaged(state, k).T, block) for k, block in enumerate(blocks)]
+        maps, pushes = self._steps(point)
+        # position and speed by torque samples, of all segments side by side
+        moved = np.zeros((lengths.size, int(lengths.max()), 2))
+        for i in range(int(lengths.max()) - 1):
+            some = np.flatnonzero(lengths > i + 1)
+            at = t.segments[some, 0] + i
+            moved[some] = moved[some] @ maps[at].swapaxes(1, 2)
+            for first in range(_FELT):
+                j = i - (i - first + _FELT // 2) % _FELT + _FELT // 2
+                felt = lengths[some] > j
+                if j >= 0 and felt.any():
+                    moved[some[felt], j] += pushes[at[felt], first]
+            for k in some:
+                block = (i + 1) // self._factor
+                if block < len(blocks[k]):
+                    blocks[k][block] += moved[k, : lengths[k], 0] / self._factor
+        return blocks
+
+    def _steps(self, point: Array) -> tuple[Array, Array]:
+        """Differentiate the motion from each sample to the next by state and torque.
+
+        Position and speed by those a sample before, ``(N, 2, 2)``, and by torque samples, one in
+        ``_FELT`` of which is moved at a time, ``(N, _FELT, 2)``: what a step feels of one further
+        off is nothing.
+        """
+        t = self._trajectory
+        n = t.position.size
+        q, qd = np.zeros((2, n))
+        q[t.samples], qd[t.samples] = (
+            x[0] for x in self._shooting.motion(point[None], self._states)
+        )
+        place = np.zeros(n, dtype=np.int64)  # in the segment
+        place[t.samples] = np.concatenate([np.arange(b - a) for a, b in t.segments])
+        before = np.concatenate([np.arange(a, b - 1) for a, b in t.segments])
+        speed = max(float(np.abs(qd).max()), float(np.ptp(q)))
+        small = _ONE_STEP * np.array([float(np.ptp(q)), speed])
+        push = _STEP * max(float(np.abs(t.torque[t.samples]).max()), 1e-12)
+        maps, pushes = np.zeros((n, 2, 2)), np.zeros((n, _FELT, 2))
+        shifts = np.concatenate([np.diag(small), -np.diag(small)])
+        for odd in (0, 1):  # ranges of samples may not overlap
+            at = before[place[before] % 2 == odd]
+            if not at.size:
+                continue
+            begin = np.stack([q[at], qd[at]], axis=1)
+            ends = partial(self._ends, point, at)
+            up, down = np.split(ends(begin + shifts[:, None], t.torque), 2)
+            maps[at] = np.moveaxis((up - down) / (2.0 * small[:, None, None]), 0, 2)
+            for first in range(_FELT):
+                change = push * (place % _FELT == first)
+                up, down = (ends(begin[None], t.torque + s * change)[0] for s in (1.0, -1.0))
+                pushes[at, first] = (up - down) / (2.0 * push)
+        return np.nan_to_num(maps), np.nan_to_num(pushes)
+
+    def _ends(self, point: Array, at: NDArray[np.int64], begin: Array, torque: Array) -> Array:
+        """Position and speed a sample after ``at`` ``(m,)`` from ``(n, m, 2)``; so many."""
+        t = self._trajectory
+        positions, speeds = simulate_segments(
+            self._shooting.chain,
+            np.tile(point, (len(begin), 1)),
+            torque,
+            t.period,
+            np.stack([at, at + 2], axis=1),
+            begin[..., 0],
+            begin[..., 1],
+            inputs=t.inputs,
+            begin=float(t.time[0]),
+            hold=t.hold,
+            substeps=self.substeps,
+        )
+        return np.stack([positions[:, at + 1], speeds[:, at + 1]], axis=-1)
 
 
 def _segment(state: Array, by_torque: Array) -> _Segment:

@@ -41,10 +41,14 @@ class Scale:
         return read_prior(name, text, lower=self.lower, upper=self.upper, default=default)
 
 
-def up_to(size: float) -> PriorText:
-    """Spread a prior evenly in the logarithm, up to a size rounded to one digit."""
+def up_to(size: float, least: float | None = None) -> PriorText:
+    """Spread a prior evenly in the logarithm, from a millionth or from ``least`` up to a size.
+
+    The ends are rounded to one digit.
+    """
     top = float(f"{size:.0e}")
-    return {"distribution": "loguniform", "a": 1e-6 * top, "b": top}
+    bottom = 1e-6 * top if least is None else float(f"{least:.0e}")
+    return {"distribution": "loguniform", "a": bottom, "b": top}
 
 
 class NoiseDescription(ABC):

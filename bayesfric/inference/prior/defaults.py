@@ -31,6 +31,7 @@ class Scales:
     speed: float  # root mean square at the joint
     acceleration: float
     position: float = 1.0  # range of the joint's, rad or m
+    position_step: float = 0.0  # finest that one was read in; 0 where it is not known
     # root mean square torque of each term with a shape of its own, for a value of one
     columns: Mapping[str, float] = field(default_factory=dict)
 
@@ -48,6 +49,7 @@ def measured_scales(chain: Joint, observations: Sequence[Observation]) -> Scales
         # a motion that hardly accelerates still changes its speed once in the recording
         acceleration=max(_rms(acceleration), _rms(speed) / duration),
         position=max(float(np.ptp(o.q[o.filter.centres])) for o in observations),
+        position_step=min(o.position_step for o in observations),
         columns={
             chain.names[c.index]: _rms(np.concatenate([_at_outputs(c, o) for o in observations]))
             for c in chain.carried
