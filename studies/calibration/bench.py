@@ -183,9 +183,7 @@ CASES: dict[str, Bench] = {
     "plain, 100 Hz": replace(_plain, rate=100.0, duration=20.0),
     "plain, 1 kHz": replace(_plain, rate=1000.0),
     "geared, encoder at the joint": replace(_geared, counts=65536, side="joint"),
-    "sticking": replace(
-        _plain, values={**PLAIN, "motor.coulomb": 1.0}, drives=(Drive(1.25),)
-    ),
+    "sticking": replace(_plain, values={**PLAIN, "motor.coulomb": 1.0}, drives=(Drive(1.25),)),
     "current": replace(_geared, current=12),
     "knee": _knee,
     "knee, loaded pair": replace(
