@@ -207,7 +207,37 @@ def simulate_segments(
     hold: Hold = "linear",
     substeps: int = 2,
 ) -> NDArray[np.float64]:
-    """Positions of the joint, simulated anew from a given state in every segment, in parallel.
+    """Positions of the joint, as :func:`states_in_segments` gives them with its speeds."""
+    return states_in_segments(
+        chain,
+        values,
+        torque,
+        period,
+        segments,
+        q0,
+        qd0,
+        inputs=inputs,
+        begin=begin,
+        hold=hold,
+        substeps=substeps,
+    )[0]
+
+
+def states_in_segments(
+    chain: Joint,
+    values: ArrayLike,
+    torque: ArrayLike,
+    period: float,
+    segments: ArrayLike,
+    q0: ArrayLike,
+    qd0: ArrayLike,
+    *,
+    inputs: Inputs = Inputs(),  # noqa: B008  (frozen)
+    begin: float = 0.0,
+    hold: Hold = "linear",
+    substeps: int = 2,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Simulate the joint anew from a given state in every segment, in parallel.
 
     Parameters
     ----------
@@ -225,8 +255,8 @@ def simulate_segments(
 
     Returns
     -------
-    ndarray
-        ``(n, N)``, rad or m; NaN outside the segments. A row is NaN where the vector is outside
+    q, qd : ndarray
+        ``(n, N)`` positions and speeds, rad or m; NaN outside the segments. A row is NaN where the vector is outside
         the support or has no unique motion, and from where the joint runs away, so that a fit can
         reject the vector.
 

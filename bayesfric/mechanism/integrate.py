@@ -325,10 +325,14 @@ def integrate_segments(
     qd0: NDArray[np.float64],
     substeps: int,
     valid: NDArray[np.bool_],
-) -> NDArray[np.float64]:
-    """Integrate many parameter vectors, each anew at the start of every segment."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Integrate many parameter vectors, each anew at the start of every segment.
+
+    Gives positions and speeds.
+    """
     n, segments = elements.shape[0], starts.shape[0]
-    out = np.full((n, torque.shape[0]), np.nan)
+    q = np.full((n, torque.shape[0]), np.nan)
+    qd = np.full((n, torque.shape[0]), np.nan)
     for job in prange(n * segments):
         i, k = job // segments, job % segments
         if valid[i]:
@@ -342,11 +346,12 @@ def integrate_segments(
                 q0[i, k],
                 qd0[i, k],
                 substeps,
-                out[i, a:b],
-                np.empty(b - a),
+                q[i, a:b],
+                qd[i, a:b],
                 np.empty(b - a),
                 np.empty(b - a, dtype=np.bool_),
                 np.zeros(3, dtype=np.int64),
             )
-            out[i, a + done : b] = np.nan
-    return out
+            q[i, a + done : b] = np.nan
+            qd[i, a + done : b] = np.nan
+    return q, qd

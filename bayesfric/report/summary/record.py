@@ -340,6 +340,40 @@ class Doubt(Open):
     parameters: list[str] = Field(default_factory=list)
 
 
+class SelfCheckRow(Part):
+    """What fits of simulated recordings make of one quantity.
+
+    ``bias`` is in posterior sds, ``coverage`` that of the interval of ``level``; what is
+    ``corrected`` has the bias taken off.
+    """
+
+    bias: FiniteFloat
+    bias_error: NotNegative
+    coverage: Share
+    coverage_error: NotNegative
+    corrected: FiniteFloat | None = None
+    corrected_interval: Pair | None = None
+    corrected_coverage: Share | None = None
+
+
+class SelfCheck(Part):
+    """How fits of recordings like this one, simulated at draws of the posterior, came out.
+
+    ``made`` of the ``asked`` could be simulated and fitted; where that are too few, ``reason`` is
+    why and ``rows`` are empty. ``unexplained`` is what filters, encoder and differentiation leave
+    of the torque, as a share of the noise's variance.
+    """
+
+    asked: int
+    made: int
+    reason: Literal["likelihood", "sampling", "still", "simulation"] | None = None
+    said: str = ""
+    rows: dict[Name, SelfCheckRow] = Field(default_factory=dict)
+    unexplained: NotNegative | None = None
+    seconds: NotNegative
+    cpu_seconds: NotNegative
+
+
 class Sampler(Part):
     """How the posterior was sampled, and whether it can be relied on."""
 
@@ -379,6 +413,7 @@ class Summary(Part):
     validation: Validation | None = None
     warnings: list[str] = Field(default_factory=list)
     sampler: Sampler = Field(default_factory=Sampler)
+    self_check: SelfCheck | None = None
     doubts: list[Doubt] = Field(default_factory=list)
     may_be_simulated: bool | None = None
     source: dict[str, Any] | None = None
