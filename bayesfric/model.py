@@ -104,8 +104,8 @@ class Model:
         :mod:`scipy.stats`, or the text of a configuration.
     tables
         The other tables of a configuration, as dicts of the same keys: ``processing``,
-        ``references``, ``estimation``, ``likelihood``, ``sampling``, ``validation``, ``self_check``,
-        ``advice``.
+        ``references``, ``estimation``, ``likelihood``, ``sampling``, ``validation``,
+        ``self_check``, ``advice``.
 
     Attributes
     ----------

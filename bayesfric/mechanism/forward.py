@@ -256,9 +256,9 @@ def states_in_segments(
     Returns
     -------
     q, qd : ndarray
-        ``(n, N)`` positions and speeds, rad or m; NaN outside the segments. A row is NaN where the vector is outside
-        the support or has no unique motion, and from where the joint runs away, so that a fit can
-        reject the vector.
+        ``(n, N)`` positions and speeds, rad or m; NaN outside the segments. A row is NaN where the
+        vector is outside the support or has no unique motion, and from where the joint runs away,
+        so that a fit can reject the vector.
 
     Raises
     ------

@@ -54,7 +54,7 @@ def quick_fit(
         rows.append(scaled_jacobian(target, observation, values, at, noise))
     jacobian, error = np.concatenate(rows), np.concatenate(errors)
     information = jacobian.T @ jacobian + np.diag((at.units / prior_sds) ** 2)
-    step = np.linalg.lstsq(information, jacobian.T @ error, rcond=None)[0]
+    step = np.asarray(np.linalg.lstsq(information, jacobian.T @ error)[0], dtype=np.float64)
     share = _SMALL / max(float(np.abs(step).max(initial=0.0)), _SMALL)
     nearby = np.concatenate([at.moved(truth[:k], share * step), truth[k:]])
     left = error - jacobian @ step

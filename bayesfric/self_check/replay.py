@@ -44,11 +44,11 @@ class NoReplay(Exception):
 
 
 def _position(motor: State) -> float:
-    return motor.position
+    return float(motor.position)
 
 
 def _speed(motor: State) -> float:
-    return motor.speed
+    return float(motor.speed)
 
 
 @dataclass(frozen=True)

@@ -45,6 +45,7 @@ class SelfCheckOptions(Options):
     recordings: int | None = Field(
         None,
         ge=0,
+        examples=[40],
         description="that are simulated at draws of the posterior, with the recording's own "
         "torque, encoder and filters, and fitted anew; 0 for none; if left out 40, fewer of very "
         "long recordings",

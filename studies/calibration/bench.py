@@ -177,6 +177,8 @@ _knee = Bench(
     counts=8192,
     side="motor",
 )
+# What a configuration of 0.1.0 left out meant.
+_OLD = {"processing": {"lowpass": "50 Hz", "decimate": 10, "differentiation": "central"}}
 CASES: dict[str, Bench] = {
     "plain": _plain,
     "geared": _geared,
@@ -193,4 +195,9 @@ CASES: dict[str, Bench] = {
     "late by 2 samples": replace(_plain, late=2.0),
     "ripple, 100 a turn": replace(_plain, ripple=(0.02, 100)),
     "ripple, once a turn": replace(_plain, ripple=(0.02, 1)),
+    "plain, as 0.1.0": replace(_plain, tables=_OLD),
+    "geared, as 0.1.0": replace(_geared, tables=_OLD),
+    "sticking, as 0.1.0": replace(
+        _plain, values={**PLAIN, "motor.coulomb": 1.0}, drives=(Drive(1.25),), tables=_OLD
+    ),
 }

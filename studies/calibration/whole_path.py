@@ -25,8 +25,8 @@ import numpy as np
 from bench import CASES, recorded
 
 from bayesfric import Model
-from bayesfric.mechanism.derived import derive
 from bayesfric.errors import BadInput
+from bayesfric.mechanism.derived import derive
 
 HERE = Path(__file__).resolve().parent
 SEED = 2026
@@ -104,9 +104,10 @@ def table(found: list[dict[str, Any]]) -> list[str]:
         kept = [one for one in runs if "rows" in one]
         seconds = [one["seconds"] for one in kept]
         statuses = [one["status"] for one in kept]
+        stuck = np.mean([one["stuck"] for one in kept])
         lines.append(
             f"== {case}: {len(runs)} recordings, {len(runs) - len(kept)} refused, "
-            f"{statuses.count('reliable')} reliable; sticks {np.mean([o['stuck'] for o in kept]):.0%}; "
+            f"{statuses.count('reliable')} reliable; sticks {stuck:.0%}; "
             f"median {np.median(seconds):.1f} s, longest {max(seconds):.0f} s"
         )
         for verdict in ("data", "weak", "prior"):

@@ -468,8 +468,21 @@ class Summary(Part):
                 low, high = row.interval
                 white_low, white_high = row.white_interval or (None, None)
                 ends = {"low": low, "high": high, "white_low": white_low, "white_high": white_high}
+                ends |= self._checked(name)
                 told = dict(row) | ends | {"doubted": ", ".join(row.doubted)}
                 yield {"name": name, "group": group} | told
+
+    def _checked(self, name: str) -> dict[str, float | None]:
+        """Give what the self-check says of a quantity, for the table."""
+        row = self.self_check.rows.get(name) if self.self_check else None
+        low, high = (row.corrected_interval if row else None) or (None, None)
+        return {
+            "bias": row.bias if row else None,
+            "coverage": row.coverage if row else None,
+            "corrected": row.corrected if row else None,
+            "corrected_low": low,
+            "corrected_high": high,
+        }
 
     def _repr_html_(self) -> str:
         """Show the table with its verdicts in a notebook."""
@@ -481,7 +494,8 @@ class Summary(Part):
 _FRAME = ("name", "group", "unit", "symbol", "meaning", "median", "low", "high", "level", "verdict",
     "doubted", "converged", "mean", "sd", "rhat", "ess", "prior", "prior_sd", "data_sd",
     "contraction", "at_bound", "undefined_share", "prior_sensitivity", "likelihood_sensitivity",
-    "diagnosis", "gauge_free", "white_low", "white_high", "white_sd")  # fmt: skip
+    "diagnosis", "gauge_free", "white_low", "white_high", "white_sd",
+    "bias", "coverage", "corrected", "corrected_low", "corrected_high")  # fmt: skip
 Readable = Summary | Mapping[str, Any]
 
 

@@ -18,6 +18,7 @@ from scipy.stats import norm
 from bayesfric.inference.fitting import Fit
 from bayesfric.report.summary.derived_quantities import LEVEL, groups
 from bayesfric.report.summary.record import PosteriorRow, SelfCheck, SelfCheckRow, Summary, of_noise
+from bayesfric.report.text_templates import filled, sentence
 from bayesfric.self_check.self_check import Checked
 
 Array = NDArray[np.float64]
@@ -81,6 +82,24 @@ def self_check_doubts(summary: Summary) -> list[dict[str, Any]]:
         for name, row in found.items()
     }
     return [{"kind": "self-check", "parameters": list(found), "coverage": coverage}]
+
+
+def off_rows(summary: Summary) -> dict[str, SelfCheckRow]:
+    """Pick what is not found again: biased, or in too few intervals; not what is open anyway."""
+    check = summary.self_check
+    return {
+        name: row
+        for name, row in (check.rows.items() if check else ())
+        if summary.rows[name].verdict != "prior" and (row.corrected_interval or row.coverage < LOW)
+    }
+
+
+def self_check_lines(summary: Summary) -> Iterator[str]:
+    """Word it for a terminal, line by line."""
+    if (check := summary.self_check) is not None:
+        none = sentence("no self-check", check.model_dump()) if check.reason else ""
+        told = {"check": check, "none": none, "off": off_rows(summary)}
+        yield from filled("self_check.txt.j2", **told).splitlines()
 
 
 def _errors(fit: Fit, checked: Checked) -> Iterator[_Errors]:
