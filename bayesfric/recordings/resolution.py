@@ -82,8 +82,7 @@ def resolve(recording: Measurement, band: float | None = None) -> Resolution:
     # a position's noise is what it shows where no joint moves, or its rounding
     quiet = seen.frequency >= _QUIET * fs
     floor = float(np.median(seen.motion[quiet] / seen.noise[quiet])) if quiet.any() else 0.0
-    moved = recording.position if recording.velocity is None else recording.velocity
-    variance = max(floor, step_of(moved) ** 2 / 12.0)
+    variance = max(floor, _steps(recording))
     reason: Reason = "sampling"
     if band is None:
         band, reason = _choose(recording, seen, variance)
@@ -129,12 +128,12 @@ def _choose(recording: Measurement, seen: _Spectra, variance: float) -> tuple[fl
     return (band, reason) if band >= least else (least, "length")
 
 
-def step_of(values: Array) -> float:
-    """Smallest step of a signal ``(n,)`` that is read in steps; 0 where none is seen."""
-    levels = np.unique(values)
-    if not 3 <= levels.size <= values.size / 3:
+def _steps(recording: Measurement) -> float:
+    """Variance of the rounding of a position that is read in steps; 0 where none is seen."""
+    levels = np.unique(recording.position if recording.velocity is None else recording.velocity)
+    if not 3 <= levels.size <= recording.time.size / 3:
         return 0.0
-    return float(np.min(np.diff(levels)))
+    return float(np.min(np.diff(levels))) ** 2 / 12.0
 
 
 def _spectra(recording: Measurement) -> _Spectra | None:

@@ -27,7 +27,6 @@ from bayesfric.recordings.filters import lowpass
 from bayesfric.recordings.measurement import Array, Measurement
 from bayesfric.recordings.observation import Observation, observe
 from bayesfric.recordings.processing import Processing
-from bayesfric.recordings.resolution import step_of
 
 # Steps of the simulation a sample. The torque between samples is a cubic: a straight line would
 # be a torque that no filter lets pass, and its bias one that no recording has.
@@ -35,6 +34,8 @@ _FINE = 5
 # Natural frequency of the spring, as a multiple of how often the joint goes to and fro, and the
 # most of it as a share of the band that is compared.
 _FOLLOWING, _HIGHEST = 3.0, 0.2
+# How far from a whole number of steps a reading may lie, for what rounding does to it.
+_WHOLE = 0.05
 # Numbers of a motion held at once.
 _AT_ONCE = 4_000_000
 
@@ -234,6 +235,17 @@ def _observed(
         return observe(seen, processing)
     except BadInput:  # with these parameters the joint hardly moves
         return None
+
+
+def step_of(recorded: Array) -> float:
+    """Find the step of a signal ``(n,)`` that is read in steps; 0 where there is none."""
+    levels = np.unique(recorded)
+    if levels.size < 3:
+        return 0.0
+    step = float(np.min(np.diff(levels)))
+    counts = (levels - levels[0]) / step
+    # a signal without steps has a smallest difference too, and is no multiple of it
+    return step if np.abs(counts - np.round(counts)).max() < _WHOLE else 0.0
 
 
 def _sensed(

@@ -197,6 +197,9 @@ CASES: dict[str, Bench] = {
     "ripple, once a turn": replace(_plain, ripple=(0.02, 1)),
     "plain, as 0.1.0": replace(_plain, tables=_OLD),
     "geared, as 0.1.0": replace(_geared, tables=_OLD),
+    "geared, central differences": replace(
+        _geared, noise=0.002, tables={"processing": {"differentiation": "central"}}
+    ),
     "sticking, as 0.1.0": replace(
         _plain, values={**PLAIN, "motor.coulomb": 1.0}, drives=(Drive(1.25),), tables=_OLD
     ),
