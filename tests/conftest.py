@@ -61,7 +61,7 @@ def kernels(make_observation):
 
 @pytest.fixture(scope="session", autouse=True)
 def unchecked():
-    """Simulate no recordings for fits that do not ask for it: seconds each, and seldom the point."""
+    """Let fits simulate no recordings that do not ask for them: it takes seconds each."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("bayesfric.self_check.self_check._RECORDINGS", 0)
         yield

@@ -1,6 +1,7 @@
 """What a fit says of itself: the bias of central differences is found and taken off."""
 
 import json
+from types import SimpleNamespace
 
 import pytest
 from numba import get_num_threads, set_num_threads

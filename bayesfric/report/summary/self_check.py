@@ -97,9 +97,9 @@ def off_rows(summary: Summary) -> dict[str, SelfCheckRow]:
 def self_check_lines(summary: Summary) -> Iterator[str]:
     """Word it for a terminal, line by line."""
     if (check := summary.self_check) is not None:
-        none = sentence("no self-check", check.model_dump()) if check.reason else ""
-        told = {"check": check, "none": none, "off": off_rows(summary)}
-        yield from filled("self_check.txt.j2", **told).splitlines()
+        why = sentence("no self-check", check.model_dump()) if check.reason else ""
+        text = filled("self_check.txt.j2", check=check, why=why, off=off_rows(summary))
+        yield from text.splitlines()
 
 
 def _errors(fit: Fit, checked: Checked) -> Iterator[_Errors]:
