@@ -573,15 +573,12 @@ class Model:
 
     def _self_check(self, found: Fit, progress: Shown) -> Checked | None:
         """Try the fit on simulated recordings like its own, unless none are wanted."""
-        samples = sum(r.time.size for r in self.recordings)
-        number = self.config.tables.self_check.number(samples)
+        tables, seen = self.config.tables, (self.recordings, self.observations)
+        number = tables.self_check.number(sum(r.time.size for r in self.recordings))
         if number == 0:
             return None
         progress(Progress("self-check"))
-        processing = self.config.tables.processing
-        return self_check(
-            found.target, found.posterior, self.recordings, self.observations, processing, number
-        )
+        return self_check(found.target, found.posterior, *seen, tables.processing, number)
 
     def sample(
         self,

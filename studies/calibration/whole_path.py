@@ -111,7 +111,7 @@ def table(found: list[dict[str, Any]]) -> list[str]:
             f"median {np.median(seconds):.1f} s, longest {max(seconds):.0f} s"
         )
         for verdict in ("data", "weak", "prior"):
-            hits = []
+            hits, told = [], []
             for key in kept[0]["rows"]:
                 rows = [one["rows"][key] for one in kept if key in one["rows"]]
                 rows = [row for row in rows if row["verdict"] == verdict]
@@ -120,6 +120,7 @@ def table(found: list[dict[str, Any]]) -> list[str]:
                 hit = [r["interval"][0] <= r["truth"] <= r["interval"][1] for r in rows]
                 z = [(r["mean"] - r["truth"]) / r["sd"] for r in rows]
                 hits += hit
+                told += [r["self_check"]["coverage"] for r in rows if r["self_check"]]
                 lines.append(
                     f"   {verdict:6}{key:32} {np.mean(hit):6.0%} of {len(hit):3}  "
                     f"z {np.mean(z):+.2f} +- {np.std(z):.2f}, largest {np.max(np.abs(z)):.1f}"
@@ -127,6 +128,8 @@ def table(found: list[dict[str, Any]]) -> list[str]:
                 )
             if hits:
                 lines.append(f"   {verdict:6}all {np.mean(hits):.1%} of {len(hits)}")
+            if told:
+                lines.append(f"   {verdict:6}all, as the self-checks foretold {np.mean(told):.1%}")
     return lines
 
 
