@@ -36,6 +36,8 @@ _FINE = 5
 _FOLLOWING, _HIGHEST = 3.0, 0.2
 # How far from a whole number of steps a reading may lie, for what rounding does to it.
 _WHOLE = 0.05
+# Two instants at which only the acceleration differs.
+_NOW = np.zeros(2)
 # Numbers of a motion held at once.
 _AT_ONCE = 4_000_000
 
@@ -87,9 +89,6 @@ def spring_of(chain: Joint, values: Array, observation: Observation) -> Spring:
         hertz = min(hertz, _HIGHEST * band)
     omega = 2.0 * math.pi * hertz
     return Spring(hertz, inertia * omega**2, 2.0 * inertia * omega)
-
-
-_NOW = np.zeros(2)
 
 
 def replays(

@@ -58,6 +58,14 @@ def test_what_is_small_or_no_surer_than_its_error_is_not_corrected(result, misse
     assert check.corrected_interval is None
 
 
+def test_what_first_order_says_nothing_of_is_not_corrected_but_doubtful(result):
+    row = result.summary.parameters[NAME]
+    summary = told(result, checked(result, [1.5 * row.median / row.sd]))
+    assert summary.self_check.rows[NAME].corrected_interval is None
+    (doubt,) = self_check_doubts(summary)
+    assert doubt["parameters"] == [NAME]
+
+
 def test_what_no_shift_mends_is_doubtful_and_said_first(result):
     summary = told(result, checked(result, [3.0, -3.0]))
     (doubt,) = self_check_doubts(summary)

@@ -5,7 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import bayesfric as bf
 from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.model import Model
+from bayesfric.recordings.observation import observe
 from bayesfric.self_check.replay import NoReplay, replays, settled_as, spring_of, step_of
 from tests.self_check.bench import TRUTH, axis, draws_about, model
 
@@ -95,6 +98,29 @@ def test_a_gain_of_the_drive_scales_spring_and_torque_alike():
     # twice everything with twice the gain is the same motion under the same measured torque
     assert np.std(one.q - other.q) < 1e-3 * np.std(one.q)
     np.testing.assert_allclose(one.torque, other.torque, atol=1e-3 * np.std(one.torque))
+
+
+def test_a_measured_velocity_is_replayed_too(made):
+    recording, observation = made.recordings[0], made.observations[0]
+    rng = np.random.default_rng(2)
+    velocity = observation.qd + 1e-3 * rng.standard_normal(observation.qd.size)
+    fast = replace(recording, velocity=velocity)
+    seen_so = observe(fast, made.config.tables.processing)
+    (seen,) = replayed(made, VALUES[None], fast, seen_so)
+    assert seen.settings["noise_seen"] == pytest.approx(seen_so.settings["noise_seen"], rel=0.2)
+    assert np.std(seen.qd - seen_so.qd) < 0.1 * np.std(seen_so.qd)
+
+
+def test_a_closed_loop_that_would_run_away_alone_is_followed():
+    """An upright load falls, under a recorded torque alone, whichever way rounding sends it."""
+    upright = axis()
+    t = np.arange(5000) / 500.0
+    q = np.pi + 0.3 * np.sin(2 * np.pi * 0.7 * t) + 0.1 * np.sin(2 * np.pi * 1.9 * t)
+    qd, qdd = np.gradient(q, t), np.gradient(np.gradient(q, t), t)
+    torque = inverse_torque(upright, VALUES, q, qd, qdd)
+    balanced = Model(upright, bf.Recording.from_arrays(t, q, torque, side="joint"))
+    for seen in replayed(balanced, draws_about(VALUES, 0.05)):
+        assert np.std(seen.q - balanced.observations[0].q) < 0.03
 
 
 def test_a_joint_without_inertia_has_no_replay(made):

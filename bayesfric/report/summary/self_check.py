@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 
 # Bias in posterior sds that is corrected; its own error must be this many times smaller.
 BIASED, _SURE = 0.3, 2.0
+# Change of a logarithm beyond which its first order says nothing.
+_FIRST_ORDER = 1.0
 # Coverage of 90 % intervals below which a number is doubtful, and below which it is told.
 POOR, LOW = 0.75, 0.80
 
@@ -141,7 +143,10 @@ def _row(
         return SelfCheckRow(**found)
     ends = np.array([row.middle, *row.interval])
     if np.all(truth > 0.0) and np.all(ends > 0.0):  # a quantity without sign stays so
-        ends = ends * np.exp(-np.mean(missed / truth))
+        change = float(np.mean(missed / truth))
+        if abs(change) > _FIRST_ORDER:
+            return SelfCheckRow(**found)
+        ends = ends * np.exp(-change)
     else:
         ends = np.clip(ends - missed.mean(), *limits)
     middle, low, high = ends.tolist()
