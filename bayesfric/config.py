@@ -32,6 +32,7 @@ from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.source import Source
 from bayesfric.recordings.tables.reader import Options
+from bayesfric.self_check.self_check import SelfCheckOptions
 
 if TYPE_CHECKING:
     NoiseName = str
@@ -95,6 +96,10 @@ class Tables(Options):
         Validation(),
         description="What the fit does not see, so that 'bayesfric fit' can say how well it "
         "predicts:",
+    )
+    self_check: SelfCheckOptions = Field(
+        SelfCheckOptions(),
+        description="How every fit is tried on simulated recordings like its own:",
     )
     advice: AdviceOptions = Field(
         AdviceOptions(), description="Only for 'bayesfric identify --advise':"

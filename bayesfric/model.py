@@ -33,7 +33,7 @@ from bayesfric.identifiability.local import LocalInformation, local_information
 from bayesfric.identifiability.next_recording import Ranking, ranking
 from bayesfric.identifiability.plausible import Point, estimate_point, points_around
 from bayesfric.identifiability.sentences import plain
-from bayesfric.inference.fitting import fit, make_target, target_of
+from bayesfric.inference.fitting import Fit, fit, make_target, target_of
 from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.likelihood.noise_choice import Choice, choice_at
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
@@ -52,6 +52,7 @@ from bayesfric.preparation import prepare, residual_noise
 from bayesfric.progress import progress_shown
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.trajectory import Trajectory, trajectory
+from bayesfric.self_check.self_check import Checked, self_check
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -104,7 +105,8 @@ class Model:
         :mod:`scipy.stats`, or the text of a configuration.
     tables
         The other tables of a configuration, as dicts of the same keys: ``processing``,
-        ``references``, ``estimation``, ``likelihood``, ``sampling``, ``validation``, ``advice``.
+        ``references``, ``estimation``, ``likelihood``, ``sampling``, ``validation``,
+        ``self_check``, ``advice``.
 
     Attributes
     ----------
@@ -532,6 +534,7 @@ class Model:
         from bayesfric.report.summary.doubts import find_doubts, put_doubts
         from bayesfric.report.summary.noise import add_white_intervals, white_alternative
         from bayesfric.report.summary.record import Identifiability
+        from bayesfric.report.summary.self_check import self_check_doubts, self_check_part
         from bayesfric.report.summary.summary import rms, spreads, summarise
         from bayesfric.result import Result
 
@@ -559,6 +562,10 @@ class Model:
             summary = add_white_intervals(summary, compared[0] if compared else None)
         late = [] if self.chain.delay else self.delays(begun.estimates)
         doubts = find_doubts(found, summary, begun.choice, compared, late)
+        if (checked := self._self_check(found, progress)) is not None:
+            part = self_check_part(found, summary, checked)
+            summary = summary.model_copy(update={"self_check": part})
+            doubts += self_check_doubts(summary)
         summary = put_doubts(summary, doubts)
         progress(Progress("identifiability"))
         update: dict[str, Any] = {
@@ -573,6 +580,15 @@ class Model:
             )
         summary = summary.model_copy(update=update)
         return Result(self, found, summary)
+
+    def _self_check(self, found: Fit, progress: Shown) -> Checked | None:
+        """Try the fit on simulated recordings like its own, unless none are wanted."""
+        tables, seen = self.config.tables, (self.recordings, self.observations)
+        number = tables.self_check.number(sum(r.time.size for r in self.recordings))
+        if number == 0:
+            return None
+        progress(Progress("self-check"))
+        return self_check(found.target, found.posterior, *seen, tables.processing, number)
 
     def sample(
         self,

@@ -59,6 +59,14 @@ def kernels(make_observation):
         compile_likelihood(make_observation)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def unchecked():
+    """Let fits simulate no recordings that do not ask for them: it takes seconds each."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bayesfric.self_check.self_check._RECORDINGS", 0)
+        yield
+
+
 @pytest.fixture
 def real_data():
     if not DATA.is_dir():

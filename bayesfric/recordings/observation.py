@@ -60,7 +60,7 @@ class Observation:
     q: Array  # (N,) of the joint, rad or m; so are the next two
     qd: Array
     qdd: Array
-    torque: Array  # (N,) of the motor as measured, N m or N
+    torque: Array  # (N,) of the motor, behind the low-pass where position and it pass it alike
     filter: ParallelFilter  # takes N samples of any signal to M outputs
     time: Array  # (M,) s since the file's first stamp at the windows' centres
     measured: Array  # (M,) filter.apply(torque)
@@ -88,6 +88,15 @@ class _Numbers:
     reach: int
     guard: int
     resolution: Resolution
+
+    @property
+    def alike(self) -> bool:
+        """Whether the torque passes the position's low-pass, too.
+
+        So what that takes off at the end of the band it takes from both. Not where it would colour
+        the noise of what is compared, nor in what published analyses did.
+        """
+        return self.reach > 1 and self.cutoff > 0.0 and 0.0 < 2.0 * self.used_band <= self.cutoff
 
     @property
     def used_band(self) -> float:
@@ -148,15 +157,18 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         **made.dropped,
     }
     borders = np.array([a for a, _ in segments], dtype=np.int64)
+    torque = recording.torque
+    if numbers.alike:
+        torque = lowpass(torque, segments, numbers.fs, numbers.cutoff, processing.order)
     return Observation(
         name=recording.name,
         q=q,
         qd=qd,
         qdd=derivative(qd, segments, period, numbers.reach),
-        torque=recording.torque,
+        torque=torque,
         filter=chosen,
         time=recording.time[chosen.centres],
-        measured=chosen.apply(recording.torque),
+        measured=chosen.apply(torque),
         speed=qd[chosen.centres],
         period=numbers.factor * period,
         segment_of=np.searchsorted(borders, chosen.starts, side="right").astype(np.int64) - 1,
@@ -398,6 +410,7 @@ def _told(
     yield (
         f"low-pass: zero-phase Butterworth of order {settings['order']} at "
         f"{numbers.cutoff:.4g} Hz ({numbers.fs:.4g} Hz sampling)"
+        + (", of position and torque alike" if numbers.alike else "")
         if numbers.cutoff
         else "low-pass: none"
     )

@@ -11,7 +11,16 @@ from bayesfric.report.summary.record import Readable, Summary
 from bayesfric.report.text_templates import sentence
 
 # Kinds of doubts, see bayesfric.report.summary.doubts; each has a macro that words it.
-DOUBTS = ("unexplained", "feedback", "negative", "memory", "noise", "acceleration", "delay")
+DOUBTS = (
+    "unexplained",
+    "feedback",
+    "negative",
+    "memory",
+    "noise",
+    "acceleration",
+    "delay",
+    "self-check",
+)
 
 
 @dataclass(frozen=True)
@@ -66,6 +75,10 @@ def _of_model(
         yield "not white", test.model_dump(), "noise"
     if summary.validation is not None and not summary.validation.pooled.fine:
         yield "held out", summary.validation.pooled.model_dump(), "held-out"
+    if summary.self_check is not None:
+        corrected = {n: r.bias for n, r in summary.self_check.rows.items() if r.corrected_interval}
+        if corrected:
+            yield "corrected", {"bias": corrected}, "self-check"
     if contested:
         yield "methods", {"names": contested}, "methods"
 

@@ -10,6 +10,7 @@ from bayesfric.report.comparison.cell import DOUBTFUL, TOGETHER, posterior_cells
 from bayesfric.report.summary.bounds import bound_mend
 from bayesfric.report.summary.noise import noise_lines
 from bayesfric.report.summary.record import Readable, Summary
+from bayesfric.report.summary.self_check import self_check_lines
 from bayesfric.report.summary.validation import validation_lines
 from bayesfric.report.text_templates import filled
 
@@ -32,6 +33,7 @@ def fit_text(summary: Readable, folder: Path | str) -> Iterator[str]:
         },
         noise=list(noise_lines(read.noise)),
         held_out=list(validation_lines(read.validation)) if read.validation else [],
+        self_check=list(self_check_lines(read)),
         folder=folder,
         doubtful=DOUBTFUL,
         together=TOGETHER,

@@ -15,9 +15,11 @@ from bayesfric.templates import environment
 def sentence(kind: str, values: Mapping[str, Any] | None = None) -> str:
     """Word one kind of warning or doubt, without a full stop.
 
-    ``kind`` names its macro in ``templates/sentences.txt.j2``; spaces stand for underscores.
+    ``kind`` names its macro in ``templates/sentences.txt.j2``; spaces and hyphens stand for
+    underscores.
     """
-    return str(getattr(_sentences(), kind.replace(" ", "_"))(values or {})).strip()
+    macro = kind.replace(" ", "_").replace("-", "_")
+    return str(getattr(_sentences(), macro)(values or {})).strip()
 
 
 def filled(template: str, **values: Any) -> str:

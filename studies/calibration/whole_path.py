@@ -49,6 +49,7 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
     values = np.array([[truth[n] for n in bench.joint.names]])
     true = {**truth, **{q.name: float(q.values[0]) for q in derive(bench.joint, values, 1.0)}}
     rows = {}
+    checked = summary.self_check.rows if summary.self_check else {}
     for key, row in summary.rows.items():
         if key in true and "efficiency" not in key:
             low, high = row.interval
@@ -59,6 +60,7 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
                 "interval": [low, high],
                 "verdict": row.verdict,
                 "gauge_free": row.gauge_free,
+                "self_check": checked[key].as_dict() if key in checked else None,
             }
     return {
         "case": name,
@@ -67,10 +69,31 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
         "seconds": round(time.perf_counter() - begun, 2),
         "status": summary.sampler.status,
         "noise": summary.noise.order,
+        "self_check_seconds": summary.self_check.seconds if summary.self_check else None,
         "warnings": list(summary.warnings),
         "doubts": [d.kind for d in summary.doubts],
         "rows": rows,
     }
+
+
+def foretold(rows: list[dict[str, Any]]) -> str:
+    """Say what the self-checks foretold of one quantity, and how corrected intervals did."""
+    checked = [row for row in rows if row["self_check"]]
+    if not checked:
+        return ""
+    bias = np.mean([row["self_check"]["bias"] for row in checked])
+    coverage = np.mean([row["self_check"]["coverage"] for row in checked])
+    hit, z = [], []
+    for row in checked:
+        # what is not corrected stays as it is
+        low, high = row["self_check"].get("corrected_interval") or row["interval"]
+        hit.append(low <= row["truth"] <= high)
+        width = (row["interval"][1] - row["interval"][0]) / (2.0 * 1.645)
+        z.append(((low + high) / 2.0 - row["truth"]) / width)
+    return (
+        f" | self-check z {bias:+.2f}, {coverage:.0%} | corrected z {np.mean(z):+.2f}, "
+        f"{np.mean(hit):.0%}"
+    )
 
 
 def table(found: list[dict[str, Any]]) -> list[str]:
@@ -81,14 +104,14 @@ def table(found: list[dict[str, Any]]) -> list[str]:
         kept = [one for one in runs if "rows" in one]
         seconds = [one["seconds"] for one in kept]
         statuses = [one["status"] for one in kept]
+        stuck = np.mean([one["stuck"] for one in kept])
         lines.append(
             f"== {case}: {len(runs)} recordings, {len(runs) - len(kept)} refused, "
-            f"{statuses.count('reliable')} reliable; "
-            f"sticks {np.mean([o['stuck'] for o in kept]):.0%}; "
+            f"{statuses.count('reliable')} reliable; sticks {stuck:.0%}; "
             f"median {np.median(seconds):.1f} s, longest {max(seconds):.0f} s"
         )
         for verdict in ("data", "weak", "prior"):
-            hits = []
+            hits, told = [], []
             for key in kept[0]["rows"]:
                 rows = [one["rows"][key] for one in kept if key in one["rows"]]
                 rows = [row for row in rows if row["verdict"] == verdict]
@@ -97,12 +120,16 @@ def table(found: list[dict[str, Any]]) -> list[str]:
                 hit = [r["interval"][0] <= r["truth"] <= r["interval"][1] for r in rows]
                 z = [(r["mean"] - r["truth"]) / r["sd"] for r in rows]
                 hits += hit
+                told += [r["self_check"]["coverage"] for r in rows if r["self_check"]]
                 lines.append(
                     f"   {verdict:6}{key:32} {np.mean(hit):6.0%} of {len(hit):3}  "
                     f"z {np.mean(z):+.2f} +- {np.std(z):.2f}, largest {np.max(np.abs(z)):.1f}"
+                    + foretold(rows)
                 )
             if hits:
                 lines.append(f"   {verdict:6}all {np.mean(hits):.1%} of {len(hits)}")
+            if told:
+                lines.append(f"   {verdict:6}all, as the self-checks foretold {np.mean(told):.1%}")
     return lines
 
 

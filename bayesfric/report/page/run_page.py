@@ -15,6 +15,7 @@ from bayesfric.report.page.provenance import read_provenance
 from bayesfric.report.page.rendering import render
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.record import Readable, Summary
+from bayesfric.report.text_templates import sentence
 
 
 def run_page(folder: Path, summary: Readable, name: str) -> str:
@@ -44,6 +45,9 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         figures=page_figures(folder, run_figures().values(), captions, judged),
         provenance=read_provenance(folder),
         config=config,
+        no_self_check=sentence("no self-check", read.self_check.model_dump())
+        if read.self_check and read.self_check.reason
+        else "",
         methods_text=_text(folder / "text" / "methods.txt").strip(),
     )
 

@@ -340,6 +340,40 @@ class Doubt(Open):
     parameters: list[str] = Field(default_factory=list)
 
 
+class SelfCheckRow(Part):
+    """What fits of simulated recordings make of one quantity.
+
+    ``bias`` is in posterior sds, ``coverage`` that of the interval of ``level``; what is
+    ``corrected`` has the bias taken off.
+    """
+
+    bias: FiniteFloat
+    bias_error: NotNegative
+    coverage: Share
+    coverage_error: NotNegative
+    corrected: FiniteFloat | None = None
+    corrected_interval: Pair | None = None
+    corrected_coverage: Share | None = None
+
+
+class SelfCheck(Part):
+    """How fits of recordings like this one, simulated at draws of the posterior, came out.
+
+    ``made`` of the ``asked`` could be simulated and fitted; where that are too few, ``reason`` is
+    why and ``rows`` are empty. ``unexplained`` is what filters, encoder and differentiation leave
+    of the torque, as a share of the noise's variance.
+    """
+
+    asked: int
+    made: int
+    reason: Literal["likelihood", "sampling", "still", "simulation"] | None = None
+    said: str = ""
+    rows: dict[Name, SelfCheckRow] = Field(default_factory=dict)
+    unexplained: NotNegative | None = None
+    seconds: NotNegative
+    cpu_seconds: NotNegative
+
+
 class Sampler(Part):
     """How the posterior was sampled, and whether it can be relied on."""
 
@@ -379,6 +413,7 @@ class Summary(Part):
     validation: Validation | None = None
     warnings: list[str] = Field(default_factory=list)
     sampler: Sampler = Field(default_factory=Sampler)
+    self_check: SelfCheck | None = None
     doubts: list[Doubt] = Field(default_factory=list)
     may_be_simulated: bool | None = None
     source: dict[str, Any] | None = None
@@ -433,8 +468,21 @@ class Summary(Part):
                 low, high = row.interval
                 white_low, white_high = row.white_interval or (None, None)
                 ends = {"low": low, "high": high, "white_low": white_low, "white_high": white_high}
+                ends |= self._checked(name)
                 told = dict(row) | ends | {"doubted": ", ".join(row.doubted)}
                 yield {"name": name, "group": group} | told
+
+    def _checked(self, name: str) -> dict[str, float | None]:
+        """Give what the self-check says of a quantity, for the table."""
+        row = self.self_check.rows.get(name) if self.self_check else None
+        low, high = (row.corrected_interval if row else None) or (None, None)
+        return {
+            "bias": row.bias if row else None,
+            "coverage": row.coverage if row else None,
+            "corrected": row.corrected if row else None,
+            "corrected_low": low,
+            "corrected_high": high,
+        }
 
     def _repr_html_(self) -> str:
         """Show the table with its verdicts in a notebook."""
@@ -446,7 +494,8 @@ class Summary(Part):
 _FRAME = ("name", "group", "unit", "symbol", "meaning", "median", "low", "high", "level", "verdict",
     "doubted", "converged", "mean", "sd", "rhat", "ess", "prior", "prior_sd", "data_sd",
     "contraction", "at_bound", "undefined_share", "prior_sensitivity", "likelihood_sensitivity",
-    "diagnosis", "gauge_free", "white_low", "white_high", "white_sd")  # fmt: skip
+    "diagnosis", "gauge_free", "white_low", "white_high", "white_sd",
+    "bias", "coverage", "corrected", "corrected_low", "corrected_high")  # fmt: skip
 Readable = Summary | Mapping[str, Any]
 
 

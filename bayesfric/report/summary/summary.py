@@ -40,7 +40,8 @@ Array = NDArray[np.float64]
 
 _COLUMNS = ["name", "unit", "mean", "sd", "median", "low", "high", "level", "rhat", "ess",
     "prior", "prior_sd", "contraction", "verdict", "at_bound", "converged", "undefined_share",
-    "prior_sensitivity", "likelihood_sensitivity", "white_low", "white_high"]  # fmt: skip
+    "prior_sensitivity", "likelihood_sensitivity", "white_low", "white_high",
+    "bias", "coverage", "corrected", "corrected_low", "corrected_high"]  # fmt: skip
 
 
 def summarise(

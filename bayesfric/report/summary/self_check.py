@@ -1,0 +1,169 @@
+"""What the self-check found, quantity by quantity: bias, coverage, corrected values.
+
+Indirect inference to first order: by as much as estimates lie from the truth where it is known,
+the estimate at hand is taken to lie from its own. The bias is that at the estimate and not at the
+truth, so what is left is of second order, the bias times its relative change over the bias itself.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from bayesfric.inference.fitting import Fit
+from bayesfric.report.summary.derived_quantities import LEVEL, groups
+from bayesfric.report.summary.record import PosteriorRow, SelfCheck, SelfCheckRow, Summary, of_noise
+from bayesfric.report.text_templates import filled, sentence
+from bayesfric.self_check.self_check import Checked
+
+Array = NDArray[np.float64]
+
+# Bias in posterior sds that is corrected; its own error must be this many times smaller.
+BIASED, _SURE = 0.3, 2.0
+# Change of a logarithm beyond which its first order says nothing.
+_FIRST_ORDER = 1.0
+# Coverage of 90 % intervals below which a number is doubtful, and below which it is told.
+POOR, LOW = 0.75, 0.80
+
+
+@dataclass(frozen=True, eq=False)
+class _Errors:
+    """By how much fits miss one quantity; ``(n,)``, a replay each."""
+
+    name: str
+    truth: Array
+    missed: Array  # in the quantity's unit, without noise
+
+
+def self_check_part(fit: Fit, summary: Summary, checked: Checked) -> SelfCheck:
+    """Sum up a self-check of a fit, for ``summary["self_check"]``."""
+    begun, worked = time.perf_counter(), time.process_time()
+    made = len(checked.fits)
+    told: dict[str, Any] = {"asked": checked.asked, "made": made}
+    if checked.reason is not None:
+        told |= {"seconds": checked.seconds, "cpu_seconds": checked.cpu_seconds}
+        return SelfCheck(**told, reason=checked.reason, said=checked.said)
+    unexplained = np.array([one.unexplained for one in checked.fits])
+    support = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
+    rows = {}
+    for errors in _errors(fit, checked):
+        row = summary.rows[errors.name]
+        if row.sd > 0.0 and np.isfinite(errors.missed).sum() >= max(2.0, 0.5 * made):
+            limits = support.get(errors.name, (-np.inf, np.inf))
+            rows[errors.name] = _row(row, errors, unexplained, limits)
+    return SelfCheck(
+        **told,
+        rows=rows,
+        unexplained=float(unexplained.mean()),
+        seconds=round(checked.seconds + time.perf_counter() - begun, 3),
+        cpu_seconds=round(checked.cpu_seconds + time.process_time() - worked, 3),
+    )
+
+
+def poor(row: SelfCheckRow) -> bool:
+    """Whether an interval, corrected where it is, holds too few truths, beyond chance."""
+    coverage = row.coverage if row.corrected_coverage is None else row.corrected_coverage
+    return coverage + _SURE * row.coverage_error < POOR
+
+
+def self_check_doubts(summary: Summary) -> list[dict[str, Any]]:
+    """Name what the data seem to determine and the self-check does not find again."""
+    if summary.self_check is None:
+        return []
+    found = {
+        name: row
+        for name, row in summary.self_check.rows.items()
+        if summary.rows[name].verdict == "data" and poor(row)
+    }
+    if not found:
+        return []
+    coverage = {
+        name: row.coverage if row.corrected_coverage is None else row.corrected_coverage
+        for name, row in found.items()
+    }
+    return [{"kind": "self-check", "parameters": list(found), "coverage": coverage}]
+
+
+def off_rows(summary: Summary) -> dict[str, SelfCheckRow]:
+    """Pick what is not found again: biased, or in too few intervals; not what is open anyway."""
+    check = summary.self_check
+    return {
+        name: row
+        for name, row in (check.rows.items() if check else ())
+        if summary.rows[name].verdict != "prior" and (row.corrected_interval or row.coverage < LOW)
+    }
+
+
+def self_check_lines(summary: Summary) -> Iterator[str]:
+    """Word it for a terminal, line by line."""
+    if (check := summary.self_check) is not None:
+        why = sentence("no self-check", check.model_dump()) if check.reason else ""
+        text = filled("self_check.txt.j2", check=check, why=why, off=off_rows(summary))
+        yield from text.splitlines()
+
+
+def _errors(fit: Fit, checked: Checked) -> Iterator[_Errors]:
+    nearby = np.stack([one.nearby for one in checked.fits])
+    shares = np.array([one.share for one in checked.fits])
+    for j, name in enumerate(fit.posterior.names):
+        if not of_noise(name):
+            truth = checked.truth[:, j]
+            yield _Errors(name, truth, (nearby[:, j] - truth) / shares)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for group in groups(fit):
+            if not group.found:
+                continue
+            true = group.values(fit.target.chain_values(checked.truth))
+            moved = group.values(fit.target.chain_values(nearby))
+            for q, before, after in zip(group.found, true, moved, strict=True):
+                yield _Errors(q.name, before, (after - before) / shares)
+
+
+def _row(
+    row: PosteriorRow, errors: _Errors, unexplained: Array, limits: tuple[float, float]
+) -> SelfCheckRow:
+    known = np.isfinite(errors.missed) & np.isfinite(errors.truth)
+    truth, missed, share = errors.truth[known], errors.missed[known], unexplained[known]
+    z = missed / row.sd
+    bias, error = float(z.mean()), float(z.std(ddof=1) / np.sqrt(z.size))
+    hit = _coverage(z, share)
+    found: dict[str, Any] = {
+        "bias": bias,
+        "bias_error": error,
+        "coverage": float(hit.mean()),
+        "coverage_error": float(hit.std(ddof=1) / np.sqrt(z.size)),
+    }
+    if row.verdict == "prior" or abs(bias) <= max(BIASED, _SURE * error):
+        return SelfCheckRow(**found)
+    ends = np.array([row.middle, *row.interval])
+    if np.all(truth > 0.0) and np.all(ends > 0.0):  # a quantity without sign stays so
+        change = float(np.mean(missed / truth))
+        if abs(change) > _FIRST_ORDER:
+            return SelfCheckRow(**found)
+        ends = ends * np.exp(-change)
+    else:
+        ends = np.clip(ends - missed.mean(), *limits)
+    middle, low, high = ends.tolist()
+    return SelfCheckRow(
+        **found,
+        corrected=middle,
+        corrected_interval=[low, high],
+        corrected_coverage=float(_coverage(z - bias, share).mean()),
+    )
+
+
+def _coverage(z: Array, unexplained: Array) -> Array:
+    """Chance that an interval holds the truth that noiseless fits miss by ``z`` sds, ``(n,)``.
+
+    The scale of the noise that a fit finds holds what filters and encoder leave of the torque,
+    so less of it is noise; where they leave more, the fit finds a larger scale.
+    """
+    scatter = np.sqrt(np.clip(1.0 - unexplained, 1e-12, None))
+    half = norm.ppf(0.5 + LEVEL / 2.0) * np.sqrt(np.clip(unexplained, 1.0, None))
+    return np.asarray(norm.cdf((half - z) / scatter) - norm.cdf((-half - z) / scatter))

@@ -1,0 +1,109 @@
+"""What is made of a self-check: rows, corrections, doubts, and words on page and terminal."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bayesfric.report.page.run_page import run_page
+from bayesfric.report.paper.methods_text import methods_text
+from bayesfric.report.summary.doubts import put_doubts
+from bayesfric.report.summary.self_check import self_check_doubts, self_check_part
+from bayesfric.report.terminal import fit_text
+from bayesfric.self_check.quick_fit import QuickFit
+from bayesfric.self_check.self_check import Checked
+from tests.self_check.bench import model
+
+NAME = "motor.viscous"
+
+
+@pytest.fixture(scope="module")
+def result():
+    return model(recordings=0).fit(seed=1)
+
+
+def checked(result, missed, unexplained=0.0, n=40):
+    """Fits that miss the viscous loss by so many sds, one after the other."""
+    posterior = result.fit.posterior
+    truth, j = posterior.flat(n), posterior.names.index(NAME)
+    sd = result.summary.parameters[NAME].sd
+    fits = []
+    for one, z in zip(truth, np.resize(missed, n), strict=True):
+        nearby = one.copy()
+        nearby[j] += 1e-3 * z * sd
+        fits.append(QuickFit(nearby, 1e-3, unexplained))
+    return Checked(n, truth, tuple(fits), 1.0, 2.0)
+
+
+def told(result, found):
+    part = self_check_part(result.fit, result.summary, found)
+    return result.summary.model_copy(update={"self_check": part})
+
+
+def test_a_constant_bias_is_taken_off_whole(result):
+    summary = told(result, checked(result, [2.0]))
+    row, check = summary.parameters[NAME], summary.self_check.rows[NAME]
+    assert check.bias == pytest.approx(2.0)
+    assert check.bias_error == pytest.approx(0.0, abs=1e-6)
+    assert check.coverage == pytest.approx(0.361, abs=1e-3)  # P(|Z + 2| < 1.645)
+    assert check.corrected_coverage == pytest.approx(0.9)
+    assert check.corrected == pytest.approx(row.median - 2.0 * row.sd, rel=0.02)
+    assert self_check_doubts(summary) == []
+
+
+@pytest.mark.parametrize("missed", [[0.29], [0.6, -0.6], [4.0, -3.0]])
+def test_what_is_small_or_no_surer_than_its_error_is_not_corrected(result, missed):
+    check = told(result, checked(result, missed)).self_check.rows[NAME]
+    assert check.corrected_interval is None
+
+
+def test_what_first_order_says_nothing_of_is_not_corrected_but_doubtful(result):
+    row = result.summary.parameters[NAME]
+    summary = told(result, checked(result, [1.5 * row.median / row.sd]))
+    assert summary.self_check.rows[NAME].corrected_interval is None
+    (doubt,) = self_check_doubts(summary)
+    assert doubt["parameters"] == [NAME]
+
+
+def test_what_no_shift_mends_is_doubtful_and_said_first(result):
+    summary = told(result, checked(result, [3.0, -3.0]))
+    (doubt,) = self_check_doubts(summary)
+    assert doubt["parameters"] == [NAME]
+    after = put_doubts(summary, [doubt])
+    assert after.parameters[NAME].verdict == "weak"
+    assert after.sampler.status == "tentative"
+    text = "\n".join(fit_text(after, "run"))
+    assert f"the 90 % interval of {NAME} holds it in 9 %" in text
+    assert re.search(rf"{NAME} +bias \+0.00 sd, 90 % intervals hold 9 %", text)
+
+
+def test_what_filters_leave_of_the_torque_is_no_noise(result):
+    """The noise's scale holds it: of so wide intervals more hold the truth."""
+    half = told(result, checked(result, [0.0], unexplained=0.5)).self_check
+    assert half.unexplained == 0.5
+    assert half.rows[NAME].coverage == pytest.approx(0.980, abs=1e-3)  # P(|Z| < 1.645 sqrt(2))
+
+
+def test_the_page_says_what_it_found_and_cannot_see(result, tmp_path):
+    page = run_page(tmp_path, told(result, checked(result, [2.0])), "run")
+    section = page[page.index('id="self-check"') :]
+    section = section[: section.index("</section>")]
+    assert "cannot see a wrong model" in section
+    assert "second order" in section
+    assert re.search(rf'data-name="{NAME}".*?2.00 ± 0.00.*?36.1 ± 0.0', section, re.S)
+    assert 'data-kind="corrected"' in page
+
+
+def test_the_page_says_why_there_is_none(result, tmp_path):
+    none = replace(checked(result, [0.0]), fits=(), reason="simulation", said="it has no inertia")
+    page = run_page(tmp_path, told(result, none), "run")
+    assert "None could be made: the joint cannot be simulated: it has no inertia." in page
+    assert 'id="self-check"' not in run_page(tmp_path, result.summary, "run")
+
+
+def test_the_methods_say_it_in_one_sentence(result):
+    said = methods_text(result.fit, told(result, checked(result, [2.0]))).plain
+    assert "In 40 recordings simulated at draws of the posterior" in said
+    assert f"{NAME} was biased by more than 0.3 posterior sds" in said
+    assert "simulated at draws" not in methods_text(result.fit, result.summary).plain

@@ -1,0 +1,68 @@
+"""A geared axis on a simulated bench, and what a default fit would sample of it."""
+
+from functools import cache
+
+import numpy as np
+
+import bayesfric as bf
+from bayesfric.model import Model
+
+TRUTH = {
+    "motor.inertia": 2e-5,
+    "motor.viscous": 4e-5,
+    "motor.coulomb": 6e-3,
+    "load.first_moment": 0.3,
+    "offset": 1e-3,
+}
+# what published analyses do
+CENTRAL = {"lowpass": "50 Hz", "decimate": 10, "differentiation": "central"}
+QUICK = {"min_ess": 400, "ensembles": 2, "walkers": 24}
+
+
+def axis(**more):
+    motor = bf.Element("motor", inertia=True, coulomb="symmetric", viscous=True, ratio=50.0)
+    return bf.Joint([motor], bf.Load(first_moment=True), **({"offset": True} | more))
+
+
+@cache
+def table():
+    """Record ten seconds at 500 Hz, in counts of 8192 a turn of the motor.
+
+    It is simulated ten times finer, for the torque of a simulation is straight between samples.
+    """
+    options = {
+        "duration": 10.0,
+        "rate": 5000,
+        "excitation": "multisine",
+        "amplitude": 0.06,
+        "lag": 0.003,
+        "encoder_counts": 8192,
+        "encoder_side": "motor",
+        "torque_noise": 2e-4,
+        "seed": 3,
+    }
+    return axis().simulate(TRUTH, **options)[::10]
+
+
+def recording(side="motor"):
+    made = table()
+    return bf.Recording.from_arrays(
+        *(made[key].to_numpy() for key in ("time", "position", "torque")), side=side
+    )
+
+
+def model(recordings=20, processing=None, joint=None, **tables):
+    return Model(
+        joint or axis(),
+        recording(),
+        processing=processing or {},
+        self_check={"recordings": recordings},
+        sampling=QUICK | tables.pop("sampling", {}),
+        **tables,
+    )
+
+
+def draws_about(values, share=0.01, n=4):
+    """Vectors ``(n, n_parameters)`` scattered a little about one."""
+    rng = np.random.default_rng(5)
+    return np.asarray(values) * (1.0 + share * rng.standard_normal((n, len(values))))

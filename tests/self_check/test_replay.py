@@ -1,0 +1,138 @@
+"""A replay is a recording like the one it repeats: same motion, same sensor, exact torque."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import bayesfric as bf
+from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.model import Model
+from bayesfric.recordings.observation import observe
+from bayesfric.recordings.resolution import finest_step
+from bayesfric.self_check.replay import NoReplay, replays, settled_as, spring_of
+from tests.self_check.bench import TRUTH, axis, draws_about, model
+
+VALUES = np.array([TRUTH[name] for name in axis().names])
+
+
+@pytest.fixture(scope="module")
+def made():
+    return model()
+
+
+def replayed(made, values, recording=None, observation=None):
+    recording = recording or made.recordings[0]
+    seeds = np.random.SeedSequence(1).spawn(len(values))
+    processing = made.config.tables.processing
+    return list(
+        replays(
+            made.chain, values, recording, observation or made.observations[0], processing, seeds
+        )
+    )
+
+
+def test_a_replay_keeps_to_the_recorded_motion(made):
+    recorded = made.observations[0]
+    for seen in replayed(made, draws_about(VALUES, 0.1)):
+        assert np.std(seen.q - recorded.q) < 0.02 * np.std(recorded.q)
+        assert seen.filter.n_outputs == pytest.approx(recorded.filter.n_outputs, rel=0.05)
+
+
+def test_the_torque_of_a_replay_is_what_made_its_motion(made):
+    """Behind the filters the inverse model finds it again, but for steps of the encoder."""
+    for values, seen in zip(draws_about(VALUES), replayed(made, draws_about(VALUES)), strict=True):
+        torque = inverse_torque(made.chain, values, seen.q, seen.qd, seen.qdd, inputs=seen.inputs)
+        left = seen.measured - seen.filter.apply(torque)
+        assert np.std(left) < 0.01 * np.std(seen.measured)
+
+
+def test_a_replay_is_read_in_the_steps_of_the_recording(made):
+    recording = made.recordings[0]
+    step = finest_step(recording.position)
+    assert step == pytest.approx(2 * np.pi / 8192 / 50)
+    bare = made.config.tables.processing.model_copy(update={"lowpass": 0.0, "decimate": 10})
+    told = {"lowpass": 0.0}
+    observation = made.observations[0]
+    observation = replace(observation, settings=observation.settings | told)
+    seeds = np.random.SeedSequence(1).spawn(1)
+    (seen,) = replays(made.chain, VALUES[None], recording, observation, bare, seeds)
+    counts = (seen.q - recording.position[0]) / step
+    np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
+
+
+def test_a_signal_without_steps_has_none():
+    rng = np.random.default_rng(1)
+    assert finest_step(rng.standard_normal(1000)) < 1e-9
+    assert finest_step(np.zeros(1000)) == 0.0
+    assert finest_step(np.round(rng.standard_normal(1000), 4)) == pytest.approx(1e-4)
+
+
+def test_a_replay_is_treated_as_the_recording_was(made):
+    told = made.observations[0].settings
+    for seen in replayed(made, draws_about(VALUES)):
+        for key in ("lowpass", "decimate", "band", "dead_zone", "trim_samples", "reach", "taps"):
+            assert seen.settings[key] == told[key]
+
+
+def test_each_segment_is_replayed_from_its_own_state(made):
+    recording, processing = made.recordings[0], made.config.tables.processing
+    halves = replace(recording, segments=((0, 2400), (2400, recording.time.size)))
+    observation = made.observations[0]
+    (seen,) = replays(
+        made.chain,
+        VALUES[None],
+        halves,
+        replace(observation, segment_of=(observation.filter.starts >= 2400).astype(int)),
+        settled_as(processing, observation),
+        np.random.SeedSequence(1).spawn(1),
+    )
+    assert seen.settings["n_segments"] == 2
+    assert np.std(seen.q - observation.q) < 0.02 * np.std(observation.q)
+
+
+def test_a_gain_of_the_drive_scales_spring_and_torque_alike():
+    made = model(joint=axis(gain=True))
+    values = np.array([[{**TRUTH, "drive.gain": g}[n] for n in made.chain.names] for g in (1, 2)])
+    values[1] *= np.where(np.isin(made.chain.names, ("drive.gain",)), 1.0, 2.0)
+    one, other = replayed(made, values)
+    # twice everything with twice the gain is the same motion under the same measured torque
+    assert np.std(one.q - other.q) < 1e-3 * np.std(one.q)
+    np.testing.assert_allclose(one.torque, other.torque, atol=1e-3 * np.std(one.torque))
+
+
+def test_a_measured_velocity_is_replayed_too(made):
+    recording, observation = made.recordings[0], made.observations[0]
+    rng = np.random.default_rng(2)
+    velocity = observation.qd + 1e-3 * rng.standard_normal(observation.qd.size)
+    fast = replace(recording, velocity=velocity)
+    seen_so = observe(fast, made.config.tables.processing)
+    (seen,) = replayed(made, VALUES[None], fast, seen_so)
+    assert seen.settings["noise_seen"] == pytest.approx(seen_so.settings["noise_seen"], rel=0.2)
+    assert np.std(seen.qd - seen_so.qd) < 0.1 * np.std(seen_so.qd)
+
+
+def test_a_closed_loop_that_would_run_away_alone_is_followed():
+    """An upright load falls, under a recorded torque alone, whichever way rounding sends it."""
+    upright = axis()
+    t = np.arange(5000) / 500.0
+    q = np.pi + 0.3 * np.sin(2 * np.pi * 0.7 * t) + 0.1 * np.sin(2 * np.pi * 1.9 * t)
+    qd, qdd = np.gradient(q, t), np.gradient(np.gradient(q, t), t)
+    torque = inverse_torque(upright, VALUES, q, qd, qdd)
+    balanced = Model(upright, bf.Recording.from_arrays(t, q, torque, side="joint"))
+    for seen in replayed(balanced, draws_about(VALUES, 0.05)):
+        assert np.std(seen.q - balanced.observations[0].q) < 0.03
+
+
+def test_a_joint_without_inertia_has_no_replay(made):
+    observation = made.observations[0]
+    values = np.where([n == "motor.inertia" for n in made.chain.names], 0.0, VALUES)
+    with pytest.raises(NoReplay, match="no inertia"):
+        spring_of(made.chain, values, observation)
+
+
+def test_impossible_parameters_have_no_replay_and_spoil_no_other(made):
+    values = draws_about(VALUES)
+    values[1, made.chain.names.index("motor.viscous")] = -1.0
+    found = replayed(made, values)
+    assert [seen is None for seen in found] == [False, True, False, False]

@@ -1,0 +1,145 @@
+"""What a fit says of itself: the bias of central differences is found and taken off."""
+
+import json
+from types import SimpleNamespace
+
+import pytest
+from numba import get_num_threads, set_num_threads
+
+import bayesfric as bf
+from bayesfric.config import Tables
+from bayesfric.errors import BadInput
+from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
+from bayesfric.model import Model
+from bayesfric.report.summary.self_check import self_check_part
+from bayesfric.report.terminal import fit_text
+from bayesfric.self_check.self_check import SelfCheckOptions, self_check
+from tests.self_check.bench import CENTRAL, TRUTH, model, table
+
+
+@pytest.fixture(scope="module")
+def exact():
+    return model().fit(seed=1)
+
+
+@pytest.fixture(scope="module")
+def central():
+    return model(processing=CENTRAL).fit(seed=1)
+
+
+def test_the_bias_of_central_differences_is_found_and_taken_off(central):
+    row = central.summary.parameters["motor.inertia"]
+    check = central.summary.self_check.rows["motor.inertia"]
+    off = (row.mean - TRUTH["motor.inertia"]) / row.sd
+    assert off > 1.5  # the gain of central differences is too small, so the inertia too large
+    assert check.bias == pytest.approx(off, abs=1.5)
+    assert check.bias > 10.0 * check.bias_error
+    assert check.coverage < 0.75
+    low, high = check.corrected_interval
+    assert low < TRUTH["motor.inertia"] < high
+    assert abs(check.corrected - TRUTH["motor.inertia"]) < 1.5 * row.sd
+    assert check.corrected_coverage > 0.85
+    assert low < check.corrected < high < row.interval[1]
+
+
+def test_what_is_corrected_is_no_doubt_and_said(central):
+    assert "self-check" not in [doubt.kind for doubt in central.summary.doubts]
+    text = "\n".join(fit_text(central.summary, "run"))
+    assert "motor.inertia by +" in text
+    assert "not always found again" in text
+    frame = central.summary.frame().set_index("name")
+    assert frame.loc["motor.inertia", "corrected"] < frame.loc["motor.inertia", "median"]
+
+
+def test_exact_derivatives_have_next_to_no_bias(exact):
+    """What is left, the low-pass does at reversals: 0.02 % of the viscous loss."""
+    check = exact.summary.self_check
+    assert check.made == check.asked == 20
+    assert check.unexplained < 0.2
+    for name, row in check.rows.items():
+        assert abs(row.bias) < 0.4, name
+        assert row.coverage == pytest.approx(0.9, abs=0.03), name
+        assert (row.corrected_interval is None) == (abs(row.bias) < 0.3)
+    (line,) = [one for one in fit_text(exact.summary, "run") if one.startswith("Self-check")]
+    assert "found again" in line
+
+
+def test_it_takes_seconds_of_its_own(exact):
+    check, sampler = exact.summary.self_check, exact.summary.sampler
+    assert 0.0 < check.seconds < 10.0
+    assert check.cpu_seconds > 0.0
+    assert sampler.seconds > 0.0
+
+
+def test_the_same_seed_gives_the_same_numbers_whatever_the_threads(exact):
+    before = get_num_threads()
+    set_num_threads(1)
+    try:
+        again = model().fit(seed=1)
+    finally:
+        set_num_threads(before)
+    told = [
+        json.dumps(
+            one.summary.self_check.model_copy(update={"seconds": 0, "cpu_seconds": 0}).as_dict()
+        )
+        for one in (exact, again)
+    ]
+    assert told[0] == told[1]
+
+
+def test_the_output_error_has_none_and_says_so(exact):
+    found = exact.fit
+    simulating = SimpleNamespace(likelihood=object.__new__(PositionLikelihood))
+    model = exact.model
+    given = (model.recordings, model.observations, model.config.tables.processing)
+    checked = self_check(simulating, found.posterior, *given, 20)
+    part = self_check_part(found, exact.summary, checked)
+    assert (part.made, part.reason, part.rows) == (0, "likelihood", {})
+    told = fit_text(exact.summary.model_copy(update={"self_check": part}), "run")
+    assert any("Self-check: none, the likelihood is of the position" in line for line in told)
+
+
+def test_a_joint_that_cannot_be_simulated_says_why():
+    """A gearbox that holds the load by itself allows more than one motion."""
+    irreversible = {"gearbox.load_back": 1.2, "gearbox.load_drive": 0.3}
+    elements = [
+        bf.Element("motor", coulomb="symmetric", viscous=True),
+        bf.Element("gearbox", load_loss="two", ratio=50.0),
+    ]
+    joint = bf.Joint(elements, bf.Load(inertia=True, first_moment=True))
+    made = table()
+    arrays = (made[key].to_numpy() for key in ("time", "position", "torque"))
+    found = Model(
+        joint,
+        bf.Recording.from_arrays(*arrays, side="motor"),
+        priors=irreversible,
+        sampling={"min_ess": 200, "ensembles": 2, "walkers": 24, "max_steps": 500},
+        self_check={"recordings": 10},
+    ).fit(seed=1)
+    check = found.summary.self_check
+    assert check.reason == "simulation"
+    assert "irreversible" in check.said
+    assert found.summary.parameters["load.inertia"].sd > 0.0
+
+
+def test_none_is_made_where_none_is_wanted():
+    assert model(recordings=0).fit(seed=1).summary.self_check is None
+
+
+@pytest.mark.parametrize("wrong", [1, 9, -1])
+def test_too_few_to_tell_a_spread_are_refused(wrong):
+    with pytest.raises(BadInput, match=r"self_check\.recordings"):
+        model(recordings=wrong)
+
+
+@pytest.mark.parametrize(
+    ("samples", "number"), [(0, 40), (10_000, 40), (60_000, 25), (10_000_000, 10)]
+)
+def test_of_long_recordings_fewer_are_made(samples, number, monkeypatch):
+    monkeypatch.setattr("bayesfric.self_check.self_check._RECORDINGS", 40)
+    assert SelfCheckOptions().number(samples) == number
+    assert SelfCheckOptions(recordings=100).number(samples) == 100
+
+
+def test_it_is_a_table_of_the_configuration():
+    assert "self_check" in Tables.model_fields
