@@ -29,6 +29,19 @@ class Coordinates(Protocol):
         """In words, for the record."""
         ...
 
+    @property
+    def bends(self) -> bool:
+        """Whether there are others, in which a posterior that is bent here is straight."""
+        ...
+
+    def straighten(self, u: Array) -> tuple[Array, Array]:
+        """Map ``(n, d)`` to those, with the log Jacobian of that ``(n,)``."""
+        ...
+
+    def bend(self, v: Array) -> Array:
+        """Map back; rows without a counterpart are not finite."""
+        ...
+
     def to_parameters(self, u: Array) -> tuple[Array, Array]:
         """Map ``(n, d)`` to parameters ``(n, d)`` and ``log|d parameters / d u|`` ``(n,)``.
 
@@ -98,6 +111,16 @@ class BoundedCoordinates:
             u = np.where(self._below, self._unbent(self._high - parameters), u)
             share = (parameters - self._low) / self._span
             return np.where(self._between, ndtri(share), u)
+
+    bends = False
+
+    def straighten(self, u: Array) -> tuple[Array, Array]:
+        """See :class:`Coordinates`: these are straight."""
+        return u, np.zeros(len(u))
+
+    def bend(self, v: Array) -> Array:
+        """See :class:`Coordinates`."""
+        return v
 
     def _unbent(self, distance: Array) -> Array:
         scaled = distance / self._widths

@@ -44,6 +44,10 @@ class GearboxCoordinates:
       sampled. Of the ``ml`` or ``mu_1`` told well by a prior, the logarithm (that of ``A``) takes
       its place, in which such a posterior is straight; one that is known leaves no scale.
 
+    Where the data tell much of what is missing when the load drives they tell sums of ``D`` times
+    share times ``m``, and the posterior is bent in shares and ``m``. In ``D`` and these products it
+    is straight (:meth:`straighten`); moves are made in both.
+
     All other parameters go by :class:`BoundedCoordinates`. One mu for both directions is one of
     them, and there is neither ``m`` nor scale.
     """
@@ -77,6 +81,9 @@ class GearboxCoordinates:
                 beside.append((a, b))
             elif known[b.name] > 0.0 and reference is None and b.quantity not in partners:
                 reference = b
+        # the first stands for m where the torque is to be linear, and is positive if any is
+        alone.sort(key=lambda b: b.lower != 0.0)
+        self._positive = bool(alone) and alone[0].lower == 0.0
         self._scale = _scale_by(names, at, reference, [p.name for p in alone], priors)
         self._front = np.array([at[a.name] for a, _ in pairs], dtype=int)
         self._leg = np.array([at[b.name] for _, b in pairs], dtype=int)
@@ -136,6 +143,45 @@ class GearboxCoordinates:
             slope = slope - np.log(self._alone_worth).sum() - np.log(self._beside_worth).sum()
             possible = np.isfinite(slope) & np.isfinite(out).all(axis=1)
         return out, np.where(possible, slope, -np.inf)
+
+    @property
+    def bends(self) -> bool:
+        """Whether :meth:`straighten` does anything."""
+        return self._scale not in ("known", "one", "known drive", "known back")
+
+    def straighten(self, u: Array) -> tuple[Array, Array]:
+        """Map to coordinates in which the torque is linear, and ``log|d straight / d u|``.
+
+        Shares give way to what is missing of the leg's torques when the load drives, and ``m`` to
+        that of the first torque that is only behind the loss.
+        """
+        v = u.copy()
+        felt, places, m_at = self._parts(u)
+        m, whole = ndtr(u[:, m_at]), self._whole(u)
+        with np.errstate(all="ignore"):
+            v[:, felt.stop : 2 * felt.stop] = u[:, felt] * ndtr(places) * m[:, None]
+            v[:, m_at] = whole * m
+            slope = log_normal(places).sum(axis=1) + np.log(u[:, felt] * m[:, None]).sum(axis=1)
+            return v, np.asarray(slope + np.log(whole) + log_normal(u[:, m_at]))
+
+    def bend(self, v: Array) -> Array:
+        """Undo :meth:`straighten`; not finite where there is nothing to go back to."""
+        u = v.copy()
+        felt, missing, m_at = self._parts(v)
+        with np.errstate(all="ignore"):
+            m = v[:, m_at] / self._whole(v)
+            u[:, felt.stop : 2 * felt.stop] = ndtri(missing / (v[:, felt] * m[:, None]))
+            u[:, m_at] = ndtri(m)
+        return u
+
+    def _parts(self, u: Array) -> tuple[slice, Array, int]:
+        """Where pairs' torques are, what stands for their shares, and where ``m`` is."""
+        k = self._leg.size
+        return slice(0, k), u[:, k : 2 * k], int(self._ends[4])
+
+    def _whole(self, u: Array) -> Array:
+        """Give the first torque that is only behind the loss, one where none is sure to be any."""
+        return u[:, self._ends[1]] if self._positive else np.ones(len(u))
 
     def _losses(
         self, out: Array, alone: Array, lost: Array, scale: Array

@@ -102,6 +102,17 @@ class Target:
         noise = self._noise_coordinates.from_parameters(parameters[:, k:])
         return np.concatenate([model, noise], axis=1)
 
+    def straighten(self, u: Array) -> tuple[Array, Array]:
+        """Map coordinates ``(n, d)`` to straight ones, and the log Jacobian ``(n,)`` of that."""
+        k = len(self.free)
+        v, slope = self.coordinates.straighten(u[:, :k])
+        return np.concatenate([v, u[:, k:]], axis=1), slope
+
+    def bend(self, v: Array) -> Array:
+        """Undo :meth:`straighten`; not finite where there is nothing to go back to."""
+        k = len(self.free)
+        return np.concatenate([self.coordinates.bend(v[:, :k]), v[:, k:]], axis=1)
+
     def log_prior(self, parameters: Array) -> Array:
         """Log prior density of physical parameters ``(n, d)``."""
         return self._joint_prior.log_density(parameters)

@@ -70,14 +70,14 @@ def rows_of(chain, priors, n, seed):
     return rows[:, [i for i, name in enumerate(chain.names) if not priors[name].fixed]]
 
 
-def numeric_log_determinant(coordinates, u):
+def numeric_log_determinant(mapped, u):
     jacobian = np.empty((u.size, u.size))
     for i in range(u.size):
         h = 1e-6 * max(abs(u[i]), 1e-3)
         beside = np.stack([u, u])
         beside[0, i] += h
         beside[1, i] -= h
-        high, low = coordinates.to_parameters(beside)[0]
+        high, low = mapped(beside)[0]
         jacobian[:, i] = (high - low) / (2 * h)
     return np.linalg.slogdet(jacobian)[1]
 
@@ -126,7 +126,40 @@ def test_every_form_round_trips_and_its_jacobian_is_right(name, changes):
     if not passive:
         np.testing.assert_allclose(back, rows, rtol=1e-9)
     for place, closed in zip(u[:15], jacobian[:15], strict=True):
-        assert closed == pytest.approx(numeric_log_determinant(coordinates, place), abs=1e-5)
+        assert closed == pytest.approx(
+            numeric_log_determinant(coordinates.to_parameters, place), abs=1e-5
+        )
+
+
+@pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
+def test_straight_coordinates_round_trip_and_their_jacobian_is_right(chain):
+    coordinates = choose_coordinates(chain, priors_of(chain))
+    assert coordinates.bends == (chain is not CHAINS["one loss"])
+    if not coordinates.bends:
+        return
+    u = coordinates.from_parameters(rows_of(chain, priors_of(chain), 30, seed=5))
+    straight, slope = coordinates.straighten(u)
+    np.testing.assert_allclose(coordinates.bend(straight), u, rtol=1e-9, atol=1e-9)
+    for place, closed in zip(u, slope, strict=True):
+        numeric = numeric_log_determinant(coordinates.straighten, place)
+        assert closed == pytest.approx(numeric, abs=1e-5)
+    straight[:, 0] = -straight[:, 0]  # nothing to go back to
+    assert not np.isfinite(coordinates.bend(straight)).all(axis=1).any()
+
+
+def test_the_torque_is_linear_in_the_straight_ones():
+    """So a posterior that the data tell is normal there: eq. (13) at fixed directions of power."""
+    chain = KNEE.chain()
+    coordinates = choose_coordinates(chain, priors_of(chain))
+    u = coordinates.from_parameters(values_of(chain)[None])
+    straight = np.repeat(coordinates.straighten(u)[0], 3, axis=0)
+    straight[1:, :10] *= 1.0 + np.outer([0.5, 1.0], np.linspace(-1e-3, 1e-3, 10))
+    rows, _ = coordinates.to_parameters(coordinates.bend(straight))
+    rng = np.random.default_rng(6)
+    q, qd, qdd = rng.normal(size=(3, 200)) + np.array([[0.0], [0.0], [3.0]])
+    first, middle, last = inverse_torque(chain, rows, q, qd, qdd)
+    away = np.abs(last - first).max()
+    assert np.quantile(np.abs(middle - 0.5 * (first + last)), 0.9) < 1e-9 * away
 
 
 def test_the_scale_leaves_the_torque_alone_and_fills_the_passive_interval():

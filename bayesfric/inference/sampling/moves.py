@@ -13,8 +13,10 @@ against exact posteriors.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
+import emcee
 import numpy as np
 from emcee.moves import Move
 from numpy.typing import NDArray
@@ -98,6 +100,45 @@ class IndependenceMove(_VectorisedMove):
         factors = self.proposal.log_density(state.coords) - self.proposal.log_density(proposed)
         some = np.arange(state.coords.shape[0])
         return state, self._judge(model, state, some, proposed, factors)
+
+
+class ElsewhereMove(Move):  # type: ignore[misc]
+    """A move made in other coordinates, where the posterior is of another shape.
+
+    ``there`` maps walkers ``(n, d)`` to those and gives the log Jacobian ``(n,)``, ``back`` undoes
+    it; a place that has no way back is impossible.
+    """
+
+    def __init__(
+        self,
+        move: Move,
+        there: Callable[[Array], tuple[Array, Array]],
+        back: Callable[[Array], Array],
+    ) -> None:
+        self.move, self._there, self._back = move, there, back
+
+    def propose(self, model: Any, state: Any) -> tuple[Any, Chosen]:
+        """Move walkers there, by the density there, and bring them back."""
+        coords, slope = self._there(state.coords)
+        away = emcee.State(coords, log_prob=state.log_prob - slope)
+        gone, accepted = self.move.propose(model._replace(log_prob_fn=self._density(model)), away)
+        moved = np.flatnonzero(accepted)
+        if moved.size:
+            state.coords[moved] = self._back(gone.coords[moved])
+            state.log_prob[moved] = gone.log_prob[moved] + self._there(state.coords[moved])[1]
+        return state, accepted
+
+    def _density(self, model: Any) -> Callable[[Array], Array]:
+        def density(v: Array) -> Array:
+            u, out = self._back(v), np.full(len(v), -np.inf)
+            possible = np.flatnonzero(np.isfinite(u).all(axis=1))
+            slope = self._there(u[possible])[1]
+            possible, slope = possible[np.isfinite(slope)], slope[np.isfinite(slope)]
+            if possible.size:
+                out[possible] = model.log_prob_fn(u[possible]) - slope
+            return out
+
+        return density
 
 
 class LearningMove(Move):  # type: ignore[misc]

@@ -21,6 +21,7 @@ from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.convergence import LONG_ENOUGH, few, hopeless, nested_rhat
 from bayesfric.inference.sampling.moves import (
     DifferentialEvolutionMove,
+    ElsewhereMove,
     IndependenceMove,
     LearningMove,
     SurrogateMove,
@@ -145,6 +146,9 @@ def sample(
     frozen = _learned(target, half, warm, last=True)
     search = DifferentialEvolutionMove(settings.ensembles)
     moves = [(frozen, 1.0 - _OTHERWISE), (search, _OTHERWISE)]
+    if target.coordinates.bends and isinstance(frozen, IndependenceMove):
+        moves = [(move, share / 2.0) for move, share in moves]
+        moves += [(_straight(target, move, half), share) for move, share in moves]
     main = _Ensembles(target, moves, warm.positions(), random, checkpoint, "sampling")
     look = _walk(main, settings, settings.max_steps - warm.steps, progress)
 
@@ -387,6 +391,14 @@ def _learned(
         if surrogate is not None:
             return SurrogateMove(surrogate, proposal)
     return IndependenceMove(proposal)
+
+
+def _straight(target: Target, move: emcee.moves.Move, half: Array) -> ElsewhereMove:
+    """Make a move in the target's straight coordinates; one that proposes has to learn there."""
+    if isinstance(move, IndependenceMove):
+        states, slope = target.straighten(half.reshape(-1, target.dimension))
+        move = IndependenceMove(Proposal.fitted(states[np.isfinite(slope)], last=True))
+    return ElsewhereMove(move, target.straighten, target.bend)
 
 
 def _problems(
