@@ -19,7 +19,7 @@ from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.filters import derivative, lay_windows, lowpass
 from bayesfric.recordings.inputs import STEADY, Inputs
-from bayesfric.recordings.observation import Observation, moving_samples
+from bayesfric.recordings.observation import Observation, as_position, moving_samples
 from bayesfric.recordings.timing import retimed
 
 Array = NDArray[np.float64]
@@ -201,7 +201,7 @@ def played(
         torque=torque,
         filter=chosen,
         time=motion.time[chosen.centres],
-        measured=chosen.apply(torque),
+        measured=chosen.apply(as_position(torque, whole, period, told)),
         speed=qd[chosen.centres],
         segment_of=np.zeros(chosen.n_outputs, dtype=np.int64),
         stamps=motion.time,

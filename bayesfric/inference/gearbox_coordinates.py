@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 _TELLING = 0.3
 
 Scale = Literal[
-    "place", "drive", "moment", "known leg", "known drive", "known back", "known", "one"
+    "place", "drive", "moment", "known leg", "known drive", "known back", "known", "single", "one"
 ]
 
 
@@ -48,8 +48,8 @@ class GearboxCoordinates:
     share times ``m``, and the posterior is bent in shares and ``m``. In ``D`` and these products it
     is straight (:meth:`straighten`); moves are made in both.
 
-    All other parameters go by :class:`BoundedCoordinates`. One mu for both directions is one of
-    them, and there is neither ``m`` nor scale.
+    One mu for both directions leaves no scale, ``m = 2 mu/(1 + mu)``. All other parameters go by
+    :class:`BoundedCoordinates`, such a mu among them where it is known or may be above one.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class GearboxCoordinates:
             self._reference = _worth(chain, reference) * known[reference.name]
         self._moment = next((i for i, b in enumerate(alone) if b.quantity == "first_moment"), -1)
         taken = {*self._front, *self._leg, *self._alone, *self._beside}
-        taken |= set() if one else {self._drive, self._back}
+        taken |= set() if self._scale == "one" else {self._drive, self._back}
         self._others = np.array([i for i in range(len(free)) if i not in taken], dtype=int)
         rest = [priors[free[i]] for i in self._others]
         self._bounded = BoundedCoordinates(
@@ -206,6 +206,9 @@ class GearboxCoordinates:
         if kind == "known back":
             log_a = np.log1p(-self._known_back) - log_m
             return log_a, log_m, slope + log_a - log_m
+        if kind == "single":
+            log_a = math.log(2.0) - np.log1p(np.exp(log_m))
+            return log_a, log_m, slope + 2.0 * log_a - math.log(2.0)
         v = scale[:, 0]
         if kind == "place":
             log_a = -log_m * ndtr(v)
@@ -264,6 +267,7 @@ _SCALES: dict[Scale, str] = {
     "known drive": "the scale known from mu_1",
     "known back": "the scale known from mu_2",
     "known": "known load losses",
+    "single": "one mu for both directions",
     "one": "one mu for both directions",
 }
 
@@ -277,7 +281,8 @@ def _scale_by(
 ) -> Scale:
     """Say what the scale of leg and alpha goes by."""
     if len(losses) == 1:
-        return "one"
+        mu = priors[losses[0]]
+        return "one" if mu.fixed or mu.upper > 1.0 else "single"
     drive, back = losses
     if drive not in at:
         return "known drive" if back in at else "known"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -60,10 +60,10 @@ class Observation:
     q: Array  # (N,) of the joint, rad or m; so are the next two
     qd: Array
     qdd: Array
-    torque: Array  # (N,) of the motor, behind the low-pass where position and it pass it alike
+    torque: Array  # (N,) of the motor as measured, N m or N
     filter: ParallelFilter  # takes N samples of any signal to M outputs
     time: Array  # (M,) s since the file's first stamp at the windows' centres
-    measured: Array  # (M,) filter.apply(torque)
+    measured: Array  # (M,) filter.apply(as_position(torque, ...))
     speed: Array  # (M,) qd at the windows' centres
     period: float  # s from one output to the next of the same segment
     segment_of: NDArray[np.int64]  # (M,) segment of every output
@@ -146,6 +146,7 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         "dead_zone": made.dead_zone,
         "trim": numbers.trim_samples * period,
         "trim_samples": numbers.trim_samples,
+        "torque_lowpass": numbers.cutoff if numbers.alike else 0.0,
         "resample": processing.resample,
         "gap": processing.gap,
         "jitter": processing.jitter,
@@ -157,18 +158,15 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         **made.dropped,
     }
     borders = np.array([a for a, _ in segments], dtype=np.int64)
-    torque = recording.torque
-    if numbers.alike:
-        torque = lowpass(torque, segments, numbers.fs, numbers.cutoff, processing.order)
     return Observation(
         name=recording.name,
         q=q,
         qd=qd,
         qdd=derivative(qd, segments, period, numbers.reach),
-        torque=torque,
+        torque=recording.torque,
         filter=chosen,
         time=recording.time[chosen.centres],
-        measured=chosen.apply(torque),
+        measured=chosen.apply(as_position(recording.torque, segments, period, settings)),
         speed=qd[chosen.centres],
         period=numbers.factor * period,
         segment_of=np.searchsorted(borders, chosen.starts, side="right").astype(np.int64) - 1,
@@ -179,6 +177,14 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         settings=settings,
         position_step=finest_step(recording.position),
     )
+
+
+def as_position(
+    torque: Array, segments: Segments, period: float, settings: Mapping[str, float | int | str]
+) -> Array:
+    """Low-pass a measured torque ``(N,)`` where the position's filter is the torque's too."""
+    cutoff, order = float(settings.get("torque_lowpass", 0.0)), int(settings.get("order", 1))
+    return lowpass(torque, segments, 1.0 / period, cutoff, order)
 
 
 def settled(recording: Measurement, processing: Processing) -> Processing:

@@ -17,7 +17,7 @@ from bayesfric.errors import BadInput
 from bayesfric.recordings.filters import derivative, later, lowpass
 from bayesfric.recordings.inputs import Signal
 from bayesfric.recordings.measurement import Array, Measurement, Segments
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.observation import Observation, as_position
 
 
 def timed(o: Observation, recording: Measurement, delay: float) -> Observation:
@@ -67,6 +67,8 @@ def retimed(
     rate = derivative(slope, segments, period, int(o.settings.get("reach", 1)))
     return replace(
         o,
-        measured=o.filter.apply(before - taken + delay * rate),
+        measured=o.filter.apply(
+            as_position(before - taken + delay * rate, segments, period, o.settings)
+        ),
         inputs=replace(o.inputs, torque_rate=Signal(o.stamps, rate)),
     )
