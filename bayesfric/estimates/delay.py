@@ -29,6 +29,9 @@ from bayesfric.recordings.timing import longest_delay, retimed
 _ROUNDS, _STILL = 10, 0.02
 # Samples that filters and kinks at reversals shift a torque by, even where there is no noise.
 _FINEST = 0.025
+# Correlation of neighbouring residuals below which they are the position's noise, differentiated:
+# in closed loop the torque answers to it, and its rate of change then is about that, not a delay.
+_OF_POSITION = -0.5
 # Standard deviations that are no chance, and by how many of its own it must move a number.
 _SURE, _MOVED = 3.0, 1.0
 
@@ -140,7 +143,7 @@ def find_delay(
     pairs = list(zip(recordings, observations, strict=True))
     longest = min(longest_delay(o, r.period) for r, o in pairs)
     regressors, model = _near(replace(chain, delay=False), observations, point)
-    delay, sd = 0.0, np.inf
+    delay, sd, lag = 0.0, np.inf, 0.0
     for _ in range(_ROUNDS):
         before = delay
         there = [retimed(o, r.segments, r.period, delay, r.back_emf) for r, o in pairs]
@@ -151,9 +154,11 @@ def find_delay(
             break
         size, _, solution, _ = shortest(matrix)
         found = solution @ target
+        left = target - matrix @ found
+        lag = _lag_one(left)
         information = Information(
             matrix,
-            target - matrix @ found,
+            left,
             1.0 / size,
             places=places([o for _, o in pairs]),
             tolerance=OPEN,
@@ -165,7 +170,12 @@ def find_delay(
         delay = float(np.clip(found[-1], -longest, longest))
         if not abs(delay - before) > _STILL * sd:
             break
-    return delay, sd
+    return delay, np.inf if np.isfinite(sd) and lag < _OF_POSITION else sd
+
+
+def _lag_one(residual: Array) -> float:
+    power = float(residual @ residual)
+    return float(residual[1:] @ residual[:-1]) / power if power > 0.0 else 0.0
 
 
 def _near(
