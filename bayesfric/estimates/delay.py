@@ -31,7 +31,7 @@ _ROUNDS, _STILL = 10, 0.02
 _FINEST = 0.025
 # Correlation of neighbouring residuals below which they are the position's noise, differentiated:
 # in closed loop the torque answers to it, and its rate of change then is about that, not a delay.
-_OF_POSITION = -0.5
+_OF_POSITION = -0.3
 # Standard deviations that are no chance, and by how many of its own it must move a number.
 _SURE, _MOVED = 3.0, 1.0
 
@@ -170,7 +170,9 @@ def find_delay(
         delay = float(np.clip(found[-1], -longest, longest))
         if not abs(delay - before) > _STILL * sd:
             break
-    return delay, np.inf if np.isfinite(sd) and lag < _OF_POSITION else sd
+    # by more than two standard deviations of what chance does
+    noisy = np.isfinite(sd) and lag < _OF_POSITION - 2.0 / math.sqrt(len(target))
+    return delay, np.inf if noisy else sd
 
 
 def _lag_one(residual: Array) -> float:

@@ -76,60 +76,92 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
     }
 
 
-def foretold(rows: list[dict[str, Any]]) -> str:
-    """Say what the self-checks foretold of one quantity, and how corrected intervals did."""
-    checked = [row for row in rows if row["self_check"]]
-    if not checked:
-        return ""
-    bias = np.mean([row["self_check"]["bias"] for row in checked])
-    coverage = np.mean([row["self_check"]["coverage"] for row in checked])
-    hit, z = [], []
-    for row in checked:
-        # what is not corrected stays as it is
-        low, high = row["self_check"].get("corrected_interval") or row["interval"]
-        hit.append(low <= row["truth"] <= high)
-        width = (row["interval"][1] - row["interval"][0]) / (2.0 * 1.645)
-        z.append(((low + high) / 2.0 - row["truth"]) / width)
-    return (
-        f" | self-check z {bias:+.2f}, {coverage:.0%} | corrected z {np.mean(z):+.2f}, "
-        f"{np.mean(hit):.0%}"
-    )
-
-
-def table(found: list[dict[str, Any]]) -> list[str]:
-    """Say how each case did, a line for each quantity."""
-    lines = []
-    for case in dict.fromkeys(one["case"] for one in found):
-        runs = [one for one in found if one["case"] == case]
-        kept = [one for one in runs if "rows" in one]
-        seconds = [one["seconds"] for one in kept]
-        statuses = [one["status"] for one in kept]
-        stuck = np.mean([one["stuck"] for one in kept])
-        lines.append(
-            f"== {case}: {len(runs)} recordings, {len(runs) - len(kept)} refused, "
-            f"{statuses.count('reliable')} reliable; sticks {stuck:.0%}; "
-            f"median {np.median(seconds):.1f} s, longest {max(seconds):.0f} s"
+def judged(found: list[dict[str, Any]]) -> dict[str, Any]:
+    """Sum one case up: how often intervals hold the truth, by verdict and quantity."""
+    kept = [one for one in found if "rows" in one]
+    verdicts: dict[str, dict[str, Any]] = {}
+    for verdict in ("data", "weak"):
+        names = dict.fromkeys(
+            key for one in kept for key, row in one["rows"].items() if row["verdict"] == verdict
         )
-        for verdict in ("data", "weak", "prior"):
-            hits, told = [], []
-            for key in kept[0]["rows"]:
-                rows = [one["rows"][key] for one in kept if key in one["rows"]]
-                rows = [row for row in rows if row["verdict"] == verdict]
-                if not rows:
-                    continue
-                hit = [r["interval"][0] <= r["truth"] <= r["interval"][1] for r in rows]
-                z = [(r["mean"] - r["truth"]) / r["sd"] for r in rows]
-                hits += hit
-                told += [r["self_check"]["coverage"] for r in rows if r["self_check"]]
-                lines.append(
-                    f"   {verdict:6}{key:32} {np.mean(hit):6.0%} of {len(hit):3}  "
-                    f"z {np.mean(z):+.2f} +- {np.std(z):.2f}, largest {np.max(np.abs(z)):.1f}"
-                    + foretold(rows)
-                )
-            if hits:
-                lines.append(f"   {verdict:6}all {np.mean(hits):.1%} of {len(hits)}")
-            if told:
-                lines.append(f"   {verdict:6}all, as the self-checks foretold {np.mean(told):.1%}")
+        rows = {
+            name: [
+                row for one in kept if (row := one["rows"].get(name)) and row["verdict"] == verdict
+            ]
+            for name in names
+        }
+        verdicts[verdict] = {name: _quantity(some) for name, some in rows.items()}
+        # quantities of one recording err together: the error is that of recordings
+        shares = [
+            np.mean([_holds(r) for r in one["rows"].values() if r["verdict"] == verdict])
+            for one in kept
+            if any(r["verdict"] == verdict for r in one["rows"].values())
+        ]
+        if shares:
+            verdicts[verdict]["all"] = {
+                "intervals": sum(len(some) for some in rows.values()),
+                "coverage": float(np.mean([_holds(r) for some in rows.values() for r in some])),
+                "error": float(np.std(shares) / np.sqrt(len(shares))),
+            }
+    return {
+        "recordings": len(found),
+        "refused": [one["refused"] for one in found if "refused" in one],
+        "reliable": sum(one["status"] == "reliable" for one in kept),
+        "doubted": sum(bool(one["doubts"]) for one in kept),
+        "stuck": float(np.mean([one["stuck"] for one in kept])),
+        "seconds": [float(np.median(x)) for x in ([one["seconds"] for one in kept],)]
+        + [max(one["seconds"] for one in kept)],
+        "verdicts": verdicts,
+    }
+
+
+def _holds(row: dict[str, Any]) -> bool:
+    return bool(row["interval"][0] <= row["truth"] <= row["interval"][1])
+
+
+def _quantity(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    z = np.array([(row["mean"] - row["truth"]) / row["sd"] for row in rows])
+    out = {
+        "intervals": len(rows),
+        "coverage": float(np.mean([_holds(row) for row in rows])),
+        "z": float(z.mean()),
+        "z_sd": float(z.std()),
+        "z_largest": float(np.abs(z).max()),
+    }
+    if checked := [row for row in rows if row["self_check"]]:
+        told = [row["self_check"] for row in checked]
+        # what is not corrected stays as it is
+        after = [
+            {**row, "interval": row["self_check"].get("corrected_interval") or row["interval"]}
+            for row in checked
+        ]
+        out["foretold"] = {
+            "z": float(np.mean([one["bias"] for one in told])),
+            "coverage": float(np.mean([one["coverage"] for one in told])),
+            "corrected_coverage": float(np.mean([_holds(row) for row in after])),
+        }
+    return out
+
+
+def table(case: str, result: dict[str, Any]) -> list[str]:
+    """Say how a case did, a line for each quantity."""
+    median, longest = result["seconds"]
+    lines = [
+        f"== {case}: {result['recordings']} recordings, {len(result['refused'])} refused, "
+        f"{result['reliable']} reliable; sticks {result['stuck']:.0%}; "
+        f"median {median:.1f} s, longest {longest:.0f} s"
+    ]
+    for verdict, rows in result["verdicts"].items():
+        for name, row in rows.items():
+            line = f"   {verdict:5} {name:32} {row['coverage']:6.1%} of {row['intervals']:4}"
+            if "z" in row:
+                line += f"  z {row['z']:+.2f} +- {row['z_sd']:.2f}, largest {row['z_largest']:.1f}"
+            else:
+                line += f"  +- {row['error']:.1%}"
+            if told := row.get("foretold"):
+                line += f" | foretold z {told['z']:+.2f}, {told['coverage']:.0%}"
+                line += f" | corrected {told['corrected_coverage']:.0%}"
+            lines.append(line)
     return lines
 
 
@@ -140,11 +172,14 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--to", type=Path, default=HERE / "whole_path.json")
     options = parser.parse_args()
-    tasks = [(name, n) for name in options.cases for n in range(options.recordings)]
+    result = json.loads(options.to.read_text(encoding="utf-8")) if options.to.exists() else {}
     with ProcessPoolExecutor(options.workers) as pool:
-        found = list(pool.map(one, tasks))
-    options.to.write_text(json.dumps(found) + "\n", encoding="utf-8")
-    print("\n".join(table(found)))
+        for case in options.cases:
+            tasks = [(case, n) for n in range(options.recordings)]
+            result[case] = judged(list(pool.map(one, tasks)))
+            text = json.dumps(result, indent=1) + "\n"
+            options.to.write_text(text, encoding="utf-8")
+            print("\n".join(table(case, result[case])), flush=True)
 
 
 if __name__ == "__main__":
