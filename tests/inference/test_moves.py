@@ -8,6 +8,7 @@ from scipy import stats
 from bayesfric.inference.sampling.convergence import autocorrelation_time
 from bayesfric.inference.sampling.moves import (
     DifferentialEvolutionMove,
+    ElsewhereMove,
     IndependenceMove,
     LearningMove,
     SurrogateMove,
@@ -81,7 +82,17 @@ def test_moves_sample_a_correlated_normal_exactly(name, d):
     assert n > 2000.0
 
 
-@pytest.mark.parametrize("name", ["de", "mix", "surrogate"])
+def cubed(x):
+    """Other coordinates of positive numbers, with the log Jacobian of the way there."""
+    return x**3, np.log(3.0 * x**2).sum(axis=1)
+
+
+def uncubed(v):
+    with np.errstate(invalid="ignore"):
+        return np.where(v > 0.0, np.abs(v) ** (1 / 3), np.nan)
+
+
+@pytest.mark.parametrize("name", ["de", "mix", "surrogate", "elsewhere"])
 def test_moves_keep_a_skewed_posterior_with_a_wall(name):
     """An exponential and a gamma: a wall at zero, no normal tails."""
     gamma = stats.gamma(3.0)
@@ -103,6 +114,12 @@ def test_moves_keep_a_skewed_posterior_with_a_wall(name):
         surrogate = Surrogate.fitted(wall, known, log_density(known))
         proposal = Proposal.normal(np.array([1.0, 3.0]), np.diag([1.0, 3.0]))
         moves = [(SurrogateMove(surrogate, proposal, walk=10), 0.8), (moves[0][0], 0.2)]
+    if name == "elsewhere":
+        # a wrong Jacobian, there or back, would tilt both; half of what is proposed has no way back
+        proposal = Proposal.normal(np.array([1.0, 10.0]), np.diag([20.0, 900.0]))
+        inner = [(IndependenceMove(proposal), 0.3), (DifferentialEvolutionMove(), 0.3)]
+        moves = [(ElsewhereMove(move, cubed, uncubed), share) for move, share in inner]
+        moves += [(DifferentialEvolutionMove(), 0.4)]
     steps = 1500 if name == "surrogate" else 6000
     chain = run(log_density, starts, moves, steps)[:, :, 500:]
     n = chain[..., 0].size / autocorrelation_time(chain)
