@@ -18,6 +18,8 @@ from bayesfric.recordings.filters import (
     derivative,
     lay_windows,
     lowpass,
+    lowpass_gain,
+    motion_gain,
     parallel_cutoff,
     parallel_length,
     parallel_taps,
@@ -43,6 +45,8 @@ _GUARD = 10
 _LEFT, _LEAST_LEFT = 0.2, 60
 # Windows and trims that should fit into the longest segment where the band is chosen.
 _FITTING = 20
+# A gain that is off by less, in %, is not worth its digits.
+_NO_GAIN = 0.001
 # Root mean square of acceleration over its noise below which a user is warned: an inertia then
 # comes out too small by about the inverse of its square.
 LEAST_RATIO = 10.0
@@ -147,6 +151,7 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         "trim": numbers.trim_samples * period,
         "trim_samples": numbers.trim_samples,
         "torque_lowpass": numbers.cutoff if numbers.alike else 0.0,
+        "gain_left": _gain_left(numbers, recording, processing.order) - 1.0,
         "resample": processing.resample,
         "gap": processing.gap,
         "jitter": processing.jitter,
@@ -410,6 +415,19 @@ def _velocity_warnings(velocity: Array, differentiated: Array, compared: Flags) 
     yield f"velocity: {said}? Inertia and speed losses come out wrong by such a factor"
 
 
+def _end_of_band(numbers: _Numbers) -> float:
+    """Highest frequency that is compared, Hz."""
+    return numbers.used_band or numbers.cutoff or 0.25 * numbers.fs
+
+
+def _gain_left(numbers: _Numbers, recording: Measurement, order: int) -> float:
+    """Gain of the acceleration over that of the torque at the end of the band."""
+    end = _end_of_band(numbers)
+    times = 2 if recording.velocity is None else 1
+    gain = motion_gain(end, numbers.fs, numbers.reach, times)
+    return gain if numbers.alike else gain * lowpass_gain(end, numbers.fs, numbers.cutoff, order)
+
+
 def _told(
     numbers: _Numbers, recording: Measurement, settings: dict[str, float | int | str]
 ) -> Iterator[str]:
@@ -423,6 +441,327 @@ def _told(
     used = "differentiated position" if recording.velocity is None else "measured velocity"
     how = "central differences" if numbers.reach == 1 else f"{2 * numbers.reach + 1} points"
     yield f"velocity: {used}; acceleration: differentiated by {how}"
+    left = 100.0 * float(settings["gain_left"])
+    yield (
+        f"gain: at {_end_of_band(numbers):.4g} Hz the acceleration's is "
+        + (f"{left:+.2g} %" if abs(left) > _NO_GAIN else f"less than {_NO_GAIN:g} %")
+        + " off the torque's; no filter delays"
+    )
+    found = numbers.resolution
+    ratios = {"speed_ratio": found.speed_ratio, "acceleration_ratio": found.acceleration_ratio}
+    settings: dict[str, float | int | str] = {
+        "sampling_rate": numbers.fs,
+        "lowpass": numbers.cutoff,
+        "order": processing.order,
+        "decimate": numbers.factor,
+        "band": numbers.used_band,
+        "differentiation": processing.differentiation,
+        "reach": numbers.reach,
+        "guard": numbers.guard,
+        "band_by": found.reason,
+        "noise_seen": found.noise,
+        # no noise seen is no number
+        **{key: ratio for key, ratio in ratios.items() if np.isfinite(ratio)},
+        **({} if law is None else {"feedback": law[0]}),
+        "dead_zone": made.dead_zone,
+        "trim": numbers.trim_samples * period,
+        "trim_samples": numbers.trim_samples,
+        "torque_lowpass": numbers.cutoff if numbers.alike else 0.0,
+        "gain_left": _gain_left(numbers, recording, processing.order) - 1.0,
+        "resample": processing.resample,
+        "gap": processing.gap,
+        "jitter": processing.jitter,
+        "min_samples": processing.min_samples,
+        "taps": len(chosen.taps),
+        "n_samples": len(q),
+        "n_segments": len(segments),
+        "n_outputs": chosen.n_outputs,
+        **made.dropped,
+    }
+    borders = np.array([a for a, _ in segments], dtype=np.int64)
+    return Observation(
+        name=recording.name,
+        q=q,
+        qd=qd,
+        qdd=derivative(qd, segments, period, numbers.reach),
+        torque=recording.torque,
+        filter=chosen,
+        time=recording.time[chosen.centres],
+        measured=chosen.apply(as_position(recording.torque, segments, period, settings)),
+        speed=qd[chosen.centres],
+        period=numbers.factor * period,
+        segment_of=np.searchsorted(borders, chosen.starts, side="right").astype(np.int64) - 1,
+        stamps=recording.time,
+        inputs=replace(recording.inputs, recording=recording.name),
+        steps=(*recording.steps, *_told(numbers, recording, settings)),
+        warnings=tuple(warnings),
+        settings=settings,
+        position_step=finest_step(recording.position),
+    )
+
+
+def as_position(
+    torque: Array, segments: Segments, period: float, settings: Mapping[str, float | int | str]
+) -> Array:
+    """Low-pass a measured torque ``(N,)`` where the position's filter is the torque's too."""
+    cutoff, order = float(settings.get("torque_lowpass", 0.0)), int(settings.get("order", 1))
+    return lowpass(torque, segments, 1.0 / period, cutoff, order)
+
+
+def settled(recording: Measurement, processing: Processing) -> Processing:
+    """Write down what a recording's filters are, so that another part is treated alike."""
+    numbers, _ = _laid(recording, processing)
+    return processing.model_copy(update={"lowpass": numbers.cutoff, "decimate": numbers.factor})
+
+
+def window(recording: Measurement, processing: Processing) -> tuple[int, int]:
+    """Count the samples that one output is made of, and from one output to the next."""
+    numbers = _settle(recording, processing)
+    return parallel_length(numbers.factor, numbers.band, numbers.fs), numbers.factor
+
+
+@dataclass(frozen=True, eq=False)
+class _Prepared:
+    """A motion ``(N,)``, filtered and differentiated, and the windows laid over it."""
+
+    q: Array
+    qd: Array
+    compared: Flags
+    dead_zone: float
+    filter: ParallelFilter
+    dropped: dict[str, int]
+
+
+def _laid(recording: Measurement, processing: Processing) -> tuple[_Numbers, _Prepared]:
+    """Settle the filters and lay the windows, in whichever way leaves enough of them."""
+    numbers = _settle(recording, processing)
+    made = _prepared(recording, processing, numbers, SMALL_SHARE)
+    count = made.filter.n_outputs
+    if count < max(_LEFT * (count + made.dropped["dropped_dead_zone"]), _LEAST_LEFT):
+        # A narrow band's long windows nearly all touch a reversal: rather lose samples then. The
+        # gaps they leave fold noise from above the band into it, which the low-pass must take off.
+        if processing.lowpass is None:
+            numbers = _quieter(recording, processing, numbers)
+        made = _prepared(recording, processing, numbers, LARGE_SHARE)
+    return numbers, made
+
+
+def _settle(recording: Measurement, processing: Processing) -> _Numbers:
+    fs = 1 / recording.period
+    where = f"recording '{recording.name}'"
+    cutoff, factor, band = processing.lowpass, processing.decimate, processing.band
+    if band is not None:
+        check_cutoff(band, fs, f"{where}, band")
+    if cutoff is None and factor is None:
+        # one number settles the others: the band that is compared
+        resolution = resolve(recording, band)
+        longest = max(b - a for a, b in recording.segments)
+        most = max(round(0.5 / WIDEST), longest // _FITTING)
+        factor = int(np.clip(round(fs / (2.0 * resolution.band)), 1, most))
+        cutoff = lowpass_above(resolution.band if band else fs / (2 * factor), fs)
+    else:
+        cutoff = fs / 10 if cutoff is None else cutoff
+        if factor is None:
+            factor = max(1, round(fs / cutoff)) if cutoff else 1
+        factor = min(factor, len(recording.time))  # larger ones leave no output either
+        half = fs / (2 * factor) if factor > 1 else cutoff or fs / 2
+        resolution = resolve(recording, half if band is None else band)
+    if cutoff:
+        check_cutoff(cutoff, fs, f"{where}, lowpass")
+    reach = reach_of(processing.differentiation, cutoff, fs)
+    one_period = int(np.ceil(fs / cutoff - 1e-9)) if cutoff else 0
+    if processing.trim is None:
+        trim = max(_TRIM_SAMPLES, 2 * reach, one_period)
+    else:
+        # more than there are would only cost memory
+        trim = int(np.ceil(min(processing.trim * fs, len(recording.time)) - 1e-9))
+    return _Numbers(fs, cutoff, factor, band, trim, reach, max(_GUARD, one_period), resolution)
+
+
+def _quieter(recording: Measurement, processing: Processing, numbers: _Numbers) -> _Numbers:
+    """Lower the low-pass until the acceleration behind it is more than its noise."""
+    band = numbers.used_band or numbers.fs / 2
+    cutoff = lowpass_above(band, numbers.fs, ABOVE_GAPS)
+    while cutoff > 2.0 * band and resolve(recording, cutoff).acceleration_ratio < LEAST_RATIO:
+        cutoff = max(cutoff / 1.5, 2.0 * band)
+    lower = processing.model_copy(update={"lowpass": cutoff, "decimate": numbers.factor})
+    return replace(_settle(recording, lower), resolution=numbers.resolution)
+
+
+def _prepared(
+    recording: Measurement, processing: Processing, numbers: _Numbers, share: float
+) -> _Prepared:
+    """Filter the motion and lay the windows; ``share`` as in `lay_windows`."""
+    segments, trim = recording.segments, numbers.trim_samples
+    q = lowpass(recording.position, segments, numbers.fs, numbers.cutoff, processing.order)
+    if recording.velocity is None:
+        qd = derivative(q, segments, recording.period, numbers.reach)
+    else:
+        qd = lowpass(recording.velocity, segments, numbers.fs, numbers.cutoff, processing.order)
+    kept = tuple((a + trim, max(b - trim, a + trim)) for a, b in segments)
+    inside = np.zeros(len(q), dtype=np.bool_)
+    for a, b in kept:
+        inside[a:b] = True
+    dead_zone = processing.dead_zone
+    if isinstance(dead_zone, str):
+        dead_zone = units.quantity(dead_zone, "angular_speed", "speed")
+    elif dead_zone is None:
+        speeds = np.abs(qd[inside])
+        dead_zone = _DEAD_SHARE * float(np.percentile(speeds, 99)) if speeds.size else 0.0
+    moving = moving_samples(qd, segments, dead_zone, numbers.guard)
+    if share > SMALL_SHARE and numbers.cutoff:
+        # the low-pass smears the jolt of a reversal over a period on either side
+        moving &= ~_near(~moving, round(numbers.fs / numbers.cutoff))
+    chosen, dropped = _windows(recording, numbers, kept, moving, share)
+    return _Prepared(q, qd, inside & moving, float(dead_zone), chosen, dropped)
+
+
+def _windows(
+    recording: Measurement, numbers: _Numbers, kept: Segments, moving: Flags, share: float
+) -> tuple[ParallelFilter, dict[str, int]]:
+    """Lay the windows, and count what every setting took away."""
+    everything = np.ones(len(moving), dtype=np.bool_)
+    where = f"recording '{recording.name}'"
+    length = parallel_length(numbers.factor, numbers.band, numbers.fs)
+    longest = max(b - a for a, b in recording.segments)
+    # before the weights are made: there may be more of them than memory
+    if length > longest:
+        raise BadInput(
+            f"{where}, decimate",
+            f"decimate = {numbers.factor} needs windows of {length} samples, and the longest "
+            f"segment has {longest}",
+            "decimate less, raise band, or record longer",
+        )
+    taps = parallel_taps(numbers.factor, numbers.band, numbers.fs)
+
+    def lay(segments: Segments, usable: Flags) -> ParallelFilter:
+        return lay_windows(taps, segments, numbers.factor, usable, share)
+
+    whole = lay(recording.segments, everything).n_outputs
+    trimmed = lay(kept, everything).n_outputs
+    # the low-pass carries what was excluded a little way past its borders, as past a segment's
+    parts = without_excluded(kept, _near(recording.excluded, numbers.trim_samples))
+    included = lay(parts, everything).n_outputs
+    if trimmed == 0:
+        raise BadInput(
+            f"{where}, trim",
+            f"trim = {numbers.trim_samples * recording.period:.3g} s leaves no segment of {length} "
+            "samples",
+            "trim less, decimate less, or record longer",
+        )
+    if included == 0:
+        raise BadInput(f"{where}, exclude", "the excluded spans leave no output", "exclude less")
+    final = lay(parts, moving)
+    return final, {
+        "dropped_trim": whole - trimmed,
+        "dropped_excluded": trimmed - included,
+        "dropped_dead_zone": included - final.n_outputs,
+    }
+
+
+def moving_samples(qd: Array, segments: Segments, dead_zone: float, guard: int) -> Flags:
+    """Flag the samples that may be used for their speed: those not below the dead zone.
+
+    ``guard`` samples beside a rest are not used either: the low-pass carries its torque and speed
+    a little way past its ends. As many slow samples in a row are a rest, fewer a reversal.
+    """
+    moving = np.abs(qd) >= dead_zone
+    rests = np.zeros_like(moving)
+    for a, b in without_excluded(segments, moving):
+        rests[a:b] = b - a >= guard
+    return moving if not rests.any() else moving & ~_near(rests, guard)
+
+
+def _near(flags: Flags, reach: int) -> Flags:
+    """Flag what lies no more than ``reach`` samples from a flagged one."""
+    n = len(flags)
+    before = np.concatenate([[0], np.cumsum(flags)])
+    index = np.arange(n)
+    inside = before[np.minimum(index + reach + 1, n)] - before[np.maximum(index - reach, 0)]
+    return np.asarray(inside > 0)
+
+
+def without_excluded(segments: Segments, excluded: Flags) -> Segments:
+    """Split segments at excluded samples, so that no window touches one."""
+    parts: list[tuple[int, int]] = []
+    for a, b in segments:
+        change = np.diff(np.concatenate([[True], excluded[a:b], [True]]).astype(np.int8))
+        begins, ends = np.flatnonzero(change == -1), np.flatnonzero(change == 1)
+        parts.extend(zip((a + begins).tolist(), (a + ends).tolist(), strict=True))
+    return tuple(parts)
+
+
+def _band_warnings(numbers: _Numbers) -> Iterator[str]:
+    band, decimated = numbers.band, numbers.fs / numbers.factor
+    if band is not None and band > decimated / 2:
+        yield (
+            f"band: {band:.6g} Hz is above half the decimated rate ({decimated / 2:.6g} Hz)"
+            ", so higher frequencies fold back"
+        )
+    if numbers.factor > 1 and band is not None and band < 0.4 * decimated:
+        yield (
+            f"band: {band:.6g} Hz is below half the decimated rate ({decimated / 2:.6g} "
+            f"Hz), so neighbouring outputs share noise and intervals come out too narrow; "
+            f"decimate = {max(1, int(numbers.fs / (2.0 * band)))} would fit"
+        )
+
+
+def _resolution_warnings(found: Resolution, recording: Measurement) -> Iterator[str]:
+    if found.acceleration_ratio < LEAST_RATIO:
+        yield (
+            f"{'position' if recording.velocity is None else 'velocity'}: its noise or steps "
+            f"({found.noise:.2g}, one sd) make the acceleration in the band "
+            f"to {found.band:.3g} Hz only {found.acceleration_ratio:.2g} times as large as its own "
+            f"noise, at least {LEAST_RATIO:g} are wanted: inertia comes out too small; lower band, "
+            "or record a faster motion or a finer position"
+        )
+
+
+def _velocity_warnings(velocity: Array, differentiated: Array, compared: Flags) -> Iterator[str]:
+    factor = checks.speed_mismatch(velocity, differentiated, compared)
+    if factor is None:
+        return
+    said = f"is {factor:.3g} times the differentiated position: "
+    if factor == 0.0:
+        said = "has nothing to do with the differentiated position: is it the right column"
+    elif abs(abs(factor) * np.pi / 180.0 - 1.0) < 0.05:
+        said += "is it in deg/s"
+    else:
+        said += "are its unit, sign and side right"
+    yield f"velocity: {said}? Inertia and speed losses come out wrong by such a factor"
+
+
+def _end_of_band(numbers: _Numbers) -> float:
+    """Highest frequency that is compared, Hz."""
+    return numbers.used_band or numbers.cutoff or 0.25 * numbers.fs
+
+
+def _gain_left(numbers: _Numbers, recording: Measurement, order: int) -> float:
+    """Gain of the acceleration over that of the torque at the end of the band."""
+    end = _end_of_band(numbers)
+    times = 2 if recording.velocity is None else 1
+    gain = motion_gain(end, numbers.fs, numbers.reach, times)
+    return gain if numbers.alike else gain * lowpass_gain(end, numbers.fs, numbers.cutoff, order)
+
+
+def _told(
+    numbers: _Numbers, recording: Measurement, settings: dict[str, float | int | str]
+) -> Iterator[str]:
+    yield (
+        f"low-pass: zero-phase Butterworth of order {settings['order']} at "
+        f"{numbers.cutoff:.4g} Hz ({numbers.fs:.4g} Hz sampling)"
+        + (", of position and torque alike" if numbers.alike else "")
+        if numbers.cutoff
+        else "low-pass: none"
+    )
+    used = "differentiated position" if recording.velocity is None else "measured velocity"
+    how = "central differences" if numbers.reach == 1 else f"{2 * numbers.reach + 1} points"
+    yield f"velocity: {used}; acceleration: differentiated by {how}"
+    left = 100.0 * float(settings["gain_left"])
+    yield (
+        f"torque and acceleration pass the same filters but for {left:+.2g} % of the acceleration at "
+        f"{_end_of_band(numbers):.4g} Hz; nothing is delayed"
+    )
     found = numbers.resolution
     ratios = [
         f"{what} {settings[key]:.3g}"
