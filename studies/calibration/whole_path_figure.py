@@ -1,0 +1,98 @@
+"""Draw ``whole_path.json``: how often intervals hold the truth, case by case.
+
+``python studies/calibration/whole_path_figure.py`` writes ``figures/calibration/whole_path`` and
+prints the table of the README.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from bayesfric.report.figures.style import BAND, COLUMN, PALETTE, SMALL, paper_style, save
+
+HERE = Path(__file__).resolve().parent
+FOLDER = HERE.parents[1] / "figures" / "calibration"
+# What was asked for, of 90 % intervals.
+WANTED = (0.85, 0.95)
+
+
+def draw(result: dict[str, Any]) -> Figure:
+    """One row a case: a mark for each quantity that is called data, a bar for all of them."""
+    figure = Figure(figsize=(COLUMN, 0.24 * len(result) + 0.75), layout="constrained")
+    ax = figure.subplots()
+    ax.axvspan(*WANTED, color=BAND, linewidth=0.0)
+    ax.axvline(0.9, color="black", linewidth=0.5)
+    for place, case in enumerate(result.values()):
+        rows = dict(case["verdicts"]["data"])
+        whole = rows.pop("all")["coverage"]
+        # too few intervals say nothing: their share is one of a few
+        rows = {name: row for name, row in rows.items() if row["intervals"] >= 30}
+        ax.plot(
+            [row["coverage"] for row in rows.values()],
+            [place] * len(rows),
+            linestyle="none",
+            marker="o",
+            markersize=2.6,
+            markerfacecolor="none",
+            markeredgewidth=0.6,
+            color=PALETTE[1],
+        )
+        ax.plot([whole], [place], linestyle="none", marker="|", markersize=9, color="black")
+    ax.set_yticks(range(len(result)), [*result], fontsize=SMALL)
+    ax.set_ylim(len(result) - 0.5, -0.5)
+    ax.set_xlim(0.0 if _least(result) < 0.4 else 0.4, 1.005)
+    ax.set_xlabel("share of 90 % intervals that hold the truth")
+    ax.tick_params(axis="y", length=0)
+    return figure
+
+
+def table(result: dict[str, Any]) -> list[str]:
+    """Lay the cases out as Markdown."""
+    lines = [
+        "| case | recordings | reliable | `data`: coverage, lowest and highest | largest mean z "
+        "| foretold by self-checks | `weak` |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for name, case in result.items():
+        rows = dict(case["verdicts"]["data"])
+        whole = rows.pop("all")
+        rows = {n: row for n, row in rows.items() if row["intervals"] >= 30}
+        least, most = (f(rows, key=lambda n: rows[n]["coverage"]) for f in (min, max))
+        off = max(rows, key=lambda n: abs(rows[n]["z"]))
+        told = [row["foretold"]["coverage"] for row in rows.values() if "foretold" in row]
+        weak = case["verdicts"].get("weak", {}).get("all")
+        made = case["recordings"] - len(case["refused"])
+        lines.append(
+            f"| {name} | {made} | {case['reliable']} "
+            f"| {whole['coverage']:.1%} ± {whole['error']:.1%}, "
+            f"{rows[least]['coverage']:.0%} ({least}) to {rows[most]['coverage']:.0%} "
+            f"| {rows[off]['z']:+.2f} ({off}) | {sum(told) / max(len(told), 1):.0%} "
+            f"| {_share(weak)} |"
+        )
+    return lines
+
+
+def _share(row: dict[str, Any] | None) -> str:
+    return f"{row['coverage']:.0%} of {row['intervals']}" if row else ""
+
+
+def _least(result: dict[str, Any]) -> float:
+    rows = [row for case in result.values() for row in case["verdicts"]["data"].values()]
+    return min(row["coverage"] for row in rows if row["intervals"] >= 30)
+
+
+def main() -> None:
+    result = json.loads((HERE / "whole_path.json").read_text(encoding="utf-8"))
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    with paper_style():
+        figure = draw(result)
+    save(figure, FOLDER, "whole_path")
+    print("\n".join(table(result)))
+
+
+if __name__ == "__main__":
+    main()
