@@ -23,10 +23,10 @@ from bayesfric.config_text import (
 )
 from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.delay import Delay, delays
-from bayesfric.estimates.once_a_turn import OnceATurn, once_a_turn
 from bayesfric.estimates.descent import few_threads
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.methods import ESTIMATORS, Given, estimate_by
+from bayesfric.estimates.once_a_turn import OnceATurn, once_a_turn
 from bayesfric.estimates.point_estimate import METHODS, Estimate, Method
 from bayesfric.identifiability.identification import Identification, identify
 from bayesfric.identifiability.known_quantities import speed_term
