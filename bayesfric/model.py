@@ -26,6 +26,7 @@ from bayesfric.estimates.delay import Delay, delays
 from bayesfric.estimates.descent import few_threads
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.methods import ESTIMATORS, Given, estimate_by
+from bayesfric.estimates.once_a_turn import OnceATurn, once_a_turn
 from bayesfric.estimates.point_estimate import METHODS, Estimate, Method
 from bayesfric.identifiability.identification import Identification, identify
 from bayesfric.identifiability.known_quantities import speed_term
@@ -65,6 +66,10 @@ Shown = Callable[[Progress], None]
 
 def silent(_: Progress) -> None:
     """Tell nobody how far work has come."""
+
+
+def _first_point(estimates: Sequence[Estimate]) -> dict[str, float] | None:
+    return next((dict(one.point) for one in estimates if one.point), None)
 
 
 def _methods(progress: Shown) -> Callable[[str], None]:
@@ -277,8 +282,11 @@ class Model:
 
         Load losses and a Stribeck rise need an input-error estimate, made if none is given.
         """
-        point = next((dict(one.point) for one in estimates if one.point), None)
-        return delays(self._evidence, self.recordings, point)
+        return delays(self._evidence, self.recordings, _first_point(estimates))
+
+    def once_a_turn(self, estimates: Sequence[Estimate] = ()) -> OnceATurn | None:
+        """Estimate a torque once a turn that gravity does not explain, as :meth:`delays` does."""
+        return once_a_turn(self._evidence, _first_point(estimates))
 
     # What can be known
 
@@ -561,7 +569,8 @@ class Model:
                 compared = spreads(white), rms(white)
             summary = add_white_intervals(summary, compared[0] if compared else None)
         late = [] if self.chain.delay else self.delays(begun.estimates)
-        doubts = find_doubts(found, summary, begun.choice, compared, late)
+        turn = self.once_a_turn(begun.estimates)
+        doubts = find_doubts(found, summary, begun.choice, compared, late, turn)
         if (checked := self._self_check(found, progress)) is not None:
             part = self_check_part(found, summary, checked)
             summary = summary.model_copy(update={"self_check": part})

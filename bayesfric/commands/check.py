@@ -60,7 +60,12 @@ def check(model: Model) -> dict[str, Any]:
             }
             for one in delays
         ],
-        "doubts": doubts_before(totals, model.observations, () if model.chain.delay else delays),
+        "doubts": doubts_before(
+            totals,
+            model.observations,
+            () if model.chain.delay else delays,
+            model.once_a_turn(),
+        ),
         "least_squares": estimate_summary(totals),
     }
 

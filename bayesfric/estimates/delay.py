@@ -10,15 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesfric.errors import BadInput
-from bayesfric.estimates.descent import TorqueProblem
 from bayesfric.estimates.information import Information
 from bayesfric.estimates.input_error import input_error
-from bayesfric.estimates.knowledge import Knowledge
-from bayesfric.estimates.least_squares import TotalsProjection, least_squares
+from bayesfric.estimates.least_squares import least_squares
 from bayesfric.estimates.methods import Given
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.estimates.torque import places
 from bayesfric.estimates.torque_form import OPEN, shortest
+from bayesfric.estimates.torque_near import bends, torque_near
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.measurement import Array, Measurement
 from bayesfric.recordings.observation import Observation
@@ -72,7 +71,7 @@ def delays(
         return dict(input_error(chain, observations, given.knowledge, given.options).point)
 
     pairs = list(zip(recordings, given.observations, strict=True))
-    if not any(p.row.role == "loss" or p.row.option == "stribeck" for p in given.chain.parameters):
+    if not bends(given.chain):
         return _delays(given.chain, pairs, None)
     try:
         found = _delays(given.chain, pairs, point or fitted(given.chain, given.observations))
@@ -142,7 +141,7 @@ def find_delay(
     """
     pairs = list(zip(recordings, observations, strict=True))
     longest = min(longest_delay(o, r.period) for r, o in pairs)
-    regressors, model = _near(replace(chain, delay=False), observations, point)
+    regressors, model = torque_near(replace(chain, delay=False), observations, point)
     delay, sd, lag = 0.0, np.inf, 0.0
     for _ in range(_ROUNDS):
         before = delay
@@ -178,18 +177,6 @@ def find_delay(
 def _lag_one(residual: Array) -> float:
     power = float(residual @ residual)
     return float(residual[1:] @ residual[:-1]) / power if power > 0.0 else 0.0
-
-
-def _near(
-    chain: Joint, observations: Sequence[Observation], point: Mapping[str, float] | None
-) -> tuple[Array, Array]:
-    """Write the torque as regressors ``(n, k)`` and a model ``(n,)`` that they change."""
-    if point is None:
-        regressors = TotalsProjection(chain, observations).regressors
-        return regressors, np.zeros(sum(o.measured.size for o in observations))
-    problem = TorqueProblem(chain, observations, Knowledge())
-    x = np.array([point[name] for name in chain.names])
-    return problem.jacobian(x), problem.measured - problem.residual(x)
 
 
 def _as_if(pairs: Sequence[tuple[Measurement, Observation]], delay: float) -> list[Observation]:

@@ -19,6 +19,7 @@ DOUBTS = (
     "noise",
     "acceleration",
     "delay",
+    "once-a-turn",
     "self-check",
 )
 

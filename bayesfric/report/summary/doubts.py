@@ -14,6 +14,7 @@ import numpy as np
 
 from bayesfric.estimates.delay import Delay
 from bayesfric.estimates.information import CORRELATED
+from bayesfric.estimates.once_a_turn import OnceATurn
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.noise_choice import Choice
@@ -40,13 +41,15 @@ def find_doubts(
     choice: Choice | None = None,
     white: tuple[White, float] | None = None,
     delays: Sequence[Delay] = (),
+    turn: OnceATurn | None = None,
 ) -> list[dict[str, Any]]:
     """Look for what makes the numbers of a fit doubtful, for ``summary["doubts"]``.
 
     ``choice`` is how the order of the noise was chosen, where it was; ``white`` what the same
     recordings say with white noise, where that was sampled:
     :func:`bayesfric.report.summary.summary.spreads`, and the residuals' root mean square;
-    ``delays`` those that the joint does not have for a parameter. Gives ``kind``, ``parameters``
+    ``delays`` those that the joint does not have for a parameter; ``turn`` the torque once a turn
+    that gravity does not explain. Gives ``kind``, ``parameters``
     and what else tells of each.
     """
     if summary.sampler.status == "unusable":
@@ -60,6 +63,7 @@ def find_doubts(
         *_noise(summary, told, white),
         *_acceleration(fit, summary, told),
         *({**one, "of": _of_motion(fit, told)} for one in _late(delays)),
+        *({**one, "of": _of_gravity(told)} for one in _turning(turn) if _of_gravity(told)),
     ]
     return [{"kind": one.pop("kind"), "parameters": one.pop("of", told), **one} for one in found]
 
@@ -87,14 +91,17 @@ def _unexplained(summary: Summary) -> Iterator[dict[str, Any]]:
 
 
 def doubts_before(
-    totals: Estimate, observations: Sequence[Observation], delays: Sequence[Delay] = ()
+    totals: Estimate,
+    observations: Sequence[Observation],
+    delays: Sequence[Delay] = (),
+    turn: OnceATurn | None = None,
 ) -> list[dict[str, Any]]:
     """Look for what makes any fit doubtful, before there is one, as :func:`find_doubts` does.
 
     ``totals`` are of :func:`bayesfric.estimates.least_squares.least_squares`; no ``parameters`` are
     named: all are doubtful.
     """
-    return [*_feedback(observations), *_negative(totals), *_late(delays)]
+    return [*_feedback(observations), *_negative(totals), *_late(delays), *_turning(turn)]
 
 
 def _late(delays: Sequence[Delay]) -> Iterator[dict[str, Any]]:
@@ -120,6 +127,21 @@ def _late(delays: Sequence[Delay]) -> Iterator[dict[str, Any]]:
         "alike": _scatter(alone) < _SCATTER,
         **{"moved": name, "moves": abs(moved)},
     }
+
+
+def _turning(turn: OnceATurn | None) -> Iterator[dict[str, Any]]:
+    """Name a torque that depends on the angle as gravity with its known zero does not."""
+    if turn is not None and turn.matters:
+        yield {
+            "kind": "once-a-turn",
+            **{"cosine": turn.value, "sd": turn.sd, "angle": turn.angle, "moves": turn.moves},
+            "times": turn.times,
+        }
+
+
+def _of_gravity(told: Sequence[str]) -> list[str]:
+    """Name gravity's first moment and the totals that it makes up."""
+    return [name for name in told if quantity_of(name) in ("first_moment", "gravity")]
 
 
 def _scatter(delays: Sequence[Delay]) -> float:

@@ -1,0 +1,129 @@
+"""A torque once a turn of the joint that gravity does not explain.
+
+With a known zero of its angle, gravity is a sine of the position alone. A zero that is off, or a
+ripple of the motor's torque once a turn, has a cosine as well, and shows by it. The sine of a
+ripple shows nowhere: it is gravity's.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesfric.errors import BadInput
+from bayesfric.estimates.information import Information
+from bayesfric.estimates.input_error import input_error
+from bayesfric.estimates.least_squares import least_squares, total_label
+from bayesfric.estimates.methods import Given
+from bayesfric.estimates.torque import places
+from bayesfric.estimates.torque_form import OPEN, shortest
+from bayesfric.estimates.torque_near import bends, torque_near
+from bayesfric.mechanism.joint import Joint
+
+# Standard deviations that are no chance, and by how many of its own it must move gravity.
+_SURE, _MOVED = 3.0, 1.0
+# Ratios this close to a whole number are one, written with few digits.
+_ALIKE = 1e-3
+
+
+@dataclass(frozen=True)
+class OnceATurn:
+    """The cosine of the position in the torque, where gravity is its sine."""
+
+    value: float  # N m at the motor
+    sd: float  # the larger of the plain and the robust one; infinite if nothing tells
+    angle: float  # rad by which the zero of gravity's angle would be off, were that all of it
+    # by how many of its sds the total of gravity is off, were the sine as large
+    moves: float
+    times: int  # as of gravity_like
+
+    @property
+    def matters(self) -> bool:
+        """Whether it is no chance, and as much of a sine moves gravity by more than its sd."""
+        return abs(self.value) > _SURE * self.sd and self.moves > _MOVED
+
+
+def gravity_like(chain: Joint) -> int:
+    """Count how often a turn the motor's torque ripples at the pace of gravity; 0 if it cannot.
+
+    Once, where the motor turns as often as the joint; twice, where the joint turns twice as often.
+    Behind a gear that makes it slower, no ripple of the motor is slow enough.
+    """
+    if chain.motor_motion != "rotary" or chain.load.motion != "rotary":
+        return 0
+    times = round(1.0 / chain.ratio)
+    return times if abs(times * chain.ratio - 1.0) < _ALIKE else 0
+
+
+def once_a_turn(given: Given, point: Mapping[str, float] | None = None) -> OnceATurn | None:
+    """Estimate the cosine of the position in the torque.
+
+    ``None`` where there is no gravity to estimate, where its angle is free, which takes the
+    cosine up, or where nothing can be estimated. ``point`` as in
+    :func:`bayesfric.estimates.delay.delays`.
+    """
+    chain, knowledge = given.chain, given.knowledge
+    free = {p.quantity: p.name for p in chain.parameters if p.name not in knowledge.fixed}
+    if "first_moment" not in free or "gravity_angle" in free or chain.load.motion != "rotary":
+        return None
+    with suppress(BadInput):
+        if point is None and (bends(chain) or _angle(chain)):
+            estimate = input_error(chain, given.observations, knowledge, given.options)
+            point = dict(estimate.point)
+        return _found(given, point if bends(chain) or _angle(chain) else None)
+    return None
+
+
+def _angle(chain: Joint) -> str:
+    """Name the angle of gravity's zero; empty where it has none."""
+    return next((p.name for p in chain.parameters if p.circular), "")
+
+
+def _found(given: Given, point: Mapping[str, float] | None) -> OnceATurn | None:
+    chain, observations = given.chain, given.observations
+    regressors, model = torque_near(chain, observations, point)
+    zero = 0.0
+    if angle := _angle(chain):
+        assert point is not None
+        # what turns gravity is known: else it would stand for the cosine
+        regressors = np.delete(regressors, chain.names.index(angle), axis=1)
+        zero = point[angle]
+    waves = np.concatenate(
+        # a cosine that hardly turns is a constant, which this must not be taken for
+        [o.filter.apply(np.stack([np.ones_like(o.q), np.cos(o.q + zero)])).T for o in observations]
+    )
+    # a constant twice over, where the joint has one already, changes nothing else
+    matrix = np.column_stack([regressors, waves])
+    target = np.concatenate([o.measured for o in observations]) - model
+    if len(target) <= matrix.shape[1]:
+        return None
+    size, _, solution, _ = shortest(matrix)
+    found = solution @ target
+    information = Information(
+        matrix,
+        target - matrix @ found,
+        1.0 / size,
+        places=places(observations),
+        tolerance=OPEN,
+    )
+    value, sd = float(found[-1]), _larger(information.sds(np.eye(len(found))[-1]))
+    totals = least_squares(chain, observations)
+    gravity = totals[total_label(chain, "gravity")]
+    error = _larger((gravity.sd, gravity.sd_robust))
+    if not (math.isfinite(sd) and math.isfinite(error) and error > 0.0):
+        return None
+    return OnceATurn(
+        value,
+        sd,
+        math.atan(value / gravity.value) if gravity.value else math.copysign(math.pi / 2, value),
+        abs(value) / error,
+        gravity_like(chain),
+    )
+
+
+def _larger(sds: tuple[float, float]) -> float:
+    return float(np.nanmax([*sds, 0.0]))
