@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -33,14 +33,12 @@ from bayesfric.identifiability.known_quantities import speed_term
 from bayesfric.identifiability.local import LocalInformation, local_information
 from bayesfric.identifiability.next_recording import Ranking, ranking
 from bayesfric.identifiability.plausible import Point, estimate_point, points_around
-from bayesfric.identifiability.sentences import plain
-from bayesfric.inference.fitting import Fit, fit, make_target, target_of
+from bayesfric.inference.fitting import make_target, target_of
 from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.likelihood.noise_choice import Choice, choice_at
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.noise import NOISE_MODELS
-from bayesfric.inference.predictive import predict_held_out
 from bayesfric.inference.prior.as_knowledge import as_knowledge
 from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Progress, Sampling
@@ -53,7 +51,6 @@ from bayesfric.preparation import prepare, residual_noise
 from bayesfric.progress import progress_shown
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.trajectory import Trajectory, trajectory
-from bayesfric.self_check.self_check import Checked, self_check
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -77,8 +74,6 @@ def _methods(progress: Shown) -> Callable[[str], None]:
     return lambda method: progress(Progress(f"{method} estimate"))
 
 
-# Independent draws that are enough for an interval that only stands beside another.
-_WHITE_ESS = 2000.0
 # Points besides the estimate that recordings to make next are simulated at.
 _AROUND = 6
 
@@ -539,65 +534,14 @@ class Model:
         BadInput
             For anything that cannot be used.
         """
-        from bayesfric.report.summary.doubts import find_doubts, put_doubts
-        from bayesfric.report.summary.noise import add_white_intervals, white_alternative
-        from bayesfric.report.summary.record import Identifiability
-        from bayesfric.report.summary.self_check import self_check_doubts, self_check_part
-        from bayesfric.report.summary.summary import rms, spreads, summarise
-        from bayesfric.result import Result
+        from bayesfric.whole_fit import whole_fit
 
         sampling = self.config.tables.sampling
         if seed is not None:
             sampling = sampling.model_copy(update={"seed": seed})
-        kept = checkpoint("posterior", sampling)
-        begun = self.begin(output_error=output_error, progress=progress)
-        sample = partial(fit, estimates=begun.estimates, progress=progress)
-        with self.config.named():
-            found = sample(begun.target, sampling, checkpoint=kept)
-        if self.held_out:
-            held_out = predict_held_out(found.target, found.posterior, self.held_out)
-            found = replace(found, held_out=held_out)
-        summary = summarise(found, self.references(), begun.choice)
-        compared = None
-        if white_alternative(found):
-            progress(Progress("the same with white noise"))
-            quick = sampling.model_copy(update={"min_ess": min(sampling.min_ess, _WHITE_ESS)})
-            kept = checkpoint("white-noise", quick)
-            with self.config.named():
-                white = sample(self.white_target(), quick, checkpoint=kept)
-            if white.posterior.diagnostics.status != "unusable":
-                compared = spreads(white), rms(white)
-            summary = add_white_intervals(summary, compared[0] if compared else None)
-        late = [] if self.chain.delay else self.delays(begun.estimates)
-        turn = self.once_a_turn(begun.estimates)
-        doubts = find_doubts(found, summary, begun.choice, compared, late, turn)
-        if (checked := self._self_check(found, progress)) is not None:
-            part = self_check_part(found, summary, checked)
-            summary = summary.model_copy(update={"self_check": part})
-            doubts += self_check_doubts(summary)
-        summary = put_doubts(summary, doubts)
-        progress(Progress("identifiability"))
-        update: dict[str, Any] = {
-            "warnings": [*summary.warnings, *begun.missing],
-            # nothing in a file of samples tells; the configuration may
-            "may_be_simulated": self.config.tables.simulation is not None,
-        }
-        with suppress(BadInput):  # a simulation that fails there takes no result away
-            here = identify(begun.target, [Point("estimate", found.posterior.median)])
-            update["identifiability"] = Identifiability.model_validate(
-                summary.identifiability.as_dict() | {"directions": plain(here.directions)}
-            )
-        summary = summary.model_copy(update=update)
-        return Result(self, found, summary)
-
-    def _self_check(self, found: Fit, progress: Shown) -> Checked | None:
-        """Try the fit on simulated recordings like its own, unless none are wanted."""
-        tables, seen = self.config.tables, (self.recordings, self.observations)
-        number = tables.self_check.number(sum(r.time.size for r in self.recordings))
-        if number == 0:
-            return None
-        progress(Progress("self-check"))
-        return self_check(found.target, found.posterior, *seen, tables.processing, number)
+        return whole_fit(
+            self, sampling, output_error=output_error, progress=progress, checkpoint=checkpoint
+        )
 
     def sample(
         self,

@@ -1,0 +1,99 @@
+"""A model sampled, and all that is asked of its posterior before anyone may read it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from bayesfric.errors import BadInput
+from bayesfric.identifiability.identification import identify
+from bayesfric.identifiability.plausible import Point
+from bayesfric.identifiability.sentences import plain
+from bayesfric.inference.fitting import Fit, fit
+from bayesfric.inference.predictive import predict_held_out
+from bayesfric.inference.sampling.checkpoint import Checkpoint
+from bayesfric.inference.sampling.sampling import Progress, Sampling
+from bayesfric.report.summary.doubts import White, find_doubts, put_doubts
+from bayesfric.report.summary.noise import add_white_intervals, white_alternative
+from bayesfric.report.summary.record import Identifiability
+from bayesfric.report.summary.self_check import self_check_doubts, self_check_part
+from bayesfric.report.summary.summary import rms, spreads, summarise
+from bayesfric.result import Result
+from bayesfric.self_check.self_check import Checked, self_check
+
+if TYPE_CHECKING:
+    from bayesfric.model import Model
+
+# Independent draws that are enough for an interval that only stands beside another.
+_WHITE_ESS = 2000.0
+
+
+def whole_fit(
+    model: Model,
+    sampling: Sampling,
+    *,
+    output_error: bool,
+    progress: Callable[[Progress], None],
+    checkpoint: Callable[[str, Sampling], Checkpoint | None],
+) -> Result:
+    """Sample a model and sum it up; arguments as of :meth:`bayesfric.Model.fit`."""
+    # before anything is estimated: a run of other settings is refused at once
+    kept = checkpoint("posterior", sampling)
+    begun = model.begin(output_error=output_error, progress=progress)
+    sample = partial(fit, estimates=begun.estimates, progress=progress)
+    with model.config.named():
+        found = sample(begun.target, sampling, checkpoint=kept)
+    if model.held_out:
+        held_out = predict_held_out(found.target, found.posterior, model.held_out)
+        found = replace(found, held_out=held_out)
+    summary = summarise(found, model.references(), begun.choice)
+    compared = None
+    if white_alternative(found):
+        progress(Progress("the same with white noise"))
+        quick = sampling.model_copy(update={"min_ess": min(sampling.min_ess, _WHITE_ESS)})
+        compared = _with_white_noise(model, sample, quick, checkpoint("white-noise", quick))
+        summary = add_white_intervals(summary, compared[0] if compared else None)
+    late = [] if model.chain.delay else model.delays(begun.estimates)
+    turn = model.once_a_turn(begun.estimates)
+    doubts = find_doubts(found, summary, begun.choice, compared, late, turn)
+    if (checked := _self_check(model, found, progress)) is not None:
+        part = self_check_part(found, summary, checked)
+        summary = summary.model_copy(update={"self_check": part})
+        doubts += self_check_doubts(summary)
+    summary = put_doubts(summary, doubts)
+    progress(Progress("identifiability"))
+    update: dict[str, Any] = {
+        "warnings": [*summary.warnings, *begun.missing],
+        # nothing in a file of samples tells; the configuration may
+        "may_be_simulated": model.config.tables.simulation is not None,
+    }
+    with suppress(BadInput):  # a simulation that fails there takes no result away
+        here = identify(begun.target, [Point("estimate", found.posterior.median)])
+        update["identifiability"] = Identifiability.model_validate(
+            summary.identifiability.as_dict() | {"directions": plain(here.directions)}
+        )
+    return Result(model, found, summary.model_copy(update=update))
+
+
+def _with_white_noise(
+    model: Model, sample: Callable[..., Fit], sampling: Sampling, kept: Checkpoint | None
+) -> tuple[White, float] | None:
+    """Sample the same with white noise; ``None`` where that gives no posterior."""
+    with model.config.named():
+        white = sample(model.white_target(), sampling, checkpoint=kept)
+    if white.posterior.diagnostics.status == "unusable":
+        return None
+    return spreads(white), rms(white)
+
+
+def _self_check(model: Model, found: Fit, progress: Callable[[Progress], None]) -> Checked | None:
+    """Try the fit on simulated recordings like its own, unless none are wanted."""
+    tables, seen = model.config.tables, (model.recordings, model.observations)
+    number = tables.self_check.number(sum(r.time.size for r in model.recordings))
+    if number == 0:
+        return None
+    progress(Progress("self-check"))
+    return self_check(found.target, found.posterior, *seen, tables.processing, number)
