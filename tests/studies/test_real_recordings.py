@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from bayesfric.config import read_config
+from bayesfric.config import parse_config, read_config
 from bayesfric.inference.fitting import fit
 from bayesfric.model import Model
 from tests.conftest import REPOSITORY
@@ -13,17 +13,24 @@ from tests.conftest import REPOSITORY
 pytestmark = pytest.mark.usefixtures("real_data")
 
 
-def run(name):
+def run(name, band=None):
     config = read_config(REPOSITORY / "studies" / name)
+    if band is not None:
+        text = config.path.read_text(encoding="utf-8")
+        config = parse_config(
+            text.replace("[processing]\n", f'[processing]\nband = "{band}"\n'), config.path
+        )
+        assert config.tables.processing.band is not None
     problem = Model.from_config(config)
     result = fit(problem.target(), config.tables.sampling)
     assert result.posterior.diagnostics.status == "reliable"
     return problem, result
 
 
-def test_emps_is_the_published_analysis():
+@pytest.mark.parametrize("band", [None, "50 Hz"], ids=["as it stands", "filter of 0.1.0"])
+def test_emps_is_the_published_analysis(band):
     """Janot, Gautier, Brunot 2019; published values and sds in shared/data/README.md."""
-    _, result = run("emps/emps-white.toml")
+    _, result = run("emps/emps-white.toml", band)
     published = {
         "motor.inertia": (95.109, 0.107),
         "motor.viscous": (203.50, 1.14),
