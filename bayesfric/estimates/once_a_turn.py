@@ -36,7 +36,6 @@ class OnceATurn:
 
     value: float  # N m at the motor
     sd: float  # the larger of the plain and the robust one; infinite if nothing tells
-    angle: float  # rad by which the zero of gravity's angle would be off, were that all of it
     # by how many of its sds the total of gravity is off, were the sine as large
     moves: float
     times: int  # as of gravity_like
@@ -62,19 +61,22 @@ def gravity_like(chain: Joint) -> int:
 def once_a_turn(given: Given, point: Mapping[str, float] | None = None) -> OnceATurn | None:
     """Estimate the cosine of the position in the torque.
 
-    ``None`` where there is no gravity to estimate, where its angle is free, which takes the
+    ``None`` where there is no gravity, where its angle is free, which takes the
     cosine up, or where nothing can be estimated. ``point`` as in
     :func:`bayesfric.estimates.delay.delays`.
     """
     chain, knowledge = given.chain, given.knowledge
-    free = {p.quantity: p.name for p in chain.parameters if p.name not in knowledge.fixed}
-    if "first_moment" not in free or "gravity_angle" in free or chain.load.motion != "rotary":
+    if all(p.quantity != "first_moment" for p in chain.parameters):
+        return None
+    if (angle := _angle(chain)) and angle not in knowledge.fixed:
         return None
     with suppress(BadInput):
-        if point is None and (bends(chain) or _angle(chain)):
+        if not bends(chain) and not angle:
+            return _found(given, None)
+        if point is None:
             estimate = input_error(chain, given.observations, knowledge, given.options)
             point = dict(estimate.point)
-        return _found(given, point if bends(chain) or _angle(chain) else None)
+        return _found(given, point)
     return None
 
 
@@ -119,7 +121,6 @@ def _found(given: Given, point: Mapping[str, float] | None) -> OnceATurn | None:
     return OnceATurn(
         value,
         sd,
-        math.atan(value / gravity.value) if gravity.value else math.copysign(math.pi / 2, value),
         abs(value) / error,
         gravity_like(chain),
     )

@@ -134,7 +134,7 @@ def _turning(turn: OnceATurn | None) -> Iterator[dict[str, Any]]:
     if turn is not None and turn.matters:
         yield {
             "kind": "once-a-turn",
-            **{"cosine": turn.value, "sd": turn.sd, "angle": turn.angle, "moves": turn.moves},
+            **{"cosine": turn.value, "sd": turn.sd, "moves": turn.moves},
             "times": turn.times,
         }
 
