@@ -14,6 +14,7 @@ from bayesfric.mechanism.forward import simulate
 RATE, FINE = 500.0, 20
 MOTOR = bf.Element("motor", inertia=True, coulomb="symmetric", viscous=True)
 AXIS = bf.Joint([MOTOR], load=bf.Load(first_moment=True), offset=True)
+ANGLED = replace(AXIS, load=bf.Load(first_moment=True, gravity_angle=True))
 VALUES = {
     "motor.inertia": 0.05,
     "motor.viscous": 0.1,
@@ -46,6 +47,19 @@ def test_the_cosine_of_a_ripple_is_found():
     assert found.matters
 
 
+def test_what_takes_the_cosine_up_is_named_with_what_an_angle_would_change():
+    recording = bench(4, 0.04)
+    found = bf.Model(AXIS, recording).once_a_turn()
+    (plain,) = bf.Model(AXIS, recording).estimates(["least-squares"])
+    (angled,) = bf.Model(ANGLED, recording).estimates(["least-squares"])
+    assert set(found.others) == {"total.inertia", "motor.viscous", "motor.coulomb", "offset"}
+    for name, by in found.others.items():
+        sd = max(plain[name].sd, plain[name].sd_robust)
+        assert by == pytest.approx((plain[name].value - angled[name].value) / sd, abs=1e-6)
+    assert "motor.coulomb" in found.moved
+    assert all(abs(by) > 0.5 for by in found.moved.values())
+
+
 def test_a_ripple_in_phase_with_gravity_moves_it_and_shows_nowhere():
     """That is why identify says it of every such joint."""
     model = bf.Model(AXIS, bench(4, 0.04, phase=0.0))
@@ -59,11 +73,10 @@ def test_a_zero_that_is_off_is_found_and_taken_up_by_a_free_angle():
     found = bf.Model(AXIS, recording).once_a_turn()
     assert found.value == pytest.approx(0.3 * 9.80665 * np.sin(0.05), abs=4.0 * found.sd)
     assert found.matters
-    angled = replace(AXIS, load=bf.Load(first_moment=True, gravity_angle=True))
-    assert bf.Model(angled, recording).once_a_turn() is None
+    assert bf.Model(ANGLED, recording).once_a_turn() is None
     # one that is known is no place for it to hide
     for angle, off in ((0.05, False), (0.0, True)):
-        fixed = bf.Model(angled, recording, priors={"load.gravity_angle": angle})
+        fixed = bf.Model(ANGLED, recording, priors={"load.gravity_angle": angle})
         assert fixed.once_a_turn().matters is off
 
 
@@ -103,5 +116,5 @@ def test_check_says_it():
     assert doubt["kind"] == "once-a-turn"
     (line,) = [line for line in check_text(check(model)) if line.startswith("WARNING")]
     assert "set gravity_angle = true" in line
-    assert "ripple of the motor's torque, once a turn" in line
+    assert "ripple of the motor's torque once a turn" in line
     assert check(bf.Model(AXIS, bench(4)))["doubts"] == []
