@@ -52,7 +52,7 @@ def test_what_takes_the_cosine_up_is_named_with_what_an_angle_would_change():
     found = bf.Model(AXIS, recording).once_a_turn()
     (plain,) = bf.Model(AXIS, recording).estimates(["least-squares"])
     (angled,) = bf.Model(ANGLED, recording).estimates(["least-squares"])
-    assert set(found.others) == {"total.inertia", "motor.viscous", "motor.coulomb", "offset"}
+    assert set(found.others) == {"motor.inertia", "motor.viscous", "motor.coulomb", "offset"}
     for name, by in found.others.items():
         sd = max(plain[name].sd, plain[name].sd_robust)
         assert by == pytest.approx((plain[name].value - angled[name].value) / sd, abs=1e-6)
