@@ -297,7 +297,7 @@ def test_a_zero_that_is_off_is_warned_of_and_gravity_not_called_data(fitted):
     assert "load.first_moment" in doubt["parameters"]
     assert verdicts(summary)["load.first_moment"] == "weak"
     assert summary["sampler"]["status"] == "tentative"
-    (line,) = [line for line in told if "set gravity_angle = true" in line]
+    (line,) = [line for line in told if "gravity_angle = true mends" in line]
     assert line.startswith("WARNING: the torque depends on the angle as gravity")
 
 

@@ -115,6 +115,6 @@ def test_check_says_it():
     (doubt,) = check(model)["doubts"]
     assert doubt["kind"] == "once-a-turn"
     (line,) = [line for line in check_text(check(model)) if line.startswith("WARNING")]
-    assert "set gravity_angle = true" in line
+    assert "gravity_angle = true mends" in line
     assert "ripple of the motor's torque once a turn" in line
     assert check(bf.Model(AXIS, bench(4)))["doubts"] == []
