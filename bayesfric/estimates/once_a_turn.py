@@ -17,7 +17,11 @@ import numpy as np
 from bayesfric.errors import BadInput
 from bayesfric.estimates.information import Information
 from bayesfric.estimates.input_error import input_error
-from bayesfric.estimates.least_squares import least_squares, total_label
+from bayesfric.estimates.least_squares import (
+    TotalsProjection,
+    least_squares,
+    total_label,
+)
 from bayesfric.estimates.methods import Given
 from bayesfric.estimates.torque import places
 from bayesfric.estimates.torque_form import OPEN, shortest
@@ -26,6 +30,8 @@ from bayesfric.mechanism.joint import Joint
 
 # Standard deviations that are no chance, and by how many of its own it must move gravity.
 _SURE, _MOVED = 3.0, 1.0
+# Intervals of 90 % hold 86 % where they are off by this many sds.
+_FELT = 0.5
 # Ratios this close to a whole number are one, written with few digits.
 _ALIKE = 1e-3
 
@@ -36,10 +42,16 @@ class OnceATurn:
 
     value: float  # N m at the motor
     sd: float  # the larger of the plain and the robust one; infinite if nothing tells
-    angle: float  # rad by which the zero of gravity's angle would be off, were that all of it
     # by how many of its sds the total of gravity is off, were the sine as large
     moves: float
+    # and by how many of theirs the totals of least squares are, as they take the cosine up
+    others: Mapping[str, float]
     times: int  # as of gravity_like
+
+    @property
+    def moved(self) -> dict[str, float]:
+        """Those of the others that move by so much that their intervals hold less than they say."""
+        return {name: by for name, by in self.others.items() if abs(by) > _FELT}
 
     @property
     def matters(self) -> bool:
@@ -62,19 +74,22 @@ def gravity_like(chain: Joint) -> int:
 def once_a_turn(given: Given, point: Mapping[str, float] | None = None) -> OnceATurn | None:
     """Estimate the cosine of the position in the torque.
 
-    ``None`` where there is no gravity to estimate, where its angle is free, which takes the
+    ``None`` where there is no gravity, where its angle is free, which takes the
     cosine up, or where nothing can be estimated. ``point`` as in
     :func:`bayesfric.estimates.delay.delays`.
     """
     chain, knowledge = given.chain, given.knowledge
-    free = {p.quantity: p.name for p in chain.parameters if p.name not in knowledge.fixed}
-    if "first_moment" not in free or "gravity_angle" in free or chain.load.motion != "rotary":
+    if all(p.quantity != "first_moment" for p in chain.parameters):
+        return None
+    if (angle := _angle(chain)) and angle not in knowledge.fixed:
         return None
     with suppress(BadInput):
-        if point is None and (bends(chain) or _angle(chain)):
+        if not bends(chain) and not angle:
+            return _found(given, None)
+        if point is None:
             estimate = input_error(chain, given.observations, knowledge, given.options)
             point = dict(estimate.point)
-        return _found(given, point if bends(chain) or _angle(chain) else None)
+        return _found(given, point)
     return None
 
 
@@ -111,18 +126,20 @@ def _found(given: Given, point: Mapping[str, float] | None) -> OnceATurn | None:
         tolerance=OPEN,
     )
     value, sd = float(found[-1]), _larger(information.sds(np.eye(len(found))[-1]))
-    totals = least_squares(chain, observations)
-    gravity = totals[total_label(chain, "gravity")]
-    error = _larger((gravity.sd, gravity.sd_robust))
+    totals, projection = least_squares(chain, observations), TotalsProjection(chain, observations)
+    taken_up = projection.solve(value * waves[:, -1])
+    errors = {v.name: _larger((v.sd, v.sd_robust)) for v in totals.values}
+    by = dict(zip(projection.labels, taken_up.tolist(), strict=True))
+    gravity = total_label(chain, "gravity")
+    error = errors[gravity]
     if not (math.isfinite(sd) and math.isfinite(error) and error > 0.0):
         return None
-    return OnceATurn(
-        value,
-        sd,
-        math.atan(value / gravity.value) if gravity.value else math.copysign(math.pi / 2, value),
-        abs(value) / error,
-        gravity_like(chain),
-    )
+    others = {
+        name: shift / errors[name]
+        for name, shift in by.items()
+        if name != gravity and math.isfinite(errors[name]) and errors[name] > 0.0
+    }
+    return OnceATurn(value, sd, abs(value) / error, others, gravity_like(chain))
 
 
 def _larger(sds: tuple[float, float]) -> float:

@@ -21,7 +21,13 @@ from numpy.typing import NDArray
 from bayesfric.errors import BadInput
 from bayesfric.estimates.torque import typical_load
 from bayesfric.identifiability.coverage import BackDriving, Coverage, back_driving, coverage_of
-from bayesfric.identifiability.known_quantities import SpeedTerm, UnknownMass, unknown_mass
+from bayesfric.identifiability.known_quantities import (
+    Ripple,
+    SpeedTerm,
+    UnknownMass,
+    gravity_ripple,
+    unknown_mass,
+)
 from bayesfric.identifiability.local import (
     LocalInformation,
     Verdict,
@@ -74,6 +80,7 @@ class Identification:
     back_driving: tuple[BackDriving, ...]  # how often the load drove
     known_mass: UnknownMass | None  # what rests on the added mass being known
     voltage: SpeedTerm | None  # what a back-EMF cannot be told from
+    ripple: Ripple | None  # of the motor's torque, that cannot be told from gravity
     notes: tuple[Statement, ...]  # what changes from point to point
 
     @property
@@ -107,8 +114,9 @@ class Identification:
 
     @property
     def remarks(self) -> list[Statement]:
-        """What is to be said of back-driving, of the known mass and of a voltage."""
+        """What is to be said of back-driving, of the known mass, of a voltage and of a ripple."""
         found = [*map(self._seen, self.back_driving), self._mass_meaning, self._voltage_meaning]
+        found += [self.ripple.meaning] if self.ripple else []
         return [one for one in found if one]
 
     def _seen(self, one: BackDriving) -> Statement:
@@ -153,6 +161,7 @@ class Identification:
             "recordings": self.recordings,
             "known_mass": mass and {**vars(mass), "meaning": self._mass_meaning or ""},
             "voltage": voltage and {**vars(voltage), "meaning": self._voltage_meaning},
+            "ripple": self.ripple and {**vars(self.ripple), "meaning": self.ripple.meaning},
             "notes": self.notes,
         }
         return {name: plain(value) for name, value in found.items()}
@@ -201,6 +210,7 @@ def identify(
         back,
         unknown_mass(target, estimate, local),
         speed,
+        gravity_ripple(target, local),
         tuple(_changes(locals_, back, plausible)),
     )
 

@@ -10,6 +10,7 @@ import pytest
 from bayesfric.commands.check import check, check_text
 from bayesfric.commands.fit import fit_text
 from bayesfric.estimates.delay import Delay
+from bayesfric.estimates.once_a_turn import OnceATurn
 from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
 from bayesfric.mechanism.joint import Joint
 from bayesfric.model import Model
@@ -236,6 +237,20 @@ def test_what_loses_energy_is_not_negative(name, doubted):
         ({"kind": "negative", "values": {"total.viscous": -0.31}}, "total.viscous -0.31"),
         ({"kind": "memory", "asked": 4, "taken": 0, "shift": 7.8, "rise": 1.3}, "AR(4)"),
         ({"kind": "memory", "asked": 4, "taken": 1, "shift": 7.8, "rise": 1.3}, "AR(1) is taken"),
+        (
+            {
+                **{"kind": "once-a-turn", "cosine": 0.0341, "sd": 0.001, "moves": 7.0, "times": 1},
+                "moved": {"offset": -2.2},
+            },
+            "moves offset by 2.2 of its sds; a sine as large",
+        ),
+        (
+            {
+                **{"kind": "once-a-turn", "cosine": 0.0341, "sd": 0.001, "moves": 7.0, "times": 0},
+                "moved": {},
+            },
+            "once a turn of something that turns with the joint",
+        ),
         ({"kind": "noise", "rise": 1.0, "white": {"offset": -3.309}}, "offset -3.309"),
         ({"kind": "noise", "rise": 1.2, "white": {}}, "1.2 times smaller"),
         ({"kind": "acceleration", "ratio": 5.6, "parameters": ["motor.inertia"]}, "motor.inertia"),
@@ -269,6 +284,34 @@ def test_a_late_position_is_warned_of_and_no_speed_term_called_data(fitted):
     assert summary["sampler"]["status"] == "tentative"
     (line,) = [line for line in told if "set delay = true in [mechanism]" in line]
     assert line.startswith("WARNING: the position comes 0.004")
+
+
+def test_a_zero_that_is_off_is_warned_of_and_gravity_not_called_data(fitted):
+    """The same as a ripple once a turn; speed and acceleration have nothing to do with it."""
+    text = "\n[mechanism.load]\ngravity_angle = false\n"
+    options = {"rate": 500, "excitation": "multisine", "amplitude": 1.0, "torque_noise": 0.01}
+    made = Joint.preset("servo-pendulum").simulate({"load.gravity_angle": 0.05}, **options)
+    columns = (made[name].to_numpy() for name in ("time", "position", "torque"))
+    summary, told = fitted(*columns, preset="servo-pendulum", more=text)
+    (doubt,) = (one for one in summary["doubts"] if one["kind"] == "once-a-turn")
+    assert "load.first_moment" in doubt["parameters"]
+    assert verdicts(summary)["load.first_moment"] == "weak"
+    assert summary["sampler"]["status"] == "tentative"
+    (line,) = [line for line in told if "gravity_angle = true mends" in line]
+    assert line.startswith("WARNING: the torque depends on the angle as gravity")
+
+
+def test_only_what_moves_is_doubted_beside_gravity():
+    turn = OnceATurn(0.03, 0.001, 6.0, {"offset.run": 2.0, "total.coulomb": 0.1}, 1)
+    rows = ("load.first_moment", "total_drive.gravity", "motor.inertia", "offset", "a.coulomb")
+    summary = summary_of({name: row(1.0, 0.9, 1.1) for name in rows})
+    (doubt,) = find_doubts(_Fit(), summary, turn=turn)
+    assert doubt["parameters"] == ["load.first_moment", "total_drive.gravity", "offset"]
+    assert find_doubts(_Fit(), summary, turn=replace(turn, value=0.002)) == []
+    assert find_doubts(_Fit(), summary_of({"a.b": row(1.0, 0.9, 1.1)}), turn=turn) == []
+    # half the difference of both directions is a constant
+    split = summary_of({"motor.coulomb_positive": row(1.0, 0.9, 1.1)})
+    assert find_doubts(_Fit(), split, turn=turn)[0]["parameters"] == ["motor.coulomb_positive"]
 
 
 def test_delays_that_contradict_each_other_are_no_delay():

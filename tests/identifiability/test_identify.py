@@ -15,7 +15,9 @@ from bayesfric.identifiability.remedies import WEAK, left_along, open_counts
 from bayesfric.identifiability.virtual_recording import played
 from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.mechanism import excitation
+from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.forward import simulate
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.filters import lay_windows, parallel_taps
 from bayesfric.recordings.inputs import Inputs
@@ -226,6 +228,34 @@ def test_a_back_emf_has_the_shape_of_viscous_loss():
     assert found.same_as_back_emf == ("motor.viscous",)
     assert found.explained == pytest.approx(1.0, abs=1e-9)
     assert speed_term(target, parameters, ["another"]) is None
+
+
+def test_a_ripple_once_a_turn_is_gravity_without_a_gear_and_not_behind_one(make_observation):
+    def ripple(ratio, *, fixed=None, angle=False):
+        motor = Element("motor", inertia=True, viscous=True, ratio=ratio)
+        chain = Joint([motor], load=Load(first_moment=True, gravity_angle=angle))
+        values = {"motor.inertia": 0.05, "motor.viscous": 0.1, "load.first_moment": 0.3}
+        values |= {"load.gravity_angle": 0.1} if angle else {}
+        o = make_observation(chain, values, n=500)
+        target = make_target(chain, [o], read_priors(chain, fixed or {}, [o]), "shared")
+        parameters = np.array([values[name] for name in target.free] + [0.02])
+        found = identify(target, [Point("estimate", parameters)])
+        return found.ripple, found, o
+
+    one, found, o = ripple(1.0)
+    assert one.per_torque == pytest.approx(1.0 / 9.80665)
+    # 1 % of the torque's root mean square, all of it in phase
+    moved = 0.01 * np.sqrt(2.0 * np.mean(o.measured**2)) / 9.80665
+    (row,) = [row for row in found.parameters if row.name == one.name]
+    assert one.moves == pytest.approx(moved / row.data_sd)
+    assert any("cannot be told from it" in str(said) for said in found.remarks)
+    assert "check and fit warn" in str(one.meaning)
+    assert "check and fit warn" not in str(ripple(1.0, angle=True)[0].meaning)
+    twice = ripple(0.5)[0]
+    assert twice.per_torque == pytest.approx(0.5 / 9.80665)
+    assert "2 times a turn" in str(twice.meaning)
+    assert ripple(50.0)[0] is None
+    assert ripple(1.0, fixed={"load.first_moment": 0.3})[0] is None
 
 
 def test_sds_are_those_of_a_linear_model_with_normal_priors(make_observation):

@@ -18,7 +18,7 @@ from bayesfric.estimates.once_a_turn import OnceATurn
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.noise_choice import Choice
-from bayesfric.mechanism.quantities import QUANTITIES, Quantity, State
+from bayesfric.mechanism.quantities import QUANTITIES, TOTALS, Quantity, State
 from bayesfric.recordings.observation import LEAST_RATIO, Observation
 from bayesfric.report.summary.record import Doubt, Spread, Summary, quantity_of
 
@@ -63,7 +63,7 @@ def find_doubts(
         *_noise(summary, told, white),
         *_acceleration(fit, summary, told),
         *({**one, "of": _of_motion(fit, told)} for one in _late(delays)),
-        *({**one, "of": _of_gravity(told)} for one in _turning(turn) if _of_gravity(told)),
+        *({**one, "of": of} for one in _turning(turn) if (of := _turned(told, one["moved"]))),
     ]
     return [{"kind": one.pop("kind"), "parameters": one.pop("of", told), **one} for one in found]
 
@@ -134,14 +134,22 @@ def _turning(turn: OnceATurn | None) -> Iterator[dict[str, Any]]:
     if turn is not None and turn.matters:
         yield {
             "kind": "once-a-turn",
-            **{"cosine": turn.value, "sd": turn.sd, "angle": turn.angle, "moves": turn.moves},
-            "times": turn.times,
+            **{"cosine": turn.value, "sd": turn.sd, "moves": turn.moves},
+            **{"moved": turn.moved, "times": turn.times},
         }
 
 
-def _of_gravity(told: Sequence[str]) -> list[str]:
-    """Name gravity's first moment and the totals that it makes up."""
-    return [name for name in told if quantity_of(name) in ("first_moment", "gravity")]
+def _turned(told: Sequence[str], moved: Mapping[str, float]) -> list[str]:
+    """Name what makes up gravity, or one of the other totals that have moved."""
+    totals = {"gravity", *map(quantity_of, moved)}
+    return [name for name in told if totals & _shares(quantity_of(name))]
+
+
+def _shares(quantity: str) -> set[str]:
+    """Name the totals of least squares that a quantity is part of; a total is of itself."""
+    row = QUANTITIES.get(quantity)
+    kinds = {kind for kind, _ in row.fills} if row else {quantity}
+    return {(TOTALS[kind].regressor if kind in TOTALS else "") or kind for kind in kinds}
 
 
 def _scatter(delays: Sequence[Delay]) -> float:
