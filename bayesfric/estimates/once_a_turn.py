@@ -46,7 +46,7 @@ class OnceATurn:
     moves: float
     # and by how many of theirs the totals of least squares are, as they take the cosine up
     others: Mapping[str, float]
-    times: int  # as of gravity_like
+    times: int  # a turn of the motor that a ripple would have, see gravity_like; 0 for none
 
     @property
     def moved(self) -> dict[str, float]:
