@@ -41,7 +41,7 @@ class OnceATurn:
     """The cosine of the position in the torque, where gravity is its sine."""
 
     value: float  # N m at the motor
-    sd: float  # the larger of the plain and the robust one; infinite if nothing tells
+    sd: float  # the larger of the plain and the robust one
     # by how many of its sds the total of gravity is off, were the sine as large
     moves: float
     # and by how many of theirs the totals of least squares are, as they take the cosine up
