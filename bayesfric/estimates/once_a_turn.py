@@ -41,12 +41,12 @@ class OnceATurn:
     """The cosine of the position in the torque, where gravity is its sine."""
 
     value: float  # N m at the motor
-    sd: float  # the larger of the plain and the robust one; infinite if nothing tells
+    sd: float  # the larger of the plain and the robust one
     # by how many of its sds the total of gravity is off, were the sine as large
     moves: float
     # and by how many of theirs the totals of least squares are, as they take the cosine up
     others: Mapping[str, float]
-    times: int  # as of gravity_like
+    times: int  # a turn of the motor that a ripple would have, see gravity_like; 0 for none
 
     @property
     def moved(self) -> dict[str, float]:
