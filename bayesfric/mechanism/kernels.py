@@ -126,7 +126,7 @@ def gravity_torque(
     return float(load[GRAVITY] * (load[FIRST_MOMENT] + added_moment) * sine)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, error_model="numpy")
 def inverse_many(
     elements: NDArray[np.float64],
     load: NDArray[np.float64],
@@ -144,7 +144,7 @@ def inverse_many(
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def inverse_one(
     elements: NDArray[np.float64],
     load: NDArray[np.float64],
