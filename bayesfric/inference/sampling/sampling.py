@@ -138,8 +138,14 @@ def sample(
     # frozen the proposal may learn, because none of these steps count.
     learning = LearningMove(IndependenceMove(Proposal.normal(start.mode, start.covariance)))
     moves = [(learning, 0.5), (DifferentialEvolutionMove(settings.ensembles), 0.5)]
+    straight = None
+    if target.coordinates.bends:
+        # what the data tell is found there sooner
+        straight = LearningMove(_straight(target, learning.move, positions))
+        search = _straight(target, moves[1][0], positions)
+        moves = [(learning, 0.25), (straight, 0.25), (moves[1][0], 0.25), (search, 0.25)]
     warm = _Ensembles(target, moves, positions, random, checkpoint, "warm-up")
-    half, settled = _warm_up(warm, learning, settings, rng, progress)
+    half, settled = _warm_up(warm, learning, straight, settings, rng, progress)
     # Where the posterior really lies, a likelihood can be prepared best.
     states = half.reshape(-1, d)
     target = target.prepared(states[:: max(1, len(states) // 500)])
@@ -208,6 +214,7 @@ def _block(target: Target, settings: Sampling) -> int:
 def _warm_up(
     warm: _Ensembles,
     learning: LearningMove,
+    straight: LearningMove | None,
     settings: Sampling,
     rng: np.random.Generator,
     progress: Callable[[Progress], None],
@@ -228,6 +235,8 @@ def _warm_up(
         if settled or warm.steps >= most or hopeless(seen, most):
             return half, settled
         learning.move = _learned(warm.target, half, warm)
+        if straight is not None:
+            straight.move = _straight(warm.target, learning.move, half, last=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -393,11 +402,13 @@ def _learned(
     return IndependenceMove(proposal)
 
 
-def _straight(target: Target, move: emcee.moves.Move, half: Array) -> ElsewhereMove:
+def _straight(
+    target: Target, move: emcee.moves.Move, half: Array, *, last: bool = True
+) -> ElsewhereMove:
     """Make a move in the target's straight coordinates; one that proposes has to learn there."""
     if isinstance(move, IndependenceMove):
         states, slope = target.straighten(half.reshape(-1, target.dimension))
-        move = IndependenceMove(Proposal.fitted(states[np.isfinite(slope)], last=True))
+        move = IndependenceMove(Proposal.fitted(states[np.isfinite(slope)], last=last))
     return ElsewhereMove(move, target.straighten, target.bend)
 
 
