@@ -17,9 +17,9 @@ class Processing(Options):
 
     lowpass: HertzOrOff | None = Field(
         None,
-        description="Cut-off of the zero-phase Butterworth low-pass, in Hz; if left out three times "
-        "the band (six where samples at reversals are left out), at most a fifth of the sampling "
-        "rate; a tenth of it where decimate is given; 'off' or 0 for none.",
+        description="Cut-off of the zero-phase Butterworth low-pass, in Hz; if left out three "
+        "times the band (six where samples at reversals are left out), at most a fifth of the "
+        "sampling rate; a tenth of it where decimate is given; 'off' or 0 for none.",
     )
     order: int = Field(4, ge=1, le=12, description="Order of the Butterworth filter.")
     decimate: int | None = Field(

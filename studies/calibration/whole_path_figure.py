@@ -44,7 +44,7 @@ def draw(result: dict[str, Any]) -> Figure:
         ax.plot([whole], [place], linestyle="none", marker="|", markersize=9, color="black")
     ax.set_yticks(range(len(result)), [*result], fontsize=SMALL)
     ax.set_ylim(len(result) - 0.5, -0.5)
-    ax.set_xlim(0.0 if _least(result) < 0.4 else 0.4, 1.005)
+    ax.set_xlim(min(0.8, _least(result)) - 0.03, 1.01)
     ax.set_xlabel("share of 90 % intervals that hold the truth")
     ax.tick_params(axis="y", length=0)
     return figure
