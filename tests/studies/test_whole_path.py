@@ -1,0 +1,61 @@
+"""The whole path from a file of counts: what its committed result claims, and a few files again."""
+
+import importlib
+import json
+import sys
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from tests.conftest import REPOSITORY
+
+FOLDER = REPOSITORY / "studies" / "calibration"
+
+
+@pytest.fixture(scope="module")
+def result():
+    return json.loads((FOLDER / "whole_path.json").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def study():
+    sys.path.insert(0, str(FOLDER))
+    try:
+        yield importlib.import_module("whole_path")
+    finally:
+        sys.path.remove(str(FOLDER))
+
+
+@pytest.mark.parametrize(
+    "case",
+    ["plain", "geared", "plain, 100 Hz", "sticking", "knee", "knee, loaded pair",
+     "late by 0.3 samples", "late by 2 samples"],
+)  # fmt: skip
+def test_intervals_of_a_case_hold_the_truth_as_often_as_the_readme_says(result, case):
+    found = result[case]
+    assert found["recordings"] >= 40
+    rows = dict(found["verdicts"]["data"])
+    whole = rows.pop("all")
+    assert 0.85 < whole["coverage"] < 0.95
+    # nor does one quantity fall out beyond what chance does among so many
+    for name, row in rows.items():
+        n, k = row["intervals"], len(rows)
+        low = stats.binom.ppf(0.005 / k, n, 0.85) / n
+        assert row["coverage"] >= low, name
+        assert abs(row["z"]) < 0.4 + 4.0 * row["z_sd"] / np.sqrt(n), name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["geared", "knee"])
+def test_a_few_files_again(study, case):
+    found = study.judged([study.one((case, number)) for number in range(1000, 1008)])
+    assert found["refused"] == []
+    assert found["reliable"] >= 7
+    rows = dict(found["verdicts"]["data"])
+    rows.pop("all")
+    # five sds of one number of some sixty; today's worst is 2.9
+    assert max(row["z_largest"] for row in rows.values()) < 5.0
+    # with all quantities of a recording erring together, eight are as few as eight intervals
+    holding = np.mean([row["coverage"] for row in rows.values()])
+    assert holding >= stats.binom.ppf(1e-3, 8, 0.9) / 8
