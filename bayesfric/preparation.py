@@ -89,7 +89,7 @@ def prepare(
                 )
         priors = read_priors(chain, config.priors, observations, _noise_quantities(config))
         if chain.delay:
-            prior = priors["drive.delay"]
+            prior = priors[chain.delay_name]
             divided = _timed(
                 divided,
                 prior.value

@@ -10,14 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesfric.errors import BadInput
-from bayesfric.estimates.information import Information
+from bayesfric.estimates.information import lag_one
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.least_squares import least_squares
 from bayesfric.estimates.methods import Given
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.estimates.torque import places
-from bayesfric.estimates.torque_form import OPEN, shortest
-from bayesfric.estimates.torque_near import bends, torque_near
+from bayesfric.estimates.torque_near import bends, fitted_beside, larger, torque_near
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.measurement import Array, Measurement
 from bayesfric.recordings.observation import Observation
@@ -142,41 +141,25 @@ def find_delay(
     pairs = list(zip(recordings, observations, strict=True))
     longest = min(longest_delay(o, r.period) for r, o in pairs)
     regressors, model = torque_near(replace(chain, delay=False), observations, point)
-    delay, sd, lag = 0.0, np.inf, 0.0
+    where = places([o for _, o in pairs])
+    delay, sd, lag = 0.0, np.inf, np.nan
     for _ in range(_ROUNDS):
         before = delay
         there = [retimed(o, r.segments, r.period, delay, r.back_emf) for r, o in pairs]
         target = np.concatenate([o.measured for o in there]) - model
         rate = np.concatenate([_rate(o) for o in there])
-        matrix = np.column_stack([regressors, rate])
-        if not rate.any() or len(target) <= matrix.shape[1]:
+        found = fitted_beside(regressors, rate, target, where) if rate.any() else None
+        if found is None:
             break
-        size, _, solution, _ = shortest(matrix)
-        found = solution @ target
-        left = target - matrix @ found
-        lag = _lag_one(left)
-        information = Information(
-            matrix,
-            left,
-            1.0 / size,
-            places=places([o for _, o in pairs]),
-            tolerance=OPEN,
-        )
-        sds = information.sds(np.eye(len(found))[-1])
-        sd = float(np.nanmax([*sds, 0.0]))
+        sd, lag = found.sd, lag_one(found.residual, np.diff(where) == 1)
         if not np.isfinite(sd):
             return 0.0, np.inf
-        delay = float(np.clip(found[-1], -longest, longest))
+        delay = float(np.clip(found.value, -longest, longest))
         if not abs(delay - before) > _STILL * sd:
             break
     # by more than two standard deviations of what chance does
-    noisy = np.isfinite(sd) and lag < _OF_POSITION - 2.0 / math.sqrt(len(target))
+    noisy = np.isfinite(sd) and lag < _OF_POSITION - 2.0 / math.sqrt(len(where))
     return delay, np.inf if noisy else sd
-
-
-def _lag_one(residual: Array) -> float:
-    power = float(residual @ residual)
-    return float(residual[1:] @ residual[:-1]) / power if power > 0.0 else 0.0
 
 
 def _as_if(pairs: Sequence[tuple[Measurement, Observation]], delay: float) -> list[Observation]:
@@ -196,7 +179,7 @@ def _rate(o: Observation) -> Array:
 def _moves(ignored: Estimate, known: Estimate) -> dict[str, float]:
     found = {}
     for value in ignored.values:
-        sd = float(np.nanmax([value.sd, value.sd_robust, 0.0]))
+        sd = larger(value.sd, value.sd_robust)
         if np.isfinite(sd) and sd > 0.0:
             found[value.name] = (value.value - known[value.name].value) / sd
     return found

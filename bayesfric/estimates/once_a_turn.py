@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesfric.errors import BadInput
-from bayesfric.estimates.information import Information
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.least_squares import (
     TotalsProjection,
@@ -24,8 +23,7 @@ from bayesfric.estimates.least_squares import (
 )
 from bayesfric.estimates.methods import Given
 from bayesfric.estimates.torque import places
-from bayesfric.estimates.torque_form import OPEN, shortest
-from bayesfric.estimates.torque_near import bends, torque_near
+from bayesfric.estimates.torque_near import bends, fitted_beside, larger, torque_near
 from bayesfric.mechanism.joint import Joint
 
 # Standard deviations that are no chance, and by how many of its own it must move gravity.
@@ -111,24 +109,15 @@ def _found(given: Given, point: Mapping[str, float] | None) -> OnceATurn | None:
         # a cosine that hardly turns is a constant, which this must not be taken for
         [o.filter.apply(np.stack([np.ones_like(o.q), np.cos(o.q + zero)])).T for o in observations]
     )
-    # a constant twice over, where the joint has one already, changes nothing else
-    matrix = np.column_stack([regressors, waves])
     target = np.concatenate([o.measured for o in observations]) - model
-    if len(target) <= matrix.shape[1]:
+    # a constant twice over, where the joint has one already, changes nothing else
+    found = fitted_beside(regressors, waves, target, places(observations))
+    if found is None:
         return None
-    size, _, solution, _ = shortest(matrix)
-    found = solution @ target
-    information = Information(
-        matrix,
-        target - matrix @ found,
-        1.0 / size,
-        places=places(observations),
-        tolerance=OPEN,
-    )
-    value, sd = float(found[-1]), _larger(information.sds(np.eye(len(found))[-1]))
+    value, sd = found.value, found.sd
     totals, projection = least_squares(chain, observations), TotalsProjection(chain, observations)
     taken_up = projection.solve(value * waves[:, -1])
-    errors = {v.name: _larger((v.sd, v.sd_robust)) for v in totals.values}
+    errors = {v.name: larger(v.sd, v.sd_robust) for v in totals.values}
     by = dict(zip(projection.labels, taken_up.tolist(), strict=True))
     gravity = total_label(chain, "gravity")
     error = errors[gravity]
@@ -140,7 +129,3 @@ def _found(given: Given, point: Mapping[str, float] | None) -> OnceATurn | None:
         if name != gravity and math.isfinite(errors[name]) and errors[name] > 0.0
     }
     return OnceATurn(value, sd, abs(value) / error, others, gravity_like(chain))
-
-
-def _larger(sds: tuple[float, float]) -> float:
-    return float(np.nanmax([*sds, 0.0]))

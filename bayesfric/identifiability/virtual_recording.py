@@ -209,7 +209,7 @@ def played(
     )
     if not chain.delay:
         return made
-    return retimed(made, whole, period, float(values[chain.names.index("drive.delay")]))
+    return retimed(made, whole, period, float(chain.delays(values[None])[0]))
 
 
 def _two_digits(x: float) -> float:

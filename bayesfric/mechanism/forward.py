@@ -294,7 +294,7 @@ def _carried(chain: Joint, values: NDArray[np.float64]) -> CarriedValues | None:
 
     A delay is none of them here: the torque that acts is an earlier one, see :func:`_acting`.
     """
-    felt = [k for k, c in enumerate(chain.carried) if c.row.name != "delay"]
+    felt = [k for k, c in enumerate(chain.carried) if not c.row.signal]
     if not felt:
         return None
     terms = [chain.carried[k] for k in felt]
@@ -312,8 +312,8 @@ def _acting(
     """
     if not chain.delay:
         return torque[np.newaxis]
-    delays = vectors[:, chain.names.index("drive.delay")] / period
-    return np.stack([later(torque, delay) for delay in delays.tolist()])
+    samples = chain.delays(vectors) / period
+    return np.stack([later(torque, delay) for delay in samples.tolist()])
 
 
 def _finer(torque: NDArray[np.float64], finer: int) -> NDArray[np.float64]:

@@ -131,6 +131,16 @@ class Joint:
         """Names of the constants in the measured torque: one for all, or each recording's own."""
         return tuple(p.name for p in self.parameters if p.quantity == "offset")
 
+    @cached_property
+    def delay_name(self) -> str:
+        """Name of the delay between torque and position; empty where the joint has none."""
+        return next((p.name for p in self.parameters if p.quantity == "delay"), "")
+
+    def delays(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Delay of each parameter vector ``(n, n_parameters)``, s; none counts as zero."""
+        name = self.delay_name
+        return values[:, self.names.index(name)] if name else np.zeros(len(values))
+
     @property
     def motor_motion(self) -> Motion:
         """Whether the motor turns or slides."""

@@ -192,7 +192,7 @@ class _Held:
             q[:, a:b], qd[:, a:b] = fine_q[:, ::_FINE], fine_qd[:, ::_FINE]
             torque[:, a:b] = self._driver[a:b] - self._pull(q[:, a:b], qd[:, a:b])
             if self._given.delay:
-                delays = values[:, self._given.names.index("drive.delay")] / recording.period
+                delays = self._given.delays(values) / recording.period
                 for row, delay in zip(torque[:, a:b], delays.tolist(), strict=True):
                     row[:] = later(row, -delay)
         return [_Motion(*rows) for rows in zip(q, qd, torque, strict=True)]
