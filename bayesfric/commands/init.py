@@ -14,7 +14,7 @@ from bayesfric.config import Tables
 from bayesfric.errors import BadInput, nearest
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.mechanism.quantities import CHOICES, OPTION_MEANINGS
+from bayesfric.mechanism.quantities import CHOICES, CYCLES, OPTION_MEANINGS
 
 
 def configuration(preset: str) -> str:
@@ -70,6 +70,8 @@ def _mechanism(preset: str, chain: Joint) -> Iterator[str]:
             known = ", ".join(_toml(choice) for choice in (plain, *choices))
             chosen = _toml(element.choices.get(option, plain))
             yield f"# {option} = {chosen}  # {OPTION_MEANINGS[option]}: {known}"
+        for option in CYCLES:
+            yield f"# {option} = []  # {OPTION_MEANINGS[option]}, such as [1, 7, 42]"
 
 
 def _recordings(chain: Joint) -> Iterator[str]:

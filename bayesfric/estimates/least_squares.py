@@ -14,7 +14,7 @@ from bayesfric.estimates.torque import places
 from bayesfric.estimates.torque_form import OPEN, columns, filled, in_order, shortest
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import Parameter, effort_words
-from bayesfric.mechanism.quantities import TOTALS
+from bayesfric.mechanism.quantities import SHAPES, TOTALS
 from bayesfric.recordings.observation import Observation
 
 
@@ -64,6 +64,9 @@ def least_squares(chain: Joint, observations: Sequence[Observation]) -> Estimate
     assumption = "sd: uncorrelated residuals of equal variance; sd_robust: correlated ones (HAC)"
     if "added_load" not in names and any(o.inputs.added_mass for o in observations):
         assumption += "; the known added mass is part of the totals"
+    if shapes := [p for p in chain.parameters if p.quantity in SHAPES]:
+        held = ", ".join(f"{p.name} = {p.row.start:g}" for p in shapes)
+        assumption += f"; taken for known: {held}"
     return Estimate(
         method="least-squares",
         values=tuple(values),

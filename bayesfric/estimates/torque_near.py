@@ -19,8 +19,11 @@ from bayesfric.recordings.observation import Observation
 
 
 def bends(chain: Joint) -> bool:
-    """Whether load losses or a Stribeck rise bend the totals of least squares."""
-    return any(p.row.role == "loss" or p.row.option == "stribeck" for p in chain.parameters)
+    """Whether load losses, or what shapes other terms, bend the totals of least squares."""
+    return any(
+        p.row.role == "loss" or (p.row.role == "form" and p.row.option and not p.circular)
+        for p in chain.parameters
+    )
 
 
 def torque_near(

@@ -13,7 +13,13 @@ from bayesfric.mechanism.element import STANDARD_GRAVITY, Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.mechanism.quantities import CHOICES, LOAD_CHOICES, OPTION_MEANINGS, Motion
+from bayesfric.mechanism.quantities import (
+    CHOICES,
+    CYCLES,
+    LOAD_CHOICES,
+    OPTION_MEANINGS,
+    Motion,
+)
 
 
 def _not_zero(value: float) -> float:
@@ -22,6 +28,7 @@ def _not_zero(value: float) -> float:
     return value
 
 
+Cycles = Annotated[int, Field(strict=True, ge=1)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
@@ -60,6 +67,9 @@ def _fields(options: Mapping[str, Mapping[str | bool, str]]) -> dict[str, Any]:
             kind = Literal[("none", *words)]
         default = False if True in choices else "none"
         found[option] = (kind, Field(default, description=OPTION_MEANINGS[option]))
+    for option in CYCLES:
+        field = Field((), description=OPTION_MEANINGS[option], examples=[(1, 7, 42)])
+        found[option] = (tuple[Cycles, ...], field)
     return found
 
 

@@ -19,17 +19,17 @@ from bayesfric.mechanism.kernels import (
     COULOMB_NEGATIVE,
     COULOMB_POSITIVE,
     INERTIA,
-    LOAD_BACK,
     LOAD_DRIVE,
     LOAD_INERTIA,
+    LOAD_SQUARE,
     QUADRATIC,
     RATIO,
-    STRIBECK_RATIO,
     VISCOUS,
     element_input,
     element_torque,
     gravity_torque,
-    speed_factor,
+    load_losses,
+    rises,
 )
 from bayesfric.mechanism.own_term import call
 
@@ -37,7 +37,7 @@ from bayesfric.mechanism.own_term import call
 class CarriedValues(NamedTuple):
     """Terms without a slot in the kernels."""
 
-    # (n_carried,) coefficients, or (n, n_carried) of several parameter vectors
+    # (n_carried, 2) coefficients and what shapes each, or (n, n_carried, 2) of several vectors
     values: NDArray[np.float64]
     places: NDArray[np.int64]  # (n_carried,) index of the element of each, as in kernels.Samples
     addresses: NDArray[np.int64]  # (n_carried,) of their compiled columns
@@ -58,6 +58,9 @@ class Moved(NamedTuple):
     carried: CarriedValues | None
 
 
+# Steps of Newton's method, which ends earlier where it moves by rounding only.
+_ROUNDS = 40
+_EXACT = 4e-16
 # Lines T = slope qdd + intercept of the transmitted torques; scratch memory.
 Lines = NDArray[np.float64]
 
@@ -99,8 +102,9 @@ def _carried_torque(carried, k, to_input, q, qd, sign, time) -> Any:  # type: ig
     total = 0.0
     for t in range(carried.values.shape[0]):
         if carried.places[t] == k:
+            value, shape = carried.values[t, 0], carried.values[t, 1]
             address = carried.addresses[t]
-            total += carried.values[t] * call(address, to_input * q, to_input * qd, sign, time)
+            total += value * call(address, to_input * q, to_input * qd, sign, time, shape)
     return total
 
 
@@ -143,19 +147,23 @@ def _element_line(
     sign: float,
     speed: float,
     to_input: float,
+    about: float,
 ) -> tuple[float, float]:
     """Carry the transmitted torque ``slope qdd + intercept`` to the input of element k.
 
     ``drives`` says which of mu_1 and mu_2 holds; ``to_input`` is the element's input
-    speed over the joint's.
+    speed over the joint's. A loss with the square of the load is taken by its tangent at the
+    acceleration ``about``.
     """
-    rise = 1.0
-    if elements[k, STRIBECK_RATIO] != 0.0:
-        rise = speed_factor(elements[k], speed)
+    rise, load_rise = rises(elements[k], speed)
     inertia = elements[k, INERTIA]
-    drive, back = elements[k, LOAD_DRIVE], elements[k, LOAD_BACK]
+    drive, back = load_losses(elements[k], sign, speed, load_rise)
     # sign |T| is T while the motor side drives and -T while the load does
-    factor = 1.0 + drive * rise if drives else 1.0 - back * rise
+    factor, shift = 1.0 + drive if drives else 1.0 - back, 0.0
+    square = elements[k, LOAD_SQUARE] * sign
+    if square != 0.0:
+        torque = slope * about + intercept
+        factor, shift = factor + 2.0 * square * torque, -square * torque * torque
     losses = element_torque(
         0.0,
         sign,
@@ -166,11 +174,29 @@ def _element_line(
         elements[k, COULOMB_NEGATIVE],
         elements[k, VISCOUS],
         elements[k, QUADRATIC],
+        rise,
         drive,
         back,
-        rise,
+        0.0,
     )
-    return slope * factor + inertia * to_input, intercept * factor + losses
+    return slope * factor + inertia * to_input, intercept * factor + losses + shift
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def kinked(elements: NDArray[np.float64], k: int) -> bool:
+    """Whether the torque at the input of element k has a kink where power changes direction."""
+    found = False
+    for slot in range(LOAD_DRIVE, LOAD_SQUARE):
+        found |= elements[k, slot] != 0.0
+    return found
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _squares(elements: NDArray[np.float64]) -> bool:
+    found = False
+    for k in range(elements.shape[0]):
+        found |= elements[k, LOAD_SQUARE] != 0.0
+    return found
 
 
 @njit(cache=True, error_model="numpy")
@@ -186,8 +212,32 @@ def frozen_acceleration(
 ) -> float:
     """Acceleration while direction and pattern (bit k: element k drives) are held.
 
-    Leaves the lines of the transmitted torques in ``lines``.
+    Leaves the lines of the transmitted torques in ``lines``, tangents where a loss grows with
+    the square of the load.
     """
+    found = _held_acceleration(joint, q, qd, torque, time, sign, pattern, lines, 0.0)
+    if _squares(joint.elements):
+        for _ in range(_ROUNDS):
+            before = found
+            found = _held_acceleration(joint, q, qd, torque, time, sign, pattern, lines, before)
+            if abs(found - before) <= _EXACT * abs(found):
+                break
+    return found
+
+
+@njit(cache=True, error_model="numpy")
+def _held_acceleration(
+    joint: Moved,
+    q: float,
+    qd: float,
+    torque: float,
+    time: float,
+    sign: float,
+    pattern: int,
+    lines: Lines,
+    about: float,
+) -> float:
+    """Take one step of Newton's method for :func:`frozen_acceleration` from ``about``."""
     elements = joint.elements
     slope, intercept = joint.inertia, _load_torque(joint, q, qd, sign, time)
     to_input = 1.0
@@ -200,7 +250,7 @@ def frozen_acceleration(
         lines[k, 1] = intercept
         drives = (pattern >> k) & 1 == 1
         slope, intercept = _element_line(
-            elements, k, slope, intercept, drives, sign, to_input * qd, to_input
+            elements, k, slope, intercept, drives, sign, to_input * qd, to_input, about
         )
         intercept += _carried_torque(joint.carried, k, to_input, q, qd, sign, time)
     return (torque - intercept) / slope
@@ -210,12 +260,27 @@ def frozen_acceleration(
 def exact_acceleration(
     joint: Moved, q: float, qd: float, torque: float, time: float, sign: float
 ) -> tuple[float, int]:
-    """Acceleration and pattern, in closed form.
+    """Acceleration and pattern, in closed form unless a loss grows with the square of the load.
 
     The motor torque rises with the acceleration, with one kink per load-dependent
     element. Whether the solution lies above or below a kink is read off the torque
-    at the kink, from the load to the motor; then everything is one line.
+    at the kink, from the load to the motor; then everything is one line, or the tangent of one.
     """
+    found, pattern = _free_acceleration(joint, q, qd, torque, time, sign, 0.0)
+    if _squares(joint.elements):
+        for _ in range(_ROUNDS):
+            before = found
+            found, pattern = _free_acceleration(joint, q, qd, torque, time, sign, before)
+            if abs(found - before) <= _EXACT * abs(found):
+                break
+    return found, pattern
+
+
+@njit(cache=True, error_model="numpy")
+def _free_acceleration(
+    joint: Moved, q: float, qd: float, torque: float, time: float, sign: float, about: float
+) -> tuple[float, int]:
+    """Take one step of Newton's method for :func:`exact_acceleration` from ``about``."""
     elements = joint.elements
     still = _load_torque(joint, q, qd, sign, time)
     slope, intercept = joint.inertia, still
@@ -228,7 +293,7 @@ def exact_acceleration(
         slope /= ratio
         intercept /= ratio
         drives = False
-        if elements[k, LOAD_DRIVE] != 0.0 or elements[k, LOAD_BACK] != 0.0:
+        if kinked(elements, k):
             if slope == 0.0:
                 drives = intercept * sign > 0.0
             else:
@@ -243,7 +308,7 @@ def exact_acceleration(
         if drives:
             pattern |= 1 << k
         slope, intercept = _element_line(
-            elements, k, slope, intercept, drives, sign, to_input * qd, to_input
+            elements, k, slope, intercept, drives, sign, to_input * qd, to_input, about
         )
         intercept += _carried_torque(joint.carried, k, to_input, q, qd, sign, time)
     return (torque - intercept) / slope, pattern

@@ -7,7 +7,15 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from bayesfric.errors import nearest
-from bayesfric.mechanism.quantities import CHOICES, LOAD_CHOICES, QUANTITIES, Motion, Quantity
+from bayesfric.mechanism.quantities import (
+    CHOICES,
+    CYCLE_PHRASES,
+    CYCLES,
+    LOAD_CHOICES,
+    QUANTITIES,
+    Motion,
+    Quantity,
+)
 
 STANDARD_GRAVITY = 9.80665  # m/s²
 
@@ -18,18 +26,36 @@ class _Bearer:
     motion: Motion
     subscript: str
     quantities: tuple[Quantity, ...]
-    _options: ClassVar[Mapping[str, Mapping[str | bool, str]]]
+    _options: ClassVar[Mapping[str, Mapping[str | bool, str]]]  # options and their choices
 
     @property
     def phrases(self) -> list[str]:
         """What it has, each as it stands in a sentence."""
-        named = [self._options[option][choice] for option, choice in self.choices.items()]
+        named = [
+            f"{CYCLE_PHRASES[option]} {', '.join(map(str, choice))} times a turn"
+            if option in CYCLES
+            else self._options[option][choice]
+            for option, choice in self.choices.items()
+        ]
         return named + [q.meaning for q in self.quantities if not q.option]
 
     @property
-    def choices(self) -> dict[str, str | bool]:
+    def choices(self) -> dict[str, Any]:
         """What is chosen of every option that is not left out."""
-        return {q.option: q.choice for q in self.quantities if q.option}
+        found: dict[str, Any] = {}
+        for option in dict.fromkeys(q.option for q in self.quantities if q.option):
+            rows = [q for q in self.quantities if q.option == option]
+            if option in CYCLES:
+                found[option] = tuple(dict.fromkeys(q.choice for q in rows))
+            else:
+                known = self._options[option]
+                # all of the rows, and no row that is missing
+                found[option] = next(
+                    c for c in known
+                    if [q for q in QUANTITIES.values() if q.option == option and q.brought_by(c)]
+                    == rows
+                )  # fmt: skip
+        return found
 
     def has(self, *names: str) -> bool:
         """Whether it has one of these quantities."""
@@ -154,12 +180,25 @@ def _chosen(
     given: tuple[Quantity, ...],
 ) -> tuple[Quantity, ...]:
     """Rows that choices bring and those given, in the order of the table; choices come first."""
+    repeated: list[Quantity] = []
     for option, choice in choices.items():
+        if option in CYCLES:
+            repeated += [q for cycles in choice for q in CYCLES[option](_cycles(option, cycles))]
+            continue
         if option not in options:
             raise ValueError(f"there is no option {option!r}; {nearest(option, options)}")
         if choice not in (*options[option], False, "none"):
             known = ", ".join(map(repr, options[option]))
             raise ValueError(f"{option} = {choice!r} is no choice; there is {known}")
     table = [q for q in QUANTITIES.values() if q.option in options]
-    chosen = (q for q in table if choices.get(q.option, q in given and q.choice) == q.choice)
-    return (*chosen, *(q for q in given if q not in table))
+    chosen = (
+        q for q in table if (q.brought_by(choices[q.option]) if q.option in choices else q in given)
+    )
+    kept = (q for q in given if q not in table and not (q.option in CYCLES and q.option in choices))
+    return tuple(dict.fromkeys((*chosen, *kept, *repeated)))
+
+
+def _cycles(option: str, cycles: Any) -> int:
+    if isinstance(cycles, bool) or not isinstance(cycles, int) or cycles < 1:
+        raise ValueError(f"{option} = {cycles!r} is no number of cycles a turn; write 1, 2, ...")
+    return cycles

@@ -23,10 +23,12 @@ from bayesfric.mechanism.kernels import (
     GAIN,
     INERTIA,
     LOAD_BACK,
+    LOAD_BACK_DIFFERENCE,
     LOAD_DRIVE,
+    LOAD_DRIVE_DIFFERENCE,
     LOAD_INERTIA,
     RATIO,
-    STRIBECK_RATIO,
+    STRIBECK_LOAD_RATIO,
     STRIBECK_VELOCITY,
 )
 from bayesfric.recordings.filters import later
@@ -290,7 +292,7 @@ def simulate_segments(
 
 
 def _carried(chain: Joint, values: NDArray[np.float64]) -> CarriedValues | None:
-    """Gather the terms without a slot, their coefficients ``(n, n_carried)``.
+    """Gather the terms without a slot, their table ``(n, n_carried, 2)``.
 
     A delay is none of them here: the torque that acts is an earlier one, see :func:`_acting`.
     """
@@ -364,15 +366,20 @@ def _torque(torque: ArrayLike, period: float, hold: str) -> NDArray[np.float64]:
 def _slope_bounds(
     elements: NDArray[np.float64], inertia: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Smallest and largest motor torque per joint acceleration, over all power directions."""
+    """Smallest and largest motor torque per joint acceleration, over all power directions.
+
+    At rest and without load: what load losses grow by with speed and load is left out.
+    """
     low, high = inertia, inertia
     to_input = np.ones_like(inertia)
     for k in range(elements.shape[1] - 1, -1, -1):
         element = elements[:, k]
         to_input = to_input * element[:, RATIO]
-        rise = 1.0 + element[:, STRIBECK_RATIO]
-        drive, back = element[:, LOAD_DRIVE], element[:, LOAD_BACK]
-        least, most = 1.0 - back * rise, 1.0 + drive * rise
+        rise = 1.0 + np.maximum(element[:, STRIBECK_LOAD_RATIO], 0.0)
+        drive, drive_apart = element[:, LOAD_DRIVE], np.abs(element[:, LOAD_DRIVE_DIFFERENCE])
+        back, back_apart = element[:, LOAD_BACK], np.abs(element[:, LOAD_BACK_DIFFERENCE])
+        least = np.minimum(1.0 - (back + back_apart) * rise, 1.0 + (drive - drive_apart) * rise)
+        most = np.maximum(1.0 - (back - back_apart) * rise, 1.0 + (drive + drive_apart) * rise)
         corners = np.stack([low * least, low * most, high * least, high * most])
         corners /= element[:, RATIO]
         low = corners.min(axis=0) + element[:, INERTIA] * to_input

@@ -17,14 +17,10 @@ from bayesfric.mechanism.dynamics import (
     carried_by,
     exact_acceleration,
     frozen_acceleration,
+    kinked,
     moved,
 )
-from bayesfric.mechanism.kernels import (
-    GAIN,
-    LOAD_BACK,
-    LOAD_DRIVE,
-    OFFSET,
-)
+from bayesfric.mechanism.kernels import GAIN, OFFSET
 
 RUNAWAY = 1e6  # rad or m
 _MAX_EVENTS = 64  # in one step
@@ -182,12 +178,12 @@ def integrate(
     elements, load = joint.elements, joint.load
     n_elements = elements.shape[0]
     lines = np.empty((n_elements, 2))
-    kinked = np.empty(n_elements, dtype=np.int64)
-    n_kinked = 0
+    bent = np.empty(n_elements, dtype=np.int64)
+    n_bent = 0
     for k in range(n_elements):
-        if elements[k, LOAD_DRIVE] != 0.0 or elements[k, LOAD_BACK] != 0.0:
-            kinked[n_kinked] = k
-            n_kinked += 1
+        if kinked(elements, k):
+            bent[n_bent] = k
+            n_bent += 1
 
     samples = measured.shape[0]
     before = 1.0 if qd > 0.0 else (-1.0 if qd < 0.0 else 0.0)  # last direction of motion
@@ -255,9 +251,9 @@ def integrate(
                 else:
                     if qd != 0.0:  # from rest it moves off, whatever the rounding of qdd
                         dip = _dip(sign * qd, sign * qdd, sign * qd1, sign * qdd1, h)
-                    for j in range(n_kinked):
-                        if _transmitted(lines, kinked[j], qdd1, sign, pattern) < 0.0:
-                            which = kinked[j]
+                    for j in range(n_bent):
+                        if _transmitted(lines, bent[j], qdd1, sign, pattern) < 0.0:
+                            which = bent[j]
                 if which == -2 and dip == 0.0:
                     q, qd, qdd, now = q1, qd1, qdd1, end
                     continue
@@ -271,10 +267,10 @@ def integrate(
                 if which == -1:
                     ahead = _locate(joint, at, lines, ahead, -1)
                     first = -1
-                for j in range(n_kinked):
-                    if _agreement(joint, at, lines, ahead, kinked[j]) < 0.0:
-                        ahead = _locate(joint, at, lines, ahead, kinked[j])
-                        first = kinked[j]
+                for j in range(n_bent):
+                    if _agreement(joint, at, lines, ahead, bent[j]) < 0.0:
+                        ahead = _locate(joint, at, lines, ahead, bent[j])
+                        first = bent[j]
                 if first == -2:
                     q, qd, qdd, now = q1, qd1, qdd1, end
                     continue

@@ -17,7 +17,7 @@ from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.kernels import ELEMENT_SLOTS, LOAD_SLOTS, Samples
 from bayesfric.mechanism.own_term import CarriedTerm, Term, along
 from bayesfric.mechanism.parameter import Parameter, parameter
-from bayesfric.mechanism.quantities import QUANTITIES, Motion
+from bayesfric.mechanism.quantities import QUANTITIES, SHAPES, Motion
 from bayesfric.notebook import html_table
 from bayesfric.recordings.inputs import Inputs
 
@@ -30,7 +30,8 @@ class Tables(NamedTuple):
 
     elements: NDArray[np.float64]  # (n, n_elements, n_slots); columns are kernels.ELEMENT_SLOTS
     load: NDArray[np.float64]  # (n, n_slots); columns are kernels.LOAD_SLOTS
-    # (n, n_carried) coefficients of the terms that have no slot, Joint.carried
+    # (n, n_carried, 2) of the terms that have no slot, Joint.carried: the coefficient, and the
+    # value that shapes it, 0 where none does
     carried: NDArray[np.float64]
 
 
@@ -169,9 +170,15 @@ class Joint:
         places = {e.name: k for k, e in enumerate(self.elements)}
         places |= {"load": len(self.elements), "drive": len(self.elements) + 1}
         return tuple(
-            CarriedTerm(i, places[p.owner], self.reaches[p.owner], p.row)
+            CarriedTerm(
+                i,
+                places[p.owner],
+                self.reaches[p.owner],
+                p.row,
+                self.names.index(f"{p.owner}.{p.row.shape}") if p.row.shape else -1,
+            )
             for i, p in enumerate(self.parameters)
-            if p.owner in places and not _slots(p)
+            if p.owner in places and p.row.role == "own" and not _slots(p)
         )
 
     def with_term(self, term: Term) -> Joint:
@@ -275,10 +282,13 @@ class Joint:
             flat[:, LOAD_SLOTS.index("offset") - len(LOAD_SLOTS)] = values[:, own]
         split = len(self.elements) * len(ELEMENT_SLOTS)
         elements = flat[:, :split].reshape(-1, len(self.elements), len(ELEMENT_SLOTS))
+        carried = np.zeros((len(values), len(self.carried), 2))
+        for k, term in enumerate(self.carried):
+            carried[:, k, 0] = values[:, term.index]
+            if term.shape >= 0:
+                carried[:, k, 1] = values[:, term.shape]
         return Tables(
-            np.ascontiguousarray(elements),
-            np.ascontiguousarray(flat[:, split:]),
-            np.ascontiguousarray(values[:, [c.index for c in self.carried]]),
+            np.ascontiguousarray(elements), np.ascontiguousarray(flat[:, split:]), carried
         )
 
     def samples(
@@ -316,8 +326,12 @@ class Joint:
             np.cos(position),
             speed,
             acceleration,
+            position,
+            np.ascontiguousarray(stamps, dtype=np.float64),
             np.stack(columns) if columns else np.empty((0, speed.size)),
             np.array([c.place for c in self.carried], dtype=np.int64),
+            np.array([c.reach for c in self.carried], dtype=np.float64),
+            np.array([c.address if c.shape >= 0 else 0 for c in self.carried], dtype=np.int64),
         )
 
     @cached_property
@@ -328,8 +342,9 @@ class Joint:
         defaults = np.zeros(len(slots))
         for element in self.elements:
             defaults[where[f"{element.name}.ratio"]] = element.ratio
-            # any value does where the Stribeck rise is zero, except a division by zero
-            defaults[where[f"{element.name}.stribeck_velocity"]] = 1.0
+            for slot in ELEMENT_SLOTS:
+                if slot in QUANTITIES:
+                    defaults[where[f"{element.name}.{slot}"]] = QUANTITIES[slot].default
         defaults[where["load.gravity"]] = self.load.gravity
         defaults[where["load.gain"]] = 1.0
 
@@ -349,7 +364,7 @@ def _bearer(p: Parameter) -> str:
 
 
 def _slots(p: Parameter) -> tuple[str, ...]:
-    """Slots of the kernels that a parameter fills; none for what its column carries.
+    """Slots of the kernels that a parameter fills; none for what its column, or another's, takes.
 
     Raises
     ------
@@ -360,6 +375,8 @@ def _slots(p: Parameter) -> tuple[str, ...]:
     slots = (p.quantity,) if p.row.slots is None else p.row.slots
     if slots and set(slots) <= set(known):
         return slots
+    if p.quantity in SHAPES:
+        return ()
     if p.row.role != "own" or (p.row.column is None and not p.row.signal):
         raise KeyError(f"{p.name}: neither the kernels nor a column know {p.quantity!r}")
     return ()

@@ -13,6 +13,8 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from bayesfric.mechanism.own_term import call
+
 # Terms that the kernels write out, by their slots: an element is a row of the first, the load
 # and the measurement make up the second.
 ELEMENT_SLOTS = (
@@ -23,13 +25,21 @@ ELEMENT_SLOTS = (
     "viscous",
     "quadratic",
     "stribeck_ratio",
+    "stribeck_load_ratio",
     "stribeck_velocity",
+    "stribeck_exponent",
     "load_drive",
     "load_back",
+    "load_drive_difference",
+    "load_back_difference",
+    "load_speed",
+    "load_square",
 )
 LOAD_SLOTS = ("inertia", "first_moment", "gravity_angle", "gravity", "offset", "gain")
 RATIO, INERTIA, COULOMB_POSITIVE, COULOMB_NEGATIVE, VISCOUS, QUADRATIC = 0, 1, 2, 3, 4, 5
-STRIBECK_RATIO, STRIBECK_VELOCITY, LOAD_DRIVE, LOAD_BACK = 6, 7, 8, 9
+STRIBECK_RATIO, STRIBECK_LOAD_RATIO, STRIBECK_VELOCITY, STRIBECK_EXPONENT = 6, 7, 8, 9
+LOAD_DRIVE, LOAD_BACK, LOAD_DRIVE_DIFFERENCE, LOAD_BACK_DIFFERENCE = 10, 11, 12, 13
+LOAD_SPEED, LOAD_SQUARE = 14, 15
 LOAD_INERTIA, FIRST_MOMENT, GRAVITY_ANGLE, GRAVITY, OFFSET, GAIN = 0, 1, 2, 3, 4, 5
 
 
@@ -42,21 +52,49 @@ class Samples(NamedTuple):
     cos_q: NDArray[np.float64]
     speed: NDArray[np.float64]
     acceleration: NDArray[np.float64]
-    # (n_carried, N) torque of each term without a slot, for a coefficient of one
+    position: NDArray[np.float64]
+    time: NDArray[np.float64]
+    # (n_carried, N) torque of each term without a slot, for a coefficient of one; not used where
+    # a parameter shapes it
     columns: NDArray[np.float64]
     # (n_carried,) index of its element; that of the load is the number of elements, and one more
     # what comes on top of the torque measured
     places: NDArray[np.int64]
+    # (n_carried,) speed of its element's input over the joint's
+    reaches: NDArray[np.float64]
+    # (n_carried,) of its compiled column where a parameter shapes it; 0 where none does
+    addresses: NDArray[np.int64]
 
 
 @njit(cache=True, inline="always")
-def speed_factor(element: NDArray[np.float64], speed: float) -> float:
-    """Stribeck rise ``1 + c exp(-(v/v0)²)`` of eq. (2) at the element's input speed."""
+def low_speed(speed: float, width: float, exponent: float) -> float:
+    """Share ``exp(-|v/v0|^a)`` of the Stribeck rise of eq. (2), where ``a`` is 2."""
     # a width of zero is the limit in which no speed is low enough for a rise
-    if element[STRIBECK_RATIO] == 0.0 or element[STRIBECK_VELOCITY] <= 0.0:
-        return 1.0
-    x = speed / element[STRIBECK_VELOCITY]
-    return float(1.0 + element[STRIBECK_RATIO] * math.exp(-x * x))
+    if width <= 0.0:
+        return 0.0
+    x = abs(speed) / width
+    return math.exp(-x * x) if exponent == 2.0 else math.exp(-(x**exponent))
+
+
+@njit(cache=True, inline="always")
+def rises(element: NDArray[np.float64], speed: float) -> tuple[float, float]:
+    """Factors ``1 + c exp(-|v/v0|^a)`` of the constant and of the load loss, at the input speed."""
+    constant, load = element[STRIBECK_RATIO], element[STRIBECK_LOAD_RATIO]
+    if constant == 0.0 and load == 0.0:
+        return 1.0, 1.0
+    share = low_speed(speed, element[STRIBECK_VELOCITY], element[STRIBECK_EXPONENT])
+    return 1.0 + constant * share, 1.0 + load * share
+
+
+@njit(cache=True, inline="always")
+def load_losses(
+    element: NDArray[np.float64], sign: float, speed: float, rise: float
+) -> tuple[float, float]:
+    """Loss per transmitted torque while the motor side drives, and while the load does (eq. 6)."""
+    grown = element[LOAD_SPEED] * abs(speed)
+    drive = element[LOAD_DRIVE] + sign * element[LOAD_DRIVE_DIFFERENCE]
+    back = element[LOAD_BACK] + sign * element[LOAD_BACK_DIFFERENCE]
+    return drive * rise + grown, back * rise + grown
 
 
 @njit(cache=True, inline="always")
@@ -70,14 +108,15 @@ def element_torque(
     coulomb_negative: float,
     viscous: float,
     quadratic: float,
+    rise: float,
     load_drive: float,
     load_back: float,
-    rise: float,
+    load_square: float,
 ) -> float:
     """Section 2.2 with eq. (2), all in scalars so that a loop around it vectorises.
 
     ``torque`` is the output's, brought to the input side; ``rise`` the Stribeck
-    factor at this speed.
+    factor of the constant loss at this speed, and load losses are those of :func:`load_losses`.
     """
     power = torque * sign
     # mu_1 while the motor side drives, mu_2 while the load does (eq. 6)
@@ -86,7 +125,7 @@ def element_torque(
     return (
         torque
         + inertia * acceleration
-        + (constant + load) * rise * sign
+        + (constant * rise + load + load_square * torque * torque) * sign
         + speed * (viscous + quadratic * abs(speed))
     )
 
@@ -100,6 +139,8 @@ def element_input(
     ``sign`` is the direction of motion, handed in apart from ``speed`` because at
     rest it is the direction in which the joint is about to break away.
     """
+    rise, load_rise = rises(element, speed)
+    drive, back = load_losses(element, sign, speed, load_rise)
     return element_torque(
         torque_out / element[RATIO],
         sign,
@@ -110,9 +151,10 @@ def element_input(
         element[COULOMB_NEGATIVE],
         element[VISCOUS],
         element[QUADRATIC],
-        element[LOAD_DRIVE],
-        element[LOAD_BACK],
-        speed_factor(element, speed),
+        rise,
+        drive,
+        back,
+        element[LOAD_SQUARE],
     )
 
 
@@ -185,10 +227,19 @@ def _carry(
 ) -> None:
     """Add the terms of one element, or the load, that have no slot."""
     for t in range(carried.shape[0]):
-        if samples.places[t] == place:
-            column, value = samples.columns[t, begin : begin + out.shape[0]], carried[t]
+        if samples.places[t] != place:
+            continue
+        value, address, reach = carried[t, 0], samples.addresses[t], samples.reaches[t]
+        if address == 0:
+            column = samples.columns[t, begin : begin + out.shape[0]]
             for j in range(out.shape[0]):
                 out[j] += value * column[j]
+        else:
+            for j in range(out.shape[0]):
+                position, speed = samples.position[begin + j], samples.speed[begin + j]
+                sign, stamp = float(np.sign(speed)), samples.time[begin + j]
+                q, qd = reach * position, reach * speed
+                out[j] += value * call(address, q, qd, sign, stamp, carried[t, 1])
 
 
 @njit(cache=True)
@@ -206,14 +257,21 @@ def _through_element(
     positive, negative = element[COULOMB_POSITIVE], element[COULOMB_NEGATIVE]
     viscous, quadratic = element[VISCOUS] * to_input, element[QUADRATIC] * to_input**2
     drive, back = element[LOAD_DRIVE], element[LOAD_BACK]
-    ratio, width = element[STRIBECK_RATIO], element[STRIBECK_VELOCITY] / to_input
+    drive_difference, back_difference = (
+        element[LOAD_DRIVE_DIFFERENCE],
+        element[LOAD_BACK_DIFFERENCE],
+    )
+    grows, square = element[LOAD_SPEED] * to_input, element[LOAD_SQUARE]
+    ratio, load_ratio = element[STRIBECK_RATIO], element[STRIBECK_LOAD_RATIO]
+    width, exponent = element[STRIBECK_VELOCITY] / to_input, element[STRIBECK_EXPONENT]
     for j in range(speed.shape[0]):
         v = speed[j]
         sign = (v > 0.0) * 1.0 - (v < 0.0) * 1.0
-        rise = 1.0
-        if ratio != 0.0 and width > 0.0:
-            x = v / width
-            rise += ratio * math.exp(-x * x)
+        rise, load_rise = 1.0, 1.0
+        if ratio != 0.0 or load_ratio != 0.0:
+            share = low_speed(v, width, exponent)
+            rise, load_rise = 1.0 + ratio * share, 1.0 + load_ratio * share
+        grown = grows * abs(v)
         out[j] = element_torque(
             out[j] * to_torque,
             sign,
@@ -224,7 +282,8 @@ def _through_element(
             negative,
             viscous,
             quadratic,
-            drive,
-            back,
             rise,
+            (drive + sign * drive_difference) * load_rise + grown,
+            (back + sign * back_difference) * load_rise + grown,
+            square,
         )

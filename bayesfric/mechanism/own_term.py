@@ -1,8 +1,9 @@
 """Terms that the compiled kernels do not write out: carried by the column of their row.
 
-A term is compiled once to a function of position, speed, direction and time of its element.
-The forward model calls it at every step; the inverse model multiplies its column, computed
-once for a recording.
+A term is compiled once to a function of position, speed, direction and time of its element, and
+of the parameter that shapes it, where one does. The forward model calls it at every step. The
+inverse model multiplies its column, computed once for a recording, or calls it where a
+parameter shapes it.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 from bayesfric.mechanism.quantities import QUANTITIES, Column, Quantity, State
 from bayesfric.recordings.inputs import Inputs
 
-_SIGNATURE = types.float64(types.float64, types.float64, types.float64, types.float64)
+_SIGNATURE = types.float64(*[types.float64] * 5)
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,7 @@ class CarriedTerm:
     place: int
     reach: float  # speed of the element's input over the joint's
     row: Quantity  # in the table of quantities, or a term of one's own
+    shape: int = -1  # index of the parameter that shapes its column; -1 where none does
 
     @property
     def address(self) -> int:
@@ -114,7 +116,7 @@ class CarriedTerm:
 
 def _address(row: Quantity) -> int:
     assert row.column is not None
-    return int(compiled(row.column).address)
+    return int(compiled(row.column, shaped=bool(row.shape)).address)
 
 
 def along(
@@ -124,11 +126,13 @@ def along(
     speed: NDArray[np.float64],
     time: NDArray[np.float64],
     inputs: Inputs,
+    shape: float | None = None,
 ) -> NDArray[np.float64]:
     """Torque for a coefficient of one along a motion of the joint, each ``(N,)``.
 
-    ``reach`` is the speed of the element's input over the joint's. What is a signal of the
-    recording is looked up in its ``inputs``.
+    ``reach`` is the speed of the element's input over the joint's, ``shape`` the value of the
+    parameter that shapes the column, where a search starts if left out. What is a signal of
+    the recording is looked up in its ``inputs``.
 
     Raises
     ------
@@ -141,12 +145,14 @@ def along(
             raise ValueError(f"{row.name}: the inputs hold no {row.signal}")
         return np.asarray(signal.at(time))
     position, speed = reach * position, reach * speed
-    return np.asarray(_along(_address(row), position, speed, np.sign(speed), time))
+    if row.shape and shape is None:
+        shape = QUANTITIES[row.shape].start
+    return np.asarray(_along(_address(row), position, speed, np.sign(speed), time, shape or 0.0))
 
 
 @lru_cache(maxsize=256)
-def compiled(column: Column) -> Any:
-    """Compile a column to a function of position, speed, direction and time.
+def compiled(column: Column, *, shaped: bool = False) -> Any:
+    """Compile a column to a function of position, speed, direction, time and what shapes it.
 
     Raises
     ------
@@ -155,15 +161,21 @@ def compiled(column: Column) -> Any:
     TypeError
         If it cannot be compiled.
     """
-    inner = njit(column)
+    inner: Any = njit(column)
 
-    def of_state(position: float, speed: float, direction: float, time: float) -> float:
+    def of_state(position: float, speed: float, direction: float, time: float, _: float) -> float:
         return float(inner(State(position, speed, 0.0, direction, time, 0.0, 0.0)))
 
+    def of_state_and_shape(
+        position: float, speed: float, direction: float, time: float, shape: float
+    ) -> float:
+        return float(inner(State(position, speed, 0.0, direction, time, 0.0, 0.0), shape))
+
     try:
-        found = cfunc(_SIGNATURE)(of_state)
-        for field in ("acceleration", "transmitted", "gravity"):
-            _refuse_dependence(inner, field)
+        found = cfunc(_SIGNATURE)(of_state_and_shape if shaped else of_state)
+        if not shaped:  # those are rows of the table
+            for field in ("acceleration", "transmitted", "gravity"):
+                _refuse_dependence(inner, field)
     except NumbaError as error:
         reason = str(error).strip().splitlines()[-1]
         raise TypeError(
@@ -184,12 +196,12 @@ def _refuse_dependence(inner: Callable[[State], float], field: str) -> None:
             )
 
 
-def _call(typing_context, address, position, speed, direction, time):  # type: ignore[no-untyped-def]  # noqa: ARG001
+def _call(typing_context, address, position, speed, direction, time, shape):  # type: ignore[no-untyped-def]  # noqa: ARG001
     """Call a compiled column by its address, so that one compiled kernel serves all terms."""
-    signature = types.float64(types.int64, *[types.float64] * 4)
+    signature = types.float64(types.int64, *[types.float64] * 5)
 
     def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]  # noqa: ARG001
-        kind = ir.FunctionType(ir.DoubleType(), [ir.DoubleType()] * 4)
+        kind = ir.FunctionType(ir.DoubleType(), [ir.DoubleType()] * 5)
         function = builder.inttoptr(arguments[0], kind.as_pointer())
         return builder.call(function, arguments[1:])
 
@@ -206,8 +218,9 @@ def _along(
     speed: NDArray[np.float64],
     direction: NDArray[np.float64],
     time: NDArray[np.float64],
+    shape: float,
 ) -> NDArray[np.float64]:
     out = np.empty(position.shape[0])
     for i in range(position.shape[0]):
-        out[i] = call(address, position[i], speed[i], direction[i], time[i])
+        out[i] = call(address, position[i], speed[i], direction[i], time[i], shape)
     return out

@@ -12,12 +12,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 Motion = Literal["rotary", "linear"]
-Column = Callable[["State"], Any]
+Column = Callable[..., Any]  # of a State, and of the value of the parameter that shapes it
+Choice = str | bool | int
 Units = tuple[str, str]  # where the element's input turns, where it slides
 
 _INF = math.inf
@@ -56,6 +58,7 @@ class Sizes(NamedTuple):
     speed: float  # speed, acceleration: root mean square, rad or m and s
     acceleration: float
     gravity: float  # m/s²
+    duration: float  # of the longest recording, s
 
 
 @dataclass(frozen=True)
@@ -74,12 +77,15 @@ class Quantity:
         One line for people, worded for what turns.
     option, choice
         Which option of an element or load brings it (:data:`CHOICES`); empty for what the
-        chain itself brings.
+        chain itself brings. Several choices where each brings it; a number of cycles where the
+        option lists these (:data:`CYCLES`).
     role
         ``own`` adds ``value * column`` to the torque; ``loss`` the same, and depends on the
         transmitted torque; ``form`` shapes other terms and adds nothing by itself.
     column
-        Torque for a value of one.
+        Torque for a value of one, a function of a :class:`State`.
+    shape
+        Quantity of the same element whose value its column takes besides; empty for none.
     signal
         Which signal of a recording its column is, a field of
         :class:`bayesfric.recordings.inputs.Inputs`; empty where ``column`` gives it.
@@ -96,6 +102,9 @@ class Quantity:
         Motor-side totals it is part of; that of its own name if left out.
     by_direction
         The totals it is part of instead, where other elements tell the directions apart.
+    scaled_by
+        Where load and load losses are scaled together (section 4.2), the power of the factor
+        that divides it.
     rises
         Whether the rise at low speed multiplies it.
     lower, upper
@@ -118,9 +127,10 @@ class Quantity:
     symbol: str
     meaning: str
     option: str = ""
-    choice: str | bool = True
+    choice: Choice | tuple[Choice, ...] = True
     role: Literal["own", "loss", "form"] = "own"
     column: Column | None = None
+    shape: str = ""
     signal: Literal["", "torque_rate"] = ""
     power: int | None = None
     slots: tuple[str, ...] | None = None
@@ -128,6 +138,7 @@ class Quantity:
     totals: tuple[str, ...] = ()
     by_direction: tuple[str, str] | None = None
     rises: bool = False
+    scaled_by: int = 0
     lower: float = 0.0
     upper: float = _INF
     default: float = 0.0
@@ -136,6 +147,14 @@ class Quantity:
     spread: Callable[[Sizes], float] | None = None
     prior_upper: float = _INF
     start: float | None = None
+
+    def brought_by(self, choice: Any) -> bool:
+        """Whether this choice of its option brings it."""
+        if isinstance(self.choice, tuple):
+            return choice in self.choice
+        if self.option in CYCLES and not isinstance(choice, bool):
+            return self.choice in choice
+        return bool(choice == self.choice)
 
     @property
     def fills(self) -> tuple[tuple[str, float], ...]:
@@ -177,16 +196,34 @@ CHOICES: Mapping[str, Mapping[str | bool, str]] = {
     "coulomb": {"symmetric": "constant loss", "by-direction": "constant loss by direction"},
     "viscous": {True: "viscous loss", "by-direction": "viscous loss by direction"},
     "quadratic": {True: "quadratic loss"},
-    "stribeck": {True: "a Stribeck rise"},
+    "power": {True: "a loss with a power of speed"},
+    "warming": {
+        "viscous": "viscous loss that changes as the joint warms up",
+        "constant": "constant loss that changes as the joint warms up",
+        "both": "viscous and constant loss that change as the joint warms up",
+    },
+    "stribeck": {
+        True: "a Stribeck rise",
+        "either": "a Stribeck rise, or a fall towards standstill",
+        "apart": "Stribeck rises of constant and load loss apart",
+    },
+    "stribeck_exponent": {True: "a free exponent of the Stribeck rise"},
     "load_loss": {
         "one": "a loss per transmitted torque",
         "two": "losses per transmitted torque when driving and back-driven",
     },
+    "load_direction": {
+        True: "load loss by direction",
+        "quadrants": "load loss by direction and power flow",
+    },
+    "load_speed": {True: "a load loss that grows with speed"},
+    "load_square": {True: "a loss with the square of the load"},
 }
 LOAD_CHOICES: Mapping[str, Mapping[str | bool, str]] = {
     "inertia": {True: "inertia"},
     "first_moment": {True: "gravity"},
     "gravity_angle": {True: "an unknown zero of the angle of gravity"},
+    "spring": {True: "a spring", "stiffening": "a spring that stiffens"},
 }
 # One line for each option, as `init` writes it.
 OPTION_MEANINGS: Mapping[str, str] = {
@@ -194,10 +231,19 @@ OPTION_MEANINGS: Mapping[str, str] = {
     "coulomb": "constant loss",
     "viscous": "loss in proportion to speed",
     "quadratic": "loss with the square of speed",
+    "power": "loss with a power of speed between 0 and 2, flattening or steepening",
+    "warming": "change of losses with time since the recording began",
+    "cogging": "torque that repeats; cycles a turn",
+    "periodic_friction": "constant loss that depends on the angle; cycles a turn",
     "stribeck": "rise of constant and load loss at low speed",
+    "stribeck_exponent": "exponent of speed in that rise; 2 if left out",
     "load_loss": "loss in proportion to transmitted torque",
+    "load_direction": "load loss by direction of motion",
+    "load_speed": "growth of load loss with speed",
+    "load_square": "growth of load loss with the load",
     "first_moment": "gravity moment ml",
     "gravity_angle": "unknown angle of gravity's zero",
+    "spring": "torque in proportion to angle, as of a spring or cable",
 }
 
 # In the order in which an element lists its parameters.
@@ -250,15 +296,72 @@ QUANTITIES: dict[str, Quantity] = {
             "loss growing with the square of speed",
             option="quadratic", column=lambda m: m.speed * np.abs(m.speed), power=2,
         ),
+        # viscous friction of greases: exponents of 0.4 to 1 (Ruderman 2012; Waiboer, Aarts and
+        # Jonker 2005); bearing friction with lambda = 2/3 (Palmgren 1957)
+        Quantity(
+            "power", _TORQUE, "f_{{p,{}}}",
+            "loss growing with a power of speed; at a speed of 1",
+            option="power", column=lambda m, exponent: m.direction * np.abs(m.speed) ** exponent,
+            shape="power_exponent",
+        ),
+        Quantity(
+            "power_exponent", _NONE, "p_{{{}}}", "power of speed that a loss grows with",
+            option="power", role="form", upper=2.0, default=1.0, prior="uniform", start=0.6,
+        ),
+        # oil thins as it warms (Simoni et al. 2015: friction of a robot's joint falls by half)
+        Quantity(
+            "viscous_warming", ("N m s", "N s/m"), r"\Delta f_{{{}}}",
+            "change of viscous loss from the recording's begin until warm",
+            option="warming", choice=("viscous", "both"), lower=-_INF, shape="warming_time",
+            column=lambda m, time: -m.speed * np.expm1(-m.time / time),
+        ),
+        Quantity(
+            "coulomb_warming", _TORQUE, r"\Delta C_{{{}}}",
+            "change of constant loss from the recording's begin until warm",
+            option="warming", choice=("constant", "both"), lower=-_INF, shape="warming_time",
+            column=lambda m, time: -m.direction * np.expm1(-m.time / time),
+        ),
+        Quantity(
+            "warming_time", ("s", "s"), r"\tau_{{{}}}", "time constant of warming up",
+            option="warming", choice=("viscous", "constant", "both"), role="form", default=1.0,
+            spread=lambda s: s.duration, start=60.0,
+        ),
         Quantity(
             "stribeck_ratio", _NONE, "c_{{{}}}",
             "relative rise of constant and load loss at low speed",
-            option="stribeck", role="form", spread=lambda _: 1.0, start=0.3,
+            option="stribeck", role="form", slots=("stribeck_ratio", "stribeck_load_ratio"),
+            spread=lambda _: 1.0, start=0.3,
+        ),
+        # a loss that falls towards standstill: elements that give way before they slide
+        Quantity(
+            "stribeck_change", _NONE, "c_{{{}}}",
+            "relative rise of constant and load loss at low speed, negative for a fall",
+            option="stribeck", choice="either", role="form",
+            slots=("stribeck_ratio", "stribeck_load_ratio"), lower=-1.0, spread=lambda _: 0.5,
+            start=0.1,
+        ),
+        Quantity(
+            "stribeck_constant", _NONE, "c_{{C,{}}}",
+            "relative rise of the constant loss at low speed",
+            option="stribeck", choice="apart", role="form", slots=("stribeck_ratio",),
+            spread=lambda _: 1.0, start=0.3,
+        ),
+        Quantity(
+            "stribeck_load", _NONE, r"c_{{\mu,{}}}", "relative rise of the load loss at low speed",
+            option="stribeck", choice="apart", role="form", slots=("stribeck_load_ratio",),
+            spread=lambda _: 1.0, start=0.3,
         ),
         Quantity(
             "stribeck_velocity", ("rad/s", "m/s"), r"\dot q_{{0,{}}}",
             "speed at which the low-speed rise has fallen to 37 %",
-            option="stribeck", role="form", default=1.0, spread=lambda s: s.speed, start=1.0,
+            option="stribeck", choice=(True, "either", "apart"), role="form", default=1.0,
+            spread=lambda s: s.speed, start=1.0,
+        ),
+        # 2 in eq. (2); published between 0.5 and 2 (Armstrong-Helouvry 1991), free in BAM
+        Quantity(
+            "stribeck_exponent", _NONE, "a_{{{}}}", "exponent of speed in the low-speed rise",
+            option="stribeck_exponent", role="form", upper=4.0, default=2.0, prior="uniform",
+            start=2.0,
         ),
         Quantity(
             "load", _NONE, r"\mu_{{{}}}", "loss per transmitted torque, both directions of power",
@@ -280,6 +383,41 @@ QUANTITIES: dict[str, Quantity] = {
             spread=lambda _: 0.5, prior_upper=1.0,
         ),
         Quantity(
+            "load_difference", _NONE, r"\Delta\mu_{{{}}}",
+            "half the difference of the load losses at positive and negative speed",
+            option="load_direction", role="form", lower=-_INF, start=0.0,
+            slots=("load_drive_difference", "load_back_difference"), spread=lambda _: 0.1,
+            scaled_by=1,
+        ),
+        Quantity(
+            "load_drive_difference", _NONE, r"\Delta\mu_{{{}1}}",
+            "half the difference by direction of the load loss when the motor drives",
+            option="load_direction", choice="quadrants", role="form", lower=-_INF, start=0.0,
+            spread=lambda _: 0.1,
+            scaled_by=1,
+        ),
+        Quantity(
+            "load_back_difference", _NONE, r"\Delta\mu_{{{}2}}",
+            "half the difference by direction of the load loss when the load drives",
+            option="load_direction", choice="quadrants", role="form", lower=-_INF, start=0.0,
+            spread=lambda _: 0.1,
+            scaled_by=1,
+        ),
+        # gear friction of oil films (Hamon, Gautier and Garrec 2010)
+        Quantity(
+            "load_speed", ("s/rad", "s/m"), r"\mu_{{v,{}}}",
+            "growth of the load loss in proportion to speed",
+            option="load_speed", role="form", spread=lambda s: 0.3 / s.speed, start=0.0,
+            scaled_by=1,
+        ),
+        # BAM's M6
+        Quantity(
+            "load_square", ("1/(N m)", "1/N"), r"\mu_{{T,{}}}",
+            "growth of the load loss in proportion to transmitted torque",
+            option="load_square", role="form", spread=lambda s: 0.3 / s.torque, start=0.0,
+            scaled_by=2,
+        ),
+        Quantity(
             "first_moment", ("kg m", ""), "ml", "mass times distance to its centre",
             option="first_moment", column=lambda m: m.gravity, power=0,
             shares=(("gravity", 1.0),), totals=("gravity",),
@@ -288,6 +426,18 @@ QUANTITIES: dict[str, Quantity] = {
         Quantity(
             "gravity_angle", ("rad", ""), "q_g", "angle added to q in gravity",
             option="gravity_angle", role="form", lower=-_INF, circular=True, prior="uniform",
+        ),
+        Quantity(
+            "spring", ("N m/rad", "N/m"), "k_{{{}}}", "torque in proportion to position",
+            option="spring", choice=(True, "stiffening"), column=lambda m: m.position, power=1,
+            lower=-_INF,
+        ),
+        # a cable or hose that tightens towards the ends of the range
+        Quantity(
+            "spring_cubic", ("N m/rad³", "N/m³"), "k_{{3,{}}}",
+            "torque in proportion to the cube of position",
+            option="spring", choice="stiffening", column=lambda m: m.position**3, power=3,
+            lower=-_INF,
         ),
         Quantity(
             "offset", _TORQUE, r"\Gamma_0", "constant torque in the measured motor torque",
@@ -307,6 +457,51 @@ QUANTITIES: dict[str, Quantity] = {
         ),
     )
 }  # fmt: skip
+
+
+# Quantities that shape terms without a slot.
+SHAPES = frozenset(row.shape for row in QUANTITIES.values() if row.shape)
+
+
+@lru_cache(maxsize=256)
+def _cogging(cycles: int) -> tuple[Quantity, ...]:
+    """Torque of magnets and teeth, as sine and cosine (Hsu et al. 2015)."""
+    sine, cosine = lambda m: np.sin(cycles * m.position), lambda m: np.cos(cycles * m.position)
+    return _waves("cogging", "a", "torque", cycles, (sine, cosine))
+
+
+@lru_cache(maxsize=256)
+def _periodic_friction(cycles: int) -> tuple[Quantity, ...]:
+    """Friction that depends on the angle, as of an eccentric gear (Armstrong-Helouvry 1991)."""
+    sine = lambda m: m.direction * np.sin(cycles * m.position)  # noqa: E731
+    cosine = lambda m: m.direction * np.cos(cycles * m.position)  # noqa: E731
+    return _waves("periodic_friction", "c", "constant loss", cycles, (sine, cosine))
+
+
+def _waves(
+    option: str, letter: str, what: str, cycles: int, columns: tuple[Column, Column]
+) -> tuple[Quantity, ...]:
+    return tuple(
+        Quantity(
+            f"{option}_{part}_{cycles}", _TORQUE, rf"{letter}_{{{{{{}},\{part}\,{cycles}}}}}",
+            f"{what} with the {word} of {cycles} cycles a turn",
+            option=option, choice=cycles, column=column, lower=-_INF, slots=(),
+        )
+        for (part, word), column in zip(
+            (("sin", "sine"), ("cos", "cosine")), columns, strict=True
+        )
+    )  # fmt: skip
+
+
+# Options that list numbers of cycles a turn, and the quantities that each number brings.
+CYCLES: Mapping[str, Callable[[int], tuple[Quantity, ...]]] = {
+    "cogging": _cogging,
+    "periodic_friction": _periodic_friction,
+}
+CYCLE_PHRASES: Mapping[str, str] = {
+    "cogging": "a torque that repeats",
+    "periodic_friction": "a constant loss that depends on the angle",
+}
 
 
 def _total(name: str, symbol: str, meaning: str, *, positive: bool = False) -> Total:

@@ -42,6 +42,15 @@ class Scaling:
     added: tuple[float, ...] = ()
 
     @property
+    def divided(self) -> dict[str, int]:
+        """What else the losses of the element hold, and the power of the factor that divides it."""
+        return {
+            p.name: p.row.scaled_by
+            for p in self.chain.parameters
+            if p.owner == self.element and p.row.scaled_by
+        }
+
+    @property
     def drive(self) -> str:
         """Name of ``mu_1``."""
         return f"{self.element}.load_drive"
@@ -54,7 +63,7 @@ class Scaling:
     @property
     def names(self) -> tuple[str, ...]:
         """Everything that changes along the scaling."""
-        return (*self.behind, self.drive, self.back)
+        return (*self.behind, self.drive, self.back, *self.divided)
 
     def bounds(
         self, values: ArrayLike, limits: Mapping[str, tuple[float, float]] | None = None
@@ -118,6 +127,8 @@ class Scaling:
         # alpha_1 = 1/(1 + mu_1), alpha_2 = 1/(1 - mu_2), eq. (6)
         out[..., drive] = (1.0 + out[..., drive]) / k - 1.0
         out[..., back] = 1.0 - (1.0 - out[..., back]) / k
+        for name, power in self.divided.items():
+            out[..., self.chain.names.index(name)] /= k**power
         return out if k.shape else out.reshape(-1)
 
     def tangent(self, values: ArrayLike) -> Array:
@@ -129,6 +140,8 @@ class Scaling:
             out[names.index(name)] = at[names.index(name)] + known
         out[names.index(self.drive)] = -1.0 - at[names.index(self.drive)]
         out[names.index(self.back)] = 1.0 - at[names.index(self.back)]
+        for name, power in self.divided.items():
+            out[names.index(name)] = -power * at[names.index(name)]
         return out
 
     def middle(self, values: ArrayLike) -> float:

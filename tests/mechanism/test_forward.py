@@ -97,8 +97,8 @@ def test_presets_reverse(name):
 
 def random_joint(rng, mu=1.5):
     n = rng.integers(1, 5)
-    elements = np.zeros((n, 10))
-    on = rng.random((n, 10)) < 0.7
+    elements = np.zeros((n, len(kernels.ELEMENT_SLOTS)))
+    on = rng.random(elements.shape) < 0.7
     elements[:, kernels.RATIO] = np.where(rng.random(n) < 0.3, 1.0, rng.uniform(0.2, 30.0, n))
     for slot, size in (
         (kernels.INERTIA, 0.01),
@@ -107,11 +107,15 @@ def random_joint(rng, mu=1.5):
         (kernels.VISCOUS, 0.2),
         (kernels.QUADRATIC, 0.02),
         (kernels.STRIBECK_RATIO, 1.0),
+        (kernels.STRIBECK_LOAD_RATIO, 1.0),
+        (kernels.LOAD_DRIVE_DIFFERENCE, 0.1),
+        (kernels.LOAD_BACK_DIFFERENCE, 0.1),
         (kernels.LOAD_DRIVE, mu),
         (kernels.LOAD_BACK, mu),
     ):
         elements[:, slot] = rng.uniform(0, size, n) * on[:, slot]
     elements[:, kernels.STRIBECK_VELOCITY] = rng.uniform(0.1, 5.0, n)
+    elements[:, kernels.STRIBECK_EXPONENT] = rng.choice([2.0, 0.7], n)
     elements[0, kernels.INERTIA] += 1e-3
     load = np.array([rng.choice([0.0, 0.3]), rng.uniform(0, 1), rng.uniform(-3, 3), 9.8, 0.0, 1.0])
     return dynamics.moved(elements, load, None, 0.0, 0.0)
@@ -144,9 +148,9 @@ def test_closed_form_acceleration_agrees_with_root_finding():
         lines = np.zeros((len(elements), 2))
         again = dynamics.frozen_acceleration(joint, q, qd, torque, 0.0, sign, pattern, lines)
         assert again == found
-        for k, element in enumerate(elements):
+        for k in range(len(elements)):
             out = carried_to_motor(elements[k + 1 :], joint[2] * found + gravity, sign, qd, found)
-            if (element[kernels.LOAD_DRIVE] or element[kernels.LOAD_BACK]) and abs(out) > 1e-9:
+            if dynamics.kinked(elements, k) and abs(out) > 1e-9:
                 assert bool(pattern >> k & 1) == (out * sign > 0)
     assert irreversible > 100
 
@@ -156,7 +160,8 @@ def test_slope_bounds_are_those_of_all_patterns():
     for _ in range(300):
         joint = random_joint(rng)
         elements = joint[0].copy()
-        elements[:, kernels.STRIBECK_RATIO] = 0.0
+        for slot in ("stribeck_load_ratio", "load_drive_difference", "load_back_difference"):
+            elements[:, kernels.ELEMENT_SLOTS.index(slot)] = 0.0
         joint = joint._replace(elements=elements)
         lines = np.zeros((len(elements), 2))
         slopes = []

@@ -23,9 +23,11 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
 from bayesfric.mechanism.quantities import (
     CHOICES,
+    CYCLES,
     LOAD_CHOICES,
     OPTION_MEANINGS,
     QUANTITIES,
+    SHAPES,
     TOTALS,
     Quantity,
     State,
@@ -55,6 +57,7 @@ def cases():
     for q in QUANTITIES.values():
         owners = [p for p in PLACES if q.option in (LOAD_CHOICES if p == "load" else CHOICES)]
         yield from (pytest.param((q.name, p), id=f"{p}.{q.name}") for p in owners or [""])
+    yield from (pytest.param((q, p), id=f"{p}.{q}") for q in CYCLES for p in ("motor", "load"))
     yield from (pytest.param((name, p), id=f"{p}.{name}") for name in OWN for p in PLACES)
 
 
@@ -66,15 +69,21 @@ def chain_with(name, owner) -> Joint:
         "joint": {"coulomb": "by-direction"},
         "load": {"inertia": True, "first_moment": True},
     }
-    if name in QUANTITIES and owner:
+    if name in CYCLES:
+        options[owner] |= {name: (1, 5)}
+    elif name in QUANTITIES and owner:
         q = QUANTITIES[name]
-        options[owner] |= {q.option: q.choice}
+        needs = {"stribeck_exponent": {"stribeck": True}, "load_direction": {"load_loss": "one"}}
+        kept = needs.get(q.option, {}) if owner != "gearbox" else {}
+        options[owner] |= kept | {
+            q.option: q.choice[0] if isinstance(q.choice, tuple) else q.choice
+        }
     elements = tuple(
         Element(place, ratio, **options[place])
         for place, ratio in (("motor", 1.5), ("gearbox", 8.0), ("joint", 2.0))
     )
     chain = Joint(elements, Load(**options["load"]), offset=name == "offset", gain=name == "gain")
-    return chain if name in QUANTITIES else chain.with_term(own(name, owner))
+    return chain if name in {**QUANTITIES, **CYCLES} else chain.with_term(own(name, owner))
 
 
 def values_of(chain, seed=3):
@@ -103,16 +112,31 @@ def by_the_table(chain, values, o):
         state = State(
             reach * o.q, reach * o.qd, reach * o.qdd, np.sign(o.qd), o.stamps, torque, gravity
         )
-        rise = 1.0
-        if f"{place}.stribeck_ratio" in at:
-            width = at[f"{place}.stribeck_velocity"]
-            rise += at[f"{place}.stribeck_ratio"] * np.exp(-((state.speed / width) ** 2))
+
+        def of(name, place=place):
+            return at.get(f"{place}.{name}", 0.0)
+
+        low = 0.0
+        if f"{place}.stribeck_velocity" in at:
+            exponent = at.get(f"{place}.stribeck_exponent", 2.0)
+            low = np.exp(-(np.abs(state.speed / of("stribeck_velocity")) ** exponent))
+        both = of("stribeck_ratio") + of("stribeck_change")
+        rises = {
+            "own": 1.0 + (both + of("stribeck_constant")) * low,
+            "loss": 1.0 + (both + of("stribeck_load")) * low,
+        }
         total = torque
         for p in chain.parameters:
             if p.owner == place and p.row.role != "form":
-                column = p.row.column(state)
-                total = total + at[p.name] * column * (rise if p.row.rises else 1.0)
-        torque = total
+                shape = [at[f"{place}.{p.row.shape}"]] if p.row.shape else []
+                column = p.row.column(state, *shape)
+                total = total + at[p.name] * column * (rises[p.row.role] if p.row.rises else 1.0)
+        # by direction, the loss of either flow of power is that much larger one way
+        drives = torque * state.direction > 0.0
+        differs = np.where(drives, of("load_drive_difference"), of("load_back_difference"))
+        differs = (differs + of("load_difference")) * state.direction * rises["loss"]
+        mu = differs + of("load_speed") * np.abs(state.speed) + of("load_square") * np.abs(torque)
+        torque = total + mu * np.abs(torque) * state.direction
     return (torque + at.get("offset", 0.0)) / at.get("drive.gain", 1.0)
 
 
@@ -199,9 +223,10 @@ def test_totals_are_what_the_motor_feels_at_steady_speed():
     """Each total by its own column: the motor's torque per value, at constant speed."""
     for total in TOTALS.values():
         assert total.units
-    own = [q for q in QUANTITIES.values() if q.role == "own" and not q.signal]
+    # what does not grow with a power of speed is a total of its own
+    own = [q for q in QUANTITIES.values() if q.role == "own" and q.power is not None]
     filled = {kind for q in own for kind, _ in q.fills}
-    assert filled <= set(TOTALS)
+    assert filled - set(TOTALS) == {"spring", "spring_cubic"}  # not of the motor's motion
 
 
 def test_every_option_has_a_meaning_and_every_choice_brings_something():
@@ -209,7 +234,10 @@ def test_every_option_has_a_meaning_and_every_choice_brings_something():
         for option, choices in options.items():
             assert OPTION_MEANINGS[option]
             for choice in choices:
-                assert any(q.option == option and q.choice == choice for q in QUANTITIES.values())
+                rows = [q for q in QUANTITIES.values() if q.option == option]
+                assert any(q.brought_by(choice) for q in rows)
+                kind, name = (Load, {}) if options is LOAD_CHOICES else (Element, {"name": "motor"})
+                assert kind(**name, **{option: choice}).choices == {option: choice}
 
 
 def test_every_row_is_known_to_the_kernels_or_has_a_column():
@@ -217,7 +245,7 @@ def test_every_row_is_known_to_the_kernels_or_has_a_column():
     for q in QUANTITIES.values():
         # what has no slot has a column, or is a signal of the recording
         carried = q.role == "own" and (q.column is not None or bool(q.signal))
-        assert set(q.slots or (q.name,)) <= known or carried
+        assert set(q.slots or (q.name,)) <= known or carried or q.name in SHAPES
 
 
 @pytest.mark.parametrize("role", ["form", "loss", "own"])

@@ -31,6 +31,7 @@ class Scales:
     speed: float  # root mean square at the joint
     acceleration: float
     position: float = 1.0  # range of the joint's, rad or m
+    duration: float = 1.0  # of the longest recording, s
     position_step: float = 0.0  # finest that one was read in; 0 where it is not known
     # root mean square torque of each term with a shape of its own, for a value of one
     columns: Mapping[str, float] = field(default_factory=dict)
@@ -49,6 +50,7 @@ def measured_scales(chain: Joint, observations: Sequence[Observation]) -> Scales
         # a motion that hardly accelerates still changes its speed once in the recording
         acceleration=max(_rms(acceleration), _rms(speed) / duration),
         position=max(float(np.ptp(o.q[o.filter.centres])) for o in observations),
+        duration=max(float(np.ptp(o.stamps)) for o in observations),
         position_step=min(o.position_step for o in observations),
         columns={
             chain.names[c.index]: _rms(np.concatenate([_at_outputs(c, o) for o in observations]))
@@ -77,12 +79,13 @@ def _text(chain: Joint, p: Parameter, scales: Scales) -> PriorText:
     """Word the default prior that the row of a quantity asks for, in the sizes at its own shaft."""
     row, to_joint = p.row, chain.reaches[p.owner]
     if row.prior == "uniform":
-        return [-TURN / 2.0, TURN / 2.0]
+        return [-TURN / 2.0, TURN / 2.0] if row.circular else [row.lower, row.upper]
     sizes = Sizes(
         scales.torque * (chain.ratio / to_joint),
         scales.speed * to_joint,
         scales.acceleration * to_joint,
         chain.load.gravity,
+        scales.duration,
     )
     if row.spread is not None:
         scale = row.spread(sizes)
