@@ -162,6 +162,17 @@ def identify(
     _print(identify_record(found, model), as_json, identify_text(found, model))
 
 
+@app.command()
+def explain(config: ConfigFile, as_json: AsJson = False) -> None:
+    """Tell which terms the joint lacks, judged by motion that was not fitted."""
+    from bayesfric.commands.explain import explain_record, explain_text
+
+    model = _model(config)
+    with progress_shown(sys.stderr.isatty()) as progress:
+        found = model.explain(progress=progress)
+    _print(explain_record(found, model), as_json, explain_text(found))
+
+
 def _advise(config: Path, name: str, output: Path | None, force: bool, as_json: bool) -> None:
     from bayesfric.commands.identify import advice_file, advice_record, advice_text, write_advice
 

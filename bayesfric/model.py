@@ -55,6 +55,7 @@ from bayesfric.recordings.trajectory import Trajectory, trajectory
 if TYPE_CHECKING:
     import pandas as pd
 
+    from bayesfric.explain.explanation import Explanation
     from bayesfric.result import Result
 
 Array = NDArray[np.float64]
@@ -305,6 +306,28 @@ class Model:
             from_voltage = [r.name for r in self.recordings if r.drive == "voltage"]
             speed = speed_term(target, point.parameters, from_voltage)
             return identify(target, [point, *others], speed=speed)
+
+    def explain(self, *, progress: Shown = silent) -> Explanation:
+        """Tell what would explain the residual: which terms the joint lacks.
+
+        Every term of the table of quantities is tried by itself, then the best with the others,
+        and judged by how well motion is predicted that was not fitted.
+
+        Returns
+        -------
+        Explanation
+            ``frame`` is a table of the models.
+
+        Raises
+        ------
+        BadInput
+            If nothing can be estimated from these recordings.
+        """
+        from bayesfric.explain.explanation import explain
+
+        point = dict(self.estimates(["input-error"], progress=progress)[0].point)
+        with self.config.named(), few_threads(self.observations):
+            return explain(self._evidence, point, progress=lambda stage: progress(Progress(stage)))
 
     def advise(self, name: str, *, progress: Shown = silent) -> Ranking:
         """Rank recordings to make next by what they would leave of one quantity.

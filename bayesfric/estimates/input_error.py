@@ -43,13 +43,14 @@ def input_error(
     observations: Sequence[Observation],
     knowledge: Knowledge,
     options: Estimation,
+    start: Mapping[str, float] | None = None,
 ) -> Estimate:
     """Estimate the chain's parameters from the error of the modelled torque, eq. (12).
 
     The search starts from the variable projection of eqs. (18) and (19) where the chain
     has that form, from splits of the least-squares totals, and from random vectors;
-    limits are kept exactly. What the data leave open has an infinite sd; what stands on a limit
-    has none.
+    limits are kept exactly. With a ``start`` it begins there alone. What the data leave open has
+    an infinite sd; what stands on a limit has none.
 
     Raises
     ------
@@ -59,13 +60,18 @@ def input_error(
     """
     _check(chain, observations, knowledge)
     with few_threads(observations):
-        return _estimate(TorqueProblem(chain, observations, knowledge), options)
+        return _estimate(TorqueProblem(chain, observations, knowledge), options, start)
 
 
-def _estimate(problem: TorqueProblem, options: Estimation) -> Estimate:
+def _estimate(
+    problem: TorqueProblem, options: Estimation, start: Mapping[str, float] | None
+) -> Estimate:
     chain, observations = problem.chain, problem.observations
     plain = Terms(np.ones(problem.measured.size))
-    inside, projected, searched = _starts(problem, options)
+    if start is None:
+        inside, projected, searched = _starts(problem, options)
+    else:
+        inside, projected, searched = [problem.inside(chain.vector(start))], [], ""
     found = sorted((descend(problem, plain, x) for x in inside), key=lambda one: one.height)
     terms, x = _refined(problem, options, found)
     values = fitted.centred(chain, problem.knowledge, observations, problem.vector(x))

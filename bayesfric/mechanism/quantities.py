@@ -118,6 +118,8 @@ class Quantity:
         possible, normal, with the scale that would need the largest torque.
     prior_upper
         Where default priors end if before ``upper``.
+    tries
+        Values at which what it shapes is tried, where nothing tells it yet.
     start
         Where a search starts that nothing has told anything; ``None`` for its share of a total.
     """
@@ -146,6 +148,7 @@ class Quantity:
     prior: str = ""
     spread: Callable[[Sizes], float] | None = None
     prior_upper: float = _INF
+    tries: Callable[[Sizes], tuple[float, ...]] | None = None
     start: float | None = None
 
     def brought_by(self, choice: Any) -> bool:
@@ -307,6 +310,7 @@ QUANTITIES: dict[str, Quantity] = {
         Quantity(
             "power_exponent", _NONE, "p_{{{}}}", "power of speed that a loss grows with",
             option="power", role="form", upper=2.0, default=1.0, prior="uniform", start=0.6,
+            tries=lambda _: (0.2, 0.4, 0.6, 0.8, 1.3, 1.6),
         ),
         # oil thins as it warms (Simoni et al. 2015: friction of a robot's joint falls by half)
         Quantity(
@@ -325,6 +329,7 @@ QUANTITIES: dict[str, Quantity] = {
             "warming_time", ("s", "s"), r"\tau_{{{}}}", "time constant of warming up",
             option="warming", choice=("viscous", "constant", "both"), role="form", default=1.0,
             spread=lambda s: s.duration, start=60.0,
+            tries=lambda s: (0.1 * s.duration, 0.3 * s.duration, s.duration),
         ),
         Quantity(
             "stribeck_ratio", _NONE, "c_{{{}}}",
@@ -356,6 +361,7 @@ QUANTITIES: dict[str, Quantity] = {
             "speed at which the low-speed rise has fallen to 37 %",
             option="stribeck", choice=(True, "either", "apart"), role="form", default=1.0,
             spread=lambda s: s.speed, start=1.0,
+            tries=lambda s: tuple(share * s.speed for share in (0.03, 0.06, 0.12, 0.25, 0.5)),
         ),
         # 2 in eq. (2); published between 0.5 and 2 (Armstrong-Helouvry 1991), free in BAM
         Quantity(

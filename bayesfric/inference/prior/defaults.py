@@ -75,18 +75,24 @@ def default_prior(chain: Joint, p: Parameter, scales: Scales) -> Prior:
     return read_prior(p.name, text, lower=p.lower, upper=upper, default=True, circular=p.circular)
 
 
-def _text(chain: Joint, p: Parameter, scales: Scales) -> PriorText:
-    """Word the default prior that the row of a quantity asks for, in the sizes at its own shaft."""
-    row, to_joint = p.row, chain.reaches[p.owner]
-    if row.prior == "uniform":
-        return [-TURN / 2.0, TURN / 2.0] if row.circular else [row.lower, row.upper]
-    sizes = Sizes(
+def sizes_at(chain: Joint, owner: str, scales: Scales) -> Sizes:
+    """Give the sizes at the input of an element, or of ``load``."""
+    to_joint = chain.reaches[owner]
+    return Sizes(
         scales.torque * (chain.ratio / to_joint),
         scales.speed * to_joint,
         scales.acceleration * to_joint,
         chain.load.gravity,
         scales.duration,
     )
+
+
+def _text(chain: Joint, p: Parameter, scales: Scales) -> PriorText:
+    """Word the default prior that the row of a quantity asks for, in the sizes at its own shaft."""
+    row = p.row
+    if row.prior == "uniform":
+        return [-TURN / 2.0, TURN / 2.0] if row.circular else [row.lower, row.upper]
+    sizes = sizes_at(chain, p.owner, scales)
     if row.spread is not None:
         scale = row.spread(sizes)
     elif row.role == "own" and (row.column is not None or row.signal):

@@ -1,0 +1,242 @@
+"""What would explain the residual, as everything shows it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayesfric.errors import BadInput
+from bayesfric.estimates.input_error import input_error
+from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.methods import Given
+from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
+from bayesfric.explain.candidates import Candidate
+from bayesfric.explain.ladder import Rung, Trial, climb, compared, stacked
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class Term:
+    """A term that a joint may lack."""
+
+    phrase: str  # what it is called in a sentence
+    owner: str  # the element, ``load``, or empty for the whole chain
+    setting: str  # what a configuration says for it
+    evidence: float  # natural logarithm of its Bayes factor beside the model it was tried with
+    also: tuple[str, ...]  # settings that do the same to these motions
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number that people quote, under one model."""
+
+    value: float
+    sd: float  # the larger of the plain and the robust one; infinite where nothing tells it
+    unit: str
+
+
+@dataclass(frozen=True)
+class Model:
+    """One model that was compared."""
+
+    terms: tuple[Term, ...]  # what it has more than the model as it is, in the order of their gain
+    rms: float  # of what it leaves of all that it was fitted to, N m or N
+    taken: float  # share of the variance that the model as it is leaves
+    held_out: float  # rms of what it leaves of motion that it was not fitted to, N m or N
+    better: float  # log density of held-out motion over that of the model as it is
+    error: float  # standard error of that
+    weight: float  # in the mixture that predicts best
+    rival: bool  # whether it is no rung, but cannot be told from the last
+    numbers: Mapping[str, Number]
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What would explain the residual of a model.
+
+    Attributes
+    ----------
+    asked
+        Terms that the recordings ask for, the strongest first.
+    rivals
+        Terms that cannot be told from the last of these.
+    fitted
+        Terms that would fit better, and predict no better.
+    against
+        Terms that the recordings speak against.
+    models
+        The ladder: as it is, with the first term, with the first two, and so on; then the last
+        one with each rival in its place.
+    averaged
+        Mean and sd of every number over the models that cannot be told apart.
+    """
+
+    unit: str  # of the torque
+    asked: tuple[Term, ...]
+    rivals: tuple[Term, ...]
+    fitted: tuple[Term, ...]
+    against: tuple[Term, ...]
+    models: tuple[Model, ...]
+    averaged: Mapping[str, Number]
+    tried: int
+    folds: tuple[str, ...]  # what was left out in turn
+    whole_recordings: bool  # whether that is recordings, or kinds of motion
+    memory: tuple[float, ...]  # partial autocorrelations of the noise beside all terms
+
+    @property
+    def last(self) -> Model:
+        """The last rung."""
+        return [m for m in self.models if not m.rival][-1]
+
+    @property
+    def frame(self) -> pd.DataFrame:
+        """A row for each model."""
+        import pandas as pd
+
+        rows = [
+            {
+                "terms": "; ".join(t.setting for t in m.terms),
+                **{k: getattr(m, k) for k in ("rms", "taken", "held_out", "better", "error")},
+                "weight": m.weight,
+                "rival": m.rival,
+                **{name: number.value for name, number in m.numbers.items()},
+            }
+            for m in self.models
+        ]
+        return pd.DataFrame(rows)
+
+    def as_json(self) -> dict[str, Any]:
+        """Give all of it as JSON can hold it; what is not finite is ``None``."""
+        found: dict[str, Any] = _plain(asdict(self))
+        return found
+
+
+def explain(
+    given: Given,
+    point: Mapping[str, float],
+    *,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Explanation:
+    """Look for what the model of ``given`` lacks; ``point`` is an estimate of its parameters.
+
+    Raises
+    ------
+    BadInput
+        If there are too few outputs.
+    """
+    outputs = sum(o.measured.size for o in given.observations)
+    if outputs < 2 * len(given.chain.names) + 20:
+        raise BadInput(
+            ", ".join(f"recording {o.name!r}" for o in given.observations),
+            f"{outputs} outputs are too few to tell what a model lacks",
+            "record longer, or decimate less",
+        )
+    ladder = climb(given.chain, given.observations, point, progress=progress)
+    progress("values under every model")
+    found: list[tuple[tuple[Trial, ...], Rung, bool]] = []
+    trials: tuple[Trial, ...] = ()
+    for rung in ladder.rungs:
+        trials = (*trials, rung.added) if rung.added else ()
+        found.append((trials, rung, False))
+    for other in ladder.last.rivals:
+        assert other.score is not None
+        rung = replace(ladder.last, added=other, score=other.score)
+        found.append(((*trials[:-1], other), rung, True))
+    first = ladder.rungs[0].score
+    weights = stacked([rung.score for _, rung, _ in found])
+    models = []
+    for (terms, rung, rival), weight in zip(found, weights.tolist(), strict=True):
+        estimate = _estimated(given, point, [t.candidate for t in terms])
+        better, error = compared(rung.score, first) if terms else (0.0, 0.0)
+        models.append(
+            Model(
+                tuple(_term(t) for t in terms),
+                rung.score.rms,
+                1.0 - (rung.score.rms / first.rms) ** 2 if first.rms > 0.0 else 0.0,
+                rung.score.held_out,
+                better,
+                error,
+                weight,
+                rival,
+                _numbers(estimate),
+            )
+        )
+    alike = [m for m in models if m.rival] + [[m for m in models if not m.rival][-1]]
+    return Explanation(
+        "N m" if given.chain.motor_motion == "rotary" else "N",
+        models[len(ladder.rungs) - 1].terms,
+        tuple(_term(t) for t in ladder.last.rivals),
+        tuple(_term(t) for t in ladder.fitted),
+        tuple(_term(t) for t in ladder.against),
+        tuple(models),
+        _averaged(alike) if len(alike) > 1 else {},
+        ladder.tried,
+        ladder.folds,
+        ladder.folds == tuple(o.name for o in given.observations),
+        tuple(ladder.memory.tolist()),
+    )
+
+
+def _term(t: Trial) -> Term:
+    one = t.candidate
+    also = tuple(dict.fromkeys(other.setting for other in t.others))
+    return Term(one.phrase, one.owner, one.setting, t.evidence, also)
+
+
+def _estimated(given: Given, point: Mapping[str, float], added: Sequence[Candidate]) -> Estimate:
+    """Fit a model with some terms more, from where it is without them."""
+    chain, start = given.chain, dict(point)
+    for one in added:
+        chain = one.added_to(chain)
+        start |= {name: one.point[name] for name in chain.names if name not in start}
+    start = {name: start[name] for name in chain.names}
+    known = given.knowledge
+    knowledge = Knowledge(
+        {name: x for name, x in known.fixed.items() if name in start},
+        {name: x for name, x in known.bounds.items() if name in start},
+        {name: x for name, x in known.told.items() if name in start},
+    )
+    return input_error(chain, given.observations, knowledge, given.options, start)
+
+
+def _numbers(estimate: Estimate) -> dict[str, Number]:
+    """Take what people quote: parameters, and what the motor feels where these are open."""
+    values = [v for v in estimate.values if v.kind == "parameter"]
+    if any(not v.determined for v in values):
+        values += [v for v in estimate.values if v.kind == "derived" and v.gauge_free]
+    return {v.name: Number(v.value, _sd(v), v.unit) for v in values}
+
+
+def _sd(v: EstimatedValue) -> float:
+    """Give the larger sd; what stands on a limit has none."""
+    sds = [x for x in (v.sd, v.sd_robust) if not math.isnan(x)]
+    return max(sds) if sds else math.nan
+
+
+def _averaged(models: Sequence[Model]) -> dict[str, Number]:
+    """Mean and sd of the mixture of models that cannot be told apart, of what all of them have."""
+    names = [n for n in models[0].numbers if all(n in m.numbers for m in models)]
+    weights = np.array([max(m.weight, 1e-12) for m in models])
+    weights /= weights.sum()
+    found = {}
+    for name in names:
+        value = np.array([m.numbers[name].value for m in models])
+        sd = np.array([m.numbers[name].sd for m in models])
+        mean = float(weights @ value)
+        spread = float(np.sqrt(weights @ (sd**2 + (value - mean) ** 2)))
+        found[name] = Number(mean, spread, models[0].numbers[name].unit)
+    return found
+
+
+def _plain(found: Any) -> Any:
+    if isinstance(found, dict):
+        return {name: _plain(x) for name, x in found.items()}
+    if isinstance(found, list | tuple):
+        return [_plain(x) for x in found]
+    return None if isinstance(found, float) and not math.isfinite(found) else found
