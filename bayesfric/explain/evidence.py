@@ -38,6 +38,9 @@ _ANCHOR = 0.01
 _OPEN = 1e-5
 # A term that is missing is taken to have this share of the torque, in root mean square.
 _SHARE = 0.1
+# With fewer kinds of motion, stretches of time are left out instead.
+_FEW, _STRETCHES = 4, 8
+_TIMES = tuple(f"eighth {k} of the time" for k in range(1, _STRETCHES + 1))
 # Recordings from which on whole ones are left out.
 _RECORDINGS = 4
 
@@ -48,6 +51,7 @@ class Columns:
 
     white: Array  # (n, k + 1)
     raw: Array  # (n, k + 1) before whitening, in N m or N
+    torque: float  # rms of the torque, N m or N
     variance: float  # of the white noise
     memory: Array  # (p,) partial autocorrelations of the noise that was made white
     folds: Index  # (n,) number of the fold of each output
@@ -106,7 +110,9 @@ def prepared(
             for k, o in enumerate(observations)
         ]
     )
-    return Columns(white, raw, variance, memory, folds, names, pieces)
+    torque = np.concatenate([o.measured for o in observations])
+    rms = float(np.sqrt(np.mean(torque**2)))
+    return Columns(white, raw, rms, variance, memory, folds, names, pieces)
 
 
 def _basis(matrix: Array) -> Array:
@@ -144,7 +150,7 @@ def _folds(observations: Sequence[Observation]) -> tuple[Index, tuple[str, ...]]
     """Divide outputs into what is left out at a time, and name it.
 
     Whole recordings where there are several, else kinds of motion: each way, at thirds of speed,
-    speeding up and braking.
+    speeding up and braking; or stretches of time where there are hardly any.
     """
     sizes = [o.measured.size for o in observations]
     if len(observations) >= _RECORDINGS:
@@ -162,6 +168,8 @@ def _folds(observations: Sequence[Observation]) -> tuple[Index, tuple[str, ...]]
     ]
     counts = np.bincount(number, minlength=len(words))
     kept = np.flatnonzero(counts >= _LEAST)
+    if kept.size < _FEW:
+        return np.arange(qd.size) * _STRETCHES // qd.size, _TIMES
     place = np.full(len(words), -1)
     place[kept] = np.arange(kept.size)
     return place[number], tuple(words[k] for k in kept)
@@ -228,8 +236,7 @@ def gain(columns: Columns, chosen: Sequence[int], own: Sequence[int], sign: int)
     """
     at, mine = np.array(chosen, dtype=np.int64), np.array(own, dtype=np.int64)
     y = columns.white.shape[1] - 1
-    target = columns.raw[:, y]
-    scale = _SHARE * float(np.sqrt(np.mean(target**2)))
+    scale = _SHARE * columns.torque
     beside = np.append(mine, y)
     taken = columns.whole[np.ix_(at, beside)]
     through = np.stack([_solved(columns.whole[np.ix_(at, at)], t) for t in taken.T], axis=1)

@@ -30,6 +30,7 @@ class Term:
     setting: str  # what a configuration says for it
     evidence: float  # natural logarithm of its Bayes factor beside the model it was tried with
     also: tuple[str, ...]  # settings that do the same to these motions
+    rivals: tuple[Term, ...] = ()  # what it cannot be told from
 
 
 @dataclass(frozen=True)
@@ -64,8 +65,6 @@ class Explanation:
     ----------
     asked
         Terms that the recordings ask for, the strongest first.
-    rivals
-        Terms that cannot be told from the last of these.
     fitted
         Terms that would fit better, and predict no better.
     against
@@ -79,7 +78,6 @@ class Explanation:
 
     unit: str  # of the torque
     asked: tuple[Term, ...]
-    rivals: tuple[Term, ...]
     fitted: tuple[Term, ...]
     against: tuple[Term, ...]
     models: tuple[Model, ...]
@@ -170,8 +168,7 @@ def explain(
     alike = [m for m in models if m.rival] + [[m for m in models if not m.rival][-1]]
     return Explanation(
         "N m" if given.chain.motor_motion == "rotary" else "N",
-        models[len(ladder.rungs) - 1].terms,
-        tuple(_term(t) for t in ladder.last.rivals),
+        tuple(_term(rung.added, rung.rivals) for rung in ladder.rungs if rung.added),
         tuple(_term(t) for t in ladder.fitted),
         tuple(_term(t) for t in ladder.against),
         tuple(models),
@@ -183,10 +180,11 @@ def explain(
     )
 
 
-def _term(t: Trial) -> Term:
+def _term(t: Trial, rivals: Sequence[Trial] = ()) -> Term:
     one = t.candidate
     also = tuple(dict.fromkeys(other.setting for other in t.others))
-    return Term(one.phrase, one.owner, one.setting, t.evidence, also)
+    others = tuple(_term(other) for other in rivals)
+    return Term(one.phrase, one.owner, one.setting, t.evidence, also, others)
 
 
 def _estimated(given: Given, point: Mapping[str, float], added: Sequence[Candidate]) -> Estimate:

@@ -32,6 +32,8 @@ _AGAINST = -3.0
 _SAME = 0.999
 # A search that found this many terms explains nothing.
 _MOST = 6
+# An exchange must be better by this, and there are so many at most.
+_BETTER, _EXCHANGES = 1.0, 10
 # Steps of derivatives, in sizes of what is there.
 _STEP = 1e-6
 
@@ -54,16 +56,11 @@ class Trial:
 
 @dataclass(frozen=True, eq=False)
 class Rung:
-    """One model of the ladder."""
+    """One model of the ladder: all terms of the rungs below, and one more."""
 
-    added: Trial | None  # what it has more than the one below; none for the model as it is
-    chosen: tuple[Candidate, ...]  # all that it has more than the model as it is
+    added: Trial | None  # none for the model as it is
     score: Score
-    # difference of its held-out log density to the one below, and its standard error
-    better: float = math.nan
-    error: float = math.nan
-    # what cannot be told from the added one
-    rivals: tuple[Trial, ...] = ()
+    rivals: tuple[Trial, ...] = ()  # what cannot be told from the added one
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +70,6 @@ class Ladder:
     rungs: tuple[Rung, ...]
     tried: int  # candidates that these motions could show
     fitted: tuple[Trial, ...]  # strong on what is fitted, but predicting no better
-    rest: tuple[Trial, ...]  # all others, beside the last model, best first
     against: tuple[Trial, ...]  # those that these recordings speak against
     folds: tuple[str, ...]
     memory: Array  # of the noise
@@ -131,40 +127,106 @@ def _climbed(
     found: Sequence[Candidate],
     own: Sequence[tuple[int, ...]],
 ) -> Ladder:
-    chosen = list(base)
-    taken: list[Candidate] = []
-    rungs = [Rung(None, (), score(columns, chosen))]
-    fitted: list[Trial] = []
-    tried = 0
-    while True:
-        trials = _trials(columns, chosen, found, own, taken)
-        tried = tried or len(trials)
-        best = _best(columns, chosen, trials, tried, rungs[-1], fitted)
-        if best is None or len(taken) == _MOST:
+    first = _trials(columns, base, found, own, [])
+    chosen: list[Trial] = []
+    fitted: dict[tuple[str, str, str], Trial] = {}
+    trials = first
+    while len(chosen) < _MOST:
+        best = _best(columns, base, chosen, trials, len(first), fitted)
+        if best is None:
             break
-        beside = [*chosen, *best.added.columns] if best.added else chosen
-        after = _trials(columns, beside, found, own, [*best.chosen])
-        strong = {t.candidate.key for t in after if t.odds(tried) > _ODDS}
-        rivals = tuple(
-            replace(t, score=score(columns, [*chosen, *t.columns]))
-            for t in trials
-            if best.added
-            and t.candidate.key != best.added.candidate.key
-            and t.evidence > best.added.evidence - _AS_GOOD
-            and t.candidate.key not in strong
-        )
-        rungs.append(Rung(best.added, best.chosen, best.score, best.better, best.error, rivals))
-        chosen, taken = beside, list(best.chosen)
-    known = {t.candidate.key for t in fitted}
-    rest = [t for t in trials if t.candidate.key not in known]
+        after = _settled(columns, base, [*chosen, best], found, own, len(first))
+        if _evidence(columns, base, after) <= _evidence(columns, base, chosen):
+            break  # what was exchanged before comes back
+        chosen = after
+        trials = _trials(columns, _with(base, chosen), found, own, chosen)
+    for t in chosen:
+        fitted.pop(t.candidate.key, None)
+    rungs = [Rung(None, score(columns, base))]
+    for t in _in_order(columns, base, chosen):
+        below = [r.added for r in rungs if r.added]
+        rungs.append(
+            Rung(
+                replace(t, evidence=_evidence(columns, base, [*below, t])
+                - _evidence(columns, base, below)),
+                score(columns, _with(base, [*below, t])),
+                _rivals(columns, base, chosen, t, found, own),
+            )
+        )  # fmt: skip
+    rest = [t for t in trials if t.candidate.key not in fitted]
     return Ladder(
         tuple(rungs),
-        tried,
-        tuple(fitted),
-        tuple(rest),
+        len(first),
+        tuple(fitted.values()),
         tuple(t for t in rest if t.evidence < _AGAINST),
         columns.fold_names,
         columns.memory,
+    )
+
+
+def _with(base: Sequence[int], chosen: Sequence[Trial]) -> list[int]:
+    return [*base, *(k for t in chosen for k in t.columns)]
+
+
+def _evidence(columns: Columns, base: Sequence[int], chosen: Sequence[Trial]) -> float:
+    """Log Bayes factor of several terms together."""
+    own = [k for t in chosen for k in t.columns]
+    return gain(columns, base, own, 0).evidence if own else 0.0
+
+
+def _settled(
+    columns: Columns,
+    base: Sequence[int],
+    chosen: list[Trial],
+    found: Sequence[Candidate],
+    own: Sequence[tuple[int, ...]],
+    among: int,
+) -> list[Trial]:
+    """Exchange terms for better ones, and drop those that others have made needless."""
+    for _ in range(_EXCHANGES):
+        now = _evidence(columns, base, chosen)
+        for t in chosen:
+            others = [o for o in chosen if o is not t]
+            if now - _evidence(columns, base, others) - math.log(among) <= _ODDS:
+                chosen = others
+                break
+            trials = _trials(columns, _with(base, others), found, own, others)
+            if not trials or trials[0].columns == t.columns:
+                continue
+            if _evidence(columns, base, [*others, trials[0]]) > now + _BETTER:
+                chosen = [*others, trials[0]]
+                break
+        else:
+            break
+    return chosen
+
+
+def _in_order(columns: Columns, base: Sequence[int], chosen: Sequence[Trial]) -> list[Trial]:
+    """Sort terms by what each brings beside those before it."""
+    left, found = list(chosen), list[Trial]()
+    while left:
+        best = max(left, key=lambda t: _evidence(columns, base, [*found, t]))
+        found.append(best)
+        left.remove(best)
+    return found
+
+
+def _rivals(
+    columns: Columns,
+    base: Sequence[int],
+    chosen: Sequence[Trial],
+    t: Trial,
+    found: Sequence[Candidate],
+    own: Sequence[tuple[int, ...]],
+) -> tuple[Trial, ...]:
+    """Give what could stand in the place of one term and is about as good."""
+    others = [o for o in chosen if o is not t]
+    trials = _trials(columns, _with(base, others), found, own, others)
+    mine = next((o.evidence for o in trials if o.candidate.key == t.candidate.key), t.evidence)
+    return tuple(
+        replace(o, score=score(columns, _with(base, [*others, o])))
+        for o in trials
+        if o.candidate.key != t.candidate.key and o.evidence > mine - _AS_GOOD
     )
 
 
@@ -173,12 +235,14 @@ def _trials(
     chosen: Sequence[int],
     found: Sequence[Candidate],
     own: Sequence[tuple[int, ...]],
-    taken: Sequence[Candidate],
+    taken: Sequence[Trial],
 ) -> list[Trial]:
     """Weigh every candidate beside what is chosen, the best first; what is one is one."""
     # of cycles there may be several
-    having = {(one.owner, one.option) for one in taken if one.option not in CYCLES}
-    columns_of = {mine for one, mine in zip(found, own, strict=True) if one in taken}
+    having = {
+        (t.candidate.owner, t.candidate.option) for t in taken if t.candidate.option not in CYCLES
+    }
+    columns_of = {t.columns for t in taken}
     weighed: dict[tuple[str, str, str], list[tuple[Candidate, Gain, tuple[int, ...]]]] = {}
     for one, mine in zip(found, own, strict=True):
         if (one.owner, one.option) in having or mine in columns_of:
@@ -207,22 +271,21 @@ def _trials(
 
 def _best(
     columns: Columns,
-    chosen: Sequence[int],
+    base: Sequence[int],
+    chosen: Sequence[Trial],
     trials: Sequence[Trial],
     among: int,
-    below: Rung,
-    fitted: list[Trial],
-) -> Rung | None:
-    """Give the rung with the strongest candidate that also predicts better; note the others."""
+    fitted: dict[tuple[str, str, str], Trial],
+) -> Trial | None:
+    """Give the strongest candidate that also predicts better; note those that do not."""
+    below = score(columns, _with(base, chosen))
     for t in trials:
         if t.odds(among) <= _ODDS:
             return None
-        found = score(columns, [*chosen, *t.columns])
-        better, error = compared(found, below.score)
-        if better > 0.0 and found.held_out < below.score.held_out:
-            return Rung(t, (*below.chosen, t.candidate), found, better, error)
-        if t.candidate.key not in {one.candidate.key for one in fitted}:
-            fitted.append(t)
+        found = score(columns, _with(base, [*chosen, t]))
+        if compared(found, below)[0] > 0.0 and found.held_out < below.held_out:
+            return t
+        fitted.setdefault(t.candidate.key, t)
     return None
 
 

@@ -310,7 +310,7 @@ QUANTITIES: dict[str, Quantity] = {
         Quantity(
             "power_exponent", _NONE, "p_{{{}}}", "power of speed that a loss grows with",
             option="power", role="form", upper=2.0, default=1.0, prior="uniform", start=0.6,
-            tries=lambda _: (0.2, 0.4, 0.6, 0.8, 1.3, 1.6),
+            tries=lambda _: (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1.2, 1.4, 1.6, 1.8),
         ),
         # oil thins as it warms (Simoni et al. 2015: friction of a robot's joint falls by half)
         Quantity(
@@ -361,7 +361,7 @@ QUANTITIES: dict[str, Quantity] = {
             "speed at which the low-speed rise has fallen to 37 %",
             option="stribeck", choice=(True, "either", "apart"), role="form", default=1.0,
             spread=lambda s: s.speed, start=1.0,
-            tries=lambda s: tuple(share * s.speed for share in (0.03, 0.06, 0.12, 0.25, 0.5)),
+            tries=lambda s: tuple(x * s.speed for x in (0.03, 0.05, 0.08, 0.13, 0.22, 0.36, 0.6)),
         ),
         # 2 in eq. (2); published between 0.5 and 2 (Armstrong-Helouvry 1991), free in BAM
         Quantity(

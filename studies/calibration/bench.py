@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from bayesfric import Element, Joint, Load, Recording, Term
 from bayesfric.mechanism import excitation
@@ -53,6 +54,8 @@ class Bench:
     counts: int = 4096  # a turn
     side: Literal["motor", "joint"] = "joint"
     noise: float = 0.01  # sd of a torque sample over the largest command
+    colour: float = 0.0  # s that half of the noise's variance remembers
+    spread: float = SPREAD  # share by which parameters differ from one recording to the next
     late: float = 0.0  # samples by which the position comes late
     current: int = 0  # bits of a current sensor, 0 for a torque; it averages over the sample
     ripple: tuple[float, int] = (0.0, 0)  # share of the torque's rms, and times a turn
@@ -60,7 +63,7 @@ class Bench:
 
     def truth(self, rng: np.random.Generator) -> dict[str, float]:
         """Draw true parameters; how late the position comes is no part of the draw."""
-        factors = rng.uniform(1.0 - SPREAD, 1.0 + SPREAD, len(self.values))
+        factors = rng.uniform(1.0 - self.spread, 1.0 + self.spread, len(self.values))
         drawn = {k: v * f for (k, v), f in zip(self.values.items(), factors, strict=True)}
         return drawn | ({"drive.delay": self.late / self.rate} if self.joint.delay else {})
 
@@ -125,6 +128,11 @@ def measured(
     counts = np.round(position * bench.counts / (2.0 * np.pi))
     peak = float(np.max(np.abs(torque)))
     noise = bench.noise * peak * rng.standard_normal(samples.size)
+    if bench.colour:
+        keeps = float(np.exp(-1.0 / (bench.rate * bench.colour)))
+        drawn = bench.noise * peak * rng.standard_normal(samples.size)
+        slow = lfilter([np.sqrt(1.0 - keeps**2)], [1.0, -keeps], drawn)
+        noise = (noise + slow) / np.sqrt(2.0)
     columns = {"time": samples - 0.1, "counts": counts}
     if not bench.current:
         return columns | {"torque": np.interp(samples, time, torque) + noise}

@@ -1,0 +1,207 @@
+"""Does `explain` find what a joint has and its model lacks? SIMULATED joints, from file to answer.
+
+``python studies/explain/explain.py`` makes recordings as files, of joints with one to three terms
+that the model lacks and of joints that lack none, and asks what is missing. Writes
+``explain.json`` and prints the tables of the README; ``--recordings N`` for less.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from concurrent.futures import ProcessPoolExecutor
+
+if __name__ == "__main__":
+    for variable in ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
+
+import json
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent / "calibration"))
+
+from bench import Bench, Drive, recorded
+
+from bayesfric import Element, Joint, Load, Model
+
+SEED = 2027
+# No term is missing in this share of the joints, beside as many with some.
+NOTHING = 0.5
+
+
+@dataclass(frozen=True)
+class Missing:
+    """A term that a joint may have and its model may lack."""
+
+    name: str  # as in the tables of the README
+    owner: str
+    options: dict[str, Any]
+    values: dict[str, tuple[float, float]]  # uniform ranges
+
+    @property
+    def key(self) -> str:
+        """What `explain` calls it, whatever its numbers of cycles."""
+        option, choice = next(iter(self.options.items()))
+        return f"{self.owner}.{option}" + ("" if isinstance(choice, tuple) else f".{choice}")
+
+
+TERMS = (
+    Missing("quadratic", "motor", {"quadratic": True}, {"motor.quadratic": (0.004, 0.01)}),
+    Missing(
+        "power of speed", "motor", {"power": True},
+        {"motor.power": (0.15, 0.4), "motor.power_exponent": (0.3, 0.6)},
+    ),
+    Missing(
+        "Stribeck rise", "motor", {"stribeck": True},
+        {"motor.stribeck_ratio": (0.3, 0.8), "motor.stribeck_velocity": (0.3, 0.8)},
+    ),
+    Missing(
+        "viscous by direction", "motor", {"viscous": "by-direction"},
+        {"motor.viscous_positive": (0.07, 0.09), "motor.viscous_negative": (0.11, 0.14)},
+    ),
+    Missing(
+        "warming", "motor", {"warming": "viscous"},
+        {"motor.viscous_warming": (-0.05, -0.02), "motor.warming_time": (3.0, 10.0)},
+    ),
+    Missing(
+        "cogging", "motor", {"cogging": (7,)},
+        {"motor.cogging_sin_7": (0.04, 0.12), "motor.cogging_cos_7": (0.04, 0.12)},
+    ),
+    Missing(
+        "periodic friction", "motor", {"periodic_friction": (5,)},
+        {f"motor.periodic_friction_{part}_5": (0.04, 0.1) for part in ("sin", "cos")},
+    ),
+    Missing("spring", "load", {"spring": True}, {"load.spring": (0.05, 0.2)}),
+    Missing(
+        "angle of gravity", "load", {"gravity_angle": True}, {"load.gravity_angle": (0.02, 0.06)}
+    ),
+    Missing("load loss", "motor", {"load_loss": "one"}, {"motor.load": (0.04, 0.12)}),
+)  # fmt: skip
+BASE = {
+    "motor.inertia": (0.03, 0.07),
+    "motor.viscous": (0.07, 0.13),
+    "motor.coulomb": (0.2, 0.4),
+    "load.first_moment": (0.2, 0.4),
+    "offset": (-0.05, 0.05),
+}
+
+
+def joint(terms: tuple[Missing, ...]) -> Joint:
+    """Build a motor that swings a load, with some terms more."""
+    options: dict[str, dict[str, Any]] = {
+        "motor": {"inertia": True, "coulomb": "symmetric", "viscous": True},
+        "load": {"first_moment": True},
+    }
+    for term in terms:
+        options[term.owner] |= term.options
+    return Joint(
+        elements=(Element("motor", **options["motor"]),), load=Load(**options["load"]), offset=True
+    )
+
+
+def one(number: int) -> dict[str, Any]:
+    """Ask of one joint what its model lacks."""
+    rng = np.random.default_rng(np.random.SeedSequence(SEED, spawn_key=(number,)))
+    count = 0 if rng.random() < NOTHING else int(rng.integers(1, 4))
+    picked = [TERMS[k] for k in rng.choice(len(TERMS), count, replace=False)]
+    true = joint(tuple(picked))
+    ranges = BASE | {name: pair for term in picked for name, pair in term.values.items()}
+    values = {name: float(rng.uniform(*ranges[name])) for name in true.names}
+    drives = (Drive(3.0, square=float(rng.uniform(0.0, 0.4)), hertz=0.3),)
+    bench = Bench(true, values, drives, duration=20.0, spread=0.0, colour=0.02)
+    with TemporaryDirectory() as folder:
+        _, recordings, stuck = recorded(bench, rng, Path(folder))
+        begun = time.perf_counter()
+        found = Model(joint(()), recordings).explain()
+    asked = [_keys(term) for term in found.asked]
+    return {
+        "number": number,
+        "missing": [term.name for term in picked],
+        "keys": [term.key for term in picked],
+        "asked": asked,
+        "rivals": [[k for other in term.rivals for k in _keys(other)] for term in found.asked],
+        "tried": found.tried,
+        "stuck": stuck,
+        "rms": [m.rms for m in found.models if not m.rival],
+        "held_out": [m.held_out for m in found.models if not m.rival],
+        "seconds": round(time.perf_counter() - begun, 2),
+    }
+
+
+def _keys(term: Any) -> list[str]:
+    """Give the keys of a term, and of those that do the same to these motions."""
+    return [_key(setting) for setting in (term.setting, *term.also)]
+
+
+def _key(setting: str) -> str:
+    where, _, value = setting.removeprefix("mechanism.").removeprefix("elements.").partition(" = ")
+    if value.startswith("["):
+        return where
+    return f"{where}." + value.strip('"').replace("true", "True")
+
+
+def judged(found: list[dict[str, Any]]) -> dict[str, Any]:
+    """Count what was found, what was said not to be distinguishable, and what was made up."""
+    nothing = [one for one in found if not one["missing"]]
+    names = {term.key: term.name for term in TERMS}
+    confusion: dict[str, dict[str, int]] = {}
+    made_up, terms, several = 0, 0, 0
+    for one in found:
+        left = dict(zip(one["keys"], one["missing"], strict=True))
+        for keys, rivals in zip(one["asked"], one["rivals"], strict=True):
+            hit = next((k for k in keys if k in left), None)
+            near = next((k for k in rivals if k in left), None)
+            if hit:
+                _count(confusion, left.pop(hit), "found")
+            elif near:
+                _count(confusion, left.pop(near), "said to be one of several")
+                several += 1
+            else:
+                label = names.get(keys[0], keys[0])
+                _count(confusion, "nothing" if not one["missing"] else "with others", label)
+                made_up += bool(one["missing"])
+        for name in left.values():
+            _count(confusion, name, "missed")
+        terms += len(one["missing"])
+    return {
+        "joints": len(found),
+        "terms": terms,
+        "found": sum(row.get("found", 0) for row in confusion.values()),
+        "one_of_several": several,
+        "made_up_beside_others": made_up,
+        "nothing_missing": len(nothing),
+        "false_finds": sum(bool(one["asked"]) for one in nothing),
+        "seconds": [float(np.median([one["seconds"] for one in found])),
+                    max(one["seconds"] for one in found)],
+        "confusion": confusion,
+    }  # fmt: skip
+
+
+def _count(table: dict[str, dict[str, int]], row: str, column: str) -> None:
+    table.setdefault(row, {}).setdefault(column, 0)
+    table[row][column] += 1
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--recordings", type=int, default=400)
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--to", type=Path, default=HERE / "explain.json")
+    options = parser.parse_args()
+    with ProcessPoolExecutor(options.workers) as pool:
+        found = list(pool.map(one, range(options.recordings)))
+    result = {"judged": judged(found), "recordings": found}
+    options.to.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    print(json.dumps(result["judged"], indent=1))
+
+
+if __name__ == "__main__":
+    main()
