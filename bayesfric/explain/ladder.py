@@ -108,7 +108,7 @@ def climb(
     first = columns.white.shape[1] - 1 - others.shape[1]
     ends = first + np.cumsum([0] + [block.shape[1] for block in blocks])
     own = [tuple(range(a, b)) for a, b in pairwise(ends.tolist())]
-    return _climbed(columns, list(range(first)), found, own)
+    return _climbed(_Search(columns, list(range(first)), found, own))
 
 
 def _effects(
@@ -121,79 +121,91 @@ def _effects(
     return torque_jacobian(chain, observations, values, steps)[:, at]
 
 
-def _climbed(
-    columns: Columns,
-    base: list[int],
-    found: Sequence[Candidate],
-    own: Sequence[tuple[int, ...]],
-) -> Ladder:
-    first = _trials(columns, base, found, own, [])
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """What candidates are searched with."""
+
+    columns: Columns
+    base: list[int]
+    found: Sequence[Candidate]
+    own: Sequence[tuple[int, ...]]
+
+    def at(self, chosen: Sequence[Trial]) -> list[int]:
+        """Columns of the model with some terms."""
+        return [*self.base, *(k for t in chosen for k in t.columns)]
+
+    def beside(self, chosen: Sequence[Trial]) -> list[Trial]:
+        """Weigh every candidate beside some terms, the best first."""
+        return _trials(self.columns, self.at(chosen), self.found, self.own, chosen)
+
+    def score(self, chosen: Sequence[Trial]) -> Score:
+        """Predict what is left out, with some terms."""
+        return score(self.columns, self.at(chosen))
+
+
+def _climbed(search: _Search) -> Ladder:
+    first = trials = search.beside([])
     chosen: list[Trial] = []
     fitted: dict[tuple[str, str, str], Trial] = {}
-    trials = first
+    seen = {frozenset[tuple[int, ...]]()}
     while len(chosen) < _MOST:
-        best = _best(columns, base, chosen, trials, len(first), fitted)
+        best = _best(search, chosen, trials, len(first), fitted)
         if best is None:
             break
-        after = _settled(columns, base, [*chosen, best], found, own, len(first))
-        if _evidence(columns, base, after) <= _evidence(columns, base, chosen):
+        after = _settled(search, [*chosen, best], len(first))
+        state = frozenset(t.columns for t in after)
+        if state in seen:
             break  # what was exchanged before comes back
-        chosen = after
-        trials = _trials(columns, _with(base, chosen), found, own, chosen)
+        seen.add(state)
+        chosen, trials = after, search.beside(after)
     for t in chosen:
         fitted.pop(t.candidate.key, None)
-    rungs = [Rung(None, score(columns, base))]
-    for t in _in_order(columns, base, chosen):
-        below = [r.added for r in rungs if r.added]
-        rungs.append(
-            Rung(
-                replace(t, evidence=_evidence(columns, base, [*below, t])
-                - _evidence(columns, base, below)),
-                score(columns, _with(base, [*below, t])),
-                _rivals(columns, base, chosen, t, found, own),
-            )
-        )  # fmt: skip
+    rungs = [Rung(None, search.score([]))]
+    ordered = _in_order(search, chosen)
+    for k, t in enumerate(ordered):
+        others = [*ordered[:k], *ordered[k + 1 :]]
+        rungs.append(Rung(t, search.score(ordered[: k + 1]), _rivals(search, others, t)))
     rest = [t for t in trials if t.candidate.key not in fitted]
     return Ladder(
         tuple(rungs),
         len(first),
         tuple(fitted.values()),
         tuple(t for t in rest if t.evidence < _AGAINST),
-        columns.fold_names,
-        columns.memory,
+        search.columns.fold_names,
+        search.columns.memory,
     )
 
 
-def _with(base: Sequence[int], chosen: Sequence[Trial]) -> list[int]:
-    return [*base, *(k for t in chosen for k in t.columns)]
-
-
-def _evidence(columns: Columns, base: Sequence[int], chosen: Sequence[Trial]) -> float:
-    """Log Bayes factor of several terms together."""
-    own = [k for t in chosen for k in t.columns]
-    return gain(columns, base, own, 0).evidence if own else 0.0
-
-
-def _settled(
-    columns: Columns,
-    base: Sequence[int],
-    chosen: list[Trial],
-    found: Sequence[Candidate],
-    own: Sequence[tuple[int, ...]],
+def _best(
+    search: _Search,
+    chosen: Sequence[Trial],
+    trials: Sequence[Trial],
     among: int,
-) -> list[Trial]:
+    fitted: dict[tuple[str, str, str], Trial],
+) -> Trial | None:
+    """Give the strongest candidate that also predicts better; note those that do not."""
+    below = search.score(chosen)
+    for t in trials:
+        if t.odds(among) <= _ODDS:
+            return None
+        found = search.score([*chosen, t])
+        if compared(found, below)[0] > 0.0 and found.held_out < below.held_out:
+            return t
+        fitted.setdefault(t.candidate.key, t)
+    return None
+
+
+def _settled(search: _Search, chosen: list[Trial], among: int) -> list[Trial]:
     """Exchange terms for better ones, and drop those that others have made needless."""
     for _ in range(_EXCHANGES):
-        now = _evidence(columns, base, chosen)
         for t in chosen:
             others = [o for o in chosen if o is not t]
-            if now - _evidence(columns, base, others) - math.log(among) <= _ODDS:
+            trials = search.beside(others)
+            mine = _of(trials, t)
+            if mine is None or mine.odds(among) <= _ODDS:
                 chosen = others
                 break
-            trials = _trials(columns, _with(base, others), found, own, others)
-            if not trials or trials[0].columns == t.columns:
-                continue
-            if _evidence(columns, base, [*others, trials[0]]) > now + _BETTER:
+            if trials[0].evidence > mine.evidence + _BETTER:
                 chosen = [*others, trials[0]]
                 break
         else:
@@ -201,32 +213,35 @@ def _settled(
     return chosen
 
 
-def _in_order(columns: Columns, base: Sequence[int], chosen: Sequence[Trial]) -> list[Trial]:
+def _of(trials: Sequence[Trial], t: Trial) -> Trial | None:
+    """Find the same term beside another model, under whatever name it goes there."""
+    key = t.candidate.key
+    for o in trials:
+        if o.candidate.key == key or any(c.key == key for c in o.others):
+            return o
+    return None
+
+
+def _in_order(search: _Search, chosen: Sequence[Trial]) -> list[Trial]:
     """Sort terms by what each brings beside those before it."""
-    left, found = list(chosen), list[Trial]()
+    left, ordered = list(chosen), list[Trial]()
     while left:
-        best = max(left, key=lambda t: _evidence(columns, base, [*found, t]))
-        found.append(best)
-        left.remove(best)
-    return found
+        trials = search.beside(ordered)
+        evidence = [o.evidence if (o := _of(trials, t)) else -math.inf for t in left]
+        k = int(np.argmax(evidence))
+        ordered.append(replace(left.pop(k), evidence=evidence[k]))
+    return ordered
 
 
-def _rivals(
-    columns: Columns,
-    base: Sequence[int],
-    chosen: Sequence[Trial],
-    t: Trial,
-    found: Sequence[Candidate],
-    own: Sequence[tuple[int, ...]],
-) -> tuple[Trial, ...]:
+def _rivals(search: _Search, others: Sequence[Trial], t: Trial) -> tuple[Trial, ...]:
     """Give what could stand in the place of one term and is about as good."""
-    others = [o for o in chosen if o is not t]
-    trials = _trials(columns, _with(base, others), found, own, others)
-    mine = next((o.evidence for o in trials if o.candidate.key == t.candidate.key), t.evidence)
+    trials = search.beside(others)
+    mine = _of(trials, t)
+    least = (mine or t).evidence - _AS_GOOD
     return tuple(
-        replace(o, score=score(columns, _with(base, [*others, o])))
+        replace(o, score=search.score([*others, o]))
         for o in trials
-        if o.candidate.key != t.candidate.key and o.evidence > mine - _AS_GOOD
+        if o is not mine and o.evidence > least
     )
 
 
@@ -267,26 +282,6 @@ def _trials(
         else:
             apart.append(t)
     return apart
-
-
-def _best(
-    columns: Columns,
-    base: Sequence[int],
-    chosen: Sequence[Trial],
-    trials: Sequence[Trial],
-    among: int,
-    fitted: dict[tuple[str, str, str], Trial],
-) -> Trial | None:
-    """Give the strongest candidate that also predicts better; note those that do not."""
-    below = score(columns, _with(base, chosen))
-    for t in trials:
-        if t.odds(among) <= _ODDS:
-            return None
-        found = score(columns, _with(base, [*chosen, t]))
-        if compared(found, below)[0] > 0.0 and found.held_out < below.held_out:
-            return t
-        fitted.setdefault(t.candidate.key, t)
-    return None
 
 
 def compared(one: Score, other: Score) -> tuple[float, float]:
