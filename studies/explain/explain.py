@@ -61,7 +61,11 @@ TERMS = (
     ),
     Missing(
         "Stribeck rise", "motor", {"stribeck": True},
-        {"motor.stribeck_ratio": (0.3, 0.8), "motor.stribeck_velocity": (0.3, 0.8)},
+        {"motor.stribeck_ratio": (0.4, 1.0), "motor.stribeck_velocity": (0.8, 2.0)},
+    ),
+    Missing(
+        "fall towards standstill", "motor", {"stribeck": "either"},
+        {"motor.stribeck_change": (-0.6, -0.3), "motor.stribeck_velocity": (0.8, 2.0)},
     ),
     Missing(
         "viscous by direction", "motor", {"viscous": "by-direction"},
@@ -85,6 +89,16 @@ TERMS = (
     ),
     Missing("load loss", "motor", {"load_loss": "one"}, {"motor.load": (0.04, 0.12)}),
 )  # fmt: skip
+# Beside a loss per transmitted torque that the model has.
+LOSSY = (
+    *(term for term in TERMS if term.name != "load loss"),
+    Missing("load loss by direction", "motor", {"load_direction": True},
+            {"motor.load_difference": (0.03, 0.08)}),
+    Missing("load loss growing with speed", "motor", {"load_speed": True},
+            {"motor.load_speed": (0.01, 0.03)}),
+    Missing("load loss growing with load", "motor", {"load_square": True},
+            {"motor.load_square": (0.03, 0.08)}),
+)  # fmt: skip
 BASE = {
     "motor.inertia": (0.03, 0.07),
     "motor.viscous": (0.07, 0.13),
@@ -94,10 +108,11 @@ BASE = {
 }
 
 
-def joint(terms: tuple[Missing, ...]) -> Joint:
+def joint(terms: tuple[Missing, ...], *, lossy: bool) -> Joint:
     """Build a motor that swings a load, with some terms more."""
+    loss = "one" if lossy else "none"
     options: dict[str, dict[str, Any]] = {
-        "motor": {"inertia": True, "coulomb": "symmetric", "viscous": True},
+        "motor": {"inertia": True, "coulomb": "symmetric", "viscous": True, "load_loss": loss},
         "load": {"first_moment": True},
     }
     for term in terms:
@@ -111,19 +126,30 @@ def one(number: int) -> dict[str, Any]:
     """Ask of one joint what its model lacks."""
     rng = np.random.default_rng(np.random.SeedSequence(SEED, spawn_key=(number,)))
     count = 0 if rng.random() < NOTHING else int(rng.integers(1, 4))
-    picked = [TERMS[k] for k in rng.choice(len(TERMS), count, replace=False)]
-    true = joint(tuple(picked))
-    ranges = BASE | {name: pair for term in picked for name, pair in term.values.items()}
+    lossy = bool(rng.random() < 0.5)
+    known = LOSSY if lossy else TERMS
+    picked: list[Missing] = []
+    for k in rng.permutation(len(known)).tolist():
+        # one choice of an option
+        if len(picked) < count and not any(set(known[k].options) & set(o.options) for o in picked):
+            picked.append(known[k])
+    true = joint(tuple(picked), lossy=lossy)
+    ranges = (
+        BASE
+        | {"motor.load": (0.05, 0.15)}
+        | {name: pair for term in picked for name, pair in term.values.items()}
+    )
     values = {name: float(rng.uniform(*ranges[name])) for name in true.names}
     drives = (Drive(3.0, square=float(rng.uniform(0.0, 0.4)), hertz=0.3),)
     bench = Bench(true, values, drives, duration=20.0, spread=0.0, colour=0.02)
     with TemporaryDirectory() as folder:
         _, recordings, stuck = recorded(bench, rng, Path(folder))
         begun = time.perf_counter()
-        found = Model(joint(()), recordings).explain()
+        found = Model(joint((), lossy=lossy), recordings).explain()
     asked = [_keys(term) for term in found.asked]
     return {
         "number": number,
+        "lossy": lossy,
         "missing": [term.name for term in picked],
         "keys": [term.key for term in picked],
         "asked": asked,
@@ -151,7 +177,7 @@ def _key(setting: str) -> str:
 def judged(found: list[dict[str, Any]]) -> dict[str, Any]:
     """Count what was found, what was said not to be distinguishable, and what was made up."""
     nothing = [one for one in found if not one["missing"]]
-    names = {term.key: term.name for term in TERMS}
+    names = {term.key: term.name for term in (*TERMS, *LOSSY)}
     confusion: dict[str, dict[str, int]] = {}
     made_up, terms, several = 0, 0, 0
     for one in found:

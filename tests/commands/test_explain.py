@@ -1,0 +1,70 @@
+"""`explain` on the command line and in Python, on a SIMULATED recording that lacks a term."""
+
+import json
+
+import pytest
+
+import bayesfric as bf
+
+from .bench import has, recorded
+
+JOINT = '[mechanism]\npreset = "motor-axis"\n'
+BY_DIRECTION = '[mechanism.elements.motor]\nviscous = "by-direction"\n'
+SIMULATION = """
+[simulation]
+duration = 12
+rate = 500
+excitation = "multisine"
+amplitude = 1.5
+torque_noise = 0.02
+encoder_side = "joint"
+
+[simulation.parameters]
+"motor.inertia" = 0.05
+"motor.viscous_positive" = 0.2
+"motor.viscous_negative" = 0.3
+"motor.coulomb" = 0.2
+"offset" = 0.05
+"""
+
+
+@pytest.fixture
+def swing(bench):
+    bench.simulated(JOINT + BY_DIRECTION + SIMULATION)
+    bench.config(JOINT + recorded())
+    return bench
+
+
+def test_what_is_missing_is_named_first_with_what_to_write(swing):
+    text = swing.run("explain", "c.toml").out
+    assert text.startswith("These recordings ask for a term that the model lacks")
+    assert 'mechanism.elements.motor.viscous = "by-direction"' in text
+    found = json.loads(swing.run("explain", "c.toml", "--json").out)
+    (term,) = found["asked"]
+    assert term["setting"] == 'mechanism.elements.motor.viscous = "by-direction"'
+    before, after = found["models"][:2]
+    assert after["held_out"] < before["held_out"]
+    # what was put in, by the fit with the term
+    for name, value in (("motor.viscous_positive", 0.2), ("motor.viscous_negative", 0.3)):
+        number = after["numbers"][name]
+        assert abs(number["value"] - value) < 4.0 * number["sd"]
+        assert number["unit"] == "N m s"
+
+
+def test_python_returns_what_the_command_prints(swing):
+    printed = json.loads(swing.run("explain", "c.toml", "--json").out)
+    found = bf.Model.from_config("c.toml").explain()
+    assert found.as_json() == {k: v for k, v in printed.items() if k != "config"}
+    assert list(found.frame["held_out"]) == [m.held_out for m in found.models]
+
+
+def test_a_model_that_lacks_nothing_is_told_so(swing):
+    swing.config(JOINT + BY_DIRECTION + recorded())
+    text = swing.run("explain", "c.toml").out
+    assert text.startswith("These recordings ask for no term more than the model has.")
+
+
+def test_too_short_is_refused_with_the_mend(swing):
+    more = '[processing]\ndecimate = 200\nband = "1 Hz"\n'
+    swing.config(JOINT + recorded() + more)
+    has(swing.refused("explain", "c.toml"), "too few to tell what a model lacks", "decimate less")

@@ -1,0 +1,99 @@
+"""Terms that a model lacks are found, and none where none is missing."""
+
+import numpy as np
+import pytest
+
+import bayesfric as bf
+from bayesfric.explain.candidates import Candidate, candidates
+from bayesfric.explain.ladder import climb
+from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.presets import PRESETS
+
+AXIS = bf.Joint(
+    [bf.Element("motor", inertia=True, coulomb="symmetric", viscous=True)],
+    load=bf.Load(first_moment=True),
+    offset=True,
+)
+VALUES = {
+    "motor.inertia": 0.05,
+    "motor.viscous": 0.1,
+    "motor.coulomb": 0.3,
+    "load.first_moment": 0.3,
+    "offset": 0.05,
+}
+
+
+def keys(ladder):
+    return [rung.added.candidate.key for rung in ladder.rungs if rung.added]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_nothing_is_found_where_nothing_is_missing(make_observation, seed):
+    """At most one of twenty by Markov's inequality; in practice far fewer."""
+    o = make_observation(AXIS, VALUES, sigma=0.05, n=3000, factor=5, seed=seed)
+    assert keys(climb(AXIS, [o], VALUES)) == []
+
+
+@pytest.mark.parametrize(
+    ("key", "options", "values"),
+    [
+        (
+            ("motor", "viscous", "by-direction"),
+            {"viscous": "by-direction"},
+            {"motor.viscous_positive": 0.08, "motor.viscous_negative": 0.12},
+        ),
+        (("motor", "quadratic", "True"), {"quadratic": True}, {"motor.quadratic": 0.02}),
+        (
+            ("motor", "power", "True"),
+            {"power": True},
+            {"motor.power": 0.3, "motor.power_exponent": 0.5},
+        ),
+        (
+            ("motor", "stribeck", "True"),
+            {"stribeck": True},
+            {"motor.stribeck_ratio": 0.5, "motor.stribeck_velocity": 0.4},
+        ),
+        (
+            ("motor", "stribeck", "either"),
+            {"stribeck": "either"},
+            {"motor.stribeck_change": -0.5, "motor.stribeck_velocity": 0.4},
+        ),
+        (("motor", "load_loss", "one"), {"load_loss": "one"}, {"motor.load": 0.1}),
+    ],
+)
+def test_what_is_missing_is_found_first(make_observation, key, options, values):
+    motor = bf.Element(
+        "motor", **({"inertia": True, "coulomb": "symmetric", "viscous": True} | options)
+    )
+    true = bf.Joint([motor], load=AXIS.load, offset=True)
+    known = {name: (VALUES | values)[name] for name in true.names}
+    o = make_observation(true, known, sigma=0.02, n=6000, factor=5, amplitude=1.5)
+    found = climb(AXIS, [o], VALUES)
+    first = found.rungs[1].added
+    same = [first.candidate, *first.others]
+    assert key in [c.key for c in same] + [t.candidate.key for t in found.rungs[1].rivals]
+    assert found.rungs[1].score.held_out < found.rungs[0].score.held_out
+    # and after it nothing
+    assert len(found.rungs) == 2
+
+
+def test_every_candidate_is_the_model_where_it_is_neutral(make_observation):
+    """At the values that it is tried at, the torque is that of the model."""
+    chain = bf.Joint.preset("rabbit-knee")
+    values = PRESETS["rabbit-knee"].values
+    o = make_observation(chain, values, n=400)
+    expected = inverse_torque(chain, chain.vector(values), o.q, o.qd, o.qdd)
+    found = candidates(chain, [o], values)
+    assert {c.option for c in found} >= {"power", "stribeck", "load_speed", "spring", "cogging"}
+    for c in found:
+        again = inverse_torque(c.chain, c.chain.vector(c.point), o.q, o.qd, o.qdd, time=o.stamps)
+        np.testing.assert_allclose(again, expected, rtol=1e-12, err_msg=str(c.key))
+        assert set(c.new) <= set(c.chain.names)
+        assert not set(c.new) & set(chain.names)
+
+
+def test_cycles_add_up():
+    chain = bf.Joint([bf.Element("motor", inertia=True, cogging=(1,))])
+    one = Candidate("motor", "cogging", (3,), "", chain, {}, (), 0)
+    assert one.added_to(chain).elements[0].choices["cogging"] == (1, 3)
+    assert one.setting == "mechanism.elements.motor.cogging = [3]"
