@@ -163,13 +163,25 @@ def identify(
 
 
 @app.command()
-def explain(config: ConfigFile, as_json: AsJson = False) -> None:
+def explain(
+    config: ConfigFile,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--output", help="figure of the models; .pdf, with .png and .svg beside it"
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
     """Tell which terms the joint lacks, judged by motion that was not fitted."""
-    from bayesfric.commands.explain import explain_record, explain_text
+    from bayesfric.commands.explain import explain_record, explain_text, figure_file, write_figure
 
+    path = None if output is None else figure_file(output)
     model = _model(config)
     with progress_shown(sys.stderr.isatty()) as progress:
         found = model.explain(progress=progress)
+    if path is not None:
+        write_figure(found, path)
     _print(explain_record(found, model), as_json, explain_text(found))
 
 

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
+from bayesfric.errors import BadInput
 from bayesfric.explain.explanation import Explanation, Number, Term
 from bayesfric.model import Model
+from bayesfric.report.figures.ladder import ladder_figure, model_name
+from bayesfric.report.figures.style import save
 from bayesfric.report.numbers import text_value
 from bayesfric.report.text_templates import filled
 
@@ -15,6 +19,24 @@ from bayesfric.report.text_templates import filled
 def explain_record(found: Explanation, model: Model) -> dict[str, Any]:
     """Put an explanation into the form that ``--json`` prints; what is infinite is ``None``."""
     return {"config": str(model.config.path), **found.as_json()}
+
+
+def figure_file(path: Path) -> Path:
+    """Settle where the figure goes, before anything is computed."""
+    if path.suffix.lower() != ".pdf":
+        raise BadInput(str(path), "is not named .pdf", "name the figure something.pdf")
+    if not path.parent.is_dir():
+        raise BadInput(str(path), "its folder is not there", "make it, or name another with -o")
+    return path
+
+
+def write_figure(found: Explanation, path: Path) -> None:
+    """Draw the models, as PDF, PNG and SVG."""
+    try:
+        save(ladder_figure(found), path.parent, path.stem)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise BadInput(str(path), f"cannot be written ({reason})", "name another with -o") from None
 
 
 def explain_text(found: Explanation) -> list[str]:
@@ -27,6 +49,7 @@ def explain_text(found: Explanation) -> list[str]:
         names=list(names),
         names_of=_names,
         value=_value,
+        name_of=model_name,
         inf=math.inf,
     )
     return text.splitlines()

@@ -181,6 +181,7 @@ class Score:
 
     rms: float  # of what is left of all outputs when fitted to all, N m or N
     held_out: float  # of what is left of folds that were not fitted, N m or N
+    held_out_error: float  # standard error of that over the folds
     folds: Array  # (K,) log density of every fold, but for a constant that all models share
 
 
@@ -190,16 +191,21 @@ def score(columns: Columns, chosen: Sequence[int]) -> Score:
     y = columns.white.shape[1] - 1
     fitted = _solved(columns.whole[np.ix_(at, at)], columns.whole[at, y])
     left = columns.raw[:, y] - columns.raw[:, at] @ fitted
-    density, power, outputs = [], 0.0, 0
+    density, power, outputs = [], [], 0
     whole = columns.whole[np.ix_(at, at)]
     for white, raw, rest, size in columns.of_folds:
         moments = rest[np.ix_(at, at)] + _ANCHOR * whole
         there = _solved(moments, rest[at, y] + _ANCHOR * (whole @ fitted))
         density.append(-0.5 * _power(white, at, y, there) / columns.variance)
-        power += _power(raw, at, y, there)
+        power.append(_power(raw, at, y, there))
         outputs += size
+    held_out = math.sqrt(sum(power) / max(outputs, 1))
+    error = math.sqrt(len(power)) * float(np.std(power, ddof=1)) / max(outputs, 1)
     return Score(
-        float(np.sqrt(np.mean(left**2))), math.sqrt(power / max(outputs, 1)), np.array(density)
+        float(np.sqrt(np.mean(left**2))),
+        held_out,
+        error / (2.0 * held_out) if held_out > 0.0 else 0.0,
+        np.array(density),
     )
 
 

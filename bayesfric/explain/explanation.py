@@ -50,6 +50,7 @@ class Model:
     rms: float  # of what it leaves of all that it was fitted to, N m or N
     taken: float  # share of the variance that the model as it is leaves
     held_out: float  # rms of what it leaves of motion that it was not fitted to, N m or N
+    held_out_error: float  # its standard error
     better: float  # log density of held-out motion over that of the model as it is
     error: float  # standard error of that
     weight: float  # in the mixture that predicts best
@@ -158,6 +159,7 @@ def explain(
                 rung.score.rms,
                 1.0 - (rung.score.rms / first.rms) ** 2 if first.rms > 0.0 else 0.0,
                 rung.score.held_out,
+                rung.score.held_out_error,
                 better,
                 error,
                 weight,

@@ -1,6 +1,7 @@
 """`explain` on the command line and in Python, on a SIMULATED recording that lacks a term."""
 
 import json
+from pathlib import Path
 
 import pytest
 
@@ -64,7 +65,23 @@ def test_a_model_that_lacks_nothing_is_told_so(swing):
     assert text.startswith("These recordings ask for no term more than the model has.")
 
 
+def test_the_figure_is_written_and_nothing_else(swing):
+    before = swing.held()
+    swing.run("explain", "c.toml", "-o", "ladder.pdf")
+    assert {p.name for p in swing.folder.iterdir()} - {Path(p).name for p in before} == {
+        "ladder.pdf",
+        "ladder.png",
+        "ladder.svg",
+    }
+    assert (swing.folder / "ladder.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.parametrize("name", ["ladder.txt", "nowhere/ladder.pdf"])
+def test_a_place_that_cannot_be_is_refused_before_anything(swing, name):
+    has(swing.refused("explain", "c.toml", "-o", name), name)
+
+
 def test_too_short_is_refused_with_the_mend(swing):
-    more = '[processing]\ndecimate = 200\nband = "1 Hz"\n'
+    more = '[processing]\ndecimate = 100\nband = "2 Hz"\n'
     swing.config(JOINT + recorded() + more)
     has(swing.refused("explain", "c.toml"), "too few to tell what a model lacks", "decimate less")
