@@ -23,6 +23,7 @@ Choice = str | bool | int
 Units = tuple[str, str]  # where the element's input turns, where it slides
 
 _INF = math.inf
+_BRIEF = 1e-9  # s, in place of a time constant of zero
 
 
 class State(NamedTuple):
@@ -317,13 +318,13 @@ QUANTITIES: dict[str, Quantity] = {
             "viscous_warming", ("N m s", "N s/m"), r"\Delta f_{{{}}}",
             "change of viscous loss from the recording's begin until warm",
             option="warming", choice=("viscous", "both"), lower=-_INF, shape="warming_time",
-            column=lambda m, time: -m.speed * np.expm1(-m.time / time),
+            column=lambda m, time: -m.speed * np.expm1(-m.time / np.maximum(time, _BRIEF)),
         ),
         Quantity(
             "coulomb_warming", _TORQUE, r"\Delta C_{{{}}}",
             "change of constant loss from the recording's begin until warm",
             option="warming", choice=("constant", "both"), lower=-_INF, shape="warming_time",
-            column=lambda m, time: -m.direction * np.expm1(-m.time / time),
+            column=lambda m, time: -m.direction * np.expm1(-m.time / np.maximum(time, _BRIEF)),
         ),
         Quantity(
             "warming_time", ("s", "s"), r"\tau_{{{}}}", "time constant of warming up",

@@ -122,11 +122,178 @@ seed = 14
         ["motor.viscous", "motor.quadratic", "motor.stribeck_ratio"],
     ),
 }
+# Sampled with every sample, half a minute of CPU each.
+SLOW = {
+    "axis with a power of speed, springs and what repeats": (
+        """
+[mechanism]
+preset = "motor-axis"
+[mechanism.elements.motor]
+power = true
+cogging = [7]
+periodic_friction = [3]
+[mechanism.load]
+spring = "stiffening"
+""",
+        "",
+        """
+[priors]
+"motor.power_exponent" = 0.5
+[simulation]
+excitation = "multisine"
+amplitude = 1.2
+frequencies = [0.2, 0.5, 0.9, 1.7, 3.1]
+torque_noise = 0.01
+encoder_counts = 1048576
+duration = 10
+seed = 15
+[simulation.parameters]
+"motor.power" = 0.05
+"motor.power_exponent" = 0.5
+"motor.cogging_sin_7" = 0.02
+"motor.cogging_cos_7" = -0.01
+"motor.periodic_friction_sin_3" = 0.015
+"motor.periodic_friction_cos_3" = 0.01
+"load.spring" = 0.15
+"load.spring_cubic" = -0.002
+""",
+        [
+            "motor.power",
+            "load.spring",
+            "load.spring_cubic",
+            "motor.cogging_sin_7",
+            "motor.periodic_friction_sin_3",
+        ],
+    ),
+    "servo with load loss by direction and with the square of the load": (
+        """
+[mechanism]
+preset = "servo-pendulum"
+[mechanism.elements.gearbox]
+load_direction = true
+load_square = true
+""",
+        "",
+        """
+[simulation]
+excitation = "multisine"
+amplitude = 0.35
+frequencies = [0.2, 0.5, 0.9, 1.7]
+torque_noise = 0.005
+encoder_counts = 1048576
+seed = 13
+[simulation.parameters]
+"gearbox.load_difference" = 0.02
+"gearbox.load_square" = 0.1
+""",
+        ["gearbox.load_difference", "gearbox.load_square"],
+    ),
+    "servo with load loss that grows with speed": (
+        """
+[mechanism]
+preset = "servo-pendulum"
+[mechanism.elements.gearbox]
+load_speed = true
+""",
+        "",
+        """
+[simulation]
+excitation = "multisine"
+amplitude = 0.35
+frequencies = [0.2, 0.5, 0.9, 1.7]
+torque_noise = 0.005
+encoder_counts = 1048576
+seed = 13
+[simulation.parameters]
+"gearbox.load_speed" = 0.05
+""",
+        ["gearbox.load_speed"],
+    ),
+    "axis that warms up": (
+        """
+[mechanism]
+preset = "motor-axis"
+[mechanism.elements.motor]
+warming = "both"
+""",
+        "",
+        """
+[simulation]
+excitation = "multisine"
+amplitude = 1.0
+torque_noise = 0.01
+encoder_counts = 1048576
+seed = 13
+duration = 12
+[simulation.parameters]
+"motor.viscous_warming" = -0.02
+"motor.coulomb_warming" = -0.05
+"motor.warming_time" = 3.0
+""",
+        ["motor.viscous_warming", "motor.coulomb_warming"],
+    ),
+    "axis with Stribeck rises of constant and load loss apart": (
+        """
+[mechanism]
+preset = "motor-axis"
+[mechanism.elements.motor]
+load_loss = "one"
+stribeck = "apart"
+[mechanism.load]
+first_moment = true
+""",
+        "",
+        """
+[simulation]
+excitation = "multisine"
+amplitude = 1.2
+frequencies = [0.2, 0.5, 0.9, 1.7]
+torque_noise = 0.01
+encoder_counts = 1048576
+duration = 10
+seed = 14
+[simulation.parameters]
+"motor.load" = 0.15
+"motor.stribeck_constant" = 0.6
+"motor.stribeck_load" = 0.6
+"motor.stribeck_velocity" = 1.0
+"load.first_moment" = 0.08
+""",
+        ["motor.stribeck_constant", "motor.stribeck_load"],
+    ),
+    "axis whose loss falls towards standstill with a free exponent": (
+        """
+[mechanism]
+preset = "motor-axis"
+[mechanism.elements.motor]
+stribeck = "either"
+stribeck_exponent = true
+""",
+        "",
+        """
+[simulation]
+excitation = "multisine"
+amplitude = 1.0
+torque_noise = 0.01
+encoder_counts = 1048576
+duration = 10
+seed = 14
+[simulation.parameters]
+"motor.stribeck_change" = -0.5
+"motor.stribeck_velocity" = 1.0
+"motor.stribeck_exponent" = 1.5
+""",
+        ["motor.stribeck_change"],
+    ),
+}
 
 
-@pytest.fixture(scope="module", params=CASES)
+@pytest.fixture(
+    scope="module",
+    params=[*CASES, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)],
+)
 def case(request, tmp_path_factory):
-    mechanism, side, rest, terms = CASES[request.param]
+    mechanism, side, rest, terms = (CASES | SLOW)[request.param]
     folder = tmp_path_factory.mktemp("recovery")
     text = mechanism + COLUMNS.format(side=side) + rest + "\n[sampling]\nmin_ess = 600\n"
     config = parse_config(text, Path(folder) / "case.toml")
