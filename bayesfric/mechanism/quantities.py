@@ -330,7 +330,7 @@ QUANTITIES: dict[str, Quantity] = {
             "warming_time", ("s", "s"), r"\tau_{{{}}}", "time constant of warming up",
             option="warming", choice=("viscous", "constant", "both"), role="form", default=1.0,
             spread=lambda s: s.duration, start=60.0,
-            tries=lambda s: (0.1 * s.duration, 0.3 * s.duration, s.duration),
+            tries=lambda s: tuple(x * s.duration for x in (0.05, 0.1, 0.2, 0.35, 0.6, 1.0)),
         ),
         Quantity(
             "stribeck_ratio", _NONE, "c_{{{}}}",

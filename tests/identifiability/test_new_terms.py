@@ -1,0 +1,51 @@
+"""What no motion tells apart, with the terms that repeat or pull back: said before sampling."""
+
+import numpy as np
+import pytest
+
+import bayesfric as bf
+from bayesfric.mechanism.inverse import inverse_torque
+
+VALUES = {
+    "motor.inertia": 0.05,
+    "motor.coulomb": 0.2,
+    "motor.viscous": 0.1,
+    "load.first_moment": 0.3,
+}
+
+
+def identified(load, more, amplitude):
+    """Look at an exact motion of a motor that swings a load without a gear."""
+    joint = bf.Joint(
+        [bf.Element("motor", inertia=True, coulomb="symmetric", viscous=True)],
+        load=bf.Load(first_moment=True, **load),
+    )
+    time = np.arange(4000) * 0.002
+    q, qd, qdd = np.zeros((3, time.size))
+    for f, a in ((0.4, 0.8), (1.1, 0.4), (2.7, 0.15)):
+        w = 2.0 * np.pi * f
+        q += amplitude * a * np.sin(w * time)
+        qd += amplitude * a * w * np.cos(w * time)
+        qdd -= amplitude * a * w**2 * np.sin(w * time)
+    torque = inverse_torque(joint, joint.vector(VALUES | more), q, qd, qdd, time=time)
+    torque += 0.01 * np.random.default_rng(1).standard_normal(time.size)
+    return bf.Model(joint, bf.Recording.from_arrays(time, q, torque)).identification()
+
+
+def test_a_ripple_once_a_turn_is_gravity():
+    more = {"load.cogging_sin_1": 0.05, "load.cogging_cos_1": 0.02}
+    found = identified({"cogging": (1,)}, more, 1.0)
+    (one,) = found.directions
+    assert one.kind == "null"
+    assert set(one.exponents) == {"load.first_moment", "load.cogging_sin_1"}
+    # the cosine gravity does not have
+    assert np.isfinite(found.frame.loc["load.cogging_cos_1", "data_sd"])
+
+
+@pytest.mark.parametrize(("amplitude", "told"), [(0.15, False), (1.5, True)])
+def test_a_spring_is_gravity_as_long_as_the_swing_is_small(amplitude, told):
+    found = identified({"spring": True}, {"load.spring": 0.2}, amplitude)
+    sd = found.frame.loc["load.spring", "data_sd"]
+    # of a small swing the sine is the angle but for its sixth of a cube
+    assert (sd < 0.01) == told
+    assert [one.kind for one in found.directions] == ([] if told else ["weak"])
