@@ -204,6 +204,9 @@ def fit(
     resume: Resume = False,
     force: Force = False,
     output_error: OutputError = False,
+    explain: Annotated[
+        bool, typer.Option("--explain", help="with what the model lacks, as explain finds it")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Sample the posterior and write the run directory."""
@@ -217,6 +220,7 @@ def fit(
         resume=resume,
         force=force,
         output_error=output_error,
+        explain=explain,
     )
 
 

@@ -307,11 +307,14 @@ class Model:
             speed = speed_term(target, point.parameters, from_voltage)
             return identify(target, [point, *others], speed=speed)
 
-    def explain(self, *, progress: Shown = silent) -> Explanation:
+    def explain(
+        self, *, estimates: Sequence[Estimate] = (), progress: Shown = silent
+    ) -> Explanation:
         """Tell what would explain the residual: which terms the joint lacks.
 
         Every term of the table of quantities is tried by itself, then the best with the others,
-        and judged by how well motion is predicted that was not fitted.
+        and judged by how well motion is predicted that was not fitted. It begins at the first of
+        the ``estimates`` that has all parameters, or at one of the input error.
 
         Returns
         -------
@@ -325,7 +328,9 @@ class Model:
         """
         from bayesfric.explain.explanation import explain
 
-        point = dict(self.estimates(["input-error"], progress=progress)[0].point)
+        point = _first_point(estimates) or dict(
+            self.estimates(["input-error"], progress=progress)[0].point
+        )
         with self.config.named(), few_threads(self.observations):
             return explain(self._evidence, point, progress=lambda stage: progress(Progress(stage)))
 
@@ -536,6 +541,7 @@ class Model:
         *,
         seed: int | None = None,
         output_error: bool = False,
+        explain: bool = False,
         progress: Shown = silent,
         checkpoint: Callable[[str, Sampling], Checkpoint | None] = lambda *_: None,
     ) -> Result:
@@ -547,6 +553,8 @@ class Model:
             Replaces the configuration's.
         output_error
             Make the output-error estimate too, as ``estimation.output_error`` asks for it.
+        explain
+            Say in the summary, too, what the model lacks, see :meth:`explain`.
         progress
             Called as work goes on.
         checkpoint
@@ -563,7 +571,12 @@ class Model:
         if seed is not None:
             sampling = sampling.model_copy(update={"seed": seed})
         return whole_fit(
-            self, sampling, output_error=output_error, progress=progress, checkpoint=checkpoint
+            self,
+            sampling,
+            output_error=output_error,
+            explain=explain,
+            progress=progress,
+            checkpoint=checkpoint,
         )
 
     def sample(
@@ -571,6 +584,7 @@ class Model:
         *,
         seed: int | None = None,
         output_error: bool = False,
+        explain: bool = False,
         progress: bool | Shown = False,
     ) -> Any:
         """Sample the posterior as ``bayesfric fit`` does.
@@ -581,6 +595,8 @@ class Model:
             Replaces that of the table ``sampling``.
         output_error
             Make the output-error estimate too.
+        explain
+            Say what the model lacks, too.
         progress
             Whether to show a bar, or what to call as work goes on.
 
@@ -591,7 +607,8 @@ class Model:
             :func:`bayesfric.report` take it.
         """
         with progress_shown(progress) as tell:
-            return self.fit(seed=seed, output_error=output_error, progress=tell).inference_data()
+            found = self.fit(seed=seed, output_error=output_error, explain=explain, progress=tell)
+            return found.inference_data()
 
     def _repr_html_(self) -> str:
         seen = ", ".join(f"{escape(o.name)}: {len(o.time)} outputs" for o in self.observations)

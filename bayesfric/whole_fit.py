@@ -36,6 +36,7 @@ def whole_fit(
     sampling: Sampling,
     *,
     output_error: bool,
+    explain: bool,
     progress: Callable[[Progress], None],
     checkpoint: Callable[[str, Sampling], Checkpoint | None],
 ) -> Result:
@@ -70,6 +71,8 @@ def whole_fit(
         # nothing in a file of samples tells; the configuration may
         "may_be_simulated": model.config.tables.simulation is not None,
     }
+    if explain:
+        update["explanation"] = model.explain(estimates=begun.estimates, progress=progress)
     with suppress(BadInput):  # a simulation that fails there takes no result away
         here = identify(begun.target, [Point("estimate", found.posterior.median)])
         update["identifiability"] = Identifiability.model_validate(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -50,7 +49,6 @@ def explain_text(found: Explanation) -> list[str]:
         names_of=_names,
         value=_value,
         name_of=model_name,
-        inf=math.inf,
     )
     return text.splitlines()
 
@@ -60,6 +58,6 @@ def _names(terms: Sequence[Term]) -> list[str]:
 
 
 def _value(number: Number) -> str:
-    if math.isnan(number.sd):
+    if number.at_bound:
         return f"{number.value:.5g}, on a limit"
-    return text_value(number.value, number.sd) if math.isfinite(number.sd) else "not determined"
+    return "not determined" if number.sd is None else text_value(number.value, number.sd)

@@ -25,6 +25,7 @@ def fit(
     resume: bool = False,
     force: bool = False,
     output_error: bool = False,
+    explain: bool = False,
     progress: Callable[[Progress], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Fit a configuration, write the run directory, and return what ``summary.json`` holds.
@@ -41,6 +42,7 @@ def fit(
         result = model.fit(
             seed=seed,
             output_error=output_error,
+            explain=explain,
             progress=progress,
             checkpoint=partial(run.sampling, model),
         )

@@ -38,8 +38,9 @@ class Number:
     """A number that people quote, under one model."""
 
     value: float
-    sd: float  # the larger of the plain and the robust one; infinite where nothing tells it
+    sd: float | None  # the larger of the plain and the robust one; none where nothing tells it
     unit: str
+    at_bound: bool = False  # whether it stands on a limit, and has no sd for that
 
 
 @dataclass(frozen=True)
@@ -111,9 +112,8 @@ class Explanation:
         return pd.DataFrame(rows)
 
     def as_json(self) -> dict[str, Any]:
-        """Give all of it as JSON can hold it; what is not finite is ``None``."""
-        found: dict[str, Any] = _plain(asdict(self))
-        return found
+        """Give all of it as JSON can hold it."""
+        return asdict(self)
 
 
 def explain(
@@ -210,33 +210,29 @@ def _numbers(estimate: Estimate) -> dict[str, Number]:
     values = [v for v in estimate.values if v.kind == "parameter"]
     if any(not v.determined for v in values):
         values += [v for v in estimate.values if v.kind == "derived" and v.gauge_free]
-    return {v.name: Number(v.value, _sd(v), v.unit) for v in values}
+    return {v.name: Number(v.value, _sd(v), v.unit, v.at_bound is not None) for v in values}
 
 
-def _sd(v: EstimatedValue) -> float:
-    """Give the larger sd; what stands on a limit has none."""
+def _sd(v: EstimatedValue) -> float | None:
+    """Give the larger sd; what stands on a limit, or is not determined, has none."""
     sds = [x for x in (v.sd, v.sd_robust) if not math.isnan(x)]
-    return max(sds) if sds else math.nan
+    return max(sds) if sds and math.isfinite(max(sds)) else None
 
 
 def _averaged(models: Sequence[Model]) -> dict[str, Number]:
     """Mean and sd of the mixture of models that cannot be told apart, of what all of them have."""
-    names = [n for n in models[0].numbers if all(n in m.numbers for m in models)]
+    names = [
+        n
+        for n in models[0].numbers
+        if all(n in m.numbers and m.numbers[n].sd is not None for m in models)
+    ]
     weights = np.array([max(m.weight, 1e-12) for m in models])
     weights /= weights.sum()
     found = {}
     for name in names:
         value = np.array([m.numbers[name].value for m in models])
-        sd = np.array([m.numbers[name].sd for m in models])
+        sd = np.array([m.numbers[name].sd for m in models], dtype=np.float64)
         mean = float(weights @ value)
         spread = float(np.sqrt(weights @ (sd**2 + (value - mean) ** 2)))
         found[name] = Number(mean, spread, models[0].numbers[name].unit)
     return found
-
-
-def _plain(found: Any) -> Any:
-    if isinstance(found, dict):
-        return {name: _plain(x) for name, x in found.items()}
-    if isinstance(found, list | tuple):
-        return [_plain(x) for x in found]
-    return None if isinstance(found, float) and not math.isfinite(found) else found

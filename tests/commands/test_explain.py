@@ -85,3 +85,17 @@ def test_too_short_is_refused_with_the_mend(swing):
     more = '[processing]\ndecimate = 100\nband = "2 Hz"\n'
     swing.config(JOINT + recorded() + more)
     has(swing.refused("explain", "c.toml"), "too few to tell what a model lacks", "decimate less")
+
+
+def test_a_fit_says_it_when_asked_and_its_page_holds_it(swing, no_figures):
+    done = swing.run("fit", "c.toml", "-o", "run", "--explain")
+    assert done.code in (0, 3), done.err
+    summary = json.loads((swing.folder / "run" / "summary.json").read_text())
+    (term,) = summary["explanation"]["asked"]
+    assert term["setting"] == 'mechanism.elements.motor.viscous = "by-direction"'
+    page = (swing.folder / "run" / "report.html").read_text()
+    assert 'id="lacking"' in page
+    assert "viscous loss by direction" in page
+    # the page is made again from the file alone
+    swing.run("report", "run")
+    assert (swing.folder / "run" / "report.html").read_text().count('id="lacking"') == 1

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from bayesfric.explain.explanation import Explanation, Model
 from bayesfric.report.figures import style
+from bayesfric.report.figures.registry import JudgedRun, RunFigure
 from bayesfric.report.figures.style import Look, few_ticks, legend_above, paper_figure
 
 # Inches of a line of words, of a model beyond its words, and of axis and legend.
@@ -61,3 +62,27 @@ def model_name(model: Model) -> str:
     term = model.terms[-1]
     place = f" ({term.owner})" if term.owner else ""
     return f"{'instead ' if model.rival else '+ '}{term.phrase}{place}"
+
+
+def _words(judged: JudgedRun) -> str:
+    found = judged.summary.explanation
+    if found is None:
+        return ""
+    rows = (
+        f"{model_name(m)}: {m.rms:.3g} fitted, {m.held_out:.3g} ± {m.held_out_error:.2g} not fitted"
+        for m in found.models
+    )
+    return f"Rms in {found.unit}. {'; '.join(rows)}."
+
+
+FIGURE = RunFigure(
+    stem="ladder",
+    title="What the model lacks",
+    section="lacking",
+    draw=lambda run: ladder_figure(run.summary.explanation) if run.summary.explanation else None,
+    caption="What is left of the torque under the model as it is, and with terms added one after "
+    "the other: of all outputs when fitted to all (open), and of motion that was not fitted "
+    "(filled; one standard error over what was left out in turn). Squares are models that cannot "
+    "be told from the last.",
+    alternative=_words,
+)

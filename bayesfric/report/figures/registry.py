@@ -25,7 +25,7 @@ from bayesfric.report.summary.record import Summary
 
 # Of the pages of a run and of a comparison, in their order.
 Section = Literal[
-    "methods", "ridge", "prediction", "held-out", "friction", "efficiency", "posterior",
+    "methods", "ridge", "prediction", "held-out", "lacking", "friction", "efficiency", "posterior",
     "sampling", "together", "side-by-side",
 ]  # fmt: skip
 

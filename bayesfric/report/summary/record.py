@@ -10,11 +10,20 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    TypeAdapter,
+    ValidationError,
+)
 
 from bayesfric.complaints import complaint, read_text
 from bayesfric.errors import BadInput
 from bayesfric.estimates.point_estimate import Kind, Method
+from bayesfric.explain.explanation import Explanation
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,6 +34,12 @@ NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
 Share = Annotated[FiniteFloat, Field(ge=0.0, le=1.0)]
 Bound = Literal["lower", "upper"]
 Name = Annotated[str, Field(min_length=1)]
+# A dataclass with tuples, which JSON writes as lists.
+_EXPLANATION = TypeAdapter(Explanation)
+ReadExplanation = Annotated[
+    Explanation,
+    BeforeValidator(lambda x: _EXPLANATION.validate_python(x) if isinstance(x, Mapping) else x),
+]
 # A summary is a page or two of numbers; anything larger is some other file.
 _LARGEST = 20_000_000
 
@@ -414,6 +429,7 @@ class Summary(Part):
     warnings: list[str] = Field(default_factory=list)
     sampler: Sampler = Field(default_factory=Sampler)
     self_check: SelfCheck | None = None
+    explanation: ReadExplanation | None = None
     doubts: list[Doubt] = Field(default_factory=list)
     may_be_simulated: bool | None = None
     source: dict[str, Any] | None = None
