@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -112,8 +113,9 @@ class Explanation:
         return pd.DataFrame(rows)
 
     def as_json(self) -> dict[str, Any]:
-        """Give all of it as JSON can hold it."""
-        return asdict(self)
+        """Give all of it as JSON holds it, with lists for tuples."""
+        found: dict[str, Any] = json.loads(json.dumps(asdict(self)))
+        return found
 
 
 def explain(
