@@ -87,7 +87,8 @@ def test_too_short_is_refused_with_the_mend(swing):
     has(swing.refused("explain", "c.toml"), "too few to tell what a model lacks", "decimate less")
 
 
-def test_a_fit_says_it_when_asked_and_its_page_holds_it(swing, no_figures):
+@pytest.mark.usefixtures("no_figures")
+def test_a_fit_says_it_when_asked_and_its_page_holds_it(swing):
     done = swing.run("fit", "c.toml", "-o", "run", "--explain")
     assert done.code in (0, 3), done.err
     summary = json.loads((swing.folder / "run" / "summary.json").read_text())

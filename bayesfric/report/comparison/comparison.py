@@ -157,7 +157,8 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
                 _withhold(fact.cells, labels, posteriors)
     _check_common(facts, runs, columns)
     notes = [
-        f"The posterior of {name} is {run.sampler.status}: it has not converged."
+        f"The posterior of {name} is {run.sampler.status}: "
+        + ("it has converged, but is doubted." if run.only_doubted else "it has not converged.")
         for name, run in runs.items()
         if run.sampler.status != "reliable"
     ]

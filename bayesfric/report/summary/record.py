@@ -443,6 +443,13 @@ class Summary(Part):
         return bool(self.noise.autoregression) or self.likelihood.method == "output-error"
 
     @property
+    def only_doubted(self) -> bool:
+        """Whether the sampling converged, and something else makes the run tentative."""
+        return (
+            self.sampler.status == "tentative" and bool(self.doubts) and not self.sampler.problems
+        )
+
+    @property
     def rows(self) -> dict[str, PosteriorRow]:
         """Derived quantities and parameters by name."""
         return {**self.derived, **self.parameters}
