@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from html import escape
 from pathlib import Path
@@ -25,7 +24,7 @@ from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.delay import Delay, delays
 from bayesfric.estimates.descent import few_threads
 from bayesfric.estimates.least_squares import TotalsProjection
-from bayesfric.estimates.methods import ESTIMATORS, Given, estimate_by
+from bayesfric.estimates.methods import Given, estimate_by
 from bayesfric.estimates.once_a_turn import OnceATurn, once_a_turn
 from bayesfric.estimates.point_estimate import METHODS, Estimate, Method
 from bayesfric.identifiability.identification import Identification, identify
@@ -57,6 +56,7 @@ if TYPE_CHECKING:
 
     from bayesfric.explain.explanation import Explanation
     from bayesfric.result import Result
+    from bayesfric.whole_fit import Beginning
 
 Array = NDArray[np.float64]
 Shown = Callable[[Progress], None]
@@ -70,23 +70,13 @@ def _first_point(estimates: Sequence[Estimate]) -> dict[str, float] | None:
     return next((dict(one.point) for one in estimates if one.point), None)
 
 
-def _methods(progress: Shown) -> Callable[[str], None]:
+def by_method(progress: Shown) -> Callable[[str], None]:
     """Tell by the name of a method of estimation that it begins."""
     return lambda method: progress(Progress(f"{method} estimate"))
 
 
 # Points besides the estimate that recordings to make next are simulated at.
 _AROUND = 6
-
-
-@dataclass(frozen=True)
-class Beginning:
-    """What sampling starts from."""
-
-    estimates: list[Estimate]  # least squares first
-    missing: list[str]  # a sentence for each that was wanted and cannot be had
-    choice: Choice | None  # how the order of the noise was chosen, where it was
-    target: Target  # the log-posterior
 
 
 class Model:
@@ -234,11 +224,11 @@ class Model:
             If a method cannot be used with these recordings.
         """
         with self.config.named():
-            found = estimate_by(methods, self._evidence, progress=_methods(progress))
+            found = estimate_by(methods, self.evidence, progress=by_method(progress))
         return list(found.values())
 
     @property
-    def _evidence(self) -> Given:
+    def evidence(self) -> Given:
         """What point estimates are made from."""
         return Given(
             self.chain,
@@ -278,11 +268,11 @@ class Model:
 
         Load losses and a Stribeck rise need an input-error estimate, made if none is given.
         """
-        return delays(self._evidence, self.recordings, _first_point(estimates))
+        return delays(self.evidence, self.recordings, _first_point(estimates))
 
     def once_a_turn(self, estimates: Sequence[Estimate] = ()) -> OnceATurn | None:
         """Estimate a torque once a turn that gravity does not explain, as :meth:`delays` does."""
-        return once_a_turn(self._evidence, _first_point(estimates))
+        return once_a_turn(self.evidence, _first_point(estimates))
 
     # What can be known
 
@@ -332,7 +322,7 @@ class Model:
             self.estimates(["input-error"], progress=progress)[0].point
         )
         with self.config.named(), few_threads(self.observations):
-            return explain(self._evidence, point, progress=lambda stage: progress(Progress(stage)))
+            return explain(self.evidence, point, progress=lambda stage: progress(Progress(stage)))
 
     def advise(self, name: str, *, progress: Shown = silent) -> Ranking:
         """Rank recordings to make next by what they would leave of one quantity.
@@ -382,7 +372,7 @@ class Model:
         in a corner: a gearbox that cannot be driven back at all. What the data do tell outweighs
         these priors by far.
         """
-        method, given = self.config.tables.likelihood.method, self._evidence
+        method, given = self.config.tables.likelihood.method, self.evidence
         losses = {
             p.name: (prior.mean(), prior.sd())
             for p in self.chain.parameters
@@ -393,7 +383,7 @@ class Model:
         knowledge = replace(given.knowledge, told={**finite, **given.knowledge.told})
         given = replace(given, knowledge=knowledge)
         with self.config.named():
-            found = estimate_by([method], given, progress=_methods(progress))[method]
+            found = estimate_by([method], given, progress=by_method(progress))[method]
         progress(Progress("identifiability"))
         place = dict(found.point)
         target = self.target(place)
@@ -459,46 +449,11 @@ class Model:
         wanted = NOISE_MODELS[tables.noise.model].chooses(tables.noise.order)
         return wanted and tables.likelihood.method == "input-error"
 
-    def begin(self, *, output_error: bool = False, progress: Shown = silent) -> Beginning:
-        """Estimate, choose the noise, and make the log-posterior that is sampled.
-
-        The output error simulates. It is asked for, or its likelihood needs a place to start
-        from: then however long it takes, as sampling that goes on later must start from the
-        same place. A mechanism that cannot be simulated still has a posterior of the torque.
-        """
-        tables, given = self.config.tables, self._evidence
-        simulating = [one.name for one in ESTIMATORS.values() if one.simulates]
-        plain = [name for name in ESTIMATORS if name not in simulating]
-        made = {e.method: e for e in self.estimates(plain, progress=progress)}
-        if tables.likelihood.method in simulating:
-            given = replace(given, options=given.options.model_copy(update={"max_seconds": np.inf}))
-        elif not (output_error or tables.estimation.output_error):
-            simulating = []
-        missing = []
-        for name in simulating:
-            try:
-                with self.config.named():
-                    made |= estimate_by([name], given, made, progress=_methods(progress))
-            except BadInput as error:
-                missing.append(f"no {name} estimate: {error.what}")
-        found = list(made.values())
-        points = [dict(e.point) for e in found if e.point]
-        choice = self.noise_choice(points[0])
-        return Beginning(found, missing, choice, self._first_target(points, choice))
-
-    def _first_target(self, points: Sequence[Mapping[str, float]], choice: Choice | None) -> Target:
-        """Make the log-posterior; where it simulates, near the first point that can be simulated.
-
-        The simulation is linearised there first, and anew at every mode this leads to.
-        """
-        for point in points[:-1]:
-            with suppress(BadInput):
-                return self.target(point, choice)
-        return self.target(points[-1], choice)
-
     @cached_property
     def _begun(self) -> Beginning:
-        return self.begin()
+        from bayesfric.whole_fit import begin  # asks the model
+
+        return begin(self)
 
     @property
     def names(self) -> tuple[str, ...]:

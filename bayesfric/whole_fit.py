@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from bayesfric.errors import BadInput
+from bayesfric.estimates.methods import ESTIMATORS, estimate_by
+from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.identifiability.identification import identify
 from bayesfric.identifiability.plausible import Point
 from bayesfric.identifiability.sentences import plain
 from bayesfric.inference.fitting import Fit, fit
+from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Progress, Sampling
+from bayesfric.inference.target import Target
+from bayesfric.model import Model, by_method, silent
 from bayesfric.report.summary.doubts import White, find_doubts, put_doubts
 from bayesfric.report.summary.noise import add_white_intervals, white_alternative
 from bayesfric.report.summary.record import Identifiability
@@ -24,11 +31,18 @@ from bayesfric.report.summary.summary import rms, spreads, summarise
 from bayesfric.result import Result
 from bayesfric.self_check.self_check import Checked, self_check
 
-if TYPE_CHECKING:
-    from bayesfric.model import Model
-
 # Independent draws that are enough for an interval that only stands beside another.
 _WHITE_ESS = 2000.0
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """What sampling starts from."""
+
+    estimates: list[Estimate]  # least squares first
+    missing: list[str]  # a sentence for each that was wanted and cannot be had
+    choice: Choice | None  # how the order of the noise was chosen, where it was
+    target: Target  # the log-posterior
 
 
 def whole_fit(
@@ -43,7 +57,7 @@ def whole_fit(
     """Sample a model and sum it up; arguments as of :meth:`bayesfric.Model.fit`."""
     # before anything is estimated: a run of other settings is refused at once
     kept = checkpoint("posterior", sampling)
-    begun = model.begin(output_error=output_error, progress=progress)
+    begun = begin(model, output_error=output_error, progress=progress)
     sample = partial(fit, estimates=begun.estimates, progress=progress)
     with model.config.named():
         found = sample(begun.target, sampling, checkpoint=kept)
@@ -79,6 +93,49 @@ def whole_fit(
             summary.identifiability.as_dict() | {"directions": plain(here.directions)}
         )
     return Result(model, found, summary.model_copy(update=update))
+
+
+def begin(
+    model: Model, *, output_error: bool = False, progress: Callable[[Progress], None] = silent
+) -> Beginning:
+    """Estimate, choose the noise, and make the log-posterior that is sampled.
+
+    The output error simulates. It is asked for, or its likelihood needs a place to start
+    from: then however long it takes, as sampling that goes on later must start from the
+    same place. A mechanism that cannot be simulated still has a posterior of the torque.
+    """
+    tables, given = model.config.tables, model.evidence
+    simulating = [one.name for one in ESTIMATORS.values() if one.simulates]
+    plain = [name for name in ESTIMATORS if name not in simulating]
+    made = {e.method: e for e in model.estimates(plain, progress=progress)}
+    if tables.likelihood.method in simulating:
+        given = replace(given, options=given.options.model_copy(update={"max_seconds": np.inf}))
+    elif not (output_error or tables.estimation.output_error):
+        simulating = []
+    missing = []
+    for name in simulating:
+        try:
+            with model.config.named():
+                made |= estimate_by([name], given, made, progress=by_method(progress))
+        except BadInput as error:
+            missing.append(f"no {name} estimate: {error.what}")
+    found = list(made.values())
+    points = [dict(e.point) for e in found if e.point]
+    choice = model.noise_choice(points[0])
+    return Beginning(found, missing, choice, _first_target(model, points, choice))
+
+
+def _first_target(
+    model: Model, points: Sequence[Mapping[str, float]], choice: Choice | None
+) -> Target:
+    """Make the log-posterior; where it simulates, near the first point that can be simulated.
+
+    The simulation is linearised there first, and anew at every mode this leads to.
+    """
+    for point in points[:-1]:
+        with suppress(BadInput):
+            return model.target(point, choice)
+    return model.target(points[-1], choice)
 
 
 def _with_white_noise(
