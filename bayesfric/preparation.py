@@ -87,6 +87,14 @@ def prepare(
                     "its table names no distribution",
                     'write for example {distribution = "norm", loc = 0.4, scale = 0.05}',
                 )
+        for name in {c.row.signal for c in chain.carried if c.row.column and c.row.signal}:
+            for o in observations:
+                if getattr(o.inputs, name) is None:
+                    raise BadInput(
+                        f"recording {o.name!r}",
+                        f"has no {name}, and the mechanism has losses that depend on it",
+                        f"name its column with {name} = {{ column = ... }}",
+                    )
         priors = read_priors(chain, config.priors, observations, _noise_quantities(config))
         if chain.delay:
             prior = priors[chain.delay_name]

@@ -76,11 +76,13 @@ def candidates(
     scales = measured_scales(chain, observations)
     found: list[Candidate] = []
     bearers: list[Element | Load] = [*chain.elements, chain.load]
+    warmth = all(o.inputs.temperature is not None for o in observations)
     for bearer in bearers:
         options = LOAD_CHOICES if isinstance(bearer, Load) else CHOICES
         for option, choices in options.items():
             for choice, phrase in choices.items():
-                if option not in _LEFT_OUT and _goes(bearer, option, choice):
+                shows = option not in _LEFT_OUT and (option != "temperature" or warmth)
+                if shows and _goes(bearer, option, choice):
                     found += _changed(chain, bearer, option, choice, phrase, point, scales)
         turns = scales.position * chain.reaches[bearer.name] / TURN
         for option in CYCLES if bearer.motion == "rotary" else ():

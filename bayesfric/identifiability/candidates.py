@@ -26,7 +26,7 @@ from bayesfric.identifiability.virtual_recording import (
 from bayesfric.mechanism import excitation
 from bayesfric.mechanism.forward import RunsAway
 from bayesfric.mechanism.joint import Joint
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.inputs import Inputs, steady
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
@@ -134,6 +134,9 @@ def limits_of(
                     f"advice.masses.{number}.radius", "is missing", 'add radius, such as "0.35 m"'
                 )
     base = longest(observations)
+    # as warm as when it was recorded
+    warmth = base.inputs.temperature
+    warm = None if warmth is None else steady(float(np.mean(warmth.values)))
     period = sample_period(base)
     stretch = longest_stretch(base, None)
     whole = (stretch.stop - stretch.start) * period
@@ -157,7 +160,9 @@ def limits_of(
         options.angle_limits,
         duration,
         options.lag,
-        tuple(dict.fromkeys([Inputs(), *on_hand, *carried])),
+        tuple(
+            replace(one, temperature=warm) for one in dict.fromkeys([Inputs(), *on_hand, *carried])
+        ),
         start,
         (min(float(o.q.min()) for o in observations), max(float(o.q.max()) for o in observations)),
     )

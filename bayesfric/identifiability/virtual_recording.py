@@ -18,7 +18,7 @@ from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.filters import derivative, lay_windows, lowpass
-from bayesfric.recordings.inputs import STEADY, Inputs
+from bayesfric.recordings.inputs import AT_ROOM, Inputs
 from bayesfric.recordings.observation import Observation, as_position, moving_samples
 from bayesfric.recordings.timing import retimed
 
@@ -61,9 +61,9 @@ def known_mass(chain: Joint, values: Array) -> Inputs:
     of = of_load(chain, values)
     inertia, moment = of.get("inertia", 0.0), of.get("first_moment", 0.0)
     # all inertia there is, seen at the joint, for a load that is no parameter of its own
-    inputs, time = Inputs(torque_rate=STEADY), np.zeros(2)
+    time = np.zeros(2)
     motion = [0.0, 0.0], [0.0, 0.0], [0.0, 1.0]
-    still = inverse_torque(chain, values, *motion, inputs=inputs, time=time)
+    still = inverse_torque(chain, values, *motion, inputs=AT_ROOM, time=time)
     felt = inertia if inertia > 0.0 else float(chain.ratio * (still[1] - still[0]))
     radius = 0.0 if chain.load.motion == "linear" else _RADIUS
     if radius == 0.0 or moment <= 0.0:

@@ -41,6 +41,8 @@ class CarriedValues(NamedTuple):
     values: NDArray[np.float64]
     places: NDArray[np.int64]  # (n_carried,) index of the element of each, as in kernels.Samples
     addresses: NDArray[np.int64]  # (n_carried,) of their compiled columns
+    stamps: NDArray[np.float64]  # (K,) times of what some are multiplied by, s
+    levels: NDArray[np.float64]  # (n_carried, K) what each is multiplied by
 
 
 class Moved(NamedTuple):
@@ -92,8 +94,20 @@ def _typed_carried_by(carried, vector):  # type: ignore[no-untyped-def]  # noqa:
     if isinstance(carried, types.NoneType):
         return lambda carried, vector: None  # noqa: ARG005
     return lambda carried, vector: CarriedValues(
-        carried.values[vector], carried.places, carried.addresses
+        carried.values[vector], carried.places, carried.addresses, carried.stamps, carried.levels
     )
+
+
+@njit(cache=True, error_model="numpy")
+def _level(stamps: NDArray[np.float64], levels: NDArray[np.float64], time: float) -> float:
+    """Look up a signal as :class:`bayesfric.recordings.inputs.Signal` does."""
+    if time <= stamps[0]:
+        return float(levels[0])
+    if time >= stamps[-1]:
+        return float(levels[-1])
+    k = np.searchsorted(stamps, time, side="right")
+    share = (time - stamps[k - 1]) / (stamps[k] - stamps[k - 1])
+    return float(levels[k - 1] + share * (levels[k] - levels[k - 1]))
 
 
 # without annotations: a compiled overload must look like what it stands for
@@ -104,6 +118,7 @@ def _carried_torque(carried, k, to_input, q, qd, sign, time) -> Any:  # type: ig
         if carried.places[t] == k:
             value, shape = carried.values[t, 0], carried.values[t, 1]
             address = carried.addresses[t]
+            value *= _level(carried.stamps, carried.levels[t], time)
             total += value * call(address, to_input * q, to_input * qd, sign, time, shape)
     return total
 

@@ -172,7 +172,7 @@ def _joint(chain: Joint, vector: NDArray[np.float64], inputs: Inputs) -> Moved:
     elements, load, carried = chain.tables(vector[np.newaxis], inputs)
     if load[0, GAIN] == 0.0 or np.any(elements[0, :, STRIBECK_VELOCITY] == 0.0):
         raise ValueError("gain and Stribeck velocities must be greater than zero")
-    terms = carried_by(_carried(chain, carried), 0)
+    terms = carried_by(_carried(chain, carried, inputs), 0)
     joint = moved(elements[0], load[0], terms, *inputs.load(chain.load.motion))
     _check_slope(joint)
     return joint
@@ -275,7 +275,7 @@ def simulate_segments(
     q, qd = integrate_segments(
         tables.elements,
         tables.load,
-        _carried(chain, tables.carried),
+        _carried(chain, tables.carried, inputs),
         inputs.load(chain.load.motion),
         _finer(_acting(chain, vectors, samples, period), finer),
         float(period) / finer,
@@ -291,18 +291,35 @@ def simulate_segments(
     return np.asarray(q[:, ::finer]), np.asarray(qd[:, ::finer])
 
 
-def _carried(chain: Joint, values: NDArray[np.float64]) -> CarriedValues | None:
+def _carried(chain: Joint, values: NDArray[np.float64], inputs: Inputs) -> CarriedValues | None:
     """Gather the terms without a slot, their table ``(n, n_carried, 2)``.
 
     A delay is none of them here: the torque that acts is an earlier one, see :func:`_acting`.
+    Raises ``ValueError`` where the inputs do not hold the signal that one is multiplied by.
     """
-    felt = [k for k, c in enumerate(chain.carried) if not c.row.signal]
+    felt = [k for k, c in enumerate(chain.carried) if c.row.column is not None]
     if not felt:
         return None
     terms = [chain.carried[k] for k in felt]
     places = np.array([c.place for c in terms], dtype=np.int64)
     addresses = np.array([c.address for c in terms], dtype=np.int64)
-    return CarriedValues(np.ascontiguousarray(values[:, felt]), places, addresses)
+    stamps = np.zeros(1)
+    signals = {name for c in terms if (name := c.row.signal)}
+    for name in signals:
+        if getattr(inputs, name) is None:
+            raise ValueError(f"the inputs hold no {name}")
+        stamps = getattr(inputs, name).stamps
+    levels = np.ones((len(terms), stamps.size))
+    for k, c in enumerate(terms):
+        if c.row.signal:
+            levels[k] = getattr(inputs, c.row.signal).at(stamps) - c.row.zero
+    return CarriedValues(
+        np.ascontiguousarray(values[:, felt]),
+        places,
+        addresses,
+        np.ascontiguousarray(stamps, dtype=np.float64),
+        levels,
+    )
 
 
 def _acting(

@@ -139,15 +139,19 @@ def along(
     ValueError
         If the inputs have no such signal.
     """
+    factor: Any = 1.0
     if row.signal:
         signal = getattr(inputs, row.signal)
         if signal is None:
             raise ValueError(f"{row.name}: the inputs hold no {row.signal}")
-        return np.asarray(signal.at(time))
+        factor = np.asarray(signal.at(time)) - row.zero
+        if row.column is None:
+            return np.asarray(factor)
     position, speed = reach * position, reach * speed
     if row.shape and shape is None:
         shape = QUANTITIES[row.shape].start
-    return np.asarray(_along(_address(row), position, speed, np.sign(speed), time, shape or 0.0))
+    found = _along(_address(row), position, speed, np.sign(speed), time, shape or 0.0)
+    return np.asarray(factor * found)
 
 
 @lru_cache(maxsize=256)

@@ -17,6 +17,8 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from bayesfric.recordings.inputs import ROOM
+
 Motion = Literal["rotary", "linear"]
 Column = Callable[..., Any]  # of a State, and of the value of the parameter that shapes it
 Choice = str | bool | int
@@ -88,8 +90,10 @@ class Quantity:
     shape
         Quantity of the same element whose value its column takes besides; empty for none.
     signal
-        Which signal of a recording its column is, a field of
+        Which signal of a recording its column is, or is multiplied by, a field of
         :class:`bayesfric.recordings.inputs.Inputs`; empty where ``column`` gives it.
+    zero
+        What is taken off the signal first.
     power
         ``column`` at a state whose position, speed and acceleration are r times as large is
         ``r**power`` times as large; ``None`` where that is not so. It says how the quantity
@@ -134,7 +138,8 @@ class Quantity:
     role: Literal["own", "loss", "form"] = "own"
     column: Column | None = None
     shape: str = ""
-    signal: Literal["", "torque_rate"] = ""
+    signal: Literal["", "torque_rate", "temperature"] = ""
+    zero: float = 0.0
     power: int | None = None
     slots: tuple[str, ...] | None = None
     shares: tuple[tuple[str, float], ...] = ()
@@ -201,6 +206,11 @@ CHOICES: Mapping[str, Mapping[str | bool, str]] = {
     "viscous": {True: "viscous loss", "by-direction": "viscous loss by direction"},
     "quadratic": {True: "quadratic loss"},
     "power": {True: "a loss with a power of speed"},
+    "temperature": {
+        "viscous": "viscous loss that depends on temperature",
+        "constant": "constant loss that depends on temperature",
+        "both": "viscous and constant loss that depend on temperature",
+    },
     "warming": {
         "viscous": "viscous loss that changes as the joint warms up",
         "constant": "constant loss that changes as the joint warms up",
@@ -236,6 +246,7 @@ OPTION_MEANINGS: Mapping[str, str] = {
     "viscous": "loss in proportion to speed",
     "quadratic": "loss with the square of speed",
     "power": "loss with a power of speed between 0 and 2, flattening or steepening",
+    "temperature": "change of losses with the recorded temperature, from 20 degC on",
     "warming": "change of losses with time since the recording began",
     "cogging": "torque that repeats; cycles a turn",
     "periodic_friction": "constant loss that depends on the angle; cycles a turn",
@@ -312,6 +323,18 @@ QUANTITIES: dict[str, Quantity] = {
             "power_exponent", _NONE, "p_{{{}}}", "power of speed that a loss grows with",
             option="power", role="form", upper=2.0, default=1.0, prior="uniform", start=0.6,
             tries=lambda _: (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1.2, 1.4, 1.6, 1.8),
+        ),
+        Quantity(
+            "viscous_temperature", ("N m s/K", "N s/(m K)"), r"f_{{\vartheta,{}}}",
+            "change of viscous loss per kelvin above 20 degC",
+            option="temperature", choice=("viscous", "both"), lower=-_INF, signal="temperature",
+            zero=ROOM, column=lambda m: m.speed,
+        ),
+        Quantity(
+            "coulomb_temperature", ("N m/K", "N/K"), r"C_{{\vartheta,{}}}",
+            "change of constant loss per kelvin above 20 degC",
+            option="temperature", choice=("constant", "both"), lower=-_INF, signal="temperature",
+            zero=ROOM, column=lambda m: m.direction,
         ),
         # oil thins as it warms (Simoni et al. 2015: friction of a robot's joint falls by half)
         Quantity(

@@ -20,6 +20,8 @@ POSITION: dict[Motion, units.Kind] = {"rotary": "angle", "linear": "length"}
 VELOCITY: dict[Motion, units.Kind] = {"rotary": "angular_speed", "linear": "speed"}
 TORQUE: dict[Motion, units.Kind] = {"rotary": "torque", "linear": "force"}
 CONSTANT: dict[Motion, units.Kind] = {"rotary": "torque_constant", "linear": "force_constant"}
+# Zero degrees Celsius in each unit.
+_ZERO = {"degC": 0.0, "°C": 0.0, "K": 273.15, SI: 273.15}
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,17 @@ def joint_signal(channel: Position, key: str, table: Table, drive: Drive) -> tup
         if jumps:
             step += f"; jumps by a turn at {jumps} places, unwrapped"
     return values / drive.ratio if motor else values, step
+
+
+def temperature(channel: Channel, table: Table) -> Array:
+    """Return the joint's temperature in degrees Celsius, shape (n,)."""
+    if channel.unit not in _ZERO:
+        raise BadInput(
+            f"{table.label(channel.column)}, unit of temperature",
+            f"'{channel.unit}' is no temperature",
+            "write 'degC' or 'K'",
+        )
+    return signed(channel, table) - _ZERO[channel.unit]
 
 
 def drive_signal(source: Columns, table: Table, drive: Drive) -> tuple[Effort, Array, str]:

@@ -22,8 +22,8 @@ class Signal:
         return np.asarray(np.interp(time, self.stamps, self.values), dtype=np.float64)
 
 
-# What never changes.
-STEADY = Signal(np.zeros(1), np.zeros(1))
+# Degrees Celsius at which losses that depend on temperature are what their parameters say.
+ROOM = 20.0
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,8 @@ class Inputs:
     # of the measured motor torque, N m/s or N/s, for a joint with an unknown delay; recordings
     # alike in the rest are alike
     torque_rate: Signal | None = field(default=None, compare=False)
+    # of the joint, degrees Celsius, for a joint whose losses depend on it
+    temperature: Signal | None = field(default=None, compare=False)
 
     def load(self, motion: str) -> tuple[float, float]:
         """Inertia and first moment that the known mass brings to a load of a motion.
@@ -45,3 +47,12 @@ class Inputs:
         if motion == "linear":
             return self.added_mass, 0.0
         return self.added_mass * self.radius**2, self.added_mass * self.radius
+
+
+def steady(value: float) -> Signal:
+    """Give a signal that never changes."""
+    return Signal(np.zeros(1), np.full(1, value))
+
+
+# What a joint feels at constant speed and room temperature.
+AT_ROOM = Inputs(torque_rate=steady(0.0), temperature=steady(ROOM))

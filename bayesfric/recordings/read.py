@@ -14,7 +14,7 @@ import numpy as np
 from bayesfric.errors import BadInput
 from bayesfric.recordings import channels, checks, filters, units
 from bayesfric.recordings.channels import CONSTANT, TORQUE, VELOCITY, Drive, Motion
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.inputs import Inputs, Signal
 from bayesfric.recordings.measurement import Array, Flags, Measurement
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.recording import Recording
@@ -120,6 +120,13 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     steps.append(step)
     checks.check_size(joint, table.label(source.position.column), "position")
     checks.check_size(torque, table.label(channel.column), "torque")
+    warmth = None
+    if source.temperature is not None:
+        degrees = channels.temperature(source.temperature, table)
+        checks.check_not_huge(degrees, table.label(source.temperature.column), "temperature")
+        warmth = Signal(grid.time, grid.linear(degrees))
+        low, high = float(degrees[part].min()), float(degrees[part].max())
+        steps.append(f"temperature: {low:.3g} to {high:.3g} degC")
     excluded = _excluded(source, grid.time, warnings)
     if source.valid is not None:
         valid = table.column(source.valid) != 0
@@ -139,7 +146,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         segments=grid.segments,
         period=grid.period,
         excluded=excluded,
-        inputs=Inputs(source.added_mass, source.radius),
+        inputs=Inputs(source.added_mass, source.radius, temperature=warmth),
         steps=tuple(steps),
         warnings=tuple(warnings),
         hold=channel.hold,

@@ -11,7 +11,7 @@ from bayesfric.recordings import units
 from bayesfric.recordings.tables.reader import Options, TableOptions
 from bayesfric.recordings.units import Hertz, Kilograms, Metres, Seconds
 
-CHANNELS = ("time", "position", "velocity", "torque", "current", "voltage")
+CHANNELS = ("time", "position", "velocity", "torque", "current", "voltage", "temperature")
 # Unit of numbers that are in SI already, whether the joint turns or slides.
 SI = "SI"
 
@@ -132,6 +132,10 @@ class Columns(Options):
     torque: Torque | None = Field(None, description="The torque channel, or ...")
     current: Current | None = Field(None, description="... the current channel, or ...")
     voltage: Voltage | None = Field(None, description="... the voltage channel.")
+    temperature: Channel | None = Field(
+        None,
+        description="The joint's temperature, in 'degC' or 'K', for losses that depend on it.",
+    )
     start: Seconds | None = Field(
         None, description="Leave out what lies before, in seconds from the first stamp."
     )

@@ -33,7 +33,7 @@ from bayesfric.mechanism.quantities import (
     State,
 )
 from bayesfric.mechanism.scaling import scalings
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.inputs import Inputs, Signal
 
 PLACES = ("motor", "gearbox", "joint", "load")
 SHORT = 1e-9
@@ -130,6 +130,8 @@ def by_the_table(chain, values, o):
             if p.owner == place and p.row.role != "form":
                 shape = [at[f"{place}.{p.row.shape}"]] if p.row.shape else []
                 column = p.row.column(state, *shape)
+                if p.row.signal:
+                    column = column * (o.inputs.temperature.at(o.stamps) - 20.0)
                 total = total + at[p.name] * column * (rises[p.row.role] if p.row.rises else 1.0)
         # by direction, the loss of either flow of power is that much larger one way
         drives = torque * state.direction > 0.0
@@ -149,6 +151,8 @@ def case(request, make_observation):
     bare = chain_with("inertia", "motor")
     named = dict(zip(bare.names, values_of(bare).tolist(), strict=True))
     o = make_observation(bare, named, n=400, factor=2, added_mass=0.2, radius=0.3)
+    warmth = Signal(o.stamps[::40], 20.0 + 5.0 * np.sin(o.stamps[::40]))
+    o = replace(o, inputs=replace(o.inputs, temperature=warmth))
     torque = by_the_table(chain, values, o) + 0.01 * np.random.default_rng(1).normal(size=o.q.size)
     return chain, values, replace(o, torque=torque, measured=o.filter.apply(torque))
 
@@ -183,7 +187,7 @@ def test_moments_prepared_and_fused(case):
 def test_variable_projection(case):
     """At the true Theta2 it finds the Theta1 that leaves nothing of a torque without noise."""
     chain, values, o = case
-    o = replace(o, inputs=Inputs())
+    o = replace(o, inputs=Inputs(temperature=o.inputs.temperature))
     torque = by_the_table(chain, values, o)
     o = replace(o, torque=torque, measured=o.filter.apply(torque))
     form = torque_form(chain, [o])

@@ -26,7 +26,8 @@ from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.inverse import load_torque
 from bayesfric.mechanism.joint import Joint
-from bayesfric.recordings.inputs import STEADY, Inputs
+from bayesfric.mechanism.quantities import State
+from bayesfric.recordings.inputs import AT_ROOM
 from bayesfric.report.figures.curve_band import Flags
 from bayesfric.report.figures.style import Array
 
@@ -57,7 +58,8 @@ def friction_torque(
 
     ``speed`` ``(N,)`` is the motor's, not zero, where friction has no one value; ``load`` ``(N,)``
     is its loss-free torque of the load (``open_scale`` says which, see the module), positive where
-    it resists the motion. Given as ``(n, N)``, positive against the motion; at no load it is what
+    it resists the motion. Given as ``(n, N)``, positive against the motion, at 20 degC and as a
+    recording begins; at no load it is what
     the constant, viscous and quadratic ``total_drive.*`` of
     :func:`bayesfric.mechanism.derived.derive` sum up.
     """
@@ -70,11 +72,15 @@ def friction_torque(
     table[:, kernels.GRAVITY] = 1.0
     with np.errstate(divide="ignore"):
         table[:, kernels.FIRST_MOMENT] = 1.0 / load_reach(chain, values, open_scale=open_scale)
+    # what pulls at rest, wherever it goes, is no friction
+    rest = State(0.0, 0.0, 0.0, 0.0, 0.0)
+    for k, term in enumerate(chain.carried):
+        if term.row.column is not None and not term.row.shape and term.row.column(rest) != 0.0:
+            carried[:, k, 0] = 0.0
     # the sine of the angle is put in place of one: the load is any, not that of a position
     still = np.zeros_like(load)
     # at constant speed the torque stands still too
-    inputs = Inputs(torque_rate=STEADY)
-    samples = chain.samples(still, speed / chain.ratio, still, inputs, still)
+    samples = chain.samples(still, speed / chain.ratio, still, AT_ROOM, still)
     samples = samples._replace(sin_q=np.ascontiguousarray(sign * load), cos_q=still)
     torque = kernels.inverse_many(elements, table, carried, samples)
     return np.asarray(sign * torque - load)
