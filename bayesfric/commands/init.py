@@ -90,6 +90,8 @@ def _recordings(chain: Joint) -> Iterator[str]:
         '# voltage = { column = "voltage", unit = "V", torque_constant = "0.32 N m/A", '
         'resistance = "1.2 ohm" }'
     )
+    yield "# from outside on the load, as a dynamometer measures it:"
+    yield f'# load_torque = {{ column = "load", unit = "{"N" if linear else "N m"}" }}'
     yield "# for losses that depend on it:"
     yield '# temperature = { column = "temperature", unit = "degC" }'
     yield '# added_mass = "2 kg"  # known mass bolted to the load'

@@ -28,13 +28,13 @@ _ON_BOUND = 1e-6
 def open_scalings(
     chain: Joint, knowledge: Knowledge, observations: Sequence[Observation]
 ) -> tuple[Scaling, ...]:
-    """Scalings that neither known masses nor a known or told parameter takes away.
+    """Scalings that neither known loads nor a known or told parameter takes away.
 
     One known mass in all recordings alike might as well be more leg, and zero times any
     factor is zero: neither fixes a scale.
     """
     masses = {o.inputs.load(chain.load.motion) for o in observations}
-    if len(masses) > 1:
+    if len(masses) > 1 or any(o.inputs.load_torque is not None for o in observations):
         return ()
     fixed, told = knowledge.fixed, set(knowledge.told)
     found = []

@@ -190,7 +190,7 @@ def _recording_weights(
 
 def _toward_told(problem: TorqueProblem, values: Array) -> Array:
     """Move along the scalings, where these are free, to where told values fit best."""
-    if any(o.inputs.added_mass for o in problem.observations):
+    if any(o.inputs.known_load for o in problem.observations):
         return values
     told, fixed = problem.knowledge.told, problem.knowledge.fixed
     for scaling in scalings(problem.chain):
@@ -314,8 +314,8 @@ def _scale_notes(problem: TorqueProblem, information: Information) -> list[str]:
             continue
         by = [f"known {name}" for name in scaling.names if name in knowledge.fixed]
         by += [f"told {name}" for name in scaling.names if name in knowledge.told]
-        loaded = any(o.inputs.added_mass for o in problem.observations)
-        by += ["the known added mass"] if loaded else []
+        loaded = any(o.inputs.known_load for o in problem.observations)
+        by += ["the known load"] if loaded else []
         if by:
             notes.append(f"{what} is fixed by {', '.join(by)}")
     return notes

@@ -62,8 +62,8 @@ def least_squares(chain: Joint, observations: Sequence[Observation]) -> Estimate
         stated = projection.labels[i], *projection.describe(name)
         values.append(EstimatedValue(*stated, float(solution[i]), *sds))
     assumption = "sd: uncorrelated residuals of equal variance; sd_robust: correlated ones (HAC)"
-    if "added_load" not in names and any(o.inputs.added_mass for o in observations):
-        assumption += "; the known added mass is part of the totals"
+    if "added_load" not in names and any(o.inputs.known_load for o in observations):
+        assumption += "; the known load is part of the totals"
     if shapes := [p for p in chain.parameters if p.quantity in SHAPES]:
         held = ", ".join(f"{p.name} = {p.row.start:g}" for p in shapes)
         assumption += f"; taken for known: {held}"
@@ -205,7 +205,8 @@ def _regressors(
 ) -> tuple[list[str], NDArray[np.float64]]:
     found = {kind for p in chain.parameters for kind, _ in _regressed(chain, p)}
     loads = {o.inputs.load(chain.load.motion) for o in observations}
-    if loads != {(0.0, 0.0)} and ("gravity" not in found or len(loads) > 1):
+    pushed = any(o.inputs.load_torque is not None for o in observations)
+    if pushed or (loads != {(0.0, 0.0)} and ("gravity" not in found or len(loads) > 1)):
         found.add("added_load")
     if "offset" in found:
         found |= set(chain.offset_names)

@@ -73,7 +73,14 @@ def typical_load(chain: Joint, observations: Sequence[Observation], values: Arra
     ``values`` ``(n_parameters,)`` in the order of ``chain.names``; the result is in N m or N.
     """
     loads = [
-        load_torque(chain, values, o.q[o.filter.centres], o.qdd[o.filter.centres], inputs=o.inputs)
+        load_torque(
+            chain,
+            values,
+            o.q[o.filter.centres],
+            o.qdd[o.filter.centres],
+            inputs=o.inputs,
+            time=o.stamps[o.filter.centres],
+        )
         for o in observations
     ]
     return float(np.quantile(np.abs(np.concatenate(loads)), _LOAD_QUANTILE))

@@ -171,7 +171,7 @@ def torque_form(chain: Joint, observations: Sequence[Observation] = ()) -> Torqu
     """
     lossy = [i for i, e in enumerate(chain.elements) if e.load_loss != "none"]
     angled = bool(_turning(chain))
-    masses = any(o.inputs.added_mass for o in observations)
+    masses = any(o.inputs.known_load for o in observations)
     shaped = any(p.row.role == "form" and not p.circular for p in chain.parameters)
     if len(lossy) > 1 or shaped or (angled and masses):
         return None
@@ -235,13 +235,14 @@ def columns(chain: Joint, observation: Observation, names: Iterable[str]) -> Arr
     o, n = observation, chain.ratio
     inertia, moment = o.inputs.load(chain.load.motion)
     sine = np.sin(o.q)
+    pushed = 0.0 if o.inputs.load_torque is None else o.inputs.load_torque.at(o.stamps)
     state = State(
         n * o.q,
         n * o.qd,
         n * o.qdd,
         np.sign(o.qd),
         o.stamps,
-        transmitted=(inertia * o.qdd + chain.load.gravity * moment * sine) / n,
+        transmitted=(inertia * o.qdd + chain.load.gravity * moment * sine - pushed) / n,
         gravity=sine,
     )
 

@@ -43,8 +43,8 @@ class VariableProjection:
         target, regressors = [], []
         for o in observations:
             known = np.zeros_like(o.measured)
-            if o.inputs.added_mass and "added_load" not in form.names1 and not self._leg_is_scaled:
-                # lambda_1 is one: what the known mass takes is known
+            if o.inputs.known_load and "added_load" not in form.names1 and not self._leg_is_scaled:
+                # lambda_1 is one: what the known load takes is known
                 known = o.filter.apply(columns(chain, o, ("added_load",)))[0]
             target.append(o.measured - known)
             regressors.append(o.filter.apply(columns(chain, o, form.names1)))

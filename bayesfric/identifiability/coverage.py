@@ -119,7 +119,9 @@ def _behind(chain: Joint, i: int, o: Observation, at: NDArray[np.int64], values:
     """Torque at the output of element ``i``, ``(n, len(at))``."""
     q, qd, qdd = o.q[at], o.qd[at], o.qdd[at]
     if i + 1 == len(chain.elements):
-        return np.stack([load_torque(chain, v, q, qdd, inputs=o.inputs) for v in values])
+        return np.stack(
+            [load_torque(chain, v, q, qdd, inputs=o.inputs, time=o.stamps[at]) for v in values]
+        )
     rest = Joint(chain.elements[i + 1 :], chain.load)
     columns = [chain.names.index(name) for name in rest.names]
     return inverse_torque(rest, values[:, columns], q, qd, qdd, inputs=o.inputs, time=o.stamps)

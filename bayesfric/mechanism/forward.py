@@ -31,6 +31,8 @@ from bayesfric.mechanism.kernels import (
     STRIBECK_LOAD_RATIO,
     STRIBECK_VELOCITY,
 )
+from bayesfric.mechanism.own_term import compiled
+from bayesfric.mechanism.quantities import State
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.measurement import Hold
@@ -38,6 +40,11 @@ from bayesfric.recordings.measurement import Hold
 # Steps that a cubic torque is straight in, a sample.
 _FINER = 4
 _MAX_SUBSTEPS = 64
+
+
+def _against(state: State) -> float:
+    """Give what a torque from outside is multiplied by: the motor need not."""
+    return float(-1.0 + 0.0 * state.speed)
 
 
 class RunsAway(ValueError):
@@ -298,25 +305,36 @@ def _carried(chain: Joint, values: NDArray[np.float64], inputs: Inputs) -> Carri
     Raises ``ValueError`` where the inputs do not hold the signal that one is multiplied by.
     """
     felt = [k for k, c in enumerate(chain.carried) if c.row.column is not None]
-    if not felt:
+    pushed = inputs.load_torque
+    if not felt and pushed is None:
         return None
     terms = [chain.carried[k] for k in felt]
-    places = np.array([c.place for c in terms], dtype=np.int64)
-    addresses = np.array([c.address for c in terms], dtype=np.int64)
-    stamps = np.zeros(1)
-    signals = {name for c in terms if (name := c.row.signal)}
-    for name in signals:
-        if getattr(inputs, name) is None:
+    places, addresses = [c.place for c in terms], [c.address for c in terms]
+    signals: dict[int, tuple[str, float]] = {
+        k: (c.row.signal, c.row.zero) for k, c in enumerate(terms) if c.row.signal
+    }
+    if pushed is not None:
+        felt = [*felt, len(chain.carried)]
+        signals[len(places)] = ("load_torque", 0.0)
+        places, addresses = (
+            [*places, len(chain.elements)],
+            [*addresses, int(compiled(_against).address)],
+        )
+    found = {}
+    for k, (name, zero) in signals.items():
+        signal = getattr(inputs, name)
+        if signal is None:
             raise ValueError(f"the inputs hold no {name}")
-        stamps = getattr(inputs, name).stamps
-    levels = np.ones((len(terms), stamps.size))
-    for k, c in enumerate(terms):
-        if c.row.signal:
-            levels[k] = getattr(inputs, c.row.signal).at(stamps) - c.row.zero
+        found[k] = (signal, zero)
+    # straight lines between the stamps of all are straight lines of each
+    stamps = np.unique(np.concatenate([np.zeros(1), *(one.stamps for one, _ in found.values())]))
+    levels = np.ones((len(places), stamps.size))
+    for k, (signal, zero) in found.items():
+        levels[k] = signal.at(stamps) - zero
     return CarriedValues(
         np.ascontiguousarray(values[:, felt]),
-        places,
-        addresses,
+        np.array(places, dtype=np.int64),
+        np.array(addresses, dtype=np.int64),
         np.ascontiguousarray(stamps, dtype=np.float64),
         levels,
     )

@@ -55,6 +55,7 @@ def load_torque(
     qdd: ArrayLike,
     *,
     inputs: Inputs = Inputs(),  # noqa: B008  (frozen)
+    time: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
     """Torque that moves the load itself, ``Gamma`` of eq. (3), before any loss.
 
@@ -68,4 +69,8 @@ def load_torque(
     torque: NDArray[np.float64] = (load[0, kernels.LOAD_INERTIA] + inertia) * np.asarray(
         qdd
     ) + swing
+    if inputs.load_torque is not None:
+        torque = torque - inputs.load_torque.at(
+            np.full(position.shape, np.nan if time is None else time)
+        )
     return torque

@@ -31,7 +31,7 @@ class Tables(NamedTuple):
     elements: NDArray[np.float64]  # (n, n_elements, n_slots); columns are kernels.ELEMENT_SLOTS
     load: NDArray[np.float64]  # (n, n_slots); columns are kernels.LOAD_SLOTS
     # (n, n_carried, 2) of the terms that have no slot, Joint.carried: the coefficient, and the
-    # value that shapes it, 0 where none does
+    # value that shapes it, 0 where none does; behind them a measured load torque, 1 and 0
     carried: NDArray[np.float64]
 
 
@@ -282,7 +282,9 @@ class Joint:
             flat[:, LOAD_SLOTS.index("offset") - len(LOAD_SLOTS)] = values[:, own]
         split = len(self.elements) * len(ELEMENT_SLOTS)
         elements = flat[:, :split].reshape(-1, len(self.elements), len(ELEMENT_SLOTS))
-        carried = np.zeros((len(values), len(self.carried), 2))
+        loaded = inputs is not None and inputs.load_torque is not None
+        carried = np.zeros((len(values), len(self.carried) + loaded, 2))
+        carried[:, len(self.carried) :, 0] = 1.0
         for k, term in enumerate(self.carried):
             carried[:, k, 0] = values[:, term.index]
             if term.shape >= 0:
@@ -320,6 +322,13 @@ class Joint:
         )
         stamps = np.full(speed.size, np.nan) if time is None else time
         columns = [along(c.row, c.reach, position, speed, stamps, inputs) for c in self.carried]
+        places = [c.place for c in self.carried]
+        reaches = [c.reach for c in self.carried]
+        addresses = [c.address if c.shape >= 0 else 0 for c in self.carried]
+        if inputs.load_torque is not None:  # what pushes the load, the motor need not
+            columns.append(-inputs.load_torque.at(stamps))
+            places, reaches = [*places, len(self.elements)], [*reaches, 1.0]
+            addresses = [*addresses, 0]
         return Samples(
             *inputs.load(self.load.motion),
             np.sin(position),
@@ -329,9 +338,9 @@ class Joint:
             position,
             np.ascontiguousarray(stamps, dtype=np.float64),
             np.stack(columns) if columns else np.empty((0, speed.size)),
-            np.array([c.place for c in self.carried], dtype=np.int64),
-            np.array([c.reach for c in self.carried], dtype=np.float64),
-            np.array([c.address if c.shape >= 0 else 0 for c in self.carried], dtype=np.int64),
+            np.array(places, dtype=np.int64),
+            np.array(reaches, dtype=np.float64),
+            np.array(addresses, dtype=np.int64),
         )
 
     @cached_property

@@ -39,6 +39,14 @@ class Inputs:
     # of the joint, degrees Celsius, for a joint whose losses depend on it
     temperature: Signal | None = field(default=None, compare=False)
 
+    # that acts on the load from outside, as measured, N m or N
+    load_torque: Signal | None = field(default=None, compare=False)
+
+    @property
+    def known_load(self) -> bool:
+        """Whether a known mass or a measured torque loads the joint."""
+        return bool(self.added_mass) or self.load_torque is not None
+
     def load(self, motion: str) -> tuple[float, float]:
         """Inertia and first moment that the known mass brings to a load of a motion.
 

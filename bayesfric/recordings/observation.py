@@ -25,7 +25,7 @@ from bayesfric.recordings.filters import (
     parallel_taps,
     reach_of,
 )
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.inputs import Inputs, Signal
 from bayesfric.recordings.measurement import Array, Flags, Measurement, Segments
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.resolution import (
@@ -176,12 +176,27 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         period=numbers.factor * period,
         segment_of=np.searchsorted(borders, chosen.starts, side="right").astype(np.int64) - 1,
         stamps=recording.time,
-        inputs=replace(recording.inputs, recording=recording.name),
+        inputs=replace(
+            recording.inputs,
+            recording=recording.name,
+            # what is compared with it has passed this, too
+            load_torque=_smoothed(recording.inputs.load_torque, recording, settings),
+        ),
         steps=(*recording.steps, *_told(numbers, recording, settings)),
         warnings=tuple(warnings),
         settings=settings,
         position_step=finest_step(recording.position),
     )
+
+
+def _smoothed(
+    signal: Signal | None, recording: Measurement, settings: Mapping[str, float | int | str]
+) -> Signal | None:
+    if signal is None:
+        return None
+    values = signal.at(recording.time)
+    passed = as_position(values, recording.segments, recording.period, settings)
+    return Signal(recording.time, passed)
 
 
 def as_position(

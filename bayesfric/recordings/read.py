@@ -127,6 +127,13 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         warmth = Signal(grid.time, grid.linear(degrees))
         low, high = float(degrees[part].min()), float(degrees[part].max())
         steps.append(f"temperature: {low:.3g} to {high:.3g} degC")
+    pushed = None
+    if source.load_torque is not None:
+        what = channels.TORQUE[drive.motion]
+        outside = channels.scaled(source.load_torque, table, what, "load_torque")
+        checks.check_not_huge(outside, table.label(source.load_torque.column), "load torque")
+        pushed = Signal(grid.time, grid.linear(outside))
+        steps.append(f"load {what}: as measured")
     excluded = _excluded(source, grid.time, warnings)
     if source.valid is not None:
         valid = table.column(source.valid) != 0
@@ -146,7 +153,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         segments=grid.segments,
         period=grid.period,
         excluded=excluded,
-        inputs=Inputs(source.added_mass, source.radius, temperature=warmth),
+        inputs=Inputs(source.added_mass, source.radius, temperature=warmth, load_torque=pushed),
         steps=tuple(steps),
         warnings=tuple(warnings),
         hold=channel.hold,

@@ -11,7 +11,16 @@ from bayesfric.recordings import units
 from bayesfric.recordings.tables.reader import Options, TableOptions
 from bayesfric.recordings.units import Hertz, Kilograms, Metres, Seconds
 
-CHANNELS = ("time", "position", "velocity", "torque", "current", "voltage", "temperature")
+CHANNELS = (
+    "time",
+    "position",
+    "velocity",
+    "torque",
+    "current",
+    "voltage",
+    "load_torque",
+    "temperature",
+)
 # Unit of numbers that are in SI already, whether the joint turns or slides.
 SI = "SI"
 
@@ -132,6 +141,11 @@ class Columns(Options):
     torque: Torque | None = Field(None, description="The torque channel, or ...")
     current: Current | None = Field(None, description="... the current channel, or ...")
     voltage: Voltage | None = Field(None, description="... the voltage channel.")
+    load_torque: Channel | None = Field(
+        None,
+        description="Torque (or force) that acts on the load from outside, as a dynamometer "
+        "measures it, positive where it pushes towards higher positions.",
+    )
     temperature: Channel | None = Field(
         None,
         description="The joint's temperature, in 'degC' or 'K', for losses that depend on it.",

@@ -258,7 +258,17 @@ def test_every_command_has_json(bench, command):
 
 
 def test_commands_are_those_of_the_design():
-    designed = {"init", "simulate", "check", "identify", "estimate", "explain", "fit", "report", "compare"}
+    designed = {
+        "init",
+        "simulate",
+        "check",
+        "identify",
+        "estimate",
+        "explain",
+        "fit",
+        "report",
+        "compare",
+    }
     assert set(COMMANDS) <= designed | {"demo"}
     assert {"init", "simulate", "check", "fit", "demo"} <= set(COMMANDS)
 

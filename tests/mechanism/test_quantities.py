@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bayesfric.estimates.assemble import open_scalings
+from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.estimates.torque_form import torque_form
@@ -105,6 +107,8 @@ def by_the_table(chain, values, o):
     inertia, moment = o.inputs.load(chain.load.motion)
     gravity = chain.load.gravity * np.sin(o.q + at.get("load.gravity_angle", 0.0))
     torque = inertia * o.qdd + moment * gravity
+    if o.inputs.load_torque is not None:
+        torque = torque - o.inputs.load_torque.at(o.stamps)
     for place in ("load", *(e.name for e in chain.elements[::-1])):
         reach = chain.reaches[place]
         if place != "load":
@@ -304,3 +308,35 @@ def test_an_option_that_is_none_is_refused():
         Element("motor", coulomb="by direction")
     with pytest.raises(ValueError, match="no option"):
         Load(viscous=True)
+
+
+@pytest.fixture(params=[("viscous", "motor"), ("power", "motor"), ("spring", "load")])
+def pushed(request, make_observation):
+    """A joint whose load is pushed by a measured torque besides."""
+    chain = chain_with(*request.param)
+    values = values_of(chain)
+    bare = chain_with("inertia", "motor")
+    named = dict(zip(bare.names, values_of(bare).tolist(), strict=True))
+    o = make_observation(bare, named, n=400, factor=2)
+    outside = Signal(o.stamps, 3.0 * np.sin(9.0 * o.stamps))
+    o = replace(o, inputs=replace(o.inputs, load_torque=outside))
+    torque = by_the_table(chain, values, o) + 0.01 * np.random.default_rng(1).normal(size=o.q.size)
+    return chain, values, replace(o, torque=torque, measured=o.filter.apply(torque))
+
+
+def test_a_measured_load_torque_on_every_path(pushed):
+    test_plain_and_compiled(pushed)
+    test_moments_prepared_and_fused(pushed)
+    test_forward_then_inverse(pushed)
+
+
+def test_a_measured_load_torque_takes_the_scaling_away(pushed):
+    chain, values, o = pushed
+    assert scalings(chain)
+    assert open_scalings(chain, Knowledge(), [o]) == ()
+    form = torque_form(chain, [o])
+    if form is not None:
+        left = VariableProjection(
+            form, [replace(o, measured=o.filter.apply(by_the_table(chain, values, o)))]
+        )
+        assert np.abs(left.residual(form.thetas(values)[1])).max() < SHORT * np.abs(o.torque).max()

@@ -55,7 +55,7 @@ class LinearTorque:
         if form is None:
             raise ValueError("the chain's torque is not of the form of eq. (13)")
         self.chain = chain
-        loaded = ("added_load",) if any(o.inputs.added_mass for o in observations) else ()
+        loaded = ("added_load",) if any(o.inputs.known_load for o in observations) else ()
         self.names1 = (*form.names1, *loaded)
         self.names2 = (*form.names2, *loaded) if form.loss else ()
         self._both = [self.names1.index(name) for name in self.names2]
@@ -132,7 +132,7 @@ def linear_torque(chain: Joint, observations: Sequence[Observation]) -> LinearTo
         with a known mass at an unknown angle.
     """
     angled = "load.gravity_angle" in chain.names
-    if torque_form(chain) is None or (angled and any(o.inputs.added_mass for o in observations)):
+    if torque_form(chain) is None or (angled and any(o.inputs.known_load for o in observations)):
         return None
     return LinearTorque(chain, observations)
 

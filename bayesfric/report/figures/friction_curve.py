@@ -118,7 +118,9 @@ def covered(fit: Fit, median: Array, *, open_scale: bool) -> Covered:
     speeds, loads = [], []
     for o in fit.observations:
         at = o.filter.centres
-        gamma = load_torque(fit.chain, median, o.q[at], o.qdd[at], inputs=o.inputs)
+        gamma = load_torque(
+            fit.chain, median, o.q[at], o.qdd[at], inputs=o.inputs, time=o.stamps[at]
+        )
         speeds.append(fit.chain.ratio * o.speed)
         loads.append(reach * gamma * np.sign(o.speed))
     return Covered(np.concatenate(speeds), np.concatenate(loads))

@@ -178,7 +178,8 @@ def _abscissae(fit: Fit, outputs: tuple[Outputs, ...]) -> list[tuple[str, str, s
     angle: list[Array] = []
     for o, seen in zip(outputs, fit.observations, strict=True):
         q, qdd = seen.q[seen.filter.centres], seen.qdd[seen.filter.centres]
-        gamma = load_torque(fit.chain, median, q, qdd, inputs=seen.inputs)
+        stamps = seen.stamps[seen.filter.centres]
+        gamma = load_torque(fit.chain, median, q, qdd, inputs=seen.inputs, time=stamps)
         # outputs of a simulation are at other times than those of the filter
         same = np.array_equal(seen.time, o.time)
         for kept, x in ((speed, seen.speed), (load, gamma), (angle, q)):

@@ -1,0 +1,52 @@
+"""A dynamometer: the torque on the load is measured, and gives the gearbox its scale."""
+
+import numpy as np
+import pytest
+
+import bayesfric as bf
+from bayesfric.errors import BadInput
+from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.presets import PRESETS
+from bayesfric.recordings.inputs import Inputs, Signal
+
+KNEE = PRESETS["rabbit-knee"]
+CHAIN = KNEE.chain()
+
+
+def recorded(**more):
+    """An exact motion and torque, with noise, of a knee that a second motor loads."""
+    time = np.arange(8000) * 0.001
+    q, qd, qdd = np.zeros((3, time.size))
+    for f, a in ((0.4, 0.8), (1.1, 0.3), (2.7, 0.1)):
+        w = 2.0 * np.pi * f
+        q += a * np.sin(w * time)
+        qd += a * w * np.cos(w * time)
+        qdd -= a * w**2 * np.sin(w * time)
+    outside = 6.0 * np.sin(2.0 * np.pi * 0.73 * time + 1.0)
+    inputs = Inputs(load_torque=Signal(time, outside))
+    torque = inverse_torque(CHAIN, CHAIN.vector(KNEE.values), q, qd, qdd, inputs=inputs, time=time)
+    torque += 0.001 * np.random.default_rng(1).standard_normal(time.size)
+    keys = {"load_torque": outside, "side": "joint"} | more
+    return bf.Recording.from_arrays(time, q, torque, **keys)
+
+
+def test_it_gives_leg_and_gearbox_their_scale():
+    (found,) = bf.Model(CHAIN, recorded()).estimates(["input-error"])
+    for name in ("load.first_moment", "gearbox.load_drive", "gearbox.load_back", "load.inertia"):
+        assert found[name].determined, name
+        assert abs(found[name].value - KNEE.values[name]) < 4.0 * found[name].sd, name
+    assert any("fixed by the known load" in note for note in found.notes)
+
+
+def test_without_it_the_scale_is_open():
+    (found,) = bf.Model(CHAIN, recorded(load_torque=None)).estimates(["input-error"])
+    assert not found["load.first_moment"].determined
+
+
+def test_nothing_is_open_before_sampling():
+    assert bf.Model(CHAIN, recorded()).identification().directions == ()
+
+
+def test_what_is_no_torque_is_refused():
+    with pytest.raises(BadInput, match="load_torque"):
+        bf.Model(CHAIN, recorded(units={"load_torque": "rad"}))
