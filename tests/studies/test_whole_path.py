@@ -30,11 +30,12 @@ def study():
 @pytest.mark.parametrize(
     "case",
     ["plain", "geared", "plain, 100 Hz", "sticking", "knee", "knee, loaded pair",
-     "late by 0.3 samples", "late by 2 samples"],
+     "late by 0.3 samples", "late by 2 samples", "current", "plain, 1 kHz",
+     "geared, encoder at the joint", "ripple, 100 a turn"],
 )  # fmt: skip
 def test_intervals_of_a_case_hold_the_truth_as_often_as_the_readme_says(result, case):
     found = result[case]
-    assert found["recordings"] >= 40
+    assert found["recordings"] >= 200
     rows = dict(found["verdicts"]["data"])
     whole = rows.pop("all")
     assert 0.85 < whole["coverage"] < 0.95
@@ -44,6 +45,23 @@ def test_intervals_of_a_case_hold_the_truth_as_often_as_the_readme_says(result, 
         low = stats.binom.ppf(0.005 / k, n, 0.85) / n
         assert row["coverage"] >= low, name
         assert abs(row["z"]) < 0.4 + 4.0 * row["z_sd"] / np.sqrt(n), name
+
+
+def test_what_a_ripple_once_a_turn_spoils_is_never_called_data(result):
+    found = result["ripple, once a turn"]
+    assert found["reliable"] == 0
+    assert "load.first_moment" not in found["verdicts"]["data"]
+    assert found["verdicts"]["data"]["all"]["coverage"] > 0.8
+
+
+@pytest.mark.parametrize("case", ["geared, central differences", "geared, as 0.1.0"])
+def test_self_checks_foretell_what_filters_do_and_correct_it(result, case):
+    row = result[case]["verdicts"]["data"]["motor.inertia"]
+    told = row["foretold"]
+    error = row["z_sd"] / np.sqrt(row["intervals"])
+    assert row["z"] > 0.9
+    assert abs(row["z"] - told["z"]) < 3.0 * error
+    assert told["corrected_coverage"] > 0.85 > row["coverage"]
 
 
 @pytest.mark.slow
