@@ -352,12 +352,12 @@ def test_handlers_are_put_back(here, number):
 
 
 def test_before_sampling_nothing_is_kept(here, monkeypatch):
-    from bayesfric.model import Model
+    from bayesfric import whole_fit
 
     def interrupted(*_, **__):
         os.kill(os.getpid(), signal.SIGTERM)
 
-    monkeypatch.setattr(Model, "begin", interrupted)
+    monkeypatch.setattr(whole_fit, "begin", interrupted)
     ended = here.run("fit", "few.toml", "-o", "run")
     assert (ended.code, ended.out) == (143, "")
     assert ended.err == "bayesfric: interrupted, nothing was written\n"
