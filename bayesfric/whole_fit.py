@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 
 from bayesfric.errors import BadInput
+from bayesfric.estimates.descent import few_threads
 from bayesfric.estimates.methods import ESTIMATORS, estimate_by
 from bayesfric.estimates.point_estimate import Estimate
+from bayesfric.explain.explanation import asked_for
 from bayesfric.identifiability.identification import identify
 from bayesfric.identifiability.plausible import Point
 from bayesfric.identifiability.sentences import plain
@@ -28,6 +30,7 @@ from bayesfric.report.summary.noise import add_white_intervals, white_alternativ
 from bayesfric.report.summary.record import Identifiability
 from bayesfric.report.summary.self_check import self_check_doubts, self_check_part
 from bayesfric.report.summary.summary import rms, spreads, summarise
+from bayesfric.report.text_templates import sentence
 from bayesfric.result import Result
 from bayesfric.self_check.self_check import Checked, self_check
 
@@ -81,7 +84,7 @@ def whole_fit(
     summary = put_doubts(summary, doubts)
     progress(Progress("identifiability"))
     update: dict[str, Any] = {
-        "warnings": [*summary.warnings, *begun.missing],
+        "warnings": [*summary.warnings, *begun.missing, *_structure(model, begun)],
         # nothing in a file of samples tells; the configuration may
         "may_be_simulated": model.config.tables.simulation is not None,
     }
@@ -93,6 +96,18 @@ def whole_fit(
             summary.identifiability.as_dict() | {"directions": plain(here.directions)}
         )
     return Result(model, found, summary.model_copy(update=update))
+
+
+def _structure(model: Model, begun: Beginning) -> list[str]:
+    """Say which terms would explain what passes for noise that remembers."""
+    if begun.choice is None or not begun.choice.asked.order:
+        return []
+    point = next(dict(e.point) for e in begun.estimates if e.point)
+    with few_threads(model.observations):
+        terms = asked_for(model.evidence, point)
+    if not terms:
+        return []
+    return [sentence("structure", {"order": begun.choice.asked.order, "terms": terms})]
 
 
 def begin(

@@ -118,6 +118,19 @@ class Explanation:
         return found
 
 
+def asked_for(given: Given, point: Mapping[str, float]) -> tuple[Term, ...]:
+    """Look only for the terms that the recordings ask for; see :func:`explain`."""
+    if not _enough(given):
+        return ()
+    ladder = climb(given.chain, given.observations, point)
+    return tuple(_term(rung.added, rung.rivals) for rung in ladder.rungs if rung.added)
+
+
+def _enough(given: Given) -> bool:
+    outputs = sum(o.measured.size for o in given.observations)
+    return outputs >= 2 * len(given.chain.names) + 20
+
+
 def explain(
     given: Given,
     point: Mapping[str, float],
@@ -131,8 +144,8 @@ def explain(
     BadInput
         If there are too few outputs.
     """
-    outputs = sum(o.measured.size for o in given.observations)
-    if outputs < 2 * len(given.chain.names) + 20:
+    if not _enough(given):
+        outputs = sum(o.measured.size for o in given.observations)
         raise BadInput(
             ", ".join(f"recording {o.name!r}" for o in given.observations),
             f"{outputs} outputs are too few to tell what a model lacks",

@@ -100,3 +100,17 @@ def test_a_fit_says_it_when_asked_and_its_page_holds_it(swing):
     # the page is made again from the file alone
     swing.run("report", "run")
     assert (swing.folder / "run" / "report.html").read_text().count('id="lacking"') == 1
+
+
+def test_memory_of_the_noise_that_a_term_would_explain_is_told(swing):
+    """`auto` looks for structure before it takes what is left for noise."""
+    summary = bf.Model.from_config("c.toml").fit().summary
+    told = [text for text in summary.warnings if "viscous loss by direction (motor)" in text]
+    assert bool(told) == bool(
+        summary.noise.order or any(d.kind == "memory" for d in summary.doubts)
+    )
+    assert told
+    # with the term there is nothing left to tell
+    swing.config(JOINT + BY_DIRECTION + recorded())
+    summary = bf.Model.from_config("c.toml").fit().summary
+    assert not [text for text in summary.warnings if "would explain" in text]
