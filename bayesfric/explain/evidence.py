@@ -228,7 +228,8 @@ def _power(moments: Array, at: Index, y: int, values: Array) -> float:
 class Gain:
     """What one candidate brings beside a model."""
 
-    evidence: float  # logarithm of the Bayes factor
+    evidence: float  # logarithm of the Bayes factor, see gain
+    plain: float  # the same as if the noise were as white between pieces of time as within
     dimensions: int  # that it adds to what the model can do; zero where it adds none
     direction: Array  # (n,) unit vector of what it takes, whitened
 
@@ -253,7 +254,7 @@ def gain(columns: Columns, chosen: Sequence[int], own: Sequence[int], sign: int)
     values, vectors = np.linalg.eigh(inner[:k, :k])
     told = values > _OPEN * size.max(initial=0.0)
     if not told.any():
-        return Gain(-math.inf, 0, np.zeros(0))
+        return Gain(-math.inf, -math.inf, 0, np.zeros(0))
     rotation, power = vectors[:, told], values[told]
     slope = rotation.T @ inner[:k, k]
     estimate = slope / power
@@ -266,13 +267,18 @@ def gain(columns: Columns, chosen: Sequence[int], own: Sequence[int], sign: int)
     rough = (scores**2).sum(axis=0) / power
     pieces = len(scores)
     noise = np.maximum(rough * pieces / max(pieces - at.size, 1), columns.variance)
-    precision = scale**2 * power / noise
-    evidence = float(
-        np.sum(0.5 * slope**2 / power / noise * precision / (1.0 + precision))
-        - 0.5 * np.sum(np.log1p(precision))
-    )
+    t = 0.0
     if sign and told.sum() == 1 and k == 1:
-        t = float(estimate[0] * rotation[0, 0] * sign * np.sqrt(power[0] / noise[0]))
-        evidence += math.log(2.0) + float(stats.norm.logcdf(t))
+        t = float(estimate[0] * rotation[0, 0] * sign)
+    found = []
+    for size_of in (noise, np.full_like(noise, columns.variance)):
+        precision = scale**2 * power / size_of
+        log_factor = 0.5 * slope**2 / power / size_of * precision / (1.0 + precision)
+        evidence = float(np.sum(log_factor - 0.5 * np.log1p(precision)))
+        if t:
+            evidence += math.log(2.0) + float(stats.norm.logcdf(t * np.sqrt(power[0] / size_of[0])))
+        found.append(evidence)
     direction = columns.white[:, used] @ (weights @ (estimate if k > 1 else np.ones(1)))
-    return Gain(evidence, int(told.sum()), direction / max(np.linalg.norm(direction), 1e-300))
+    return Gain(
+        found[0], found[1], int(told.sum()), direction / max(np.linalg.norm(direction), 1e-300)
+    )

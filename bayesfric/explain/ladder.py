@@ -43,11 +43,19 @@ class Trial:
     """A candidate beside one model."""
 
     candidate: Candidate  # at the value of its shape that suits best
-    evidence: float  # log Bayes factor, the mean over what shapes it
+    # log Bayes factor, the mean over what shapes it; and with white noise: the first says whether
+    # it is there, the second which of two fits better
+    evidence: float
+    plain: float
     others: tuple[Candidate, ...]  # under other names, with the same effect on these motions
     columns: tuple[int, ...]
     direction: Array = field(repr=False)
     score: Score | None = None  # of the model with it
+
+    def beaten_by(self, other: Trial) -> float:
+        """By how much another is better, as sure as the noise between pieces of time allows."""
+        share = self.evidence / self.plain if 0.0 < self.evidence < self.plain else 1.0
+        return (other.plain - self.plain) * share
 
     def odds(self, among: int) -> float:
         """Logarithm of the odds that it is missing, when one of so many is."""
@@ -187,7 +195,7 @@ def _best(
     below = search.score(chosen)
     for t in trials:
         if t.odds(among) <= _ODDS:
-            return None
+            continue
         found = search.score([*chosen, t])
         if compared(found, below)[0] > 0.0 and found.held_out < below.held_out:
             return t
@@ -205,7 +213,10 @@ def _settled(search: _Search, chosen: list[Trial], among: int) -> list[Trial]:
             if mine is None or mine.odds(among) <= _ODDS:
                 chosen = others
                 break
-            if trials[0].evidence > mine.evidence + _BETTER:
+            # of what is one on these motions, the simplest
+            renamed = mine is trials[0] and mine.candidate.key != t.candidate.key
+            better = trials[0].odds(among) > _ODDS and mine.beaten_by(trials[0]) > _BETTER
+            if renamed or better:
                 chosen = [*others, trials[0]]
                 break
         else:
@@ -227,9 +238,10 @@ def _in_order(search: _Search, chosen: Sequence[Trial]) -> list[Trial]:
     left, ordered = list(chosen), list[Trial]()
     while left:
         trials = search.beside(ordered)
-        evidence = [o.evidence if (o := _of(trials, t)) else -math.inf for t in left]
-        k = int(np.argmax(evidence))
-        ordered.append(replace(left.pop(k), evidence=evidence[k]))
+        found = [_of(trials, t) for t in left]
+        k = int(np.argmax([o.plain if o else -math.inf for o in found]))
+        t, o = left.pop(k), found[k]
+        ordered.append(replace(t, evidence=o.evidence) if o else t)
     return ordered
 
 
@@ -237,11 +249,10 @@ def _rivals(search: _Search, others: Sequence[Trial], t: Trial) -> tuple[Trial, 
     """Give what could stand in the place of one term and is about as good."""
     trials = search.beside(others)
     mine = _of(trials, t)
-    least = (mine or t).evidence - _AS_GOOD
     return tuple(
         replace(o, score=search.score([*others, o]))
         for o in trials
-        if o is not mine and o.evidence > least
+        if o is not mine and o.beaten_by(mine or t) < _AS_GOOD and o.evidence > _ODDS
     )
 
 
@@ -268,20 +279,31 @@ def _trials(
     trials = []
     for shapes in weighed.values():
         # over what shapes it, each value as likely as the others
-        evidence = float(logsumexp([g.evidence for _, g, _ in shapes]) - math.log(len(shapes)))
+        less = math.log(len(shapes))
+        evidence, plain = (
+            float(logsumexp(kind) - less)
+            for kind in zip(*((g.evidence, g.plain) for _, g, _ in shapes), strict=True)
+        )
         one, g, mine = max(shapes, key=lambda x: x[1].evidence)
-        trials.append(Trial(one, evidence, (), mine, g.direction))
-    trials.sort(key=lambda t: -t.evidence)
+        trials.append(Trial(one, evidence, plain, (), mine, g.direction))
+    trials.sort(key=lambda t: -t.plain)
     apart: list[Trial] = []
     for t in trials:
         for k, other in enumerate(apart):
             if abs(float(t.direction @ other.direction)) > _SAME:
-                names = (*other.others, t.candidate)
-                apart[k] = replace(other, others=names)
+                apart[k] = _one(other, t)
                 break
         else:
             apart.append(t)
     return apart
+
+
+def _one(trial: Trial, same: Trial) -> Trial:
+    """Make one of two that do the same, under the name of the one with fewer parameters."""
+    simpler = len(same.columns) < len(trial.columns)
+    if simpler and same.beaten_by(trial) < _AS_GOOD:
+        trial, same = same, trial
+    return replace(trial, others=(*trial.others, same.candidate, *same.others))
 
 
 def compared(one: Score, other: Score) -> tuple[float, float]:

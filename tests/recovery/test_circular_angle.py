@@ -25,7 +25,7 @@ time = {{ column = "t", unit = "s" }}
 position = {{ column = "q", unit = "rad" }}
 torque = {{ column = "tau", unit = "N m" }}
 [sampling]
-min_ess = 600
+min_ess = 400
 [estimation]
 starts = 2
 [priors]
