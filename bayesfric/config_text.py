@@ -55,7 +55,10 @@ def mechanism_table(joint: Joint) -> dict[str, Any]:
         base = PRESETS[joint.made_from].chain()
         if (base.elements, base.load) == (joint.elements, joint.load):
             return {"preset": joint.made_from, **table}
-    elements = {one.name: _chosen(one, ElementOptions) for one in joint.elements}
+    # an empty table would be left out, and the element with it
+    elements = {
+        one.name: _chosen(one, ElementOptions) or {"ratio": one.ratio} for one in joint.elements
+    }
     return {**table, "load": _chosen(joint.load, LoadOptions), "elements": elements}
 
 

@@ -249,3 +249,9 @@ def test_importing_it_imports_nothing_heavy():
     first, second = out.stdout.splitlines()
     assert first == f"False {sorted(bf.__all__)}"
     assert second == "False"
+
+
+def test_an_element_that_does_nothing_stays_in_the_chain():
+    """Others may be added to it, and what is written down is what was given."""
+    joint = bf.Joint([bf.Element("motor", inertia=True), bf.Element("gearbox")])
+    assert mechanism_table(joint)["elements"]["gearbox"] == {"ratio": 1.0}
