@@ -48,6 +48,7 @@ def called(bench, capsys, monkeypatch, *words):
     return capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_every_command(bench, capsys, monkeypatch):
     def told(*words):
         return json.loads(called(bench, capsys, monkeypatch, *words, "--json"))

@@ -12,6 +12,7 @@ from bayesfric.model import Model
 from bayesfric.report.comparison.between_runs import between_runs
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.summary.record import Summary
+from tests.commands.bench import without_figures
 
 SERVO = PRESETS["servo-pendulum"]
 ANGLE = "load.gravity_angle"
@@ -58,14 +59,20 @@ def arm(folder, angle, prior="", mechanism=""):
     return parse_config(text, folder / "arm.toml")
 
 
+def fitted(folder, angle):
+    """Fit it; nobody looks at the figures."""
+    with pytest.MonkeyPatch.context() as patch:
+        without_figures(patch)
+        return fit(arm(folder, angle), folder / "run")
+
+
 def round_the_circle(x):
     return (x + np.pi) % (2 * np.pi) - np.pi
 
 
 @pytest.fixture(scope="module")
 def hanging(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("hanging")
-    return fit(arm(folder, 0.0), folder / "run")
+    return fitted(tmp_path_factory.mktemp("hanging"), 0.0)
 
 
 @pytest.fixture(
@@ -77,7 +84,7 @@ def turned(request, hanging, tmp_path_factory):
     angle = request.param
     if angle == np.pi:  # a posterior half on either side of pi
         angle -= hanging["parameters"][ANGLE]["median"]
-    return angle, fit(arm(folder, angle), folder / "run")
+    return angle, fitted(folder, angle)
 
 
 def test_an_upright_arm_has_an_uncut_posterior(turned):
@@ -150,7 +157,7 @@ def test_a_prior_may_lie_on_any_branch(tmp_path, angle, prior):
 
 
 def test_a_part_of_the_circle_bounds_and_can_be_widened(tmp_path):
-    summary = fit(arm(tmp_path, -3.0, "[2.0, 3.2]"), tmp_path / "run")
+    summary = Model.from_config(arm(tmp_path, -3.0, "[2.0, 3.2]")).fit().summary.as_dict()
     row = summary["parameters"][ANGLE]
     assert row["at_bound"] == "upper"
     assert not row["bound_physical"]

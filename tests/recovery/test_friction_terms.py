@@ -37,7 +37,7 @@ CASES = {
 [simulation]
 excitation = "square-multisine"
 amplitude = 0.8
-torque_noise = 0.02
+torque_noise = 0.015
 encoder_counts = 1048576
 seed = 11
 """,
@@ -254,8 +254,8 @@ duration = 10
 seed = 14
 [simulation.parameters]
 "motor.load" = 0.15
-"motor.stribeck_constant" = 0.6
-"motor.stribeck_load" = 0.6
+"motor.stribeck_constant" = 1.5
+"motor.stribeck_load" = 2.5
 "motor.stribeck_velocity" = 1.0
 "load.first_moment" = 0.08
 """,
