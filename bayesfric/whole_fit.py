@@ -14,7 +14,7 @@ from bayesfric.errors import BadInput
 from bayesfric.estimates.descent import few_threads
 from bayesfric.estimates.methods import ESTIMATORS, estimate_by
 from bayesfric.estimates.point_estimate import Estimate
-from bayesfric.explain.explanation import asked_for
+from bayesfric.explain.explanation import Explanation, asked_for
 from bayesfric.identifiability.identification import identify
 from bayesfric.identifiability.plausible import Point
 from bayesfric.identifiability.sentences import plain
@@ -61,6 +61,8 @@ def whole_fit(
     # before anything is estimated: a run of other settings is refused at once
     kept = checkpoint("posterior", sampling)
     begun = begin(model, output_error=output_error, progress=progress)
+    # refused, where it cannot be had, before anything is sampled
+    lacks = model.explain(estimates=begun.estimates, progress=progress) if explain else None
     sample = partial(fit, estimates=begun.estimates, progress=progress)
     with model.config.named():
         found = sample(begun.target, sampling, checkpoint=kept)
@@ -84,12 +86,12 @@ def whole_fit(
     summary = put_doubts(summary, doubts)
     progress(Progress("identifiability"))
     update: dict[str, Any] = {
-        "warnings": [*summary.warnings, *begun.missing, *_structure(model, begun)],
+        "warnings": [*summary.warnings, *begun.missing, *_structure(model, begun, lacks)],
         # nothing in a file of samples tells; the configuration may
         "may_be_simulated": model.config.tables.simulation is not None,
     }
-    if explain:
-        update["explanation"] = model.explain(estimates=begun.estimates, progress=progress)
+    if lacks is not None:
+        update["explanation"] = lacks
     with suppress(BadInput):  # a simulation that fails there takes no result away
         here = identify(begun.target, [Point("estimate", found.posterior.median)])
         update["identifiability"] = Identifiability.model_validate(
@@ -98,13 +100,16 @@ def whole_fit(
     return Result(model, found, summary.model_copy(update=update))
 
 
-def _structure(model: Model, begun: Beginning) -> list[str]:
+def _structure(model: Model, begun: Beginning, lacks: Explanation | None) -> list[str]:
     """Say which terms would explain what passes for noise that remembers."""
     if begun.choice is None or not begun.choice.asked.order:
         return []
-    point = next(dict(e.point) for e in begun.estimates if e.point)
-    with few_threads(model.observations):
-        terms = asked_for(model.evidence, point)
+    if lacks is None:
+        point = next(dict(e.point) for e in begun.estimates if e.point)
+        with few_threads(model.observations):
+            terms = asked_for(model.evidence, point)
+    else:
+        terms = lacks.asked
     if not terms:
         return []
     return [sentence("structure", {"order": begun.choice.asked.order, "terms": terms})]

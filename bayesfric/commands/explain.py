@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from bayesfric.errors import BadInput
-from bayesfric.explain.explanation import Explanation, Number, Term
+from bayesfric.explain.explanation import Explanation, Number
 from bayesfric.model import Model
-from bayesfric.report.figures.ladder import ladder_figure, model_name
+from bayesfric.report.figures.ladder import ladder_figure
 from bayesfric.report.figures.style import save
 from bayesfric.report.numbers import text_value
 from bayesfric.report.text_templates import filled
 
 
 def explain_record(found: Explanation, model: Model) -> dict[str, Any]:
-    """Put an explanation into the form that ``--json`` prints; what is infinite is ``None``."""
+    """Put an explanation into the form that ``--json`` prints."""
     return {"config": str(model.config.path), **found.as_json()}
 
 
@@ -32,7 +32,10 @@ def figure_file(path: Path) -> Path:
 def write_figure(found: Explanation, path: Path) -> None:
     """Draw the models, as PDF, PNG and SVG."""
     try:
-        save(ladder_figure(found), path.parent, path.stem)
+        with TemporaryDirectory(prefix=".", dir=path.parent) as aside:
+            save(ladder_figure(found), Path(aside), path.stem)
+            for made in Path(aside).iterdir():
+                made.replace(path.parent / made.name)
     except OSError as error:
         reason = error.strerror or str(error)
         raise BadInput(str(path), f"cannot be written ({reason})", "name another with -o") from None
@@ -46,15 +49,9 @@ def explain_text(found: Explanation) -> list[str]:
         found=found,
         rungs=[m for m in found.models if not m.rival],
         names=list(names),
-        names_of=_names,
         value=_value,
-        name_of=model_name,
     )
     return text.splitlines()
-
-
-def _names(terms: Sequence[Term]) -> list[str]:
-    return [f"{t.phrase} ({t.owner})" if t.owner else t.phrase for t in terms]
 
 
 def _value(number: Number) -> str:

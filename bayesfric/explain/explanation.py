@@ -15,6 +15,7 @@ from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.methods import Given
 from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
+from bayesfric.estimates.torque_near import larger
 from bayesfric.explain.candidates import Candidate
 from bayesfric.explain.ladder import Rung, Trial, climb, compared, stacked
 
@@ -32,6 +33,11 @@ class Term:
     evidence: float  # natural logarithm of its Bayes factor beside the model it was tried with
     also: tuple[str, ...]  # settings that do the same to these motions
     rivals: tuple[Term, ...] = ()  # what it cannot be told from
+
+    @property
+    def name(self) -> str:
+        """What it is called, with its element."""
+        return f"{self.phrase} ({self.owner})" if self.owner else self.phrase
 
 
 @dataclass(frozen=True)
@@ -58,6 +64,13 @@ class Model:
     weight: float  # in the mixture that predicts best
     rival: bool  # whether it is no rung, but cannot be told from the last
     numbers: Mapping[str, Number]
+
+    @property
+    def name(self) -> str:
+        """What it has more than the one before it."""
+        if not self.terms:
+            return "as it is"
+        return f"{'instead' if self.rival else '+'} {self.terms[-1].name}"
 
 
 @dataclass(frozen=True)
@@ -230,8 +243,8 @@ def _numbers(estimate: Estimate) -> dict[str, Number]:
 
 def _sd(v: EstimatedValue) -> float | None:
     """Give the larger sd; what stands on a limit, or is not determined, has none."""
-    sds = [x for x in (v.sd, v.sd_robust) if not math.isnan(x)]
-    return max(sds) if sds and math.isfinite(max(sds)) else None
+    sd = larger(v.sd, v.sd_robust)
+    return None if math.isnan(v.sd) or math.isinf(sd) else sd
 
 
 def _averaged(models: Sequence[Model]) -> dict[str, Number]:

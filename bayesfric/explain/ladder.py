@@ -137,14 +137,18 @@ class _Search:
     base: list[int]
     found: Sequence[Candidate]
     own: Sequence[tuple[int, ...]]
+    weighed: dict[tuple[tuple[int, ...], ...], list[Trial]] = field(default_factory=dict)
 
     def at(self, chosen: Sequence[Trial]) -> list[int]:
         """Columns of the model with some terms."""
         return [*self.base, *(k for t in chosen for k in t.columns)]
 
     def beside(self, chosen: Sequence[Trial]) -> list[Trial]:
-        """Weigh every candidate beside some terms, the best first."""
-        return _trials(self.columns, self.at(chosen), self.found, self.own, chosen)
+        """Weigh every candidate beside some terms, the best first; the same terms once."""
+        key = tuple(t.columns for t in chosen)
+        if key not in self.weighed:
+            self.weighed[key] = _trials(self, chosen)
+        return self.weighed[key]
 
     def score(self, chosen: Sequence[Trial]) -> Score:
         """Predict what is left out, with some terms."""
@@ -256,13 +260,7 @@ def _rivals(search: _Search, others: Sequence[Trial], t: Trial) -> tuple[Trial, 
     )
 
 
-def _trials(
-    columns: Columns,
-    chosen: Sequence[int],
-    found: Sequence[Candidate],
-    own: Sequence[tuple[int, ...]],
-    taken: Sequence[Trial],
-) -> list[Trial]:
+def _trials(search: _Search, taken: Sequence[Trial]) -> list[Trial]:
     """Weigh every candidate beside what is chosen, the best first; what is one is one."""
     # of cycles there may be several
     having = {
@@ -270,10 +268,11 @@ def _trials(
     }
     columns_of = {t.columns for t in taken}
     weighed: dict[tuple[str, str, str], list[tuple[Candidate, Gain, tuple[int, ...]]]] = {}
-    for one, mine in zip(found, own, strict=True):
+    beside = search.at(taken)
+    for one, mine in zip(search.found, search.own, strict=True):
         if (one.owner, one.option) in having or mine in columns_of:
             continue
-        g = gain(columns, chosen, mine, one.sign)
+        g = gain(search.columns, beside, mine, one.sign)
         if g.dimensions:
             weighed.setdefault(one.key, []).append((one, g, mine))
     trials = []

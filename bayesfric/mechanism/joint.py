@@ -321,7 +321,13 @@ class Joint:
             np.ascontiguousarray(x, dtype=np.float64) for x in (q, qd, qdd)
         )
         stamps = np.full(speed.size, np.nan) if time is None else time
-        columns = [along(c.row, c.reach, position, speed, stamps, inputs) for c in self.carried]
+        # the kernels work out what a parameter shapes
+        columns = [
+            along(c.row, c.reach, position, speed, stamps, inputs)
+            if c.shape < 0
+            else np.zeros_like(speed)
+            for c in self.carried
+        ]
         places = [c.place for c in self.carried]
         reaches = [c.reach for c in self.carried]
         addresses = [c.address if c.shape >= 0 else 0 for c in self.carried]

@@ -126,13 +126,12 @@ def along(
     speed: NDArray[np.float64],
     time: NDArray[np.float64],
     inputs: Inputs,
-    shape: float | None = None,
 ) -> NDArray[np.float64]:
     """Torque for a coefficient of one along a motion of the joint, each ``(N,)``.
 
-    ``reach`` is the speed of the element's input over the joint's, ``shape`` the value of the
-    parameter that shapes the column, where a search starts if left out. What is a signal of
-    the recording is looked up in its ``inputs``.
+    ``reach`` is the speed of the element's input over the joint's. A parameter that shapes the
+    column counts as where a search for it starts. What is a signal of the recording is looked up
+    in its ``inputs``.
 
     Raises
     ------
@@ -148,8 +147,7 @@ def along(
         if row.column is None:
             return np.asarray(factor)
     position, speed = reach * position, reach * speed
-    if row.shape and shape is None:
-        shape = QUANTITIES[row.shape].start
+    shape = QUANTITIES[row.shape].start if row.shape else None
     found = _along(_address(row), position, speed, np.sign(speed), time, shape or 0.0)
     return np.asarray(factor * found)
 

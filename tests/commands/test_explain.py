@@ -85,6 +85,9 @@ def test_too_short_is_refused_with_the_mend(swing):
     more = '[processing]\ndecimate = 100\nband = "2 Hz"\n'
     swing.config(JOINT + recorded() + more)
     has(swing.refused("explain", "c.toml"), "too few to tell what a model lacks", "decimate less")
+    # before anything is sampled, which would be lost
+    done = swing.refused("fit", "c.toml", "-o", "run", "--explain")
+    has(done, "too few to tell what a model lacks")
 
 
 @pytest.mark.usefixtures("no_figures")

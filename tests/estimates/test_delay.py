@@ -8,20 +8,9 @@ import bayesfric as bf
 from bayesfric.errors import BadInput
 from bayesfric.mechanism.excitation import current_loop, multisine
 from bayesfric.mechanism.forward import simulate
+from tests.axis import AXIS, VALUES
 
 RATE, FINE = 500.0, 20
-AXIS = bf.Joint(
-    [bf.Element("motor", inertia=True, coulomb="symmetric", viscous=True)],
-    load=bf.Load(first_moment=True),
-    offset=True,
-)
-VALUES = {
-    "motor.inertia": 0.05,
-    "motor.viscous": 0.1,
-    "motor.coulomb": 0.3,
-    "load.first_moment": 0.3,
-    "offset": 0.05,
-}
 
 
 def bench(late, seed, duration=10.0):

@@ -10,18 +10,11 @@ from bayesfric.commands.check import check, check_text
 from bayesfric.estimates.once_a_turn import gravity_like
 from bayesfric.mechanism.excitation import current_loop, multisine
 from bayesfric.mechanism.forward import simulate
+from tests.axis import AXIS, VALUES
 
 RATE, FINE = 500.0, 20
 MOTOR = bf.Element("motor", inertia=True, coulomb="symmetric", viscous=True)
-AXIS = bf.Joint([MOTOR], load=bf.Load(first_moment=True), offset=True)
 ANGLED = replace(AXIS, load=bf.Load(first_moment=True, gravity_angle=True))
-VALUES = {
-    "motor.inertia": 0.05,
-    "motor.viscous": 0.1,
-    "motor.coulomb": 0.3,
-    "load.first_moment": 0.3,
-    "offset": 0.05,
-}
 
 
 def bench(seed, ripple=0.0, phase=1.0, zero=0.0, joint=AXIS):

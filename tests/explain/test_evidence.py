@@ -6,6 +6,7 @@ from scipy import stats
 
 from bayesfric.explain.evidence import Columns, gain, prepared, score
 from bayesfric.explain.ladder import stacked
+from tests.axis import AXIS, VALUES
 
 N = 60
 SIGMA = 0.3
@@ -108,8 +109,6 @@ def test_weights_prefer_what_predicts_and_share_where_two_are_as_good():
 
 
 def test_the_noise_of_all_models_is_what_every_candidate_leaves(make_observation):
-    from tests.explain.test_explain import AXIS, VALUES
-
     o = make_observation(AXIS, VALUES, sigma=0.05, n=6000, factor=1)
     rng = np.random.default_rng(3)
     base, others = rng.standard_normal((6000, 2)), rng.standard_normal((6000, 3))

@@ -8,19 +8,7 @@ from bayesfric.explain.candidates import Candidate, candidates
 from bayesfric.explain.ladder import climb
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS
-
-AXIS = bf.Joint(
-    [bf.Element("motor", inertia=True, coulomb="symmetric", viscous=True)],
-    load=bf.Load(first_moment=True),
-    offset=True,
-)
-VALUES = {
-    "motor.inertia": 0.05,
-    "motor.viscous": 0.1,
-    "motor.coulomb": 0.3,
-    "load.first_moment": 0.3,
-    "offset": 0.05,
-}
+from tests.axis import AXIS, VALUES
 
 
 def keys(ladder):

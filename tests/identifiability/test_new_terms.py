@@ -5,6 +5,7 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.mechanism.inverse import inverse_torque
+from tests.axis import swing
 
 VALUES = {
     "motor.inertia": 0.05,
@@ -21,12 +22,8 @@ def identified(load, more, amplitude):
         load=bf.Load(first_moment=True, **load),
     )
     time = np.arange(4000) * 0.002
-    q, qd, qdd = np.zeros((3, time.size))
-    for f, a in ((0.4, 0.8), (1.1, 0.4), (2.7, 0.15)):
-        w = 2.0 * np.pi * f
-        q += amplitude * a * np.sin(w * time)
-        qd += amplitude * a * w * np.cos(w * time)
-        qdd -= amplitude * a * w**2 * np.sin(w * time)
+    lines = ((0.4, 0.8), (1.1, 0.4), (2.7, 0.15))
+    q, qd, qdd = swing(time, [(f, amplitude * a) for f, a in lines])
     torque = inverse_torque(joint, joint.vector(VALUES | more), q, qd, qdd, time=time)
     torque += 0.01 * np.random.default_rng(1).standard_normal(time.size)
     return bf.Model(joint, bf.Recording.from_arrays(time, q, torque)).identification()

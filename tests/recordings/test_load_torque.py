@@ -8,6 +8,7 @@ from bayesfric.errors import BadInput
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.inputs import Inputs, Signal
+from tests.axis import swing
 
 KNEE = PRESETS["rabbit-knee"]
 CHAIN = KNEE.chain()
@@ -16,12 +17,7 @@ CHAIN = KNEE.chain()
 def recorded(**more):
     """An exact motion and torque, with noise, of a knee that a second motor loads."""
     time = np.arange(8000) * 0.001
-    q, qd, qdd = np.zeros((3, time.size))
-    for f, a in ((0.4, 0.8), (1.1, 0.3), (2.7, 0.1)):
-        w = 2.0 * np.pi * f
-        q += a * np.sin(w * time)
-        qd += a * w * np.cos(w * time)
-        qdd -= a * w**2 * np.sin(w * time)
+    q, qd, qdd = swing(time, ((0.4, 0.8), (1.1, 0.3), (2.7, 0.1)))
     outside = 6.0 * np.sin(2.0 * np.pi * 0.73 * time + 1.0)
     inputs = Inputs(load_torque=Signal(time, outside))
     torque = inverse_torque(CHAIN, CHAIN.vector(KNEE.values), q, qd, qdd, inputs=inputs, time=time)

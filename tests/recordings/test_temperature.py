@@ -7,6 +7,7 @@ import bayesfric as bf
 from bayesfric.errors import BadInput
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.inputs import Inputs, Signal
+from tests.axis import swing
 
 JOINT = bf.Joint(
     [bf.Element("motor", inertia=True, coulomb="symmetric", viscous=True, temperature="both")],
@@ -25,12 +26,7 @@ VALUES = {
 def recorded(unit="degC", **more):
     """An exact motion and torque, with noise, of a joint that warms from 22 to 40 degC."""
     time = np.arange(8000) * 0.002
-    q, qd, qdd = np.zeros((3, time.size))
-    for f, a in ((0.4, 0.8), (1.1, 0.4), (2.7, 0.15)):
-        w = 2.0 * np.pi * f
-        q += a * np.sin(w * time)
-        qd += a * w * np.cos(w * time)
-        qdd -= a * w**2 * np.sin(w * time)
+    q, qd, qdd = swing(time, ((0.4, 0.8), (1.1, 0.4), (2.7, 0.15)))
     warmth = 22.0 + 18.0 * (1.0 - np.exp(-time / 6.0))
     inputs = Inputs(temperature=Signal(time, warmth))
     torque = inverse_torque(JOINT, JOINT.vector(VALUES), q, qd, qdd, inputs=inputs, time=time)

@@ -7,7 +7,7 @@ import textwrap
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
-from bayesfric.explain.explanation import Explanation, Model
+from bayesfric.explain.explanation import Explanation
 from bayesfric.report.figures import style
 from bayesfric.report.figures.registry import JudgedRun, RunFigure
 from bayesfric.report.figures.style import Look, few_ticks, legend_above, paper_figure
@@ -23,7 +23,7 @@ def ladder_figure(found: Explanation) -> Figure:
     From the model as it is, above, to the last that the recordings ask for; then, with a square,
     those that cannot be told from it. Bars are one standard error over what was left out in turn.
     """
-    names = [textwrap.wrap(model_name(m), _LETTERS) for m in found.models]
+    names = [textwrap.wrap(m.name, _LETTERS) for m in found.models]
     rooms = [_BESIDE + _WORDS * len(lines) for lines in names]
     middles = [-sum(rooms[:k]) - room / 2.0 for k, room in enumerate(rooms)]
     with paper_figure(style.COLUMN, sum(rooms) + _REST) as figure:
@@ -55,21 +55,12 @@ def ladder_figure(found: Explanation) -> Figure:
     return figure
 
 
-def model_name(model: Model) -> str:
-    """Say what a model has more than the one before it."""
-    if not model.terms:
-        return "as it is"
-    term = model.terms[-1]
-    place = f" ({term.owner})" if term.owner else ""
-    return f"{'instead ' if model.rival else '+ '}{term.phrase}{place}"
-
-
 def _words(judged: JudgedRun) -> str:
     found = judged.summary.explanation
     if found is None:
         return ""
     rows = (
-        f"{model_name(m)}: {m.rms:.3g} fitted, {m.held_out:.3g} ± {m.held_out_error:.2g} not fitted"
+        f"{m.name}: {m.rms:.3g} fitted, {m.held_out:.3g} ± {m.held_out_error:.2g} not fitted"
         for m in found.models
     )
     return f"Rms in {found.unit}. {'; '.join(rows)}."

@@ -1,0 +1,29 @@
+"""A motor that swings a load, and motions that are known exactly: what many tests are made of."""
+
+import numpy as np
+
+import bayesfric as bf
+
+AXIS = bf.Joint(
+    [bf.Element("motor", inertia=True, coulomb="symmetric", viscous=True)],
+    load=bf.Load(first_moment=True),
+    offset=True,
+)
+VALUES = {
+    "motor.inertia": 0.05,
+    "motor.viscous": 0.1,
+    "motor.coulomb": 0.3,
+    "load.first_moment": 0.3,
+    "offset": 0.05,
+}
+
+
+def swing(time, lines):
+    """Give position, speed and acceleration of a sum of sines, pairs of Hz and rad."""
+    q, qd, qdd = np.zeros((3, time.size))
+    for f, a in lines:
+        w = 2.0 * np.pi * f
+        q += a * np.sin(w * time)
+        qd += a * w * np.cos(w * time)
+        qdd -= a * w**2 * np.sin(w * time)
+    return q, qd, qdd
