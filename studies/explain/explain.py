@@ -2,7 +2,8 @@
 
 ``python studies/explain/explain.py`` makes recordings as files, of joints with one to three terms
 that the model lacks and of joints that lack none, and asks what is missing. Writes
-``explain.json`` and prints the tables of the README; ``--recordings N`` for less.
+``explain.json`` and prints the tables of the README; ``--recordings N`` for less, ``--other`` for
+other joints that move in another way.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ if __name__ == "__main__":
 import json
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -33,6 +35,8 @@ from bench import Bench, Drive, recorded
 from bayesfric import Element, Joint, Load, Model
 
 SEED = 2027
+# Of joints that nothing was chosen by.
+OTHER_SEED = 4711
 # No term is missing in this share of the joints, beside as many with some.
 NOTHING = 0.5
 
@@ -122,9 +126,10 @@ def joint(terms: tuple[Missing, ...], *, lossy: bool) -> Joint:
     )
 
 
-def one(number: int) -> dict[str, Any]:
-    """Ask of one joint what its model lacks."""
-    rng = np.random.default_rng(np.random.SeedSequence(SEED, spawn_key=(number,)))
+def one(number: int, *, other: bool = False) -> dict[str, Any]:
+    """Ask of one joint what its model lacks; ``other`` joints move in another way."""
+    seed = OTHER_SEED if other else SEED
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
     count = 0 if rng.random() < NOTHING else int(rng.integers(1, 4))
     lossy = bool(rng.random() < 0.5)
     known = LOSSY if lossy else TERMS
@@ -140,8 +145,10 @@ def one(number: int) -> dict[str, Any]:
         | {name: pair for term in picked for name, pair in term.values.items()}
     )
     values = {name: float(rng.uniform(*ranges[name])) for name in true.names}
-    drives = (Drive(3.0, square=float(rng.uniform(0.0, 0.4)), hertz=0.3),)
-    bench = Bench(true, values, drives, duration=20.0, spread=0.0, colour=0.02)
+    drive, duration = Drive(3.0, square=float(rng.uniform(0.0, 0.4)), hertz=0.3), 20.0
+    if other:
+        drive, duration = Drive(2.2, square=0.6, hertz=0.9, lag=0.006), 12.0
+    bench = Bench(true, values, (drive,), duration=duration, spread=0.0, colour=0.02)
     with TemporaryDirectory() as folder:
         _, recordings, stuck = recorded(bench, rng, Path(folder))
         begun = time.perf_counter()
@@ -220,12 +227,14 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--recordings", type=int, default=400)
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--to", type=Path, default=HERE / "explain.json")
+    parser.add_argument("--other", action="store_true", help="other joints, another motion")
+    parser.add_argument("--to", type=Path)
     options = parser.parse_args()
+    to = options.to or HERE / ("other.json" if options.other else "explain.json")
     with ProcessPoolExecutor(options.workers) as pool:
-        found = list(pool.map(one, range(options.recordings)))
+        found = list(pool.map(partial(one, other=options.other), range(options.recordings)))
     result = {"judged": judged(found), "recordings": found}
-    options.to.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    to.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     print(json.dumps(result["judged"], indent=1))
 
 
