@@ -24,6 +24,10 @@ class BadInput(Exception):
         self.mend = _one_line(mend)
         super().__init__(f"{self.where}: {self.what}; {self.mend}")
 
+    def __reduce__(self) -> tuple[type[BadInput], tuple[str, str, str]]:
+        # an exception is made again from its message alone, in another process too
+        return type(self), (self.where, self.what, self.mend)
+
 
 class Unfit(ValueError):
     """An option's value that does not fit, for a model's validator to raise.

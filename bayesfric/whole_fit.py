@@ -20,12 +20,14 @@ from bayesfric.identifiability.plausible import Point
 from bayesfric.identifiability.sentences import plain
 from bayesfric.inference.fitting import Fit, fit
 from bayesfric.inference.likelihood.noise_choice import Choice
+from bayesfric.inference.model_error import model_error
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Progress, Sampling
 from bayesfric.inference.target import Target
 from bayesfric.model import Model, by_method, silent
 from bayesfric.report.summary.doubts import White, find_doubts, put_doubts
+from bayesfric.report.summary.model_error import add_model_error
 from bayesfric.report.summary.noise import add_white_intervals, white_alternative
 from bayesfric.report.summary.record import Identifiability
 from bayesfric.report.summary.self_check import self_check_doubts, self_check_part
@@ -76,6 +78,7 @@ def whole_fit(
         quick = sampling.model_copy(update={"min_ess": min(sampling.min_ess, _WHITE_ESS)})
         compared = _with_white_noise(model, sample, quick, checkpoint("white-noise", quick))
         summary = add_white_intervals(summary, compared[0] if compared else None)
+    summary = add_model_error(summary, found, model_error(found.target, found.posterior))
     late = [] if model.chain.delay else model.delays(begun.estimates)
     turn = model.once_a_turn(begun.estimates)
     doubts = find_doubts(found, summary, begun.choice, compared, late, turn)

@@ -55,6 +55,10 @@ def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:
     found = [Alert("sampler", text, "sampling", first=True) for text in summary.sampler.problems]
     for doubt in summary.doubts:
         found.append(Alert(doubt.kind, doubt_text(doubt.model_dump()), "noise", first=True))
+    error = summary.model_error
+    if error is not None and error.shown:
+        text = sentence("model error", {"found": error.found})
+        found.append(Alert("model error", text, "model-error", first=True))
     if summary.sampler.status != "unusable":  # else there is no posterior to judge the model by
         for kind, values, section in _of_model(summary, contested):
             found.append(Alert(kind, sentence(kind, values), section))
@@ -68,9 +72,11 @@ def _of_model(
     summary: Summary, contested: Sequence[str]
 ) -> Iterator[tuple[str, Mapping[str, Any], str]]:
     """Kind, values and section of what may be wrong with model and noise."""
+    error = summary.model_error
+    allowed = error is not None and error.shown
     for kind, sure in (("lacks", True), ("may lack", False)):
         if lacks := [one for one in summary.fit.lacks if one.sure is sure]:
-            yield kind, {"lacks": lacks}, "prediction"
+            yield kind, {"lacks": lacks, "allowed": allowed}, "prediction"
     test = summary.noise.innovation_whiteness
     if test is not None and not test.white:
         yield "not white", test.model_dump(), "noise"

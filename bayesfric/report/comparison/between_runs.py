@@ -150,7 +150,7 @@ def between_runs(runs: Mapping[str, Summary]) -> list[PooledQuantity]:
             continue
         one = pool(
             [row.mean for row in rows.values()],
-            [row.sd for row in rows.values()],
+            [row.told_sd for row in rows.values()],
             first[name].level,
         )
         found.append(PooledQuantity(name, rows, one))

@@ -88,7 +88,7 @@ def posterior_cell(row: PosteriorRow, accounts: bool, status: str = "reliable") 
     ``accounts`` is whether the noise model accounts for correlated residuals, ``status`` that of
     the sampling; see :func:`has_converged`.
     """
-    low, high = row.interval
+    low, high = row.told_interval
     if not has_converged(row, status):
         return Cell(row.middle, "undetermined", remark=NOT_CONVERGED, converged=False)
     # as in the words of ``bayesfric fit``: the data say how far from the bound it may be
@@ -105,7 +105,7 @@ def posterior_cell(row: PosteriorRow, accounts: bool, status: str = "reliable") 
     return Cell(
         row.middle,
         "determined",
-        sd=row.sd,
+        sd=row.told_sd,
         sd_plain=None if accounts else row.sd,
         accounts=accounts,
         interval=(low, high),

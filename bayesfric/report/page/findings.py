@@ -119,7 +119,7 @@ def _command(joint: Sequence[ParameterRow]) -> str:
         return ""
 
     def known(row: ParameterRow) -> tuple[bool, float]:
-        spread = row.row.sd / abs(row.row.mean) if row.row and row.row.mean else 0.0
+        spread = row.row.told_sd / abs(row.row.mean) if row.row and row.row.mean else 0.0
         return row.by != "open", -spread
 
     # a constant in the measurement is asked for last

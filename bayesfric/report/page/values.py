@@ -54,6 +54,15 @@ def interval_html(row: ParameterRow) -> Markup:
     return Markup(row.shown(HTML)[1])
 
 
+def were_right_html(row: ParameterRow) -> Markup | None:
+    """Write the interval that takes the model for right, where that is not the one shown."""
+    told = row.row
+    if told is None or told.model_error_interval is None or row.cell.status != "determined":
+        return None
+    low, high = told.interval
+    return html_interval(low, high, told.sd) if told.sd else None
+
+
 def white_html(row: ParameterRow) -> Markup | None:
     """Write the interval of white noise, of what is determined."""
     told = row.row

@@ -72,7 +72,7 @@ class ParameterRow:
         """Whether one sd would misname the interval's two sides."""
         if self.row is None or self.row.median is None:
             return False
-        low, high = self.row.interval
+        low, high = self.row.told_interval
         down, up = self.row.median - low, high - self.row.median
         return abs(up - down) > _SKEWED * (up + down)
 
@@ -108,7 +108,7 @@ class ParameterRow:
             return f"{medium.none} ({self.verdict})", medium.none
         if not self.row.sd:
             return medium.number(self.row.middle, 5), medium.none
-        (low, high), sd = self.row.interval, self.row.sd
+        (low, high), sd = self.row.told_interval, self.row.told_sd
         ends = medium.interval(low, high, sd)
         if self.skewed:
             return medium.ends(self.row.middle, low, high, sd), ends
@@ -138,6 +138,7 @@ class ParameterTable:
             "parameter_notes.txt.j2",
             rows=self.rows,
             level=self.level,
+            wide=self.summary.model_error is not None and self.summary.model_error.shown,
             sampler=self.summary.sampler,
             correlated=correlation_warning(self.summary),
             marked=marked,
@@ -193,7 +194,8 @@ def parameters_csv(table: ParameterTable) -> str:
             told |= {"limit": r.cell.limit, "level": (1.0 + r.row.level) / 2.0}
         elif r.by != "open":
             told |= {key: getattr(r.row, key) for key in ("median", "mean", "sd", "level")}
-            told["low"], told["high"] = r.row.interval
+            told["low"], told["high"] = r.row.told_interval
+            told["sd"] = r.row.told_sd
         lines.append(told)
     return str(pd.DataFrame(lines, columns=COLUMNS).to_csv(index=False))
 

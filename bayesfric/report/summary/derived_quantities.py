@@ -89,13 +89,15 @@ def _rows(fit: Fit, local: LocalInformation, group: Group) -> Iterator[tuple[str
     sound = sound_quantities(fit, group.values, len(group.found), group.most)
     for q, prior, gradient, converged in zip(group.found, in_prior, gradients, sound, strict=True):
         told = local.data_sd_of(gradient, gauge_free=q.gauge_free)
+        prior_sd = _robust_sd(prior)
         yield (
             q.name,
             {
                 **described_as(q),
                 **spread(q.values),
                 "converged": bool(converged),
-                "verdict": verdict(_robust_sd(q.values), _robust_sd(prior), told),
+                **({"prior_sd": prior_sd} if np.isfinite(prior_sd) else {}),
+                "verdict": verdict(_robust_sd(q.values), prior_sd, told),
                 "undefined_share": 1.0 - float(np.isfinite(q.values).mean()),
                 "gauge_free": q.gauge_free,
             },

@@ -129,8 +129,10 @@ class Spread(Part):
 class PosteriorRow(Spread, Described):
     """One parameter or derived quantity of a posterior.
 
-    ``doubted`` are the kinds of doubts there are of it, ``white_interval`` what white noise would
-    have given, ``period`` that of an angle. Priors and diagnostics are of parameters only,
+    ``interval`` and ``sd`` hold if the model is right; where the recordings show that it is not,
+    ``model_error_interval`` is what to read, and there is none elsewhere. ``doubted`` are the
+    kinds of doubts there are of it, ``white_interval`` what white noise would have given,
+    ``period`` that of an angle. Priors and diagnostics are of parameters only,
     ``undefined_share`` (of the draws that do not have it) of derived quantities.
     """
 
@@ -155,6 +157,18 @@ class PosteriorRow(Spread, Described):
     doubted: list[str] = Field(default_factory=list)
     white_interval: Pair | None = None
     white_sd: NotNegative | None = None
+    model_error_interval: Pair | None = None
+    model_error_sd: NotNegative | None = None
+
+    @property
+    def told_interval(self) -> list[float]:
+        """The interval to print first: with the model's error where the recordings show any."""
+        return self.model_error_interval or self.interval
+
+    @property
+    def told_sd(self) -> float:
+        """The standard deviation that goes with :attr:`told_interval`."""
+        return self.sd if self.model_error_sd is None else self.model_error_sd
 
     @property
     def beside(self) -> list[str]:
@@ -389,6 +403,28 @@ class SelfCheck(Part):
     cpu_seconds: NotNegative
 
 
+class AxisRow(Part):
+    """One way to sort a motion into groups, and whether one model suits them all."""
+
+    name: str
+    groups: int
+    p_value: FiniteFloat
+    differs: bool
+
+
+class ModelError(Part):
+    """Whether groups of the motion show that the model is not right, and if not asked, why not."""
+
+    shown: bool
+    axes: list[AxisRow] = Field(default_factory=list)
+    reason: Literal["likelihood", "sampling", "few"] | None = None
+
+    @property
+    def found(self) -> list[str]:
+        """Axes along which groups differ by more than noise lets them."""
+        return [axis.name for axis in self.axes if axis.differs]
+
+
 class Sampler(Part):
     """How the posterior was sampled, and whether it can be relied on."""
 
@@ -429,6 +465,7 @@ class Summary(Part):
     warnings: list[str] = Field(default_factory=list)
     sampler: Sampler = Field(default_factory=Sampler)
     self_check: SelfCheck | None = None
+    model_error: ModelError | None = None
     explanation: ReadExplanation | None = None
     doubts: list[Doubt] = Field(default_factory=list)
     may_be_simulated: bool | None = None
@@ -491,6 +528,8 @@ class Summary(Part):
                 low, high = row.interval
                 white_low, white_high = row.white_interval or (None, None)
                 ends = {"low": low, "high": high, "white_low": white_low, "white_high": white_high}
+                wide = row.model_error_interval or (None, None)
+                ends |= {"model_error_low": wide[0], "model_error_high": wide[1]}
                 ends |= self._checked(name)
                 told = dict(row) | ends | {"doubted": ", ".join(row.doubted)}
                 yield {"name": name, "group": group} | told
@@ -518,6 +557,7 @@ _FRAME = ("name", "group", "unit", "symbol", "meaning", "median", "low", "high",
     "doubted", "converged", "mean", "sd", "rhat", "ess", "prior", "prior_sd", "data_sd",
     "contraction", "at_bound", "undefined_share", "prior_sensitivity", "likelihood_sensitivity",
     "diagnosis", "gauge_free", "white_low", "white_high", "white_sd",
+    "model_error_low", "model_error_high", "model_error_sd",
     "bias", "coverage", "corrected", "corrected_low", "corrected_high")  # fmt: skip
 Readable = Summary | Mapping[str, Any]
 

@@ -1,0 +1,217 @@
+"""How much further the numbers may be off because the model is not exactly right.
+
+A posterior takes the model for true; it says how well its best values are known on this motion.
+Where the model is wrong, another motion has other best values. How far they may lie shows within
+one recording: its outputs are sorted into quarters along each axis of the motion (slow to fast,
+unloaded to loaded, one end of the path to the other, ...), and each quarter asked whether the
+common fit suits it. Noise lets quarters differ by a known amount; what they differ by beyond it is
+model error, and carries over to the parameters by the cluster-robust covariance [1]_ with residuals
+adjusted for what each quarter itself contributed to the fit [2]_, so that without model error it is
+the posterior's own. Where quarters of any axis differ by more than chance, its excess over the
+posterior's, summed over all axes, widens the draws, in sampling coordinates, where bounds hold
+[3]_.
+
+Clusters in time cannot do this: the misfit repeats with the motion, and is the same in every period
+of it.
+
+References
+----------
+.. [1] P. J. Huber, "The behavior of maximum likelihood estimates under nonstandard conditions",
+   Proc. 5th Berkeley Symp. 1 (1967) 221-233; K.-Y. Liang, S. L. Zeger, Biometrika 73 (1986) 13-22.
+.. [2] R. M. Bell, D. F. McCaffrey, "Bias reduction in standard errors for linear regression with
+   multi-stage samples", Survey Methodology 28 (2002) 169-181.
+.. [3] B. A. Shaby, "The open-faced sandwich adjustment for MCMC using estimating functions",
+   J. Comput. Graph. Stat. 23 (2014) 853-876.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.posterior import Posterior
+from bayesfric.inference.target import Target
+from bayesfric.recordings.observation import Observation
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Reason = Literal["likelihood", "sampling", "few"]
+
+# Groups along an axis; with more, each sees too little of the motion to be misled by it.
+_GROUPS = 4
+# Fewer recordings are no sample of the recordings there could be.
+_RECORDINGS = 3
+# Chance of differences like these, were the model right, below which they are model error.
+_SELDOM = 0.01
+# Draws that tell where the posterior lies; and step to either side, in its sds.
+_DRAWS, _STEP = 4000, 0.3
+# Outputs a group and a parameter, at least, for a group to say anything.
+_LEAST = 2
+# What of a direction's information one group may hold, at most, before its residuals are not
+# adjusted further; and at least, before it says anything of that direction.
+_ALL, _NOTHING = 0.98, 1e-3
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One way to sort the outputs of all recordings into groups."""
+
+    name: str
+    groups: int
+    p_value: float  # how often the groups differ as much where the model is right
+
+    @property
+    def differs(self) -> bool:
+        """Whether its groups differ by more than noise lets them."""
+        return self.p_value < _SELDOM
+
+
+@dataclass(frozen=True, eq=False)
+class ModelError:
+    """What groups of the motion say of the model; ``reason`` is why they say nothing."""
+
+    axes: tuple[Axis, ...]
+    root: Array  # (d, d) lower root of the covariance added to draws, in sampling coordinates
+    reason: Reason | None = None
+
+    @cached_property
+    def shown(self) -> bool:
+        """Whether the recordings show any."""
+        return any(axis.differs for axis in self.axes)
+
+    def widened(self, target: Target, parameters: Array, rng: np.random.Generator) -> Array:
+        """Move draws of the posterior ``(n, d)`` by as much as the model may be off."""
+        if not self.shown:
+            return parameters
+        u = target.from_parameters(parameters)
+        moved, slope = target.to_parameters(u + rng.standard_normal(u.shape) @ self.root.T)
+        # so far out that it has no counterpart: stays where it was
+        possible = np.isfinite(slope) & np.isfinite(moved).all(axis=1)
+        return np.where(possible[:, None], moved, parameters)
+
+
+def model_error(target: Target, posterior: Posterior) -> ModelError:
+    """Ask groups of the motion whether the fit suits them; nothing is sampled."""
+    d = len(target.names)
+    axes: list[Axis] = []
+    root = np.zeros((d, d))
+    reason: Reason | None = None
+    if not isinstance(target.likelihood, TorqueLikelihood):
+        reason = "likelihood"
+    elif posterior.diagnostics.status == "unusable":
+        reason = "sampling"
+    else:
+        excess, whole = np.zeros((d, d)), _whitened(target, target.likelihood, posterior)
+        for name, groups in _axes(whole.predicted, target.likelihood.observations):
+            found = _spread(whole, groups)
+            if found is None:
+                continue
+            axes.append(Axis(name, int(groups.max()) + 1, found[1]))
+            excess[: len(target.free), : len(target.free)] += found[0]
+        reason = None if axes else "few"
+        if any(axis.differs for axis in axes):
+            values, vectors = np.linalg.eigh(excess)
+            root = vectors * np.sqrt(np.clip(values, 0.0, None))
+    return ModelError(tuple(axes), root, reason)
+
+
+@dataclass(frozen=True, eq=False)
+class _Whitened:
+    """The fit as a linear regression in unit noise and unit posterior."""
+
+    rows: Array  # (n, k) what outputs change by for one posterior sd, in orthogonal directions
+    residual: Array  # (n,) what the best fit leaves
+    rank: int  # directions that the outputs tell anything of
+    predicted: Array  # (n,) outputs there, as measured, N m or N
+    root: Array  # (k, k) from those directions to sampling coordinates
+
+
+def _whitened(target: Target, likelihood: TorqueLikelihood, posterior: Posterior) -> _Whitened:
+    k = len(target.free)
+    u = target.from_parameters(posterior.flat(_DRAWS))
+    u = u[np.isfinite(u).all(axis=1)]
+    centre = u.mean(axis=0)
+    root = np.linalg.cholesky(np.atleast_2d(np.cov(u[:, :k].T)))
+    # central differences over a sizeable step: what a kink does to a draw counts, not its slope
+    steps = np.zeros((2 * k + 1, u.shape[1]))
+    steps[:k, :k], steps[k : 2 * k, :k] = _STEP * root.T, -_STEP * root.T
+    parameters, _ = target.to_parameters(centre + steps)
+    predicted = likelihood.predict(target.chain_values(parameters))
+    scales = target.noise.scales(parameters[-1:, k:])[0]
+    changes = [(p[:k] - p[k : 2 * k]) / (2.0 * _STEP) for p in predicted]
+    left = [o.measured - p[-1] for o, p in zip(likelihood.outputs, predicted, strict=True)]
+    rows = np.concatenate(likelihood.innovations(changes, scales), axis=1).T
+    residual = np.concatenate(likelihood.innovations(left, scales))
+    # a posterior's centre is not quite where outputs fit best, and that is no misfit
+    share, directions = np.linalg.eigh(rows.T @ rows)
+    told = directions[:, share > _NOTHING]
+    residual -= rows @ (told @ ((told.T @ (rows.T @ residual)) / share[share > _NOTHING]))
+    return _Whitened(
+        rows=rows,
+        residual=residual,
+        rank=told.shape[1],
+        predicted=np.concatenate([p[-1] for p in predicted]),
+        root=root,
+    )
+
+
+def _axes(predicted: Array, observations: Sequence[Observation]) -> Iterator[tuple[str, Index]]:
+    """Sort outputs along everything that a motion has, into groups ``(n,)`` of each axis."""
+
+    def seen(name: str) -> Array:
+        return np.concatenate([getattr(o, name)[o.filter.centres] for o in observations])
+
+    velocity, acceleration = seen("qd"), seen("qdd")
+    along = {
+        "position": seen("q"),
+        "velocity": velocity,
+        "speed": np.abs(velocity),
+        "acceleration": acceleration,
+        "speeding up or braking": np.sign(velocity) * acceleration,
+        "torque": predicted,
+        "size of the torque": np.abs(predicted),
+    }
+    for name, values in along.items():
+        ends = np.quantile(values, np.arange(1, _GROUPS) / _GROUPS)
+        yield name, np.unique(np.searchsorted(ends, values), return_inverse=True)[1]
+    if len(observations) >= _RECORDINGS:
+        sizes = [o.measured.size for o in observations]
+        yield "recording", np.repeat(np.arange(len(sizes)), sizes)
+
+
+def _spread(whole: _Whitened, groups: Index) -> tuple[Array, float] | None:
+    """Tell how far groups pull the fit beyond what noise does, and how often chance does that.
+
+    The first is a covariance ``(k, k)`` in sampling coordinates, the second the p-value of the F
+    test that all groups have the same parameters. ``None`` where there are no two groups.
+    """
+    n, k = whole.rows.shape
+    pulls, gained, asked = [], 0.0, 0
+    for group in range(int(groups.max()) + 1):
+        inside = groups == group
+        if inside.sum() < _LEAST * k:
+            continue
+        rows = whole.rows[inside]
+        score = rows.T @ whole.residual[inside]
+        share, directions = np.linalg.eigh(rows.T @ rows)
+        score = directions.T @ score
+        told = share > _NOTHING
+        gained += float(np.sum(score[told] ** 2 / share[told]))
+        asked += int(told.sum())
+        pulls.append(directions @ (score / np.sqrt(np.clip(1.0 - share, 1.0 - _ALL, None))))
+    more = asked - whole.rank
+    if len(pulls) < 2 or more <= 0 or n <= asked:
+        return None
+    left = float(whole.residual @ whole.residual) - gained
+    ratio = (gained / more) / max(left / (n - asked), 1e-300)
+    pulled = np.array(pulls)
+    values, vectors = np.linalg.eigh(pulled.T @ pulled - np.eye(k))
+    root = whole.root @ (vectors * np.sqrt(np.clip(values, 0.0, None)))
+    return root @ root.T, float(stats.f.sf(ratio, more, n - asked))

@@ -1,0 +1,62 @@
+"""What a summary says of the model's own error: wider intervals, where recordings show any."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from bayesfric.inference.fitting import Fit
+from bayesfric.inference.model_error import ModelError
+from bayesfric.report.summary.derived_quantities import groups, spread
+from bayesfric.report.summary.record import ModelError as Told
+from bayesfric.report.summary.record import Summary, of_noise
+
+# Share of the prior's sd from which on data do not determine a number, as in
+# bayesfric.identifiability.local.verdict.
+_WIDE = 0.5
+
+
+def add_model_error(summary: Summary, fit: Fit, error: ModelError) -> Summary:
+    """Put intervals with the model's error into a summary, and judge verdicts by them."""
+    told = Told.model_validate(
+        {
+            "shown": error.shown,
+            "axes": [
+                {
+                    "name": axis.name,
+                    "groups": axis.groups,
+                    "p_value": axis.p_value,
+                    "differs": axis.differs,
+                }
+                for axis in error.axes
+            ],
+            **({} if error.reason is None else {"reason": error.reason}),
+        }
+    )
+    if not error.shown:
+        return summary.model_copy(update={"model_error": told})
+    posterior = fit.posterior
+    rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(12,)))
+    wide = error.widened(fit.target, posterior.flat(), rng)
+    found = {n: wide[:, j] for j, n in enumerate(posterior.names) if not of_noise(n)}
+    for group in groups(fit):
+        if group.found:
+            some = wide[:: -(-len(wide) // group.most)]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                values = group.values(fit.target.chain_values(some))
+            found |= {q.name: x for q, x in zip(group.found, values, strict=True)}
+    changes = {name: _change(summary, name, x) for name, x in found.items()}
+    return summary.with_rows(changes, model_error=told)
+
+
+def _change(summary: Summary, name: str, draws: np.ndarray) -> dict[str, Any]:
+    """Say what changes of a row; nothing of one that the data leave open anyway."""
+    row = summary.rows[name]
+    if row.verdict == "prior" or np.isfinite(draws).sum() < 0.5 * draws.size:
+        return {}
+    wide = spread(draws)
+    change = {"model_error_interval": wide["interval"], "model_error_sd": wide["sd"]}
+    if row.verdict == "data" and row.prior_sd and wide["sd"] > _WIDE * row.prior_sd:
+        change["verdict"] = "weak"
+    return change

@@ -1,0 +1,134 @@
+"""What the model's own error does to intervals: closed forms, and joints known to be otherwise."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import bayesfric as bf
+from bayesfric.inference.model_error import ModelError, _spread, _Whitened, model_error
+from tests.axis import AXIS, VALUES, swing
+
+QUICK = {"min_ess": 400, "ensembles": 2, "walkers": 24}
+LINES = [(0.31, 0.9), (0.73, 0.5), (1.9, 0.15)]
+
+
+def mean_of(samples):
+    """Regression on a constant alone, noise of one, in units of the posterior's sd."""
+    n = samples.size
+    rows = np.full((n, 1), 1.0 / np.sqrt(n))
+    residual = samples - samples.mean()
+    return _Whitened(rows, residual, 1, residual, np.array([[1.0 / np.sqrt(n)]]))
+
+
+def test_groups_of_a_mean_are_the_analysis_of_variance():
+    """The F test of equal means, and the variance of a mean of independent groups."""
+    rng = np.random.default_rng(1)
+    groups = np.repeat(np.arange(4), 50)
+    samples = rng.standard_normal(200) + np.array([1.0, -0.5, 0.3, 2.0])[groups]
+    excess, p_value = _spread(mean_of(samples), groups)
+    parts = np.split(samples, 4)
+    means = np.array([part.mean() for part in parts])
+    assert p_value == pytest.approx(stats.f_oneway(*parts).pvalue)
+    assert excess[0, 0] == pytest.approx(means.var(ddof=1) / 4 - 1.0 / 200)
+
+
+def test_groups_that_differ_as_noise_lets_them_add_nothing_on_average():
+    """Bias-reduced: of equal groups the expected excess is zero before negative ones are cut."""
+    rng = np.random.default_rng(2)
+    groups = np.repeat(np.arange(4), 25)
+    found = [_spread(mean_of(rng.standard_normal(100)), groups) for _ in range(2000)]
+    # a quarter of a chi square of three degrees, less one, cut at zero: times 1/100
+    u = stats.chi2.rvs(3, size=200_000, random_state=3) / 3.0
+    expected = np.clip(u - 1.0, 0.0, None).mean() / 100.0
+    sd = np.clip(u - 1.0, 0.0, None).std() / 100.0 / np.sqrt(2000)
+    assert np.mean([one[0][0, 0] for one in found]) == pytest.approx(expected, abs=4 * sd)
+    p_values = [one[1] for one in found]
+    assert stats.kstest(p_values, "uniform").pvalue > 1e-3
+
+
+def test_one_group_says_nothing():
+    assert _spread(mean_of(np.arange(20.0)), np.zeros(20, dtype=np.int64)) is None
+
+
+def recording(**extra):
+    """Simulate, by the inverse model, a swing of the joint, with terms that ``AXIS`` lacks."""
+    time = np.arange(0.0, 30.0, 0.005)
+    q, qd, qdd = swing(time, LINES)
+    torque = (
+        VALUES["motor.inertia"] * qdd
+        + VALUES["motor.viscous"] * qd
+        + VALUES["motor.coulomb"] * np.sign(qd)
+        + 9.81 * VALUES["load.first_moment"] * np.sin(q)
+        + VALUES["offset"]
+        + extra.get("cubic", 0.0) * qd**3
+    )
+    noise = 0.02 * np.random.default_rng(extra.get("seed", 0)).standard_normal(time.size)
+    return bf.Recording.from_arrays(time, q, torque + noise)
+
+
+def fitted(**extra):
+    model = bf.Model(AXIS, recording(**extra), self_check={"recordings": 0}, sampling=QUICK)
+    return model.fit(seed=1)
+
+
+@pytest.fixture(scope="module")
+def right():
+    return fitted()
+
+
+@pytest.fixture(scope="module")
+def wrong():
+    return fitted(cubic=0.005)
+
+
+def test_a_right_model_keeps_its_intervals(right):
+    assert right.summary.model_error.reason is None
+    assert not right.summary.model_error.shown
+    for row in right.summary.joint.values():
+        assert row.model_error_interval is None
+        assert row.told_interval == row.interval
+
+
+def test_a_wrong_model_gets_wider_ones_and_keeps_its_posterior(wrong):
+    assert wrong.summary.model_error.shown
+    assert "speed" in wrong.summary.model_error.found
+    row = wrong.summary.parameters["motor.viscous"]
+    low, high = row.model_error_interval
+    assert low < row.interval[0] < row.interval[1] < high
+    assert row.told_sd > 3.0 * row.sd
+    draws = wrong.fit.posterior.flat()[:, wrong.fit.posterior.names.index("motor.viscous")]
+    assert row.interval == pytest.approx(np.quantile(draws, [0.05, 0.95]))
+
+
+def test_another_motion_lies_within(wrong):
+    """A cubic loss is another line without its fastest quarter: that is still in the interval."""
+    time = np.arange(0.0, 30.0, 0.005)
+    _, qd, _ = swing(time, LINES)
+    slow = np.abs(qd) < np.quantile(np.abs(qd), 0.75)
+    columns = np.stack([qd[slow], np.sign(qd[slow])], axis=1)
+    cubic = np.linalg.lstsq(columns, 0.005 * qd[slow] ** 3, rcond=None)[0]
+    row = wrong.summary.parameters["motor.viscous"]
+    best = VALUES["motor.viscous"] + cubic[0]
+    assert row.told_interval[0] < best < row.told_interval[1]
+    assert not row.interval[0] < best < row.interval[1]
+
+
+def test_draws_move_by_the_covariance_and_stay_within_bounds(right):
+    target, posterior = right.fit.target, right.fit.posterior
+    draws = posterior.flat()
+    d = len(target.names)
+    root = np.diag(np.where(np.arange(d) == target.names.index("motor.coulomb"), 30.0, 0.0))
+    error = ModelError((bf.inference.model_error.Axis("speed", 4, 0.0),), root)
+    moved = error.widened(target, draws, np.random.default_rng(1))
+    assert np.array_equal(moved, error.widened(target, draws, np.random.default_rng(1)))
+    j = target.names.index("motor.coulomb")
+    assert (moved[:, j] > 0.0).all()
+    assert moved[:, j].std() > 5.0 * draws[:, j].std()
+    others = [k for k in range(d) if k != j]
+    np.testing.assert_allclose(moved[:, others], draws[:, others], rtol=1e-9)
+
+
+def test_without_model_error_draws_are_the_same(right):
+    error = model_error(right.fit.target, right.fit.posterior)
+    draws = right.fit.posterior.flat()
+    assert error.widened(right.fit.target, draws, np.random.default_rng(1)) is draws

@@ -1,0 +1,104 @@
+"""How a run tells that its model is not right: summary, terminal, tables, page, paragraph."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bayesfric.inference.model_error import Axis, ModelError
+from bayesfric.report.alerts import alerts_of
+from bayesfric.report.comparison.cell import posterior_cells
+from bayesfric.report.page.run_page import run_page
+from bayesfric.report.paper.methods_text import methods_text
+from bayesfric.report.paper.tables import summary_texts
+from bayesfric.report.summary.model_error import add_model_error
+from bayesfric.report.summary.record import Summary
+from bayesfric.report.terminal import fit_text
+from tests.inference.test_model_error import fitted
+
+NAME = "motor.viscous"
+
+
+@pytest.fixture(scope="module")
+def wrong():
+    return fitted(cubic=0.005)
+
+
+def test_the_file_holds_both_and_reads_back(wrong):
+    told = json.loads(json.dumps(wrong.summary.as_dict()))
+    row = told["parameters"][NAME]
+    assert row["model_error_interval"] != row["interval"]
+    assert told["model_error"]["shown"] is True
+    assert Summary.read(told).as_dict() == told
+    frame = wrong.summary.frame().set_index("name")
+    assert frame.loc[NAME, "model_error_low"] == row["model_error_interval"][0]
+    assert frame.loc[NAME, "low"] == row["interval"][0]
+
+
+def test_noise_and_what_is_open_keep_their_intervals(wrong):
+    assert wrong.summary.parameters["noise.sigma"].model_error_interval is None
+
+
+def test_derived_quantities_widen_too(wrong):
+    totals = [row for name, row in wrong.summary.derived.items() if name.startswith("total")]
+    assert all(row.model_error_interval for row in totals)
+
+
+def test_the_terminal_says_it_first_and_prints_the_wide_one_first(wrong):
+    lines = list(fit_text(wrong.summary, "run"))
+    row = wrong.summary.parameters[NAME]
+    (line,) = (one for one in lines if one.strip().startswith(NAME))
+    wide = "[{:.5g}, {:.5g}]".format(*row.model_error_interval)
+    plain = "were the model right: [{:.5g}, {:.5g}]".format(*row.interval)
+    assert line.index(wide) < line.index(plain)
+    said = next(k for k, one in enumerate(lines) if "not exactly right" in one)
+    assert said < lines.index(line)
+
+
+def test_comparisons_and_tables_go_by_the_wide_one(wrong):
+    row = wrong.summary.parameters[NAME]
+    cell = posterior_cells(wrong.summary)[NAME]
+    assert cell.interval == tuple(row.model_error_interval)
+    assert cell.sd == row.model_error_sd
+    csv = summary_texts(wrong.summary, "run")["tables/parameters.csv"]
+    (line,) = (one for one in csv.splitlines() if f",{NAME}," in one)
+    assert repr(row.model_error_interval[0]) in line
+    assert repr(row.interval[0]) not in line
+
+
+def test_one_alert_and_no_second_warning_that_intervals_are_too_narrow(wrong):
+    alerts = alerts_of(wrong.summary)
+    (one,) = (a for a in alerts if a.kind == "model error")
+    assert one.first
+    assert "speed" in one.text
+    assert not any("more than their ±" in a.text for a in alerts)
+
+
+def test_the_page_shows_both_and_what_was_asked(wrong, tmp_path):
+    html = run_page(tmp_path, wrong.summary, "run")
+    assert "If the model were right" in html
+    assert 'id="model-error"' in html
+    assert "size of the torque" in html
+
+
+def test_the_paragraph_cites_what_was_done(wrong):
+    said = methods_text(wrong.fit, wrong.summary)
+    assert "shaby2014" in said.keys
+    assert "bell2002" in said.bibtex
+
+
+def test_what_is_as_wide_as_its_prior_is_no_longer_data(wrong):
+    """The verdict is judged on the interval that is shown."""
+    fit = replace(wrong.fit)
+    names = fit.target.names
+    at = names.index("motor.coulomb")
+    plain = wrong.summary.with_rows({"motor.coulomb": {"verdict": "data"}})
+    prior = plain.parameters["motor.coulomb"].prior_sd
+    # as wide as the prior, in the coordinates that are linear far from zero
+    root = np.zeros((len(names), len(names)))
+    u = fit.target.from_parameters(fit.posterior.flat(500))
+    root[at, at] = 3.0 * prior * u[:, at].std() / fit.posterior.flat(500)[:, at].std()
+    found = add_model_error(plain, fit, ModelError((Axis("speed", 4, 0.0),), root))
+    assert found.parameters["motor.coulomb"].verdict == "weak"
+    assert found.parameters["motor.inertia"].verdict == plain.parameters["motor.inertia"].verdict
