@@ -21,8 +21,9 @@ def compare(
     """Compare finished runs, or the methods of a single one.
 
     ``output`` is a folder to make: ``report.html``, ``comparison.csv``, ``.md`` and ``.json``,
-    ``figures/forest.pdf``, ``.svg`` and ``.png``; of several runs ``between-runs.csv`` and, where
-    two hold their draws, ``figures/overlay``. Point estimates are shown of a single run only if
+    ``figures/forest.pdf``, ``.svg`` and ``.png``; of several runs ``between-runs.csv``,
+    ``each-run.csv``, ``figures/population`` and, where two hold their draws, ``figures/overlay``.
+    Point estimates are shown of a single run only if
     ``estimates`` is left out. Of what cannot be compared nothing is written.
     """
     summaries = read_summaries(runs)
@@ -30,9 +31,13 @@ def compare(
         return comparison(summaries, estimates=estimates)
 
     # these bring ArviZ and Matplotlib along, which the table alone does without
-    from bayesfric.report.comparison.between_runs import between_runs, between_runs_csv
+    from bayesfric.report.comparison.between_runs import (
+        between_runs,
+        between_runs_csv,
+        each_run_csv,
+    )
+    from bayesfric.report.comparison.run_draws import read_draws
     from bayesfric.report.figures.registry import ComparedRuns, comparison_figures
-    from bayesfric.report.figures.run_draws import read_draws
     from bayesfric.report.figures.style import save
     from bayesfric.report.page.compare_page import compare_page, shared_recordings
     from bayesfric.report.page.provenance import read_provenance
@@ -42,15 +47,15 @@ def compare(
     found = comparison(summaries, estimates=estimates)
     checked = {name: Summary.read(summary, name) for name, summary in summaries.items()}
     provenance = {name: read_provenance(run) for name, run in zip(summaries, runs, strict=True)}
-    # one recording seen by two runs would count twice
-    pooled = [] if shared_recordings(provenance) else between_runs(checked)
-    order = {row.name: k for k, row in enumerate(found.rows)}
-    pooled.sort(key=lambda one: order[one.name])
     draws = {
         name: read_draws(run, checked[name], _chain)
         for name, run in zip(summaries, runs, strict=True)
         if len(runs) > 1
     }
+    # one recording seen by two runs would count twice
+    pooled = [] if shared_recordings(provenance) else between_runs(checked, draws)
+    order = {row.name: k for k, row in enumerate(found.rows)}
+    pooled.sort(key=lambda one: order[one.name])
     compared = ComparedRuns(found, checked, draws, pooled)
     # what cannot be drawn is told before anything is written
     drawn = {stem: one.draw(compared) for stem, one in comparison_figures().items()}
@@ -63,6 +68,7 @@ def compare(
         }
         if len(checked) > 1:
             texts["between-runs.csv"] = between_runs_csv(pooled)
+            texts["each-run.csv"] = each_run_csv(pooled)
         (beside / "figures").mkdir()
         for stem, figure in drawn.items():
             if figure is not None:

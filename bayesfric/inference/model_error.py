@@ -7,9 +7,9 @@ unloaded to loaded, one end of the path to the other, ...), and each quarter ask
 common fit suits it. Noise lets quarters differ by a known amount; what they differ by beyond it is
 model error, and carries over to the parameters by the cluster-robust covariance [1]_ with residuals
 adjusted for what each quarter itself contributed to the fit [2]_, so that without model error it is
-the posterior's own. Where quarters of any axis differ by more than chance, its excess over the
-posterior's, summed over all axes, widens the draws, in sampling coordinates, where bounds hold
-[3]_.
+the posterior's own. The share of it that noise does not explain, ``1 - 1/F`` of the F test that
+one fit suits all quarters, is model error. Where any axis' quarters differ by more than chance, the
+model error of all axes, summed, widens the draws, in sampling coordinates, where bounds hold [3]_.
 
 Clusters in time cannot do this: the misfit repeats with the motion, and is the same in every period
 of it.
@@ -190,7 +190,8 @@ def _spread(whole: _Whitened, groups: Index) -> tuple[Array, float] | None:
     """Tell how far groups pull the fit beyond what noise does, and how often chance does that.
 
     The first is a covariance ``(k, k)`` in sampling coordinates, the second the p-value of the F
-    test that all groups have the same parameters. ``None`` where there are no two groups.
+    test that all groups have the same parameters: F is one where they do, and one more than model
+    error over noise where they do not. ``None`` where there are no two groups.
     """
     n, k = whole.rows.shape
     pulls, gained, asked = [], 0.0, 0
@@ -211,7 +212,6 @@ def _spread(whole: _Whitened, groups: Index) -> tuple[Array, float] | None:
         return None
     left = float(whole.residual @ whole.residual) - gained
     ratio = (gained / more) / max(left / (n - asked), 1e-300)
-    pulled = np.array(pulls)
-    values, vectors = np.linalg.eigh(pulled.T @ pulled - np.eye(k))
-    root = whole.root @ (vectors * np.sqrt(np.clip(values, 0.0, None)))
-    return root @ root.T, float(stats.f.sf(ratio, more, n - asked))
+    pulled = np.array(pulls) @ whole.root.T
+    beyond = max(1.0 - 1.0 / ratio, 0.0) if ratio > 0.0 else 0.0
+    return beyond * (pulled.T @ pulled), float(stats.f.sf(ratio, more, n - asked))

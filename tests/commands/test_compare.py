@@ -218,17 +218,19 @@ def test_the_page_of_several_runs(runs):
     assert set(TOTALS) <= set(shown)
     assert set(LEG).isdisjoint(shown)
     for name, row in shown.items():
-        mean, ends, _, between, p, said = list(row.all("td"))
-        (value, sd), last = number(mean.text)
-        assert value == pytest.approx(float(pooled[name]["mean"]), abs=0.51 * last)
-        assert sd == pytest.approx(float(pooled[name]["sd"]), abs=0.51 * last)
+        mean, ends, following, _, between, _, p, said = list(row.all("td"))
+        (value, _), last = number(mean.text)
+        assert value == pytest.approx(float(pooled[name]["median"]), abs=0.51 * last)
+        (low, high), last = number(following.text)
+        assert low == pytest.approx(float(pooled[name]["next_low"]), abs=0.51 * last)
+        assert high == pytest.approx(float(pooled[name]["next_high"]), abs=0.51 * last)
         (low, high), last = number(ends.text)
         assert low == pytest.approx(float(pooled[name]["low"]), abs=0.51 * last)
         assert high == pytest.approx(float(pooled[name]["high"]), abs=0.51 * last)
         assert float(between.attrs["data-sort"]) == float(pooled[name]["between_sd"])
         assert float(p.attrs["data-sort"]) == float(pooled[name]["p_value"])
         # the second run is 0.7 sds off: nobody can call that a difference
-        assert said.text == "agree"
+        assert said.text == "2 of 2 agree"
     # what one run leaves open is open in its column, whatever the other says
     for cell in page.all("td", **{"data-status": "undetermined"}):
         assert cell.text.startswith("not determined")

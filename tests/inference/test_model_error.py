@@ -28,20 +28,23 @@ def test_groups_of_a_mean_are_the_analysis_of_variance():
     excess, p_value = _spread(mean_of(samples), groups)
     parts = np.split(samples, 4)
     means = np.array([part.mean() for part in parts])
-    assert p_value == pytest.approx(stats.f_oneway(*parts).pvalue)
-    assert excess[0, 0] == pytest.approx(means.var(ddof=1) / 4 - 1.0 / 200)
+    test = stats.f_oneway(*parts)
+    assert p_value == pytest.approx(test.pvalue)
+    assert excess[0, 0] == pytest.approx((1.0 - 1.0 / test.statistic) * means.var(ddof=1) / 4)
 
 
-def test_groups_that_differ_as_noise_lets_them_add_nothing_on_average():
-    """Bias-reduced: of equal groups the expected excess is zero before negative ones are cut."""
+def test_groups_that_differ_as_noise_lets_them_add_next_to_nothing():
+    """Of equal groups the variance over the posterior's is a chi square's, and F tells it."""
     rng = np.random.default_rng(2)
     groups = np.repeat(np.arange(4), 25)
     found = [_spread(mean_of(rng.standard_normal(100)), groups) for _ in range(2000)]
-    # a quarter of a chi square of three degrees, less one, cut at zero: times 1/100
-    u = stats.chi2.rvs(3, size=200_000, random_state=3) / 3.0
-    expected = np.clip(u - 1.0, 0.0, None).mean() / 100.0
-    sd = np.clip(u - 1.0, 0.0, None).std() / 100.0 / np.sqrt(2000)
-    assert np.mean([one[0][0, 0] for one in found]) == pytest.approx(expected, abs=4 * sd)
+    between = stats.chi2.rvs(3, size=200_000, random_state=3) / 3.0
+    within = stats.chi2.rvs(96, size=200_000, random_state=4) / 96.0
+    expected = between * np.clip(1.0 - within / between, 0.0, None)
+    error = expected.std() / np.sqrt(2000)
+    assert 100.0 * np.mean([one[0][0, 0] for one in found]) == pytest.approx(
+        expected.mean(), abs=4.0 * error
+    )
     p_values = [one[1] for one in found]
     assert stats.kstest(p_values, "uniform").pvalue > 1e-3
 

@@ -15,6 +15,7 @@ from bayesfric.commands.compare import compare
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.comparison.between_runs import between_runs
 from bayesfric.report.comparison.comparison import comparison
+from bayesfric.report.comparison.run_draws import RunDraws, read_draws
 from bayesfric.report.figures import overlay as module
 from bayesfric.report.figures import style
 from bayesfric.report.figures.overlay import (
@@ -24,7 +25,6 @@ from bayesfric.report.figures.overlay import (
     overlay_words,
 )
 from bayesfric.report.figures.registry import ComparedRuns
-from bayesfric.report.figures.run_draws import RunDraws, read_draws
 from bayesfric.report.figures.style import PAGE, run_style, save
 from bayesfric.report.summary.record import Summary
 
@@ -328,6 +328,6 @@ def test_two_runs_and_one_without_draws(written_run, tmp_path, monkeypatch):
     saved = []
     monkeypatch.setattr(style, "save", lambda _, __, stem: saved.append(stem))
     compare([tmp_path / name for name in ("first", "third")], tmp_path / "alone")
-    assert saved == ["forest"]
+    assert saved == ["population", "forest"]
     page = read_page((tmp_path / "alone" / "report.html").read_text(encoding="utf-8"))
     assert "third has no posterior.nc" in page.text

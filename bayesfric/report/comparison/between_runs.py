@@ -1,135 +1,55 @@
-"""What several runs say together: pooled values, and how far they differ beyond intervals."""
+"""What several runs say together: the population, each run in it, and the next recording."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-from scipy import stats
-from scipy.optimize import brentq
-
+from bayesfric.pooling.population import (
+    Interval,
+    Likelihood,
+    Population,
+    likelihood,
+    normal,
+    population,
+)
 from bayesfric.report.comparison.cell import has_converged
 from bayesfric.report.comparison.comparison import on_one_turn
+from bayesfric.report.comparison.run_draws import RunDraws
 from bayesfric.report.summary.record import PosteriorRow, Summary, of_noise
 
-Array = NDArray[np.float64]
-
-# Runs disagree where runs of one truth would differ as much more seldom than this.
-_SELDOM = 0.05
-
-
-@dataclass(frozen=True)
-class Pool:
-    """Several measurements of one quantity, taken together."""
-
-    # of the mean over all runs there could be
-    mean: float
-    sd: float
-    # ends of its interval
-    low: float
-    high: float
-    between_sd: float  # standard deviation of the true values between runs
-    # Cochran's Q of one common truth, and how often chance alone gives as much
-    q: float
-    p_value: float
-
-    @property
-    def agree(self) -> bool:
-        """Whether the measurements differ by no more than their intervals let expect."""
-        return self.p_value >= _SELDOM
+# Fewer runs whose data determine a quantity are no population.
+_LEAST = 2
 
 
 @dataclass(frozen=True)
 class PooledQuantity:
-    """One quantity that the data of every run determine; ``runs`` are the rows pooled."""
+    """One quantity that the data of two runs or more determine; ``runs`` are the rows pooled."""
 
     name: str
     runs: Mapping[str, PosteriorRow]
-    pool: Pool
+    pool: Population
 
     @property
     def told(self) -> PosteriorRow:
         """What the first run says of it: unit, symbol, meaning, level."""
         return next(iter(self.runs.values()))
 
-
-def pool(values: Sequence[float], sds: Sequence[float], level: float) -> Pool:
-    r"""Pool measurements ``y_i ~ N(theta_i, s_i^2)`` of ``theta_i ~ N(mu, tau^2)``.
-
-    ``tau^2`` solves ``sum w_i (y_i - mu)^2 = k - 1`` with ``w_i = 1/(s_i^2 + tau^2)`` and
-    ``mu`` the weighted mean [1]_, [2]_; it is zero where the left side is smaller at
-    zero already. The interval of ``mu`` takes Student's t of ``k - 1`` degrees of
-    freedom [3]_, and never a variance below ``1/sum w_i`` [4]_: with the few runs there
-    usually are a normal one would be far too narrow.
-
-    Parameters
-    ----------
-    values, sds
-        Of each run, ``k >= 2``; sds greater than zero.
-    level
-        Share that the interval shall hold.
-
-    Raises
-    ------
-    ValueError
-        With fewer than two, or a sd that is not positive.
-
-    References
-    ----------
-    .. [1] R. C. Paule, J. Mandel, "Consensus values and weighting factors", J. Res. Natl.
-       Bur. Stand. 87 (1982) 377-385.
-    .. [2] R. DerSimonian, R. Kacker, "Random-effects model for meta-analysis of clinical
-       trials: an update", Contemp. Clin. Trials 28 (2007) 105-114.
-    .. [3] G. Knapp, J. Hartung, "Improved tests for a random effects meta-regression with
-       a single covariate", Stat. Med. 22 (2003) 2693-2710.
-    .. [4] C. Röver, G. Knapp, T. Friede, "Hartung-Knapp-Sidik-Jonkman approach and its
-       modification for random-effects meta-analysis with few studies", BMC Med. Res.
-       Methodol. 15 (2015) 99.
-    """
-    y, s = np.asarray(values, dtype=float), np.asarray(sds, dtype=float)
-    if y.size < 2 or y.shape != s.shape or not np.all(s > 0):
-        raise ValueError("two measurements or more with positive sds")
-    # of order one, so that the search for tau is as sharp for 1e-5 as for 10
-    scale, middle = float(s.min()), float(y.mean())
-    y, s = (y - middle) / scale, s / scale
-    k = y.size
-
-    def excess(tau2: float) -> float:
-        return _spread(y, s, tau2) - (k - 1)
-
-    q = _spread(y, s, 0.0)
-    tau2 = 0.0
-    if q > k - 1:
-        # sum (y - mean)^2/tau^2 bounds the left side from above
-        tau2 = float(brentq(excess, 0.0, float(np.sum((y - y.mean()) ** 2)) + 1.0, xtol=1e-14))
-    weights = 1.0 / (s**2 + tau2)
-    mean = float(np.average(y, weights=weights))
-    sd = 1.0 / math.sqrt(float(weights.sum()))
-    half = float(stats.t.ppf(0.5 + level / 2.0, k - 1)) * sd
-    return Pool(
-        mean=middle + scale * mean,
-        sd=scale * sd,
-        low=middle + scale * (mean - half),
-        high=middle + scale * (mean + half),
-        between_sd=scale * math.sqrt(tau2),
-        q=q,
-        p_value=float(stats.chi2.sf(q, k - 1)),
-    )
+    @property
+    def doubted(self) -> int:
+        """In how many runs it is doubted."""
+        return sum(bool(row.doubted) for row in self.runs.values())
 
 
-def _spread(y: Array, s: Array, tau2: float) -> float:
-    weights = 1.0 / (s**2 + tau2)
-    return float(np.sum(weights * (y - np.average(y, weights=weights)) ** 2))
+def between_runs(
+    runs: Mapping[str, Summary], draws: Mapping[str, RunDraws] | None = None
+) -> list[PooledQuantity]:
+    """Pool every quantity that the data of two runs, on recordings of their own, determine.
 
-
-def between_runs(runs: Mapping[str, Summary]) -> list[PooledQuantity]:
-    """Pool every quantity that the data of every run, on recordings of its own, determine.
-
-    What any run's prior has a say in is left out: pooled, it would count one prior
-    several times. So is a run whose ensembles disagree or stand still: it has no posterior.
+    By the runs' ``draws`` where there are any, else as if posteriors were normal. A run whose prior
+    has a say counts by its draws over those of its prior, and not at all without them: one prior
+    would count several times. Nor does what the data leave open, and a run whose ensembles disagree
+    or stand still: it has no posterior.
     """
     tables = {
         name: run.rows
@@ -138,35 +58,83 @@ def between_runs(runs: Mapping[str, Summary]) -> list[PooledQuantity]:
     }
     if len(tables) < 2:
         return []
-    first = next(iter(tables.values()))
     found = []
-    for name in first:
-        rows = {run: table[name] for run, table in tables.items() if name in table}
-        if of_noise(name) or len(rows) < len(tables):
+    for name in dict.fromkeys(name for table in tables.values() for name in table):
+        rows = {
+            run: table[name]
+            for run, table in tables.items()
+            if name in table
+            and table[name].sd
+            and has_converged(table[name], runs[run].sampler.status)
+        }
+        if of_noise(name) or sum(map(_told, rows.values())) < _LEAST:
             continue
-        if any(row.verdict != "data" or not row.sd for row in rows.values()):
-            continue
-        if not all(has_converged(row, runs[run].sampler.status) for run, row in rows.items()):
-            continue
-        one = pool(
-            [row.mean for row in rows.values()],
-            [row.told_sd for row in rows.values()],
-            first[name].level,
-        )
-        found.append(PooledQuantity(name, rows, one))
+        each = {
+            run: _likelihood(name, row, runs[run].rows[name], (draws or {}).get(run))
+            for run, row in rows.items()
+        }
+        kept = {run: one for run, one in each.items() if one is not None}
+        level = next(iter(rows.values())).level
+        pool = population(list(kept.values()), level)
+        found.append(PooledQuantity(name, {run: rows[run] for run in kept}, pool))
     return found
+
+
+def _told(row: PosteriorRow) -> bool:
+    """Whether the data determine it: also what is doubted, for other reasons than its prior."""
+    return row.verdict == "data" or bool(row.doubted)
+
+
+def _likelihood(
+    name: str, row: PosteriorRow, stored: PosteriorRow, draws: RunDraws | None
+) -> Likelihood | None:
+    """Give a run's likelihood; an angle's draws follow its row to the others' turn."""
+    found = RunDraws() if draws is None else draws
+    known = name in found.values
+    if not _told(row) and (row.verdict == "prior" or not known or name not in found.prior):
+        return None
+    if not known:
+        return normal(row.mean, row.told_sd)
+    by = row.middle - stored.middle
+    prior = found.prior.get(name)
+    return likelihood(found.values[name] + by, row.told_sd, None if prior is None else prior + by)
 
 
 def between_runs_csv(found: Sequence[PooledQuantity]) -> str:
     """Lay pooled values out as CSV text, every number in full."""
     import pandas as pd
 
-    columns = ["name", "unit", "runs", "mean", "sd", "low", "high", "level"]
-    columns += ["between_sd", "q", "p_value", "agree"]
+    columns = ["name", "unit", "runs", "doubted", "level", "median", "low", "high"]
+    columns += [f"between_sd{end}" for end in ("", "_low", "_high")]
+    columns += [f"next{end}" for end in ("", "_low", "_high")]
+    columns += ["q", "p_value", "agree"]
     lines = [
-        {"name": one.name, "unit": one.told.unit, "runs": len(one.runs), "level": one.told.level}
-        | asdict(one.pool)
-        | {"agree": one.pool.agree}
+        {"name": one.name, "unit": one.told.unit, "runs": len(one.runs), "doubted": one.doubted}
+        | {"level": one.told.level}
+        | asdict(one.pool.mean)
+        | _ends("between_sd", one.pool.spread)
+        | _ends("next", one.pool.following)
+        | {"q": one.pool.q, "p_value": one.pool.p_value, "agree": one.pool.agree}
         for one in found
     ]
     return str(pd.DataFrame(lines, columns=columns).to_csv(index=False))
+
+
+def each_run_csv(found: Sequence[PooledQuantity]) -> str:
+    """Lay every run's own value and that in view of the others out as CSV text."""
+    import pandas as pd
+
+    columns = ["name", "unit", "run", "median", "low", "high"]
+    columns += [f"pooled{end}" for end in ("", "_low", "_high")]
+    lines = [
+        {"name": one.name, "unit": one.told.unit, "run": run, "median": row.middle}
+        | dict(zip(("low", "high"), row.told_interval, strict=True))
+        | _ends("pooled", pooled)
+        for one in found
+        for (run, row), pooled in zip(one.runs.items(), one.pool.runs, strict=True)
+    ]
+    return str(pd.DataFrame(lines, columns=columns).to_csv(index=False))
+
+
+def _ends(key: str, interval: Interval) -> dict[str, float]:
+    return {key: interval.median, f"{key}_low": interval.low, f"{key}_high": interval.high}

@@ -124,7 +124,9 @@ def overlay(compared: ComparedRuns) -> Overlay:
     """
     found, runs, draws = compared.found, compared.runs, compared.draws
     labels = {c.run: c.label for c in found.columns if c.kind == "posterior"}
-    agree = {one.name: one.pool.agree for one in compared.pooled}
+    # where a run leaves it open, that is said instead
+    whole = (one for one in compared.pooled if len(one.runs) == len(runs))
+    agree = {one.name: one.pool.agree for one in whole}
     panels, without = [], []
     for row in found.rows:
         if not (row.gauge_free or row.kind == "parameter"):

@@ -19,7 +19,7 @@ from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism.parameter import effort_words
 from bayesfric.report.comparison.between_runs import PooledQuantity
 from bayesfric.report.comparison.comparison import Comparison
-from bayesfric.report.figures.run_draws import RunDraws
+from bayesfric.report.comparison.run_draws import RunDraws
 from bayesfric.report.paper.tables import ParameterTable
 from bayesfric.report.summary.record import Summary
 

@@ -30,6 +30,8 @@ class RunDraws:
     # `(n,)` draws in the quantity's unit, by its name: the sampled parameters and the derived
     # quantities that no scaling of leg parameters and alpha changes
     values: Mapping[str, Array] = field(default_factory=dict)
+    # of the parameters' priors, `(m,)` each
+    prior: Mapping[str, Array] = field(default_factory=dict)
     missing: str = ""  # why there are none, in words that follow the run's name; empty if there are
 
 
@@ -49,6 +51,8 @@ def read_draws(run: Path, summary: Summary, rebuild: Callable[[str], Joint | Non
             group = file["posterior"]
             known = {**summary.derived, **summary.parameters}
             found = {name: _flat(group[name]) for name in known if name in group}
+            before = file.get("prior", {})
+            prior = {name: _flat(before[name]) for name in found if name in before}
             config = str(file.attrs.get("config", ""))
     except (OSError, KeyError, TypeError, ValueError, AttributeError):
         return RunDraws(missing="has a posterior.nc that cannot be read")
@@ -60,7 +64,7 @@ def read_draws(run: Path, summary: Summary, rebuild: Callable[[str], Joint | Non
     for name, x in _derived(rebuild(config), sampled, summary).items():
         found.setdefault(name, x)
     rows = {**summary.derived, **summary.parameters}
-    return RunDraws({name: x for name, x in found.items() if _same(x, rows[name])})
+    return RunDraws({name: x for name, x in found.items() if _same(x, rows[name])}, prior)
 
 
 def _flat(stored: Any) -> Array:

@@ -1,0 +1,216 @@
+r"""The population that runs are drawn from, from what each finished run says by itself.
+
+A quantity differs from run to run, ``theta_r ~ N(mu, tau^2)``. Each run's posterior, divided by
+its prior, is its likelihood; the integral of that over ``theta_r`` is what it says of ``mu`` and
+``tau``. So nothing is sampled again: runs' draws are weighted anew. A run enters as a mixture of
+normals, a smooth histogram of its draws, for which the integral is closed.
+
+``mu`` has a flat prior and ``tau`` the reference prior of the random-effects model [1]_,
+``sqrt(sum tau^2/(s_r^2 + tau^2)^2)``: far above the runs' own sds it is ``1/tau``, and intervals
+are Student's and chi square's; near zero it vanishes, for runs that agree say no more than that
+``tau`` is small. It is proper from two runs on.
+
+References
+----------
+.. [1] O. Bodnar, A. Link, B. Arendacká, A. Possolo, C. Elster, "Bayesian estimation in random
+   effects meta-analysis using a non-informative prior", Stat. Med. 36 (2017) 378-399.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.special import logsumexp
+
+Array = NDArray[np.float64]
+
+# Normals that a run's likelihood is made of, and the width of each in the run's sd.
+_NORMALS, _WIDTH = 32, 0.35
+# Share of the draws beyond the outermost, to either side.
+_FAR = 1e-3
+# How many times likelier by its prior one place in a posterior may count than another.
+_MOST = 100.0
+# Grid of the spread (from a share of the smallest sd to so many times all there is) and of the
+# mean, in its sds given the spread.
+_SPREADS, _NARROWEST, _WIDEST = 120, 0.01, 300.0
+_MEANS, _REACH = 81, 8.0
+_DRAWS = 8000
+# Runs disagree where runs of one truth would differ as much more seldom than this.
+_SELDOM = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Likelihood:
+    """What one run says of a quantity: a mixture of normals."""
+
+    centres: Array  # (k,)
+    weights: Array  # (k,), sum one
+    width: float  # of each normal
+
+    @property
+    def mean(self) -> float:
+        """Of the mixture."""
+        return float(self.weights @ self.centres)
+
+    @property
+    def sd(self) -> float:
+        """Of the mixture."""
+        apart = float(self.weights @ (self.centres - self.mean) ** 2)
+        return float(np.sqrt(apart + self.width**2))
+
+
+def likelihood(draws: Array, sd: float | None = None, prior: Array | None = None) -> Likelihood:
+    """Make a run's likelihood from draws of its posterior ``(n,)``.
+
+    Parameters
+    ----------
+    draws
+        Those that are no numbers are left out.
+    sd
+        The draws are widened about their median to it: room for the model's error.
+    prior
+        Draws of its prior ``(m,)``, by which the posterior is divided; flat if left out.
+
+    Raises
+    ------
+    ValueError
+        If the draws do not differ.
+    """
+    x = draws[np.isfinite(draws)]
+    spread = float(x.std())
+    if not spread > 0.0:
+        raise ValueError("draws that do not differ are no likelihood")
+    middle = float(np.median(x))
+    if sd is not None:
+        x = middle + (x - middle) * (sd / spread)
+        spread = sd
+    counts, edges = np.histogram(x, _NORMALS, range=tuple(np.quantile(x, [_FAR, 1.0 - _FAR])))
+    points, weights = 0.5 * (edges[1:] + edges[:-1]), counts / counts.sum()
+    width = _WIDTH * spread
+    # with the normals' own width the mixture is as wide as the draws
+    mean = float(x.mean())
+    own = weights @ points
+    narrower = np.sqrt((spread**2 - width**2) / (weights @ (points - own) ** 2))
+    points = mean + (points - own) * narrower
+    if prior is not None:
+        more = 1.0 / _density(prior, points)
+        weights = weights * np.clip(more, None, _MOST * more.min())
+        weights /= weights.sum()
+    kept = weights > 0.0
+    return Likelihood(points[kept], weights[kept], width)
+
+
+def normal(mean: float, sd: float) -> Likelihood:
+    """Give the likelihood of a run that is told by a mean and a sd alone."""
+    return Likelihood(np.array([mean]), np.ones(1), sd)
+
+
+def _density(prior: Array, at: Array) -> Array:
+    """Density of a prior's draws at points, by a normal kernel."""
+    x = prior[np.isfinite(prior)]
+    low, high = np.quantile(x, [0.25, 0.75])
+    width = max(0.9 * (high - low) / 1.349 * x.size**-0.2, 1e-300)
+    return np.asarray(np.exp(-0.5 * ((at[:, None] - x) / width) ** 2).mean(axis=1)) + 1e-12
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Median and ends of one number."""
+
+    median: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Population:
+    """What runs say together."""
+
+    mean: Interval  # of the population
+    spread: Interval  # its standard deviation: how much true values differ between runs
+    following: Interval  # the true value in the next recording
+    runs: tuple[Interval, ...]  # each run's true value, with what the others say
+    # Cochran's Q of one common truth, and how often chance alone gives as much
+    q: float
+    p_value: float
+
+    @property
+    def agree(self) -> bool:
+        """Whether runs differ by no more than their intervals let expect."""
+        return self.p_value >= _SELDOM
+
+
+def population(runs: Sequence[Likelihood], level: float = 0.9, seed: int = 0) -> Population:
+    """Give the posterior of a population's mean and spread, each run and the next one.
+
+    ValueError with fewer than two runs.
+    """
+    if len(runs) < 2:
+        raise ValueError("a population takes two runs or more")
+    means, sds = np.array([r.mean for r in runs]), np.array([r.sd for r in runs])
+    # of order one, so that the grid is as fine for 1e-5 as for 10
+    middle, scale = float(np.median(means)), float(sds.min())
+    means, sds = (means - middle) / scale, sds / scale
+    widest = _WIDEST * (float(np.ptp(means)) + float(sds.max()))
+    steps = np.linspace(np.log(_NARROWEST), np.log(widest), _SPREADS)
+    spread = np.exp(steps)
+    variance = sds**2 + spread[:, None] ** 2
+    total = (1.0 / variance).sum(axis=1)
+    centre = (means / variance).sum(axis=1) / total
+    z = np.linspace(-_REACH, _REACH, _MEANS)
+    mean = centre[:, None] + z / np.sqrt(total)[:, None]
+    parts = [((r.centres - middle) / scale, r.weights, r.width / scale) for r in runs]
+    log = sum(_log_likelihood(part, mean, spread[:, None]) for part in parts)
+    # the prior, steps even in log tau, and those of the mean as wide as it
+    log = log + (0.5 * np.log((1.0 / variance**2).sum(axis=1)) + 2.0 * steps)[:, None]
+    log = log - 0.5 * np.log(total)[:, None]
+    chance = np.exp(log - log.max()).ravel()
+    rng = np.random.default_rng(seed)
+    row, column = np.divmod(rng.choice(chance.size, _DRAWS, p=chance / chance.sum()), _MEANS)
+    tau = np.exp(steps[row] + (rng.random(_DRAWS) - 0.5) * (steps[1] - steps[0]))
+    own = z[column] + (rng.random(_DRAWS) - 0.5) * (z[1] - z[0])
+    mu = centre[row] + own / np.sqrt(total[row])
+    following = mu + tau * rng.standard_normal(_DRAWS)
+    weights = 1.0 / sds**2
+    q = float(weights @ (means - weights @ means / weights.sum()) ** 2)
+
+    def interval(x: Array, shift: float = middle) -> Interval:
+        ends = np.quantile(x, [0.5, 0.5 - level / 2.0, 0.5 + level / 2.0])
+        return Interval(*(shift + scale * float(end) for end in ends))
+
+    return Population(
+        mean=interval(mu),
+        spread=interval(tau, 0.0),
+        following=interval(following),
+        runs=tuple(interval(_shrunk(part, mu, tau, rng)) for part in parts),
+        q=q,
+        p_value=float(stats.chi2.sf(q, len(runs) - 1)),
+    )
+
+
+_Part = tuple[Array, Array, float]
+
+
+def _log_likelihood(part: _Part, mean: Array, spread: Array) -> Array:
+    """Integrate a run's likelihood over the population: log density of ``(tau, mu)`` grids."""
+    centres, weights, width = part
+    variance = width**2 + spread**2
+    away = mean[..., None] - centres
+    terms = np.log(weights) - 0.5 * away**2 / variance[..., None]
+    return np.asarray(logsumexp(terms, axis=-1) - 0.5 * np.log(variance))
+
+
+def _shrunk(part: _Part, mean: Array, spread: Array, rng: np.random.Generator) -> Array:
+    """Draw a run's true value given draws of the population ``(n,)``."""
+    centres, weights, width = part
+    variance = width**2 + spread**2
+    terms = np.log(weights) - 0.5 * (mean[:, None] - centres) ** 2 / variance[:, None]
+    # Gumbel's trick picks one of the normals by its weight
+    picked = np.argmax(terms + rng.gumbel(size=terms.shape), axis=1)
+    share = spread**2 / variance
+    middle = mean + share * (centres[picked] - mean)
+    return np.asarray(middle + np.sqrt(share) * width * rng.standard_normal(mean.size))
