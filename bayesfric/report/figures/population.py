@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -13,7 +14,14 @@ from bayesfric.pooling.population import Interval
 from bayesfric.report.comparison.between_runs import PooledQuantity
 from bayesfric.report.figures import style
 from bayesfric.report.figures.registry import ComparedRuns, ComparisonFigure
-from bayesfric.report.figures.style import few_ticks, legend_above, paper_figure, shortened
+from bayesfric.report.figures.style import (
+    axis_label,
+    few_ticks,
+    legend_above,
+    paper_figure,
+    power_of_ten,
+    shortened,
+)
 
 # Panels beside each other and in all; runs by name, beyond which they are numbered.
 _ACROSS, _MOST, _NAMED = 2, 8, 24
@@ -23,67 +31,82 @@ _LINE, _REST, _LETTERS = 0.125, 0.5, 14
 
 def population_figure(compared: ComparedRuns) -> Figure | None:
     """Draw the first pooled quantities, a panel each; ``None`` where nothing is pooled."""
-    shown = compared.pooled[:_MOST]
+    shown = _shown(compared)
     if not shown:
         return None
-    runs = list(shown[0].runs)
+    runs = [name for name in compared.runs if any(name in one.runs for one in shown)]
     rows = math.ceil(len(shown) / _ACROSS)
-    lines = min(len(runs), _NAMED) + 3
-    with paper_figure(style.COLUMN, rows * (_LINE * lines + _REST) + 0.3) as figure:
+    lines = min(len(runs), _NAMED)
+    places = dict(zip(runs, np.linspace(0.0, -float(lines), len(runs)), strict=True))
+    with paper_figure(style.COLUMN, rows * (_LINE * (lines + 3) + _REST) + 0.4) as figure:
         axes = np.atleast_2d(figure.subplots(rows, _ACROSS, squeeze=False, sharey=True))
         first: list[Artist] = []
         for ax, one in zip(axes.ravel(), shown, strict=False):
-            drawn = _panel(ax, one)
+            drawn = _panel(ax, one, places, lines)
             first = first or drawn
         for ax in axes.ravel()[len(shown) :]:
             ax.set_visible(False)
         for ax in axes[:, 0]:
-            places = np.linspace(0.0, -float(lines - 3), len(runs))
             names = (
-                [shortened(run, _LETTERS) for run in runs]
+                [shortened(run, _LETTERS, keep_end=True) for run in runs]
                 if len(runs) <= _NAMED
                 else [""] * len(runs)
             )
-            ends = [-(lines - 3) - 1.6, -(lines - 3) - 2.6]
-            ax.set_yticks([*places, *ends], [*names, "population", "next"])
+            ends = [-lines - 1.6, -lines - 2.6]
+            ax.set_yticks([*places.values(), *ends], [*names, "population", "next"])
             ax.tick_params(axis="y", length=0.0)
-        legend_above(figure, first)
+        legend_above(figure, first, 2)
     return figure
 
 
-def _panel(ax: Axes, one: PooledQuantity) -> list[Artist]:
+def _shown(compared: ComparedRuns) -> list[PooledQuantity]:
+    """Pick parameters and what no scaling changes; totals say the same in other words."""
+    told = [one for one in compared.pooled if not one.name.startswith("total")]
+    return (told or list(compared.pooled))[:_MOST]
+
+
+def _panel(ax: Axes, one: PooledQuantity, places: Mapping[str, float], lines: int) -> list[Artist]:
     """Draw one quantity; gives what the legend names."""
-    lines = min(len(one.runs), _NAMED)
-    places = np.linspace(0.0, -float(lines), len(one.runs))
     bars: list[Artist] = []
-    for y, row, pooled in zip(places, one.runs.values(), one.pool.runs, strict=True):
+    ends = [end for row in one.runs.values() for end in row.told_interval]
+    exponent = power_of_ten(min(ends), max(ends))
+    factor = 10.0**exponent
+    for (name, row), pooled in zip(one.runs.items(), one.pool.runs, strict=True):
+        y = places[name]
         low, high = row.told_interval
-        (own,) = ax.plot([low, high], [y, y], color="#9a9a9a", lw=2.2, label="by itself")
-        seen = _interval(ax, pooled, y, style.PALETTE[1], "o", "with the others")
+        (own,) = ax.plot(
+            [low / factor, high / factor], [y, y], color="#9a9a9a", lw=2.2, label="by itself"
+        )
+        seen = _interval(ax, pooled, factor, y, style.PALETTE[1], "o", "with the others")
         bars = bars or [own, seen]
-    last = _interval(ax, one.pool.mean, -lines - 1.6, style.PALETTE[2], "D", "population mean")
+    last = _interval(
+        ax, one.pool.mean, factor, -lines - 1.6, style.PALETTE[2], "D", "population mean"
+    )
     following = _interval(
-        ax, one.pool.following, -lines - 2.6, style.MEASURED, "s", "next recording"
+        ax, one.pool.following, factor, -lines - 2.6, style.MEASURED, "s", "next recording"
     )
     ax.axhline(-lines - 0.8, color="#c8c8c8", lw=0.6)
     ax.set_ylim(-lines - 3.3, 0.8)
-    few_ticks(ax.xaxis, 4)
-    unit = f" ({one.told.unit})" if one.told.unit else ""
-    ax.set_xlabel(f"{one.name}{unit}")
+    few_ticks(ax.xaxis, 3)
+    ax.set_xlabel(axis_label(one.told.symbol, one.name, exponent, one.told.unit))
     return [*bars, last, following]
 
 
-def _interval(ax: Axes, told: Interval, y: float, colour: str, marker: str, label: str) -> Artist:
+def _interval(
+    ax: Axes, told: Interval, factor: float, y: float, colour: str, marker: str, label: str
+) -> Artist:
+    below, above = (told.median - told.low) / factor, (told.high - told.median) / factor
     bar = ax.errorbar(
-        told.median, y, xerr=[[told.median - told.low], [told.high - told.median]], color=colour,
-        marker=marker, markersize=2.6, elinewidth=0.8, linestyle="none", label=label,
+        told.median / factor, y, xerr=[[below], [above]], color=colour, marker=marker,
+        markersize=2.6, elinewidth=0.8, linestyle="none",
     )  # fmt: skip
+    bar.lines[0].set_label(label)
     return bar.lines[0]
 
 
 def _words(compared: ComparedRuns) -> str:
     said = []
-    for one in compared.pooled[:_MOST]:
+    for one in _shown(compared):
         unit = f" {one.told.unit}" if one.told.unit else ""
         told = {"mean": one.pool.mean, "next recording": one.pool.following}
         each = ", ".join(
