@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,6 +16,7 @@ from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.linearisation import linearisation_change
+from bayesfric.inference.model_error import ModelError
 from bayesfric.inference.noise import SCALES
 from bayesfric.inference.noise.residual_noise import ResidualNoise
 from bayesfric.inference.noise.scale import NoiseScale, noise_of
@@ -53,6 +54,18 @@ class Fit:
     # What linearisation_change said before sampling; far below 1 it does not matter. None where
     # nothing is linearised.
     linearisation: float | None = None
+    model_error: ModelError | None = None  # what groups of the motion say of the model
+
+    @cached_property
+    def wide(self) -> Fit:
+        """The same with room for the model's error in its draws, where recordings show any."""
+        if self.model_error is None or not self.model_error.shown:
+            return self
+        posterior = self.posterior
+        rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(12,)))
+        draws = posterior.draws.reshape(-1, posterior.draws.shape[-1])
+        moved = self.model_error.widened(self.target, draws, rng).reshape(posterior.draws.shape)
+        return replace(self, posterior=replace(posterior, draws=moved), model_error=None)
 
     @property
     def chain(self) -> Joint:

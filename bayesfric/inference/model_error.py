@@ -177,6 +177,7 @@ def _axes(predicted: Array, observations: Sequence[Observation]) -> Iterator[tup
         "speeding up or braking": np.sign(velocity) * acceleration,
         "torque": predicted,
         "size of the torque": np.abs(predicted),
+        "power": velocity * predicted,
     }
     for name, values in along.items():
         ends = np.quantile(values, np.arange(1, _GROUPS) / _GROUPS)

@@ -36,6 +36,7 @@ from bayesfric.recordings.resolution import (
     lowpass_above,
     resolve,
 )
+from bayesfric.recordings.rest import Rest, at_rest, rests
 
 _DEAD_SHARE = 0.01
 _TRIM_SAMPLES = 10
@@ -78,6 +79,8 @@ class Observation:
     settings: dict[str, float | int | str]  # every number actually used, in SI units
     # smallest difference of positions as read, rad or m of the joint; 0 where it is not known
     position_step: float = 0.0
+    # what samples at rest say, where they are asked and the position tells rest
+    rest: Rest | None = None
 
 
 @dataclass(frozen=True)
@@ -163,6 +166,17 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         **made.dropped,
     }
     borders = np.array([a for a, _ in segments], dtype=np.int64)
+    passed = as_position(recording.torque, segments, period, settings)
+    resting = None
+    if processing.rest:
+        still = (recording.position, passed, recording.time, chosen.taps, made.parts)
+        resting = rests(*still, numbers.factor, made.still, numbers.guard)
+        settings["rest_outputs"] = 0 if resting is None else resting.q.size
+        if resting is None:
+            warnings.append(
+                "rest: the position is never read the same for long enough to tell rest; "
+                "samples at rest say nothing"
+            )
     return Observation(
         name=recording.name,
         q=q,
@@ -171,7 +185,7 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         torque=recording.torque,
         filter=chosen,
         time=recording.time[chosen.centres],
-        measured=chosen.apply(as_position(recording.torque, segments, period, settings)),
+        measured=chosen.apply(passed),
         speed=qd[chosen.centres],
         period=numbers.factor * period,
         segment_of=np.searchsorted(borders, chosen.starts, side="right").astype(np.int64) - 1,
@@ -186,6 +200,7 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         warnings=tuple(warnings),
         settings=settings,
         position_step=finest_step(recording.position),
+        rest=resting,
     )
 
 
@@ -229,6 +244,8 @@ class _Prepared:
     dead_zone: float
     filter: ParallelFilter
     dropped: dict[str, int]
+    still: Flags  # (N,) at rest, where that is asked for
+    parts: Segments  # of the recording, without its ends and what is excluded
 
 
 def _laid(recording: Measurement, processing: Processing) -> tuple[_Numbers, _Prepared]:
@@ -308,11 +325,16 @@ def _prepared(
         speeds = np.abs(qd[inside])
         dead_zone = _DEAD_SHARE * float(np.percentile(speeds, 99)) if speeds.size else 0.0
     moving = moving_samples(qd, segments, dead_zone, numbers.guard)
+    still = np.zeros(len(q), dtype=np.bool_)
+    if processing.rest:
+        still = at_rest(recording.position, segments, 2 * numbers.guard)
+        moving &= ~_near(still, numbers.guard)
     if share > SMALL_SHARE and numbers.cutoff:
         # the low-pass smears the jolt of a reversal over a period on either side
         moving &= ~_near(~moving, round(numbers.fs / numbers.cutoff))
     chosen, dropped = _windows(recording, numbers, kept, moving, share)
-    return _Prepared(q, qd, inside & moving, float(dead_zone), chosen, dropped)
+    parts = without_excluded(kept, _near(recording.excluded, trim))
+    return _Prepared(q, qd, inside & moving, float(dead_zone), chosen, dropped, still, parts)
 
 
 def _windows(
@@ -484,4 +506,5 @@ def _told(
     yield (
         f"dead zone: below {settings['dead_zone']:.3g} (joint speed), "
         f"{settings['dropped_dead_zone']} outputs left out; {settings['n_outputs']} remain"
+        + (f"; {settings['rest_outputs']} at rest" if settings.get("rest_outputs") else "")
     )

@@ -46,6 +46,12 @@ class Processing(Options):
         description="Joint speed below which a sample is not used, in SI units or text such as "
         "'1 deg/s'; 1 % of the 99th percentile of the speed if left out; 0 for none.",
     )
+    rest: bool = Field(
+        False,
+        description="true: samples at rest, where the position as read does not change, say that "
+        "the torque lies within static friction to either side; false: they are left out as all "
+        "below the dead zone.",
+    )
     trim: Seconds | None = Field(
         None,
         description="Cut from both ends of every segment after differentiation, in seconds; the "

@@ -36,7 +36,7 @@ _LEAST = 10
 # Share of the recordings that must have come to a fit.
 _ENOUGH = 0.5
 
-Reason = Literal["likelihood", "sampling", "still", "simulation"]
+Reason = Literal["likelihood", "rest", "sampling", "still", "simulation"]
 
 
 class SelfCheckOptions(Options):
@@ -69,7 +69,8 @@ class SelfCheckOptions(Options):
 class Checked:
     """What came of it: truths, and where fits went from them.
 
-    Where it could not be made, ``reason`` is why: the ``likelihood`` is not of the torque, the
+    Where it could not be made, ``reason`` is why: the ``likelihood`` is not of the torque, samples
+    at ``rest`` say what a quick fit cannot use, the
     ``sampling`` failed, most simulated joints stood ``still``, or the ``simulation`` is
     impossible, for which ``said`` has the words.
     """
@@ -103,6 +104,8 @@ def self_check(
     said = ""
     if not isinstance(target.likelihood, TorqueLikelihood):
         reason = "likelihood"
+    elif any(o.rest is not None for o in observations):
+        reason = "rest"
     elif posterior.diagnostics.status == "unusable":
         reason = "sampling"
     else:

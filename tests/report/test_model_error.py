@@ -82,6 +82,14 @@ def test_the_page_shows_both_and_what_was_asked(wrong, tmp_path):
     assert "size of the torque" in html
 
 
+def test_figures_of_friction_draw_the_wide_one(wrong):
+    j = wrong.fit.posterior.names.index(NAME)
+    drawn = wrong.fit.wide.posterior.draws[..., j]
+    assert drawn.shape == wrong.fit.posterior.draws[..., j].shape
+    low, high = wrong.summary.parameters[NAME].model_error_interval
+    assert np.quantile(drawn, [0.05, 0.95]) == pytest.approx([low, high])
+
+
 def test_the_paragraph_cites_what_was_done(wrong):
     said = methods_text(wrong.fit, wrong.summary)
     assert "shaby2014" in said.keys
@@ -99,6 +107,7 @@ def test_what_is_as_wide_as_its_prior_is_no_longer_data(wrong):
     root = np.zeros((len(names), len(names)))
     u = fit.target.from_parameters(fit.posterior.flat(500))
     root[at, at] = 3.0 * prior * u[:, at].std() / fit.posterior.flat(500)[:, at].std()
-    found = add_model_error(plain, fit, ModelError((Axis("speed", 4, 0.0),), root))
+    fit = replace(fit, model_error=ModelError((Axis("speed", 4, 0.0),), root))
+    found = add_model_error(plain, fit)
     assert found.parameters["motor.coulomb"].verdict == "weak"
     assert found.parameters["motor.inertia"].verdict == plain.parameters["motor.inertia"].verdict

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.inference.likelihood.likelihood import Likelihood, Outputs
+from bayesfric.inference.likelihood.static_friction import StaticFriction
 from bayesfric.inference.moments.fast_moments import FastMoments, fast_moments
 from bayesfric.inference.moments.residual_moments import PlainMoments, ResidualMoments, follows
 from bayesfric.inference.noise.autoregressive import Autoregressive
@@ -45,6 +46,10 @@ class TorqueLikelihood(Likelihood):
         self.sizes = np.array([o.measured.size for o in self.observations])
         self.noise: ResidualNoise = Autoregressive() if noise is None else noise
         self._plain = PlainMoments(chain, self.observations, self.noise.order)
+        self._static = [
+            None if o.rest is None else StaticFriction(chain, o.rest, o.inputs)
+            for o in self.observations
+        ]
         # sample by sample; see :meth:`prepared`
         self.moments: ResidualMoments = self._plain
 
@@ -87,8 +92,12 @@ class TorqueLikelihood(Likelihood):
         return self.moments.at(values).sum_of_squares
 
     def log_density(self, values: Array, scales: Array) -> Array:
-        """See :class:`Likelihood`."""
-        return self.noise.log_density_of(self._plain, self.moments, values, scales)
+        """See :class:`Likelihood`; what rests say is a factor of its own."""
+        found = self.noise.log_density_of(self._plain, self.moments, values, scales)
+        for r, static in enumerate(self._static):
+            if static is not None:
+                found = found + static.log_terms(values, self.noise.marginal(scales[:, r])).sum(1)
+        return found
 
     def pointwise(self, values: Array, scales: Array) -> list[Array]:
         """See :class:`Likelihood`."""
@@ -107,8 +116,17 @@ class TorqueLikelihood(Likelihood):
         return [filtered_torque(self.chain, o, values) for o in self.observations]
 
     def standardised(self, values: Array, scales: Array) -> list[Array]:
-        """See :class:`Likelihood`."""
-        return self.innovations(self.predict(values), scales)
+        """See :class:`Likelihood`.
+
+        Of a rest its log density stands in: its derivatives, squared, are what it informs.
+        """
+        found = self.innovations(self.predict(values), scales)
+        for r, static in enumerate(self._static):
+            if static is not None:
+                marginal = self.noise.marginal(np.tile(scales[r], (len(values), 1)))
+                terms = static.log_terms(values, marginal)
+                found[r] = np.concatenate([found[r], terms], axis=1)
+        return found
 
     def innovations(self, residuals: Sequence[Array], scales: Array) -> list[Array]:
         """Take from residuals ``(M,)`` what the noise's memory foretells, over their sds.

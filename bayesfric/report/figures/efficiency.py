@@ -172,7 +172,7 @@ FIGURE = RunFigure(
     stem="efficiency",
     title="Efficiency against load",
     section="efficiency",
-    draw=lambda run: efficiency_figure(run.fit, run.summary.references),
+    draw=lambda run: efficiency_figure(run.fit.wide, run.summary.references),
     caption=(
         f"Efficiency of eq. (4) over the load at the joint: posterior median and "
         f"{100 * LEVEL:.0f} % band, constant losses in and behind the element counted, viscous "

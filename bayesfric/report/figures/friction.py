@@ -302,7 +302,7 @@ FIGURE = RunFigure(
     stem="friction",
     title="Friction of the joint",
     section="friction",
-    draw=lambda run: friction_figure(run.fit),
-    caption=lambda run: friction_caption(run.fit),
+    draw=lambda run: friction_figure(run.fit.wide),
+    caption=lambda run: friction_caption(run.fit.wide),
     alternative=_words,
 )

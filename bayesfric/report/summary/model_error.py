@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.model_error import ModelError
 from bayesfric.report.summary.derived_quantities import groups, spread
 from bayesfric.report.summary.record import ModelError as Told
 from bayesfric.report.summary.record import Summary, of_noise
@@ -17,29 +17,18 @@ from bayesfric.report.summary.record import Summary, of_noise
 _WIDE = 0.5
 
 
-def add_model_error(summary: Summary, fit: Fit, error: ModelError) -> Summary:
+def add_model_error(summary: Summary, fit: Fit) -> Summary:
     """Put intervals with the model's error into a summary, and judge verdicts by them."""
-    told = Told.model_validate(
-        {
-            "shown": error.shown,
-            "axes": [
-                {
-                    "name": axis.name,
-                    "groups": axis.groups,
-                    "p_value": axis.p_value,
-                    "differs": axis.differs,
-                }
-                for axis in error.axes
-            ],
-            **({} if error.reason is None else {"reason": error.reason}),
-        }
-    )
+    error = fit.model_error
+    if error is None:
+        return summary
+    axes = [asdict(axis) | {"differs": axis.differs} for axis in error.axes]
+    reason = {} if error.reason is None else {"reason": error.reason}
+    told = Told.model_validate({"shown": error.shown, "axes": axes, **reason})
     if not error.shown:
         return summary.model_copy(update={"model_error": told})
-    posterior = fit.posterior
-    rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(12,)))
-    wide = error.widened(fit.target, posterior.flat(), rng)
-    found = {n: wide[:, j] for j, n in enumerate(posterior.names) if not of_noise(n)}
+    wide = fit.wide.posterior.flat()
+    found = {n: wide[:, j] for j, n in enumerate(fit.posterior.names) if not of_noise(n)}
     for group in groups(fit):
         if group.found:
             some = wide[:: -(-len(wide) // group.most)]

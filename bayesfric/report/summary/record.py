@@ -395,7 +395,7 @@ class SelfCheck(Part):
 
     asked: int
     made: int
-    reason: Literal["likelihood", "sampling", "still", "simulation"] | None = None
+    reason: Literal["likelihood", "rest", "sampling", "still", "simulation"] | None = None
     said: str = ""
     rows: dict[Name, SelfCheckRow] = Field(default_factory=dict)
     unexplained: NotNegative | None = None

@@ -1,0 +1,217 @@
+"""Do intervals hold for the next recording? MEASURED: recordings of one joint in different motions.
+
+``python studies/replication/replication.py`` fits each recording of ``../shared/data`` by itself
+(those of the XL330 by fours: of one position gain, or of one trajectory), and compares every two of
+one joint: the difference of each number that the data of both determine, over the root of the
+summed squares of its two standard deviations, which should scatter by one. Writes
+``replication.json``.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from concurrent.futures import ProcessPoolExecutor
+
+if __name__ == "__main__":
+    for variable in ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
+
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+HERE = Path(__file__).resolve().parent
+STUDIES = HERE.parent
+DATA = STUDIES.parents[1] / "shared" / "data"
+
+# Half of the 90 % interval of a standard normal.
+_NINETY = 1.645
+PENDULUM = """\
+[mechanism]
+preset = "servo-pendulum"
+
+[[recordings]]
+file = "../../../shared/data/dfki-pendulum/{name}.csv"
+time = {{ column = "time", unit = "s" }}
+position = {{ column = "position", unit = "rad" }}
+torque = {{ column = "torque", unit = "N m" }}
+{part}
+[sampling]
+seed = 500
+"""
+# What looks free of somebody's hand; ilqr's is too short for a fit.
+PENDULUM_PARTS = {
+    "ddp": "",
+    "dircol": "",
+    "es500": 'stop = "7.4 s"',
+    "sac": 'stop = "10 s"',
+}
+# The wide motion of the UR10e and its middle, of other periods; and both halves of its reach.
+MIDDLE, SPLIT = (-2.8, -1.7), -2.27
+
+
+def cases() -> dict[str, dict[str, tuple[Path, str]]]:
+    """Name every joint's recordings, each with the file it stands for and its configuration."""
+    found: dict[str, dict[str, tuple[Path, str]]] = {}
+    for name, file in (("EMPS", "white"), ("EMPS, viscous by direction", "asymmetric")):
+        text = _bare(STUDIES / "emps" / f"emps-{file}.toml").replace('stribeck = "either"\n', "")
+        found[name] = {
+            run: (STUDIES / "emps", text.replace("DATA_EMPS.mat", f"{run}.mat"))
+            for run in ("DATA_EMPS", "DATA_EMPS_PULSES")
+        }
+    arm = _bare(STUDIES / "ur10e" / "ur10e-joint2.toml")
+    for name, spans in _arm_parts().items():
+        found[name] = {
+            run: (STUDIES / "ur10e", arm.replace('stop = "60 s"\n', f'stop = "60 s"\n{words}\n'))
+            for run, words in spans.items()
+        }
+    found["pendulum, controllers"] = {
+        run: (STUDIES / "dfki-pendulum", PENDULUM.format(name=run, part=part))
+        for run, part in PENDULUM_PARTS.items()
+    }
+    servo = _bare(STUDIES / "xl330" / "xl330.toml")
+    files = sorted((DATA / "xl330-pendulum").glob("*.json"))
+    head, one, tail = re.match(
+        r"(.*?)(\[\[recordings\]\].*?)(\[processing\].*)", servo, re.DOTALL
+    ).groups()
+
+    def fitted_together(some: list[Path]) -> tuple[Path, str]:
+        runs = "".join(one.replace("*.json", file.name) for file in some)
+        return STUDIES / "xl330", head + runs + tail
+
+    # they were recorded gain by gain, the four trajectories in turn
+    found["XL330, gains"] = {
+        str(k): fitted_together(files[4 * k : 4 * k + 4]) for k in range(len(files) // 4)
+    }
+    found["XL330, trajectories"] = {str(k): fitted_together(files[k::4]) for k in range(4)}
+    return found
+
+
+def _bare(path: Path) -> str:
+    """Read a configuration without the noise it chose and what it compares with."""
+    text = path.read_text(encoding="utf-8")
+    return re.sub(r"\[(noise|references)\].*?(?=\n\[|\Z)", "", text, flags=re.DOTALL)
+
+
+def _arm_parts() -> dict[str, dict[str, str]]:
+    table = np.genfromtxt(DATA / "ur10e-joint2" / "joint_2.csv", delimiter=",")
+    time, position = table[:, 0] - table[0, 0], table[:, 2]
+
+    def without(flags: np.ndarray) -> str:
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
+        spans = [[float(time[a]), float(time[b - 1])] for a, b in edges.reshape(-1, 2)]
+        return f"exclude = {json.dumps(spans)}"
+
+    off = (position < MIDDLE[0]) | (position > MIDDLE[1])
+    return {
+        "UR10e, halves of its reach": {
+            "low": without(position > SPLIT),
+            "high": without(position <= SPLIT),
+        },
+        "UR10e, wide and narrow": {
+            "wide": without(time > 34.0),
+            "narrow": without((time <= 34.0) | off),
+        },
+    }
+
+
+def one(task: tuple[str, str, Path, str]) -> dict[str, Any]:
+    """Fit one recording; gives each number with its sds."""
+    from bayesfric import Model
+    from bayesfric.config import parse_config
+
+    case, run, folder, text = task
+    text += "\n[self_check]\nrecordings = 0\n"
+    summary = Model.from_config(parse_config(text, folder / "replication.toml")).fit().summary
+    estimates = summary.estimates["input-error"].parameters
+    rows = {}
+    for name, row in summary.joint.items():
+        robust = estimates[name].sd_robust if name in estimates else None
+        rows[name] = {
+            "value": row.mean,
+            "white": row.sd if row.white_sd is None else row.white_sd,
+            "auto": row.sd,
+            "HAC": max(row.sd, robust) if robust is not None else row.sd,
+            "told": row.told_sd,
+            # whether its data determine it, by each of its sds, doubted or not
+            "determined": row.verdict == "data" or bool(row.doubted),
+            "doubted": bool(row.doubted),
+            "prior": row.prior_sd,
+        }
+    error = summary.model_error
+    return {
+        "case": case,
+        "run": run,
+        "noise": summary.noise.model,
+        "model_error": error.found if error else [],
+        "rows": rows,
+    }
+
+
+def differences(runs: list[dict[str, Any]], kind: str, *, doubted: bool) -> list[float]:
+    """Standardise the difference of every number of every two runs."""
+    found = []
+    for a, b in combinations(runs, 2):
+        for name in a["rows"].keys() & b["rows"].keys():
+            rows = a["rows"][name], b["rows"][name]
+            if all(_told(row, kind) and (doubted or not row["doubted"]) for row in rows):
+                apart = rows[0]["value"] - rows[1]["value"]
+                found.append(float(apart / np.hypot(rows[0][kind], rows[1][kind])))
+    return found
+
+
+def _told(row: dict[str, Any], kind: str) -> bool:
+    wide = row["prior"] is not None and row[kind] > 0.5 * row["prior"]
+    return row["determined"] and not wide
+
+
+def judged(z: list[float]) -> dict[str, float]:
+    """Scatter of standardised differences, and how many of them a 90 % interval holds."""
+    x = np.array(z)
+    return {
+        "n": x.size,
+        "rms": float(np.sqrt(np.mean(x**2))) if x.size else float("nan"),
+        "held": float(np.mean(np.abs(x) < _NINETY)) if x.size else float("nan"),
+    }
+
+
+def main() -> None:
+    tasks = [
+        (case, run, folder, text)
+        for case, runs in cases().items()
+        for run, (folder, text) in runs.items()
+    ]
+    with ProcessPoolExecutor(2) as pool:
+        fits = list(pool.map(one, tasks))
+    result: dict[str, Any] = {"fits": fits, "cases": {}}
+    every: dict[tuple[str, bool], list[float]] = {}
+    for case in dict.fromkeys(fit["case"] for fit in fits):
+        runs = [fit for fit in fits if fit["case"] == case]
+        row = {}
+        for kind in ("white", "auto", "HAC", "told"):
+            for doubted in (True, False):
+                z = differences(runs, kind, doubted=doubted)
+                every.setdefault((kind, doubted), []).extend(z)
+                row[kind if doubted else f"{kind}, undoubted"] = judged(z)
+        result["cases"][case] = row
+    result["cases"]["all"] = {
+        kind if doubted else f"{kind}, undoubted": judged(z) for (kind, doubted), z in every.items()
+    }
+    for case, row in result["cases"].items():
+        cells = [
+            f"{row[k]['rms']:.2f}, {100 * row[k]['held']:.0f} % of {row[k]['n']}"
+            if row[k]["n"]
+            else "–"
+            for k in ("white", "auto", "HAC", "told", "told, undoubted")
+        ]
+        print(f"| {case} | " + " | ".join(cells) + " |", flush=True)
+    text = json.dumps(result, indent=1).replace("NaN", "null")
+    (HERE / "replication.json").write_text(text + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
