@@ -185,6 +185,19 @@ def explain(
     _print(explain_record(found, model), as_json, explain_text(found))
 
 
+@app.command()
+def pool(config: ConfigFile, seed: Seed = None, as_json: AsJson = False) -> None:
+    """Say what recordings of which some parameters differ tell together, and of the next one."""
+    from bayesfric.report.text_templates import filled
+
+    model = _model(config)
+    with progress_shown(sys.stderr.isatty()) as progress:
+        found = model.pool(seed=seed, progress=progress)
+    _print(found.as_json(), as_json, filled("pool.txt.j2", found=found).splitlines())
+    if found.status != "reliable":
+        raise typer.Exit(NOT_CONVERGED)
+
+
 def _advise(config: Path, name: str, output: Path | None, force: bool, as_json: bool) -> None:
     from bayesfric.commands.identify import advice_file, advice_record, advice_text, write_advice
 

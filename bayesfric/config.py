@@ -27,6 +27,7 @@ from bayesfric.inference.prior.priors import PriorText
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.configuration import MechanismOptions
 from bayesfric.mechanism.experiment import Simulation
+from bayesfric.pooling.options import PoolingOptions
 from bayesfric.recordings.held_out import Validation
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.processing import Processing
@@ -100,6 +101,10 @@ class Tables(Options):
     self_check: SelfCheckOptions = Field(
         SelfCheckOptions(),
         description="How every fit is tried on simulated recordings like its own:",
+    )
+    pooling: PoolingOptions = Field(
+        PoolingOptions(),
+        description="Only for 'bayesfric pool': parameters that differ between recordings:",
     )
     advice: AdviceOptions = Field(
         AdviceOptions(), description="Only for 'bayesfric identify --advise':"

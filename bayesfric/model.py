@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from bayesfric.explain.explanation import Explanation
+    from bayesfric.pooling.pooled import Pooled
     from bayesfric.result import Result
     from bayesfric.whole_fit import Beginning
 
@@ -97,7 +98,10 @@ class Model:
     tables
         The other tables of a configuration, as dicts of the same keys: ``processing``,
         ``references``, ``estimation``, ``likelihood``, ``sampling``, ``validation``,
-        ``self_check``, ``advice``.
+        ``self_check``, ``pooling``, ``advice``.
+    vary
+        Parameters that may differ between recordings, ``{"motor.viscous": "recording"}``: the
+        table ``pooling``, for :meth:`pool`.
 
     Attributes
     ----------
@@ -125,6 +129,7 @@ class Model:
         *,
         noise: str | Mapping[str, Any] = "auto",
         priors: Mapping[str, Any] | None = None,
+        vary: Mapping[str, str] | None = None,
         **tables: Any,
     ) -> None:
         recordings = [recordings] if isinstance(recordings, Recording) else list(recordings)
@@ -135,6 +140,7 @@ class Model:
             "recordings": [recording_table(r, n) for n, r in enumerate(recordings, start=1)],
             "noise": {"model": noise} if isinstance(noise, str) else noise,
             "priors": {name: prior_value(prior) for name, prior in (priors or {}).items()},
+            **({} if vary is None else {"pooling": {"vary": dict(vary)}}),
             **tables,
         }
         self._read(config_of(document), recordings, joint.terms)
@@ -533,6 +539,21 @@ class Model:
             progress=progress,
             checkpoint=checkpoint,
         )
+
+    def pool(self, *, seed: int | None = None, progress: Shown = silent) -> Pooled:
+        """Say what recordings of which some parameters differ tell together.
+
+        ``vary``, or the table ``pooling``, names these parameters; ``seed`` replaces that of the
+        table ``sampling``.
+
+        Raises
+        ------
+        BadInput
+            If no parameter is named, or recordings are too few, or too many for one posterior.
+        """
+        from bayesfric.pooling.pooled import pooled_of  # asks the model
+
+        return pooled_of(self, seed, progress)
 
     def sample(
         self,

@@ -60,6 +60,12 @@ def whole_fit(
     checkpoint: Callable[[str, Sampling], Checkpoint | None],
 ) -> Result:
     """Sample a model and sum it up; arguments as of :meth:`bayesfric.Model.fit`."""
+    if model.config.tables.pooling.vary:
+        raise BadInput(
+            "pooling.vary",
+            "is for 'bayesfric pool': a fit shares all parameters between recordings",
+            "ask that, or leave the table out",
+        )
     # before anything is estimated: a run of other settings is refused at once
     kept = checkpoint("posterior", sampling)
     begun = begin(model, output_error=output_error, progress=progress)

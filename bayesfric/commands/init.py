@@ -131,4 +131,6 @@ def _toml(value: Any) -> str:
         return '"..."  # found by itself when left out'
     if isinstance(value, tuple):
         return "[" + ", ".join(_toml(v) for v in value) + "]"
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{json.dumps(k)} = {_toml(v)}" for k, v in value.items()) + " }"
     return f"{value:g}" if isinstance(value, float) else json.dumps(value)

@@ -151,6 +151,7 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         **{key: ratio for key, ratio in ratios.items() if np.isfinite(ratio)},
         **({} if law is None else {"feedback": law[0]}),
         "dead_zone": made.dead_zone,
+        "rest": processing.rest,
         "trim": numbers.trim_samples * period,
         "trim_samples": numbers.trim_samples,
         "torque_lowpass": numbers.cutoff if numbers.alike else 0.0,

@@ -68,17 +68,23 @@ def held(**processing):
     return bf.Model(AXIS, made, processing=processing, self_check={"recordings": 0}, sampling=QUICK)
 
 
-def test_rests_correct_what_motion_beside_them_gets_wrong():
+@pytest.fixture(scope="module")
+def with_rests():
+    return held(rest=True).fit(seed=1)
+
+
+def test_rests_correct_what_motion_beside_them_gets_wrong(with_rests):
     """Starts and stops are not what filters can follow: motion alone takes friction for less."""
-    without, with_rests = (held(rest=rest).fit(seed=1) for rest in (False, True))
-    before, after = (r.summary.parameters["motor.coulomb"] for r in (without, with_rests))
+    before, after = (
+        r.summary.parameters["motor.coulomb"] for r in (held().fit(seed=1), with_rests)
+    )
     assert sum(o.rest.q.size for o in with_rests.fit.observations) > 20
     assert after.interval[0] < 1.0 < after.interval[1]
     assert not before.interval[0] < 1.0 < before.interval[1]
 
 
-def test_the_density_has_the_rests_as_a_factor():
-    target = held(rest=True).fit(seed=1).fit.target
+def test_the_density_has_the_rests_as_a_factor(with_rests):
+    target = with_rests.fit.target
     values = np.concatenate([vectors(coulomb=c) for c in (0.8, 1.0, 1.2)])
     scales = np.full((3, 1, target.noise.places.shape[1]), 0.05)
     likelihood = target.likelihood

@@ -1,0 +1,245 @@
+"""One posterior of all runs: what they share, what each has of its own, and where that comes from.
+
+Parameters that vary are each run's own, ``theta_r ~ N(mu, tau^2)``; all others are shared, and only
+noise scales are each run's besides. ``mu`` has a flat prior and is integrated in closed form: what
+is left of the population is ``-(R - 1) log tau - sum (theta_r - mean)^2 / (2 tau^2)``. ``tau`` has
+the prior of :mod:`bayesfric.pooling.population`, by the sds that runs fitted alone have, so that
+both ways answer one question. This way the shared parameters are told by all runs together; it
+takes a sampling of many dimensions, and is for few runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.inference.coordinates import BoundedCoordinates
+from bayesfric.inference.posterior import Posterior
+from bayesfric.inference.prior.priors import Prior, read_prior
+from bayesfric.inference.sampling.sampling import Sampling, sample
+from bayesfric.inference.sampling.start import Start
+from bayesfric.inference.target import Target
+from bayesfric.pooling.population import Interval
+
+Array = NDArray[np.float64]
+
+# Draws of runs that starts are made from; and share of the overall scatter that a spread is near
+# at least.
+_DRAWS, _NEAR = 2000, 0.3
+
+
+@dataclass(frozen=True)
+class Varying:
+    """What the joint posterior says of a parameter that differs between runs."""
+
+    mean: Interval
+    spread: Interval
+    following: Interval
+    runs: tuple[Interval, ...]
+
+
+class JointTarget:
+    """The log-posterior, as :func:`bayesfric.inference.sampling.sampling.sample` sees a target.
+
+    Parameters
+    ----------
+    targets
+        Of each run alone, of one joint with the same priors.
+    recordings
+        Their names.
+    varying
+        Names of parameters that are each run's own.
+    posteriors
+        Of each run alone: they shape coordinates, starts and the prior of the spreads.
+    """
+
+    def __init__(
+        self,
+        targets: Sequence[Target],
+        recordings: Sequence[str],
+        varying: Sequence[str],
+        posteriors: Sequence[Posterior],
+    ) -> None:
+        first = targets[0]
+        self.targets, self.varying = list(targets), tuple(varying)
+        free = first.free
+        shared = [name for name in free if name not in varying]
+        priors = dict(zip(first.names, first.priors, strict=True))
+        own = [*varying, *first.noise.names]
+        self.names = (
+            *shared,
+            *(f"{name}.{run}" for run in recordings for name in own),
+            *(f"{name}.spread" for name in varying),
+        )
+        self.priors: tuple[Prior, ...] = (
+            *(priors[name] for name in shared),
+            *(priors[name] for _ in recordings for name in own),
+            # shown nowhere: the density has a prior of its own
+            *(
+                read_prior(
+                    name,
+                    {"distribution": "uniform", "loc": 0.0, "scale": 1e300},
+                    lower=0.0,
+                    upper=np.inf,
+                )
+                for name in varying
+            ),
+        )
+        self.dimension = len(self.names)
+        self._places = [
+            np.array(
+                [
+                    shared.index(n) if n in shared else len(shared) + r * len(own) + own.index(n)
+                    for n in first.names
+                ]
+            )
+            for r in range(len(targets))
+        ]
+        self._own = np.array(
+            [
+                [len(shared) + r * len(own) + k for r in range(len(targets))]
+                for k in range(len(varying))
+            ]
+        )  # (varying, R)
+        self._spreads = np.arange(self.dimension - len(varying), self.dimension)
+        # priors that count: the population is that of what varies
+        self._counted = [
+            (j, prior)
+            for j, prior in enumerate(self.priors)
+            if j not in self._spreads and j not in self._own
+        ]
+        at = [[first.names.index(name) for name in varying] for _ in targets]
+        sds = np.array([p.flat()[:, k].std(axis=0) for p, k in zip(posteriors, at, strict=True)])
+        self._sds = sds.T  # (varying, R)
+        draws = self._begin(posteriors, recordings)
+        self.coordinates = BoundedCoordinates(
+            [p.lower for p in self.priors],
+            [p.upper if np.isfinite(p.upper) and p.upper < 1e299 else np.inf for p in self.priors],
+            draws.std(axis=0),
+        )
+        self.likelihood = SimpleNamespace(
+            cheap=all(t.likelihood.cheap for t in targets), method="input-error"
+        )
+        self.not_finite = 0
+        u = self.coordinates.from_parameters(draws)
+        self.start = Start(u.mean(axis=0), np.cov(u.T))
+
+    def _begin(self, posteriors: Sequence[Posterior], recordings: Sequence[str]) -> Array:
+        """Make parameters about as spread as the posterior, from those of runs alone."""
+        rng = np.random.default_rng(0)
+        out = np.empty((_DRAWS, self.dimension))
+        weights = np.zeros(self.dimension)
+        total = np.zeros((_DRAWS, self.dimension))
+        for places, posterior in zip(self._places, posteriors, strict=True):
+            flat = posterior.flat()
+            x = flat[rng.integers(len(flat), size=_DRAWS)]
+            weight = 1.0 / x.var(axis=0)
+            total[:, places] += weight * x
+            weights[places] += weight
+        kept = weights > 0.0
+        # of what is shared the precisions add, and so do the draws, by them
+        out[:, kept] = total[:, kept] / weights[kept]
+        for k, places in zip(self._spreads, self._own, strict=True):
+            apart = out[:, places].std(axis=1, ddof=1)
+            least = _NEAR * self._sds[k - self._spreads[0]].min()
+            count = len(recordings) - 1
+            out[:, k] = np.hypot(apart, least) * np.sqrt(count / rng.chisquare(count, _DRAWS))
+        return out
+
+    def to_parameters(self, u: Array) -> tuple[Array, Array]:
+        """Map coordinates ``(n, d)`` to parameters and the log Jacobian ``(n,)``."""
+        return self.coordinates.to_parameters(u)
+
+    def prepared(self, u: Array) -> JointTarget:
+        """Make every run's likelihood cheaper near coordinates ``(n, d)``; itself, changed."""
+        parameters, slope = self.to_parameters(u)
+        parameters = parameters[np.isfinite(slope)]
+        self.targets = [
+            target.prepared(target.from_parameters(parameters[:, places]))
+            for target, places in zip(self.targets, self._places, strict=True)
+        ]
+        return self
+
+    def log_prior_in_coordinates(self, u: Array) -> Array:
+        """Log prior density in coordinates, ``(n, d)`` to ``(n,)``."""
+        parameters, slope = self.to_parameters(u)
+        out = np.where(np.isfinite(slope), slope, -np.inf)
+        inside = np.isfinite(out)
+        out[inside] += self._log_prior(parameters[inside])
+        return out
+
+    def _log_prior(self, x: Array) -> Array:
+        out = np.zeros(len(x))
+        for j, prior in self._counted:
+            out += prior.log_density(x[:, j])
+        for k, places, sds in zip(self._spreads, self._own, self._sds, strict=True):
+            tau, theta = x[:, k], x[:, places]
+            apart = ((theta - theta.mean(axis=1, keepdims=True)) ** 2).sum(axis=1)
+            out -= (len(places) - 1) * np.log(tau) + 0.5 * apart / tau**2
+            variance = sds**2 + tau[:, None] ** 2
+            out += np.log(tau) + 0.5 * np.log((1.0 / variance**2).sum(axis=1))
+        return out
+
+    def __call__(self, u: Array) -> Array:
+        """Log posterior density in coordinates, ``(n, d)`` to ``(n,)``."""
+        out, bad = self._density(u)
+        self.not_finite += int(bad.sum())
+        return out
+
+    def no_number(self, u: Array) -> NDArray[np.bool_]:
+        """Say where, in coordinates ``(n, d)``, only the likelihood is no number; not counted."""
+        return self._density(u)[1]
+
+    def _density(self, u: Array) -> tuple[Array, NDArray[np.bool_]]:
+        parameters, slope = self.to_parameters(u)
+        out = np.where(np.isfinite(slope), slope, -np.inf)
+        with np.errstate(all="ignore"):
+            inside = np.isfinite(out)
+            out[inside] += self._log_prior(parameters[inside])
+            out[np.isnan(out)] = -np.inf
+        inside = np.isfinite(out)
+        bad = np.zeros(out.size, dtype=np.bool_)
+        if inside.any():
+            likely = sum(
+                target.log_likelihood(parameters[inside][:, places])
+                for target, places in zip(self.targets, self._places, strict=True)
+            )
+            bad[inside] = ~np.isfinite(likely)
+            out[inside] += np.where(np.isfinite(likely), likely, -np.inf)
+        return out, bad
+
+
+def sample_jointly(target: JointTarget, settings: Sampling) -> Posterior:
+    """Sample the joint posterior; its names are ``motor.viscous.<recording>`` and the like."""
+    return sample(target, target.start, settings)  # type: ignore[arg-type]
+
+
+def varying_parts(
+    posterior: Posterior, recordings: Sequence[str], varying: Sequence[str], level: float
+) -> dict[str, Varying]:
+    """Sum up what varies: population, each run, and the next one."""
+    flat = posterior.flat()
+    rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(13,)))
+    found = {}
+    for name in varying:
+        columns = [posterior.names.index(f"{name}.{run}") for run in recordings]
+        theta, tau = flat[:, columns], flat[:, posterior.names.index(f"{name}.spread")]
+        error = tau / np.sqrt(len(columns))
+        mean = theta.mean(axis=1) + error * rng.standard_normal(len(flat))
+        following = mean + tau * rng.standard_normal(len(flat))
+        found[name] = Varying(
+            mean=interval(mean, level),
+            spread=interval(tau, level),
+            following=interval(following, level),
+            runs=tuple(interval(x, level) for x in theta.T),
+        )
+    return found
+
+
+def interval(x: Array, level: float) -> Interval:
+    """Median and central interval of draws."""
+    return Interval(*(float(e) for e in np.quantile(x, [0.5, 0.5 - level / 2, 0.5 + level / 2])))

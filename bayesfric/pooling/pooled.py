@@ -1,0 +1,170 @@
+"""Several recordings of one joint of which some parameters differ, in both ways beside each other.
+
+By one joint posterior, in which everything else is shared; and by weighting anew the draws of runs
+that were each fitted alone. Where they agree, the second will do for many runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayesfric.errors import BadInput, nearest
+from bayesfric.inference.fitting import fit, make_target
+from bayesfric.inference.posterior import Posterior, Status
+from bayesfric.inference.sampling.sampling import Progress, Sampling
+from bayesfric.pooling.joint_runs import (
+    JointTarget,
+    Varying,
+    interval,
+    sample_jointly,
+    varying_parts,
+)
+from bayesfric.pooling.population import Interval, Population, likelihood, population
+from bayesfric.preparation import residual_noise
+
+if TYPE_CHECKING:
+    from bayesfric.model import Model
+
+LEVEL = 0.9
+# Runs that a joint posterior has room for, and draws of priors that posteriors are divided by.
+_MOST, _PRIOR_DRAWS = 12, 2000
+
+
+@dataclass(frozen=True)
+class PooledParameter:
+    """One that differs from recording to recording."""
+
+    name: str
+    unit: str
+    jointly: Varying
+    reweighted: Population
+
+
+@dataclass(frozen=True)
+class SharedParameter:
+    """One that all recordings have, by the joint posterior."""
+
+    name: str
+    unit: str
+    value: Interval
+
+
+@dataclass(frozen=True)
+class Pooled:
+    """What recordings say together; intervals hold ``level``."""
+
+    recordings: tuple[str, ...]
+    varying: tuple[PooledParameter, ...]
+    shared: tuple[SharedParameter, ...]
+    level: float
+    status: Status
+    problems: tuple[str, ...]
+    seconds: float
+
+    def as_json(self) -> dict[str, Any]:
+        """Give strings, numbers, lists and dicts."""
+        return asdict(self)
+
+
+def pooled(
+    model: Model, vary: Sequence[str], settings: Sampling, progress: Callable[[Progress], None]
+) -> Pooled:
+    """Fit every recording alone, then all together.
+
+    BadInput for fewer than two recordings, too many for one posterior, names that the joint does
+    not have or that are known, and an output-error likelihood.
+    """
+    _check(model, vary)
+    from bayesfric.whole_fit import begin  # asks the model
+
+    choice = begin(model, progress=progress).choice
+    noise = residual_noise(model.config.tables.noise, choice.order if choice else 0)
+    targets, alone = [], []
+    for k, observation in enumerate(model.observations):
+        progress(Progress(f"recording {observation.name}"))
+        target = make_target(model.chain, [observation], model.priors, "shared", noise)
+        with model.config.named():
+            found = fit(target, settings.model_copy(update={"seed": settings.seed + k}))
+        if found.posterior.diagnostics.status == "unusable":
+            raise BadInput(
+                f"recording {observation.name!r}",
+                "its own posterior cannot be sampled",
+                "fit it alone first, 'bayesfric fit' says why",
+            )
+        targets.append(found.target)
+        alone.append(found.posterior)
+    names = [o.name for o in model.observations]
+    progress(Progress("all recordings together"))
+    posterior = sample_jointly(JointTarget(targets, names, vary, alone), settings)
+    units = {p.name: p.unit for p in model.chain.parameters}
+    jointly = varying_parts(posterior, names, vary, LEVEL)
+    flat = posterior.flat()
+    return Pooled(
+        recordings=tuple(names),
+        varying=tuple(
+            PooledParameter(name, units[name], jointly[name], _reweighted(alone, name, settings))
+            for name in vary
+        ),
+        shared=tuple(
+            SharedParameter(name, units[name], interval(flat[:, j], LEVEL))
+            for j, name in enumerate(posterior.names)
+            if name in units
+        ),
+        level=LEVEL,
+        status=posterior.diagnostics.status,
+        problems=posterior.diagnostics.problems,
+        seconds=posterior.diagnostics.seconds,
+    )
+
+
+def _reweighted(alone: Sequence[Posterior], name: str, settings: Sampling) -> Population:
+    rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(14,)))
+    runs = []
+    for posterior in alone:
+        j = posterior.names.index(name)
+        prior = posterior.priors[j].draw(_PRIOR_DRAWS, rng)
+        runs.append(likelihood(posterior.flat()[:, j], prior=prior))
+    return population(runs, LEVEL, settings.seed)
+
+
+def _check(model: Model, vary: Sequence[str]) -> None:
+    names = model.chain.names
+    if not vary:
+        what = "names no parameter that varies"
+        raise BadInput("pooling.vary", what, 'write for example { "motor.viscous" = "recording" }')
+    for name in vary:
+        if name not in names:
+            raise BadInput(
+                f"pooling.vary.{name}", "the mechanism has no such parameter", nearest(name, names)
+            )
+        if model.priors[name].fixed:
+            raise BadInput(f"pooling.vary.{name}", "is fixed", "give it a prior")
+    if all(name in vary for name in names if not model.priors[name].fixed):
+        raise BadInput(
+            "pooling.vary",
+            "names every parameter, and nothing is shared",
+            "fit each recording alone, and 'bayesfric compare' the runs",
+        )
+    if model.config.tables.likelihood.method != "input-error":
+        what = "recordings are pooled by their torque"
+        raise BadInput("likelihood.method", what, 'take "input-error"')
+    count = len(model.observations)
+    if count < 2:
+        raise BadInput("recordings", "one alone is no population", "add another")
+    if count > _MOST:
+        raise BadInput(
+            "recordings",
+            f"{count} are too many for one posterior, {_MOST} at most",
+            "fit each alone, and 'bayesfric compare' the runs",
+        )
+
+
+def pooled_of(model: Model, seed: int | None, progress: Callable[[Progress], None]) -> Pooled:
+    """Pool as a model's configuration says."""
+    settings = model.config.tables.sampling
+    settings = settings if seed is None else settings.model_copy(update={"seed": seed})
+    return pooled(model, list(model.config.tables.pooling.vary), settings, progress)

@@ -1,0 +1,61 @@
+"""`pool` on the command line, on SIMULATED recordings whose viscous loss differs."""
+
+import json
+
+import bayesfric as bf
+from bayesfric.report.text_templates import filled
+
+from .bench import recorded
+from .test_explain import JOINT, SIMULATION
+
+VISCOUS = (0.2, 0.26, 0.22)
+ASKED = '[pooling]\nvary = { "motor.viscous" = "recording" }\n'
+QUICK = '[noise]\nmodel = "white"\n[sampling]\nmin_ess = 400\nensembles = 2\nwalkers = 48\n'
+
+
+def days(bench):
+    """Simulate a recording for each day, and name all in one configuration."""
+    whole = SIMULATION.replace('"motor.viscous_positive" = 0.2\n', "").replace(
+        "duration = 12", "duration = 5"
+    )
+    for k, viscous in enumerate(VISCOUS):
+        told = whole.replace('"motor.viscous_negative" = 0.3', f'"motor.viscous" = {viscous}')
+        bench.simulated(JOINT + told, f"day{k}", seed=k)
+    tables = "".join(recorded(f"day{k}") for k in range(len(VISCOUS)))
+    bench.config(JOINT + tables + QUICK + ASKED)
+
+
+def test_it_prints_what_python_returns(bench):
+    days(bench)
+    told = bench.run("pool", "c.toml", "--json")
+    assert told.code == 0
+    found = json.loads(told.out)
+    pooled = bf.Model.from_config(bench.folder / "c.toml").pool()
+    again = json.loads(json.dumps(pooled.as_json()))
+    assert {**found, "seconds": 0} == {**again, "seconds": 0}
+    (viscous,) = found["varying"]
+    for true, run in zip(VISCOUS, viscous["jointly"]["runs"], strict=True):
+        assert abs(run["median"] - true) < run["high"] - run["low"]
+    text = filled("pool.txt.j2", found=pooled)
+    assert "the next recording" in text
+    assert "Shared by all recordings" in text
+
+
+def test_a_configuration_that_names_nothing_that_varies_is_refused(bench):
+    bench.simulated(
+        JOINT
+        + SIMULATION.replace("viscous_positive", "viscous").replace(
+            '"motor.viscous_negative" = 0.3\n', ""
+        )
+    )
+    bench.config(JOINT + recorded())
+    told = bench.run("pool", "c.toml")
+    assert told.code == 2
+    assert "pooling.vary" in told.err
+
+
+def test_fit_refuses_what_varies(bench):
+    days(bench)
+    told = bench.run("fit", "c.toml", "-o", "run")
+    assert told.code == 2
+    assert "bayesfric pool" in told.err

@@ -1,0 +1,123 @@
+"""Recordings that differ in one parameter: both ways, their closed forms, and refusals."""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+import bayesfric as bf
+from bayesfric.pooling.joint_runs import JointTarget
+from tests.axis import AXIS, VALUES, swing
+
+QUICK = {"min_ess": 400, "ensembles": 2, "walkers": 48}
+VISCOUS = [0.085, 0.118, 0.101, 0.094]
+
+
+def recording(number, viscous):
+    time = np.arange(0.0, 6.0, 0.005)
+    q, qd, qdd = swing(time, [(0.31 + 0.04 * number, 0.9), (0.9, 0.4), (1.9, 0.12)])
+    torque = (
+        VALUES["motor.inertia"] * qdd
+        + viscous * qd
+        + VALUES["motor.coulomb"] * np.sign(qd)
+        + 9.80665 * VALUES["load.first_moment"] * np.sin(q)
+        + VALUES["offset"]
+    )
+    noise = 0.1 * np.random.default_rng(number).standard_normal(time.size)
+    return bf.Recording.from_arrays(time, q, torque + noise, name=f"day {number}")
+
+
+def model(vary=("motor.viscous",), count=4, **tables):
+    made = [recording(k, v) for k, v in enumerate(VISCOUS[:count])]
+    tables = {"sampling": QUICK, "noise": "white"} | tables
+    return bf.Model(AXIS, made, vary=dict.fromkeys(vary, "recording"), **tables)
+
+
+@pytest.fixture(scope="module")
+def found():
+    return model().pool(seed=1)
+
+
+def test_each_recordings_own_value_is_found_and_the_rest_is_shared(found):
+    assert found.status == "reliable"
+    (viscous,) = found.varying
+    for true, run in zip(VISCOUS, viscous.jointly.runs, strict=True):
+        # twice the 90 % interval: four values are looked at
+        half = run.high - run.low
+        assert abs(run.median - true) < half
+    shared = {one.name: one.value for one in found.shared}
+    assert set(shared) == set(AXIS.names) - {"motor.viscous"}
+    for name, one in shared.items():
+        assert abs(one.median - VALUES[name]) < one.high - one.low
+
+
+def test_both_ways_agree_on_the_population(found):
+    """Every recording alone tells viscous loss nearly as well: the population is the same."""
+    (viscous,) = found.varying
+    a, b = viscous.jointly, viscous.reweighted
+    for one, other in ((a.mean, b.mean), (a.spread, b.spread), (a.following, b.following)):
+        width = one.high - one.low
+        assert one.median == pytest.approx(other.median, abs=0.1 * width)
+        assert other.high - other.low == pytest.approx(width, rel=0.15)
+
+
+def test_what_is_shared_makes_each_run_better_known(found):
+    (viscous,) = found.varying
+    widths = [
+        (one.high - one.low, other.high - other.low)
+        for one, other in zip(viscous.jointly.runs, viscous.reweighted.runs, strict=True)
+    ]
+    assert all(joint < alone for joint, alone in widths)
+
+
+def test_the_population_mean_is_integrated_exactly():
+    """The prior of what varies is the integral over a flat mean of independent normals."""
+    target = JointTarget.__new__(JointTarget)
+    theta, tau = np.array([0.3, 0.9, 0.4]), 0.35
+    target._counted = []
+    target._spreads, target._own = np.array([3]), np.array([[0, 1, 2]])
+    target._sds = np.full((1, 3), 0.2)
+
+    def density(t):
+        return quad(
+            lambda m: np.prod(np.exp(-0.5 * ((theta - m) / t) ** 2) / t), -20.0, 20.0, points=[0.5]
+        )[0]
+
+    def reference(t):
+        return np.sqrt(3.0 * t**2 / (0.2**2 + t**2) ** 2)
+
+    at = target._log_prior(np.array([[*theta, tau], [*theta, 2.0 * tau]]))
+    expected = np.log(density(tau) * reference(tau) / (density(2 * tau) * reference(2 * tau)))
+    assert at[0] - at[1] == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_same_seed_gives_the_same_numbers():
+    first, second = (model(count=2).pool(seed=3) for _ in range(2))
+    assert first.varying == second.varying
+    assert first.shared == second.shared
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"vary": ()}, "names no parameter that varies"),
+        ({"vary": ("motor.viscos",)}, "motor.viscous"),
+        ({"vary": ("offset",), "priors": {"offset": 0.0}}, "is fixed"),
+        ({"vary": AXIS.names}, "nothing is shared"),
+        ({"count": 1}, "one alone is no population"),
+        ({"likelihood": {"method": "output-error"}}, "input-error"),
+    ],
+)
+def test_what_cannot_be_pooled_is_refused(given, said):
+    with pytest.raises(bf.errors.BadInput, match=r"pooling|likelihood|recordings") as error:
+        model(**given).pool()
+    assert said in str(error.value)
+
+
+def test_a_fit_does_not_drop_what_varies():
+    with pytest.raises(bf.errors.BadInput, match="bayesfric pool"):
+        model().fit()
+
+
+def test_only_recordings_are_varied_over():
+    with pytest.raises(bf.errors.BadInput, match=r"motor\.viscous"):
+        bf.Model(AXIS, recording(0, 0.1), vary={"motor.viscous": "day"})
