@@ -268,6 +268,8 @@ def test_commands_are_those_of_the_design():
         "fit",
         "report",
         "compare",
+        # asked for as the table [pooling], whose answer is no run of one posterior
+        "pool",
     }
     assert set(COMMANDS) <= designed | {"demo"}
     assert {"init", "simulate", "check", "fit", "demo"} <= set(COMMANDS)
