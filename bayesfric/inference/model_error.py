@@ -38,6 +38,7 @@ from scipy import stats
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.target import Target
+from bayesfric.mechanism.parameter import effort_words
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
@@ -109,11 +110,12 @@ def model_error(target: Target, posterior: Posterior) -> ModelError:
         reason = "sampling"
     else:
         excess, whole = np.zeros((d, d)), _whitened(target, target.likelihood, posterior)
+        motion = target.likelihood.chain.motor_motion
         for name, groups in _axes(whole.predicted, target.likelihood.observations):
             found = _spread(whole, groups)
             if found is None:
                 continue
-            axes.append(Axis(name, int(groups.max()) + 1, found[1]))
+            axes.append(Axis(effort_words(name, motion), int(groups.max()) + 1, found[1]))
             excess[: len(target.free), : len(target.free)] += found[0]
         reason = None if axes else "few"
         if any(axis.differs for axis in axes):

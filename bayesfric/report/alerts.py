@@ -85,7 +85,7 @@ def _of_model(
     if summary.self_check is not None:
         corrected = {n: r.bias for n, r in summary.self_check.rows.items() if r.corrected_interval}
         if corrected:
-            yield "corrected", {"bias": corrected}, "self-check"
+            yield "corrected", {"bias": corrected, "allowed": allowed}, "self-check"
     if contested:
         yield "methods", {"names": contested}, "methods"
 

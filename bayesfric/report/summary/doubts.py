@@ -207,7 +207,7 @@ def _noise(
     moved = {
         name: spreads[name].middle
         for name in told
-        if name in spreads and _apart(rows[name].interval, spreads[name].interval)
+        if name in spreads and _apart(rows[name].told_interval, spreads[name].interval)
     }
     rise = (summary.fit.residual_rms or 0.0) / rms if rms > 0.0 else 1.0
     if moved or rise > _RISE:

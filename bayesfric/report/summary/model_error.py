@@ -9,6 +9,7 @@ import numpy as np
 
 from bayesfric.inference.fitting import Fit
 from bayesfric.report.summary.derived_quantities import groups, spread
+from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import ModelError as Told
 from bayesfric.report.summary.record import Summary, of_noise
 
@@ -36,7 +37,11 @@ def add_model_error(summary: Summary, fit: Fit) -> Summary:
                 values = group.values(fit.target.chain_values(some))
             found |= {q.name: x for q, x in zip(group.found, values, strict=True)}
     changes = {name: _change(summary, name, x) for name, x in found.items()}
-    return summary.with_rows(changes, model_error=told)
+    after = summary.with_rows(changes, model_error=told)
+    # of which intervals are too narrow it says something else now
+    before = correlation_warning(summary)
+    warnings = [correlation_warning(after) if w == before else w for w in summary.warnings]
+    return after.model_copy(update={"warnings": [w for w in warnings if w]})
 
 
 def _change(summary: Summary, name: str, draws: np.ndarray) -> dict[str, Any]:

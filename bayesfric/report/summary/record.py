@@ -404,7 +404,7 @@ class SelfCheck(Part):
 
 
 class AxisRow(Part):
-    """One way to sort a motion into groups, and whether one model suits them all."""
+    """One way to sort a motion into groups, and whether one fit suits them all."""
 
     name: str
     groups: int
@@ -413,7 +413,7 @@ class AxisRow(Part):
 
 
 class ModelError(Part):
-    """Whether groups of the motion show that the model is not right, and if not asked, why not."""
+    """Whether groups of the motion show that the model is wrong; ``reason`` is why not asked."""
 
     shown: bool
     axes: list[AxisRow] = Field(default_factory=list)
@@ -421,8 +421,9 @@ class ModelError(Part):
 
     @property
     def found(self) -> list[str]:
-        """Axes along which groups differ by more than noise lets them."""
-        return [axis.name for axis in self.axes if axis.differs]
+        """Axes along which groups differ by more than noise lets them, most of all first."""
+        found = sorted((axis for axis in self.axes if axis.differs), key=lambda one: one.p_value)
+        return [axis.name for axis in found]
 
 
 class Sampler(Part):

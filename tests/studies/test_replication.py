@@ -1,0 +1,96 @@
+"""What the committed replication study claims, its counting, and a small form of it again."""
+
+import importlib
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from tests.conftest import REPOSITORY
+
+FOLDER = REPOSITORY / "studies" / "replication"
+
+
+@pytest.fixture(scope="module")
+def studies():
+    sys.path.insert(0, str(FOLDER))
+    try:
+        yield {n: importlib.import_module(n) for n in ("replication", "wrong_models", "fleets")}
+    finally:
+        sys.path.remove(str(FOLDER))
+
+
+@pytest.fixture(scope="module")
+def committed():
+    def read(name):
+        return json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
+
+    return {name: read(name) for name in ("replication", "wrong_models", "fleets")}
+
+
+def test_measured_pairs_scatter_by_about_one(committed):
+    every = committed["replication"]["cases"]["all"]
+    assert every["told"]["n"] > 40
+    assert 0.7 < every["told"]["rms"] < 1.4
+    assert 0.8 < every["told"]["held"] < 0.97
+    assert every["white"]["rms"] > 3.0
+
+
+def test_wrong_models_have_intervals_that_hold(committed):
+    kinds = dict(committed["wrong_models"])
+    nothing = kinds.pop("nothing")
+    assert len(kinds) == 12
+    for row in kinds.values():
+        assert row["recordings"] == 40
+        assert row["told"][0] >= 0.8
+    # what is right stays as it is
+    assert nothing["wider"] < 1.1
+    assert abs(nothing["told"][0] - 0.9) < 2.0 * nothing["told"][1]
+
+
+def test_fleets_hold_what_they_say(committed):
+    for name, row in committed["fleets"].items():
+        error = np.sqrt(0.09 / row["fleets"])
+        for key in ("mean", "spread", "next", "run"):
+            assert abs(row[key] - 0.9) < 3.0 * error, (name, key)
+
+
+def invented(case, value, sd, **more):
+    row = {"value": value, "determined": True, "doubted": False, "prior": 100.0}
+    row |= dict.fromkeys(("white", "auto", "HAC", "told"), sd) | more
+    return {"case": case, "rows": {"motor.viscous": row}}
+
+
+def test_differences_are_over_both_sds_and_of_what_both_determine(studies):
+    study = studies["replication"]
+    runs = [invented("a", 1.0, 0.3), invented("a", 2.0, 0.4), invented("a", 5.0, 0.1, prior=0.1)]
+    assert study.differences(runs, "told", doubted=True) == pytest.approx([-2.0])
+    runs[1]["rows"]["motor.viscous"]["doubted"] = True
+    assert study.differences(runs, "told", doubted=False) == []
+    judged = study.judged([3.0, -4.0, 0.0, 0.0])
+    assert judged["rms"] == pytest.approx(2.5)
+    assert judged["held"] == 0.5
+
+
+def test_a_regression_has_its_exact_posterior(studies):
+    """Its spread over many is that of the draws: they are flat-prior posteriors."""
+    study = studies["fleets"]
+    z = []
+    for k in range(300):
+        draws = study.regression(0.1, np.random.default_rng(k))
+        z.append((draws.mean() - 0.1) / draws.std())
+    # four standard errors of a sd of 300
+    assert np.std(z) == pytest.approx(1.0, abs=4.0 / np.sqrt(600.0))
+
+
+@pytest.mark.slow
+def test_a_model_that_lacks_a_term_again(studies):
+    study = studies["wrong_models"]
+    values = study.best(("quadratic", 8))
+    row = study.judged([study.one(("quadratic", k)) for k in range(8)], values)
+    assert row["shown"] == 1.0
+    assert row["told"][0] > row["plain"][0]
+    assert row["wider"] > 2.0
+    right = study.judged([study.one(("nothing", k)) for k in range(4)], study.best(("nothing", 4)))
+    assert right["wider"] < 1.5
