@@ -58,6 +58,9 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
                 "mean": row.mean,
                 "sd": row.sd,
                 "interval": [low, high],
+                # with room for the model's error, where a fit sees any: these models are right
+                "shown": row.told_interval,
+                "wider": row.told_sd / row.sd,
                 "verdict": row.verdict,
                 "gauge_free": row.gauge_free,
                 "self_check": checked[key].as_dict() if key in checked else None,
@@ -128,6 +131,10 @@ def _quantity(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "z_sd": float(z.std()),
         "z_largest": float(np.abs(z).max()),
     }
+    out["shown"] = {
+        "coverage": float(np.mean([_holds({**row, "interval": row["shown"]}) for row in rows])),
+        "wider": float(np.mean([row["wider"] for row in rows])),
+    }
     if checked := [row for row in rows if row["self_check"]]:
         told = [row["self_check"] for row in checked]
         # what is not corrected stays as it is
@@ -158,6 +165,8 @@ def table(case: str, result: dict[str, Any]) -> list[str]:
                 line += f"  z {row['z']:+.2f} +- {row['z_sd']:.2f}, largest {row['z_largest']:.1f}"
             else:
                 line += f"  +- {row['error']:.1%}"
+            if shown := row.get("shown"):
+                line += f" | shown {shown['coverage']:.0%}, {shown['wider']:.2f} times as wide"
             if told := row.get("foretold"):
                 line += f" | foretold z {told['z']:+.2f}, {told['coverage']:.0%}"
                 line += f" | corrected {told['corrected_coverage']:.0%}"
