@@ -551,9 +551,9 @@ class Model:
         BadInput
             If no parameter is named, or recordings are too few, or too many for one posterior.
         """
-        from bayesfric.pooling.pooled import pooled_of  # asks the model
+        from bayesfric.pooling.pooled import pooled  # asks the model
 
-        return pooled_of(self, seed, progress)
+        return pooled(self, seed, progress)
 
     def sample(
         self,

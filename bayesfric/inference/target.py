@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from copy import copy
 from functools import cached_property
@@ -18,7 +19,59 @@ from bayesfric.inference.prior.priors import JointPrior, Prior
 Array = NDArray[np.float64]
 
 
-class Target:
+class LogPosterior(ABC):
+    """A log-posterior in coordinates, made of its parts; ``not_finite`` as of :class:`Target`."""
+
+    not_finite: int
+
+    @abstractmethod
+    def to_parameters(self, u: Array) -> tuple[Array, Array]:
+        """Map coordinates ``(n, d)`` to parameters and the log Jacobian ``(n,)``."""
+
+    @abstractmethod
+    def log_prior(self, parameters: Array) -> Array:
+        """Log prior density of physical parameters ``(n, d)``."""
+
+    @abstractmethod
+    def log_likelihood(self, parameters: Array) -> Array:
+        """Log-likelihood of physical parameters ``(n, d)``."""
+
+    def log_prior_in_coordinates(self, u: Array) -> Array:
+        """Log prior density in coordinates, ``(n, d)`` to ``(n,)``; nothing is simulated."""
+        return self._prior_and_parameters(u)[0]
+
+    def __call__(self, u: Array) -> Array:
+        """Log posterior density in coordinates, ``(n, d)`` to ``(n,)``."""
+        density, bad = self._density(u)
+        self.not_finite += int(bad.sum())
+        return density
+
+    def no_number(self, u: Array) -> NDArray[np.bool_]:
+        """Say where, in coordinates ``(n, d)``, only the likelihood is no number; not counted."""
+        return self._density(u)[1]
+
+    def _density(self, u: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Log posterior density, and where priors allow what the likelihood cannot tell."""
+        out, parameters = self._prior_and_parameters(u)
+        possible = np.isfinite(out)
+        out[~possible] = -np.inf
+        bad = np.zeros(out.size, dtype=np.bool_)
+        if possible.any():
+            density = self.log_likelihood(parameters[possible])
+            bad[possible] = ~np.isfinite(density)
+            out[possible] += np.where(np.isfinite(density), density, -np.inf)
+        return out, bad
+
+    def _prior_and_parameters(self, u: Array) -> tuple[Array, Array]:
+        parameters, jacobian = self.to_parameters(u)
+        out = np.where(np.isfinite(jacobian), jacobian, -np.inf)
+        out[~np.isfinite(parameters).all(axis=1)] = -np.inf
+        possible = np.isfinite(out)
+        out[possible] += self.log_prior(parameters[possible])
+        return out, parameters
+
+
+class Target(LogPosterior):
     """Posterior of the free parameters and the noise scales, the chain's first.
 
     ``priors`` are of every parameter of the chain, fixed ones included, ``noise`` has its own;
@@ -121,37 +174,3 @@ class Target:
         """Log-likelihood of physical parameters ``(n, d)``."""
         scales = self.noise.scales(parameters[:, len(self.free) :])
         return self.likelihood.log_density(self.chain_values(parameters), scales)
-
-    def log_prior_in_coordinates(self, u: Array) -> Array:
-        """Log prior density in coordinates, ``(n, d)`` to ``(n,)``; nothing is simulated."""
-        return self._prior_and_parameters(u)[0]
-
-    def __call__(self, u: Array) -> Array:
-        """Log posterior density in coordinates, ``(n, d)`` to ``(n,)``."""
-        density, bad = self._density(u)
-        self.not_finite += int(bad.sum())
-        return density
-
-    def no_number(self, u: Array) -> NDArray[np.bool_]:
-        """Say where, in coordinates ``(n, d)``, only the likelihood is no number; not counted."""
-        return self._density(u)[1]
-
-    def _density(self, u: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Log posterior density, and where priors allow what the likelihood cannot tell."""
-        out, parameters = self._prior_and_parameters(u)
-        possible = np.isfinite(out)
-        out[~possible] = -np.inf
-        bad = np.zeros(out.size, dtype=np.bool_)
-        if possible.any():
-            density = self.log_likelihood(parameters[possible])
-            bad[possible] = ~np.isfinite(density)
-            out[possible] += np.where(np.isfinite(density), density, -np.inf)
-        return out, bad
-
-    def _prior_and_parameters(self, u: Array) -> tuple[Array, Array]:
-        parameters, jacobian = self.to_parameters(u)
-        out = np.where(np.isfinite(jacobian), jacobian, -np.inf)
-        out[~np.isfinite(parameters).all(axis=1)] = -np.inf
-        possible = np.isfinite(out)
-        out[possible] += self.log_prior(parameters[possible])
-        return out, parameters

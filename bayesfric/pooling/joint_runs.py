@@ -11,7 +11,7 @@ takes a sampling of many dimensions, and is for few runs.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from copy import copy
 from types import SimpleNamespace
 
 import numpy as np
@@ -22,27 +22,19 @@ from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.prior.priors import Prior, read_prior
 from bayesfric.inference.sampling.sampling import Sampling, sample
 from bayesfric.inference.sampling.start import Start
-from bayesfric.inference.target import Target
-from bayesfric.pooling.population import Interval
+from bayesfric.inference.target import LogPosterior, Target
+from bayesfric.pooling.population import Interval, Varying
 
 Array = NDArray[np.float64]
 
 # Draws of runs that starts are made from; and share of the overall scatter that a spread is near
 # at least.
 _DRAWS, _NEAR = 2000, 0.3
+# Stream of the seed that they are drawn from.
+_STARTS = 15
 
 
-@dataclass(frozen=True)
-class Varying:
-    """What the joint posterior says of a parameter that differs between runs."""
-
-    mean: Interval
-    spread: Interval
-    following: Interval
-    runs: tuple[Interval, ...]
-
-
-class JointTarget:
+class JointTarget(LogPosterior):
     """The log-posterior, as :func:`bayesfric.inference.sampling.sampling.sample` sees a target.
 
     Parameters
@@ -55,6 +47,8 @@ class JointTarget:
         Names of parameters that are each run's own.
     posteriors
         Of each run alone: they shape coordinates, starts and the prior of the spreads.
+    seed
+        Of the draws that starts are made from.
     """
 
     def __init__(
@@ -63,9 +57,10 @@ class JointTarget:
         recordings: Sequence[str],
         varying: Sequence[str],
         posteriors: Sequence[Posterior],
+        seed: int,
     ) -> None:
         first = targets[0]
-        self.targets, self.varying = list(targets), tuple(varying)
+        self.targets = list(targets)
         free = first.free
         shared = [name for name in free if name not in varying]
         priors = dict(zip(first.names, first.priors, strict=True))
@@ -115,7 +110,7 @@ class JointTarget:
         at = [[first.names.index(name) for name in varying] for _ in targets]
         sds = np.array([p.flat()[:, k].std(axis=0) for p, k in zip(posteriors, at, strict=True)])
         self._sds = sds.T  # (varying, R)
-        draws = self._begin(posteriors, recordings)
+        draws = self._begin(posteriors, np.random.default_rng([seed, _STARTS]))
         self.coordinates = BoundedCoordinates(
             [p.lower for p in self.priors],
             [p.upper if np.isfinite(p.upper) and p.upper < 1e299 else np.inf for p in self.priors],
@@ -128,9 +123,8 @@ class JointTarget:
         u = self.coordinates.from_parameters(draws)
         self.start = Start(u.mean(axis=0), np.cov(u.T))
 
-    def _begin(self, posteriors: Sequence[Posterior], recordings: Sequence[str]) -> Array:
+    def _begin(self, posteriors: Sequence[Posterior], rng: np.random.Generator) -> Array:
         """Make parameters about as spread as the posterior, from those of runs alone."""
-        rng = np.random.default_rng(0)
         out = np.empty((_DRAWS, self.dimension))
         weights = np.zeros(self.dimension)
         total = np.zeros((_DRAWS, self.dimension))
@@ -146,7 +140,7 @@ class JointTarget:
         for k, places in zip(self._spreads, self._own, strict=True):
             apart = out[:, places].std(axis=1, ddof=1)
             least = _NEAR * self._sds[k - self._spreads[0]].min()
-            count = len(recordings) - 1
+            count = len(places) - 1
             out[:, k] = np.hypot(apart, least) * np.sqrt(count / rng.chisquare(count, _DRAWS))
         return out
 
@@ -155,24 +149,19 @@ class JointTarget:
         return self.coordinates.to_parameters(u)
 
     def prepared(self, u: Array) -> JointTarget:
-        """Make every run's likelihood cheaper near coordinates ``(n, d)``; itself, changed."""
+        """Make the same target, every run's likelihood cheaper near coordinates ``(n, d)``."""
         parameters, slope = self.to_parameters(u)
         parameters = parameters[np.isfinite(slope)]
-        self.targets = [
+        out = copy(self)
+        out.targets = [
             target.prepared(target.from_parameters(parameters[:, places]))
             for target, places in zip(self.targets, self._places, strict=True)
         ]
-        return self
-
-    def log_prior_in_coordinates(self, u: Array) -> Array:
-        """Log prior density in coordinates, ``(n, d)`` to ``(n,)``."""
-        parameters, slope = self.to_parameters(u)
-        out = np.where(np.isfinite(slope), slope, -np.inf)
-        inside = np.isfinite(out)
-        out[inside] += self._log_prior(parameters[inside])
         return out
 
-    def _log_prior(self, x: Array) -> Array:
+    def log_prior(self, parameters: Array) -> Array:
+        """Log prior density of parameters ``(n, d)``; that of a mean is flat."""
+        x = parameters
         out = np.zeros(len(x))
         for j, prior in self._counted:
             out += prior.log_density(x[:, j])
@@ -184,33 +173,12 @@ class JointTarget:
             out += np.log(tau) + 0.5 * np.log((1.0 / variance**2).sum(axis=1))
         return out
 
-    def __call__(self, u: Array) -> Array:
-        """Log posterior density in coordinates, ``(n, d)`` to ``(n,)``."""
-        out, bad = self._density(u)
-        self.not_finite += int(bad.sum())
-        return out
-
-    def no_number(self, u: Array) -> NDArray[np.bool_]:
-        """Say where, in coordinates ``(n, d)``, only the likelihood is no number; not counted."""
-        return self._density(u)[1]
-
-    def _density(self, u: Array) -> tuple[Array, NDArray[np.bool_]]:
-        parameters, slope = self.to_parameters(u)
-        out = np.where(np.isfinite(slope), slope, -np.inf)
-        with np.errstate(all="ignore"):
-            inside = np.isfinite(out)
-            out[inside] += self._log_prior(parameters[inside])
-            out[np.isnan(out)] = -np.inf
-        inside = np.isfinite(out)
-        bad = np.zeros(out.size, dtype=np.bool_)
-        if inside.any():
-            likely = sum(
-                target.log_likelihood(parameters[inside][:, places])
-                for target, places in zip(self.targets, self._places, strict=True)
-            )
-            bad[inside] = ~np.isfinite(likely)
-            out[inside] += np.where(np.isfinite(likely), likely, -np.inf)
-        return out, bad
+    def log_likelihood(self, parameters: Array) -> Array:
+        """Log-likelihood of parameters ``(n, d)``: runs know nothing of each other."""
+        found = np.zeros(len(parameters))
+        for target, places in zip(self.targets, self._places, strict=True):
+            found += target.log_likelihood(parameters[:, places])
+        return found
 
 
 def sample_jointly(target: JointTarget, settings: Sampling) -> Posterior:

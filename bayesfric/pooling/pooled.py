@@ -18,12 +18,11 @@ from bayesfric.inference.posterior import Posterior, Status
 from bayesfric.inference.sampling.sampling import Progress, Sampling
 from bayesfric.pooling.joint_runs import (
     JointTarget,
-    Varying,
     interval,
     sample_jointly,
     varying_parts,
 )
-from bayesfric.pooling.population import Interval, Population, likelihood, population
+from bayesfric.pooling.population import Interval, Population, Varying, likelihood, population
 from bayesfric.preparation import residual_noise
 
 if TYPE_CHECKING:
@@ -70,19 +69,23 @@ class Pooled:
         return asdict(self)
 
 
-def pooled(
-    model: Model, vary: Sequence[str], settings: Sampling, progress: Callable[[Progress], None]
-) -> Pooled:
-    """Fit every recording alone, then all together.
+def pooled(model: Model, seed: int | None, progress: Callable[[Progress], None]) -> Pooled:
+    """Fit every recording alone, then all together, as a model's configuration says.
+
+    ``seed`` replaces the configuration's.
 
     BadInput for fewer than two recordings, too many for one posterior, names that the joint does
     not have or that are known, and an output-error likelihood.
     """
+    tables = model.config.tables
+    settings, vary = tables.sampling, list(tables.pooling.vary)
+    if seed is not None:
+        settings = settings.model_copy(update={"seed": seed})
     _check(model, vary)
     from bayesfric.whole_fit import begin  # asks the model
 
     choice = begin(model, progress=progress).choice
-    noise = residual_noise(model.config.tables.noise, choice.order if choice else 0)
+    noise = residual_noise(tables.noise, choice.order if choice else 0)
     targets, alone = [], []
     for k, observation in enumerate(model.observations):
         progress(Progress(f"recording {observation.name}"))
@@ -99,7 +102,7 @@ def pooled(
         alone.append(found.posterior)
     names = [o.name for o in model.observations]
     progress(Progress("all recordings together"))
-    posterior = sample_jointly(JointTarget(targets, names, vary, alone), settings)
+    posterior = sample_jointly(JointTarget(targets, names, vary, alone, settings.seed), settings)
     units = {p.name: p.unit for p in model.chain.parameters}
     jointly = varying_parts(posterior, names, vary, LEVEL)
     flat = posterior.flat()
@@ -161,10 +164,3 @@ def _check(model: Model, vary: Sequence[str]) -> None:
             f"{count} are too many for one posterior, {_MOST} at most",
             "fit each alone, and 'bayesfric compare' the runs",
         )
-
-
-def pooled_of(model: Model, seed: int | None, progress: Callable[[Progress], None]) -> Pooled:
-    """Pool as a model's configuration says."""
-    settings = model.config.tables.sampling
-    settings = settings if seed is None else settings.model_copy(update={"seed": seed})
-    return pooled(model, list(model.config.tables.pooling.vary), settings, progress)

@@ -126,13 +126,19 @@ class Interval:
 
 
 @dataclass(frozen=True)
-class Population:
-    """What runs say together."""
+class Varying:
+    """What is known of a quantity that differs between runs."""
 
     mean: Interval  # of the population
     spread: Interval  # its standard deviation: how much true values differ between runs
     following: Interval  # the true value in the next recording
     runs: tuple[Interval, ...]  # each run's true value, with what the others say
+
+
+@dataclass(frozen=True)
+class Population(Varying):
+    """The same from runs fitted alone, and whether they agree."""
+
     # Cochran's Q of one common truth, and how often chance alone gives as much
     q: float
     p_value: float

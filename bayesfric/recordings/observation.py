@@ -333,15 +333,24 @@ def _prepared(
     if share > SMALL_SHARE and numbers.cutoff:
         # the low-pass smears the jolt of a reversal over a period on either side
         moving &= ~_near(~moving, round(numbers.fs / numbers.cutoff))
-    chosen, dropped = _windows(recording, numbers, kept, moving, share)
+    # the low-pass carries what was excluded a little way past its borders, as past a segment's
     parts = without_excluded(kept, _near(recording.excluded, trim))
+    chosen, dropped = _windows(recording, numbers, kept, parts, moving, share)
     return _Prepared(q, qd, inside & moving, float(dead_zone), chosen, dropped, still, parts)
 
 
 def _windows(
-    recording: Measurement, numbers: _Numbers, kept: Segments, moving: Flags, share: float
+    recording: Measurement,
+    numbers: _Numbers,
+    kept: Segments,
+    parts: Segments,
+    moving: Flags,
+    share: float,
 ) -> tuple[ParallelFilter, dict[str, int]]:
-    """Lay the windows, and count what every setting took away."""
+    """Lay the windows, and count what every setting took away.
+
+    ``kept`` are segments without their ends, ``parts`` without what is excluded either.
+    """
     everything = np.ones(len(moving), dtype=np.bool_)
     where = f"recording '{recording.name}'"
     length = parallel_length(numbers.factor, numbers.band, numbers.fs)
@@ -361,8 +370,6 @@ def _windows(
 
     whole = lay(recording.segments, everything).n_outputs
     trimmed = lay(kept, everything).n_outputs
-    # the low-pass carries what was excluded a little way past its borders, as past a segment's
-    parts = without_excluded(kept, _near(recording.excluded, numbers.trim_samples))
     included = lay(parts, everything).n_outputs
     if trimmed == 0:
         raise BadInput(

@@ -5,31 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesfric import Element, Joint, Load
 from bayesfric.mechanism.forward import simulate, simulate_segments
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.filters import derivative, later
 from bayesfric.recordings.inputs import Inputs, Signal
+from tests import axis
 
 PERIOD = 1e-3
 TIME = np.arange(4000) * PERIOD
-AXIS = Joint(
-    [Element("motor", inertia=True, coulomb="symmetric", viscous=True)],
-    load=Load(first_moment=True),
-    offset=True,
-    gain=True,
-    delay=True,
-)
-VALUES = {
-    "motor.inertia": 0.05,
-    "motor.viscous": 0.1,
-    "motor.coulomb": 0.3,
-    "load.first_moment": 0.3,
-    "offset": 0.05,
-    "drive.gain": 1.1,
-    "drive.delay": 0.0013,
-}
+AXIS = replace(axis.AXIS, gain=True, delay=True)
+VALUES = {**axis.VALUES, "drive.gain": 1.1, "drive.delay": 0.0013}
 
 
 def torque(time):

@@ -85,7 +85,7 @@ def test_the_population_mean_is_integrated_exactly():
     def reference(t):
         return np.sqrt(3.0 * t**2 / (0.2**2 + t**2) ** 2)
 
-    at = target._log_prior(np.array([[*theta, tau], [*theta, 2.0 * tau]]))
+    at = target.log_prior(np.array([[*theta, tau], [*theta, 2.0 * tau]]))
     expected = np.log(density(tau) * reference(tau) / (density(2 * tau) * reference(2 * tau)))
     assert at[0] - at[1] == pytest.approx(expected, rel=1e-6)
 

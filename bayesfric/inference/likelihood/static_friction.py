@@ -61,5 +61,5 @@ class StaticFriction:
         with np.errstate(all="ignore"):
             inner, outer = noise.logcdf(near), noise.logcdf(far)
             found = inner + np.log1p(-np.exp(np.minimum(outer - inner, 0.0)))
-        # no friction at all rests nowhere, but its limits may be taken as noise wide
+        # where both limits are one, nothing rests
         return np.asarray(np.maximum(np.where(np.isnan(found), _LEAST, found), _LEAST))

@@ -129,11 +129,10 @@ class Spread(Part):
 class PosteriorRow(Spread, Described):
     """One parameter or derived quantity of a posterior.
 
-    ``interval`` and ``sd`` hold if the model is right; where the recordings show that it is not,
-    ``model_error_interval`` is what to read, and there is none elsewhere. ``doubted`` are the
-    kinds of doubts there are of it, ``white_interval`` what white noise would have given,
-    ``period`` that of an angle. Priors and diagnostics are of parameters only,
-    ``undefined_share`` (of the draws that do not have it) of derived quantities.
+    ``interval`` and ``sd`` hold if the model is right, ``model_error_interval`` is there where the
+    recordings show that it is not. ``doubted`` are the kinds of doubts there are of it,
+    ``white_interval`` what white noise would have given, ``period`` that of an angle. Priors' texts
+    and diagnostics are of parameters only, ``undefined_share`` of derived quantities.
     """
 
     rhat: FiniteFloat | None = None
@@ -162,12 +161,12 @@ class PosteriorRow(Spread, Described):
 
     @property
     def told_interval(self) -> list[float]:
-        """The interval to print first: with the model's error where the recordings show any."""
+        """The interval to print first."""
         return self.model_error_interval or self.interval
 
     @property
     def told_sd(self) -> float:
-        """The standard deviation that goes with :attr:`told_interval`."""
+        """The sd of :attr:`told_interval`."""
         return self.sd if self.model_error_sd is None else self.model_error_sd
 
     @property
@@ -422,8 +421,7 @@ class ModelError(Part):
     @property
     def found(self) -> list[str]:
         """Axes along which groups differ by more than noise lets them, most of all first."""
-        found = sorted((axis for axis in self.axes if axis.differs), key=lambda one: one.p_value)
-        return [axis.name for axis in found]
+        return [one.name for one in sorted(self.axes, key=lambda a: a.p_value) if one.differs]
 
 
 class Sampler(Part):
@@ -527,10 +525,10 @@ class Summary(Part):
         for group in ("parameters", "derived"):
             for name, row in getattr(self, group).items():
                 low, high = row.interval
-                white_low, white_high = row.white_interval or (None, None)
-                ends = {"low": low, "high": high, "white_low": white_low, "white_high": white_high}
-                wide = row.model_error_interval or (None, None)
-                ends |= {"model_error_low": wide[0], "model_error_high": wide[1]}
+                ends: dict[str, float | None] = {"low": low, "high": high}
+                for key in ("white", "model_error"):
+                    pair = getattr(row, f"{key}_interval") or (None, None)
+                    ends[f"{key}_low"], ends[f"{key}_high"] = pair
                 ends |= self._checked(name)
                 told = dict(row) | ends | {"doubted": ", ".join(row.doubted)}
                 yield {"name": name, "group": group} | told
