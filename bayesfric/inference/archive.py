@@ -19,7 +19,7 @@ _TABLES = 2**18
 _PIECE = 2**20
 
 # Groups that are none of ArviZ's.
-_OWN = ("derived",)
+_OWN = ("derived", "told")
 
 Groups = Mapping[str, Mapping[str, NDArray[Any]]]
 

@@ -30,6 +30,8 @@ from bayesfric.report.summary.record import PosteriorRow, Readable, Summary
 
 # Draws kept of the groups that hold a number for every draw and every output.
 _POINTWISE_DRAWS = 400
+# Draws kept that allow for the model's error.
+_TOLD_DRAWS = 4000
 
 FIGURES = run_figures()
 Array = NDArray[np.float64]
@@ -171,7 +173,8 @@ def archived(
     """Put together what :func:`~bayesfric.inference.archive.make_archive` takes of a run.
 
     ``posterior`` holds every kept draw, a walker being a chain, and ``derived`` what follows from
-    it; their variables carry units, symbol, meaning and verdict. ``ensemble`` of
+    it; their variables carry units, symbol, meaning and verdict. ``told`` holds draws with room for
+    the model's error, where recordings show any: what simulations go on with. ``ensemble`` of
     ``sample_stats`` says which walkers belong together. ``log_likelihood`` and
     ``posterior_predictive`` hold a number for each output and a part of the draws.
     """
@@ -189,6 +192,7 @@ def archived(
         "groups": {
             "posterior": chains,
             **({"derived": derived} if derived else {}),
+            **({"told": _told_draws(fit)} if fit.wide is not fit else {}),
             "log_likelihood": log_likelihood,
             "sample_stats": {"lp": as_chains(posterior.log_density), "ensemble": ensemble},
             "posterior_predictive": predictive,
@@ -213,8 +217,14 @@ def archived(
             "fixed": json.dumps({name: row.as_dict() for name, row in summary.fixed.items()}),
             "status": summary.sampler.status,
         },
-        "variable_attrs": {"posterior": told, "derived": told, "prior": told},
+        "variable_attrs": dict.fromkeys(("posterior", "derived", "prior", "told"), told),
     }
+
+
+def _told_draws(fit: Fit) -> dict[str, NDArray[np.float64]]:
+    """Take draws that allow for the model's error, ``(1, draws)`` each."""
+    draws = fit.wide.posterior.flat(_TOLD_DRAWS)
+    return {name: draws[None, :, k] for k, name in enumerate(fit.posterior.names)}
 
 
 def _derived_draws(fit: Fit) -> dict[str, NDArray[np.float64]]:
