@@ -179,7 +179,7 @@ def _joint(chain: Joint, vector: NDArray[np.float64], inputs: Inputs) -> Moved:
     elements, load, carried = chain.tables(vector[np.newaxis], inputs)
     if load[0, GAIN] == 0.0 or np.any(elements[0, :, STRIBECK_VELOCITY] == 0.0):
         raise ValueError("gain and Stribeck velocities must be greater than zero")
-    terms = carried_by(_carried(chain, carried, inputs), 0)
+    terms = carried_by(carried_values(chain, carried, inputs), 0)
     joint = moved(elements[0], load[0], terms, *inputs.load(chain.load.motion))
     _check_slope(joint)
     return joint
@@ -282,7 +282,7 @@ def simulate_segments(
     q, qd = integrate_segments(
         tables.elements,
         tables.load,
-        _carried(chain, tables.carried, inputs),
+        carried_values(chain, tables.carried, inputs),
         inputs.load(chain.load.motion),
         _finer(_acting(chain, vectors, samples, period), finer),
         float(period) / finer,
@@ -293,12 +293,14 @@ def simulate_segments(
         start,
         speed,
         -(-substeps // finer),
-        _possible(chain, vectors, tables, inputs.load(chain.load.motion)[0]),
+        possible(chain, vectors, tables, inputs.load(chain.load.motion)[0]),
     )
     return np.asarray(q[:, ::finer]), np.asarray(qd[:, ::finer])
 
 
-def _carried(chain: Joint, values: NDArray[np.float64], inputs: Inputs) -> CarriedValues | None:
+def carried_values(
+    chain: Joint, values: NDArray[np.float64], inputs: Inputs
+) -> CarriedValues | None:
     """Gather the terms without a slot, their table ``(n, n_carried, 2)``.
 
     A delay is none of them here: the torque that acts is an earlier one, see :func:`_acting`.
@@ -369,7 +371,7 @@ def _finer(torque: NDArray[np.float64], finer: int) -> NDArray[np.float64]:
     return out
 
 
-def _possible(
+def possible(
     chain: Joint,
     vectors: NDArray[np.float64],
     tables: Tables,

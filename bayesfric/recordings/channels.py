@@ -11,7 +11,7 @@ from bayesfric.errors import BadInput
 from bayesfric.recordings import units
 from bayesfric.recordings.checks import unwrapped
 from bayesfric.recordings.measurement import Array
-from bayesfric.recordings.source import SI, Channel, Columns, Effort, Position, Velocity
+from bayesfric.recordings.source import SI, Channel, Columns, Position, Velocity
 from bayesfric.recordings.tables.table import Table
 
 Motion = Literal["rotary", "linear"]
@@ -115,19 +115,3 @@ def temperature(channel: Channel, table: Table) -> Array:
             "write 'degC' or 'K'",
         )
     return signed(channel, table) - _ZERO[channel.unit]
-
-
-def drive_signal(source: Columns, table: Table, drive: Drive) -> tuple[Effort, Array, str]:
-    """Return the channel that drives the joint, its motor torque or voltage, and which it is."""
-    kind = TORQUE[drive.motor_motion]
-    if source.torque is not None:
-        constant = [] if source.torque.constant is None else [source.torque.constant]
-        return source.torque, scaled(source.torque, table, kind, kind, *constant), kind
-    if source.current is not None:
-        current = scaled(source.current, table, "current", "current")
-        where = f"{table.label(source.current.column)}, torque_constant"
-        constant_kind = CONSTANT[drive.motor_motion]
-        factor = units.scale([source.current.torque_constant], constant_kind, where)
-        return source.current, current * factor, "current"
-    assert source.voltage is not None
-    return source.voltage, scaled(source.voltage, table, "voltage", "voltage"), "voltage"

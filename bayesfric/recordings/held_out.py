@@ -165,4 +165,5 @@ def _piece(r: Measurement, begin: int, end: int, least: int) -> Measurement:
         back_emf=None if r.back_emf is None else r.back_emf[begin:end],
         segments=tuple((a - begin, b - begin) for a, b in kept),
         excluded=r.excluded[begin:end],
+        law=None if r.law is None else r.law.part(begin, end),
     )

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.recordings.inputs import Inputs
+
+if TYPE_CHECKING:
+    from bayesfric.recordings.law import Law
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -41,3 +44,6 @@ class Measurement:
     back_emf: Array | None = None
     hold: Hold = "linear"  # how the torque goes between samples
     drive: str = "torque"  # what the torque was measured as: torque, force, current or voltage
+    # how the drive makes its torque, in the closed loop where a target was recorded; None for
+    # what no file tells, as a simulated twin
+    law: Law | None = None

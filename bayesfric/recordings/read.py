@@ -13,8 +13,9 @@ import numpy as np
 
 from bayesfric.errors import BadInput
 from bayesfric.recordings import channels, checks, filters, units
-from bayesfric.recordings.channels import CONSTANT, TORQUE, VELOCITY, Drive, Motion
+from bayesfric.recordings.channels import VELOCITY, Drive, Motion
 from bayesfric.recordings.inputs import Inputs, Signal
+from bayesfric.recordings.law import Law, Told, measured_law, position_law
 from bayesfric.recordings.measurement import Array, Flags, Measurement
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.recording import Recording
@@ -93,13 +94,17 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         velocity, step = channels.joint_signal(source.velocity, "velocity", table, drive)
         checks.check_not_huge(velocity, table.label(source.velocity.column), "velocity")
         steps.append(step)
-    channel, signal, kind = channels.drive_signal(source, table, drive)
-    checks.check_not_huge(signal, table.label(channel.column), kind)
+    told = measured_law(source, table, drive)
+    channel, kind = told.channel, told.kind
+    checks.check_not_huge(told.law.command, table.label(channel.column), kind)
+    aims = told if source.target is None else position_law(source.target, table, drive)
 
     grid = make_grid(time, chosen, processing, table.where)
     checks.check_moves(position[part], table.label(source.position.column), "position")
-    checks.check_moves(signal[part], table.label(channel.column), kind)
-    warnings = [*grid.warnings, *checks.clipped(channels.signed(channel, table)[part], kind)]
+    checks.check_moves(told.law.command[part], table.label(channel.column), kind)
+    warnings = [*grid.warnings]
+    if not told.law.closed:
+        warnings += checks.clipped(channels.signed(channel, table)[part], kind)
     coarse = checks.quantisation(position[part])
     if coarse is not None:
         unit = "rad" if drive.motion == "rotary" else "m"
@@ -108,15 +113,15 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
 
     joint = grid.smooth(position)
     speed = None if velocity is None else grid.linear(velocity)
-    signal = grid.linear(signal)
+    law = told.law.on(grid)
     if channel.sampled != "instant":
         length = float(np.median(np.diff(time))) / grid.period
-        signal = _centred(signal, channel.sampled, grid, length)
+        law = replace(law, command=_centred(law.command, channel.sampled, grid, length))
         # what the torque has passed the motion passes too
         joint = filters.averaged(joint, grid.segments, length)
         speed = None if speed is None else filters.averaged(speed, grid.segments, length)
         steps.append(_SAMPLED[channel.sampled].format(kind))
-    torque, back_emf, step = _torque(source, signal, joint, speed, grid, drive, processing)
+    torque, back_emf, step = _torque(told, law, joint, speed, grid, processing)
     steps.append(step)
     checks.check_size(joint, table.label(source.position.column), "position")
     checks.check_size(torque, table.label(channel.column), "torque")
@@ -135,10 +140,12 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         pushed = Signal(grid.time, grid.linear(outside))
         steps.append(f"load {what}: as measured")
     excluded = _excluded(source, grid.time, warnings)
+    law = law if aims is told else aims.law.on(grid)
     if source.valid is not None:
         valid = table.column(source.valid) != 0
         # between a valid and an invalid stamp the grid is not valid either
-        excluded |= grid.linear(valid.astype(np.float64)) < 1.0
+        off = grid.linear(valid.astype(np.float64)) < 1.0
+        law, excluded = replace(law, off=off), excluded | off
     if excluded.any():
         steps.append(f"exclude: {int(excluded.sum())} of {len(excluded)} samples not compared")
     return Measurement(
@@ -158,6 +165,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         warnings=tuple(warnings),
         hold=channel.hold,
         drive=kind,
+        law=law,
     )
 
 
@@ -198,39 +206,34 @@ def _chosen(source: Columns, time: Array, where: str) -> tuple[int, int]:
 
 
 def _torque(
-    source: Columns,
-    signal: Array,
+    told: Told,
+    law: Law,
     position: Array,
     velocity: Array | None,
     grid: Grid,
-    drive: Drive,
     processing: Processing,
 ) -> tuple[Array, Array | None, str]:
     """Return the motor torque on the grid, what speed has taken off it, and how it came about."""
-    what = TORQUE[drive.motor_motion]
-    if source.current is not None:
-        return signal, None, f"{what}: current times {source.current.torque_constant}"
-    if source.voltage is None:
-        return signal, None, f"{what}: as measured"
-    constant = units.scale([source.voltage.torque_constant], CONSTANT[drive.motor_motion])
-    resistance = units.scale([source.voltage.resistance], "resistance")
-    origin = "measured"
+    step = told.step
     if velocity is None:
-        origin = "differentiated"
-        fs = 1 / grid.period
-        cutoff = fs / 10 if processing.lowpass is None else processing.lowpass
-        smooth = filters.lowpass(position, grid.segments, fs, cutoff, processing.order)
-        reach = filters.reach_of(processing.differentiation, cutoff, fs)
-        velocity = filters.derivative(smooth, grid.segments, grid.period, reach)
-    back_emf = constant**2 * drive.ratio / resistance * velocity
-    return (
-        constant / resistance * signal - back_emf,
-        back_emf,
-        (
-            f"{what}: kt V/R - kt^2 (motor speed)/R with kt = {source.voltage.torque_constant}, "
-            f"R = {source.voltage.resistance}, {origin} speed"
-        ),
-    )
+        velocity = np.zeros(position.shape)
+        if law.back_emf or law.kd:
+            fs = 1 / grid.period
+            cutoff = fs / 10 if processing.lowpass is None else processing.lowpass
+            smooth = filters.lowpass(position, grid.segments, fs, cutoff, processing.order)
+            reach = filters.reach_of(processing.differentiation, cutoff, fs)
+            velocity = filters.derivative(smooth, grid.segments, grid.period, reach)
+            step += ", differentiated speed"
+    elif law.back_emf or law.kd:
+        step += ", measured speed"
+    if np.isfinite(law.limit):
+        share = float(np.mean(law.limited(position, velocity)))
+        step += f"; at its limit in {100 * share:.2g} % of the samples"
+    torque = law.drives(position, velocity)
+    if not law.back_emf:
+        return torque, None, step
+    back_emf = law.back_emf * velocity
+    return torque - back_emf, back_emf, step
 
 
 def _excluded(source: Columns, time: Array, warnings: list[str]) -> Flags:

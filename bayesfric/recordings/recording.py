@@ -21,7 +21,8 @@ from bayesfric.recordings.tables.table import Table, column_cells
 if TYPE_CHECKING:
     import pandas as pd
 
-_CONSTANTS = ("torque_constant", "resistance")
+_MOTOR = ("torque_constant", "resistance")
+_CONSTANTS = {"current": _MOTOR, "voltage": _MOTOR, "target": (*_MOTOR, "kp", "kd", "limit")}
 _Keys = TypeVar("_Keys", bound=Columns)
 Column = str | int | Mapping[str, Any]
 Side = Literal["motor", "joint"]
@@ -68,8 +69,8 @@ class Recording:
         side
             Of position and velocity; may be left out only if the gear ratio is 1.
         **keys
-            ``velocity``, ``current``, ``voltage`` and ``valid``, arrays of shape (n,); and what
-            else there is to say.
+            ``velocity``, ``current``, ``voltage``, ``target`` and ``valid``, arrays of shape
+            (n,); and what else there is to say.
         """
         keys |= {"time": time, "position": position, "torque": torque}
         names = [key for key in (*CHANNELS, "valid") if keys.get(key) is not None]
@@ -103,8 +104,8 @@ class Recording:
         units, side
             As in :meth:`from_arrays`.
         **keys
-            ``velocity``, ``current``, ``voltage`` and ``valid``, columns as well; and what else
-            there is to say.
+            ``velocity``, ``current``, ``voltage``, ``target`` and ``valid``, columns as well; and
+            what else there is to say.
         """
         keys |= {"position": position, "time": time, "torque": torque}
         names = [str(name) for name in frame.columns]
@@ -183,10 +184,11 @@ def _checked(
             given = document[key]
             channel = dict(given) if isinstance(given, Mapping) else {"column": given}
             channel.setdefault("unit", (units or {}).get(key, SI))
-            if side is not None and key in ("position", "velocity"):
+            if side is not None and key in ("position", "velocity", "target"):
                 channel.setdefault("side", side)
-            if key in ("current", "voltage"):
-                channel |= {k: document.pop(k) for k in _CONSTANTS if k in document}
+            channel |= {k: keys[k] for k in _CONSTANTS.get(key, ()) if keys.get(k) is not None}
+            for k in _CONSTANTS.get(key, ()):
+                document.pop(k, None)
             document[key] = channel
     whose = f"recording {keys['name']!r}" if keys.get("name") else "recording"
     for key in units or {}:

@@ -18,6 +18,7 @@ CHANNELS = (
     "torque",
     "current",
     "voltage",
+    "target",
     "load_torque",
     "temperature",
 )
@@ -124,6 +125,31 @@ class Voltage(Effort):
     resistance: Resistance = Field(description="Winding resistance R, such as '3.4 ohm'.")
 
 
+class Target(Effort, Position):
+    """The position that the drive goes for; what its controller makes of it is the torque.
+
+    ``clip(kp (target - position) - kd velocity, limit)``, on the side where the target is
+    given. The unit of ``kp`` says what that is: torque, current, voltage, or the duty of a supply.
+    """
+
+    kp: str = Field(
+        description="Gain of the drive's controller: '8 N m/rad', '3 A/rad', '5 V/rad', or "
+        "'2 1/rad' for a duty, 1 being the whole of the supply in 'times'. It drives the motor."
+    )
+    kd: str | None = Field(
+        None, description="Its gain for the speed, such as '0.1 N m s/rad'; none if left out."
+    )
+    limit: str | None = Field(
+        None, description="What the controller gives at most, such as '5 V' or '1'."
+    )
+    torque_constant: TorqueConstant | None = Field(
+        None, description="Torque per current, where the controller gives no torque."
+    )
+    resistance: Resistance | None = Field(
+        None, description="Winding resistance, where the controller gives a voltage or duty."
+    )
+
+
 class Columns(Options):
     """What the columns of a table mean, and what is known besides."""
 
@@ -141,6 +167,11 @@ class Columns(Options):
     torque: Torque | None = Field(None, description="The torque channel, or ...")
     current: Current | None = Field(None, description="... the current channel, or ...")
     voltage: Voltage | None = Field(None, description="... the voltage channel.")
+    target: Target | None = Field(
+        None,
+        description="The position that the drive goes for and its controller's gains; in place of "
+        "the torque where none was recorded. Beside it, a roll-out closes the loop.",
+    )
     load_torque: Channel | None = Field(
         None,
         description="Torque (or force) that acts on the load from outside, as a dynamometer "
@@ -188,9 +219,11 @@ class Columns(Options):
                 "exactly one of 'time' (a channel) and 'rate' (like '1 kHz')", f"got {found}"
             )
         given = [key for key in ("torque", "current", "voltage") if getattr(self, key) is not None]
-        if len(given) != 1:
+        if len(given) > 1 or not (given or self.target):
             found = " and ".join(f"'{key}'" for key in given) or "none"
-            raise Unfit("exactly one of 'torque', 'current', 'voltage'", f"got {found}")
+            raise Unfit(
+                "exactly one of 'torque', 'current', 'voltage', or a 'target'", f"got {found}"
+            )
         if self.start is not None and self.stop is not None and not self.start < self.stop:
             raise ValueError(f"'stop' ({self.stop:g} s) must lie after 'start' ({self.start:g} s)")
         return self

@@ -31,6 +31,7 @@ Kind = Literal[
     "mass",
     "torque_constant",
     "force_constant",
+    "share",
 ]
 
 
@@ -50,6 +51,7 @@ _KINDS: dict[Kind, tuple[str, str]] = {
     "mass": ("kg", "a mass like '2 kg'"),
     "torque_constant": ("N m/A", "a torque constant like '0.32 N m/A'"),
     "force_constant": ("N/A", "a force constant like '35 N/A'"),
+    "share": ("", "a plain number like '1' or '0.9'"),
 }
 
 # pint reads "Nm" as a number times a metre; everybody else means newton metre
@@ -99,6 +101,11 @@ def _base(text: str) -> tuple[float, tuple[tuple[str, float], ...]]:
 def quantity(text: str, *kinds: Kind) -> float:
     """Read a scalar with its unit, of one of some kinds, in SI and Hz, or raise `Unfit`."""
     return _product([text], kinds)
+
+
+def quantity_of(texts: Sequence[str], kind: Kind) -> float:
+    """Read a product of scalars with their units, in SI, or raise `Unfit`."""
+    return _product(texts, [kind])
 
 
 def scale(units: Sequence[str], kind: Kind, where: str = "unit") -> float:

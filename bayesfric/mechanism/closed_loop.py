@@ -1,0 +1,191 @@
+"""The joint moved by a drive whose torque hangs on the motion: position control, back-EMF."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import ArrayLike, NDArray
+
+from bayesfric.mechanism.dynamics import CarriedValues, carried_by, moved
+from bayesfric.mechanism.forward import carried_values, possible
+from bayesfric.mechanism.integrate import integrate
+from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.law import Law
+
+Array = NDArray[np.float64]
+
+
+class _Drive(NamedTuple):
+    """A :class:`Law` for the compiled functions, ``(N,)`` arrays."""
+
+    command: Array
+    scale: Array
+    on: Array  # 1 where the drive gives a torque, else 0
+    kp: float
+    kd: float
+    limit: float
+    back_emf: float
+
+
+def follow(
+    chain: Joint,
+    values: ArrayLike,
+    law: Law,
+    period: float,
+    segments: ArrayLike,
+    q0: ArrayLike,
+    qd0: ArrayLike,
+    *,
+    push: ArrayLike | None = None,
+    inputs: Inputs = Inputs(),  # noqa: B008  (frozen)
+    begin: float = 0.0,
+    held: bool = False,
+    step: float = 2e-3,
+) -> tuple[Array, Array]:
+    """Motion of the joint while a drive follows its command, anew in every segment.
+
+    Parameters
+    ----------
+    chain
+        The mechanism; a delay of its recordings is left out here.
+    values
+        ``(n, n_parameters)`` in the order of ``chain.names``.
+    law
+        Of N samples.
+    period, begin
+        s from one sample to the next, and the time of the first.
+    segments
+        ``(K, 2)`` half-open ranges of samples that do not overlap.
+    q0, qd0
+        ``(K,)``: position and speed at the first sample of each, rad or m, SI.
+    push
+        ``(n, N)`` motor torque besides, N m or N, as if measured.
+    inputs
+        What the joint feels besides.
+    held
+        Whether the command is held until the next sample; else it goes straight.
+    step
+        The loop is closed at least so often, s: the torque goes straight between its values
+        at the ends of a step (Heun's method).
+
+    Returns
+    -------
+    q, qd : ndarray
+        ``(n, N)``, rad or m, SI; NaN outside the segments, for a vector that has no motion, and
+        from where the joint runs away.
+    """
+    vectors = np.ascontiguousarray(values, dtype=np.float64)
+    ranges = np.asarray(segments, dtype=np.int64)
+    tables = chain.tables(vectors, inputs)
+    n, samples = len(vectors), law.command.size
+    on = np.ones(samples) if law.off is None else np.where(law.off, 0.0, 1.0)
+    given = (law.command, law.scale, on)
+    command, scale, on = (np.ascontiguousarray(x, dtype=np.float64) for x in given)
+    drive = _Drive(command, scale, on, law.kp, law.kd, law.limit, law.back_emf)
+    pushed = np.zeros((1, samples)) if push is None else np.asarray(push, dtype=np.float64)
+    load = inputs.load(chain.load.motion)
+    return _follow(
+        tables.elements,
+        tables.load,
+        carried_values(chain, tables.carried, inputs),
+        load,
+        drive,
+        np.ascontiguousarray(pushed),
+        float(period),
+        float(begin),
+        held,
+        ranges,
+        np.asarray(q0, dtype=np.float64),
+        np.asarray(qd0, dtype=np.float64),
+        max(1, int(np.ceil(period / step - 1e-9))),
+        possible(chain, vectors, tables, load[0]),
+        np.full((n, samples), np.nan),
+        np.full((n, samples), np.nan),
+    )
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _torque(drive: _Drive, i: int, share: float, push: float, q: float, qd: float) -> float:
+    """Torque of the drive between samples i and i + 1."""
+    j = min(i + 1, drive.command.shape[0] - 1)
+    command = drive.command[i] + share * (drive.command[j] - drive.command[i])
+    scale = drive.scale[i] + share * (drive.scale[j] - drive.scale[i])
+    aimed = command - drive.kp * q - drive.kd * qd
+    aimed = min(max(aimed, -drive.limit), drive.limit)
+    return float(drive.on[i] * (scale * aimed - drive.back_emf * qd) + push)
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _follow(
+    elements: Array,
+    load: Array,
+    carried: CarriedValues | None,
+    added: tuple[float, float],
+    drive: _Drive,
+    push: Array,
+    period: float,
+    begin: float,
+    held: bool,
+    segments: NDArray[np.int64],
+    q0: Array,
+    qd0: Array,
+    steps: int,
+    valid: NDArray[np.bool_],
+    q_out: Array,
+    qd_out: Array,
+) -> tuple[Array, Array]:
+    n, pieces = elements.shape[0], segments.shape[0]
+    h = period / steps
+    for job in prange(n * pieces):
+        v, k = job // pieces, job % pieces
+        if not valid[v]:
+            continue
+        joint = moved(elements[v], load[v], carried_by(carried, v), added[0], added[1])
+        row = v if push.shape[0] > 1 else 0
+        torque, q_two, qd_two, qdd_two = np.empty(2), np.empty(2), np.empty(2), np.empty(2)
+        rests, counts = np.empty(2, dtype=np.bool_), np.zeros(3, dtype=np.int64)
+        a, b = segments[k]
+        q, qd = q0[k], qd0[k]
+        for i in range(a, b):
+            q_out[v, i], qd_out[v, i] = q, qd
+            if i == b - 1:
+                break
+            done = 2
+            for s in range(steps):
+                now, then = (0.0, 0.0) if held else (s / steps, (s + 1) / steps)
+                more = push[row, i + 1] - push[row, i]
+                before = push[row, i] + s / steps * more
+                after = push[row, i] + (s + 1) / steps * more
+                time = begin + i * period + s * h
+                torque[0] = _torque(drive, i, now, before, q, qd)
+                torque[1] = torque[0]
+                for _ in range(2):  # what the motion makes of the torque at the end, then with it
+                    done = integrate(
+                        joint,
+                        torque,
+                        h,
+                        time,
+                        True,
+                        q,
+                        qd,
+                        1,
+                        q_two,
+                        qd_two,
+                        qdd_two,
+                        rests,
+                        counts,
+                    )
+                    if done < 2:
+                        break
+                    torque[1] = _torque(drive, i, then, after, q_two[1], qd_two[1])
+                if done < 2:
+                    break
+                q, qd = q_two[1], qd_two[1]
+            if done < 2:
+                q_out[v, i + 1 : b] = np.nan
+                qd_out[v, i + 1 : b] = np.nan
+                break
+    return q_out, qd_out

@@ -1,0 +1,306 @@
+"""Roll-outs: a recording's own input drives the joint, and its motion is compared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.errors import BadInput
+from bayesfric.finished import Finished
+from bayesfric.inference.sampling.sampling import Progress
+from bayesfric.mechanism.closed_loop import follow
+from bayesfric.recordings.filters import later
+from bayesfric.recordings.law import Law
+from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.observation import Observation, without_excluded
+from bayesfric.rollout.unexplained import played, unexplained
+
+Array = NDArray[np.float64]
+Input = Literal["torque", "voltage", "target"]
+Part = Literal["fitted", "held out", "new"]
+
+LEVEL = 0.9
+# Fitted recordings that say how much of the unexplained torque moves the joint, at most.
+_CALIBRATED = 12
+# Draws that are enough for that.
+_FEW = 40
+# How much of it may.
+_MOST = 10.0
+# Square of a standard normal that 90 % stay below.
+_WIDE = 1.6448536269514722**2
+# A stretch between gaps that is played by itself has so many samples at least.
+_LEAST_SAMPLES = 20
+# Standard deviation of a step of the encoder, in steps.
+_ROUNDED = 12.0**-0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """A recording to be played, as read and as prepared."""
+
+    measurement: Measurement
+    observation: Observation
+    part: Part
+
+
+@dataclass(frozen=True, eq=False)
+class Error:
+    """How far the simulated motion is from the measured one, in its unit."""
+
+    mae: float  # mean absolute error of the middle of the draws
+    rmse: float
+    inside: float  # share of samples inside the band
+    inside_alone: float  # and inside that of the parameters alone
+
+
+@dataclass(frozen=True, eq=False)
+class Rolled:
+    """One recording played to draws of the posterior; arrays are ``(N,)``, NaN where not played."""
+
+    name: str
+    part: Part
+    input: Input
+    unit: str  # of the position
+    time: Array  # s
+    position: Array  # measured
+    speed: Array  # as filtered and differentiated from it, or as measured
+    middle: Array  # median position over the parameters alone
+    band: tuple[Array, Array]  # of the position, 90 %
+    alone: tuple[Array, Array]  # of the parameters alone
+    at_position: Error
+    at_speed: Error
+    runaway: float  # share of the draws that leave any range, or have no motion
+
+
+@dataclass(frozen=True, eq=False)
+class RollOut:
+    """Recordings played to a posterior."""
+
+    run: str
+    rolled: tuple[Rolled, ...]
+    draws: int
+    seed: int
+    # by how much the torque that the model leaves unexplained is multiplied for bands of each
+    # fitted recording to hold what they say; a draw takes that of one of them
+    unexplained: dict[str, float]
+    left: float  # root mean square of that torque before, N m or N
+    torque_unit: str
+
+
+def roll_out(
+    posterior: Finished,
+    recorded: Sequence[Recorded],
+    *,
+    draws: int = 100,
+    seed: int = 0,
+    progress: Callable[[Progress], None] = lambda _: None,
+) -> RollOut:
+    """Play recordings' inputs to draws of a posterior.
+
+    Parameters
+    ----------
+    posterior
+        A finished run.
+    recorded
+        What to play; each begins in its own measured state, and anew behind gaps and excluded
+        spans.
+    draws
+        Of the posterior, each with its own unexplained torque.
+    seed
+        Of the choice of these torques.
+    progress
+        Called before each recording.
+
+    Raises
+    ------
+    BadInput
+        If a recording has no stretch to play, or no draw has a motion.
+    """
+    series = unexplained(posterior)
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(13,)))
+    picked = posterior.values(posterior.picked(draws))
+    few = posterior.values(posterior.picked(min(_FEW, draws)))
+    known = [
+        Recorded(m, o, "fitted")
+        for m, o in zip(posterior.model.recordings, posterior.model.observations, strict=True)
+    ]
+    spread = known[:: -(-len(known) // _CALIBRATED)]
+    factors = {}
+    for one in spread:
+        m = one.measurement
+        progress(Progress(f"unexplained torque: {m.name}"))
+        alone = _play(posterior, one, few, None, rng)
+        moved = _play(
+            posterior, one, few, played(series, len(few), m.time.size, m.period, rng), rng
+        )
+        factors[m.name] = _factor(one, alone[0], moved[0])
+    each = rng.choice(list(factors.values()), size=len(picked))
+    found = []
+    for one in recorded:
+        m = one.measurement
+        progress(Progress(f"roll-out: {m.name}"))
+        alone = _play(posterior, one, picked, None, rng)
+        push = each[:, None] * played(series, len(picked), m.time.size, m.period, rng)
+        moved = _play(posterior, one, picked, push, rng)
+        found.append(_rolled(posterior, one, alone, moved))
+    left = np.concatenate([one.values for one in series])
+    unit = "N m" if posterior.joint.motor_motion == "rotary" else "N"
+    rms = float(np.sqrt(np.mean(left**2)))
+    return RollOut(posterior.name, tuple(found), len(picked), seed, factors, rms, unit)
+
+
+def _segments(one: Recorded) -> NDArray[np.int64]:
+    """Stretches that are played, ``(K, 2)``: where the drive is off, the joint goes on."""
+    m = one.measurement
+    off = np.zeros(m.time.size, dtype=np.bool_) if m.law is None or m.law.off is None else m.law.off
+    parts = [
+        (a, b)
+        for a, b in without_excluded(m.segments, m.excluded & ~off)
+        if b - a >= _LEAST_SAMPLES
+    ]
+    if not parts:
+        raise BadInput(
+            f"recording '{m.name}'",
+            f"has no stretch of {_LEAST_SAMPLES} samples to play",
+            "exclude less, or record longer",
+        )
+    return np.array(parts, dtype=np.int64)
+
+
+def _play(
+    posterior: Finished,
+    one: Recorded,
+    values: Array,
+    push: Array | None,
+    rng: np.random.Generator,
+) -> tuple[Array, Array]:
+    """Simulate positions and speeds ``(n, N)``; NaN where nothing is played or moves."""
+    m, o, chain = one.measurement, one.observation, posterior.joint
+    law = m.law or Law(m.torque, np.ones(m.torque.shape))
+    segments = _segments(one)
+    start = segments[:, 0]
+    q, qd = np.full((2, len(values), m.time.size), np.nan)
+    # what each recording has of its own, a new one borrows from any
+    own = chain.own_offsets
+    like = np.zeros(len(values), dtype=np.int64)
+    if own and m.name not in own:
+        like = rng.integers(len(own), size=len(values))
+    for k in np.unique(like):
+        rows = like == k
+        inputs = replace(o.inputs, recording=own[k]) if own and m.name not in own else o.inputs
+        q[rows], qd[rows] = follow(
+            chain,
+            values[rows],
+            law,
+            m.period,
+            segments,
+            o.q[start],
+            o.qd[start],
+            push=None if push is None else push[rows],
+            inputs=inputs,
+            begin=float(m.time[0]),
+            held=m.hold == "zero",
+        )
+    if chain.delay:  # the motion is recorded late
+        for row, delay in enumerate((chain.delays(values) / m.period).tolist()):
+            for a, b in segments:
+                q[row, a:b] = later(q[row, a:b], delay)
+                qd[row, a:b] = later(qd[row, a:b], delay)
+    return q, qd
+
+
+def _factor(one: Recorded, alone: Array, moved: Array) -> float:
+    """Find how much of the unexplained torque moved the joint in a fitted recording.
+
+    So much that its band holds 90 % of the positions, were all normal and the motion linear in
+    it. ``alone`` and ``moved`` ``(n, N)`` are positions without and with the whole of it.
+    """
+    fine = np.isfinite(alone).all(axis=0) & np.isfinite(moved).all(axis=0)
+    if not fine.any():
+        return 1.0
+    squares = (one.measurement.position - np.median(alone, axis=0))[fine] ** 2
+    before = alone.var(axis=0)[fine] + (_ROUNDED * one.observation.position_step) ** 2
+    more = np.maximum(moved.var(axis=0)[fine] - alone.var(axis=0)[fine], 0.0)
+    # a quantile of what each position asks for
+    with np.errstate(divide="ignore", invalid="ignore"):
+        asked = np.where(squares > _WIDE * before, (squares / _WIDE - before) / more, 0.0)
+    return float(min(np.sqrt(np.quantile(asked, LEVEL, method="inverted_cdf")), _MOST))
+
+
+def _rolled(
+    posterior: Finished, one: Recorded, alone: tuple[Array, Array], moved: tuple[Array, Array]
+) -> Rolled:
+    m, o = one.measurement, one.observation
+    segments = _segments(one)
+    used = np.zeros(m.time.size, dtype=np.bool_)
+    for a, b in segments:
+        used[a:b] = True
+    lost = ~np.isfinite(moved[0][:, used]).all(axis=1) | ~np.isfinite(alone[0][:, used]).all(axis=1)
+    if lost.all():
+        raise BadInput(
+            f"recording '{m.name}'",
+            "no draw of the posterior moves under its input without running away",
+            "exclude what pushes the joint from outside, or record in a closed loop",
+        )
+    step = _ROUNDED * o.position_step
+    q_band, q_alone, q_middle = _bands(moved[0][~lost], alone[0][~lost], used, step)
+    v_band, v_alone, v_middle = _bands(moved[1][~lost], alone[1][~lost], used, 0.0)
+    speed = m.velocity if m.velocity is not None else o.qd
+    law = m.law
+    kind: Input = "torque"
+    if law is not None and law.follows:
+        kind = "target" if law.closed else "voltage"
+    return Rolled(
+        name=m.name,
+        part=one.part,
+        input=kind,
+        unit="rad" if posterior.joint.load.motion == "rotary" else "m",
+        time=m.time,
+        position=m.position,
+        speed=speed,
+        middle=q_middle,
+        band=q_band,
+        alone=q_alone,
+        at_position=_error(m.position, q_middle, q_band, q_alone, used),
+        at_speed=_error(speed, v_middle, v_band, v_alone, used),
+        runaway=float(lost.mean()),
+    )
+
+
+def _bands(
+    moved: Array, alone: Array, used: NDArray[np.bool_], step: float
+) -> tuple[tuple[Array, Array], tuple[Array, Array], Array]:
+    """Bands with unexplained torque and of the parameters alone, and the middle of these."""
+    ends = [0.5 - LEVEL / 2.0, 0.5 + LEVEL / 2.0]
+
+    def of(values: Array, quantiles: list[float]) -> Iterator[Array]:
+        for row in np.quantile(values[:, used], quantiles, axis=0):
+            out = np.full(used.size, np.nan)
+            out[used] = row
+            yield out
+
+    (middle,) = of(alone, [0.5])
+    # the encoder's step is wider than the band where the joint hardly moves
+    low, high = of(moved, ends)
+    first, last = of(alone, ends)
+    return (low - step, high + step), (first - step, last + step), middle
+
+
+def _error(
+    measured: Array,
+    middle: Array,
+    band: tuple[Array, Array],
+    alone: tuple[Array, Array],
+    used: NDArray[np.bool_],
+) -> Error:
+    left = (measured - middle)[used]
+
+    def inside(ends: tuple[Array, Array]) -> float:
+        return float(np.mean((measured >= ends[0])[used] & (measured <= ends[1])[used]))
+
+    rms = float(np.sqrt(np.mean(left**2)))
+    return Error(float(np.mean(np.abs(left))), rms, inside(band), inside(alone))
