@@ -18,9 +18,21 @@ if TYPE_CHECKING:
     from bayesfric.model import Model
     from bayesfric.recordings.recording import Recording
     from bayesfric.result import report, summary
+    from bayesfric.rollouts.rollout import rollout
 
 __version__ = "0.1.0"
-__all__ = ["Element", "Joint", "Load", "Model", "Recording", "Term", "plot", "report", "summary"]
+__all__ = [
+    "Element",
+    "Joint",
+    "Load",
+    "Model",
+    "Recording",
+    "Term",
+    "plot",
+    "report",
+    "rollout",
+    "summary",
+]
 
 # Imported when first used: the command line must answer --help at once.
 _HOMES = {
@@ -32,6 +44,7 @@ _HOMES = {
     "Term": "mechanism.own_term",
     "plot": "plot",
     "report": "report",
+    "rollout": "rollouts.rollout",
     "summary": "result",
 }
 

@@ -266,6 +266,30 @@ def report(
 
 
 @app.command()
+def rollout(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="run directory")],
+    config: Annotated[
+        Path | None,
+        typer.Argument(metavar="CONFIG", help="other recordings (TOML); the run's if left out"),
+    ] = None,
+    draws: Annotated[int, typer.Option(min=2, max=10_000, help="of the posterior")] = 100,
+    every: Annotated[
+        bool, typer.Option("--all", help="what was fitted, too, where some was held out")
+    ] = False,
+    seed: Seed = None,
+    as_json: AsJson = False,
+) -> None:
+    """Play recordings to the joint: how far its simulated motion is from the measured one."""
+    from bayesfric.commands.rollout import rollout as play
+    from bayesfric.commands.rollout import rollout_text
+
+    with progress_shown(sys.stderr.isatty()) as progress:
+        found = play(run, config, draws=draws, seed=seed, every=every, progress=progress)
+    written = f"Added to {run}: report.html, figures/rollout.pdf, summary.json"
+    _print(found.as_dict(), as_json, [*rollout_text(found), written])
+
+
+@app.command()
 def compare(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN", help="run directories")],
     output: Annotated[

@@ -33,14 +33,19 @@ def config_of(document: Mapping[str, Any]) -> Config:
     BadInput
         With the key and the mend, for anything that cannot be used.
     """
-    return parse_config("\n".join(_lines(document)), _MODEL)
+    return parse_config(document_text(document), _MODEL)
+
+
+def document_text(document: Mapping[str, Any]) -> str:
+    """Write tables as the text of a configuration."""
+    return "\n".join(_lines(document))
 
 
 def with_terms(config: Config, names: Sequence[str]) -> Config:
     """Give a configuration whose mechanism names terms of one's own."""
     document = tomllib.loads(config.text)
     document["mechanism"]["terms"] = list(names)
-    found = parse_config("\n".join(_lines(document)), config.path)
+    found = parse_config(document_text(document), config.path)
     return found.model_copy(update={"origin": config.origin})
 
 

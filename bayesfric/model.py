@@ -146,14 +146,21 @@ class Model:
         self._read(config_of(document), recordings, joint.terms)
 
     @classmethod
-    def from_config(cls, config: Config | Path | str, *, terms: Sequence[Term] = ()) -> Self:
+    def from_config(
+        cls,
+        config: Config | Path | str,
+        *,
+        terms: Sequence[Term] = (),
+        recordings: Sequence[Recording] | None = None,
+    ) -> Self:
         """Read what a configuration names; a finished run's ``config.toml`` is one.
 
         Terms of one's own are functions, which no file holds: where it names some, give them.
+        ``recordings`` stand for those that it names, where not all are in files.
         """
         model = cls.__new__(cls)
         read = config if isinstance(config, Config) else read_config(Path(config))
-        model._read(read, terms=terms)
+        model._read(read, recordings, terms)
         return model
 
     def with_term(self, term: Term) -> Self:
@@ -168,10 +175,8 @@ class Model:
         """
         kept = [one for one in self.chain.terms if one.name != term.name]
         terms = [*kept, term]
-        model = type(self).__new__(type(self))
         named = with_terms(self.config, [one.name for one in terms])
-        model._read(named, self.given or None, terms)
-        return model
+        return type(self).from_config(named, terms=terms, recordings=self.given or None)
 
     def _read(
         self,

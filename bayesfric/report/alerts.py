@@ -8,6 +8,7 @@ from typing import Any
 
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.summary.record import Readable, Summary
+from bayesfric.report.summary.rollout import RollOutPart
 from bayesfric.report.text_templates import sentence
 
 # Kinds of doubts, see bayesfric.report.summary.doubts; each has a macro that words it.
@@ -39,6 +40,14 @@ def doubt_text(doubt: Mapping[str, Any]) -> str:
     if doubt["kind"] in DOUBTS:
         return sentence(doubt["kind"], doubt)
     return f"{doubt['kind']}: {', '.join(doubt.get('parameters', ()))}"
+
+
+def roll_out_doubt(found: RollOutPart) -> dict[str, Any] | None:
+    """Say in which recordings the motion leaves its bands too often, if in all together."""
+    if not found.pooled.narrow:
+        return None
+    rows = {name: row.position for name, row in found.recordings.items() if row.narrow}
+    return {"level": found.level, "inside": found.pooled.position.inside, "narrow": rows}
 
 
 def alerts_of(summary: Readable, where: str = "run") -> tuple[Alert, ...]:
@@ -82,6 +91,8 @@ def _of_model(
         yield "not white", test.model_dump(), "noise"
     if summary.validation is not None and not summary.validation.pooled.fine:
         yield "held out", summary.validation.pooled.model_dump(), "held-out"
+    if summary.rollout is not None and (told := roll_out_doubt(summary.rollout)):
+        yield "roll-out", told, "roll-out"
     if summary.self_check is not None:
         corrected = {n: r.bias for n, r in summary.self_check.rows.items() if r.corrected_interval}
         if corrected:

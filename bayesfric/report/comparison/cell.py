@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from bayesfric.report.summary.bounds import told_by_data
-from bayesfric.report.summary.record import Bound, EstimatedRow, PosteriorRow, Readable, Summary
+from bayesfric.report.summary.part import Bound
+from bayesfric.report.summary.record import EstimatedRow, PosteriorRow, Readable, Summary
 
 Status = Literal["determined", "undetermined", "bound", "limit", "known"]
 _NOT_DETERMINED = "not determined"

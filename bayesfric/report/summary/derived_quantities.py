@@ -15,7 +15,7 @@ from bayesfric.identifiability.local import LocalInformation, verdict
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.sampling import convergence
 from bayesfric.mechanism.derived import Derived, derive
-from bayesfric.report.summary.record import Described
+from bayesfric.report.summary.part import Described
 
 Array = NDArray[np.float64]
 

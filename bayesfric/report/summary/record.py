@@ -8,32 +8,29 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import (
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    FiniteFloat,
-    TypeAdapter,
-    ValidationError,
-)
+from pydantic import BeforeValidator, Field, FiniteFloat, TypeAdapter
 
-from bayesfric.complaints import complaint, read_text
+from bayesfric.complaints import read_text
 from bayesfric.errors import BadInput
 from bayesfric.estimates.point_estimate import Kind, Method
 from bayesfric.explain.explanation import Explanation
+from bayesfric.report.summary.part import (
+    Bound,
+    Described,
+    Name,
+    NotNegative,
+    Open,
+    Pair,
+    Part,
+    Share,
+)
+from bayesfric.report.summary.rollout import RollOutPart
 
 if TYPE_CHECKING:
     import pandas as pd
 
-# JSON has lists only; a pair is one with a low and a high end.
-Pair = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
-NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
-Share = Annotated[FiniteFloat, Field(ge=0.0, le=1.0)]
-Bound = Literal["lower", "upper"]
-Name = Annotated[str, Field(min_length=1)]
 # A dataclass with tuples, which JSON writes as lists.
 _EXPLANATION = TypeAdapter(Explanation)
 ReadExplanation = Annotated[
@@ -42,47 +39,6 @@ ReadExplanation = Annotated[
 ]
 # A summary is a page or two of numbers; anything larger is some other file.
 _LARGEST = 20_000_000
-
-
-class Part(BaseModel):
-    """A piece of a summary. What is not set is not written: a run read and written is the same."""
-
-    # what other versions add is none of ours; what they lack has a default
-    model_config = ConfigDict(frozen=True, extra="ignore", strict=True, populate_by_name=True)
-
-    @classmethod
-    def read(cls, found: Self | Mapping[str, Any], where: str = "summary.json") -> Self:
-        """Check what a file, called ``where`` in complaints, or a piece of the package tells.
-
-        What is one already is given back. BadInput, naming the key, where something is missing or
-        of another type.
-        """
-        if isinstance(found, cls):
-            return found
-        try:
-            return cls.model_validate(found)
-        except ValidationError as error:
-            said = complaint(f"{where}: ", "configuration", error, found, cls)
-            mend = "name a run that 'bayesfric fit' wrote, or fit it again"
-            raise BadInput(said.where, said.what, mend) from None
-
-    def as_dict(self) -> dict[str, Any]:
-        """Give strings, numbers, lists and dicts, as JSON has them."""
-        return self.model_dump(mode="json", exclude_unset=True, by_alias=True)
-
-
-class Open(Part):
-    """A piece that keeps keys of its own."""
-
-    model_config = ConfigDict(frozen=True, extra="allow", strict=True)
-
-
-class Described(Part):
-    """What a quantity is; the symbol is LaTeX without dollar signs."""
-
-    unit: str
-    symbol: str = ""
-    meaning: str = ""
 
 
 class EstimatedRow(Described):
@@ -466,6 +422,7 @@ class Summary(Part):
     self_check: SelfCheck | None = None
     model_error: ModelError | None = None
     explanation: ReadExplanation | None = None
+    rollout: RollOutPart | None = None
     doubts: list[Doubt] = Field(default_factory=list)
     may_be_simulated: bool | None = None
     source: dict[str, Any] | None = None

@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
-from bayesfric.finished import Finished
+from bayesfric.finished import Finished, finished
 from bayesfric.inference.sampling.sampling import Progress
 from bayesfric.mechanism.closed_loop import follow
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.law import Law
-from bayesfric.recordings.measurement import Measurement
-from bayesfric.recordings.observation import Observation, without_excluded
-from bayesfric.rollout.unexplained import played, unexplained
+from bayesfric.recordings.observation import without_excluded
+from bayesfric.recordings.recording import Recording
+from bayesfric.rollouts.recordings import Recorded, of_config, of_recordings, own
+from bayesfric.rollouts.rolled import LEVEL, Error, Input, Rolled, RollOut
+from bayesfric.rollouts.unexplained import played, unexplained
 
 Array = NDArray[np.float64]
-Input = Literal["torque", "voltage", "target"]
-Part = Literal["fitted", "held out", "new"]
-
-LEVEL = 0.9
 # Fitted recordings that say how much of the unexplained torque moves the joint, at most.
 _CALIBRATED = 12
 # Draws that are enough for that.
@@ -38,57 +37,55 @@ _LEAST_SAMPLES = 20
 _ROUNDED = 12.0**-0.5
 
 
-@dataclass(frozen=True, eq=False)
-class Recorded:
-    """A recording to be played, as read and as prepared."""
+def rollout(
+    posterior: Any,
+    recordings: Path | str | Recording | Sequence[Recording] | None = None,
+    *,
+    every: bool = False,
+    draws: int = 100,
+    seed: int | None = None,
+    progress: Callable[[Progress], None] = lambda _: None,
+) -> RollOut:
+    """Play recordings to the joint, as ``bayesfric rollout`` does, and compare its motion.
 
-    measurement: Measurement
-    observation: Observation
-    part: Part
+    Parameters
+    ----------
+    posterior
+        From :meth:`bayesfric.Model.sample`, or the folder of a finished run.
+    recordings
+        Others than the run's: recordings, or a configuration that names them. If left out, what
+        the run held out, or else what it fitted.
+    every
+        What was fitted, too, where some was held out.
+    draws
+        Of the posterior.
+    seed
+        Of the torques that stand for what the model leaves unexplained; that of the run if left
+        out.
+    progress
+        Called as work goes on.
 
+    Returns
+    -------
+    RollOut
+        ``frame`` is its table; :func:`bayesfric.plot.rollout` draws it.
 
-@dataclass(frozen=True, eq=False)
-class Error:
-    """How far the simulated motion is from the measured one, in its unit."""
-
-    mae: float  # mean absolute error of the middle of the draws
-    rmse: float
-    inside: float  # share of samples inside the band
-    inside_alone: float  # and inside that of the parameters alone
-
-
-@dataclass(frozen=True, eq=False)
-class Rolled:
-    """One recording played to draws of the posterior; arrays are ``(N,)``, NaN where not played."""
-
-    name: str
-    part: Part
-    input: Input
-    unit: str  # of the position
-    time: Array  # s
-    position: Array  # measured
-    speed: Array  # as filtered and differentiated from it, or as measured
-    middle: Array  # median position over the parameters alone
-    band: tuple[Array, Array]  # of the position, 90 %
-    alone: tuple[Array, Array]  # of the parameters alone
-    at_position: Error
-    at_speed: Error
-    runaway: float  # share of the draws that leave any range, or have no motion
-
-
-@dataclass(frozen=True, eq=False)
-class RollOut:
-    """Recordings played to a posterior."""
-
-    run: str
-    rolled: tuple[Rolled, ...]
-    draws: int
-    seed: int
-    # by how much the torque that the model leaves unexplained is multiplied for bands of each
-    # fitted recording to hold what they say; a draw takes that of one of them
-    unexplained: dict[str, float]
-    left: float  # root mean square of that torque before, N m or N
-    torque_unit: str
+    Raises
+    ------
+    BadInput
+        If there is no such run, or a recording cannot be played.
+    """
+    run = finished(posterior)
+    if recordings is None:
+        recorded = own(run, every=every)
+    elif isinstance(recordings, str | Path):
+        recorded = of_config(run, Path(recordings))
+    else:
+        recorded = of_recordings(
+            run, [recordings] if isinstance(recordings, Recording) else recordings
+        )
+    seed = run.model.config.tables.sampling.seed if seed is None else seed
+    return roll_out(run, recorded, draws=draws, seed=seed, progress=progress)
 
 
 def roll_out(
@@ -138,7 +135,8 @@ def roll_out(
             posterior, one, few, played(series, len(few), m.time.size, m.period, rng), rng
         )
         factors[m.name] = _factor(one, alone[0], moved[0])
-    each = rng.choice(list(factors.values()), size=len(picked))
+    # each as often as the others
+    each = rng.permutation(np.resize(list(factors.values()), len(picked)))
     found = []
     for one in recorded:
         m = one.measurement

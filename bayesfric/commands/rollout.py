@@ -1,0 +1,73 @@
+"""``bayesfric rollout``: recordings' inputs played to the joint of a finished run."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from bayesfric.commands.report import report
+from bayesfric.errors import BadInput
+from bayesfric.inference.sampling.sampling import Progress
+from bayesfric.report.alerts import roll_out_doubt
+from bayesfric.report.figures.registry import read_captions, rollout_figures
+from bayesfric.report.figures.style import save
+from bayesfric.report.files import write_beside
+from bayesfric.report.summary.record import read_summary_file
+from bayesfric.report.summary.rollout import RollOutPart, rollout_part
+from bayesfric.report.text_templates import filled, sentence
+from bayesfric.rollouts.rolled import RollOut
+from bayesfric.rollouts.rollout import rollout as played
+
+
+def rollout(
+    run: Path,
+    config: Path | None = None,
+    *,
+    draws: int,
+    seed: int | None = None,
+    every: bool = False,
+    progress: Callable[[Progress], None],
+) -> RollOutPart:
+    """Play recordings to a run's posterior, and add what comes of it to the run.
+
+    Arguments as of :func:`bayesfric.rollout`. ``summary.json``, the page and ``figures/rollout``
+    are written.
+    """
+    found = played(run, config, every=every, draws=draws, seed=seed, progress=progress)
+    told = rollout_part(found)
+    _write(run, found, told)
+    return told
+
+
+def rollout_text(found: RollOutPart) -> Iterator[str]:
+    """Word it for a terminal, line by line."""
+    yield from filled("rollout.txt.j2", found=found).splitlines()
+    if doubt := roll_out_doubt(found):
+        yield f"WARNING: {sentence('roll-out', doubt)}"
+
+
+def _write(run: Path, found: RollOut, told: RollOutPart) -> None:
+    # whatever another version keeps there, stays there
+    summary: dict[str, Any] = {**read_summary_file(run), "rollout": told.as_dict()}
+    caption_file = run / "text" / "captions.md"
+    captions = read_captions(caption_file.read_text("utf-8")) if caption_file.is_file() else {}
+    figures = run / "figures"
+    try:
+        with TemporaryDirectory(dir=figures) as beside:
+            for stem, one in rollout_figures().items():
+                captions[stem] = one.caption_of(found)
+                save(one.draw(found), Path(beside), stem)  # type: ignore[arg-type]
+            for file in Path(beside).iterdir():
+                file.replace(figures / file.name)
+        caption_file.parent.mkdir(exist_ok=True)
+    except OSError as error:
+        raise BadInput(
+            str(run), f"cannot be written ({error.strerror})", "copy the run to a folder of yours"
+        ) from None
+    text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
+    lines = "\n".join(f"**{stem}**: {caption}\n" for stem, caption in captions.items())
+    write_beside({run / "summary.json": f"{text}\n", caption_file: lines}, replace=True)
+    report(run)

@@ -1,0 +1,82 @@
+"""What a summary says of roll-outs: how far simulated motions are from the measured ones."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import FiniteFloat
+
+from bayesfric.report.summary.part import Name, NotNegative, Part, Share
+from bayesfric.rollouts.rolled import Input, RollOut
+from bayesfric.rollouts.rolled import Part as Which
+
+# Share inside 90 % bands below which they are called too narrow. Positions within a second of each
+# other are nearly one, so that few recordings may well leave their bands for a tenth of the time.
+_FEWEST = 0.8
+
+
+class MotionError(Part):
+    """How far a motion is from the measured one, in its unit."""
+
+    mae: NotNegative
+    rmse: NotNegative
+    inside: Share
+    inside_alone: Share
+
+
+class RollOutRow(Part):
+    """One recording, or all together."""
+
+    part: Which | None = None
+    input: Input | None = None
+    position: MotionError
+    speed: MotionError
+    runaway: Share = 0.0
+
+    @property
+    def narrow(self) -> bool:
+        """Whether the position leaves its bands far too often."""
+        return self.position.inside < _FEWEST
+
+
+class RollOutPart(Part):
+    """Recordings played to draws of the posterior."""
+
+    level: Share
+    draws: int
+    seed: int
+    unit: Literal["rad", "m"]
+    recordings: dict[Name, RollOutRow]
+    pooled: RollOutRow
+    unexplained: dict[Name, NotNegative]
+    left: FiniteFloat
+    torque_unit: str
+
+
+def rollout_part(found: RollOut) -> RollOutPart:
+    """Sum roll-outs up."""
+    return RollOutPart.model_validate(
+        {
+            "level": found.level,
+            "draws": found.draws,
+            "seed": found.seed,
+            "unit": found.rolled[0].unit,
+            "recordings": {
+                one.name: {
+                    "part": one.part,
+                    "input": one.input,
+                    "position": vars(one.at_position),
+                    "speed": vars(one.at_speed),
+                    "runaway": one.runaway,
+                }
+                for one in found.rolled
+            },
+            "pooled": {
+                "position": vars(found.pooled["at_position"]),
+                "speed": vars(found.pooled["at_speed"]),
+            },
+            "unexplained": found.unexplained,
+            "left": found.left,
+            "torque_unit": found.torque_unit,
+        }
+    )

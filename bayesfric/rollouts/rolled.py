@@ -1,0 +1,98 @@
+"""What roll-outs find: simulated motions beside the measured ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Array = NDArray[np.float64]
+# What drives a recording, and what it was to the run.
+Input = Literal["torque", "voltage", "target"]
+Part = Literal["fitted", "held out", "new"]
+
+LEVEL = 0.9
+
+
+@dataclass(frozen=True, eq=False)
+class Error:
+    """How far the simulated motion is from the measured one, in its unit."""
+
+    mae: float  # mean absolute error of the middle of the draws
+    rmse: float
+    inside: float  # share of samples inside the band
+    inside_alone: float  # and inside that of the parameters alone
+
+
+@dataclass(frozen=True, eq=False)
+class Rolled:
+    """One recording played to draws of the posterior; arrays are ``(N,)``, NaN where not played."""
+
+    name: str
+    part: Part
+    input: Input
+    unit: str  # of the position
+    time: Array  # s
+    position: Array  # measured
+    speed: Array  # as filtered and differentiated from it, or as measured
+    middle: Array  # median position over the parameters alone
+    band: tuple[Array, Array]  # of the position, 90 %
+    alone: tuple[Array, Array]  # of the parameters alone
+    at_position: Error
+    at_speed: Error
+    runaway: float  # share of the draws that leave any range, or have no motion
+
+
+@dataclass(frozen=True, eq=False)
+class RollOut:
+    """Recordings played to a posterior."""
+
+    run: str
+    rolled: tuple[Rolled, ...]
+    draws: int
+    seed: int
+    # by how much the torque that the model leaves unexplained is multiplied for bands of each
+    # fitted recording to hold what they say; a draw takes that of one of them
+    unexplained: dict[str, float]
+    left: float  # root mean square of that torque before, N m or N
+    torque_unit: str
+    level: float = LEVEL
+
+    @property
+    def pooled(self) -> dict[Literal["at_position", "at_speed"], Error]:
+        """Means over the recordings; root mean squares of what is a root mean square."""
+        found: dict[Literal["at_position", "at_speed"], Error] = {}
+        for which in ("at_position", "at_speed"):
+            rows = [getattr(one, which) for one in self.rolled]
+            found[which] = Error(
+                float(np.mean([r.mae for r in rows])),
+                float(np.sqrt(np.mean([r.rmse**2 for r in rows]))),
+                float(np.mean([r.inside for r in rows])),
+                float(np.mean([r.inside_alone for r in rows])),
+            )
+        return found
+
+    @property
+    def frame(self) -> pd.DataFrame:
+        """A row for each recording and quantity, in its unit, and for all together."""
+        import pandas as pd
+
+        rows = {}
+        quantities: tuple[tuple[Literal["at_position", "at_speed"], str], ...]
+        quantities = (("at_position", ""), ("at_speed", "/s"))
+        for which, per in quantities:
+            quantity = which.removeprefix("at_")
+            named = [(one.name, getattr(one, which)) for one in self.rolled]
+            for name, error in [*named, ("all together", self.pooled[which])]:
+                rows[name, quantity] = {"unit": self.rolled[0].unit + per, **vars(error)}
+        found = pd.DataFrame.from_dict(rows, orient="index")
+        found.index.names = ["recording", "quantity"]
+        return found
+
+    def _repr_html_(self) -> str:
+        return str(self.frame.to_html())
