@@ -22,17 +22,9 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = [
-    "Element",
-    "Joint",
-    "Load",
-    "Model",
-    "Recording",
-    "Term",
-    "plot",
-    "report",
-    "rollout",
+    "Element", "Joint", "Load", "Model", "Recording", "Term", "plot", "report", "rollout",
     "summary",
-]
+]  # fmt: skip
 
 # Imported when first used: the command line must answer --help at once.
 _HOMES = {

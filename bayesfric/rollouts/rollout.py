@@ -134,7 +134,8 @@ def roll_out(
         moved = _play(
             posterior, one, few, played(series, len(few), m.time.size, m.period, rng), rng
         )
-        factors[m.name] = _factor(one, alone[0], moved[0])
+        rounding = _ROUNDED * one.observation.position_step
+        factors[m.name] = moving_share(m.position, alone[0], moved[0], rounding)
     # each as often as the others
     each = rng.permutation(np.resize(list(factors.values()), len(picked)))
     found = []
@@ -211,17 +212,26 @@ def _play(
     return q, qd
 
 
-def _factor(one: Recorded, alone: Array, moved: Array) -> float:
+def moving_share(position: Array, alone: Array, moved: Array, rounding: float) -> float:
     """Find how much of the unexplained torque moved the joint in a fitted recording.
 
-    So much that its band holds 90 % of the positions, were all normal and the motion linear in
-    it. ``alone`` and ``moved`` ``(n, N)`` are positions without and with the whole of it.
+    So much that its band holds 90 % of the positions ``(N,)``, were all normal and the motion
+    linear in it.
+
+    Parameters
+    ----------
+    position
+        As measured.
+    alone, moved
+        ``(n, N)`` positions of draws without and with the whole of the torque.
+    rounding
+        Standard deviation of the encoder's step.
     """
     fine = np.isfinite(alone).all(axis=0) & np.isfinite(moved).all(axis=0)
     if not fine.any():
         return 1.0
-    squares = (one.measurement.position - np.median(alone, axis=0))[fine] ** 2
-    before = alone.var(axis=0)[fine] + (_ROUNDED * one.observation.position_step) ** 2
+    squares = (position - np.median(alone, axis=0))[fine] ** 2
+    before = alone.var(axis=0)[fine] + rounding**2
     more = np.maximum(moved.var(axis=0)[fine] - alone.var(axis=0)[fine], 0.0)
     # a quantile of what each position asks for
     with np.errstate(divide="ignore", invalid="ignore"):

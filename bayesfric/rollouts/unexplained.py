@@ -53,7 +53,7 @@ def played(
     the torque goes straight.
     """
     lengths = np.array([one.values.size for one in series], dtype=np.float64)
-    memories = [_memory(one.values) for one in series]
+    memories = [memory(one.values) for one in series]
     duration = samples * period
     out = np.zeros((draws, samples))
     time = np.arange(samples) * period
@@ -73,7 +73,7 @@ def played(
     return out
 
 
-def _memory(values: Array) -> float:
+def memory(values: Array) -> float:
     """Integrated autocorrelation time in outputs, up to the first correlation below zero."""
     x = values - values.mean()
     power = float(x @ x)

@@ -1,0 +1,94 @@
+"""MEASURED runs of the XL330 played to the joint, in the closed loop that they were made in.
+
+``python studies/xl330/rollout.py`` fits the runs of three position gains, plays the targets of the
+fourth, for every gain and two models, and writes ``rollout.json``; then fits all sixteen runs
+by their targets in place of their voltage. Minutes on one core.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+from held_out import GAINS
+
+import bayesfric as bf
+from bayesfric.config import parse_config
+from bayesfric.config_text import document_text
+from bayesfric.report.summary.rollout import rollout_part
+
+PATH = Path(__file__).with_name("xl330-rollout.toml")
+# What `bayesfric explain` asks for first on these runs.
+MODELS: dict[str, dict[str, Any]] = {
+    "the preset": {},
+    "with cogging 6 times a turn and the square of the load": {
+        "motor": {"cogging": [6]},
+        "gearbox": {"load_square": True},
+    },
+}
+
+
+def model(held_out: tuple[str, ...], elements: dict[str, Any], effort: str = "voltage") -> bf.Model:
+    """Fit all runs but some; ``effort`` is where the torque is taken from."""
+    document = tomllib.loads(PATH.read_text(encoding="utf-8"))
+    if elements:
+        document["mechanism"]["elements"] = elements
+    document["validation"] = {"recordings": [f"2026-01-15_{name}" for name in held_out]}
+    if effort == "target":
+        for recording in document["recordings"]:
+            del recording["voltage"]
+    return bf.Model.from_config(parse_config(document_text(document), PATH))
+
+
+def played(gain: int, elements: dict[str, Any]) -> dict[str, Any]:
+    """Play the runs of a gain to what the others determine."""
+    begun = process_time()
+    sampled = model(GAINS[gain], elements).sample()
+    fitted = process_time()
+    found = rollout_part(bf.rollout(sampled)).as_dict()
+    return found | {"fit_seconds": fitted - begun, "rollout_seconds": process_time() - fitted}
+
+
+def fitted(effort: str) -> dict[str, Any]:
+    """Fit all runs by their voltage or their targets; give medians and intervals."""
+    summary = bf.summary(model((), {}, effort).sample())
+    rows = {
+        name: {"median": row.median, "interval": row.told_interval, "sd": row.told_sd}
+        for name, row in summary.parameters.items()
+    }
+    return {"parameters": rows, "residual_rms": summary.fit.residual_rms}
+
+
+def main() -> None:
+    """Print a row for each gain and model, and what either source of torque gives."""
+    found: dict[str, Any] = {"rollouts": {}, "fits": {}}
+    print("| model | gain played | MAE (mrad) | RMSE (mrad) | inside 90 % | parameters alone |")
+    print("|---|---|---|---|---|---|")
+    for name, elements in MODELS.items():
+        for gain in GAINS:
+            one = found["rollouts"].setdefault(name, {})[str(gain)] = played(gain, elements)
+            e = one["pooled"]["position"]
+            print(
+                f"| {name} | {gain} | {1e3 * e['mae']:.1f} | {1e3 * e['rmse']:.1f} | "
+                f"{100 * e['inside']:.0f} % | {100 * e['inside_alone']:.0f} % |",
+                flush=True,
+            )
+    print("\n| quantity | by voltage | by targets |\n|---|---|---|")
+    for effort in ("voltage", "target"):
+        found["fits"][effort] = fitted(effort)
+    a, b = (found["fits"][effort]["parameters"] for effort in ("voltage", "target"))
+    for name, row in a.items():
+        cells = [
+            f"{x['median']:.4g} [{x['interval'][0]:.4g}, {x['interval'][1]:.4g}]"
+            for x in (row, b[name])
+        ]
+        print(f"| {name} | {' | '.join(cells)} |")
+    path = PATH.with_name("rollout.json")
+    path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,122 @@
+"""Position targets: what a drive's controller makes of them is the torque."""
+
+import numpy as np
+import pytest
+
+import bayesfric as bf
+from bayesfric.errors import BadInput
+from bayesfric.recordings import Processing, read_recordings
+
+from .samples import swing
+
+MOTOR = {"torque_constant": "0.3 N m/A", "resistance": "2 ohm"}
+
+
+def read(recording, ratio=1.0):
+    (found,) = read_recordings(recording, ratio=ratio, motion="rotary", processing=Processing())
+    return found
+
+
+def recording(target, **more):
+    t, q, _ = swing()
+    frame = {"target": target, "units": {"target": "rad"}}
+    return bf.Recording.from_arrays(t, q, None, **(frame | more))
+
+
+def aims():
+    t, q, _ = swing()
+    return q + 0.2 * np.sin(9.0 * t), q
+
+
+def test_gains_make_the_torque():
+    target, q = aims()
+    speed = np.gradient(q, 0.01)
+    given = {"kp": "8 N m/rad", "kd": "0.5 N m s/rad", "limit": "1.1 N m", "velocity": speed}
+    found = read(recording(target, **given))
+    wanted = np.clip(8.0 * (target - q) - 0.5 * speed, -1.1, 1.1)
+    assert np.abs(wanted).max() == 1.1
+    assert found.torque == pytest.approx(wanted, abs=1e-12)
+    assert found.drive == "torque"
+    assert any("at its limit in" in step for step in found.steps)
+
+
+def test_degrees_and_radians_are_the_same_gain():
+    target, _ = aims()
+    plain = read(recording(target, kp="8 N m/rad"))
+    other = read(recording(np.rad2deg(target), kp=f"{8.0 * np.pi / 180:.17g} N m/deg",
+                           units={"target": "deg"}))  # fmt: skip
+    assert other.torque == pytest.approx(plain.torque, rel=1e-12)
+
+
+@pytest.mark.parametrize("supply", [None, "measured"])
+def test_a_voltage_from_targets_is_that_voltage(supply):
+    """A duty of a supply, or a voltage, against the same numbers as a voltage column."""
+    t, q, _ = swing()
+    target, _ = aims()
+    volts = 12.0 + np.sin(3.0 * t) if supply else np.ones(t.size)
+    duty = np.clip(2.5 * (target - q), -0.4, 0.4)
+    table = {"t": t, "q": q, "u": duty * volts, "goal": target, "supply": volts}
+    channels = {"time": "t", "position": "q", "units": {"time": "s"}}
+    aimed = {"column": "goal", "unit": "rad", "kp": "2.5 V/rad", "limit": "0.4 V", **MOTOR}
+    if supply:
+        aimed |= {"kp": "2.5 1/rad", "limit": "0.4", "times": "supply", "times_unit": "V"}
+    import pandas as pd
+
+    frame = pd.DataFrame(table)
+    by_target = read(bf.Recording.from_dataframe(frame, target=aimed, **channels))
+    by_voltage = read(bf.Recording.from_dataframe(frame, voltage="u", **MOTOR, **channels))
+    both = read(bf.Recording.from_dataframe(frame, voltage={"column": "u", **MOTOR},
+                                            target=aimed, **channels))  # fmt: skip
+    assert by_target.torque == pytest.approx(by_voltage.torque, abs=1e-12)
+    assert by_target.back_emf == pytest.approx(by_voltage.back_emf, abs=1e-12)
+    assert by_target.drive == by_voltage.drive == "voltage"
+    # beside a measured voltage it closes the loop, and the torque is the measured one
+    assert np.array_equal(both.torque, by_voltage.torque)
+    assert both.law.closed
+    assert not by_voltage.law.closed
+    assert by_voltage.law.follows
+
+
+def test_a_target_of_the_motor_counts_its_turns():
+    t, q, _ = swing()
+    target, _ = aims()
+    given = {"target": 50.0 * target, "kp": "0.1 N m/rad", "side": "motor", "units": {}}
+    found = read(bf.Recording.from_arrays(t, 50.0 * q, None, **given), ratio=50.0)
+    assert found.torque == pytest.approx(0.1 * 50.0 * (target - q), rel=1e-9, abs=1e-12)
+
+
+def test_current_and_its_constant():
+    target, q = aims()
+    found = read(recording(target, kp="8 A/rad", torque_constant="0.3 N m/A"))
+    assert found.torque == pytest.approx(0.3 * 8.0 * (target - q), abs=1e-12)
+    assert found.drive == "current"
+
+
+def test_samples_without_a_drive_are_known():
+    t, _, _ = swing()
+    target, _ = aims()
+    found = read(recording(target, kp="8 N m/rad", valid=t < 1.0))
+    assert np.array_equal(found.law.off, t >= 1.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"kp": "8 N m"}, "kp: '8 N m' is no gain"),
+        ({"kp": "8 s"}, "is no gain"),
+        ({"kp": "8 V/rad"}, "torque_constant: is not given"),
+        ({"kp": "8 V/rad", "torque_constant": "0.3 N m/A"}, "resistance: is not given"),
+        ({"kp": "8 1/rad", **MOTOR}, "times: is not given"),
+        ({"kp": "8 N m/rad", "kd": "2 V s/rad"}, "kd: makes a voltage, and kp a torque"),
+        ({"kp": "8 N m/rad", "limit": "2 V"}, "limit"),
+    ],
+)
+def test_what_makes_no_torque_is_refused(changes, said):
+    with pytest.raises(BadInput) as refused:
+        read(recording(aims()[0], **changes))
+    assert said in str(refused.value)
+
+
+def test_a_target_without_gains_is_refused():
+    with pytest.raises(BadInput, match="kp"):
+        recording(aims()[0])

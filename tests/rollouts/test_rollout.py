@@ -1,0 +1,237 @@
+"""Roll-outs of SIMULATED servos under position control, through the command line and Python."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import bayesfric as bf
+from bayesfric.mechanism.closed_loop import follow
+from bayesfric.mechanism.presets import PRESETS
+from bayesfric.recordings.law import Law
+from bayesfric.result import result_of
+from bayesfric.rollouts.rollout import rollout
+from tests.commands.bench import Bench, without_figures
+
+JOINT = '[mechanism]\npreset = "motor-axis"\n[mechanism.load]\nfirst_moment = true\n'
+TRUTH = {"motor.inertia": 0.01, "motor.viscous": 0.06, "motor.coulomb": 0.1,
+         "load.first_moment": 0.05, "offset": 0.0}  # fmt: skip
+CHAIN = PRESETS["motor-axis"].chain()
+RATE, N = 250.0, 2000
+QUICK = """
+[processing]
+dead_zone = 0.1
+[noise]
+model = "white"
+[sampling]
+seed = 3
+min_ess = 400
+ensembles = 2
+walkers = 32
+[self_check]
+recordings = 0
+"""
+
+
+def table(name, kp=4.0, effort=True):
+    """A recording's table; one without its torque is known by its target alone."""
+    torque = 'torque = { column = "tau", unit = "N m" }\n' if effort else ""
+    return f"""
+[[recordings]]
+file = "{name}.csv"
+time = {{ column = "t", unit = "s" }}
+position = {{ column = "q", unit = "rad" }}
+{torque}target = {{ column = "goal", unit = "rad", kp = "{kp} N m/rad", kd = "0.05 N m s/rad" }}
+"""
+
+
+@pytest.fixture(scope="module")
+def joint():
+    from bayesfric.config_text import config_of
+
+    return config_of({"mechanism": {"preset": "motor-axis", "load": {"first_moment": True}}}
+                     ).tables.mechanism.joint()  # fmt: skip
+
+
+def recorded(joint, folder, name, seed, kp=4.0, noise=0.02, lacking=0.0):
+    """Play targets to the true joint; ``lacking`` is a torque that no model has."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(N) / RATE
+    phases = rng.uniform(0.0, 2.0 * np.pi, 3)
+    goal = sum(a * np.sin(w * time + p) for w, a, p in zip((1.3, 3.1, 7.9), (0.8, 0.4, 0.1),
+                                                           phases, strict=True))  # fmt: skip
+    law = Law(kp * goal, np.ones(N), kp=kp, kd=0.05)
+    push = lacking * np.sin(5.0 * time + phases[0])[None]
+    q, qd = follow(joint, joint.vector(TRUTH)[None], law, 1.0 / RATE, [(0, N)], goal[:1],
+                   np.zeros(1), push=push)  # fmt: skip
+    torque = law.drives(q[0], qd[0]) + noise * rng.standard_normal(N)
+    steps = 2.0 * np.pi / 20_000
+    frame = {"t": time, "q": steps * np.round(q[0] / steps), "goal": goal, "tau": torque}
+    pd.DataFrame(frame).to_csv(folder / f"{name}.csv", index=False)
+
+
+@pytest.fixture(scope="module")
+def made(joint, tmp_path_factory):
+    """A run of one recording that holds another out, and a third that it never saw."""
+    folder = tmp_path_factory.mktemp("rollout")
+    for seed, name in enumerate(("one", "two", "three")):
+        recorded(joint, folder, name, seed)
+    held = '[validation]\nrecordings = ["two"]\n'
+    (folder / "c.toml").write_text(JOINT + table("one") + table("two") + QUICK + held)
+    (folder / "new.toml").write_text(table("three", effort=False))
+    model = bf.Model.from_config(folder / "c.toml")
+    with pytest.MonkeyPatch.context() as patch:
+        without_figures(patch)
+        found = model.sample()
+        bf.report(found, folder / "run")
+    return folder, found
+
+
+@pytest.fixture
+def bench(made, monkeypatch, capfd):
+    monkeypatch.chdir(made[0])
+    return Bench(made[0], monkeypatch, capfd)
+
+
+def test_a_joint_that_is_modelled_right_moves_as_measured(made):
+    _, found = made
+    rolled = rollout(found)
+    (two,) = rolled.rolled
+    assert (two.name, two.part, two.input, two.unit) == ("two", "held out", "target", "rad")
+    assert two.at_position.mae < 2e-3
+    assert two.at_speed.mae < 0.02
+    # two cycles of a motion are a few independent positions
+    assert two.at_position.inside > 0.6
+    # noise of the torque sensor moves no joint
+    assert rolled.unexplained["one"] < 0.5
+    assert rolled.left == pytest.approx(0.02 * np.sqrt(2.0 * 0.5 * 0.1), rel=1.0)
+
+
+def test_the_same_seed_gives_the_same_numbers(made):
+    _, found = made
+    first, again = rollout(found, draws=20), rollout(found, draws=20)
+    assert first.rolled[0].band[0].tobytes() == again.rolled[0].band[0].tobytes()
+    other = rollout(found, draws=20, seed=9)
+    assert first.rolled[0].middle.tobytes() == other.rolled[0].middle.tobytes()
+
+
+def test_the_command_prints_what_python_returns(bench, made):
+    folder, _ = made
+    told = bench.run("rollout", "run", "--draws", "30", "--json")
+    assert told.code == 0, told.err
+    found = json.loads(told.out)
+    rolled = rollout(folder / "run", draws=30)
+    assert found["recordings"]["two"]["position"]["mae"] == rolled.rolled[0].at_position.mae
+    assert found["pooled"]["speed"]["rmse"] == rolled.pooled["at_speed"].rmse
+    frame = rolled.frame
+    assert frame.loc[("two", "position"), "inside"] == rolled.rolled[0].at_position.inside
+    summary = bf.summary(folder / "run")
+    assert summary.rollout.as_dict() == found
+    page = (folder / "run" / "report.html").read_text()
+    assert 'id="roll-out"' in page
+    assert "Recordings played to the joint" in page
+    for kind in ("pdf", "png", "svg"):
+        assert (folder / "run" / "figures" / f"rollout.{kind}").is_file()
+    text = bench.run("rollout", "run", "--draws", "30", "--all").out
+    assert "1 held out" in text
+    assert "1 fitted" in text
+    assert "closed loop" in text
+
+
+def test_other_recordings_are_played_by_their_targets_alone(bench, made):
+    folder, _ = made
+    told = bench.run("rollout", "run", "new.toml", "--draws", "30", "--json")
+    assert told.code == 0, told.err
+    rows = json.loads(told.out)["recordings"]
+    assert rows["three"]["part"] == "new"
+    assert rows["three"]["position"]["mae"] < 2e-3
+    # and in Python, a recording made there
+    frame = pd.read_csv(folder / "three.csv")
+    other = bf.Recording.from_dataframe(
+        frame, time="t", position="q", target="goal", kp="4 N m/rad", kd="0.05 N m s/rad", name="x"
+    )
+    (x,) = rollout(folder / "run", other, draws=30).rolled
+    assert x.at_position.mae == pytest.approx(rows["three"]["position"]["mae"], rel=0.2)
+
+
+def test_a_measured_torque_is_played_in_the_open_loop(made):
+    folder, _ = made
+    frame = pd.read_csv(folder / "three.csv")
+    other = bf.Recording.from_dataframe(frame, time="t", position="q", torque="tau", name="x")
+    (x,) = rollout(folder / "run", other, draws=30).rolled
+    assert x.input == "torque"
+    assert x.at_position.mae < 0.3
+
+
+def test_a_joint_that_lacks_a_torque_is_said_to(made, joint, tmp_path):
+    """A push that the fitted recording did not have: bands too narrow, and said so."""
+    _, found = made
+    recorded(joint, tmp_path, "pushed", 5, lacking=0.5)
+    frame = pd.read_csv(tmp_path / "pushed.csv")
+    other = bf.Recording.from_dataframe(
+        frame, time="t", position="q", target="goal", kp="4 N m/rad", kd="0.05 N m s/rad"
+    )
+    from bayesfric.report.alerts import roll_out_doubt
+    from bayesfric.report.summary.rollout import rollout_part
+
+    doubt = roll_out_doubt(rollout_part(rollout(found, other, draws=30)))
+    assert doubt is not None
+    assert doubt["inside"] < 0.5
+    assert roll_out_doubt(rollout_part(rollout(found, draws=30))) is None
+
+
+def test_a_fit_by_targets_is_that_by_the_torque(made, joint):
+    """Without noise of a sensor the target's gains make the very torque."""
+    folder, found = made
+    measured = result_of(found).summary.parameters
+    other = bf.Model(
+        joint,
+        bf.Recording.from_dataframe(
+            pd.read_csv(folder / "one.csv"), time="t", position="q", target="goal",
+            kp="4 N m/rad", kd="0.05 N m s/rad",
+        ),
+        processing={"dead_zone": 0.1},
+    )  # fmt: skip
+    by_target = {p.name: p for p in other.estimates(["input-error"])[0].values}
+    for name, row in measured.items():
+        if name in by_target:
+            assert abs(by_target[name].value - row.mean) < 5.0 * row.sd, name
+
+
+def test_another_mechanism_is_refused(bench, made):
+    folder, _ = made
+    text = '[mechanism]\npreset = "servo-pendulum"\n' + table("three")
+    (folder / "other.toml").write_text(text)
+    told = bench.run("rollout", "run", "other.toml")
+    assert told.code == 2
+    assert "other.toml: mechanism: is not the run's" in told.err
+
+
+def test_what_is_no_run_is_refused(bench, tmp_path):
+    told = bench.run("rollout", str(tmp_path))
+    assert told.code == 2
+    assert "summary.json" in told.err
+    assert told.err.count("\n") == 1
+
+
+def test_a_configuration_that_is_not_there_is_refused(bench):
+    told = bench.run("rollout", "run", "nowhere.toml")
+    assert told.code == 2
+    assert "nowhere.toml" in told.err
+    assert told.err.count("\n") == 1
+
+
+def test_a_run_whose_recordings_are_gone_is_refused(bench, made, tmp_path):
+    import shutil
+
+    folder, _ = made
+    shutil.copytree(folder / "run", tmp_path / "run")
+    moved = folder / "one.csv"
+    moved.rename(folder / "gone.csv")
+    try:
+        told = bench.run("rollout", str(tmp_path / "run"))
+    finally:
+        (folder / "gone.csv").rename(moved)
+    assert told.code == 2
+    assert "one.csv" in told.err
