@@ -66,7 +66,9 @@ class TorqueProblem:
     def residual(self, x: Array) -> Array:
         """Measured minus modelled, ``(n_outputs,)``."""
         values = self.vector(x)[None]
-        model = [filtered_torque(self.chain, o, values)[0] for o in self.observations]
+        # a trial step may lead to where the torque is no number, and is not taken then
+        with np.errstate(invalid="ignore", over="ignore"):
+            model = [filtered_torque(self.chain, o, values)[0] for o in self.observations]
         return np.asarray(self.measured - np.concatenate(model))
 
     def jacobian(self, x: Array) -> Array:

@@ -1,12 +1,16 @@
 """Roll-outs of SIMULATED servos under position control, through the command line and Python."""
 
 import json
+import shutil
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import bayesfric as bf
+from bayesfric.finished import finished
 from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.law import Law
@@ -223,8 +227,6 @@ def test_a_configuration_that_is_not_there_is_refused(bench):
 
 
 def test_a_run_whose_recordings_are_gone_is_refused(bench, made, tmp_path):
-    import shutil
-
     folder, _ = made
     shutil.copytree(folder / "run", tmp_path / "run")
     moved = folder / "one.csv"
@@ -235,3 +237,39 @@ def test_a_run_whose_recordings_are_gone_is_refused(bench, made, tmp_path):
         (folder / "gone.csv").rename(moved)
     assert told.code == 2
     assert "one.csv" in told.err
+
+
+def test_a_run_read_back_has_the_draws_of_its_intervals(made):
+    """What goes on from a run, goes on from draws that have the intervals it tells."""
+    folder, found = made
+    summary = result_of(found).summary
+    for posterior in (finished(found), finished(folder / "run")):
+        assert posterior.joint.names == result_of(found).model.chain.names
+        for k, name in enumerate(posterior.names):
+            row = summary.parameters[name]
+            # 4000 draws of maybe 400 independent ones
+            ends = np.quantile(posterior.draws[:, k], [0.05, 0.95])
+            assert ends == pytest.approx(row.told_interval, abs=0.25 * row.told_sd), name
+        whole = posterior.values(posterior.picked(7))
+        assert whole.shape == (7, len(posterior.joint.names))
+
+
+def test_what_was_fixed_is_filled_in(made):
+    posterior = finished(made[1])
+    names = posterior.joint.names
+    known = {name: SimpleNamespace(value=0.5 + k) for k, name in enumerate(names)}
+    model = SimpleNamespace(chain=posterior.joint, priors=known)
+    given = replace(posterior, model=model, names=(names[0],), draws=np.full((3, 1), 0.7))
+    values = given.values(given.draws)
+    assert (values[:, 0] == 0.7).all()
+    for k in range(1, len(names)):
+        assert (values[:, k] == 0.5 + k).all()
+
+
+def test_a_run_without_draws_is_refused(bench, made, tmp_path):
+    shutil.copytree(made[0] / "run", tmp_path / "run")
+    (tmp_path / "run" / "posterior.nc").write_bytes(b"no draws")
+    told = bench.run("rollout", str(tmp_path / "run"))
+    assert told.code == 2
+    assert "posterior.nc" in told.err
+    assert told.err.count("\n") == 1
