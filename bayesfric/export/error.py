@@ -1,0 +1,114 @@
+"""How wrong a format's joint is over the recorded range: in torque, and in motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from bayesfric.export.at_joint import (
+    Array,
+    Moved,
+    simulator_joint,
+    simulator_vectors,
+    torque_along,
+)
+from bayesfric.mechanism.forward import simulate_segments
+from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.trajectory import Trajectory
+
+# Seconds of free motion over which two joints are compared, each time from the same state.
+SPAN = 2.0
+
+
+@dataclass(frozen=True)
+class Size:
+    """How large a difference is over the recordings."""
+
+    rms: float
+    p90: float  # 90th percentile of its size
+    largest: float
+
+
+@dataclass(frozen=True, eq=False)
+class Wrong:
+    """What a format's joint does to torque and motion."""
+
+    difference: Array  # (M,) along the recorded motion, measured motor torque, N m or N
+    whole: Array  # (M,) torque of the fitted joint, as above
+    motor: Size
+    joint: Size  # the same at the joint, times the gain
+    motion_rms: float | None  # rad or m, SPAN s from the same state; None where none could be run
+    torque_rms: float  # of the fitted joint, to compare with
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give the numbers as JSON holds them."""
+        return {
+            "motor": asdict(self.motor),
+            "joint": asdict(self.joint),
+            "motion_rms": self.motion_rms,
+            "motion_span": SPAN,
+            "torque_rms": self.torque_rms,
+        }
+
+
+def wrong(
+    chain: Joint,
+    vector: Array,
+    numbers: dict[str, Array],
+    motions: Sequence[Moved],
+    trajectories: Sequence[Trajectory],
+) -> Wrong:
+    """Replay recorded motion through the fitted joint and through a format's, and let both run.
+
+    Parameters
+    ----------
+    chain, vector
+        The fitted joint ``(d,)``. A delay is left out: it is of the recording.
+    numbers
+        Of the format, ``(1,)`` each.
+    motions, trajectories
+        Of the recordings.
+    """
+    here = vector[None].copy()
+    if chain.delay_name:
+        here[0, chain.names.index(chain.delay_name)] = 0.0
+    plain = simulator_joint(chain.load.motion, chain.load.gravity)
+    there = simulator_vectors(plain, numbers)
+    whole = torque_along(chain, here, motions)[0]
+    difference = torque_along(plain, there, motions)[0] - whole
+    gain = float(numbers["gain"][0])
+    return Wrong(
+        difference,
+        whole,
+        _size(difference),
+        _size(gain * difference),
+        _motion(chain, here, plain, there, trajectories),
+        float(np.sqrt(np.mean(whole**2))),
+    )
+
+
+def _size(x: Array) -> Size:
+    big = np.abs(x)
+    return Size(float(np.sqrt(np.mean(x**2))), float(np.quantile(big, 0.9)), float(big.max()))
+
+
+def _motion(
+    chain: Joint, here: Array, plain: Joint, there: Array, trajectories: Sequence[Trajectory]
+) -> float | None:
+    apart = []
+    for t in trajectories:
+        given = (t.torque, t.period, t.segments, t.q0, t.qd0)
+        options: dict[str, Any] = {
+            "inputs": replace(t.inputs, recording=""),
+            "begin": float(t.time[0]),
+            "hold": t.hold,
+        }
+        mine, _ = simulate_segments(chain, here, *given, **options)
+        other, _ = simulate_segments(plain, there, *given, **options)
+        apart.append((mine - other)[0, t.samples])
+    one = np.concatenate(apart) if apart else np.empty(0)
+    one = one[np.isfinite(one)]
+    return float(np.sqrt(np.mean(one**2))) if one.size else None
