@@ -160,7 +160,7 @@ def at_joint(
 
     def add(number: str, amount: Array, *names: str) -> None:
         found[number] = found[number] + amount
-        made[number] += [name for name in names if name not in made[number]]
+        made[number] += [name for name in dict.fromkeys(names) if name not in made[number]]
 
     passed: Array = np.ones(len(values))  # mean factor of all load losses behind, and here
     for k in range(len(chain.elements) - 1, -1, -1):
@@ -209,7 +209,7 @@ def at_joint(
             raise _unknown(p)
     whole = column.get("drive.gain", np.ones(len(values)))
     add("gain", chain.ratio * whole / passed, *(["drive.gain"] if "drive.gain" in column else []))
-    made["gain"] += [p.name for p in chain.parameters if p.row.role == "loss"]
+    made["gain"] += [p.name for p in chain.parameters if p.quantity in ("load_drive", "load_back")]
     if "offset" in column:
         add("offset", chain.ratio * column["offset"] / passed, "offset")
     fitted = _fitted(chain, values, motions, found["gain"])

@@ -11,7 +11,7 @@ import numpy as np
 from bayesfric.export.at_joint import NUMBERS, Array, AtJoint, Moved, places
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import Parameter
-from bayesfric.mechanism.quantities import Motion
+from bayesfric.mechanism.quantities import Motion, Quantity
 
 # What is of the link and of the drive: a format of joints leaves these to the model around it.
 LINK = ("link_inertia", "link_moment", "link_gravity_angle")
@@ -83,9 +83,7 @@ def lost_terms(
     return tuple(found)
 
 
-def _lost(
-    kind: str, p: Parameter, at: AtJoint, value: dict[str, float], unit: str
-) -> Lost:
+def _lost(kind: str, p: Parameter, at: AtJoint, value: dict[str, float], unit: str) -> Lost:
     partner = f"{p.owner}.{_PARTNERS.get(p.quantity, '')}"
     names = (p.name, *([partner] if partner in value else []))
     numbers: dict[str, Any] = {"value": value[p.name], "unit": p.unit}
@@ -99,6 +97,26 @@ def _lost(
         numbers |= {"mean": 0.5 * (drive + back), "passed": 1.0 + 0.5 * (drive - back)}
         kind = "load loss" if len(names) == 1 else "load losses"
     return Lost(kind, names, numbers)
+
+
+def law_lost(chain: Joint, vector: Array) -> tuple[Lost, ...]:
+    """List what a law that is written out leaves out: what hangs on the recording."""
+    value = dict(zip(chain.names, vector.tolist(), strict=True))
+    found = []
+    for p in chain.parameters:
+        said = {"value": value[p.name], "unit": p.unit, "meaning": p.meaning}
+        if p.quantity == "delay":
+            found.append(Lost("delay", (p.name,), said))
+        elif p.owner == "" and p.name != "offset":
+            found.append(Lost("own offset", (p.name,), said))
+        elif left_out(p.row):
+            found.append(Lost("at room", (p.name,), said))
+    return tuple(found)
+
+
+def left_out(row: Quantity) -> bool:
+    """Whether a term is none at 20 degC as a recording begins, so that a law does without it."""
+    return bool(row.signal) or row.shape == "warming_time"
 
 
 @dataclass(frozen=True, eq=False)

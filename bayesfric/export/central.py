@@ -12,6 +12,9 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import turned
 from bayesfric.mechanism.scaling import Scaling, scalings
 
+# Draws that medians are taken of: whatever is exported, the middle is the same.
+_MANY = 1000
+
 
 def open_scalings(found: Finished) -> tuple[Scaling, ...]:
     """Scalings of link and load losses that the run's recordings leave open."""
@@ -36,11 +39,17 @@ class Vectors:
     draws: Array  # (n, d)
 
 
-def vectors(found: Finished, most: int) -> Vectors:
-    """Take at most so many draws of a run, and their medians."""
+def vectors(found: Finished, most: int, seed: int | None = None) -> Vectors:
+    """Take at most so many draws of a run, evenly spread or by chance; and the medians of many."""
     chain, moved = found.joint, open_scalings(found)
-    draws = _evened(found.values(found.picked(most)), moved)
-    middle = _evened(_medians(chain, draws)[None], moved)[0]
+    picked = found.picked(most)
+    if seed is not None:
+        size = min(most, len(found.draws))
+        chosen = np.random.default_rng(seed).choice(len(found.draws), size, replace=False)
+        picked = found.draws[chosen]
+    draws = _evened(found.values(picked), moved)
+    many = _evened(found.values(found.picked(_MANY)), moved)
+    middle = _evened(_medians(chain, many)[None], moved)[0]
     return Vectors(moved, middle, draws)
 
 

@@ -72,20 +72,36 @@ def wrong(
     motions, trajectories
         Of the recordings.
     """
+    here, whole = _fitted(chain, vector, motions)
+    plain = simulator_joint(chain.load.motion, chain.load.gravity)
+    there = simulator_vectors(plain, numbers)
+    difference = torque_along(plain, there, motions)[0] - whole
+    motion = _motion(chain, here, plain, there, trajectories)
+    return _wrong(difference, whole, float(numbers["gain"][0]), motion)
+
+
+def wrong_by(
+    chain: Joint, vector: Array, torque: Array, gain: float, motions: Sequence[Moved]
+) -> Wrong:
+    """Compare the fitted joint with motor torque ``(M,)`` of a law of its own."""
+    _, whole = _fitted(chain, vector, motions)
+    return _wrong(torque - whole, whole, gain, None)
+
+
+def _fitted(chain: Joint, vector: Array, motions: Sequence[Moved]) -> tuple[Array, Array]:
     here = vector[None].copy()
     if chain.delay_name:
         here[0, chain.names.index(chain.delay_name)] = 0.0
-    plain = simulator_joint(chain.load.motion, chain.load.gravity)
-    there = simulator_vectors(plain, numbers)
-    whole = torque_along(chain, here, motions)[0]
-    difference = torque_along(plain, there, motions)[0] - whole
-    gain = float(numbers["gain"][0])
+    return here, torque_along(chain, here, motions)[0]
+
+
+def _wrong(difference: Array, whole: Array, gain: float, motion: float | None) -> Wrong:
     return Wrong(
         difference,
         whole,
         _size(difference),
         _size(gain * difference),
-        _motion(chain, here, plain, there, trajectories),
+        motion,
         float(np.sqrt(np.mean(whole**2))),
     )
 

@@ -14,9 +14,9 @@ import numpy as np
 import bayesfric
 from bayesfric.errors import BadInput
 from bayesfric.export.at_joint import NUMBERS, Array, AtJoint, Moved, at_joint
-from bayesfric.export.carried import Lost, carried, lost_terms
+from bayesfric.export.carried import Lost, carried, law_lost, lost_terms
 from bayesfric.export.central import Vectors, vectors
-from bayesfric.export.error import SPAN, Wrong, wrong
+from bayesfric.export.error import SPAN, Wrong, wrong, wrong_by
 from bayesfric.export.figure import ExportPicture, export_figure
 from bayesfric.export.format import (
     Content,
@@ -194,20 +194,22 @@ def _exported(found: Finished, form: Format, options: Options) -> Exported:
     if form.check is not None:
         form.check(options)
     chain, motions = found.joint, [Moved.of(o) for o in found.model.observations]
-    told = vectors(found, options.draws or _DRAWS)
+    told = vectors(found, options.draws or _DRAWS, options.seed)
     middle = at_joint(chain, told.middle[None], motions, options.at_load)
     each = at_joint(chain, told.draws, motions, options.at_load)
-    carries = form.carries
-    if options.damping_terms == 1:
-        carries = carries - {"quadratic"}
-    motion = chain.load.motion
+    carries, motion = form.carries(options), chain.load.motion
     kept = carried(middle, carries, form.supplied, motions, motion)
     spread = carried(each, carries, form.supplied, motions, motion)
-    trajectories = found.model.trajectories(SPAN)
-    error = wrong(chain, told.middle, kept.values, motions, trajectories)
-    lost = (*lost_terms(chain, middle, told.middle, carries), *kept.lost)
+    if form.torque is None:
+        trajectories = found.model.trajectories(SPAN)
+        error = wrong(chain, told.middle, kept.values, motions, trajectories)
+    else:
+        own = form.torque(chain, told.middle, motions)
+        error = wrong_by(chain, told.middle, own, float(kept.values["gain"][0]), motions)
+    terms = lost_terms(chain, middle, told.middle, carries)
+    lost = (*(x for x in terms if x.kind not in form.keeps), *kept.lost)
     if form.whole:
-        lost = tuple(x for x in lost if x.kind in ("delay", "own offset", "fitted"))
+        lost = law_lost(chain, told.middle)
     numbers = {name: float(x[0]) for name, x in kept.values.items()}
     rows = _rows(found, form, options, numbers, spread.values, middle, told)
     record = _record(found, form, options, rows, lost, error, middle, told)
@@ -233,9 +235,12 @@ def _record(
 ) -> dict[str, Any]:
     rotary = found.joint.load.motion == "rotary"
     open_names = [name for one in told.scalings for name in one.names]
-    notes = [sentence("notes.txt.j2", kind, joint=options.joint) for kind in form.notes]
+    said = {**vars(options), "gravity": found.joint.load.gravity}
+    notes = [sentence("notes.txt.j2", kind, said) for kind in form.notes(options)]
+    if "body" in form.notes(options) and not middle.values["link_inertia"][0]:
+        notes.append(sentence("notes.txt.j2", "no link", {}))
     if told.scalings:
-        notes.insert(0, sentence("notes.txt.j2", "open scale", names=open_names))
+        notes.insert(0, sentence("notes.txt.j2", "open scale", {"names": open_names}))
     return {
         "bayesfric": bayesfric.__version__,
         "run": found.name,
@@ -246,8 +251,7 @@ def _record(
         "at_load": options.at_load,
         "reference": {name: float(x[0]) for name, x in middle.reference.items()},
         "lost": [
-            {**one.as_dict(), "says": sentence("lost.txt.j2", one.kind, **vars(one))}
-            for one in lost
+            {**one.as_dict(), "says": sentence("lost.txt.j2", one.kind, vars(one))} for one in lost
         ],
         "notes": notes,
         "error": None if form.whole else error.as_dict(),
@@ -272,10 +276,12 @@ def _rows(
     ends = [50.0 - 50.0 * LEVEL, 50.0 + 50.0 * LEVEL]
     rows = []
     for one in form.attributes(options, rotary):
+        if not middle.made_from[one.number] and one.number != "gain":
+            continue  # the joint has none
         value, spread = one.factor * numbers[one.number], one.factor * draws[one.number]
         names = middle.made_from[one.number]
         low, high = np.percentile(spread, ends)
-        fixed = not np.ptp(spread)
+        fixed = float(np.ptp(spread)) <= 1e-9 * abs(value)
         rows.append(
             {
                 "attribute": one.name,

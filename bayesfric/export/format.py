@@ -15,6 +15,7 @@ from bayesfric.export.at_joint import Array, Moved
 from bayesfric.export.central import Vectors
 from bayesfric.export.error import Wrong
 from bayesfric.finished import Finished
+from bayesfric.mechanism.joint import Joint
 from bayesfric.templates import environment
 
 Files = dict[str, str | bytes]
@@ -68,15 +69,19 @@ class Format:
     """A format of files for a simulator, or for anything that wants the numbers."""
 
     name: str
-    meaning: str  # one line for people
+    meaning: str  # what it is for, as it stands in a sentence
     # Names of numbers it has, and of those that the model or the drive around it brings
-    carries: frozenset[str]
+    carries: Callable[[Options], frozenset[str]]
     supplied: frozenset[str]
     attributes: Callable[[Options, bool], Sequence[Attribute]]  # of options, and whether it turns
     write: Callable[[Content], Files]  # the main file first
     options: frozenset[str] = frozenset()  # of Options it knows, beside joint and at_load
-    notes: Sequence[str] = ()  # kinds of sentences of templates/notes.txt.j2
+    # kinds of sentences of templates/notes.txt.j2
+    notes: Callable[[Options], Sequence[str]] = lambda _: ()
     whole: bool = False  # whether it carries the law itself, and no number in its place
+    keeps: frozenset[str] = frozenset()  # kinds of Lost that it does carry
+    # motor torque along the recordings by a law of its own, of the fitted joint and its vector
+    torque: Callable[[Joint, Array, Sequence[Moved]], Array] | None = None
     # refuses options that do not go together, before anything is computed
     check: Callable[[Options], None] | None = None
 
@@ -102,7 +107,7 @@ def filled(template: str, **values: Any) -> str:
     return str(_environment().get_template(template).render(**values))
 
 
-def sentence(template: str, kind: str, **values: Any) -> str:
+def sentence(template: str, kind: str, values: Mapping[str, Any]) -> str:
     """Word one kind by its macro in a template; spaces stand for underscores."""
     module: Any = _environment().get_template(template).module
     return str(getattr(module, kind.replace(" ", "_"))(values)).strip()

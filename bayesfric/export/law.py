@@ -6,22 +6,24 @@ From the load to the motor each element adds what the compiled kernels add: see
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import math
+import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 from bayesfric.errors import BadInput
 from bayesfric.export.at_joint import Array
+from bayesfric.export.carried import left_out
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.own_term import CarriedTerm
 
-Language = Literal["python", "double", "float"]
+Language = Literal["python", "double", "float", "fixed"]
 
 
 @dataclass(frozen=True)
-class _Words:
-    """How a language writes numbers and functions."""
+class Words:
+    """How a language writes sums and products; ``functions`` are names other than C's."""
 
     number: Callable[[float], str]
     functions: Mapping[str, str]
@@ -30,14 +32,61 @@ class _Words:
         """Write a call."""
         return f"{self.functions.get(name, name)}({', '.join(arguments)})"
 
+    def add(self, *terms: str) -> str:
+        """Write a sum."""
+        return " + ".join(terms)
+
+    def times(self, *factors: str) -> str:
+        """Write a product of variables."""
+        return " * ".join(f"({x})" if " + " in x else x for x in factors)
+
+    def scaled(self, constant: float, x: str) -> str:
+        """Write a constant times a variable."""
+        return self.times(self.number(constant), x)
+
+    def either(self, sign: str, positive: str, negative: str) -> str:
+        """Write a choice by the sign of a variable."""
+        return self.call("pick", f"{sign} > 0", positive, negative)
+
+    def negative(self, x: str) -> str:
+        """Write the negative of a product."""
+        return f"-{x}"
+
+
+class _Fixed(Words):
+    """Numbers of 32 bits before and 32 behind the point; constants of 31 bits and a power of 2."""
+
+    def add(self, *terms: str) -> str:
+        whole = terms[0]
+        for term in terms[1:]:
+            whole = f"fx_add({whole}, {term})"
+        return whole
+
+    def times(self, *factors: str) -> str:
+        whole = factors[0]
+        for factor in factors[1:]:
+            whole = f"fx_mul({whole}, {factor})"
+        return whole
+
+    def scaled(self, constant: float, x: str) -> str:
+        if constant == 0.0:
+            return self.number(0.0)
+        mantissa, power = math.frexp(constant)
+        return f"fx_scale({x}, INT32_C({round(mantissa * 2**30)}), {30 - power})"
+
+
+def _q32(x: float) -> str:
+    return f"INT64_C({round(x * 2**32)})"
+
 
 _C = ("fabs", "exp", "pow", "sin", "cos")
-_WORDS: Mapping[str, _Words] = {
-    "double": _Words(repr, {}),
-    "float": _Words(lambda x: f"{x!r}f", {name: f"{name}f" for name in _C}),
-    "python": _Words(
+_WORDS: Mapping[str, Words] = {
+    "double": Words(repr, {}),
+    "float": Words(lambda x: f"{x!r}f", {name: f"{name}f" for name in _C}),
+    "python": Words(
         repr, {"fabs": "abs", **{name: f"math.{name}" for name in ("exp", "pow", "sin", "cos")}}
     ),
+    "fixed": _Fixed(_q32, {name: f"fx_{name}" for name in _C}),
 }
 
 
@@ -58,22 +107,145 @@ class Law:
     """
 
     statements: tuple[Statement, ...]
-    names: tuple[str, ...]  # of what is assigned, each once
 
     @property
-    def assignments(self) -> tuple[Statement, ...]:
-        """Statements without remarks."""
-        return tuple(one for one in self.statements if one.name)
+    def names(self) -> tuple[str, ...]:
+        """What is assigned, each once."""
+        return tuple(dict.fromkeys(one.name for one in self.statements if one.name))
+
+    @property
+    def words(self) -> frozenset[str]:
+        """Every word of it, to know which functions it needs."""
+        return frozenset(re.findall(r"\w+", " ".join(one.value for one in self.statements)))
 
 
-# Terms that the kernels do not write out, ``x`` and ``w`` position and speed of their element;
-# those that a temperature or the time multiplies are left out: at 20 degC, as a recording begins.
-_OMITTED = ("temperature", "warming", "delay")
+class _Writer:
+    """Writes a joint out at one parameter vector."""
 
+    def __init__(self, chain: Joint, vector: Array, words: Words) -> None:
+        self.chain, self.vector, self.words = chain, vector, words
+        self.tables = chain.tables(vector[None])
+        self.out: list[Statement] = []
 
-def omitted(term: CarriedTerm) -> bool:
-    """Whether a term is none at 20 degC as a recording begins."""
-    return any(word in term.row.name for word in _OMITTED)
+    def put(self, name: str, value: str) -> None:
+        self.out.append(Statement(name, value))
+
+    def grow(self, name: str, *terms: str) -> None:
+        if terms:
+            self.put(name, self.words.add(name, *terms))
+
+    def load(self) -> None:
+        w, load = self.words, self.tables.load[0].tolist()
+        angle, inertia = load[kernels.GRAVITY_ANGLE], load[kernels.LOAD_INERTIA]
+        weight = load[kernels.GRAVITY] * load[kernels.FIRST_MOMENT]
+        self.put("", "load")
+        parts = [w.scaled(inertia, "a")] if inertia else []
+        if weight:
+            place = w.add("q", w.number(angle)) if angle else "q"
+            parts.append(w.scaled(weight, w.call("sin", place)))
+        self.put("torque", w.add(*parts) if parts else w.number(0.0))
+        self.put("ideal", "torque")
+        self.put("x", "q")
+        self.put("w", "v")
+        self.carried(len(self.chain.elements))
+
+    def element(self, k: int) -> None:
+        w, element = self.words, self.chain.elements[k]
+        at = dict(zip(kernels.ELEMENT_SLOTS, self.tables.elements[0, k].tolist(), strict=True))
+        reach = self.chain.reaches[element.name]
+        self.put("", element.name)
+        self.put("x", w.scaled(reach, "q"))
+        self.put("w", w.scaled(reach, "v"))
+        if at["ratio"] != 1.0:
+            for name in ("torque", "ideal"):
+                self.put(name, w.scaled(1.0 / at["ratio"], name))
+        self.rise(at)
+        self.loss(at)
+        terms = [w.scaled(at["inertia"] * reach, "a")] if at["inertia"] else []
+        self.grow("ideal", *terms)
+        terms.append(w.times("s", "loss"))
+        if at["viscous"]:
+            terms.append(w.scaled(at["viscous"], "w"))
+        if at["quadratic"]:
+            terms.append(w.scaled(at["quadratic"], w.times("w", w.call("fabs", "w"))))
+        self.grow("torque", *terms)
+        self.carried(k)
+
+    def rise(self, at: Mapping[str, float]) -> None:
+        w = self.words
+        if not (at["stribeck_ratio"] or at["stribeck_load_ratio"]):
+            self.put("rise", w.number(1.0))
+            self.put("load_rise", w.number(1.0))
+            return
+        if at["stribeck_velocity"] > 0.0:
+            self.put("u", w.scaled(1.0 / at["stribeck_velocity"], w.call("fabs", "w")))
+            square = at["stribeck_exponent"] == 2.0
+            exponent = w.number(at["stribeck_exponent"])
+            self.put("u", w.times("u", "u") if square else w.call("pow", "u", exponent))
+            self.put("share", w.call("exp", "-u"))
+        else:
+            self.put("share", w.number(0.0))
+        for name in ("", "load_"):
+            grown = w.scaled(at[f"stribeck_{name}ratio"], "share")
+            self.put(f"{name}rise", w.add(w.number(1.0), grown))
+
+    def loss(self, at: Mapping[str, float]) -> None:
+        w = self.words
+        positive, negative = at["coulomb_positive"], at["coulomb_negative"]
+        same = positive == negative
+        either = w.either("d", w.number(positive), w.number(negative))
+        self.put("loss", w.scaled(positive, "rise") if same else w.times(either, "rise"))
+        first = kernels.ELEMENT_SLOTS.index("load_drive")
+        loaded = [at[x] for x in kernels.ELEMENT_SLOTS[first:] if x != "load_square"]
+        if any(loaded):
+            for side in ("drive", "back"):
+                mu, apart = at[f"load_{side}"], at[f"load_{side}_difference"]
+                self.put(side, w.scaled(mu, "load_rise"))
+                if apart:
+                    self.grow(side, w.times(w.scaled(apart, "d"), "load_rise"))
+                if at["load_speed"]:
+                    self.grow(side, w.scaled(at["load_speed"], w.call("fabs", "w")))
+            self.put("p", w.times("torque", "d"))
+            driving, driven = w.times("drive", "p"), w.negative(w.times("back", "p"))
+            self.grow("loss", w.either("p", driving, driven))
+        if at["load_square"]:
+            self.grow("loss", w.scaled(at["load_square"], w.times("torque", "torque")))
+
+    def carried(self, place: int) -> None:
+        """Write the terms of an element, or the load, that have no slot in the kernels."""
+        w = self.words
+        for term in self.chain.carried:
+            if term.place != place or left_out(term.row):
+                continue
+            value, name = float(self.vector[term.index]), term.row.name
+            kind, _, cycles = name.rpartition("_")
+            if name in ("spring", "spring_cubic"):
+                power = ("x",) if name == "spring" else ("x", "x", "x")
+                self.grow("torque", w.scaled(value, w.times(*power)))
+                self.grow("ideal", w.scaled(value, w.times(*power)))
+            elif name == "power":
+                exponent = w.number(float(self.vector[term.shape]))
+                grown = w.call("pow", w.call("fabs", "w"), exponent)
+                self.grow("torque", w.scaled(value, w.times("s", grown)))
+            elif kind in ("cogging_sin", "cogging_cos"):
+                wave = w.call(kind[-3:], w.scaled(float(cycles), "x"))
+                self.grow("torque", w.scaled(value, wave))
+            elif kind in ("periodic_friction_sin", "periodic_friction_cos"):
+                wave = w.call(kind[-3:], w.scaled(float(cycles), "x"))
+                self.grow("torque", w.scaled(value, w.times("s", wave)))
+            else:
+                what = "is a term of one's own, whose formula the export does not know"
+                mend = "export another format, or leave the term out"
+                raise BadInput(self.chain.names[term.index], what, mend)
+
+    def measured(self) -> None:
+        w, load = self.words, self.tables.load[0].tolist()
+        self.put("", "as measured")
+        if load[kernels.OFFSET]:
+            self.grow("torque", w.number(load[kernels.OFFSET]))
+        if load[kernels.GAIN] != 1.0:
+            for name in ("torque", "ideal"):
+                self.put(name, w.scaled(1.0 / load[kernels.GAIN], name))
 
 
 def law(chain: Joint, vector: Array, language: Language) -> Law:
@@ -84,133 +256,22 @@ def law(chain: Joint, vector: Array, language: Language) -> Law:
     BadInput
         If it has a term of one's own, a function that is not known here.
     """
-    words, tables = _WORDS[language], chain.tables(vector[None])
-    n, call = words.number, words.call
-    out: list[Statement] = []
-
-    def put(name: str, value: str) -> None:
-        out.append(Statement(name, value))
-
-    load = tables.load[0].tolist()
-    angle, weight = (
-        load[kernels.GRAVITY_ANGLE],
-        load[kernels.GRAVITY] * load[kernels.FIRST_MOMENT],
-    )
-    put("", "load")
-    parts = [f"{n(load[kernels.LOAD_INERTIA])} * a"] if load[kernels.LOAD_INERTIA] else []
-    if weight:
-        parts.append(f"{n(weight)} * {call('sin', f'q + {n(angle)}' if angle else 'q')}")
-    put("torque", " + ".join(parts) or n(0.0))
-    put("ideal", "torque")
-    put("x", "q")
-    put("w", "v")
-    for text, conserved in _carried(chain, vector, len(chain.elements), words):
-        put("torque", f"torque + {text}")
-        if conserved:
-            put("ideal", f"ideal + {text}")
+    writer = _Writer(chain, vector, _WORDS[language])
+    writer.load()
     for k in range(len(chain.elements) - 1, -1, -1):
-        _element(chain, vector, k, tables.elements[0, k].tolist(), words, put)
-    put("", "as measured")
-    offset, gain = load[kernels.OFFSET], load[kernels.GAIN]
-    if offset:
-        put("torque", f"torque + {n(offset)}")
-    if gain != 1.0:
-        put("torque", f"torque / {n(gain)}")
-        put("ideal", f"ideal / {n(gain)}")
-    names = tuple(dict.fromkeys(one.name for one in out if one.name))
-    return Law(tuple(out), names)
+        writer.element(k)
+    writer.measured()
+    return Law(tuple(_used(writer.out)))
 
 
-def _element(
-    chain: Joint,
-    vector: Array,
-    k: int,
-    row: Sequence[float],
-    words: _Words,
-    put: Callable[[str, str], None],
-) -> None:
-    n, call = words.number, words.call
-    at = dict(zip(kernels.ELEMENT_SLOTS, row, strict=True))
-    element = chain.elements[k]
-    reach = chain.reaches[element.name]
-    put("", element.name)
-    put("x", f"{n(reach)} * q")
-    put("w", f"{n(reach)} * v")
-    if at["ratio"] != 1.0:
-        put("torque", f"torque / {n(at['ratio'])}")
-        put("ideal", f"ideal / {n(at['ratio'])}")
-    rise, load_rise = "", ""
-    if at["stribeck_ratio"] or at["stribeck_load_ratio"]:
-        width, exponent = at["stribeck_velocity"], at["stribeck_exponent"]
-        ratio = f"{call('fabs', 'w')} / {n(width)}"
-        power = "u * u" if exponent == 2.0 else call("pow", "u", n(exponent))
-        if width > 0.0:
-            put("u", ratio)
-            put("share", call("exp", f"-({power})"))
-        else:
-            put("share", n(0.0))
-        rise = f" * ({n(1.0)} + {n(at['stribeck_ratio'])} * share)"
-        load_rise = f" * ({n(1.0)} + {n(at['stribeck_load_ratio'])} * share)"
-    put("loss", _either("d", at["coulomb_positive"], at["coulomb_negative"], words) + rise)
-    if kernels_loaded(at):
-        grown = f" + {n(at['load_speed'])} * {call('fabs', 'w')}" if at["load_speed"] else ""
-        for side in ("drive", "back"):
-            mu, apart = at[f"load_{side}"], at[f"load_{side}_difference"]
-            whole = f"({n(mu)} + d * {n(apart)})" if apart else n(mu)
-            put(side, whole + load_rise + grown)
-        put("p", "torque * d")
-        put("loss", f"loss + {call('pick', f'p > {n(0.0)}', 'drive * p', '-back * p')}")
-    if at["load_square"]:
-        put("loss", f"loss + {n(at['load_square'])} * torque * torque")
-    viscous, quadratic = at["viscous"], at["quadratic"]
-    speed = n(viscous) + (f" + {n(quadratic)} * {call('fabs', 'w')}" if quadratic else "")
-    inertia = f"{n(at['inertia'] * reach)} * a"
-    added = [f"{inertia}"] if at["inertia"] else []
-    added += ["s * loss"] + ([f"w * ({speed})"] if viscous or quadratic else [])
-    put("torque", " + ".join(["torque", *added]))
-    if at["inertia"]:
-        put("ideal", f"ideal + {inertia}")
-    for text, _ in _carried(chain, vector, k, words):
-        put("torque", f"torque + {text}")
-
-
-def kernels_loaded(at: Mapping[str, float]) -> bool:
-    """Whether an element loses in proportion to what it transmits."""
-    first = kernels.ELEMENT_SLOTS.index("load_drive")
-    return any(at[slot] for slot in kernels.ELEMENT_SLOTS[first:] if slot != "load_square")
-
-
-def _either(sign: str, positive: float, negative: float, words: _Words) -> str:
-    n = words.number
-    if positive == negative:
-        return n(positive)
-    return words.call("pick", f"{sign} > {n(0.0)}", n(positive), n(negative))
-
-
-def _carried(chain: Joint, vector: Array, place: int, words: _Words) -> list[tuple[str, bool]]:
-    """Write the terms of an element, or the load, without a slot; and which conserve energy."""
-    n, call = words.number, words.call
-    found = []
-    for term in chain.carried:
-        if term.place != place or omitted(term):
-            continue
-        value, name = n(float(vector[term.index])), term.row.name
-        kind, _, cycles = name.rpartition("_")
-        if name == "spring":
-            found.append((f"{value} * x", True))
-        elif name == "spring_cubic":
-            found.append((f"{value} * x * x * x", True))
-        elif name == "power":
-            power = call("pow", call("fabs", "w"), n(float(vector[term.shape])))
-            found.append((f"{value} * s * {power}", False))
-        elif kind in ("cogging_sin", "cogging_cos"):
-            wave = call(kind[-3:], f"{n(float(cycles))} * x")
-            found.append((f"{value} * {wave}", False))
-        elif kind in ("periodic_friction_sin", "periodic_friction_cos"):
-            wave = call(kind[-3:], f"{n(float(cycles))} * x")
-            found.append((f"{value} * s * {wave}", False))
-        else:
-            parameter = chain.names[term.index]
-            what = "is a term of one's own, whose formula the export does not know"
-            raise BadInput(parameter, what, "export another format, or leave the term out")
-    return found
+def _used(statements: list[Statement]) -> list[Statement]:
+    """Leave out assignments that nothing reads: compilers warn of them."""
+    read, kept = {"torque", "ideal"}, []
+    for one in reversed(statements):
+        if not one.name:
+            kept.append(one)
+        elif one.name in read:
+            read.discard(one.name)
+            read |= set(re.findall(r"[a-z_]\w*", one.value))
+            kept.append(one)
+    return kept[::-1]

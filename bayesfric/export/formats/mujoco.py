@@ -18,7 +18,11 @@ from bayesfric.mechanism.quantities import Motion
 # Step of the model that is written, s. With a friction constraint as stiff as two steps allow,
 # motion is that of the fitted joint to a tenth of a milliradian.
 _STEP = 5e-4
-_CARRIES = frozenset(NUMBERS) - {"static_friction"}
+
+
+def _carries(options: Options) -> frozenset[str]:
+    polynomial = {"quadratic", "stiffness_cubic"} if options.damping_terms == 1 else set()
+    return frozenset(NUMBERS) - {"static_friction"} - polynomial
 
 
 def _attributes(options: Options, rotary: bool) -> Sequence[Attribute]:
@@ -168,12 +172,12 @@ FORMATS = (
     Format(
         name="mujoco",
         meaning="MuJoCo",
-        carries=_CARRIES,
+        carries=_carries,
         supplied=frozenset(),
         attributes=_attributes,
         write=_write,
         options=frozenset({"into", "damping_terms"}),
-        notes=("ctrl", "mujoco stick", "mujoco versions", "body"),
+        notes=lambda _: ("ctrl", "mujoco stick", "mujoco versions", "body"),
         check=_check,
     ),
 )
