@@ -82,11 +82,11 @@ def _q32(x: float) -> str:
 _C = ("fabs", "exp", "pow", "sin", "cos")
 _WORDS: Mapping[str, Words] = {
     "double": Words(repr, {}),
-    "float": Words(lambda x: f"{x!r}f", {name: f"{name}f" for name in _C}),
+    "float": Words(lambda x: f"{x!r}f", {"pick": "pick_f", **{x: f"{x}f" for x in _C}}),
     "python": Words(
         repr, {"fabs": "abs", **{name: f"math.{name}" for name in ("exp", "pow", "sin", "cos")}}
     ),
-    "fixed": _Fixed(_q32, {name: f"fx_{name}" for name in _C}),
+    "fixed": _Fixed(_q32, {name: f"fx_{name}" for name in (*_C, "pick")}),
 }
 
 
@@ -126,6 +126,7 @@ class _Writer:
         self.chain, self.vector, self.words = chain, vector, words
         self.tables = chain.tables(vector[None])
         self.out: list[Statement] = []
+        self.risen = False  # whether the element's losses rise at low speed
 
     def put(self, name: str, value: str) -> None:
         self.out.append(Statement(name, value))
@@ -172,10 +173,10 @@ class _Writer:
         self.carried(k)
 
     def rise(self, at: Mapping[str, float]) -> None:
+        """Work out the rises at low speed, if there are any."""
         w = self.words
-        if not (at["stribeck_ratio"] or at["stribeck_load_ratio"]):
-            self.put("rise", w.number(1.0))
-            self.put("load_rise", w.number(1.0))
+        self.risen = bool(at["stribeck_ratio"] or at["stribeck_load_ratio"])
+        if not self.risen:
             return
         if at["stribeck_velocity"] > 0.0:
             self.put("u", w.scaled(1.0 / at["stribeck_velocity"], w.call("fabs", "w")))
@@ -189,20 +190,22 @@ class _Writer:
             grown = w.scaled(at[f"stribeck_{name}ratio"], "share")
             self.put(f"{name}rise", w.add(w.number(1.0), grown))
 
+    def raised(self, constant: float, rise: str) -> str:
+        """Write a constant times a rise, where there is one."""
+        return self.words.scaled(constant, rise) if self.risen else self.words.number(constant)
+
     def loss(self, at: Mapping[str, float]) -> None:
         w = self.words
-        positive, negative = at["coulomb_positive"], at["coulomb_negative"]
-        same = positive == negative
-        either = w.either("d", w.number(positive), w.number(negative))
-        self.put("loss", w.scaled(positive, "rise") if same else w.times(either, "rise"))
+        sides = [self.raised(at[f"coulomb_{side}"], "rise") for side in ("positive", "negative")]
+        self.put("loss", sides[0] if sides[0] == sides[1] else w.either("d", *sides))
         first = kernels.ELEMENT_SLOTS.index("load_drive")
         loaded = [at[x] for x in kernels.ELEMENT_SLOTS[first:] if x != "load_square"]
         if any(loaded):
             for side in ("drive", "back"):
-                mu, apart = at[f"load_{side}"], at[f"load_{side}_difference"]
-                self.put(side, w.scaled(mu, "load_rise"))
+                apart = at[f"load_{side}_difference"]
+                self.put(side, self.raised(at[f"load_{side}"], "load_rise"))
                 if apart:
-                    self.grow(side, w.times(w.scaled(apart, "d"), "load_rise"))
+                    self.grow(side, w.times(self.raised(apart, "load_rise"), "d"))
                 if at["load_speed"]:
                     self.grow(side, w.scaled(at["load_speed"], w.call("fabs", "w")))
             self.put("p", w.times("torque", "d"))
@@ -223,6 +226,11 @@ class _Writer:
                 power = ("x",) if name == "spring" else ("x", "x", "x")
                 self.grow("torque", w.scaled(value, w.times(*power)))
                 self.grow("ideal", w.scaled(value, w.times(*power)))
+            elif name in ("viscous_positive", "viscous_negative"):
+                speeds = (
+                    ("w", w.number(0.0)) if name == "viscous_positive" else (w.number(0.0), "w")
+                )
+                self.grow("torque", w.scaled(value, w.either("w", *speeds)))
             elif name == "power":
                 exponent = w.number(float(self.vector[term.shape]))
                 grown = w.call("pow", w.call("fabs", "w"), exponent)
