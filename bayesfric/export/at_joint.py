@@ -2,8 +2,8 @@
 
 With ``v`` the joint's speed and ``s`` its sign, a simulator's joint obeys
 
-``gain * measured - offset = (armature + link_inertia) a + damping v + quadratic v|v| + friction s
-+ weight of link_moment at q + link_gravity_angle + stiffness q + stiffness_cubic q³``
+``gain * measured - torque_offset = (armature + link_inertia) a + damping v + quadratic v|v|
++ friction s + weight of link_moment at q + link_gravity_angle + stiffness q + stiffness_cubic q³``
 
 ``gain`` is the joint's torque per measured motor torque. A chain without load losses is that
 exactly, each element's numbers times powers of its speed over the joint's. A load loss passes
@@ -60,7 +60,7 @@ NUMBERS: dict[str, Number] = {
         Number("stiffness", ("N m/rad", "N/m"), "torque in proportion to position"),
         Number("stiffness_cubic", ("N m/rad³", "N/m³"), "torque with the cube of position"),
         Number("gain", ("N m per N m", "N per N m"), "joint torque per measured motor torque"),
-        Number("offset", ("N m", "N"), "constant in the measured torque, at the joint"),
+        Number("torque_offset", ("N m", "N"), "constant in the measured torque, at the joint"),
     )
 }
 
@@ -211,7 +211,7 @@ def at_joint(
     add("gain", chain.ratio * whole / passed, *(["drive.gain"] if "drive.gain" in column else []))
     made["gain"] += [p.name for p in chain.parameters if p.quantity in ("load_drive", "load_back")]
     if "offset" in column:
-        add("offset", chain.ratio * column["offset"] / passed, "offset")
+        add("torque_offset", chain.ratio * column["offset"] / passed, "offset")
     fitted = _fitted(chain, values, motions, found["gain"])
     for name, (constant, damping) in fitted.items():
         add("friction", constant, name)
@@ -291,7 +291,7 @@ _NAMES: Mapping[str, str] = {
     "joint.coulomb": "friction",
     "joint.quadratic": "quadratic",
     **{f"load.{quantity}": number for quantity, number in _LOAD_PLACES.items()},
-    "offset": "offset",
+    "offset": "torque_offset",
     "drive.gain": "gain",
 }
 

@@ -15,7 +15,7 @@ from bayesfric.mechanism.quantities import Motion, Quantity
 
 # What is of the link and of the drive: a format of joints leaves these to the model around it.
 LINK = ("link_inertia", "link_moment", "link_gravity_angle")
-DRIVE = ("gain", "offset")
+DRIVE = ("gain", "torque_offset")
 
 
 @dataclass(frozen=True)

@@ -80,7 +80,7 @@ def _torque(chain: Joint, vector: Array, motions: Sequence[Moved]) -> Array:
     """Motor torque that BAM's law takes along the motions, brought to the measured one."""
     p = parameters(chain, vector, motions)
     bare = {k: v.copy() for k, v in at_joint(chain, vector[None], motions, 0.0).values.items()}
-    gain, offset = float(bare["gain"][0]), float(bare["offset"][0])
+    gain, offset = float(bare["gain"][0]), float(bare["torque_offset"][0])
     for name in ("friction", "damping", "quadratic", "static_friction"):
         bare[name][:] = 0.0
     plain = simulator_joint(chain.load.motion, chain.load.gravity)

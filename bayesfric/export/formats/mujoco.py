@@ -37,7 +37,7 @@ def _attributes(options: Options, rotary: bool) -> Sequence[Attribute]:
         "body mass times distance": "link_moment",
         "body angle of its centre": "link_gravity_angle",
         "actuator gear": "gain",
-        "actuator bias, negative": "offset",
+        "actuator bias, negative": "torque_offset",
     }
     motion: Motion = "rotary" if rotary else "linear"
     return [

@@ -19,7 +19,7 @@ _NAMES = {
     "mass times distance": "link_moment",
     "angle of the centre": "link_gravity_angle",
     "joint torque per motor torque": "gain",
-    "joint torque, less": "offset",
+    "joint torque, less": "torque_offset",
 }
 
 

@@ -20,7 +20,7 @@ _BODY = {
     "mass times distance": "link_moment",
     "angle of the centre": "link_gravity_angle",
 }
-_TORQUE = {"joint torque per motor torque": "gain", "joint torque, less": "offset"}
+_TORQUE = {"joint torque per motor torque": "gain", "joint torque, less": "torque_offset"}
 
 
 def _named(names: dict[str, str], rotary: bool) -> Sequence[Attribute]:
