@@ -38,6 +38,8 @@ class Wrong:
 
     difference: Array  # (M,) along the recorded motion, measured motor torque, N m or N
     whole: Array  # (M,) torque of the fitted joint, as above
+    free: Array  # (M,) what inertia, gravity and springs alone take of it
+    load: Array  # (M,) torque of the link at the joint
     motor: Size
     joint: Size  # the same at the joint, times the gain
     motion_rms: float | None  # rad or m, SPAN s from the same state; None where none could be run
@@ -77,15 +79,20 @@ def wrong(
     there = simulator_vectors(plain, numbers)
     difference = torque_along(plain, there, motions)[0] - whole
     motion = _motion(chain, here, plain, there, trajectories)
-    return _wrong(difference, whole, float(numbers["gain"][0]), motion)
+    return _wrong(plain, difference, whole, numbers, motions, motion)
 
 
 def wrong_by(
-    chain: Joint, vector: Array, torque: Array, gain: float, motions: Sequence[Moved]
+    chain: Joint,
+    vector: Array,
+    torque: Array,
+    numbers: dict[str, Array],
+    motions: Sequence[Moved],
 ) -> Wrong:
     """Compare the fitted joint with motor torque ``(M,)`` of a law of its own."""
     _, whole = _fitted(chain, vector, motions)
-    return _wrong(torque - whole, whole, gain, None)
+    plain = simulator_joint(chain.load.motion, chain.load.gravity)
+    return _wrong(plain, torque - whole, whole, numbers, motions, None)
 
 
 def _fitted(chain: Joint, vector: Array, motions: Sequence[Moved]) -> tuple[Array, Array]:
@@ -95,12 +102,27 @@ def _fitted(chain: Joint, vector: Array, motions: Sequence[Moved]) -> tuple[Arra
     return here, torque_along(chain, here, motions)[0]
 
 
-def _wrong(difference: Array, whole: Array, gain: float, motion: float | None) -> Wrong:
+def _wrong(
+    plain: Joint,
+    difference: Array,
+    whole: Array,
+    numbers: dict[str, Array],
+    motions: Sequence[Moved],
+    motion: float | None,
+) -> Wrong:
+    none = np.zeros(1)
+    free = {**numbers, "friction": none, "damping": none, "quadratic": none}
+    link = {**free, "armature": none, "torque_offset": none, "gain": np.ones(1)}
+    without, load = (
+        torque_along(plain, simulator_vectors(plain, one), motions)[0] for one in (free, link)
+    )
     return Wrong(
         difference,
         whole,
+        without,
+        load,
         _size(difference),
-        _size(gain * difference),
+        _size(float(numbers["gain"][0]) * difference),
         motion,
         float(np.sqrt(np.mean(whole**2))),
     )

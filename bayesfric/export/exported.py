@@ -205,7 +205,7 @@ def _exported(found: Finished, form: Format, options: Options) -> Exported:
         error = wrong(chain, told.middle, kept.values, motions, trajectories)
     else:
         own = form.torque(chain, told.middle, motions)
-        error = wrong_by(chain, told.middle, own, float(kept.values["gain"][0]), motions)
+        error = wrong_by(chain, told.middle, own, kept.values, motions)
     terms = lost_terms(chain, middle, told.middle, carries)
     lost = (*(x for x in terms if x.kind not in form.keeps), *kept.lost)
     if form.whole:
@@ -254,7 +254,7 @@ def _record(
             {**one.as_dict(), "says": sentence("lost.txt.j2", one.kind, vars(one))} for one in lost
         ],
         "notes": notes,
-        "error": None if form.whole else error.as_dict(),
+        "error": error.as_dict(),
         "unit": "N m" if found.joint.motor_motion == "rotary" else "N",
         "joint_unit": "N m" if rotary else "N",
         "position_unit": "rad" if rotary else "m",

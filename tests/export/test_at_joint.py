@@ -272,7 +272,7 @@ def test_draws_are_the_same_bytes_for_the_same_seed():
 def test_the_table_of_draws_names_units_and_holds_the_parameters():
     done = found("motor-axis")
     exported = bf.export(done, "csv", draws=20)
-    table = pd.read_csv(io.BytesIO(exported.main), comment="#")
+    table = pd.read_csv(io.BytesIO(exported.main))
     assert len(table) == 20
     assert "friction [N m]" in table.columns
     np.testing.assert_array_equal(table["friction [N m]"], table["motor.coulomb [N m]"])

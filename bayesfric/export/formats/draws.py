@@ -41,10 +41,8 @@ def _csv(content: Content) -> bytes:
     # a name has no comma, a unit no bracket
     head = [f"{name} [{units[name]}]" if units[name] else name for name in columns]
     rows = np.stack(list(columns.values()), axis=1).tolist()
-    remarks = [f"# {remark}" for remark in content.remarks]
-    return "\n".join(
-        [*remarks, ",".join(head), *(",".join(map(repr, r)) for r in rows), ""]
-    ).encode()
+    # what the numbers lose is told in export.json: many readers take no remarks
+    return "\n".join([",".join(head), *(",".join(map(repr, r)) for r in rows), ""]).encode()
 
 
 def _parquet(content: Content) -> bytes:

@@ -7,10 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bayesfric.export.at_joint import NUMBERS
+from bayesfric.export.at_joint import NUMBERS, Array, Moved, torque_along
+from bayesfric.export.carried import left_out
 from bayesfric.export.format import Attribute, Content, Files, Format, Options, filled
 from bayesfric.export.formats.urdf import plain_name
 from bayesfric.export.law import Language, law
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import Motion
 
 # How many times larger than recorded a torque may be before its fixed-point form saturates.
@@ -22,6 +24,12 @@ _NOTES = ("law rest", "law room")
 def _attributes(_: Options, rotary: bool) -> Sequence[Attribute]:
     motion: Motion = "rotary" if rotary else "linear"
     return [Attribute(f"about: {x}", x, NUMBERS[x].unit(motion)) for x in _TOLD]
+
+
+def _torque(chain: Joint, vector: Array, motions: Sequence[Moved]) -> Array:
+    """Motor torque along the motions of what is written out."""
+    kept = [not left_out(p.row) for p in chain.parameters]
+    return np.asarray(torque_along(chain, np.where(kept, vector, 0.0)[None], motions)[0])
 
 
 def torque_bits(content: Content) -> int:
@@ -65,6 +73,7 @@ FORMATS = tuple(
         write=write,
         notes=lambda _: _NOTES,
         whole=True,
+        torque=_torque,
     )
     for name, meaning, write in (
         ("c", "feed-forward in C99", _write_c),
