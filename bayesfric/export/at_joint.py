@@ -224,6 +224,12 @@ def at_joint(
     return AtJoint(found, {k: tuple(v) for k, v in made.items()}, reference, fitted)
 
 
+def without_load_losses(chain: Joint, values: Array) -> Array:
+    """Take load losses out of parameter vectors ``(n, d)``, for formats that have their own."""
+    lossy = [p.quantity.startswith("load") for p in chain.parameters]
+    return np.where(lossy, 0.0, values)
+
+
 def _unknown(p: Parameter) -> BadInput:
     return BadInput(p.name, "is not known to the export", "leave it out of the mechanism")
 

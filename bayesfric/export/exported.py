@@ -13,7 +13,7 @@ import numpy as np
 
 import bayesfric
 from bayesfric.errors import BadInput
-from bayesfric.export.at_joint import NUMBERS, Array, AtJoint, Moved, at_joint
+from bayesfric.export.at_joint import NUMBERS, Array, AtJoint, Moved, at_joint, without_load_losses
 from bayesfric.export.carried import Lost, carried, law_lost, lost_terms
 from bayesfric.export.central import Vectors, vectors
 from bayesfric.export.error import SPAN, Wrong, wrong, wrong_by
@@ -194,9 +194,17 @@ def _exported(found: Finished, form: Format, options: Options) -> Exported:
     if form.check is not None:
         form.check(options)
     chain, motions = found.joint, [Moved.of(o) for o in found.model.observations]
-    told = vectors(found, options.draws or _DRAWS, options.seed)
-    middle = at_joint(chain, told.middle[None], motions, options.at_load)
-    each = at_joint(chain, told.draws, motions, options.at_load)
+    told = vectors(found, motions, options.draws or _DRAWS, options.seed)
+    own_loads = "load loss" in form.keeps
+    middle, each = (
+        at_joint(
+            chain,
+            without_load_losses(chain, values) if own_loads else values,
+            motions,
+            options.at_load,
+        )
+        for values in (told.middle[None], told.draws)
+    )
     carries, motion = form.carries(options), chain.load.motion
     kept = carried(middle, carries, form.supplied, motions, motion)
     spread = carried(each, carries, form.supplied, motions, motion)
@@ -236,9 +244,14 @@ def _record(
     rotary = found.joint.load.motion == "rotary"
     open_names = [name for one in told.scalings for name in one.names]
     said = {**vars(options), "gravity": found.joint.load.gravity}
-    notes = [sentence("notes.txt.j2", kind, said) for kind in form.notes(options)]
-    if "body" in form.notes(options) and not middle.values["link_inertia"][0]:
+    kinds = form.notes(options, found.joint)
+    notes = [sentence("notes.txt.j2", kind, said) for kind in kinds]
+    if "body" in kinds and not middle.values["link_inertia"][0]:
         notes.append(sentence("notes.txt.j2", "no link", {}))
+    status = _status(found)
+    if status != "reliable":
+        notes.insert(0, sentence("notes.txt.j2", "status", {"status": status}))
+    notes.insert(0, sentence("notes.txt.j2", told.kind, {}))
     if told.scalings:
         notes.insert(0, sentence("notes.txt.j2", "open scale", {"names": open_names}))
     return {
@@ -259,6 +272,7 @@ def _record(
         "joint_unit": "N m" if rotary else "N",
         "position_unit": "rad" if rotary else "m",
         "draws": len(told.draws),
+        "central": told.kind,
     }
 
 
@@ -281,7 +295,7 @@ def _rows(
         value, spread = one.factor * numbers[one.number], one.factor * draws[one.number]
         names = middle.made_from[one.number]
         low, high = np.percentile(spread, ends)
-        fixed = float(np.ptp(spread)) <= 1e-9 * abs(value)
+        fixed = float(np.ptp(spread)) <= 1e-9 * abs(value) or _status(found) == "unusable"
         rows.append(
             {
                 "attribute": one.name,
@@ -294,6 +308,10 @@ def _rows(
             }
         )
     return rows
+
+
+def _status(found: Finished) -> str:
+    return found.summary.sampler.status
 
 
 def _not_from_data(found: Finished, names: tuple[str, ...], told: Vectors) -> dict[str, str]:

@@ -77,7 +77,7 @@ class Format:
     write: Callable[[Content], Files]  # the main file first
     options: frozenset[str] = frozenset()  # of Options it knows, beside joint and at_load
     # kinds of sentences of templates/notes.txt.j2
-    notes: Callable[[Options], Sequence[str]] = lambda _: ()
+    notes: Callable[[Options, Joint], Sequence[str]] = lambda *_: ()
     whole: bool = False  # whether it carries the law itself, and no number in its place
     keeps: frozenset[str] = frozenset()  # kinds of Lost that it does carry
     # motor torque along the recordings by a law of its own, of the fitted joint and its vector

@@ -241,10 +241,6 @@ class _Writer:
             elif kind in ("periodic_friction_sin", "periodic_friction_cos"):
                 wave = w.call(kind[-3:], w.scaled(float(cycles), "x"))
                 self.grow("torque", w.scaled(value, w.times("s", wave)))
-            else:
-                what = "is a term of one's own, whose formula the export does not know"
-                mend = "export another format, or leave the term out"
-                raise BadInput(self.chain.names[term.index], what, mend)
 
     def measured(self) -> None:
         w, load = self.words, self.tables.load[0].tolist()
@@ -256,6 +252,24 @@ class _Writer:
                 self.put(name, w.scaled(1.0 / load[kernels.GAIN], name))
 
 
+# Terms without a slot in the kernels that are written out, without their number of cycles.
+_CARRIED = frozenset(
+    (
+        "spring", "spring_cubic", "viscous_positive", "viscous_negative", "power", "cogging_sin",
+        "cogging_cos", "periodic_friction_sin", "periodic_friction_cos",
+    )
+)  # fmt: skip
+
+
+def unwritten(chain: Joint) -> str | None:
+    """Name a term of a joint that cannot be written out; ``None`` where there is none."""
+    for term in chain.carried:
+        known = {term.row.name, term.row.name.rpartition("_")[0]} & _CARRIED
+        if not known and not left_out(term.row):
+            return chain.names[term.index]
+    return None
+
+
 def law(chain: Joint, vector: Array, language: Language) -> Law:
     """Write a joint out at one parameter vector ``(d,)``.
 
@@ -264,6 +278,9 @@ def law(chain: Joint, vector: Array, language: Language) -> Law:
     BadInput
         If it has a term of one's own, a function that is not known here.
     """
+    if (name := unwritten(chain)) is not None:
+        what = "is a term of one's own, whose formula the export does not know"
+        raise BadInput(name, what, "export another format, or leave the term out")
     writer = _Writer(chain, vector, _WORDS[language])
     writer.load()
     for k in range(len(chain.elements) - 1, -1, -1):

@@ -17,6 +17,7 @@ from bayesfric.export.at_joint import (
     torque_along,
 )
 from bayesfric.export.carried import carried, lost_terms
+from bayesfric.export.central import central
 from bayesfric.export.format import Options, formats
 from bayesfric.export.pendulum import pendulum
 from bayesfric.mechanism.element import Element, Load
@@ -281,3 +282,21 @@ def test_the_table_of_draws_names_units_and_holds_the_parameters():
     read = pq.read_table(io.BytesIO(bf.export(done, "parquet", draws=20).main))
     assert read.schema.field("damping").metadata[b"unit"] == b"N m s/rad"
     np.testing.assert_array_equal(read["damping"], table["damping [N m s/rad]"])
+
+
+def test_one_draw_stands_for_all_where_medians_would_not_fit():
+    """Rotor and link inertia of which only the sum is known: their medians sum up to less."""
+    there = wave()
+    joint = Joint(
+        elements=(Element("motor", inertia=True), Element("belt", inertia=True)),
+        load=Load(inertia=True),
+    )
+    shares = np.random.default_rng(4).dirichlet([0.2, 0.2, 0.2], 400)
+    middle = np.median(shares, axis=0)
+    assert middle.sum() < 0.7
+    found_one = central(joint, shares, middle, there)
+    assert found_one.sum() == pytest.approx(1.0)
+    assert (shares == found_one).all(axis=1).any()
+    # where parameters are known apart, the medians are it
+    known = np.random.default_rng(5).normal(1.0, 0.01, (400, 3))
+    assert central(joint, known, np.median(known, axis=0), there) is None

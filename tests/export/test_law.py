@@ -122,8 +122,8 @@ def test_the_feed_forward_is_the_inverse_model_over_the_recorded_range(name, com
     done = found(name)
     files = bf.export(done, "c").files
     call = compiled(compiler, files, tmp_path)
-    vector = vectors(done, 10).middle
     motions = [Moved.of(o) for o in done.model.observations]
+    vector = vectors(done, motions, 10).middle
     wanted = torque_along(done.joint, vector[None], motions)[0]
     moving = [np.concatenate([getattr(m, x) for m in motions]) for x in ("q", "qd", "qdd")]
     largest = np.abs(wanted).max()

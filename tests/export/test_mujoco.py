@@ -10,9 +10,14 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.errors import BadInput
+from bayesfric.export.at_joint import Moved
+from bayesfric.export.central import vectors
 from bayesfric.export.formats.mujoco import patched
+from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.forward import simulate, simulate_segments
 from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.own_term import Term
 from bayesfric.mechanism.presets import PRESETS
 
 from .made import found, made, swung
@@ -42,7 +47,7 @@ def moved(xml, torque, period, before=None, start=(0.0, 0.0)):
 
 
 def middle(done):
-    return np.median(done.values(done.draws), axis=0)
+    return vectors(done, [Moved.of(o) for o in done.model.observations], 10).middle
 
 
 def friction_of(exported):
@@ -227,3 +232,44 @@ def test_a_joint_that_is_not_there_is_refused_by_its_nearest_name(tmp_path):
     path.write_text("<mujoco>")
     with pytest.raises(BadInput, match="is no XML"):
         bf.export(found("rabbit-knee"), "mujoco", into=path, joint="knee")
+
+
+def test_a_sliding_joint_behind_a_spindle_moves_as_the_fitted_one():
+    joint = Joint(
+        elements=(
+            Element("motor", ratio=300.0, inertia=True, viscous=True),
+            Element("slide", motion="linear", coulomb="symmetric", viscous=True),
+        ),
+        load=Load(motion="linear", inertia=True),
+    )
+    values = {
+        "motor.inertia": 1e-4,
+        "motor.viscous": 1e-3,
+        "slide.coulomb": 40.0,
+        "slide.viscous": 20.0,
+        "load.inertia": 5.0,
+    }
+    done = made(joint, values, 0.5)
+    exported = bf.export(done, "mujoco")
+    assert exported.record["position_unit"] == "m"
+    torque, period = swung(0.5, SECONDS)
+    motion = simulate(joint, middle(done), torque, period, hold="zero").q
+    assert np.ptp(motion) > 0.1
+    assert rms(moved(exported.main, torque, period) - motion) < 1e-3
+    rows = {row["attribute"]: row for row in exported.record["numbers"]}
+    assert rows["joint frictionloss"]["unit"] == "N"
+    vector = dict(zip(joint.names, middle(done), strict=True))
+    armature = vector["motor.inertia"] * 300.0**2
+    assert rows["joint armature"]["value"] == pytest.approx(armature)
+
+
+def test_a_term_of_ones_own_is_fitted_and_said_and_no_controller_is_written():
+    joint = Joint(elements=(Element("motor", inertia=True, viscous=True),), load=Load())
+    joint = joint.with_term(Term("motor.square", lambda m: m.speed * abs(m.speed)))
+    values = {"motor.inertia": 0.01, "motor.viscous": 0.05, "motor.square": 0.01}
+    exported = bf.export(made(joint, values, 0.6), "mujoco")
+    assert list(exported.files) == ["joint.xml"]
+    (lost,) = exported.record["lost"]
+    assert lost["parameters"] == ["motor.square"]
+    # constant and viscous loss are nearer to it than nothing
+    assert exported.record["error"]["motor"]["rms"] < 0.3 * exported.record["error"]["torque_rms"]

@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
+from bayesfric.export.formats.bam import parameters
+from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.forward import simulate, simulate_segments
 from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.joint import Joint
 
 from .made import found, swung
 from .test_mujoco import middle, rms
@@ -254,3 +257,26 @@ def test_bam_loses_about_as_much_in_steady_motion():
         assert theirs == pytest.approx(friction, abs=0.6 * mu**2 * abs(external) + 1.2 * rest)
     # about half of a mu
     assert p["load_friction_base"] == pytest.approx(mu / 2.0, rel=0.02)
+
+
+def test_bam_told_apart_by_power_is_exact_in_steady_motion():
+    joint = Joint(
+        elements=(Element("motor", inertia=True), Element("gearbox", ratio=9.0, load_loss="two")),
+        load=Load(inertia=True, first_moment=True),
+    )
+    values = {
+        "motor.inertia": 1e-3,
+        "gearbox.load_drive": 0.3,
+        "gearbox.load_back": 0.25,
+        "load.inertia": 0.05,
+        "load.first_moment": 0.3,
+    }
+    p = parameters(joint, joint.vector(values), [])
+    assert p["model"] == "m5"
+    assert p["armature"] == pytest.approx(1e-3 * 81.0)
+    p |= {"dtheta_stribeck": 0.2, "alpha": 1.0}  # of what has no rise
+    for q, speed in ((0.9, 1.5), (0.9, -1.5)):
+        motor = 9.0 * inverse_torque(joint, joint.vector(values), [q], [speed], [0.0])[0]
+        external = -9.80665 * 0.3 * np.sin(q)
+        theirs = np.sign(speed) * bam_friction(p, motor, external, speed)
+        assert theirs == pytest.approx(motor + external, rel=1e-9)

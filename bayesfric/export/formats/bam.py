@@ -16,8 +16,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from bayesfric.errors import BadInput
-from bayesfric.export.at_joint import NUMBERS, Array, Moved, at_joint, simulator_joint, torque_along
-from bayesfric.export.at_joint import simulator_vectors as vectors_of
+from bayesfric.export.at_joint import (
+    NUMBERS,
+    Array,
+    Moved,
+    at_joint,
+    simulator_joint,
+    simulator_vectors,
+    torque_along,
+    without_load_losses,
+)
 from bayesfric.export.carried import DRIVE, LINK
 from bayesfric.export.format import Attribute, Content, Files, Format, Options
 from bayesfric.mechanism import kernels
@@ -42,7 +50,8 @@ def parameters(chain: Joint, vector: Array, motions: Sequence[Moved]) -> dict[st
         raise BadInput(
             "--to bam", "knows one load loss, and the joint has several", "export others"
         )
-    bare = {k: float(v[0]) for k, v in at_joint(chain, vector[None], motions, 0.0).values.items()}
+    plain = at_joint(chain, without_load_losses(chain, vector[None]), motions, 0.0).values
+    bare = {k: float(v[0]) for k, v in plain.items()}
     found: dict[str, float | str] = {
         "armature": bare["armature"],
         "friction_base": bare["friction"],
@@ -79,12 +88,13 @@ def parameters(chain: Joint, vector: Array, motions: Sequence[Moved]) -> dict[st
 def _torque(chain: Joint, vector: Array, motions: Sequence[Moved]) -> Array:
     """Motor torque that BAM's law takes along the motions, brought to the measured one."""
     p = parameters(chain, vector, motions)
-    bare = {k: v.copy() for k, v in at_joint(chain, vector[None], motions, 0.0).values.items()}
+    values = without_load_losses(chain, vector[None])
+    bare = {k: v.copy() for k, v in at_joint(chain, values, motions, 0.0).values.items()}
     gain, offset = float(bare["gain"][0]), float(bare["torque_offset"][0])
     for name in ("friction", "damping", "quadratic", "static_friction"):
         bare[name][:] = 0.0
     plain = simulator_joint(chain.load.motion, chain.load.gravity)
-    there = vectors_of(plain, bare)
+    there = simulator_vectors(plain, bare)
     free = gain * torque_along(plain, there, motions)[0] - offset
     still = [Moved(m.q, 0.0 * m.qd, 0.0 * m.qdd, m.time, m.inputs) for m in motions]
     external = -(gain * torque_along(plain, there, still)[0] - offset)
@@ -134,7 +144,7 @@ FORMATS = (
         attributes=_attributes,
         write=_write,
         options=frozenset({"actuator"}),
-        notes=lambda _: ("joint torque", "bam load", "bam drive"),
+        notes=lambda *_: ("joint torque", "bam load", "bam drive"),
         torque=_torque,
         keeps=frozenset({"load loss", "load losses", "stribeck", "stribeck speed"}),
     ),

@@ -75,7 +75,7 @@ def _format(suffix: str, meaning: str, write: Callable[[Content], bytes]) -> For
         attributes=_attributes,
         write=lambda content: _files(f"draws.{suffix}", write(content)),
         options=_OPTIONS,
-        notes=lambda _: ("draws",),
+        notes=lambda *_: ("draws",),
     )
 
 

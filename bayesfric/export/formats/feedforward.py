@@ -71,7 +71,7 @@ FORMATS = tuple(
         supplied=frozenset(),
         attributes=_attributes,
         write=write,
-        notes=lambda _: _NOTES,
+        notes=lambda *_: _NOTES,
         whole=True,
         torque=_torque,
     )

@@ -17,6 +17,7 @@ from bayesfric.export.at_joint import NUMBERS
 from bayesfric.export.carried import DRIVE, LINK
 from bayesfric.export.format import Attribute, Content, Files, Format, Options, filled
 from bayesfric.export.formats.urdf import plain_name
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import Motion
 
 _VERSIONS = ("5.0", "4.5")
@@ -76,7 +77,7 @@ def _check(options: Options) -> None:
         raise BadInput("--isaac-sim", f"is {options.isaac_sim}", mend)
 
 
-def _notes(options: Options) -> Sequence[str]:
+def _notes(options: Options, _: Joint) -> Sequence[str]:
     version = "isaac four" if _old(options) else "isaac five"
     return ("joint torque", version, "isaac gains")
 

@@ -11,8 +11,9 @@ from bayesfric.errors import BadInput, nearest
 from bayesfric.export.at_joint import NUMBERS
 from bayesfric.export.carried import DRIVE, LINK
 from bayesfric.export.format import Attribute, Content, Files, Format, Options, filled
-from bayesfric.export.law import law
+from bayesfric.export.law import law, unwritten
 from bayesfric.export.pendulum import pendulum
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import Motion
 
 # Step of the model that is written, s. With a friction constraint as stiff as two steps allow,
@@ -67,7 +68,9 @@ def _joint(numbers: Mapping[str, float], terms: int | None) -> dict[str, str]:
 
 def _write(content: Content) -> Files:
     name, numbers = content.options.joint, dict(content.numbers)
-    controller = {f"{_plain(name)}_friction.py": _controller(content)}
+    controller = {}
+    if unwritten(content.found.joint) is None:
+        controller[f"{_plain(name)}_friction.py"] = _controller(content)
     if content.options.into is not None:
         path = content.options.into
         attributes = _joint(numbers, content.options.damping_terms)
@@ -86,6 +89,12 @@ def _write(content: Content) -> Files:
         step=_STEP,
     )
     return {f"{_plain(name)}.xml": text, **controller}
+
+
+def _notes(options: Options, chain: Joint) -> Sequence[str]:
+    whole = () if options.into is not None else ("ctrl", "body")
+    controller = "mujoco controller" if unwritten(chain) is None else "mujoco no controller"
+    return (*whole, "mujoco stick", "mujoco versions", controller)
 
 
 def _plain(name: str) -> str:
@@ -177,7 +186,7 @@ FORMATS = (
         attributes=_attributes,
         write=_write,
         options=frozenset({"into", "damping_terms"}),
-        notes=lambda _: ("ctrl", "mujoco stick", "mujoco versions", "body"),
+        notes=_notes,
         check=_check,
     ),
 )

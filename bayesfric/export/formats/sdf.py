@@ -48,6 +48,6 @@ FORMATS = (
         supplied=frozenset(DRIVE),
         attributes=_attributes,
         write=_write,
-        notes=lambda _: ("joint torque", "rotor in link", "gravity", "body"),
+        notes=lambda *_: ("joint torque", "rotor in link", "gravity", "body"),
     ),
 )

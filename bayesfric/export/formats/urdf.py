@@ -99,7 +99,7 @@ FORMATS = (
         supplied=frozenset(DRIVE),
         attributes=_plain_attributes,
         write=_write_plain,
-        notes=lambda _: ("joint torque", "urdf ignored", "rotor in link", "gravity", "body"),
+        notes=lambda *_: ("joint torque", "urdf ignored", "rotor in link", "gravity", "body"),
     ),
     Format(
         name="drake",
@@ -108,7 +108,7 @@ FORMATS = (
         supplied=frozenset(DRIVE),
         attributes=_drake_attributes,
         write=_write_drake,
-        notes=lambda _: ("joint torque", "drake friction", "gravity", "body"),
+        notes=lambda *_: ("joint torque", "drake friction", "gravity", "body"),
     ),
     Format(
         name="pinocchio",
@@ -117,6 +117,6 @@ FORMATS = (
         supplied=frozenset(DRIVE),
         attributes=_pinocchio_attributes,
         write=_write_pinocchio,
-        notes=lambda _: ("joint torque", "pinocchio losses", "body"),
+        notes=lambda *_: ("joint torque", "pinocchio losses", "body"),
     ),
 )
