@@ -221,7 +221,7 @@ def _exported(found: Finished, form: Format, options: Options) -> Exported:
     numbers = {name: float(x[0]) for name, x in kept.values.items()}
     rows = _rows(found, form, options, numbers, spread.values, middle, told)
     record = _record(found, form, options, rows, lost, error, middle, told)
-    remarks = filled("remarks.txt.j2", **record).splitlines()
+    remarks = map(_harmless, filled("remarks.txt.j2", **record).splitlines())
     content = Content(
         found, options, told, numbers, spread.values, motions, error, [r for r in remarks if r]
     )
@@ -229,6 +229,12 @@ def _exported(found: Finished, form: Format, options: Options) -> Exported:
     record["files"] = list(files)
     picture = ExportPicture(chain, motions, error, form.name)
     return Exported(record, files, picture)
+
+
+def _harmless(remark: str) -> str:
+    """Keep a remark, which may hold names of folders and recordings, from ending a comment."""
+    kept = "".join(c for c in remark if c.isprintable())
+    return kept.replace('"', "'").replace("\\", "/").replace("*/", "* /").replace("--", "- -")
 
 
 def _record(

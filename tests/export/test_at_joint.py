@@ -1,6 +1,8 @@
 """A joint at its output: identities, and what cannot be carried."""
 
 import io
+from dataclasses import replace
+from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
@@ -300,3 +302,13 @@ def test_one_draw_stands_for_all_where_medians_would_not_fit():
     # where parameters are known apart, the medians are it
     known = np.random.default_rng(5).normal(1.0, 0.01, (400, 3))
     assert central(joint, known, np.median(known, axis=0), there) is None
+
+
+def test_a_run_of_any_name_ends_no_comment():
+    done = replace(found("motor-axis"), name='a-->b*/c"""d\\e\nf')
+    ElementTree.fromstring(bf.export(done, "mujoco").main)
+    ElementTree.fromstring(bf.export(done, "urdf").main)
+    for text in (bf.export(done, "python").main, *bf.export(done, "isaac").files.values()):
+        assert "a- ->b* /c'''d/e" in text
+    compile(bf.export(done, "python").main, "feedforward.py", "exec")
+    assert bf.export(done, "c").files["joint_feedforward.h"].count("*/") == 1

@@ -119,10 +119,10 @@ def test_friction_set_at_each_step_gives_the_load_loss_back(name):
 def test_draws_as_models_spread_as_the_posterior_predictive():
     """Parameters alone: no noise is added to either."""
     preset = PRESETS["servo-pendulum"]
-    draws = 24
+    draws = 16
     values = {**preset.values, "gearbox.load": 0.0}
     done = made(preset.chain(), values, 0.4, spread=0.05, draws=draws)
-    torque, period = swung(0.4, 1.2)
+    torque, period = swung(0.4, 1.0)
     model = mujoco.MjModel.from_xml_string(bf.export(done, "mujoco").main)
     table = np.load(io.BytesIO(bf.export(done, "npz", draws=draws).main))
     data, paths = mujoco.MjData(model), []
