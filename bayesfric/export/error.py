@@ -42,7 +42,10 @@ class Wrong:
     load: Array  # (M,) torque of the link at the joint
     motor: Size
     joint: Size  # the same at the joint, times the gain
-    motion_rms: float | None  # rad or m, SPAN s from the same state; None where none could be run
+    # rad or m, SPAN s from the same state, of all stretches together and of the middle one; None
+    # where none could be run
+    motion_rms: float | None
+    motion_median: float | None
     torque_rms: float  # of the fitted joint, to compare with
 
     def as_dict(self) -> dict[str, Any]:
@@ -51,6 +54,7 @@ class Wrong:
             "motor": asdict(self.motor),
             "joint": asdict(self.joint),
             "motion_rms": self.motion_rms,
+            "motion_median": self.motion_median,
             "motion_span": SPAN,
             "torque_rms": self.torque_rms,
         }
@@ -92,7 +96,7 @@ def wrong_by(
     """Compare the fitted joint with motor torque ``(M,)`` of a law of its own."""
     _, whole = _fitted(chain, vector, motions)
     plain = simulator_joint(chain.load.motion, chain.load.gravity)
-    return _wrong(plain, torque - whole, whole, numbers, motions, None)
+    return _wrong(plain, torque - whole, whole, numbers, motions, ())
 
 
 def _fitted(chain: Joint, vector: Array, motions: Sequence[Moved]) -> tuple[Array, Array]:
@@ -108,7 +112,7 @@ def _wrong(
     whole: Array,
     numbers: dict[str, Array],
     motions: Sequence[Moved],
-    motion: float | None,
+    motion: Sequence[Array],
 ) -> Wrong:
     none = np.zeros(1)
     free = {**numbers, "friction": none, "damping": none, "quadratic": none}
@@ -123,19 +127,25 @@ def _wrong(
         load,
         _size(difference),
         _size(float(numbers["gain"][0]) * difference),
-        motion,
-        float(np.sqrt(np.mean(whole**2))),
+        _rms(np.concatenate(motion)) if motion else None,
+        float(np.median([_rms(x) for x in motion])) if motion else None,
+        _rms(whole),
     )
 
 
 def _size(x: Array) -> Size:
     big = np.abs(x)
-    return Size(float(np.sqrt(np.mean(x**2))), float(np.quantile(big, 0.9)), float(big.max()))
+    return Size(_rms(x), float(np.quantile(big, 0.9)), float(big.max()))
+
+
+def _rms(x: Array) -> float:
+    return float(np.sqrt(np.mean(x**2)))
 
 
 def _motion(
     chain: Joint, here: Array, plain: Joint, there: Array, trajectories: Sequence[Trajectory]
-) -> float | None:
+) -> list[Array]:
+    """Simulate both joints; give how far apart they are, of each stretch that both get through."""
     apart = []
     for t in trajectories:
         given = (t.torque, t.period, t.segments, t.q0, t.qd0)
@@ -146,7 +156,5 @@ def _motion(
         }
         mine, _ = simulate_segments(chain, here, *given, **options)
         other, _ = simulate_segments(plain, there, *given, **options)
-        apart.append((mine - other)[0, t.samples])
-    one = np.concatenate(apart) if apart else np.empty(0)
-    one = one[np.isfinite(one)]
-    return float(np.sqrt(np.mean(one**2))) if one.size else None
+        apart += [(mine - other)[0, a:b] for a, b in t.segments]
+    return [one for one in apart if np.isfinite(one).all()]

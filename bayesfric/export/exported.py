@@ -254,6 +254,8 @@ def _record(
     notes = [sentence("notes.txt.j2", kind, said) for kind in kinds]
     if "body" in kinds and not middle.values["link_inertia"][0]:
         notes.append(sentence("notes.txt.j2", "no link", {}))
+    if any(o.inputs.known_load for o in found.model.observations):
+        notes.insert(0, sentence("notes.txt.j2", "known load", {}))
     status = _status(found)
     if status != "reliable":
         notes.insert(0, sentence("notes.txt.j2", "status", {"status": status}))

@@ -48,18 +48,23 @@ def export_figure(picture: ExportPicture) -> Figure:
         fitted = way * (found.whole - found.free)
         look: Look = {"linestyle": "none", "rasterized": True, "zorder": 2.0}
         for values, marker, size, colour, words in (
-            (fitted, "o", 2.2, style.PALETTE[3], "friction, fitted"),
-            (fitted + way * found.difference, ".", 2.0, style.PALETTE[0], picture.name),
+            (fitted, "o", 2.2, style.PALETTE[3], "friction of the fitted joint"),
+            (
+                fitted + way * found.difference,
+                ".",
+                2.0,
+                style.PALETTE[0],
+                f"friction of {picture.name}",
+            ),
         ):
             look |= {"marker": marker, "markersize": size, "color": colour, "label": words}
-            below.plot(place, values, **look)
+            lines += below.plot(place, values, **look)
         below.set_ylim(bottom=min(0.0, below.get_ylim()[0]))
         below.set_ylabel(f"friction {kind} ({unit})")
-        below.legend(loc="lower right", ncols=2, markerscale=2.0, handlelength=1.0)
         for ax in (above, below):
             few_ticks(ax.xaxis, 6)
             few_ticks(ax.yaxis, 5)
-        legend_above(figure, lines)
+        legend_above(figure, lines, 2)
     return figure
 
 

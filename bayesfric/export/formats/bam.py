@@ -125,6 +125,7 @@ def _attributes(_: Options, rotary: bool) -> Sequence[Attribute]:
         raise BadInput("--to bam", "knows joints that turn", "export another format")
     return [
         Attribute("armature", "armature", NUMBERS["armature"].units[0]),
+        Attribute("friction_base", "friction", NUMBERS["friction"].units[0]),
         Attribute("friction_viscous", "damping", NUMBERS["damping"].units[0]),
     ]
 
