@@ -59,7 +59,7 @@ NUMBERS: dict[str, Number] = {
         Number("link_gravity_angle", ("rad", "rad"), "angle added to q in gravity"),
         Number("stiffness", ("N m/rad", "N/m"), "torque in proportion to position"),
         Number("stiffness_cubic", ("N m/rad³", "N/m³"), "torque with the cube of position"),
-        Number("gain", ("N m per N m", "N per N m"), "joint torque per measured motor torque"),
+        Number("gain", ("N m per N m", "N per N m or N"), "joint torque per measured motor torque"),
         Number("torque_offset", ("N m", "N"), "constant in the measured torque, at the joint"),
     )
 }
