@@ -2,7 +2,7 @@
 
 A :class:`Joint` is made of :class:`Element` and :class:`Load`, a :class:`Recording` of files,
 arrays or a table; a :class:`Model` of both answers every question. What it samples goes to
-:func:`summary`, :mod:`plot` and :func:`report`.
+:func:`summary`, :mod:`plot`, :func:`report` and :func:`export`.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from bayesfric import plot
+    from bayesfric.export.exported import export
     from bayesfric.mechanism.element import Element, Load
     from bayesfric.mechanism.joint import Joint
     from bayesfric.mechanism.own_term import Term
@@ -22,8 +23,8 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = [
-    "Element", "Joint", "Load", "Model", "Recording", "Term", "plot", "report", "rollout",
-    "summary",
+    "Element", "Joint", "Load", "Model", "Recording", "Term", "export", "plot", "report",
+    "rollout", "summary",
 ]  # fmt: skip
 
 # Imported when first used: the command line must answer --help at once.
@@ -34,6 +35,7 @@ _HOMES = {
     "Model": "model",
     "Recording": "recordings.recording",
     "Term": "mechanism.own_term",
+    "export": "export",
     "plot": "plot",
     "report": "report",
     "rollout": "rollouts.rollout",

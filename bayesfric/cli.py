@@ -290,6 +290,73 @@ def rollout(
 
 
 @app.command()
+def export(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="run directory")],
+    to: Annotated[
+        str,
+        typer.Option(
+            metavar="FORMAT",
+            help="mujoco, urdf, sdf, drake, pinocchio, isaac, bam, csv, parquet, npz, c or python",
+        ),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="folder to make, or main file; RUN-FORMAT if left out"),
+    ] = None,
+    joint: Annotated[
+        str | None, typer.Option(metavar="NAME", help="what the simulator calls the joint")
+    ] = None,
+    at_load: Annotated[
+        float | None,
+        typer.Option(
+            metavar="TORQUE",
+            help="N m at the joint, at which a constant loss stands for a load loss; the mean of "
+            "the recordings if left out",
+        ),
+    ] = None,
+    into: Annotated[
+        Path | None, typer.Option(metavar="MODEL", help="mujoco: model whose joint is changed")
+    ] = None,
+    damping_terms: Annotated[
+        int | None, typer.Option(help="mujoco: 3 numbers of damping (from 3.7 on), or 1")
+    ] = None,
+    isaac_sim: Annotated[
+        str | None, typer.Option(metavar="VERSION", help="isaac: 5.0 or 4.5")
+    ] = None,
+    actuator: Annotated[
+        str | None, typer.Option(metavar="NAME", help="bam: its name of the actuator")
+    ] = None,
+    draws: Annotated[
+        int | None, typer.Option(help="csv, parquet, npz: how many draws, a row each")
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="csv, parquet, npz: of which draws")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="keep an old export aside")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Put a finished run into a simulator's files, and say what these cannot carry."""
+    from bayesfric.commands.export import export_run
+
+    found, written = export_run(
+        run,
+        to,
+        output,
+        force=force,
+        joint=joint,
+        at_load=at_load,
+        into=into,
+        damping_terms=damping_terms,
+        isaac_sim=isaac_sim,
+        actuator=actuator,
+        draws=draws,
+        seed=seed,
+    )
+    lines = [*found.text().splitlines(), "", f"Written: {', '.join(written)}"]
+    _print(found.as_json(), as_json, lines)
+
+
+@app.command()
 def compare(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN", help="run directories")],
     output: Annotated[

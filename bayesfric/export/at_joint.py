@@ -1,0 +1,307 @@
+"""A joint as simulators describe one: inertia, damping and friction at its output.
+
+With ``v`` the joint's speed and ``s`` its sign, a simulator's joint obeys
+
+``gain * measured - torque_offset = (armature + link_inertia) a + damping v + quadratic v|v|
++ friction s + weight of link_moment at q + link_gravity_angle + stiffness q + stiffness_cubic q³``
+
+``gain`` is the joint's torque per measured motor torque. A chain without load losses is that
+exactly, each element's numbers times powers of its speed over the joint's. A load loss passes
+``(1 + mu_1) T`` while the motor drives and ``(1 - mu_2) T`` while the load does; the line
+``a T + b s``, with ``a`` the mean of both factors and ``b`` the mean of ``mu_1`` and ``mu_2``
+times a reference load, meets both at that load. Here everything is divided by ``a``, so that
+the link keeps its own inertia and the motor's torque is ``a`` times smaller.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.errors import BadInput
+from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.parameter import Parameter
+from bayesfric.mechanism.quantities import Motion
+from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.observation import Observation
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Number:
+    """One number of a simulator's joint."""
+
+    name: str
+    units: tuple[str, str]  # where the joint turns, where it slides
+    meaning: str
+
+    def unit(self, motion: Motion) -> str:
+        """Look up the unit of a joint that turns or slides."""
+        return self.units[0 if motion == "rotary" else 1]
+
+
+NUMBERS: dict[str, Number] = {
+    one.name: one
+    for one in (
+        Number("armature", ("kg m²", "kg"), "inertia of rotor and gears, at the joint"),
+        Number("damping", ("N m s/rad", "N s/m"), "loss in proportion to speed"),
+        Number("quadratic", ("N m s²/rad²", "N s²/m²"), "loss with the square of speed"),
+        Number("friction", ("N m", "N"), "constant loss while it moves"),
+        Number("static_friction", ("N m", "N"), "constant loss at standstill"),
+        Number("link_inertia", ("kg m²", "kg"), "inertia of the link about the joint"),
+        Number("link_moment", ("kg m", "kg m"), "mass of the link times distance to its centre"),
+        Number("link_gravity_angle", ("rad", "rad"), "angle added to q in gravity"),
+        Number("stiffness", ("N m/rad", "N/m"), "torque in proportion to position"),
+        Number("stiffness_cubic", ("N m/rad³", "N/m³"), "torque with the cube of position"),
+        Number("gain", ("N m per N m", "N per N m or N"), "joint torque per measured motor torque"),
+        Number("torque_offset", ("N m", "N"), "constant in the measured torque, at the joint"),
+    )
+}
+
+# Rows of the table of quantities that are one of these numbers, and their share in it.
+_PLACES: Mapping[str, tuple[str, float]] = {
+    "inertia": ("armature", 1.0),
+    "viscous": ("damping", 1.0),
+    "viscous_positive": ("damping", 0.5),
+    "viscous_negative": ("damping", 0.5),
+    "quadratic": ("quadratic", 1.0),
+    "coulomb": ("friction", 1.0),
+    "coulomb_positive": ("friction", 0.5),
+    "coulomb_negative": ("friction", 0.5),
+}
+_LOAD_PLACES: Mapping[str, str] = {
+    "inertia": "link_inertia",
+    "first_moment": "link_moment",
+    "gravity_angle": "link_gravity_angle",
+    "spring": "stiffness",
+    "spring_cubic": "stiffness_cubic",
+}
+# Rows that say how the drive's torque is measured, and rows that shape others and are looked up.
+_DRIVE = ("gain", "offset", "delay")
+_RISES = ("stribeck_ratio", "stribeck_change", "stribeck_constant")
+_LOAD_RISES = ("stribeck_ratio", "stribeck_change", "stribeck_load")
+_LOOKED_UP = frozenset(
+    (
+        *_RISES, *_LOAD_RISES, "stribeck_velocity", "stribeck_exponent", "load", "load_drive",
+        "load_back", "load_difference", "load_drive_difference", "load_back_difference",
+        "load_speed", "load_square", "power_exponent", "warming_time",
+    )
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Moved:
+    """Motion of one recording at its outputs, ``(M,)`` each, in SI at the joint."""
+
+    q: Array
+    qd: Array
+    qdd: Array
+    time: Array
+    inputs: Inputs  # without a recording's name: an offset of its own is not the joint's
+
+    @classmethod
+    def of(cls, observation: Observation) -> Moved:
+        """Take what a posterior was compared with."""
+        o, at = observation, observation.filter.centres
+        return cls(o.q[at], o.qd[at], o.qdd[at], o.stamps[at], replace(o.inputs, recording=""))
+
+
+def torque_along(chain: Joint, values: Array, motions: Sequence[Moved]) -> Array:
+    """Measured motor torque of ``(n, d)`` vectors along all motions, ``(n, M)``."""
+    parts = [
+        inverse_torque(chain, values, m.q, m.qd, m.qdd, inputs=m.inputs, time=m.time)
+        for m in motions
+    ]
+    return np.concatenate(parts, axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class AtJoint:
+    """A joint in a simulator's numbers, ``(n,)`` each, one for each parameter vector."""
+
+    values: dict[str, Array]
+    made_from: dict[str, tuple[str, ...]]  # parameters of the chain, by number
+    reference: dict[str, Array]  # transmitted torque at the joint where a load loss is met
+    fitted: dict[str, tuple[Array, Array]]  # constant and damping in place of a parameter's term
+
+
+def at_joint(
+    chain: Joint, values: Array, motions: Sequence[Moved], at_load: float | None = None
+) -> AtJoint:
+    """Describe a joint at its output.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    values
+        ``(n, n_parameters)`` in the order of ``chain.names``.
+    motions
+        Of the recordings: load losses are met at the mean size of the torque that passes there,
+        and what a simulator has no number for is fitted by a constant and a viscous loss.
+    at_load
+        Torque at the joint at which load losses are met, N m or N.
+
+    Raises
+    ------
+    BadInput
+        If a quantity of the chain has no place here.
+    """
+    column = dict(zip(chain.names, values.T, strict=True))
+    found = {name: np.zeros(len(values)) for name in NUMBERS}
+    made: dict[str, list[str]] = {name: [] for name in NUMBERS}
+    reference: dict[str, Array] = {}
+
+    def add(number: str, amount: Array, *names: str) -> None:
+        found[number] = found[number] + amount
+        made[number] += [name for name in dict.fromkeys(names) if name not in made[number]]
+
+    passed: Array = np.ones(len(values))  # mean factor of all load losses behind, and here
+    for k in range(len(chain.elements) - 1, -1, -1):
+        element = chain.elements[k]
+        reach = chain.reaches[element.name]
+        own = {p.quantity: p for p in chain.parameters if p.owner == element.name}
+
+        def first(*quantities: str, own: Mapping[str, Parameter] = own) -> tuple[Array, list[str]]:
+            names = [own[q].name for q in quantities if q in own]
+            return (column[names[0]], names) if names else (np.zeros(len(values)), [])
+
+        drive, driving = first("load_drive", "load")
+        back, backing = first("load_back", "load")
+        load: Array = np.zeros(len(values))
+        if driving or backing:
+            if at_load is None:
+                through = _transmitted(chain, values, k, motions)
+                load = np.abs(through).mean(axis=1)
+            else:
+                load = passed * at_load
+            reference[element.name] = load
+        passed = passed * (1.0 + 0.5 * (drive - back))
+        rise, rising = first(*_RISES)
+        load_rise, load_rising = first(*_LOAD_RISES)
+        square, squares = first("load_square")
+        constant = 0.5 * (drive + back) * load / passed
+        grown = square * load**2 / reach / passed
+        add("friction", constant + grown, *driving, *backing, *squares)
+        add("static_friction", constant * load_rise, *load_rising)
+        speed, speeds = first("load_speed")
+        add("damping", speed * reach * load / passed, *speeds)
+        for quantity, p in own.items():
+            if quantity in _PLACES:
+                number, share = _PLACES[quantity]
+                assert p.row.power is not None
+                amount = share * column[p.name] * reach ** (p.row.power + 1) / passed
+                add(number, amount, p.name)
+                if number == "friction":
+                    add("static_friction", amount * rise, *rising)
+            elif p.row.role != "own" and quantity not in _LOOKED_UP:
+                raise _unknown(p)
+    for p in chain.parameters:
+        if p.owner == "load" and p.quantity in _LOAD_PLACES:
+            add(_LOAD_PLACES[p.quantity], column[p.name], p.name)
+        elif p.owner == "load" and p.row.role != "own":
+            raise _unknown(p)
+    whole = column.get("drive.gain", np.ones(len(values)))
+    add("gain", chain.ratio * whole / passed, *(["drive.gain"] if "drive.gain" in column else []))
+    made["gain"] += [p.name for p in chain.parameters if p.quantity in ("load_drive", "load_back")]
+    if "offset" in column:
+        add("torque_offset", chain.ratio * column["offset"] / passed, "offset")
+    fitted = _fitted(chain, values, motions, found["gain"])
+    for name, (constant, damping) in fitted.items():
+        add("friction", constant, name)
+        add("damping", damping, name)
+    # all losses are losses, whatever a fit over a one-sided motion says
+    for name in ("friction", "damping"):
+        found[name] = np.maximum(found[name], 0.0)
+    add("static_friction", found["friction"], *made["friction"])
+    found["static_friction"] = np.maximum(found["static_friction"], 0.0)
+    return AtJoint(found, {k: tuple(v) for k, v in made.items()}, reference, fitted)
+
+
+def without_load_losses(chain: Joint, values: Array) -> Array:
+    """Take load losses out of parameter vectors ``(n, d)``, for formats that have their own."""
+    lossy = [p.quantity.startswith("load") for p in chain.parameters]
+    return np.where(lossy, 0.0, values)
+
+
+def _unknown(p: Parameter) -> BadInput:
+    return BadInput(p.name, "is not known to the export", "leave it out of the mechanism")
+
+
+def _transmitted(chain: Joint, values: Array, k: int, motions: Sequence[Moved]) -> Array:
+    """Torque at the output of element ``k`` along all motions, at the joint, ``(n, M)``."""
+    behind = chain.elements[k + 1 :]
+    owners = {e.name for e in behind} | {"load"}
+    shaft = Element("output", motion=behind[0].motion if behind else chain.load.motion)
+    rest = Joint(
+        elements=(shaft, *behind),
+        load=chain.load,
+        terms=tuple(term for term in chain.terms if term.owner in owners),
+    )
+    columns = [chain.names.index(name) for name in rest.names]
+    return torque_along(rest, values[:, columns], motions) * rest.ratio
+
+
+def places(p: Parameter) -> bool:
+    """Whether a parameter's term has a number of its own, or says how torque is measured."""
+    known = _LOAD_PLACES if p.owner == "load" else _PLACES
+    return p.row.role != "own" or p.quantity in known or p.quantity in _DRIVE
+
+
+def _fitted(
+    chain: Joint, values: Array, motions: Sequence[Moved], gain: Array
+) -> dict[str, tuple[Array, Array]]:
+    """Fit what has no number by a constant and a viscous loss, by least squares."""
+    rest = [k for k, p in enumerate(chain.parameters) if not places(p)]
+    if not rest:
+        return {}
+    speed = np.concatenate([m.qd for m in motions])
+    basis = np.stack([np.sign(speed), speed], axis=1)
+    whole = torque_along(chain, values, motions)
+    found = {}
+    for k in rest:
+        without = values.copy()
+        without[:, k] = 0.0
+        term = gain[:, None] * (whole - torque_along(chain, without, motions))
+        constant, damping = np.linalg.lstsq(basis, term.T, rcond=None)[0]
+        found[chain.names[k]] = (constant, damping)
+    return found
+
+
+def simulator_joint(motion: Motion, gravity: float) -> Joint:
+    """Give the mechanism that a simulator's numbers describe."""
+    turns = motion == "rotary"
+    element = Element(
+        "joint", motion=motion, inertia=True, coulomb="symmetric", viscous=True, quadratic=True
+    )
+    load = Load(
+        gravity=gravity,
+        motion=motion,
+        inertia=True,
+        spring="stiffening",
+        first_moment=turns,
+        gravity_angle=turns,
+    )
+    return Joint(elements=(element,), load=load, offset=True, gain=True)
+
+
+_NAMES: Mapping[str, str] = {
+    "joint.inertia": "armature",
+    "joint.viscous": "damping",
+    "joint.coulomb": "friction",
+    "joint.quadratic": "quadratic",
+    **{f"load.{quantity}": number for quantity, number in _LOAD_PLACES.items()},
+    "offset": "torque_offset",
+    "drive.gain": "gain",
+}
+
+
+def simulator_vectors(joint: Joint, numbers: Mapping[str, Array]) -> Array:
+    """Put numbers ``(n,)`` into parameter vectors of :func:`simulator_joint`, ``(n, d)``."""
+    return np.stack([numbers[_NAMES[name]] for name in joint.names], axis=1)

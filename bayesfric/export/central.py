@@ -1,0 +1,100 @@
+"""Parameter vectors to export: draws, and one that stands for them all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from bayesfric.export.at_joint import Array, Moved, torque_along
+from bayesfric.finished import Finished
+from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.parameter import turned
+from bayesfric.mechanism.scaling import Scaling, scalings
+
+# Draws that medians are taken of: whatever is exported, the middle is the same.
+_MANY = 1000
+# Share of the draws that count as near to the median torque.
+_NEAR = 0.1
+
+
+def open_scalings(found: Finished) -> tuple[Scaling, ...]:
+    """Scalings of link and load losses that the run's recordings leave open."""
+    named = {name for n in found.summary.identifiability.null_directions for name in n.parameters}
+    return tuple(
+        one
+        for one in scalings(found.joint)
+        if {f"{one.element}.alpha_drive", f"{one.element}.alpha_back"} & named
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Vectors:
+    """What a run exports.
+
+    Where a scaling is open, every vector is moved along it to where driving and back-driving
+    lose the same: no torque changes, and the motor's torque reaches the link whole on average.
+    """
+
+    scalings: tuple[Scaling, ...]
+    middle: Array  # (d,), see :func:`central`
+    kind: Literal["medians", "draw"]  # what it is
+    draws: Array  # (n, d)
+
+
+def vectors(
+    found: Finished, motions: Sequence[Moved], most: int, seed: int | None = None
+) -> Vectors:
+    """Take at most so many draws of a run, evenly spread or by chance; and one central vector."""
+    chain, moved = found.joint, open_scalings(found)
+    picked = found.picked(most)
+    if seed is not None:
+        size = min(most, len(found.draws))
+        chosen = np.random.default_rng(seed).choice(len(found.draws), size, replace=False)
+        picked = found.draws[chosen]
+    many = _evened(found.values(found.picked(_MANY)), moved)
+    middle = _evened(_medians(chain, many)[None], moved)[0]
+    better = central(chain, many, middle, motions)
+    draws = _evened(found.values(picked), moved)
+    return Vectors(
+        moved, middle if better is None else better, "medians" if better is None else "draw", draws
+    )
+
+
+def central(chain: Joint, draws: Array, middle: Array, motions: Sequence[Moved]) -> Array | None:
+    """Find a draw to stand for all where the medians together do not.
+
+    Medians of parameters that only their sum determines need not sum up to it. ``None`` where the
+    torque of the medians ``(d,)`` along the recordings is as near to the median torque as that of
+    a tenth of the draws ``(n, d)``. Else the draw, of that tenth, whose parameters are nearest to
+    their medians.
+    """
+    torque = torque_along(chain, np.vstack([draws, middle]), motions)
+    away = np.sqrt(np.mean((torque - np.median(torque[:-1], axis=0)) ** 2, axis=1))
+    near = away[:-1] <= np.quantile(away[:-1], _NEAR)
+    if away[-1] <= away[:-1][near].max():
+        return None
+    low, high = np.quantile(draws, [0.16, 0.84], axis=0)
+    spread = np.where(high > low, high - low, 1.0)
+    apart = np.sum(((draws - middle) / spread) ** 2, axis=1)
+    return np.asarray(draws[np.argmin(np.where(near, apart, np.inf))])
+
+
+def _evened(values: Array, moved: tuple[Scaling, ...]) -> Array:
+    for one in moved:
+        names = one.chain.names
+        drive, back = (values[:, names.index(name)] for name in (one.drive, one.back))
+        factor = 1.0 + 0.5 * (drive - back)
+        values = np.stack([one.scaled(v, f) for v, f in zip(values, factor, strict=True)])
+    return values
+
+
+def _medians(chain: Joint, draws: Array) -> Array:
+    out = np.median(draws, axis=0)
+    for k, p in enumerate(chain.parameters):
+        if p.circular:
+            towards = float(np.angle(np.mean(np.exp(1j * draws[:, k]))))
+            out[k] = float(np.median(turned(draws[:, k], towards)))
+    return np.asarray(out)

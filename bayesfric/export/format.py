@@ -1,0 +1,121 @@
+"""What a format declares of itself, and how formats are found: one file each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from pkgutil import iter_modules
+from typing import Any
+
+from bayesfric.errors import BadInput, nearest
+from bayesfric.export.at_joint import Array, Moved
+from bayesfric.export.central import Vectors
+from bayesfric.export.error import Wrong
+from bayesfric.finished import Finished
+from bayesfric.mechanism.joint import Joint
+from bayesfric.templates import environment
+
+Files = dict[str, str | bytes]
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a user may ask of an export; ``None`` where left out."""
+
+    joint: str = "joint"  # name of the joint in the simulator's model
+    at_load: float | None = None  # torque at the joint at which load losses are met, N m or N
+    into: Path | None = None  # model whose joint is to be changed
+    damping_terms: int | None = None  # numbers of MuJoCo's damping, 1 or 3
+    isaac_sim: str | None = None  # version of Isaac Sim
+    actuator: str | None = None  # name of BAM's actuator
+    draws: int | None = None  # how many draws
+    seed: int | None = None  # of which draws
+
+
+@dataclass(frozen=True)
+class Attribute:
+    """A number as a simulator calls it."""
+
+    name: str
+    number: str  # of bayesfric.export.at_joint.NUMBERS; a parameter's name in a format of laws
+    unit: str
+    factor: float = 1.0  # from the number in SI to the attribute
+
+
+@dataclass(frozen=True, eq=False)
+class Content:
+    """All that a format writes its files from."""
+
+    found: Finished
+    options: Options
+    vectors: Vectors
+    numbers: Mapping[str, float]  # of the joint, as the format carries them
+    draws: Mapping[str, Array]  # the same for each draw
+    motions: Sequence[Moved]
+    wrong: Wrong
+    remarks: Sequence[str]  # what every file says of itself, one line each
+
+    @property
+    def rotary(self) -> bool:
+        """Whether the joint turns."""
+        return self.found.joint.load.motion == "rotary"
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format of files for a simulator, or for anything that wants the numbers."""
+
+    name: str
+    meaning: str  # what it is for, as it stands in a sentence
+    # Names of numbers it has, and of those that the model or the drive around it brings
+    carries: Callable[[Options], frozenset[str]]
+    supplied: frozenset[str]
+    attributes: Callable[[Options, bool], Sequence[Attribute]]  # of options, and whether it turns
+    write: Callable[[Content], Files]  # the main file first
+    options: frozenset[str] = frozenset()  # of Options it knows, beside joint and at_load
+    # kinds of sentences of templates/notes.txt.j2
+    notes: Callable[[Options, Joint], Sequence[str]] = lambda *_: ()
+    whole: bool = False  # whether it carries the law itself, and no number in its place
+    keeps: frozenset[str] = frozenset()  # kinds of Lost that it does carry
+    # motor torque along the recordings by a law of its own, of the fitted joint and its vector
+    torque: Callable[[Joint, Array, Sequence[Moved]], Array] | None = None
+    # refuses options that do not go together, before anything is computed
+    check: Callable[[Options], None] | None = None
+
+
+@cache
+def formats() -> dict[str, Format]:
+    """Find the formats: what every module of the folder calls ``FORMATS``, by name."""
+    package = import_module("bayesfric.export.formats")
+    names = sorted(m.name for m in iter_modules(package.__path__))
+    modules = [import_module(f"{package.__name__}.{name}") for name in names]
+    return {one.name: one for m in modules for one in getattr(m, "FORMATS", ())}
+
+
+def format_of(name: str) -> Format:
+    """Look a format up, or say which there are."""
+    if name not in formats():
+        raise BadInput("--to", f"there is no format {name!r}", nearest(name, formats()))
+    return formats()[name]
+
+
+def filled(template: str, **values: Any) -> str:
+    """Fill a template of this folder."""
+    return str(_environment().get_template(template).render(**values))
+
+
+def sentence(template: str, kind: str, values: Mapping[str, Any]) -> str:
+    """Word one kind by its macro in a template; spaces stand for underscores."""
+    module: Any = _environment().get_template(template).module
+    return str(getattr(module, kind.replace(" ", "_"))(values)).strip()
+
+
+@cache
+def _environment() -> Any:
+    made = environment("bayesfric.export")
+    # the shortest text that is read back as the same number
+    made.filters["n"] = lambda x: repr(float(x))
+    return made

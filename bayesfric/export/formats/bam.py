@@ -1,0 +1,152 @@
+"""BAM: the JSON of a friction model M1 to M5, as of Rhoban/bam, bam/model.py and bam/params.
+
+With ``T`` what the load takes and ``m`` the motor's torque, BAM's friction budget in steady motion
+is ``friction_base + c |T + m|``: the difference of motor and external torque is about ``2 T``. Of
+``m = T + F`` and of ``m = T - F``, where ``F = mu T`` is ours, follows ``c = mu / (2 + mu)`` while
+the motor drives and ``mu / (2 - mu)`` while the load does; the mean of both is written. Driving
+and back-driving apart (M5) are ``c_m m + c_e T``: ``c_m = (mu_1 - mu_2)/(mu_1 + mu_2)`` and
+``c_e = mu_1 (1 - c_m) - c_m``, where both come out positive.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+
+import numpy as np
+
+from bayesfric.errors import BadInput
+from bayesfric.export.at_joint import (
+    NUMBERS,
+    Array,
+    Moved,
+    at_joint,
+    simulator_joint,
+    simulator_vectors,
+    torque_along,
+    without_load_losses,
+)
+from bayesfric.export.carried import DRIVE, LINK
+from bayesfric.export.format import Attribute, Content, Files, Format, Options
+from bayesfric.mechanism import kernels
+from bayesfric.mechanism.joint import Joint
+
+# BAM's Stribeck curvature is a parameter; its load is that of standstill.
+_ROUNDS = 60
+
+
+def parameters(chain: Joint, vector: Array, motions: Sequence[Moved]) -> dict[str, float | str]:
+    """Work out BAM's parameters of a joint, by their names there.
+
+    Raises
+    ------
+    BadInput
+        If several elements have a load loss, of which BAM knows one.
+    """
+    elements = chain.tables(vector[None]).elements[0]
+    at = {slot: elements[:, k] for k, slot in enumerate(kernels.ELEMENT_SLOTS)}
+    lossy = np.flatnonzero((at["load_drive"] != 0.0) | (at["load_back"] != 0.0))
+    if lossy.size > 1:
+        raise BadInput(
+            "--to bam", "knows one load loss, and the joint has several", "export others"
+        )
+    plain = at_joint(chain, without_load_losses(chain, vector[None]), motions, 0.0).values
+    bare = {k: float(v[0]) for k, v in plain.items()}
+    found: dict[str, float | str] = {
+        "armature": bare["armature"],
+        "friction_base": bare["friction"],
+        "friction_viscous": bare["damping"],
+    }
+    drive, back = (float(at[f"load_{side}"].max(initial=0.0)) for side in ("drive", "back"))
+    rise = bare["static_friction"] - bare["friction"]
+    low = int(np.argmax(np.abs(at["stribeck_ratio"]) + np.abs(at["stribeck_load_ratio"])))
+    rises = bool(at["stribeck_ratio"][low] or at["stribeck_load_ratio"][low])
+    apart = drive + back > 0.0 and not np.isclose(drive, back, rtol=1e-6)
+    motor = (drive - back) / (drive + back) if apart else 0.0
+    external = drive * (1.0 - motor) - motor
+    directional = apart and motor > 0.0 and external > 0.0
+    mean = 0.5 * (drive / (2.0 + drive) + back / (2.0 - back))
+    grown = float(at["stribeck_load_ratio"][lossy[0]]) if lossy.size else 0.0
+    if directional:
+        found |= {"load_friction_motor": motor, "load_friction_external": external}
+        found |= {"load_friction_motor_stribeck": grown * motor}
+        found |= {"load_friction_external_stribeck": grown * external}
+    elif lossy.size:
+        found["load_friction_base"] = mean
+    if rises or directional:
+        reach = chain.reaches[chain.elements[low].name]
+        found["friction_stribeck"] = rise
+        if lossy.size and not directional:
+            found["load_friction_stribeck"] = grown * mean
+        found["dtheta_stribeck"] = float(at["stribeck_velocity"][low]) / reach
+        found["alpha"] = float(at["stribeck_exponent"][low])
+    loaded = 2 * bool(lossy.size)
+    found["model"] = "m5" if directional else f"m{1 + loaded + rises}"
+    return found
+
+
+def _torque(chain: Joint, vector: Array, motions: Sequence[Moved]) -> Array:
+    """Motor torque that BAM's law takes along the motions, brought to the measured one."""
+    p = parameters(chain, vector, motions)
+    values = without_load_losses(chain, vector[None])
+    bare = {k: v.copy() for k, v in at_joint(chain, values, motions, 0.0).values.items()}
+    gain, offset = float(bare["gain"][0]), float(bare["torque_offset"][0])
+    for name in ("friction", "damping", "quadratic", "static_friction"):
+        bare[name][:] = 0.0
+    plain = simulator_joint(chain.load.motion, chain.load.gravity)
+    there = simulator_vectors(plain, bare)
+    free = gain * torque_along(plain, there, motions)[0] - offset
+    still = [Moved(m.q, 0.0 * m.qd, 0.0 * m.qdd, m.time, m.inputs) for m in motions]
+    external = -(gain * torque_along(plain, there, still)[0] - offset)
+    speed = np.concatenate([m.qd for m in motions])
+
+    def value(name: str) -> float:
+        return float(p.get(name, 0.0))
+
+    low: Array = np.zeros_like(speed)
+    if "alpha" in p:
+        low = np.exp(-(np.abs(speed / value("dtheta_stribeck")) ** value("alpha")))
+    base = value("friction_base") + low * value("friction_stribeck")
+    base = base + value("friction_viscous") * np.abs(speed)
+    torque = free
+    for _ in range(_ROUNDS):
+        both = (value("load_friction_base") + low * value("load_friction_stribeck")) * np.abs(
+            external - torque
+        )
+        for extra, weight in (("", 1.0), ("_stribeck", low)):
+            motor, outside = (value(f"load_friction_{x}{extra}") for x in ("motor", "external"))
+            both = both + weight * np.abs(external * outside - torque * motor)
+        torque = free + np.sign(speed) * (base + both)
+    return np.asarray((torque + offset) / gain)
+
+
+def _attributes(_: Options, rotary: bool) -> Sequence[Attribute]:
+    if not rotary:
+        raise BadInput("--to bam", "knows joints that turn", "export another format")
+    return [
+        Attribute("armature", "armature", NUMBERS["armature"].units[0]),
+        Attribute("friction_base", "friction", NUMBERS["friction"].units[0]),
+        Attribute("friction_viscous", "damping", NUMBERS["damping"].units[0]),
+    ]
+
+
+def _write(content: Content) -> Files:
+    found = parameters(content.found.joint, content.vectors.middle, content.motions)
+    found["actuator"] = content.options.actuator or ""
+    return {"params.json": json.dumps(found, indent=1) + "\n"}
+
+
+FORMATS = (
+    Format(
+        name="bam",
+        meaning="BAM",
+        carries=lambda _: frozenset({"armature", "damping", "friction", "static_friction"}),
+        supplied=frozenset((*LINK, *DRIVE)),
+        attributes=_attributes,
+        write=_write,
+        options=frozenset({"actuator"}),
+        notes=lambda *_: ("joint torque", "bam load", "bam drive"),
+        torque=_torque,
+        keeps=frozenset({"load loss", "load losses", "stribeck", "stribeck speed"}),
+    ),
+)

@@ -1,0 +1,314 @@
+"""A joint at its output: identities, and what cannot be carried."""
+
+import io
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+
+import bayesfric as bf
+from bayesfric.errors import BadInput
+from bayesfric.export.at_joint import (
+    Moved,
+    at_joint,
+    simulator_joint,
+    simulator_vectors,
+    torque_along,
+)
+from bayesfric.export.carried import carried, lost_terms
+from bayesfric.export.central import central
+from bayesfric.export.format import Options, formats
+from bayesfric.export.pendulum import pendulum
+from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.quantities import CHOICES, LOAD_CHOICES
+from bayesfric.mechanism.scaling import scalings
+from bayesfric.recordings.inputs import AT_ROOM, Inputs
+
+from ..mechanism.joints import EVERYTHING, everything
+from .made import found, made, preset
+from .test_law import unusual
+
+
+def wave(n=300):
+    t = np.linspace(0.0, 6.0, n)
+    q, qd, qdd = np.sin(3 * t), 3 * np.cos(3 * t), -9 * np.sin(3 * t)
+    return [Moved(q, qd, qdd, t, Inputs())]
+
+
+def test_a_chain_without_load_losses_is_carried_exactly():
+    joint = Joint(
+        elements=(
+            Element("motor", ratio=3.0, inertia=True, coulomb="symmetric", viscous=True),
+            Element("belt", ratio=7.0, inertia=True, quadratic=True, coulomb="symmetric"),
+        ),
+        load=Load(inertia=True, first_moment=True, gravity_angle=True, spring="stiffening"),
+        offset=True,
+        gain=True,
+    )
+    values = np.random.default_rng(1).uniform(0.1, 2.0, (5, len(joint.names)))
+    plain, there = simulator_joint("rotary", joint.load.gravity), wave()
+    numbers = at_joint(joint, values, there).values
+    np.testing.assert_allclose(
+        torque_along(plain, simulator_vectors(plain, numbers), there),
+        torque_along(joint, values, there),
+        rtol=1e-12,
+    )
+    # in the closed form: inertia times the square of the ratios before it
+    column = dict(zip(joint.names, values.T, strict=True))
+    armature = column["motor.inertia"] * 21.0**2 + column["belt.inertia"] * 7.0**2
+    np.testing.assert_allclose(numbers["armature"], armature)
+    np.testing.assert_allclose(numbers["quadratic"], column["belt.quadratic"] * 7.0**3)
+
+
+@pytest.mark.parametrize("load", [0.5, 4.0])
+def test_load_losses_are_right_at_the_reference_load_both_ways(load):
+    joint = Joint(
+        elements=(
+            Element("motor", coulomb="symmetric", load_loss="two"),
+            Element("gearbox", ratio=20.0, load_loss="two"),
+        ),
+        load=Load(inertia=True),
+    )
+    vector = joint.vector(
+        {
+            "motor.coulomb": 0.1,
+            "motor.load_drive": 0.05,
+            "motor.load_back": 0.1,
+            "gearbox.load_drive": 0.3,
+            "gearbox.load_back": 0.4,
+            "load.inertia": 1.0,
+        }
+    )
+    # of one element alone the line meets the law at both ends of the reference load
+    one = vector.copy()
+    one[[joint.names.index(f"motor.load_{side}") for side in ("drive", "back")]] = 0.0
+    still = np.zeros(4)
+    ends = [Moved(still, np.array([1.0, 1.0, -1.0, -1.0]), load * np.array([1, -1, 1, -1.0]),
+                  still, Inputs())]  # fmt: skip
+    plain = simulator_joint("rotary", 9.8)
+    numbers = at_joint(joint, one[None], ends, load).values
+    np.testing.assert_allclose(
+        torque_along(plain, simulator_vectors(plain, numbers), ends),
+        torque_along(joint, one[None], ends),
+        rtol=1e-12,
+    )
+    # without a reference of one's own it is the mean size of what passes, here the same
+    np.testing.assert_allclose(at_joint(joint, one[None], ends).values["friction"],
+                               numbers["friction"])  # fmt: skip
+    # and of two, the torque that passes the second
+    passes = at_joint(joint, vector[None], ends, load).reference["motor"][0]
+    assert passes == pytest.approx(load * (1.0 + 0.5 * (0.3 - 0.4)))
+
+
+def test_an_open_scale_changes_no_export():
+    done = found("rabbit-knee")
+    joint, values = preset("rabbit-knee")
+    vector = joint.vector(values)
+    (scaling,) = scalings(joint)
+    other = made(joint, dict(zip(joint.names, scaling.scaled(vector, 1.1), strict=True)), 0.6,
+                 open_scale=True, spread=0.0)  # fmt: skip
+    one = made(joint, values, 0.6, open_scale=True, spread=0.0)
+    first, second = (bf.export(x, "csv").record["numbers"] for x in (one, other))
+    assert [row["value"] for row in first] == pytest.approx(
+        [row["value"] for row in second], rel=1e-9
+    )
+    text = bf.export(done, "mujoco").text()
+    assert "load.inertia" in text.partition("leave one scale")[2].partition("may all be")[0]
+    # where the scale is known the link keeps its inertia, and the gain tells the mean loss
+    known = made(joint, values, 0.6, spread=0.0)
+    rows = {row["attribute"]: row["value"] for row in bf.export(known, "csv").record["numbers"]}
+    drive, back = (values[f"gearbox.load_{x}"] for x in ("drive", "back"))
+    assert rows["link_inertia"] == pytest.approx(values["load.inertia"])
+    assert rows["gain"] == pytest.approx(50.0 / (1.0 + 0.5 * (drive - back)))
+
+
+def test_both_ways_of_telling_the_scale_take_the_same_motor_torque():
+    joint, values = preset("rabbit-knee")
+    errors = [
+        bf.export(made(joint, values, 0.6, spread=0.0, open_scale=x), "mujoco").record["error"]
+        for x in (True, False)
+    ]
+    assert errors[0]["motor"]["rms"] == pytest.approx(errors[1]["motor"]["rms"], rel=1e-6)
+
+
+@pytest.mark.parametrize("case", ["everything", "unusual"])
+def test_what_has_no_number_is_told_term_by_term(case):
+    joint, values = (everything(), EVERYTHING) if case == "everything" else unusual()
+    vector = joint.vector(values)
+    there = [Moved(m.q, m.qd, m.qdd, m.time, AT_ROOM) for m in wave()]
+    at = at_joint(joint, vector[None], there)
+    names = {name for one in lost_terms(joint, at, vector, ()) for name in one.parameters}
+    carries = {
+        "inertia", "viscous", "coulomb", "quadratic", "first_moment", "gravity_angle", "spring",
+        "spring_cubic", "offset", "gain",
+    }  # fmt: skip
+    # what shapes another is told with it
+    shapes = {"stribeck_velocity", "stribeck_exponent", "power_exponent", "warming_time"}
+    silent = [
+        p.name for p in joint.parameters
+        if p.name not in names and p.quantity not in carries | shapes
+    ]  # fmt: skip
+    assert silent == []
+
+
+CASES = [
+    *(("motor", option, choice) for option, known in CHOICES.items() for choice in known),
+    *(("load", option, choice) for option, known in LOAD_CHOICES.items() for choice in known),
+    ("motor", "cogging", (3,)),
+    ("motor", "periodic_friction", (2,)),
+]
+
+
+@pytest.mark.parametrize(("bearer", "option", "choice"), CASES)
+def test_every_choice_of_the_table_has_a_place_or_is_told(bearer, option, choice):
+    """What is added to the table later must not be dropped without a word."""
+    beside = {"stribeck_exponent": {"stribeck": True}} if option == "stribeck_exponent" else {}
+    if option.startswith("load_") and option != "load_loss":
+        beside = {"load_loss": "two"}
+    if option == "gravity_angle":
+        beside = {"first_moment": True}
+    chosen = {**beside, option: choice}
+    of_element = {"inertia": True, **(chosen if bearer == "motor" else {})}
+    of_load = {"inertia": True, **(chosen if bearer == "load" else {"first_moment": True})}
+    joint = Joint(elements=(Element("motor", **of_element),), load=Load(**of_load))
+    values = np.full((1, len(joint.names)), 0.3)
+    there = [Moved(m.q, m.qd, m.qdd, m.time, AT_ROOM) for m in wave()]
+    at = at_joint(joint, values, there)
+    told = {name for one in lost_terms(joint, at, values[0], ()) for name in one.parameters}
+    used = {name for names in at.made_from.values() for name in names}
+    # these shape what another row stands for, which is told
+    shapes = {"stribeck_velocity", "stribeck_exponent", "power_exponent", "warming_time"}
+    assert {p.name for p in joint.parameters if p.quantity not in shapes} <= told | used
+
+
+def test_a_power_of_speed_is_fitted_over_what_was_recorded():
+    joint = Joint(elements=(Element("motor", inertia=True, power=True),), load=Load())
+    vector = joint.vector({"motor.inertia": 0.1, "motor.power": 0.4, "motor.power_exponent": 1.0})
+    at = at_joint(joint, vector[None], wave())
+    # with an exponent of one it is viscous
+    assert at.values["damping"][0] == pytest.approx(0.4)
+    assert at.values["friction"][0] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_static_friction_is_what_the_stribeck_rise_ends_at():
+    joint = Joint(
+        elements=(Element("motor", ratio=4.0, inertia=True, coulomb="symmetric", stribeck=True),),
+        load=Load(),
+    )
+    values = {"inertia": 0.1, "coulomb": 0.2, "stribeck_ratio": 0.5, "stribeck_velocity": 0.1}
+    vector = joint.vector({f"motor.{k}": v for k, v in values.items()})
+    numbers = at_joint(joint, vector[None], wave()).values
+    assert numbers["friction"][0] == pytest.approx(0.8)
+    assert numbers["static_friction"][0] == pytest.approx(1.2)
+
+
+@pytest.mark.parametrize("name", ["urdf", "drake", "mujoco"])
+def test_what_is_folded_keeps_the_torque_of_a_joint_alone(name):
+    numbers = at_joint(*_knee(), wave())
+    form = formats()[name]
+    kept = carried(numbers, form.carries(Options()), form.supplied, wave(), "rotary")
+    whole = numbers.values["armature"] + numbers.values["link_inertia"]
+    np.testing.assert_allclose(kept.values["armature"] + kept.values["link_inertia"], whole)
+
+
+def _knee():
+    joint, values = preset("rabbit-knee")
+    return joint, joint.vector(values)[None]
+
+
+@pytest.mark.parametrize(("inertia", "moment", "angle"), [(0.2, 0.4, 0.3), (0.0, 0.05, 0.0)])
+def test_the_body_has_inertia_and_first_moment(inertia, moment, angle):
+    numbers = {
+        "link_inertia": inertia,
+        "armature": 0.01,
+        "link_moment": moment,
+        "link_gravity_angle": angle,
+    }
+    body = pendulum(numbers, rotary=True)
+    distance = np.hypot(body.com[0], body.com[2])
+    assert body.mass * distance == pytest.approx(moment)
+    about = body.about_axis + body.mass * distance**2
+    assert about + body.armature == pytest.approx(inertia + 0.01)
+    assert 2.0 * body.across >= body.about_axis > 0.0  # a body can have it
+
+
+def test_an_interval_of_what_the_data_leave_open_says_so():
+    joint, values = preset("motor-axis")
+    done = made(joint, values, 0.6, verdicts={"motor.inertia": "prior"})
+    exported = bf.export(done, "mujoco")
+    row = next(x for x in exported.record["numbers"] if x["attribute"] == "joint armature")
+    assert row["not_from_data"] == {"motor.inertia": "prior"}
+    assert "NOT from the data alone: motor.inertia (prior)" in exported.text()
+    assert "motor.inertia (prior)" in exported.main
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"to": "mojoco"}, "did you mean 'mujoco'"),
+        ({"to": "urdf", "draws": 3}, "says nothing to the format urdf"),
+        ({"to": "csv", "draws": 1000}, "the run has 60"),
+        ({"to": "csv", "draws": 0}, "ask for one or more"),
+        ({"to": "mujoco", "at_load": -1.0}, "zero or more"),
+        ({"to": "mujoco", "damping_terms": 2}, "give 1 or 3"),
+        ({"to": "isaac", "isaac_sim": "6"}, "give 5.0"),
+        ({"to": "mujoco", "joint": 'a"b'}, "is no name"),
+        ({"to": "mujoco", "jont": "a"}, "is no option"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused_in_a_line(options, words):
+    with pytest.raises(BadInput, match=words):
+        bf.export(found("motor-axis"), **options)
+
+
+def test_draws_are_the_same_bytes_for_the_same_seed():
+    done = found("motor-axis")
+    for to in ("csv", "parquet", "npz"):
+        one, again, other = (bf.export(done, to, draws=20, seed=s).main for s in (1, 1, 2))
+        assert one == again != other
+
+
+def test_the_table_of_draws_names_units_and_holds_the_parameters():
+    done = found("motor-axis")
+    exported = bf.export(done, "csv", draws=20)
+    table = pd.read_csv(io.BytesIO(exported.main))
+    assert len(table) == 20
+    assert "friction [N m]" in table.columns
+    np.testing.assert_array_equal(table["friction [N m]"], table["motor.coulomb [N m]"])
+    offset = done.values(done.picked(20))[:, done.joint.names.index("offset")]
+    np.testing.assert_array_equal(table["offset [N m]"], offset)
+    read = pq.read_table(io.BytesIO(bf.export(done, "parquet", draws=20).main))
+    assert read.schema.field("damping").metadata[b"unit"] == b"N m s/rad"
+    np.testing.assert_array_equal(read["damping"], table["damping [N m s/rad]"])
+
+
+def test_one_draw_stands_for_all_where_medians_would_not_fit():
+    """Rotor and link inertia of which only the sum is known: their medians sum up to less."""
+    there = wave()
+    joint = Joint(
+        elements=(Element("motor", inertia=True), Element("belt", inertia=True)),
+        load=Load(inertia=True),
+    )
+    shares = np.random.default_rng(4).dirichlet([0.2, 0.2, 0.2], 400)
+    middle = np.median(shares, axis=0)
+    assert middle.sum() < 0.7
+    found_one = central(joint, shares, middle, there)
+    assert found_one.sum() == pytest.approx(1.0)
+    assert (shares == found_one).all(axis=1).any()
+    # where parameters are known apart, the medians are it
+    known = np.random.default_rng(5).normal(1.0, 0.01, (400, 3))
+    assert central(joint, known, np.median(known, axis=0), there) is None
+
+
+def test_a_run_of_any_name_ends_no_comment():
+    done = replace(found("motor-axis"), name='a-->b*/c"""d\\e\nf')
+    ElementTree.fromstring(bf.export(done, "mujoco").main)
+    ElementTree.fromstring(bf.export(done, "urdf").main)
+    for text in (bf.export(done, "python").main, *bf.export(done, "isaac").files.values()):
+        assert "a- ->b* /c'''d/e" in text
+    compile(bf.export(done, "python").main, "feedforward.py", "exec")
+    assert bf.export(done, "c").files["joint_feedforward.h"].count("*/") == 1

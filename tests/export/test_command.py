@@ -1,0 +1,135 @@
+"""`export` on the command line, of a real fit of a SIMULATED recording."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+import bayesfric as bf
+
+from ..commands.bench import SMALL, Bench, simulated, without_figures
+
+CONFIG = f"""{SMALL}
+[sampling]
+min_ess = 200
+walkers = 24
+ensembles = 2
+seed = 5
+
+[noise]
+model = "white"
+
+[simulation]
+duration = 3.0
+rate = 200
+excitation = "multisine"
+encoder_counts = 1048576
+"""
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory):
+    """Fit once; whoever exports gets a copy."""
+    folder = tmp_path_factory.mktemp("fitted")
+    simulated(folder / "c.toml", CONFIG)
+    with pytest.MonkeyPatch.context() as patch:
+        without_figures(patch)
+        from bayesfric.commands.fit import fit
+        from bayesfric.config import read_config
+
+        fit(read_config(folder / "c.toml"), folder / "c-run")
+    return folder
+
+
+@pytest.fixture
+def bench(fitted, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    made = Bench(tmp_path, monkeypatch, capfd)
+    shutil.copytree(fitted, tmp_path, dirs_exist_ok=True)
+    return made
+
+
+def test_a_folder_is_written_and_said(bench):
+    ended = bench.run("export", "c-run", "--to", "mujoco", "--joint", "knee")
+    assert ended.code == 0, ended
+    folder = bench.folder / "c-run-mujoco"
+    names = {path.name for path in folder.iterdir()}
+    figures = {f"torque-error.{kind}" for kind in ("pdf", "png", "svg")}
+    assert names == {"knee.xml", "knee_friction.py", "export.json"} | figures
+    record = json.loads((folder / "export.json").read_text())
+    assert record["joint"] == "knee"
+    assert record["draws"] == 400
+    assert "joint frictionloss" in ended.out
+    assert "The format carries all of the model." in ended.out
+    # the truth is within the intervals
+    truth = json.loads((bench.folder / "small.truth.json").read_text())["parameters"]
+    rows = {row["attribute"]: row for row in record["numbers"]}
+    for attribute, name in (
+        ("joint armature", "motor.inertia"),
+        ("joint damping", "motor.viscous"),
+        ("joint frictionloss", "motor.coulomb"),
+    ):
+        low, high = rows[attribute]["interval"]
+        width = high - low
+        assert low - width < truth[name]["value"] < high + width
+
+
+def test_python_returns_what_the_command_prints(bench):
+    printed = json.loads(bench.run("export", "c-run", "--to", "urdf", "--json").out)
+    found = bf.export("c-run", "urdf")
+    assert found.as_json() == printed
+    assert (bench.folder / "c-run-urdf" / "joint.urdf").read_text() == found.main
+    ended = bench.run("export", "c-run", "--to", "urdf", "--force")
+    assert ended.out.startswith(found.text())
+
+
+def test_a_file_is_written_with_the_others_beside(bench):
+    ended = bench.run("export", "c-run", "--to", "csv", "--draws", 30, "-o", "draws.csv")
+    assert ended.code == 0, ended
+    assert (bench.folder / "draws-export.json").is_file()
+    assert (bench.folder / "draws-torque-error.pdf").is_file()
+    table = np.genfromtxt(bench.folder / "draws.csv", delimiter=",", names=True)
+    assert table.shape == (30,)
+
+
+def test_what_is_there_is_kept(bench):
+    (bench.folder / "out.xml").write_text("mine")
+    (bench.folder / "folder").mkdir()
+    (bench.folder / "folder" / "mine").write_text("mine")
+    held = bench.held()
+    for place in ("out.xml", "folder", "nowhere/out.xml"):
+        ended = bench.run("export", "c-run", "--to", "mujoco", "-o", place)
+        assert ended.code == 2
+        assert len(ended.err.strip().splitlines()) == 1
+    # a folder that no export made is not put aside either
+    assert bench.run("export", "c-run", "--to", "mujoco", "-o", "folder", "--force").code == 2
+    assert bench.held() == held
+
+
+def test_an_old_export_is_put_aside_by_force(bench):
+    assert bench.run("export", "c-run", "--to", "sdf").code == 0
+    assert bench.run("export", "c-run", "--to", "sdf").code == 2
+    assert bench.run("export", "c-run", "--to", "sdf", "--force").code == 0
+    assert len(list(bench.folder.glob("c-run-sdf*"))) == 2
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        ("--to", "gazebo"),
+        ("--to", "csv", "--into", "x.xml"),
+        ("--to", "mujoco", "--into", "no.xml"),
+    ],
+)
+def test_what_cannot_be_meant_is_one_line(bench, more):
+    held = bench.held()
+    ended = bench.run("export", "c-run", *more)
+    assert ended.code == 2
+    assert len(ended.err.strip().splitlines()) == 1
+    assert bench.held() == held
+
+
+def test_a_folder_that_is_no_run_is_told(bench):
+    ended = bench.run("export", "nothing", "--to", "mujoco")
+    assert (ended.code, len(ended.err.strip().splitlines())) == (2, 1)

@@ -1,0 +1,252 @@
+"""The law as C and Python against the inverse model, compiled and fuzzed."""
+
+import ctypes
+import math
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+import bayesfric as bf
+from bayesfric.errors import BadInput
+from bayesfric.export.at_joint import Moved, torque_along
+from bayesfric.export.central import vectors
+from bayesfric.export.format import filled
+from bayesfric.export.law import law
+from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.own_term import Term
+from bayesfric.recordings.inputs import AT_ROOM
+
+from ..mechanism.joints import EVERYTHING, everything
+from .made import found
+
+FLAGS = ["-Wall", "-Wextra", "-Werror", "-std=c99", "-ffp-contract=off", "-O1"]
+NAMES = ("plain", "rabbit-knee", "servo-pendulum", "motor-axis")
+
+
+def unusual():
+    """Terms that `everything` has not."""
+    joint = Joint(
+        elements=(
+            Element(
+                "motor",
+                ratio=3.0,
+                inertia=True,
+                viscous="by-direction",
+                power=True,
+                cogging=(2, 6),
+                periodic_friction=(3,),
+                temperature="both",
+                warming="viscous",
+            ),
+            Element(
+                "gearbox",
+                ratio=4.0,
+                coulomb="symmetric",
+                load_loss="two",
+                load_direction="quadrants",
+                load_speed=True,
+                load_square=True,
+                stribeck="apart",
+                stribeck_exponent=True,
+            ),
+        ),
+        load=Load(inertia=True, first_moment=True, spring="stiffening"),
+        gain=True,
+        delay=True,
+    )
+    values = np.random.default_rng(3).uniform(0.02, 0.1, len(joint.names))
+    at = dict(zip(joint.names, values, strict=True))
+    at |= {
+        "gearbox.stribeck_exponent": 1.3,
+        "gearbox.stribeck_velocity": 2.0,
+        "drive.gain": 1.1,
+        "drive.delay": 1e-3,
+        "motor.warming_time": 30.0,
+        "load.inertia": 0.3,
+    }
+    return joint, at
+
+
+def motion(n=400):
+    rng = np.random.default_rng(5)
+    return tuple(scale * rng.standard_normal(n) for scale in (1.5, 3.0, 20.0))
+
+
+@pytest.fixture(scope="module")
+def compiler():
+    if not (gcc := shutil.which("gcc")):
+        pytest.skip("there is no gcc")
+    return gcc
+
+
+def compiled(compiler, files, folder, *more):
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    source = next(name for name in files if name.endswith(".c"))
+    made = folder / f"made{len(more)}.so"
+    command = [compiler, *FLAGS, *more, "-shared", "-fPIC", "-o", made, folder / source, "-lm"]
+    subprocess.run(command, check=True)
+    library = ctypes.CDLL(str(made))
+    status = ctypes.c_int()
+
+    def call(name, kind):
+        function = getattr(library, name)
+        function.restype = kind
+        function.argtypes = [kind] * 3 + [ctypes.c_void_p]
+        return lambda *x: (function(*x, ctypes.byref(status)), status.value)
+
+    return call
+
+
+def c_files(joint, vector, bits=24):
+    """Write a joint as the format does, of a vector alone."""
+    laws = {x: law(joint, vector, x) for x in ("double", "float", "fixed")}
+    given = {"remarks": [], "name": "j", "laws": laws, "bits": bits, "unit": "N m"}
+    names = ("feedforward.c", "feedforward.h")
+    return {f"j_{name}": filled(f"{name}.j2", position="rad", **given) for name in names}
+
+
+def along(function, q, qd, qdd, scale=None):
+    convert = float if scale is None else lambda x: round(x * scale)
+    rows = zip(q, qd, qdd, strict=True)
+    return np.array([function(*map(convert, row))[0] for row in rows], dtype=float)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_feed_forward_is_the_inverse_model_over_the_recorded_range(name, compiler, tmp_path):
+    done = found(name)
+    files = bf.export(done, "c").files
+    call = compiled(compiler, files, tmp_path)
+    motions = [Moved.of(o) for o in done.model.observations]
+    vector = vectors(done, motions, 10).middle
+    wanted = torque_along(done.joint, vector[None], motions)[0]
+    moving = [np.concatenate([getattr(m, x) for m in motions]) for x in ("q", "qd", "qdd")]
+    largest = np.abs(wanted).max()
+    double = along(call("joint_torque", ctypes.c_double), *moving)
+    np.testing.assert_allclose(double, wanted, rtol=1e-6)
+    single = along(call("joint_torque_f", ctypes.c_float), *moving)
+    np.testing.assert_allclose(single, wanted, atol=1e-6 * largest)
+    bits = int(re.search(r"TORQUE_BITS (\d+)", files["joint_feedforward.h"])[1])
+    fixed = along(call("joint_torque_q", ctypes.c_int32), *moving, scale=2**16) / 2**bits
+    np.testing.assert_allclose(fixed, wanted, atol=3e-5 * largest)
+    # eight times the torque does not saturate
+    assert 8.0 * largest < 2 ** (31 - bits) <= 32.0 * largest
+    python = {}
+    exec(bf.export(done, "python").main, python)
+    again = [python["torque"](*map(float, row)) for row in zip(*moving, strict=True)]
+    np.testing.assert_allclose(again, wanted, rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize("case", ["everything", "unusual"])
+def test_every_term_is_written_out(case, compiler, tmp_path):
+    joint, values = (everything(), EVERYTHING) if case == "everything" else unusual()
+    vector = joint.vector(values)
+    q, qd, qdd = motion()
+    # at room temperature as a recording begins, of a torque that does not change
+    wanted = inverse_torque(joint, vector, q, qd, qdd, inputs=AT_ROOM, time=np.zeros(q.size))
+    call = compiled(compiler, c_files(joint, vector, 20), tmp_path)
+    double = along(call("j_torque", ctypes.c_double), q, qd, qdd)
+    np.testing.assert_allclose(double, wanted, rtol=1e-9, atol=1e-12)
+    largest = np.abs(wanted).max()
+    single = along(call("j_torque_f", ctypes.c_float), q, qd, qdd)
+    np.testing.assert_allclose(single, wanted, atol=3e-6 * largest)
+    fixed = along(call("j_torque_q", ctypes.c_int32), q, qd, qdd, scale=2**16) / 2**20
+    np.testing.assert_allclose(fixed, wanted, atol=1e-4 * largest)
+
+
+def test_friction_is_what_losses_add():
+    joint, values = everything(), EVERYTHING
+    lossless = {
+        name: 0.0 if "gravity" not in name and "stribeck_v" not in name else value
+        for name, value in values.items()
+    }
+    kept = ("inertia", "first_moment", "gravity_angle", "gain")
+    lossless |= {k: v for k, v in values.items() if k.rpartition(".")[2] in kept}
+    q, qd, qdd = motion(50)
+    whole = inverse_torque(joint, joint.vector(values), q, qd, qdd)
+    ideal = inverse_torque(joint, joint.vector(lossless), q, qd, qdd)
+    python = {}
+    made = law(joint, joint.vector(values), "python")
+    exec(filled("feedforward.py.j2", remarks=[], name="j", law=made), python)
+    got = [python["friction"](*map(float, row)) for row in zip(q, qd, qdd, strict=True)]
+    np.testing.assert_allclose(got, whole - ideal, rtol=1e-9, atol=1e-12)
+
+
+def test_nothing_but_numbers_comes_out_whatever_goes_in(compiler, tmp_path):
+    joint = everything()
+    call = compiled(compiler, c_files(joint, joint.vector(EVERYTHING)), tmp_path)
+    rng = np.random.default_rng(8)
+    odd = [math.nan, math.inf, -math.inf, 0.0, -0.0, 5e-324, 1e308, -1e308, 1e-3, 1e20, -3.0]
+    python = {}
+    made = law(joint, joint.vector(EVERYTHING), "python")
+    exec(filled("feedforward.py.j2", remarks=[], name="j", law=made), python)
+    torque, friction = call("j_torque", ctypes.c_double), call("j_friction", ctypes.c_double)
+    single = call("j_torque_f", ctypes.c_float)
+    seen = set()
+    for _ in range(2000):
+        row = [odd[k] for k in rng.integers(len(odd), size=3)]
+        for function in (torque, friction, single):
+            value, status = function(*row)
+            assert math.isfinite(value)
+            assert status == 0 or value == 0.0
+            given = [ctypes.c_float(x).value for x in row] if function is single else row
+            assert (status == 1) == (not all(map(math.isfinite, given)))
+            seen.add(status)
+        value, status = torque(*row)
+        got, _, fine = python["both"](*row)
+        assert fine == (status == 0)
+        assert got == pytest.approx(value, rel=1e-9)
+    assert seen == {0, 1, 2}
+
+
+def test_fixed_point_saturates_and_says_so(compiler, tmp_path):
+    joint = everything()
+    vector = joint.vector(EVERYTHING)
+    call = compiled(compiler, c_files(joint, vector), tmp_path, "-fsanitize=undefined",
+                    "-fno-sanitize-recover=all", "-static-libubsan")  # fmt: skip
+    function = call("j_torque_q", ctypes.c_int32)
+    rng = np.random.default_rng(9)
+    ends = [-(2**31), 2**31 - 1, 0, 1, -1]
+    rows = [[int(ends[k]) for k in rng.integers(len(ends), size=3)] for _ in range(100)]
+    rows += [[int(x) for x in rng.integers(-(2**31), 2**31, size=3)] for _ in range(250)]
+    rows += [[int(x) for x in rng.integers(-(2**19), 2**19, size=3)] for _ in range(250)]
+    states = set()
+    for row in rows:
+        value, status = function(*row)
+        q, qd, qdd = (np.array([x / 2**16]) for x in row)
+        wanted = float(inverse_torque(joint, vector, q, qd, qdd)[0])
+        states.add(status)
+        if status == 2:
+            assert value == 0
+            assert abs(wanted) > 0.99 * 2**7
+        else:
+            assert value / 2**24 == pytest.approx(wanted, rel=1e-4, abs=2e-3)
+    assert states == {0, 2}
+
+
+def test_smoothing_makes_losses_grow_from_rest(compiler, tmp_path):
+    joint = everything()
+    files = c_files(joint, joint.vector(EVERYTHING))
+    sharp = compiled(compiler, files, tmp_path)("j_friction", ctypes.c_double)
+    call = compiled(compiler, files, tmp_path, "-DJ_SMOOTH=0.5")
+    smooth, fixed = call("j_friction", ctypes.c_double), call("j_friction_q", ctypes.c_int32)
+    assert sharp(0.3, 0.0, 0.0)[0] == smooth(0.3, 0.0, 0.0)[0]
+    jump = sharp(0.3, 1e-9, 0.0)[0] - sharp(0.3, -1e-9, 0.0)[0]
+    step = smooth(0.3, 1e-9, 0.0)[0] - smooth(0.3, -1e-9, 0.0)[0]
+    assert abs(step) < 1e-6 * abs(jump)
+    for speed in (0.1, -0.4, 0.6):
+        got = fixed(round(0.3 * 2**16), round(speed * 2**16), 0)[0] / 2**24
+        assert got == pytest.approx(smooth(0.3, speed, 0.0)[0], abs=1e-3)
+    assert smooth(0.3, 0.6, 0.0)[0] == sharp(0.3, 0.6, 0.0)[0]
+
+
+def test_a_term_of_ones_own_is_refused_by_name():
+    joint = Joint(elements=(Element("motor", inertia=True),), load=Load())
+    joint = joint.with_term(Term("motor.wobble", lambda m: np.sin(3 * m.position)))
+    with pytest.raises(BadInput, match=r"motor\.wobble: is a term of one's own"):
+        law(joint, np.ones(len(joint.names)), "double")

@@ -1,0 +1,275 @@
+"""The exported model in real MuJoCo, against our forward model, on SIMULATED recordings."""
+
+import io
+import re
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+import pytest
+
+import bayesfric as bf
+from bayesfric.errors import BadInput
+from bayesfric.export.at_joint import Moved
+from bayesfric.export.central import vectors
+from bayesfric.export.formats.mujoco import patched
+from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.forward import simulate, simulate_segments
+from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.own_term import Term
+from bayesfric.mechanism.presets import PRESETS
+
+from .made import found, made, swung
+
+SECONDS = 2.0
+
+
+def rms(x):
+    return float(np.sqrt(np.mean(np.square(x))))
+
+
+def moved(xml, torque, period, before=None, start=(0.0, 0.0)):
+    """Positions of MuJoCo's joint under a torque held over each period."""
+    model = mujoco.MjModel.from_xml_string(xml)
+    data = mujoco.MjData(model)
+    data.qpos[0], data.qvel[0] = start
+    friction = before(model) if before else lambda *_: None
+    steps = round(period / model.opt.timestep)
+    out = np.empty(torque.size)
+    for i, now in enumerate(torque):
+        out[i] = data.qpos[0]
+        data.ctrl[0] = now
+        for _ in range(steps):
+            friction(model, data)
+            mujoco.mj_step(model, data)
+    return out
+
+
+def middle(done):
+    return vectors(done, [Moved.of(o) for o in done.model.observations], 10).middle
+
+
+def friction_of(exported):
+    namespace = {}
+    exec(exported.files["joint_friction.py"], namespace)
+    return namespace["Friction"]
+
+
+@pytest.mark.parametrize("name", ["plain", "motor-axis"])
+def test_what_mujoco_can_carry_moves_as_the_fitted_joint(name):
+    done = found(name)
+    torque, period = swung(0.6, SECONDS)
+    exported = bf.export(done, "mujoco")
+    motion = simulate(done.joint, middle(done), torque, period, hold="zero").q
+    assert np.ptp(motion) > 0.3
+    assert rms(moved(exported.main, torque, period) - motion) < 1e-3
+    assert not exported.record["lost"]
+    assert exported.record["error"]["motor"]["largest"] < 1e-12
+
+
+@pytest.mark.parametrize("name", ["rabbit-knee", "servo-pendulum"])
+def test_what_it_cannot_is_wrong_by_what_was_announced(name):
+    done = found(name)
+    exported = bf.export(done, "mujoco")
+    apart = []
+    for t in done.model.trajectories(exported.record["error"]["motion_span"]):
+        ours, _ = simulate_segments(
+            done.joint, middle(done)[None], t.torque, t.period, t.segments, t.q0, t.qd0, hold="zero"
+        )
+        for (a, b), *start in zip(t.segments, t.q0, t.qd0, strict=True):
+            theirs = moved(exported.main, t.torque[a:b], t.period, start=start)
+            apart.append(theirs - ours[0, a:b])
+    announced = exported.record["error"]["motion_rms"]
+    assert announced > 1e-3
+    assert rms(np.concatenate(apart)) == pytest.approx(announced, rel=0.2)
+
+
+@pytest.mark.parametrize("name", ["rabbit-knee", "servo-pendulum"])
+def test_the_torque_it_takes_is_wrong_by_what_was_announced(name):
+    """Recorded motion through MuJoCo's own inverse dynamics."""
+    done = found(name)
+    exported = bf.export(done, "mujoco")
+    model = mujoco.MjModel.from_xml_string(exported.main)
+    data = mujoco.MjData(model)
+    o = done.model.observations[0]
+    at = o.filter.centres
+    torque = []
+    for q, v, a in zip(o.q[at], o.qd[at], o.qdd[at], strict=True):
+        data.qpos[0], data.qvel[0], data.qacc[0] = q, v, a
+        mujoco.mj_inverse(model, data)
+        torque.append(data.qfrc_inverse[0] / model.actuator_gear[0, 0])
+    ours = inverse_torque(done.joint, middle(done), o.q[at], o.qd[at], o.qdd[at], inputs=o.inputs)
+    wrong = np.array(torque) - ours
+    assert rms(wrong) == pytest.approx(exported.record["error"]["motor"]["rms"], rel=0.2)
+
+
+@pytest.mark.parametrize("name", ["rabbit-knee", "servo-pendulum"])
+def test_friction_set_at_each_step_gives_the_load_loss_back(name):
+    done = found(name)
+    torque, period = swung(0.5, SECONDS)
+    exported = bf.export(done, "mujoco")
+    motion = simulate(done.joint, middle(done), torque, period, hold="zero").q
+    plain = rms(moved(exported.main, torque, period) - motion)
+    set_anew = rms(moved(exported.main, torque, period, friction_of(exported)) - motion)
+    assert set_anew < 1e-3 < plain
+    assert set_anew < 0.1 * plain
+
+
+def test_draws_as_models_spread_as_the_posterior_predictive():
+    """Parameters alone: no noise is added to either."""
+    preset = PRESETS["servo-pendulum"]
+    draws = 16
+    values = {**preset.values, "gearbox.load": 0.0}
+    done = made(preset.chain(), values, 0.4, spread=0.05, draws=draws)
+    torque, period = swung(0.4, 1.0)
+    model = mujoco.MjModel.from_xml_string(bf.export(done, "mujoco").main)
+    table = np.load(io.BytesIO(bf.export(done, "npz", draws=draws).main))
+    data, paths = mujoco.MjData(model), []
+    (x, _, z), mass = model.body_ipos[1].copy(), model.body_mass[1]
+    body = model.body_inertia[1, 1] + mass * (x**2 + z**2)
+    lever = np.hypot(x, z)
+    for k in range(draws):
+        # the body stays, and what is told of the link goes into armature and gravity
+        model.dof_armature[0] = table["armature"][k] + table["link_inertia"][k] - body
+        model.dof_damping[0] = table["damping"][k]
+        model.dof_frictionloss[0] = table["friction"][k]
+        angle = table["link_gravity_angle"][k]
+        model.body_ipos[1] = -lever * np.sin(angle), 0.0, -lever * np.cos(angle)
+        model.opt.gravity[2] = -9.80665 * table["link_moment"][k] / (mass * lever)
+        mujoco.mj_setConst(model, data)
+        mujoco.mj_resetData(model, data)
+        path = []
+        for now in torque:
+            path.append(data.qpos[0])
+            data.ctrl[0] = now
+            for _ in range(round(period / model.opt.timestep)):
+                mujoco.mj_step(model, data)
+        paths.append(path)
+    theirs = np.std(paths, axis=0)
+    vectors = done.values(done.draws)
+    predictive = np.std(
+        [simulate(done.joint, v, torque, period, hold="zero", substeps=4).q for v in vectors],
+        axis=0,
+    )
+    assert predictive.max() > 0.01
+    assert rms(theirs - predictive) < 0.02 * rms(predictive)
+
+
+def test_three_numbers_of_damping_are_a_cubic():
+    xml = bf.export(found("plain"), "mujoco").main
+    model = mujoco.MjModel.from_xml_string(xml)
+    data = mujoco.MjData(model)
+    numbers = {
+        row["attribute"]: row["value"]
+        for row in bf.export(found("plain"), "mujoco").record["numbers"]
+    }
+    for speed in (-3.0, 0.5, 2.0):
+        data.qpos[0], data.qvel[0] = 0.4, speed
+        mujoco.mj_forward(model, data)
+        wanted = -numbers["joint damping"] * speed
+        wanted -= numbers["joint damping, second number"] * speed * abs(speed)
+        wanted -= numbers["joint stiffness"] * 0.4
+        assert data.qfrc_passive[0] == pytest.approx(wanted, rel=1e-12)
+    one = bf.export(found("plain"), "mujoco", damping_terms=1)
+    assert " " not in re.search(r'damping="([^"]*)"', one.main)[1]
+    (lost,) = one.record["lost"]
+    assert lost["number"] == "quadratic"
+    # nearest line to v|v| over what was recorded
+    o = found("plain").model.observations[0]
+    speed = np.abs(o.qd[o.filter.centres])
+    slope = np.sum(speed**3) / np.sum(speed**2)
+    assert lost["amount"] == pytest.approx(slope * lost["value"], rel=1e-12)
+
+
+MODEL = """<mujoco>
+  <!-- <joint name="knee" damping="9"/> is no joint -->
+  <default><default class="leg"><joint armature="0.5"/></default></default>
+  <worldbody>
+    <body name='thigh'><geom size="0.1"/><joint name="hip" axis="1 0 0"/>
+      <body><geom size="0.1"/>
+        <joint name='knee' class="leg"   axis="0 1 0"
+               damping = "0.25"
+               pos="0 0 0" />
+      </body></body>
+  </worldbody>
+  <actuator><motor name="knee" joint="knee"/></actuator>
+  <equality><joint name="knee" joint1="knee" joint2="hip"/></equality>
+</mujoco>
+"""
+
+
+def test_a_joint_of_a_model_is_changed_and_nothing_else(tmp_path):
+    path = tmp_path / "leg.xml"
+    path.write_text(MODEL)
+    exported = bf.export(found("rabbit-knee"), "mujoco", into=path, joint="knee")
+    assert next(iter(exported.files)) == "leg.xml"
+    before, after = MODEL.splitlines(), exported.main.splitlines()
+    changed = [k for k, (a, b) in enumerate(zip(before, after, strict=True)) if a != b]
+    assert changed == [7, 8]
+    model = mujoco.MjModel.from_xml_string(exported.main)
+    dof = model.joint("knee").dofadr[0]
+    numbers = {row["attribute"]: row["value"] for row in exported.record["numbers"]}
+    assert model.dof_damping[dof] == numbers["joint damping"]
+    assert model.dof_frictionloss[dof] == numbers["joint frictionloss"]
+    assert model.dof_armature[dof] == numbers["joint armature"]
+    assert model.dof_damping[model.joint("hip").dofadr[0]] == 0.0
+    # what was set before is replaced, and set once
+    joint = ElementTree.fromstring(exported.main).findall(".//body/joint")[1]
+    assert joint.get("class") == "leg"
+    # changing it again with the same gives the same bytes
+    assert patched(exported.main, "knee", {"damping": joint.get("damping")}, "leg.xml") == (
+        exported.main
+    )
+    assert path.read_text() == MODEL
+
+
+def test_a_joint_that_is_not_there_is_refused_by_its_nearest_name(tmp_path):
+    path = tmp_path / "leg.xml"
+    path.write_text(MODEL)
+    with pytest.raises(BadInput, match="has no joint 'kne'; did you mean 'knee'"):
+        bf.export(found("rabbit-knee"), "mujoco", into=path, joint="kne")
+    path.write_text("<mujoco>")
+    with pytest.raises(BadInput, match="is no XML"):
+        bf.export(found("rabbit-knee"), "mujoco", into=path, joint="knee")
+
+
+def test_a_sliding_joint_behind_a_spindle_moves_as_the_fitted_one():
+    joint = Joint(
+        elements=(
+            Element("motor", ratio=300.0, inertia=True, viscous=True),
+            Element("slide", motion="linear", coulomb="symmetric", viscous=True),
+        ),
+        load=Load(motion="linear", inertia=True),
+    )
+    values = {
+        "motor.inertia": 1e-4,
+        "motor.viscous": 1e-3,
+        "slide.coulomb": 40.0,
+        "slide.viscous": 20.0,
+        "load.inertia": 5.0,
+    }
+    done = made(joint, values, 0.5)
+    exported = bf.export(done, "mujoco")
+    assert exported.record["position_unit"] == "m"
+    torque, period = swung(0.5, SECONDS)
+    motion = simulate(joint, middle(done), torque, period, hold="zero").q
+    assert np.ptp(motion) > 0.1
+    assert rms(moved(exported.main, torque, period) - motion) < 1e-3
+    rows = {row["attribute"]: row for row in exported.record["numbers"]}
+    assert rows["joint frictionloss"]["unit"] == "N"
+    vector = dict(zip(joint.names, middle(done), strict=True))
+    armature = vector["motor.inertia"] * 300.0**2
+    assert rows["joint armature"]["value"] == pytest.approx(armature)
+
+
+def test_a_term_of_ones_own_is_fitted_and_said_and_no_controller_is_written():
+    joint = Joint(elements=(Element("motor", inertia=True, viscous=True),), load=Load())
+    joint = joint.with_term(Term("motor.square", lambda m: m.speed * abs(m.speed)))
+    values = {"motor.inertia": 0.01, "motor.viscous": 0.05, "motor.square": 0.01}
+    exported = bf.export(made(joint, values, 0.6), "mujoco")
+    assert list(exported.files) == ["joint.xml"]
+    (lost,) = exported.record["lost"]
+    assert lost["parameters"] == ["motor.square"]
+    # constant and viscous loss are nearer to it than nothing
+    assert exported.record["error"]["motor"]["rms"] < 0.3 * exported.record["error"]["torque_rms"]
