@@ -37,7 +37,7 @@ def check_columns(source: Columns, table: Table) -> None:
     """Refuse a column that cannot be used, one taken for two signals, and different lengths."""
     first = source.position.column
     count = len(table.column(first))
-    seen: dict[int, str] = {}
+    seen: dict[tuple[int, int | None], str] = {}
     for key, channel in source.channels.items():
         before = seen.setdefault(table.place(channel.column), key)
         if before != key:

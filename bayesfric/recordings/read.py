@@ -19,7 +19,7 @@ from bayesfric.recordings.measurement import Array, Flags, Measurement
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.source import Columns, Source
-from bayesfric.recordings.tables import Table, read_table, sha256
+from bayesfric.recordings.tables import Table, is_recording, read_table, sha256
 from bayesfric.recordings.timebase import Grid, check_order, make_grid
 
 _SAMPLED = {
@@ -81,6 +81,8 @@ def _sha256(source: Columns, table: Table) -> str:
 @np.errstate(all="ignore")
 def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -> Measurement:
     steps = list(table.notes)
+    if source.time is not None:
+        table = table.sampled_as(source.time.column)
     channels.check_columns(source, table)
     position, step = channels.joint_signal(source.position, "position", table, drive)
     steps.append(step)
@@ -263,7 +265,7 @@ def _expand(source: Source, folder: Path) -> list[Path]:
         if (folder / pattern).exists() or not glob.has_magic(pattern):
             paths.append(folder / pattern)
             continue
-        matches = sorted(path for path in _matching(pattern, folder) if path.is_file())
+        matches = sorted(path for path in _matching(pattern, folder) if is_recording(path))
         if not matches:
             raise BadInput(
                 f"file = '{pattern}'",
