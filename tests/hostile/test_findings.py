@@ -270,7 +270,9 @@ N = good.N
     cases(
         ("time32", pa.array(range(N), pa.time32("ms")), ["'q'", "time32[ms], not numbers"]),
         ("duration", pa.array(range(N), pa.duration("ns")), ["'q'", "not numbers"]),
-        ("list", pa.array([[1.0]] * N), ["'q'", "list", "not numbers"]),
+        ("list", pa.array([[1.0]] * N), ["'q'", "no vector", "'q[0]'"]),
+        ("ragged", pa.array([[1.0], [1.0, 2.0]] * (N // 2)), ["'q'", "row 1", "list", "'q[0]'"]),
+        ("texts", pa.array([["a"]] * N), ["'q'", "'q[0]'"]),
         ("table", pa.array([{"q": 1.0}] * N), ["'q'", "struct", "not numbers"]),
         ("map", pa.array([[(1, 1.0)]] * N, pa.map_(pa.int8(), pa.float64())), ["'q'", "map"]),
         ("null", pa.nulls(N), ["'q'", "row 1", "is empty"]),

@@ -8,7 +8,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
@@ -48,9 +48,14 @@ def joint_states(t, q, v, tau, store=ROS2, joints=JOINTS, shuffled=False):
         )
 
 
-def write_ros2(folder, messages, plugin=StoragePlugin.MCAP, topic="/joint_states", more=()):
+def write_ros2(
+    folder, messages, plugin=StoragePlugin.MCAP, topic="/joint_states", more=(), packed=False
+):
     """Write a ROS 2 bag; ``more`` are further topics' messages."""
-    with Writer2(folder, version=9, storage_plugin=plugin) as writer:
+    writer = Writer2(folder, version=9, storage_plugin=plugin)
+    if packed:
+        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    with writer:
         for name, each in ((topic, messages), *more):
             connection = None
             for stamp, message in each:

@@ -17,7 +17,12 @@ from typing import Any, BinaryIO
 from bayesfric.errors import BadInput
 from bayesfric.recordings.tables.npz import LARGEST, LARGEST_COLUMN, check_unpacked
 
-_MCAP, _BAG = b"\x89MCAP0\r\n", b"#ROSBAG V2.0\n"
+# How files begin; rosbags goes by the suffix alone.
+_MARKS = {
+    ".mcap": b"\x89MCAP0\r\n",
+    ".bag": b"#ROSBAG V2.0\n",
+    ".db3": b"SQLite format 3\0",
+}
 _MCAP_CHUNK, _BAG_CHUNK = 0x06, b"\x05"
 # A byte of LZ4 stands for no more.
 _LZ4 = 255
@@ -36,19 +41,21 @@ def check_chunks(path: Path) -> None:
         for file in sorted(path.iterdir()):
             if mode and file.suffix == ".zstd":
                 check_unpacked(file, _unpacked(file))
-            elif file.suffix == ".mcap":
+            elif file.suffix in _MARKS:
                 check_chunks(file)
         return
+    suffix = path.suffix.lower()
+    mark = _MARKS.get(suffix)
     with path.open("rb") as opened:
-        begin = opened.read(len(_BAG))
-        if begin.startswith(_MCAP):
-            opened.seek(len(_MCAP))
-            chunks = _mcap_chunks(opened)
-        elif begin == _BAG:
-            chunks = _bag_chunks(opened)
-        else:
-            return  # SQLite, or nothing that rosbags reads
-        for kind, size, packed in chunks:
+        if mark is None or opened.read(len(mark)) != mark:
+            known = ", ".join(_MARKS)
+            raise BadInput(
+                str(path),
+                f"does not begin as {f'a {suffix} file' if mark else 'a ROS bag'} does",
+                f"check the file; suffixes are {known}",
+            )
+        chunks = {".mcap": _mcap_chunks, ".bag": _bag_chunks}.get(suffix, lambda _: iter(()))
+        for kind, size, packed in chunks(opened):
             if size > LARGEST_COLUMN or _exceeds(kind, size, packed):
                 raise BadInput(
                     str(path),

@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -88,12 +89,13 @@ class Table:
 
     def sampled_as(self, key: str | int) -> Table:
         """Tell by a column of one value a sample how many samples there are."""
-        place, index = self.place(key)
-        if self.by_rows or self.samples is not None or index is not None:
+        if self.by_rows or self.samples is not None:
             return self
-        cells = self.load(place)
-        # what is no vector is refused where it is used
-        return replace(self, samples=cells.size) if cells.ndim == 1 else self
+        with suppress(BadInput):  # what cannot be read is refused where it is used
+            place, index = self.place(key)
+            if index is None and (cells := self.load(place)).ndim == 1:
+                return replace(self, samples=cells.size)
+        return self
 
     def only(self, conditions: Mapping[str, bool | int | float | str]) -> Table:
         """Keep the rows in which columns equal values; bad input where there are none."""
