@@ -8,10 +8,9 @@ from typing import Literal
 import numpy as np
 
 from bayesfric.errors import BadInput
-from bayesfric.recordings import units
-from bayesfric.recordings.checks import unwrapped
+from bayesfric.recordings import checks, units
 from bayesfric.recordings.measurement import Array
-from bayesfric.recordings.source import SI, Channel, Columns, Effort, Position, Velocity
+from bayesfric.recordings.source import SI, Channel, Columns, Effort, LoadTorque, Position, Velocity
 from bayesfric.recordings.tables.table import Table
 
 Motion = Literal["rotary", "linear"]
@@ -100,7 +99,7 @@ def joint_signal(channel: Position, key: str, table: Table, drive: Drive) -> tup
     values = scaled(channel, table, kinds[motion], key)
     step = f"{key}: of the motor, divided by {drive.ratio:g}" if motor else f"{key}: of the joint"
     if kinds is POSITION and motion == "rotary":
-        values, jumps = unwrapped(values)
+        values, jumps = checks.unwrapped(values)
         if jumps:
             step += f"; jumps by a turn at {jumps} places, unwrapped"
     return values / drive.ratio if motor else values, step
@@ -115,6 +114,15 @@ def temperature(channel: Channel, table: Table) -> Array:
             "write 'degC' or 'K'",
         )
     return signed(channel, table) - _ZERO[channel.unit]
+
+
+def load_torque(channel: LoadTorque, table: Table, drive: Drive) -> Array:
+    """Return a torque or force from outside as it acts on the load, N m or N, shape (n,)."""
+    motor = channel.side == "motor"
+    kind = TORQUE[drive.motor_motion if motor else drive.motion]
+    values = scaled(channel, table, kind, "load_torque")
+    checks.check_not_huge(values, table.label(channel.column), "load torque")
+    return values * drive.ratio if motor else values
 
 
 def drive_signal(source: Columns, table: Table, drive: Drive) -> tuple[Effort, Array, str]:

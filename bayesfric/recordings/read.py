@@ -130,12 +130,13 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         low, high = float(degrees[part].min()), float(degrees[part].max())
         steps.append(f"temperature: {low:.3g} to {high:.3g} degC")
     pushed = None
-    if source.load_torque is not None:
-        what = channels.TORQUE[drive.motion]
-        outside = channels.scaled(source.load_torque, table, what, "load_torque")
-        checks.check_not_huge(outside, table.label(source.load_torque.column), "load torque")
-        pushed = Signal(grid.time, grid.linear(outside))
-        steps.append(f"load {what}: as measured")
+    if source.load_torques:
+        parts = [channels.load_torque(one, table, drive) for one in source.load_torques]
+        pushed = Signal(grid.time, grid.linear(sum(parts[1:], parts[0])))
+        told = f"sum of {len(parts)} columns" if len(parts) > 1 else "as measured"
+        if any(one.side == "motor" for one in source.load_torques):
+            told += f"; what acts on the motor times {drive.ratio:g}"
+        steps.append(f"load {channels.TORQUE[drive.motion]}: {told}")
     excluded = _excluded(source, grid.time, warnings)
     if source.valid is not None:
         valid = table.column(source.valid) != 0
