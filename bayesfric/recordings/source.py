@@ -23,26 +23,12 @@ CHANNELS = (
 )
 # Unit of numbers that are in SI already, whether the joint turns or slides.
 SI = "SI"
-# What ``bayesfric init --from`` puts behind what it guessed.
-GUESSED = "?"
-
-
-def _known(text: str) -> str:
-    """Refuse what was guessed, and not looked at since."""
-    if text.endswith(GUESSED):
-        raise Unfit(
-            f"'{text.removesuffix(GUESSED)}' without the '{GUESSED}' once you have seen that it is "
-            "right",
-            f"'{text}' is a guess",
-        )
-    return text
 
 
 def _text_of(*kinds: units.Kind) -> AfterValidator:
     """Check a text's dimension but keep the text, for kinds settled only by the mechanism."""
 
     def check(text: str) -> str:
-        _known(text)
         if not units.quantity(text, *kinds) > 0:
             raise Unfit("a positive value", f"got '{text}'")
         return text
@@ -82,7 +68,7 @@ class Channel(Options):
     @field_validator("unit", "times_unit")
     @classmethod
     def _no_guess(cls, value: str) -> str:
-        return _known(value)
+        return units.known(value)
 
     @field_validator("column", "times")
     @classmethod

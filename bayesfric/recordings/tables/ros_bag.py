@@ -23,6 +23,11 @@ _DEEPEST = 20
 _TIME, _DURATION = "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"
 # Where a message lists the joints that its other lists are about.
 _JOINTS = ("name", "joint_names")
+# Units that a message's definition settles, by the beginning of a column's name.
+_UNITS = {
+    "sensor_msgs/msg/JointState": {"position": "rad", "velocity": "rad/s", "effort": "N m"},
+    "geometry_msgs/msg/WrenchStamped": {"wrench.force": "N", "wrench.torque": "N m"},
+}
 # What every bag holds beside measurements.
 _TALK = {
     "rcl_interfaces/msg/Log",
@@ -42,6 +47,7 @@ _Path = tuple[str | int, ...]
 class _Column:
     name: str
     path: _Path
+    is_time: bool = False
     joint: str | None = None  # the signal of which joint, where the message lists them
 
 
@@ -100,6 +106,7 @@ def read_bag(path: Path, options: TableOptions) -> Table:
         load,
         names_at=kind,
         notes=(f"topic {topic} ({kind}), {len(messages)} messages",),
+        units=["s", *(_unit(kind, column) for column in columns)],
         by_rows=True,
     )
 
@@ -153,10 +160,10 @@ def _columns(message: Any) -> Iterator[_Column]:
     listed: list[Any] = next((names for k in _JOINTS if (names := getattr(message, k, None))), [])
     joints = listed if all(isinstance(name, str) for name in listed) else []
     for name, path, value in _leaves(message, "", (), 0):
-        yield _Column(name, path)
+        yield _Column(name, path, getattr(value, "__msgtype__", None) in (_TIME, _DURATION))
         is_list = isinstance(value, np.ndarray | list)
         if is_list and len(value) == len(joints) and not any(isinstance(v, str) for v in value):
-            yield from (_Column(f"{name}[{joint}]", path, joint) for joint in joints)
+            yield from (_Column(f"{name}[{joint}]", path, joint=joint) for joint in joints)
 
 
 def _leaves(value: Any, name: str, path: _Path, depth: int) -> Iterator[tuple[str, _Path, Any]]:
@@ -174,6 +181,12 @@ def _leaves(value: Any, name: str, path: _Path, depth: int) -> Iterator[tuple[st
             yield from _leaves(part, f"{name}[{k}]", (*path, k), depth + 1)
     else:
         yield name, path, value
+
+
+def _unit(kind: str, column: _Column) -> str:
+    units = _UNITS.get(kind, {})
+    found = (unit for begin, unit in units.items() if column.name.startswith(begin))
+    return "s" if column.is_time else next(found, "")
 
 
 def _value(message: Any, column: _Column) -> Any:

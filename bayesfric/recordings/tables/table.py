@@ -56,6 +56,7 @@ class Table:
     header_line: int | None = None
     decimal: str = "."  # mark of cells that are text
     notes: tuple[str, ...] = ()  # one sentence for every choice made in reading
+    units: Sequence[str] = ()  # one a column as it is written in the file, empty for none
     by_rows: bool = False  # whether the first axis of an array is that of the samples in any case
     samples: int | None = None  # how many there are, where that is known
     kept: NDArray[np.intp] | None = None  # rows that are used, all where None
