@@ -10,7 +10,16 @@ import numpy as np
 from bayesfric.errors import BadInput
 from bayesfric.recordings import checks, units
 from bayesfric.recordings.measurement import Array
-from bayesfric.recordings.source import SI, Channel, Columns, Effort, LoadTorque, Position, Velocity
+from bayesfric.recordings.source import (
+    SI,
+    Channel,
+    Columns,
+    Effort,
+    LoadTorque,
+    Position,
+    Torque,
+    Velocity,
+)
 from bayesfric.recordings.tables.table import Table
 
 Motion = Literal["rotary", "linear"]
@@ -19,6 +28,8 @@ POSITION: dict[Motion, units.Kind] = {"rotary": "angle", "linear": "length"}
 VELOCITY: dict[Motion, units.Kind] = {"rotary": "angular_speed", "linear": "speed"}
 TORQUE: dict[Motion, units.Kind] = {"rotary": "torque", "linear": "force"}
 CONSTANT: dict[Motion, units.Kind] = {"rotary": "torque_constant", "linear": "force_constant"}
+# Units in which no measured signal of a joint is a row of whole numbers.
+_NOT_COUNTED = {SI, "s", "rad", "m", "rad/s", "m/s", "N m", "Nm", "N", "A", "V"}
 # Zero degrees Celsius in each unit.
 _ZERO = {"degC": 0.0, "°C": 0.0, "K": 273.15, SI: 273.15}
 
@@ -103,6 +114,29 @@ def joint_signal(channel: Position, key: str, table: Table, drive: Drive) -> tup
         if jumps:
             step += f"; jumps by a turn at {jumps} places, unwrapped"
     return values / drive.ratio if motor else values, step
+
+
+def counts(source: Columns, table: Table, part: slice) -> list[str]:
+    """Warn of whole numbers in a unit that is not counted in, and of a coarse clock."""
+    found = []
+    for key, channel in source.channels.items():
+        if channel.unit in _NOT_COUNTED and channel.times is None and key != "temperature":
+            what = "thousandths" if key == "time" else "encoder counts, or thousandths"
+            constant = channel.constant if isinstance(channel, Torque) else None
+            if constant is None and checks.whole_numbers(table.column(channel.column)[part]):
+                found.append(
+                    f"{key}: all numbers are whole, and its unit is {channel.unit}: are they {what}"
+                    "? Its unit is what a raw 1 is worth"
+                )
+    if source.time is not None:
+        time = scaled(source.time, table, "time", "time")[part]
+        if (tick := checks.ticking(time)) is not None:
+            found.append(
+                f"time: the stamps are multiples of {tick:.3g} s, coarse beside the "
+                f"{float(np.median(np.diff(time))):.3g} s between them; where sampling was regular "
+                "give its rate in place of time"
+            )
+    return found
 
 
 def temperature(channel: Channel, table: Table) -> Array:

@@ -18,6 +18,7 @@ from bayesfric.recordings.inputs import Inputs, Signal
 from bayesfric.recordings.measurement import Array, Flags, Measurement
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.rest import resting_ends
 from bayesfric.recordings.source import Columns, Source
 from bayesfric.recordings.tables import Table, is_recording, read_table, sha256
 from bayesfric.recordings.timebase import Grid, check_order, make_grid
@@ -106,7 +107,9 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     if coarse is not None:
         unit = "rad" if drive.motion == "rotary" else "m"
         warnings.append(f"position: quantised with a step of {coarse:.3g} {unit} at the joint")
+    warnings += channels.counts(source, table, part)
     steps.extend(grid.steps)
+    steps.extend(resting_ends(time[part], position[part]))
 
     joint = grid.smooth(position)
     speed = None if velocity is None else grid.linear(velocity)
@@ -161,6 +164,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         warnings=tuple(warnings),
         hold=channel.hold,
         drive=kind,
+        ratio=drive.ratio,
     )
 
 

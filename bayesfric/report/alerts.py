@@ -20,6 +20,7 @@ DOUBTS = (
     "acceleration",
     "delay",
     "once-a-turn",
+    "pushed",
     "self-check",
 )
 
