@@ -49,7 +49,10 @@ def _found(chain: Joint, o: Observation) -> list[Disturbance]:
     projection = TotalsProjection(chain, [o])
     if not projection.names:
         return []
-    residual = _robust(projection.regressors, o.measured)
+    try:
+        residual = _robust(projection.regressors, o.measured)
+    except np.linalg.LinAlgError:  # numbers that no joint has: nothing is usual there
+        return []
     half = 0.5 * max(_WINDOW, _OUTPUTS * o.period)
     first = np.searchsorted(o.time, o.time - half)
     last = np.searchsorted(o.time, o.time + half, "right")

@@ -105,7 +105,10 @@ def explained(effort: Array, position: Array, time: Array) -> float:
     columns = [np.ones_like(q), q, np.sin(q), np.cos(q), v, np.tanh(v / (0.05 * v.std() + 1e-30))]
     terms = np.column_stack([*columns, a])
     scale = np.sqrt(np.mean(terms**2, axis=0)) + 1e-30
-    left = y - terms / scale @ np.linalg.lstsq(terms / scale, y, rcond=None)[0]
+    try:
+        left = y - terms / scale @ np.linalg.lstsq(terms / scale, y, rcond=None)[0]
+    except np.linalg.LinAlgError:  # numbers that no joint has
+        return 0.0
     whole_of = float(np.var(y))
     return 1.0 - float(np.var(left)) / whole_of if whole_of > 0.0 else 0.0
 
