@@ -434,3 +434,12 @@ def test_long_trim_around_an_excluded_span_is_quick(tmp_path):
     text = good.config("run.npz", "\nexclude = [[1.0, 2.0]]")
     (tmp_path / "c.toml").write_text(text.replace("order = 4", "order = 4\ntrim = 15.0"))
     assert broken_rule(tmp_path / "c.toml") is None
+
+
+def test_a_choice_between_a_word_and_true(tmp_path):
+    (tmp_path / "run.csv").write_bytes(good.content("csv"))
+    text = good.config("run.csv").replace("[[rec", 'elements.motor.viscous = "-"\n\n[[rec', 1)
+    (tmp_path / "c.toml").write_text(text)
+    told = []
+    assert broken_rule(tmp_path / "c.toml", "viscous", told=told) is None
+    has(told[0].err, "got '-'", "true or false or 'by-direction'")
