@@ -57,22 +57,44 @@ def _version(
 
 @app.command()
 def init(
-    preset: Annotated[str, typer.Argument(help="rabbit-knee, motor-axis or servo-pendulum")],
+    preset: Annotated[
+        str | None, typer.Argument(help="rabbit-knee, motor-axis or servo-pendulum")
+    ] = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="file to write; printed if left out")
     ] = None,
+    log: Annotated[
+        Path | None,
+        typer.Option("--from", metavar="LOG", help="recognise the columns of this recording"),
+    ] = None,
+    table: Annotated[
+        str | None, typer.Option(help="with --from: table, group or topic inside the file")
+    ] = None,
+    joint: Annotated[str | None, typer.Option(help="with --from: which joint of several")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Write a commented configuration."""
     from bayesfric.commands.init import configuration
+    from bayesfric.commands.init_from import configuration_from, guesses_text
     from bayesfric.report.files import write_beside
 
-    text = configuration(preset)
+    found = None
+    if log is not None:
+        found = configuration_from(log, preset, output, table=table, joint=joint)
+    elif table is not None or joint is not None:
+        key = "--table" if table is not None else "--joint"
+        raise BadInput(key, "is for a log", "add --from LOG")
+    elif preset is None:
+        raise BadInput("PRESET", "is missing", "name one, or a log with --from LOG")
+    text = configuration(preset) if found is None and preset is not None else ""
+    text = text if found is None else found["text"]
     if output is not None:
         write_beside({output: text})
-    written = str(output) if output else None
+    written = [f"Written to {output}"] if output else [text]
     _print(
-        {"written": written, "text": text}, as_json, [f"Written to {output}"] if output else [text]
+        {**(found or {}), "written": str(output) if output else None, "text": text},
+        as_json,
+        [*written, *(guesses_text(found) if found and output else ())],
     )
 
 

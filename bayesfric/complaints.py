@@ -117,7 +117,7 @@ def _worded(errors: Sequence[Any]) -> tuple[str, str]:
     if kind in _BOUNDS:
         word, key = _BOUNDS[kind]
         return f"got {_shown(value)}", f"give {word} {first['ctx'][key]:.10g}"
-    known = [next((w for k, w in _KINDS.items() if e["type"].startswith(k)), "") for e in errors]
+    known = [_wanted(e) for e in errors]
     if not all(known):
         return f"got {_shown(value)}: {first['msg']}", "correct it"
     mend = " or ".join(dict.fromkeys(known))
@@ -125,9 +125,17 @@ def _worded(errors: Sequence[Any]) -> tuple[str, str]:
         any(e["type"].startswith(kinds) for e in errors)
         for kinds in (("int_", "float_", "finite_number"), ("string_",))
     )
+    texts = texts or "'" in mend  # one of some words
     if isinstance(value, str) and not texts:
         mend += ", without quotes" + (" or unit" if numbers else "")
     return f"got {_shown(value)}", f"give {mend}"
+
+
+def _wanted(error: Any) -> str:
+    """Name what one way of taking a value would have accepted; empty if that has no words."""
+    if error["type"] == "literal_error":
+        return str(error["ctx"]["expected"]).replace("True", "true").replace("False", "false")
+    return next((word for kind, word in _KINDS.items() if error["type"].startswith(kind)), "")
 
 
 def _shown(value: Any) -> str:

@@ -23,6 +23,7 @@ from bayesfric.config_text import (
 from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.delay import Delay, delays
 from bayesfric.estimates.descent import few_threads
+from bayesfric.estimates.disturbances import Disturbance, disturbances
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.methods import Given, estimate_by
 from bayesfric.estimates.once_a_turn import OnceATurn, once_a_turn
@@ -280,6 +281,10 @@ class Model:
         Load losses and a Stribeck rise need an input-error estimate, made if none is given.
         """
         return delays(self.evidence, self.recordings, _first_point(estimates))
+
+    def disturbances(self) -> list[Disturbance]:
+        """Find spans in which something else acted, as a hand that pushed, to ``exclude``."""
+        return disturbances(self.chain, self.observations)
 
     def once_a_turn(self, estimates: Sequence[Estimate] = ()) -> OnceATurn | None:
         """Estimate a torque once a turn that gravity does not explain, as :meth:`delays` does."""

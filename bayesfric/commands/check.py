@@ -65,6 +65,7 @@ def check(model: Model) -> dict[str, Any]:
             model.observations,
             () if model.chain.delay else delays,
             model.once_a_turn(),
+            model.disturbances(),
         ),
         "least_squares": estimate_summary(totals),
     }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, get_args
 
 from pydantic import BaseModel
@@ -17,8 +17,11 @@ from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.quantities import CHOICES, CYCLES, OPTION_MEANINGS
 
 
-def configuration(preset: str) -> str:
-    """Text of a commented configuration for a preset."""
+def configuration(preset: str, recordings: Sequence[str] | None = None) -> str:
+    """Text of a commented configuration for a preset.
+
+    ``recordings`` are the lines of its table, examples if left out.
+    """
     if preset not in PRESETS:
         raise BadInput(preset, "there is no such preset", nearest(preset, PRESETS))
     chosen = PRESETS[preset]
@@ -33,7 +36,8 @@ def configuration(preset: str) -> str:
             "",
             *_mechanism(preset, chain),
             "",
-            *_recordings(chain),
+            *(_recordings(chain) if recordings is None else recordings),
+            *_choices(),
             *_options("processing"),
             "",
             *_priors(chain),
@@ -96,6 +100,17 @@ def _recordings(chain: Joint) -> Iterator[str]:
     yield '# temperature = { column = "temperature", unit = "degC" }'
     yield '# added_mass = "2 kg"  # known mass bolted to the load'
     yield '# radius = "0.35 m"'
+
+
+def _choices() -> Iterator[str]:
+    """Write which samples of a file are used, the same for every recording."""
+    yield "# of these only some samples, times in s from the first stamp:"
+    yield '# start = "2 s"  # leave out what lies before'
+    yield "# stop = 30.0  # ... and after"
+    yield "# exclude = [[7.4, 9.0]]  # not compared with the model, as where a hand pushed"
+    yield '# valid = "enabled"  # a column that is 0 where the motor did not give this torque'
+    yield "# where = { episode_index = 3 }  # only rows in which columns equal values"
+    yield '# name = "first run"  # what results call it; the file\'s stem if left out'
 
 
 def _priors(chain: Joint) -> Iterator[str]:

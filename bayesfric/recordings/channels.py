@@ -8,10 +8,17 @@ from typing import Literal
 import numpy as np
 
 from bayesfric.errors import BadInput
-from bayesfric.recordings import units
-from bayesfric.recordings.checks import unwrapped
+from bayesfric.recordings import checks, units
 from bayesfric.recordings.measurement import Array
-from bayesfric.recordings.source import SI, Channel, Columns, Position, Velocity
+from bayesfric.recordings.source import (
+    SI,
+    Channel,
+    Columns,
+    LoadTorque,
+    Position,
+    Torque,
+    Velocity,
+)
 from bayesfric.recordings.tables.table import Table
 
 Motion = Literal["rotary", "linear"]
@@ -20,6 +27,8 @@ POSITION: dict[Motion, units.Kind] = {"rotary": "angle", "linear": "length"}
 VELOCITY: dict[Motion, units.Kind] = {"rotary": "angular_speed", "linear": "speed"}
 TORQUE: dict[Motion, units.Kind] = {"rotary": "torque", "linear": "force"}
 CONSTANT: dict[Motion, units.Kind] = {"rotary": "torque_constant", "linear": "force_constant"}
+# Units in which no measured signal of a joint is a row of whole numbers.
+_NOT_COUNTED = {SI, "s", "rad", "m", "rad/s", "m/s", "N m", "Nm", "N", "A", "V"}
 # Zero degrees Celsius in each unit.
 _ZERO = {"degC": 0.0, "°C": 0.0, "K": 273.15, SI: 273.15}
 
@@ -37,7 +46,7 @@ def check_columns(source: Columns, table: Table) -> None:
     """Refuse a column that cannot be used, one taken for two signals, and different lengths."""
     first = source.position.column
     count = len(table.column(first))
-    seen: dict[int, str] = {}
+    seen: dict[tuple[int, int | None], str] = {}
     for key, channel in source.channels.items():
         before = seen.setdefault(table.place(channel.column), key)
         if before != key:
@@ -100,10 +109,33 @@ def joint_signal(channel: Position, key: str, table: Table, drive: Drive) -> tup
     values = scaled(channel, table, kinds[motion], key)
     step = f"{key}: of the motor, divided by {drive.ratio:g}" if motor else f"{key}: of the joint"
     if kinds is POSITION and motion == "rotary":
-        values, jumps = unwrapped(values)
+        values, jumps = checks.unwrapped(values)
         if jumps:
             step += f"; jumps by a turn at {jumps} places, unwrapped"
     return values / drive.ratio if motor else values, step
+
+
+def counts(source: Columns, table: Table, part: slice) -> list[str]:
+    """Warn of whole numbers in a unit that is not counted in, and of a coarse clock."""
+    found = []
+    for key, channel in source.channels.items():
+        if channel.unit in _NOT_COUNTED and channel.times is None and key != "temperature":
+            what = "thousandths" if key == "time" else "encoder counts, or thousandths"
+            constant = channel.constant if isinstance(channel, Torque) else None
+            if constant is None and checks.whole_numbers(table.column(channel.column)[part]):
+                found.append(
+                    f"{key}: all numbers are whole, and its unit is {channel.unit}: are they {what}"
+                    "? Its unit is what a raw 1 is worth"
+                )
+    if source.time is not None:
+        time = scaled(source.time, table, "time", "time")[part]
+        if (tick := checks.ticking(time)) is not None:
+            found.append(
+                f"time: the stamps are multiples of {tick:.3g} s, coarse beside the "
+                f"{float(np.median(np.diff(time))):.3g} s between them; where sampling was regular "
+                "give its rate in place of time"
+            )
+    return found
 
 
 def temperature(channel: Channel, table: Table) -> Array:
@@ -115,3 +147,12 @@ def temperature(channel: Channel, table: Table) -> Array:
             "write 'degC' or 'K'",
         )
     return signed(channel, table) - _ZERO[channel.unit]
+
+
+def load_torque(channel: LoadTorque, table: Table, drive: Drive) -> Array:
+    """Return a torque or force from outside as it acts on the load, N m or N, shape (n,)."""
+    motor = channel.side == "motor"
+    kind = TORQUE[drive.motor_motion if motor else drive.motion]
+    values = scaled(channel, table, kind, "load_torque")
+    checks.check_not_huge(values, table.label(channel.column), "load torque")
+    return values * drive.ratio if motor else values

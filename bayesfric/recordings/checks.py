@@ -16,6 +16,24 @@ _HUGE = 1e15
 # Correlation of a measured velocity with the differentiated position from which on they are
 # taken for the same, and below which for strangers; and by how much their factor may differ from 1.
 _ALIKE, _STRANGERS, _FACTOR = 0.9, 0.3, 0.1
+# Factors of units that are taken for each other.
+_NEAR = 0.05
+_DEG = 180.0 / np.pi
+_TAKEN = {
+    "in deg/s and taken for rad/s": _DEG,
+    "in rpm and taken for rad/s": 30.0 / np.pi,
+    "in turn/s and taken for rad/s": 0.5 / np.pi,
+    "in rad/s and taken for deg/s, or the position in deg and taken for rad": 1.0 / _DEG,
+    "in rad/s and taken for rpm": np.pi / 30.0,
+    "in rad/s and taken for turn/s": 2.0 * np.pi,
+    "in deg/s and taken for rpm": 6.0,
+    "in thousandths and taken for whole": 1e3,
+}
+# Whole numbers of fewer kinds may be a torque that is switched.
+_COUNTS = 20
+# Of a coarse clock: how many different steps, the largest share of the usual one, the tick over the
+# period, and by how much steps may miss its multiples.
+_FEW_STEPS, _USUAL, _COARSE, _TICKS = 6, 0.9, 0.25, 0.05
 # A torque of two levels: their width, and the share of samples on them and in step with speed.
 _LEVEL, _MOSTLY = 0.05, 0.9
 # Speed, over its root mean square, below which a torque turns that follows the speed.
@@ -58,6 +76,15 @@ def check_size(values: Array, where: str, what: str) -> None:
 def clipped(values: Array, what: str) -> list[str]:
     """Warn of each limit of a raw signal at which 1 % of the samples lie, in runs of 4 and more."""
     warnings = []
+    if values.max() == -values.min():
+        # a limit to both sides alike
+        both = (_in_runs(values == values.max()) + _in_runs(values == values.min())) / len(values)
+        if both >= _CLIPPED_SHARE:
+            return [
+                f"{what}: stays at ±{values.max():.6g} (raw), its maximum and minimum in this "
+                f"recording, for {100 * both:.2g} % of the samples; does the drive "
+                "or sensor saturate there?"
+            ]
     for word, limit in (("maximum", values.max()), ("minimum", values.min())):
         if 2 * abs(limit) < np.abs(values).max():
             continue  # an idle drive, not a limited one
@@ -116,6 +143,43 @@ def speed_mismatch(velocity: Array, differentiated: Array, usable: Flags) -> flo
         return 0.0 if abs(alike) < _STRANGERS else None
     factor = float(v @ d) / other
     return factor if abs(factor - 1.0) > _FACTOR else None
+
+
+def taken_for(factor: float, ratio: float) -> str:
+    """Say what a velocity would be that is so many times the differentiated position."""
+    size = abs(factor)
+    words = [word for word, times in _TAKEN.items() if abs(size / times - 1.0) < _NEAR]
+    if abs(ratio) > 1.5 or abs(ratio) < 0.67:
+        for side, times in (("the motor", abs(ratio)), ("the joint", 1.0 / abs(ratio))):
+            if abs(size / times - 1.0) < _NEAR:
+                words.append(f"that of {side}, or the position the other's (side)")
+    turned = "with the sign turned around" if factor < 0.0 else ""
+    if words:
+        return f"is it {' or '.join(words)}{', ' + turned if turned else ''}"
+    if turned and abs(size - 1.0) < _FACTOR:
+        return "is its sign turned around (sign = -1)"
+    return "are its unit, sign and side right"
+
+
+def whole_numbers(values: Array) -> bool:
+    """Whether a raw signal holds whole numbers only, and enough of them to be counts."""
+    return bool(np.all(values == np.round(values))) and np.unique(values).size > _COUNTS
+
+
+def ticking(time: Array) -> float | None:
+    """Return the step of a clock that is coarse beside the period; ``None`` for a fine one.
+
+    The steps between stamps are then a few multiples of it, and none is the usual one. Where one
+    is, longer ones are samples that are missing.
+    """
+    steps = np.diff(time)
+    median = float(np.median(steps))
+    sizes, counts = np.unique(np.round(steps / median, 4), return_counts=True)
+    if not 2 <= sizes.size <= _FEW_STEPS or counts.max() > _USUAL * steps.size:
+        return None
+    tick = float(np.diff(sizes).min())
+    even = np.abs(sizes / tick - np.round(sizes / tick)) < _TICKS
+    return tick * median if tick > _COARSE and bool(even.all()) else None
 
 
 def feedback(

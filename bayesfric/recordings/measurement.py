@@ -43,6 +43,7 @@ class Measurement:
     # where it was not
     back_emf: Array | None = None
     hold: Hold = "linear"  # how the torque goes between samples
+    ratio: float = 1.0  # of the gear, motor motion per joint motion
     drive: str = "torque"  # what the torque was measured as: torque, force, current or voltage
     # how the drive makes its torque, in the closed loop where a target was recorded; None for
     # what no file tells, as a simulated twin

@@ -132,7 +132,8 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
     warnings = [*recording.warnings, *_band_warnings(numbers)]
     warnings += _resolution_warnings(numbers.resolution, recording)
     if recording.velocity is not None:
-        warnings += _velocity_warnings(qd, derivative(q, segments, period, numbers.reach), compared)
+        speed = derivative(q, segments, period, numbers.reach)
+        warnings += _velocity_warnings(qd, speed, compared, recording.ratio)
     law = checks.feedback(recording.torque, q, qd, compared)
     found = numbers.resolution
     ratios = {"speed_ratio": found.speed_ratio, "acceleration_ratio": found.acceleration_ratio}
@@ -446,17 +447,17 @@ def _resolution_warnings(found: Resolution, recording: Measurement) -> Iterator[
         )
 
 
-def _velocity_warnings(velocity: Array, differentiated: Array, compared: Flags) -> Iterator[str]:
+def _velocity_warnings(
+    velocity: Array, differentiated: Array, compared: Flags, ratio: float
+) -> Iterator[str]:
     factor = checks.speed_mismatch(velocity, differentiated, compared)
     if factor is None:
         return
     said = f"is {factor:.3g} times the differentiated position: "
     if factor == 0.0:
         said = "has nothing to do with the differentiated position: is it the right column"
-    elif abs(abs(factor) * np.pi / 180.0 - 1.0) < 0.05:
-        said += "is it in deg/s"
     else:
-        said += "are its unit, sign and side right"
+        said += checks.taken_for(factor, ratio)
     yield f"velocity: {said}? Inertia and speed losses come out wrong by such a factor"
 
 

@@ -19,8 +19,9 @@ from bayesfric.recordings.law import Law, Told, measured_law, position_law
 from bayesfric.recordings.measurement import Array, Flags, Measurement
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.rest import resting_ends
 from bayesfric.recordings.source import Columns, Source
-from bayesfric.recordings.tables import Table, read_table, sha256
+from bayesfric.recordings.tables import Table, is_recording, read_table, sha256
 from bayesfric.recordings.timebase import Grid, check_order, make_grid
 
 _SAMPLED = {
@@ -82,6 +83,8 @@ def _sha256(source: Columns, table: Table) -> str:
 @np.errstate(all="ignore")
 def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -> Measurement:
     steps = list(table.notes)
+    if source.time is not None:
+        table = table.sampled_as(source.time.column)
     channels.check_columns(source, table)
     position, step = channels.joint_signal(source.position, "position", table, drive)
     steps.append(step)
@@ -109,7 +112,9 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     if coarse is not None:
         unit = "rad" if drive.motion == "rotary" else "m"
         warnings.append(f"position: quantised with a step of {coarse:.3g} {unit} at the joint")
+    warnings += channels.counts(source, table, part)
     steps.extend(grid.steps)
+    steps.extend(resting_ends(time[part], position[part]))
 
     joint = grid.smooth(position)
     speed = None if velocity is None else grid.linear(velocity)
@@ -133,12 +138,13 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         low, high = float(degrees[part].min()), float(degrees[part].max())
         steps.append(f"temperature: {low:.3g} to {high:.3g} degC")
     pushed = None
-    if source.load_torque is not None:
-        what = channels.TORQUE[drive.motion]
-        outside = channels.scaled(source.load_torque, table, what, "load_torque")
-        checks.check_not_huge(outside, table.label(source.load_torque.column), "load torque")
-        pushed = Signal(grid.time, grid.linear(outside))
-        steps.append(f"load {what}: as measured")
+    if source.load_torques:
+        parts = [channels.load_torque(one, table, drive) for one in source.load_torques]
+        pushed = Signal(grid.time, grid.linear(sum(parts[1:], parts[0])))
+        how = f"sum of {len(parts)} columns" if len(parts) > 1 else "as measured"
+        if any(one.side == "motor" for one in source.load_torques):
+            how += f"; what acts on the motor times {drive.ratio:g}"
+        steps.append(f"load {channels.TORQUE[drive.motion]}: {how}")
     excluded = _excluded(source, grid.time, warnings)
     law = law if aims is told else aims.law.on(grid)
     if source.valid is not None:
@@ -166,6 +172,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         hold=channel.hold,
         drive=kind,
         law=law,
+        ratio=drive.ratio,
     )
 
 
@@ -266,7 +273,7 @@ def _expand(source: Source, folder: Path) -> list[Path]:
         if (folder / pattern).exists() or not glob.has_magic(pattern):
             paths.append(folder / pattern)
             continue
-        matches = sorted(path for path in _matching(pattern, folder) if path.is_file())
+        matches = sorted(path for path in _matching(pattern, folder) if is_recording(path))
         if not matches:
             raise BadInput(
                 f"file = '{pattern}'",

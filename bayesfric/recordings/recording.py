@@ -135,7 +135,7 @@ class Recording:
             A file; ``*``, ``?`` and ``**`` are wildcards.
         position, time, torque, units, side, **keys
             As in :meth:`from_dataframe`, and ``format``, ``delimiter``, ``header``, ``decimal``,
-            ``skip_rows`` and ``table``.
+            ``skip_rows``, ``table`` and ``where``.
         """
         keys |= {"file": str(path), "position": position, "time": time, "torque": torque}
         return cls(_checked(Source, keys, units, side))
@@ -157,9 +157,10 @@ class Recording:
     def filed(self, file: str) -> Source:
         """Give the keys of the recording once :meth:`saved` has made it a file of that name."""
         keys = self.source.model_dump(exclude_unset=True, exclude_none=True)
-        for key in self.source.channels:
-            found = [k for k in ("column", "times") if k in keys[key]]
-            keys[key] |= {k: self._header[keys[key][k]] for k in found}
+        given = [keys[key] for key in CHANNELS if key in keys]
+        for channel in [c for one in given for c in (one if isinstance(one, tuple) else (one,))]:
+            found = [k for k in ("column", "times") if k in channel]
+            channel |= {k: self._header[channel[k]] for k in found}
         if "valid" in keys:
             keys["valid"] = self._header[keys["valid"]]
         return Source(file=file, **keys)
@@ -182,6 +183,10 @@ def _checked(
     for key in CHANNELS:
         if key in document:
             given = document[key]
+            if isinstance(given, list | tuple):
+                # several load torques; of other channels it is refused as no table
+                document[key] = [{"unit": (units or {}).get(key, SI), **dict(one)} for one in given]
+                continue
             channel = dict(given) if isinstance(given, Mapping) else {"column": given}
             channel.setdefault("unit", (units or {}).get(key, SI))
             if side is not None and key in ("position", "velocity", "target"):

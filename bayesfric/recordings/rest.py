@@ -20,6 +20,8 @@ from bayesfric.recordings.resolution import finest_step
 _MOST = 200
 # Differences of positions below this share of the largest are rounding.
 _ROUNDING = 1e-9
+# Rests at the ends that are told: in s, over the recording's length, and within what of its range.
+_LONG, _LONG_SHARE, _STILL = 1.0, 0.1, 1e-3
 # What steps may differ by.
 _UNEVEN = 0.05
 
@@ -55,6 +57,20 @@ def at_rest(position: Array, segments: Segments, least: int) -> Flags:
         np.add.at(counts, begins + least, -1)
         flags[a:b] = np.cumsum(counts[:-1]) > 0
     return flags
+
+
+def resting_ends(time: Array, position: Array) -> list[str]:
+    """Say how long the joint rests before its first motion and after its last, where long."""
+    least = max(_LONG, _LONG_SHARE * float(time[-1] - time[0]))
+    away = _STILL * float(np.ptp(position))
+    first = int(np.argmax(np.abs(position - position[0]) > away))
+    last = position.size - 1 - int(np.argmax(np.abs(position[::-1] - position[-1]) > away))
+    said = []
+    if time[first] - time[0] > least:
+        said.append(f"rest: until {time[first]:.3g} s; start = {time[first]:.3g} leaves it out")
+    if time[-1] - time[last] > least:
+        said.append(f"rest: from {time[last]:.4g} s on; stop = {time[last]:.4g} leaves it out")
+    return said
 
 
 def rests(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
@@ -66,6 +66,11 @@ class Channel(Options):
         "", description="Unit of the column in 'times'; empty for a plain number."
     )
 
+    @field_validator("unit", "times_unit")
+    @classmethod
+    def _no_guess(cls, value: str) -> str:
+        return units.known(value)
+
     @field_validator("column", "times")
     @classmethod
     def _number_from_one(cls, value: str | int | None) -> str | int | None:
@@ -84,6 +89,15 @@ class Position(Channel):
 
 class Velocity(Position):
     """The velocity channel, of the joint or of the motor."""
+
+
+class LoadTorque(Channel):
+    """A torque (or force) that acts on the load from outside, besides the motor's."""
+
+    side: Literal["motor", "joint"] = Field(
+        "joint",
+        description="Where it acts; that of the motor acts on the load times the gear ratio.",
+    )
 
 
 class Effort(Channel):
@@ -172,10 +186,11 @@ class Columns(Options):
         description="The position that the drive goes for and its controller's gains; in place of "
         "the torque where none was recorded. Beside it, a roll-out closes the loop.",
     )
-    load_torque: Channel | None = Field(
+    load_torque: LoadTorque | tuple[LoadTorque, ...] | None = Field(
         None,
         description="Torque (or force) that acts on the load from outside, as a dynamometer "
-        "measures it, positive where it pushes towards higher positions.",
+        "measures it, positive where it pushes towards higher positions; or a list of several, "
+        "which are summed.",
     )
     temperature: Channel | None = Field(
         None,
@@ -202,6 +217,13 @@ class Columns(Options):
     name: str | None = Field(
         None, min_length=1, description="Name of the recording; the file's stem if left out."
     )
+
+    @field_validator("load_torque")
+    @classmethod
+    def _some(cls, value: LoadTorque | tuple[LoadTorque, ...] | None) -> Any:
+        if value == ():
+            raise ValueError("names no channel")
+        return value
 
     @field_validator("exclude")
     @classmethod
@@ -230,8 +252,17 @@ class Columns(Options):
 
     @property
     def channels(self) -> dict[str, Channel]:
-        """The channels that are given, by key."""
-        return {key: found for key in CHANNELS if (found := getattr(self, key)) is not None}
+        """The channels that are given, by key; of several load torques the others by number."""
+        given = {key: found for key in CHANNELS if (found := getattr(self, key)) is not None}
+        more = self.load_torques
+        given |= {"load_torque": more[0]} if more else {}
+        return given | {f"load_torque.{k}": one for k, one in enumerate(more[1:], start=2)}
+
+    @property
+    def load_torques(self) -> tuple[LoadTorque, ...]:
+        """All torques from outside."""
+        one = self.load_torque
+        return one if isinstance(one, tuple) else () if one is None else (one,)
 
     @property
     def columns(self) -> list[str | int]:

@@ -62,6 +62,8 @@ _LARGE_POWER = re.compile(r"(\*\*|\^)\s*(?!-?\d(?![\d.*^]))|[²³]{2}")
 # and of floating-point numbers, which overflow at once where (9**9)**9 would grow for ever
 _WHOLE_NUMBER = re.compile(r"(?<![\w.])(\d+\.\d*|\.?\d+)(?:[eE][+-]?\d+)?(?![\w.])")
 _LONGEST = 80
+# What ``bayesfric init --from`` puts behind what it guessed.
+GUESSED = "?"
 
 
 @cache
@@ -98,8 +100,20 @@ def _base(text: str) -> tuple[float, tuple[tuple[str, float], ...]]:
     return factor, tuple(sorted(exponents.items()))
 
 
+def known(text: str) -> str:
+    """Refuse what was guessed, and not looked at since."""
+    if text.endswith(GUESSED):
+        plain = text.removesuffix(GUESSED)
+        raise Unfit(
+            f"'{plain}' without the '{GUESSED}', or what is right, once you have looked at it",
+            f"'{text}' is a guess of init",
+        )
+    return text
+
+
 def quantity(text: str, *kinds: Kind) -> float:
     """Read a scalar with its unit, of one of some kinds, in SI and Hz, or raise `Unfit`."""
+    known(text)
     return _product([text], kinds)
 
 

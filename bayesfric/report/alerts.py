@@ -21,6 +21,7 @@ DOUBTS = (
     "acceleration",
     "delay",
     "once-a-turn",
+    "pushed",
     "self-check",
 )
 

@@ -19,7 +19,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-READERS = ("csv", "json", "npz", "mat", "parquet", "config")
+READERS = ("csv", "json", "npz", "mat", "parquet", "jsonl", "h5", "mcap", "bag", "db3", "config")
 _INSTRUMENTED = [
     "bayesfric.recordings",
     "bayesfric.config",
@@ -32,8 +32,11 @@ _INSTRUMENTED = [
     "numpy.lib._npyio_impl",
     "scipy.io.matlab._mio",
     "scipy.io.matlab._miobase",
+    "rosbags",
 ]
-_MOST_BYTES = 16_000
+# The smallest database of SQLite takes more.
+_MOST_BYTES = {"db3": 64_000}
+_MOST_BYTES_ELSE = 16_000
 # Twice what the tests allow: on a busy machine a stall is no finding.
 _SECONDS_A_RUN = 20
 _MEGABYTES = 2048
@@ -128,7 +131,7 @@ def _child(reader: str, folder: Path, seconds: int, seed: int) -> None:
     flags = [
         f"-max_total_time={seconds}",
         f"-seed={seed}",
-        f"-max_len={_MOST_BYTES}",
+        f"-max_len={_MOST_BYTES.get(reader, _MOST_BYTES_ELSE)}",
         f"-timeout={_SECONDS_A_RUN}",
         "-report_slow_units=1000",
         f"-rss_limit_mb={_MEGABYTES}",
@@ -146,15 +149,17 @@ def _table_target(reader: str, folder: Path) -> Callable[[bytes], None]:
     import numpy as np
 
     from bayesfric.recordings import Processing, Recording, Source, observe, read_recordings
+    from tests.hostile import good
 
     path = folder / "input" / f"run.{reader}"
-    by_name = {"time": "t", "position": "q", "torque": "tau"}
+    names = good.NAMES.get(reader, {"t": "t", "q": "q", "tau": "tau"})
+    by_name = dict(zip(("time", "position", "torque"), names.values(), strict=True))
     by_number = {"time": 1, "position": 2, "torque": 3}
     more: list[dict[str, object]] = [{}]
     if reader == "csv":
         more += [{"header": True}, {"header": False}, {"delimiter": ";", "decimal": ","}]
         more += [{"skip_rows": 2}, {"delimiter": "whitespace"}, {"delimiter": "tab"}]
-    elif reader in ("json", "mat"):
+    elif reader in ("json", "jsonl", "mat", "h5"):
         more += [{"table": "log"}, {"table": "a.b"}]
     units = {"time": "s", "position": "rad", "torque": "N m"}
     sources = [

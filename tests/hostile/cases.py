@@ -21,6 +21,11 @@ _KEYS = {
         "\nstart = 0.3",
         '\nvalid = "q"',
     ),
+    "jsonl": ("", "", '\ntable = "a.b"', "\nwhere = { q = 0.0 }"),
+    "h5": ("", "", '\ntable = "log"', '\nwhere = { "more[0]" = 0.0 }'),
+    "mcap": ("", "", '\ntable = "/joint_states"', '\ntable = "/x"'),
+    "bag": ("", "", '\ntable = "/joint_states"'),
+    "parquet": ("", "", "\nwhere = { t = 0.01 }", '\nwhere = { "state[1]" = 0.3 }'),
     "json": ("", "", '\ntable = "a.b"', '\ntable = ""'),
     "mat": ("", "", '\ntable = "log"', '\ntable = "s.a"'),
 }

@@ -2,13 +2,18 @@
 
 import io
 import json
+import tempfile
+from functools import cache
+from pathlib import Path
 
+import h5py
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from scipy.io import savemat
 
 from tests.commands.bench import CONFIG, swing
+from tests.recordings import logs
 
 N = 250
 FORMATS = (
@@ -21,7 +26,20 @@ FORMATS = (
     "mat",
     "deflated.mat",
     "parquet",
+    "lists.parquet",
+    "jsonl",
+    "h5",
+    "7.3.mat",
+    "mcap",
+    "packed.mcap",
+    "bag",
+    "db3",
 )
+# how the columns of the configurations are called where that is not t, q and tau
+NAMES = {
+    form: {"t": "header.stamp", "q": "position[knee]", "tau": "effort[knee]"}
+    for form in ("mcap", "bag", "db3")
+}
 
 # every table and most keys, so that damage meets each reader of the configuration
 LONG_CONFIG = """\
@@ -98,6 +116,25 @@ def columns(n=N):
     return dict(zip(("t", "q", "tau"), swing(n), strict=True))
 
 
+@cache
+def _bag(form, n):
+    """Write a bag of two joints, the second without a motion, and a topic of talk."""
+    t, q, tau = swing(n)
+    zero = np.zeros_like(t)
+    store = logs.ROS1 if form == "bag" else logs.ROS2
+    signals = (np.stack([one, zero], axis=1) for one in (q, zero, tau))
+    messages = logs.joint_states(t, *signals, store=store, joints=("knee", "hip"))
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        if form == "bag":
+            return logs.write_ros1(folder / "run.bag", messages).read_bytes()
+        suffix = form.rpartition(".")[2]
+        plugin = logs.StoragePlugin.SQLITE3 if suffix == "db3" else logs.StoragePlugin.MCAP
+        logs.write_ros2(folder / "run", messages, plugin, packed=form == "packed.mcap")
+        (path,) = (folder / "run").glob(f"*.{suffix}")
+        return path.read_bytes()
+
+
 def content(form, n=N):
     """Bytes of the good recording in one of FORMATS."""
     data = columns(n)
@@ -122,11 +159,30 @@ def content(form, n=N):
             savemat(out, data, do_compression=True)
         case "parquet":
             pq.write_table(pa.table(data), out)
+        case "lists.parquet":
+            both = pa.array(np.stack([data["q"], data["tau"]], axis=1).tolist())
+            pq.write_table(pa.table({**data, "state": both}), out)
+        case "jsonl":
+            lines = (json.dumps(dict(zip(data, row, strict=True))) for row in rows)
+            return "".join(f"{line}\n" for line in lines).encode()
+        case "h5" | "hdf5" | "7.3.mat":
+            with h5py.File(out, "w", userblock_size=512 if form == "7.3.mat" else 0) as file:
+                for name, values in data.items():
+                    file[name] = values
+                file.create_dataset("more", data=np.array(rows), chunks=(50, 3), compression="gzip")
+            if form != "7.3.mat":
+                return out.getvalue()
+            return b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + out.getvalue()[128:]
+        case _:
+            return _bag(form, n)
     return out.getvalue()
 
 
 def config(file, extra=""):
     """The good configuration for a file, with more keys for its recording."""
-    return CONFIG.replace('file = "run.csv"', f'file = "{file}"{extra}').replace(
+    text = CONFIG.replace('file = "run.csv"', f'file = "{file}"{extra}').replace(
         "order = 4", "order = 4\nmin_samples = 20"
     )
+    for name, other in NAMES.get(file.rpartition(".")[2], {}).items():
+        text = text.replace(f'column = "{name}"', f'column = "{other}"')
+    return text

@@ -270,7 +270,9 @@ N = good.N
     cases(
         ("time32", pa.array(range(N), pa.time32("ms")), ["'q'", "time32[ms], not numbers"]),
         ("duration", pa.array(range(N), pa.duration("ns")), ["'q'", "not numbers"]),
-        ("list", pa.array([[1.0]] * N), ["'q'", "list", "not numbers"]),
+        ("list", pa.array([[1.0]] * N), ["'q'", "no vector", "'q[0]'"]),
+        ("ragged", pa.array([[1.0], [1.0, 2.0]] * (N // 2)), ["'q'", "row 1", "list", "'q[0]'"]),
+        ("texts", pa.array([["a"]] * N), ["'q'", "'q[0]'"]),
         ("table", pa.array([{"q": 1.0}] * N), ["'q'", "struct", "not numbers"]),
         ("map", pa.array([[(1, 1.0)]] * N, pa.map_(pa.int8(), pa.float64())), ["'q'", "map"]),
         ("null", pa.nulls(N), ["'q'", "row 1", "is empty"]),
@@ -432,3 +434,12 @@ def test_long_trim_around_an_excluded_span_is_quick(tmp_path):
     text = good.config("run.npz", "\nexclude = [[1.0, 2.0]]")
     (tmp_path / "c.toml").write_text(text.replace("order = 4", "order = 4\ntrim = 15.0"))
     assert broken_rule(tmp_path / "c.toml") is None
+
+
+def test_a_choice_between_a_word_and_true(tmp_path):
+    (tmp_path / "run.csv").write_bytes(good.content("csv"))
+    text = good.config("run.csv").replace("[[rec", 'elements.motor.viscous = "-"\n\n[[rec', 1)
+    (tmp_path / "c.toml").write_text(text)
+    told = []
+    assert broken_rule(tmp_path / "c.toml", "viscous", told=told) is None
+    has(told[0].err, "got '-'", "true or false or 'by-direction'")

@@ -19,12 +19,15 @@ from tests.hostile.worker import warm_up
 SEED = 20261121
 
 
-@pytest.mark.parametrize("form", ["csv", "tsv", "json", "npz", "mat", "parquet"])
+SUFFIXES = ("csv", "tsv", "json", "npz", "mat", "parquet", "jsonl", "h5", "mcap", "bag", "db3")
+
+
+@pytest.mark.parametrize("form", [*SUFFIXES, "7.3.mat", "packed.mcap"])
 def test_good_inputs_are_good(tmp_path, form):
     """What is damaged below was fine before."""
     (tmp_path / f"run.{form}").write_bytes(content(form))
     (tmp_path / "c.toml").write_text(config(f"run.{form}"))
-    assert check(tmp_path / "c.toml").code == 0
+    assert check(tmp_path / "c.toml").code == 0, form
     parse_config(LONG_CONFIG, Path("c.toml"))
 
 
@@ -139,7 +142,7 @@ def test_any_text(text):
 )
 @given(
     data=st.binary(max_size=400),
-    form=st.sampled_from(["csv", "tsv", "json", "npz", "mat", "parquet"]),
+    form=st.sampled_from(SUFFIXES),
 )
 def test_any_bytes(tmp_path, data, form):
     (tmp_path / f"run.{form}").write_bytes(data)

@@ -20,7 +20,8 @@ from tests.commands.bench import CONFIG, has
 from tests.hostile import good
 from tests.hostile.rule import SECONDS, at_most, broken_rule, check
 
-FORMATS = ("csv", "json", "npz", "mat", "parquet")
+FORMATS = ("csv", "json", "jsonl", "npz", "mat", "parquet", "hdf5", "mcap", "bag")
+_READERS = {"mcap": "ros", "bag": "ros"}
 SOURCE = {
     "time": {"column": "t", "unit": "s"},
     "position": {"column": "q", "unit": "rad"},
@@ -57,7 +58,7 @@ def test_named_pipe_is_not_waited_for(folder, form):
 @pytest.mark.parametrize("form", FORMATS)
 @pytest.mark.parametrize("device", ["zero", "full", "null", "urandom"])
 def test_device_is_not_read(folder, form, device):
-    extra = f'\nformat = "{form}"'
+    extra = f'\nformat = "{_READERS.get(form, form)}"'
     refused(folder, f"/dev/{device}", extra=extra, parts=[f"/dev/{device}", "a device"])
 
 
@@ -255,12 +256,12 @@ def test_pickles_are_never_run(folder):
     names = sorted(path.name for path in folder.glob("*.npz"))
     assert len(names) == 4
     for name in names:
-        for extra in ("", *(f'\nformat = "{form}"' for form in FORMATS)):
+        for extra in ("", *(f'\nformat = "{_READERS.get(form, form)}"' for form in FORMATS)):
             refused(folder, name, extra=extra, parts=[name])
             assert not trap.exists()
 
 
-# -- MATLAB 7.3 is HDF5, and is told so without opening it
+# -- HDF5 holds links, and claims sizes that it does not hold; MATLAB 7.3 is HDF5, too
 
 
 def _hdf5(path, make):
@@ -284,12 +285,43 @@ def _hdf5(path, make):
     ids=["plain", "external", "itself", "soft-loop", "hard-loop", "huge", "references"],
 )
 @pytest.mark.parametrize("share", [1.0, 0.5])
-def test_matlab_73(folder, make, share):
-    path = folder / "run.mat"
+@pytest.mark.parametrize("form", ["mat", "h5"])
+def test_hdf5(folder, make, share, form):
+    path = folder / f"run.{form}"
     _hdf5(path, make)
     data = path.read_bytes()
     path.write_bytes(data[: int(share * len(data))])
-    refused(folder, "run.mat", parts=["run.mat", "7.3", "-v7"])
+    refused(folder, path.name, parts=[path.name])
+
+
+@pytest.mark.parametrize("form", ["mat", "h5"])
+@pytest.mark.parametrize("name", ["q", "tau"])
+def test_hdf5_takes_nothing_from_another_file(folder, form, name):
+    """What the link leads to would do."""
+    t, q, tau = good.columns().values()
+    _hdf5(folder / "other.h5", lambda f: f.update({"t": t, "q": q, "tau": tau}))
+    _hdf5(folder / f"run.{form}", lambda f: f.update({"t": t, "q": q, "tau": tau}))
+    assert check(_config(folder, f"run.{form}")).code == 0
+    with h5py.File(folder / f"run.{form}", "r+") as file:
+        del file[name]
+        file[name] = h5py.ExternalLink("other.h5", f"/{name}")
+    refused(folder, f"run.{form}", parts=[f"'{name}'", "does not exist"])
+    with h5py.File(folder / f"run.{form}", "r+") as file:
+        del file[name]
+        layout = h5py.VirtualLayout(shape=(good.N,), dtype="f8")
+        layout[:] = h5py.VirtualSource("other.h5", name, shape=(good.N,))
+        file.create_virtual_dataset(name, layout)
+    refused(folder, f"run.{form}", parts=[f"'{name}'", "another file"])
+    (folder / "raw").write_bytes(q.tobytes())
+    with h5py.File(folder / f"run.{form}", "r+") as file:
+        del file[name]
+        file.create_dataset(name, (good.N,), "f8", external=[(folder / "raw", 0, 8 * good.N)])
+    refused(folder, f"run.{form}", parts=[f"'{name}'", "another file"])
+
+
+def _config(folder, file):
+    (folder / "c.toml").write_text(good.config(file))
+    return folder / "c.toml"
 
 
 def test_hdf5_under_any_name(folder):

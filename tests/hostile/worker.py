@@ -29,7 +29,7 @@ def limit_memory(extra=MEMORY):
 
 def warm_up(folder):
     """Import everything that reading imports, so that only the input's memory counts."""
-    for form in ("csv", "json", "npz", "mat", "parquet"):
+    for form in ("csv", "json", "npz", "mat", "parquet", "h5", "mcap", "bag", "db3"):
         (folder / f"run.{form}").write_bytes(content(form))
         (folder / "c.toml").write_text(config(f"run.{form}"))
         outcome = check(folder / "c.toml", seconds=120)

@@ -168,8 +168,11 @@ def test_saturation_and_quantisation_warn(tmp_path):
     step = 2 * np.pi / 64
     save(tmp_path, t, np.round(q / step) * step, np.clip(tau, -0.2, 0.2))
     warnings = " ".join(read(tmp_path, from_npz())[0].warnings)
-    assert "torque: stays at 0.2 (raw), its maximum" in warnings
-    assert "torque: stays at -0.2 (raw), its minimum" in warnings
+    assert "torque: stays at ±0.2 (raw), its maximum and minimum" in warnings
     assert "step of 0.0982 rad" in warnings
+    save(tmp_path, t, q, np.clip(tau, -0.1, 0.2))
+    warnings = " ".join(read(tmp_path, from_npz())[0].warnings)
+    assert "torque: stays at 0.2 (raw), its maximum" in warnings
+    assert "torque: stays at -0.1 (raw), its minimum" in warnings
     save(tmp_path, t, q, tau)
     assert not read(tmp_path, from_npz())[0].warnings

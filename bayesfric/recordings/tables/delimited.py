@@ -49,6 +49,7 @@ def read_delimited(path: Path, options: TableOptions) -> Table:
         header_line=None if layout.header_line is None else layout.header_line + 1,
         decimal=options.decimal,
         notes=layout.notes,
+        units=layout.units,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,14 +24,9 @@ def read_json(path: Path, options: TableOptions) -> Table:
     Promised to hostile input: a key written twice, a row without a key and a file nested too
     deep are refused and named; pandas takes the last, fills up, or fails.
     """
+    text = decode(path)
     try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise BadInput(
-            f"{path}, byte {error.start}", "is not UTF-8 text", "save it as UTF-8"
-        ) from error
-    try:
-        data = json.loads(text, object_pairs_hook=_Doubled)
+        data = json.loads(text, object_pairs_hook=Doubled)
     except json.JSONDecodeError as error:
         raise BadInput(
             f"{path}, line {error.lineno}",
@@ -42,10 +38,20 @@ def read_json(path: Path, options: TableOptions) -> Table:
             str(path), f"is not readable JSON ({type(error).__name__})", "export it again"
         ) from error
     found, where = _find(path, data, options.table)
-    return (_from_rows if isinstance(found, list) else _from_columns)(path, found, where)
+    return (from_rows if isinstance(found, list) else _from_columns)(path, found, where)
 
 
-class _Doubled(dict[str, Any]):
+def decode(path: Path) -> str:
+    """Return a file's text, which must be UTF-8."""
+    try:
+        return path.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise BadInput(
+            f"{path}, byte {error.start}", "is not UTF-8 text", "save it as UTF-8"
+        ) from error
+
+
+class Doubled(dict[str, Any]):
     """An object that remembers its keys as written, doubles included."""
 
     def __init__(self, pairs: list[tuple[str, Any]]) -> None:
@@ -98,32 +104,37 @@ def _objects(values: list[Any]) -> NDArray[Any]:
     return np.fromiter(values, dtype=object, count=len(values))
 
 
-def _from_rows(path: Path, rows: list[Any], where: str) -> Table:
+def from_rows(path: Path, rows: list[Any], where: str, lines: Sequence[int] | None = None) -> Table:
+    """Make a table of objects, one a row; ``lines`` are those of the file that they stand in."""
     if not rows:
         raise BadInput(f"{path}, {where}", "holds no rows", "check the recorder's export")
     names: dict[str, None] = {}
+
+    def place(index: int) -> str:
+        return f"row {index + 1}" + ("" if lines is None else f" (line {lines[index]})")
+
     for index, row in enumerate(rows):
-        if not isinstance(row, _Doubled):
+        if not isinstance(row, Doubled):
             raise BadInput(
-                f"{path}, {where}, row {index + 1}", "is no object", "give a list of objects"
+                f"{path}, {where}, {place(index)}", "is no object", "give an object a row"
             )
-        check_names(str(path), row.keys_written, f"{where}, row {index + 1}")
+        check_names(str(path), row.keys_written, f"{where}, {place(index)}")
         names.update(dict.fromkeys(row))
 
     def cells(name: str) -> NDArray[Any]:
         for index, row in enumerate(rows):
             if name not in row:
                 raise BadInput(
-                    f"{path}, column '{name}', row {index + 1}",
+                    f"{path}, column '{name}', {place(index)}",
                     "is missing",
                     "correct the row, or cut it out of the file",
                 )
         return _objects([row[name] for row in rows])
 
-    return Table(str(path), list(names), lambda i: cells(list(names)[i]))
+    return Table(str(path), list(names), lambda i: cells(list(names)[i]), lines=lines, by_rows=True)
 
 
-def _from_columns(path: Path, columns: _Doubled, where: str) -> Table:
+def _from_columns(path: Path, columns: Doubled, where: str) -> Table:
     check_names(str(path), columns.keys_written, where)
     values = list(columns.values())
 

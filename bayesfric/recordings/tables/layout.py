@@ -35,6 +35,7 @@ class Layout:
     header_line: int | None  # index from 0 of the header's line
     first: int  # index from 0 of the first row's line
     notes: tuple[str, ...]  # one sentence for every choice made
+    units: tuple[str, ...] = ()  # a row of units below the header, where there is one
 
 
 class _Row(NamedTuple):
@@ -103,7 +104,9 @@ def find_layout(path: Path, head: Sequence[str], options: TableOptions) -> Layou
     if header is not None:
         line, names, _ = rows[header]
         names[0] = names[0].lstrip("#").strip()
-    return Layout(delimiter, width, tuple(names), line, rows[first].line, tuple(notes))
+    row = rows[header + 1].cells if header is not None and first - header == 2 else []
+    given = tuple(cell.strip("[]()") for cell in row)
+    return Layout(delimiter, width, tuple(names), line, rows[first].line, tuple(notes), given)
 
 
 def _find_header(path: Path, rows: Sequence[_Row], width: int) -> tuple[int | None, int, list[str]]:

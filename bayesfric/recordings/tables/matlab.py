@@ -15,18 +15,21 @@ from typing import Any
 import numpy as np
 
 from bayesfric.errors import BadInput
+from bayesfric.recordings.tables.hdf5 import read_matlab_73
 from bayesfric.recordings.tables.reader import Reader, TableOptions
 from bayesfric.recordings.tables.table import Table
 
 # All variables are unpacked, whichever are used.
 _LARGEST = 2**29
 _HEADER = 128
+_HDF5_AT = 512
 _MATRIX, _COMPRESSED = 14, 15
 _INT8, _INT32, _UINT32 = 1, 5, 6
 _WIDTHS = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8}
 _TEXT = {*_WIDTHS, 16, 17, 18}
 _CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE = 1, 2, 3, 4, 5
 _NUMERIC = range(6, 16)
+_FUNCTION, _OPAQUE = 16, 17
 _COMPLEX_FLAG = 0x0800
 _DEEPEST = 20
 # Cells and fields of structs; each takes scipy a thousand times its room in the file.
@@ -35,20 +38,22 @@ _MOST_DIMENSIONS = 32
 
 
 def read_matlab(path: Path, options: TableOptions) -> Table:
-    """Read a file of version 5 to 7, one column a vector of any orientation.
+    """Read a file of version 5 to 7, one column a vector of any orientation; 7.3 is HDF5.
+
+    Objects and functions beside the columns, which only MATLAB can read, are left out and told.
 
     Promised to hostile input: its structure is walked before scipy sees it, and no more than
     512 MiB are unpacked.
     """
     with path.open("rb") as file:
-        start = file.read(128)
-    if start.startswith(b"MATLAB 7.3") or b"\x89HDF" in start:
-        raise BadInput(str(path), "is a MATLAB 7.3 file", "save it with save(..., '-v7')")
+        start = file.read(_HDF5_AT + 4)
+    if start.startswith(b"MATLAB 7.3") or b"\x89HDF" in (start[:4], start[_HDF5_AT:]):
+        return read_matlab_73(path, options)
     from scipy.io import loadmat
 
     try:
-        _check_structure(path.read_bytes(), _LARGEST)
-        content = loadmat(path, squeeze_me=True, struct_as_record=False)
+        plain, objects = _check_structure(path.read_bytes(), _LARGEST)
+        content = loadmat(path, squeeze_me=True, struct_as_record=False, variable_names=plain)
     except Exception as error:  # scipy raises struct.error, zlib.error, TypeError ... when damaged
         raise BadInput(
             str(path),
@@ -59,13 +64,15 @@ def read_matlab(path: Path, options: TableOptions) -> Table:
     if options.table is not None:
         variables = _struct(path, variables, options.table)
     if not variables:
-        raise BadInput(str(path), "holds no variables", "check the export")
+        what = "holds only objects and functions" if objects else "holds no variables"
+        raise BadInput(str(path), what, "save the columns as plain arrays")
     values = list(variables.values())
 
     def load(index: int) -> np.ndarray[Any, Any]:
         return np.asarray(values[index])
 
-    return Table(str(path), list(variables), load, names_at="variables")
+    notes = [f"objects left out, which only MATLAB reads: {', '.join(objects)}"] if objects else []
+    return Table(str(path), list(variables), load, names_at="variables", notes=tuple(notes))
 
 
 def _struct(path: Path, variables: dict[str, Any], table: str) -> dict[str, Any]:
@@ -80,8 +87,10 @@ def _struct(path: Path, variables: dict[str, Any], table: str) -> dict[str, Any]
     return variables
 
 
-def _check_structure(data: bytes, largest: int) -> None:
+def _check_structure(data: bytes, largest: int) -> tuple[list[str], list[str]]:
     """Walk all elements of a MATLAB 5 to 7 file, and raise an error where one is damaged.
+
+    Gives the names of its plain variables, and of its objects and functions.
 
     That is one of unknown type, that does not fit in what surrounds it, or claims more than it
     holds. All compressed variables together may unpack to ``largest`` bytes.
@@ -93,6 +102,7 @@ def _check_structure(data: bytes, largest: int) -> None:
         raise ValueError("no byte order mark")
     place = _HEADER
     arrays = _Budget(_MOST_ARRAYS)
+    plain, objects = list[str](), list[str]()
     while place < len(data):
         if place + 8 > len(data):
             raise ValueError("cut off in a variable's tag")
@@ -112,8 +122,13 @@ def _check_structure(data: bytes, largest: int) -> None:
                 raise ValueError("a compressed variable has another size than stated")
         if kind != _MATRIX:
             raise ValueError(f"unknown element type {kind}")
-        _Matrix(body, order, 0, arrays).check()
+        variable = _Matrix(body, order, 0, arrays)
+        variable.check()
+        # that without a name is what objects and functions need
+        if variable.name:
+            (plain if variable.is_plain else objects).append(variable.name)
         place += 8 + struct.unpack(order + "I", data[place + 4 : place + 8])[0]
+    return plain, objects
 
 
 class _Budget:
@@ -134,6 +149,7 @@ class _Matrix:
     def __init__(self, body: bytes, order: str, depth: int, arrays: _Budget) -> None:
         self.body, self.order, self.depth, self.arrays = body, order, depth, arrays
         self.place = 0
+        self.name, self.is_plain = "", True
 
     def check(self) -> None:
         if not self.body:
@@ -144,10 +160,15 @@ class _Matrix:
         if len(flags) != 8:
             raise ValueError("damaged array flags")
         word = struct.unpack(self.order + "II", flags)[0]
+        self.is_plain = word & 0xFF not in (_FUNCTION, _OPAQUE)
+        if word & 0xFF == _OPAQUE:  # an object of MATLAB's newer classes has no dimensions
+            self.name, *_ = (self._element({_INT8}).decode("latin-1") for _ in range(3))
+            self._matrices(1)
+            return
         shape = self._integers()
         if not 2 <= len(shape) <= _MOST_DIMENSIONS or any(n < 0 for n in shape):
             raise ValueError("damaged dimensions")
-        self._element({_INT8})
+        self.name = self._element({_INT8}).decode("latin-1")
         self._content(word & 0xFF, bool(word & _COMPLEX_FLAG), math.prod(shape))
 
     def _content(self, kind: int, is_complex: bool, count: int) -> None:
@@ -160,6 +181,8 @@ class _Matrix:
                 raise ValueError("a text does not fit its dimensions")
         elif kind == _CELL:
             self._matrices(count)
+        elif kind == _FUNCTION:
+            self._matrices(1)
         elif kind in (_STRUCT, _OBJECT):
             if kind == _OBJECT:
                 self._element({_INT8})

@@ -48,8 +48,11 @@ def read_parquet(path: Path, _: TableOptions) -> Table:
 
     def load(index: int) -> NDArray[Any]:
         kind = types[index]
+        lists = pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind)
+        lists = lists or pa.types.is_large_list(kind)
         is_any = (pa.types.is_nested, pa.types.is_temporal, pa.types.is_binary)
-        if any(is_kind(kind) for is_kind in is_any):
+        plain = kind.value_type if lists else kind
+        if any(is_kind(plain) for is_kind in is_any):
             raise BadInput(
                 f"{path}, column '{names[index]}'",
                 f"holds {str(kind)[:60]}, not numbers",
@@ -59,6 +62,8 @@ def read_parquet(path: Path, _: TableOptions) -> Table:
             with pq.ParquetFile(path) as file:
                 # by name: a name with a dot also selects a field inside a table
                 column = file.read(columns=[names[index]]).column(names[index])
+            if lists:
+                return _matrix(column)
             if column.null_count:
                 return np.array(column.to_pylist(), dtype=object)
             if pa.types.is_decimal(column.type):
@@ -67,7 +72,18 @@ def read_parquet(path: Path, _: TableOptions) -> Table:
         except (pa.ArrowException, OSError, ValueError, KeyError) as error:
             raise damaged(error) from error
 
-    return Table(str(path), names, load, names_at="schema")
+    return Table(str(path), names, load, names_at="schema", by_rows=True)
+
+
+def _matrix(column: Any) -> NDArray[Any]:
+    """Take lists of one length as an array (n, k); others as they are, to be named."""
+    import pyarrow.compute as pc
+
+    lengths = pc.unique(pc.list_value_length(column)).to_pylist()
+    flat = pc.list_flatten(column)
+    if len(lengths) != 1 or not lengths[0] or flat.null_count:
+        return np.fromiter(column.to_pylist(), dtype=object, count=len(column))
+    return np.asarray(flat.to_numpy()).reshape(-1, lengths[0])
 
 
 READER = Reader("parquet", (".parquet",), read_parquet)

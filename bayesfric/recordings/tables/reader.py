@@ -50,7 +50,14 @@ class TableOptions(Options):
     decimal: Literal[".", ","] = Field(".", description="Text: decimal mark.")
     skip_rows: int = Field(0, ge=0, description="Text: lines to skip at the beginning of the file.")
     table: str | None = Field(
-        None, description="Nested files: dotted path of keys (or structs) to the rows or columns."
+        None,
+        description="Nested files: dotted path of keys (or structs) to the rows or columns, "
+        "HDF5's path of groups, or the topic of a ROS bag.",
+    )
+    where: dict[str, bool | int | float | str] = Field(
+        default_factory=dict,
+        description="Use only the rows in which columns equal values, such as one episode of "
+        "many: { episode_index = 3 }.",
     )
 
     @field_validator("format")
@@ -80,13 +87,15 @@ class TableOptions(Options):
 class Reader:
     """A format of files: its name, its suffixes, and what reads it.
 
-    ``whole`` tells that a file is read at once, which takes several times its size in memory.
+    ``whole`` tells that a file is read at once, which takes several times its size in memory;
+    ``mark`` is the file that a folder holds which is read as one.
     """
 
     name: str
     suffixes: tuple[str, ...]
     read: Callable[[Path, TableOptions], Table]
     whole: bool = False
+    mark: str | None = None
 
 
 @cache
@@ -106,9 +115,11 @@ def read_table(path: Path, options: TableOptions) -> Table:
     """
     known = readers()
     by_suffix = {suffix: one for one in known.values() for suffix in one.suffixes}
-    reader = known[options.format] if options.format else by_suffix.get(path.suffix.lower())
     try:
-        size = _size(path)
+        by_folder = next((one for one in known.values() if _is_folder_of(one, path)), None)
+        given = known[options.format] if options.format else None
+        reader = given or by_folder or by_suffix.get(path.suffix.lower())
+        size = 0 if reader is not None and _is_folder_of(reader, path) else _size(path)
         if reader is None:
             raise BadInput(
                 str(path),
@@ -122,18 +133,36 @@ def read_table(path: Path, options: TableOptions) -> Table:
                 "split it, or save its columns as "
                 + " or ".join(name for name, one in known.items() if not one.whole),
             )
-        return reader.read(path, options)
+        return reader.read(path, options).only(options.where)
     except OSError as error:
         raise _unreadable(path, error) from error
 
 
+def is_recording(path: Path) -> bool:
+    """Whether something is a file, or a folder that is read as one."""
+    return path.is_file() or any(_is_folder_of(one, path) for one in readers().values())
+
+
 def sha256(path: Path) -> str:
-    """Return a file's SHA-256 in hexadecimal, or raise ``BadInput`` if it cannot be read."""
+    """Return a file's SHA-256 in hexadecimal, or raise ``BadInput`` if it cannot be read.
+
+    That of a folder is of the names and SHA-256 of its files, sorted by name.
+    """
     try:
+        if path.is_dir():
+            digest = hashlib.sha256()
+            for one in sorted(path.iterdir(), key=lambda one: one.name):
+                if one.is_file():
+                    digest.update(f"{one.name}\0{sha256(one)}\n".encode())
+            return digest.hexdigest()
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise _unreadable(path, error) from error
+
+
+def _is_folder_of(reader: Reader, path: Path) -> bool:
+    return reader.mark is not None and path.is_dir() and (path / reader.mark).is_file()
 
 
 def _size(path: Path) -> int:
@@ -145,7 +174,12 @@ def _size(path: Path) -> int:
                 str(path), f"is {word}, no file", "save what it gives to a file, and name that"
             )
     if path.is_dir():
-        raise BadInput(str(path), "is a directory", "give a file, or a pattern such as '*.csv'")
+        marks = ", ".join(one.mark for one in readers().values() if one.mark)
+        raise BadInput(
+            str(path),
+            f"is a directory without {marks}",
+            "give a file, a pattern such as '*.csv', or the folder of a ROS 2 bag",
+        )
     with path.open("rb") as file:
         if not file.read(1):
             raise BadInput(str(path), "is empty", "check whether the recorder wrote anything")

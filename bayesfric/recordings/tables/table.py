@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,9 @@ _MOST_NAMES = 20
 _MOST_COLUMNS = 10_000
 _LONGEST_NAME = 60
 _PLAIN = (bool, int, float, np.integer, np.floating, np.bool_)
+_ONE_OF_SEVERAL = re.compile(r"(.+)\[(\d{1,9})\]", re.DOTALL)
+# What a column of several values a sample is named with.
+_INDEX = "with an index from 0 in brackets"
 
 
 def is_number(text: str, decimal: str = ".") -> bool:
@@ -40,7 +44,8 @@ class Table:
     """Columns of one file, or in memory.
 
     ``load`` gives the raw cells of a column by its index from 0: a numeric array (n,), or an
-    object array (n,) if some cell is no number.
+    object array (n,) if some cell is no number. A column may hold k values a sample: an object
+    array (n,) of lists, or an array (n, k) or (k, n), of which ``"name[3]"`` is the fourth signal.
     """
 
     where: str  # the file, or what stands for it in messages
@@ -51,13 +56,20 @@ class Table:
     header_line: int | None = None
     decimal: str = "."  # mark of cells that are text
     notes: tuple[str, ...] = ()  # one sentence for every choice made in reading
-    _columns: dict[int, NDArray[np.float64]] = field(default_factory=dict, init=False)
+    units: Sequence[str] = ()  # one a column as it is written in the file, empty for none
+    by_rows: bool = False  # whether the first axis of an array is that of the samples in any case
+    samples: int | None = None  # how many there are, where that is known
+    kept: NDArray[np.intp] | None = None  # rows that are used, all where None
+    _columns: dict[tuple[int, int | None], NDArray[np.float64]] = field(
+        default_factory=dict, init=False
+    )
 
     def __post_init__(self) -> None:
         check_names(self.where, self.names, self.names_at)
 
     def row(self, index: int) -> str:
         """Name a row, given from 0, the way a user counts: ``"row 17 (line 31)"``."""
+        index = index if self.kept is None else int(self.kept[index])
         line = "" if self.lines is None else f" (line {self.lines[index]})"
         return f"row {index + 1}{line}"
 
@@ -73,15 +85,118 @@ class Table:
         """
         place = self.place(key)
         if place not in self._columns:
-            self._columns[place] = self._checked(self.load(place), key)
+            self._columns[place] = self._checked(self._cells(key), key)
         return self._columns[place]
+
+    def sampled_as(self, key: str | int) -> Table:
+        """Tell by a column of one value a sample how many samples there are."""
+        if self.by_rows or self.samples is not None:
+            return self
+        with suppress(BadInput):  # what cannot be read is refused where it is used
+            place, index = self.place(key)
+            if index is None and (cells := self.load(place)).ndim == 1:
+                return replace(self, samples=cells.size)
+        return self
+
+    def only(self, conditions: Mapping[str, bool | int | float | str]) -> Table:
+        """Keep the rows in which columns equal values; bad input where there are none."""
+        table = self
+        for name, value in conditions.items():
+            key = int(name) if name.isdecimal() and name not in self.names else name
+            cells: NDArray[Any] = table._cells(key)
+            if isinstance(value, str):
+                cells = np.array([str(cell).strip() for cell in cells], dtype=object)
+            else:
+                cells = table._checked(cells, key)
+            found = np.flatnonzero(cells == value)
+            if not found.size:
+                there = list(dict.fromkeys(cells.tolist()))
+                shown = [
+                    repr(v) if isinstance(v, str) else f"{v:.10g}" for v in there[:_MOST_NAMES]
+                ]
+                more = f" and {len(there) - _MOST_NAMES} more" if len(there) > _MOST_NAMES else ""
+                raise BadInput(
+                    f"{table.label(key)}, where",
+                    f"is {_shown(value)} in no row",
+                    f"it has {', '.join(text[:_LONGEST_NAME] for text in shown)}{more}",
+                )
+            if table.kept is None:
+                table = replace(table, kept=found, samples=len(cells))
+            else:
+                table = replace(table, kept=table.kept[found])
+        return table
+
+    def _cells(self, key: str | int) -> NDArray[Any]:
+        """Take the raw cells of the rows used: (n,), unless it is no column of one value."""
+        place, index = self.place(key)
+        cells = self.load(place)
+        if index is not None:
+            cells = self._signal(cells, index, key)
+        if self.kept is None or cells.ndim != 1:
+            return cells
+        if len(cells) != self.samples:
+            raise BadInput(
+                self.label(key),
+                f"has {len(cells)} values, the column in where has {self.samples}",
+                "give columns of one length",
+            )
+        return cells[self.kept]
+
+    def _signal(self, cells: NDArray[Any], index: int, key: str | int) -> NDArray[Any]:
+        """Take one of several signals out of a column that holds them all."""
+        if cells.ndim == 1 and cells.dtype == object and cells.size:
+            cells = self._matrix(cells, key)
+        if cells.ndim != 2:
+            what = "one value a sample" if cells.ndim == 1 else f"{cells.ndim} axes"
+            raise BadInput(self.label(key), f"holds {what}", "leave the index in brackets out")
+        if not self.by_rows and self._samples_last(cells.shape, key):
+            cells = cells.T
+        count = cells.shape[1]
+        if index >= count:
+            raise BadInput(
+                self.label(key),
+                f"holds {count} values a sample",
+                f"give an index from 0 to {count - 1}" if count else "choose another column",
+            )
+        return cells[:, index]
+
+    def _samples_last(self, shape: tuple[int, ...], key: str | int) -> bool:
+        """Tell which axis of a matrix is that of the samples: as many as are known, the longer."""
+        fits = [n == self.samples for n in shape]
+        if fits[0] != fits[1]:
+            return fits[1]
+        if self.samples is not None or shape[0] == shape[1]:
+            known = f", {self.samples} samples" if self.samples is not None else ""
+            raise BadInput(
+                self.label(key),
+                f"is {shape[0]} x {shape[1]}{known}: which axis is time cannot be told",
+                "save every signal as a vector of its own",
+            )
+        return shape[1] > shape[0]
+
+    def _matrix(self, cells: NDArray[Any], key: str | int) -> NDArray[Any]:
+        """Put lists of one length under each other; other cells are refused with their row."""
+        width = None
+        for i, cell in enumerate(cells):
+            if not isinstance(cell, list | tuple | np.ndarray):
+                mend = "leave the index in brackets out" if i == 0 else "correct the cell"
+                raise self._bad_cell(key, i, f"holds {_shown(cell)}, not a list", mend, raw=True)
+            width = len(cell) if width is None else width
+            if len(cell) != width:
+                what = f"holds a list of {len(cell)}, the first has {width}"
+                raise self._bad_cell(key, i, what, "correct the lists", raw=True)
+        out = np.empty((len(cells), width or 0), dtype=object)
+        for i, cell in enumerate(cells):
+            out[i, :] = [_item(value) for value in cell]
+        return out
 
     def _checked(self, cells: NDArray[Any], key: str | int) -> NDArray[np.float64]:
         if cells.ndim != 1:
             shape = " x ".join(str(n) for n in cells.shape) or "one value"
-            raise BadInput(
-                self.label(key), f"is no vector but {shape}", "give a vector of one value a sample"
-            )
+            mend = "give a vector of one value a sample"
+            if cells.ndim == 2:
+                mend = f"name one of its signals {_INDEX}, such as '{self._first_of(key)}'"
+            raise BadInput(self.label(key), f"is no vector but {shape}", mend)
         if cells.dtype.kind in "biuf":
             with np.errstate(all="ignore"):  # a long double may become infinite
                 values = cells.astype(np.float64, copy=False)
@@ -107,23 +222,38 @@ class Table:
                 return float(cell)
         except OverflowError:
             pass
-        comma = isinstance(cell, str) and _DECIMAL_COMMA.fullmatch(cell)
-        raise self._bad_cell(key, index, f"holds {_shown(cell)}, not a number", bool(comma))
-
-    def _bad_cell(self, key: str | int, index: int, what: str, comma: bool = False) -> BadInput:
-        mend = "correct the cell, or cut the row out of the file"
-        if comma and self.decimal == ".":
+        mend = ""
+        if isinstance(cell, list | tuple | np.ndarray):
+            mend = f"name one of its values {_INDEX}, such as '{self._first_of(key)}'"
+        elif self.decimal == "." and isinstance(cell, str) and _DECIMAL_COMMA.fullmatch(cell):
             mend = 'set decimal = "," if the comma is the decimal mark'
-        return BadInput(f"{self.label(key)}, {self.row(index)}", what, mend)
+        raise self._bad_cell(key, index, f"holds {_shown(cell)}, not a number", mend)
 
-    def place(self, key: str | int) -> int:
-        """Give the place of a column among the others, from 0."""
+    def _bad_cell(
+        self, key: str | int, index: int, what: str, mend: str = "", raw: bool = False
+    ) -> BadInput:
+        """``raw`` tells that rows which are not used are counted, too."""
+        row = replace(self, kept=None).row(index) if raw else self.row(index)
+        mend = mend or "correct the cell, or cut the row out of the file"
+        return BadInput(f"{self.label(key)}, {row}", what, mend)
+
+    def _first_of(self, key: str | int) -> str:
+        return f"{key if isinstance(key, str) else self.names[key - 1] or key}[0]"
+
+    def place(self, key: str | int) -> tuple[int, int | None]:
+        """Give the place of a column among the others, and of a signal in it, from 0.
+
+        A column that is named so goes before one of several signals.
+        """
         if isinstance(key, str) and key and key in self.names:
-            return list(self.names).index(key)
+            return list(self.names).index(key), None
+        part = _ONE_OF_SEVERAL.fullmatch(key) if isinstance(key, str) else None
+        if part and part[1] in self.names:
+            return list(self.names).index(part[1]), int(part[2])
         count, named = len(self.names), [name for name in self.names if name]
         if isinstance(key, int):
             if 1 <= key <= count:
-                return key - 1
+                return key - 1, None
             what = f"does not exist, the file has {count} columns"
         elif not named:
             what = "does not exist, the columns have no names"
@@ -133,6 +263,11 @@ class Table:
                 self.label(key), f"does not exist{line}", f"{_nearest(key, named)}{_listed(named)}"
             )
         raise BadInput(self.label(key), what, f"give a number from 1 to {count}")
+
+
+def _item(value: Any) -> Any:
+    """Give a cell of an array as Python's own."""
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def column_cells(series: Any) -> NDArray[Any]:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from bayesfric.estimates.delay import Delay
+from bayesfric.estimates.disturbances import Disturbance
 from bayesfric.estimates.information import CORRELATED
 from bayesfric.estimates.once_a_turn import OnceATurn
 from bayesfric.estimates.point_estimate import Estimate
@@ -95,13 +96,35 @@ def doubts_before(
     observations: Sequence[Observation],
     delays: Sequence[Delay] = (),
     turn: OnceATurn | None = None,
+    pushed: Sequence[Disturbance] = (),
 ) -> list[dict[str, Any]]:
     """Look for what makes any fit doubtful, before there is one, as :func:`find_doubts` does.
 
     ``totals`` are of :func:`bayesfric.estimates.least_squares.least_squares`; no ``parameters`` are
     named: all are doubtful.
     """
-    return [*_feedback(observations), *_negative(totals), *_late(delays), *_turning(turn)]
+    found = [*_feedback(observations), *_negative(totals), *_late(delays), *_turning(turn)]
+    return [*found, *_pushed(pushed)]
+
+
+def _pushed(pushed: Sequence[Disturbance]) -> Iterator[dict[str, Any]]:
+    """Name spans in which something else acted, recording by recording."""
+    for name in dict.fromkeys(one.recording for one in pushed):
+        spans = [one for one in pushed if one.recording == name]
+        yield {
+            "kind": "pushed",
+            "recording": name,
+            "exclude": [[_down(one.start), _up(one.stop)] for one in spans],
+            "times": max(one.times for one in spans),
+        }
+
+
+def _down(seconds: float) -> float:
+    return float(np.floor(10.0 * seconds) / 10.0)
+
+
+def _up(seconds: float) -> float:
+    return float(np.ceil(10.0 * seconds) / 10.0)
 
 
 def _late(delays: Sequence[Delay]) -> Iterator[dict[str, Any]]:

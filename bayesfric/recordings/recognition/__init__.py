@@ -1,0 +1,1 @@
+"""Recognising what the columns of a log are, by their names and by their values."""

@@ -1,0 +1,144 @@
+"""Reading HDF5, and MATLAB 7.3 files, which are HDF5 of MATLAB's own making."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.errors import BadInput
+from bayesfric.recordings.tables.npz import LARGEST_COLUMN
+from bayesfric.recordings.tables.reader import Reader, TableOptions
+from bayesfric.recordings.tables.table import Table
+
+# Groups inside groups, and links of a file.
+_DEEPEST = 20
+_MOST_LINKS = 20_000
+# MATLAB's text and cells: numbers to HDF5, and no columns.
+_NO_NUMBERS = ("char", "cell", "function_handle")
+
+
+class _Column(NamedTuple):
+    """A dataset, or one field of the rows that it holds."""
+
+    path: str
+    field: str | None
+
+
+def read_hdf5(path: Path, options: TableOptions) -> Table:
+    """Read a file, one column a dataset, named by its path below the group that is the table.
+
+    ``options.table`` is the path of that group; if left out the only group that holds datasets,
+    else all of the file. A dataset of rows with named fields is a group of such columns.
+
+    Promised to hostile input: nothing is unpacked before its size is known (256 MiB a column), and
+    no link to another file is followed.
+    """
+    return _read(path, "" if options.table is None else options.table, matlab=False)
+
+
+def read_matlab_73(path: Path, options: TableOptions) -> Table:
+    """Read a MATLAB 7.3 file as those before; ``options.table`` is a dotted path of structs."""
+    table = "" if options.table is None else options.table.replace(".", "/")
+    return _read(path, table, matlab=True)
+
+
+def _read(path: Path, table: str, matlab: bool) -> Table:
+    # h5py takes long to import, which only reading HDF5 should cost
+    import h5py
+
+    def damaged(error: Exception) -> BadInput:
+        kind = "MATLAB 7.3" if matlab else "HDF5"
+        return BadInput(
+            str(path),
+            f"is not a readable {kind} file ({type(error).__name__}: {error})",
+            "export it again; the file may be cut off",
+        )
+
+    try:
+        with h5py.File(path, "r") as file:
+            found = list(_columns(file, "", [_MOST_LINKS]))
+    except (FileNotFoundError, PermissionError):
+        raise
+    except Exception as error:  # h5py raises RuntimeError, KeyError, UnicodeError ... when damaged
+        raise damaged(error) from error
+    if not found:
+        raise BadInput(str(path), "holds no datasets of numbers", "check the export")
+    columns, names = _inside(path, found, table.strip("/"))
+
+    def load(index: int) -> NDArray[Any]:
+        try:
+            with h5py.File(path, "r") as file:
+                return _values(file, columns[index], f"{path}, column '{names[index]}'", matlab)
+        except BadInput:
+            raise
+        except Exception as error:
+            raise damaged(error) from error
+
+    return Table(str(path), names, load, names_at="datasets")
+
+
+def _columns(group: Any, prefix: str, left: list[int], depth: int = 0) -> list[_Column]:
+    """List datasets and their fields below a group, without following links to elsewhere."""
+    import h5py
+
+    found: list[_Column] = []
+    for name in group:
+        left[0] -= 1
+        if left[0] < 0 or depth > _DEEPEST:
+            raise ValueError(f"more than {_MOST_LINKS} links, or deeper than {_DEEPEST} groups")
+        # what MATLAB keeps for itself, and other names of what is listed, or is in another file
+        if name.startswith("#") or group.get(name, getlink=True).__class__ is not h5py.HardLink:
+            continue
+        item, path = group[name], f"{prefix}{name}"
+        if isinstance(item, h5py.Group):
+            found += _columns(item, f"{path}/", left, depth + 1)
+        elif isinstance(item, h5py.Dataset):
+            found += [_Column(path, field) for field in item.dtype.names or (None,)]
+    return found
+
+
+def _inside(path: Path, found: list[_Column], table: str) -> tuple[list[_Column], list[str]]:
+    """Choose the columns of a group, and name them by their paths below it."""
+    paths = [one.path if one.field is None else f"{one.path}/{one.field}" for one in found]
+    groups = list(dict.fromkeys(name.rpartition("/")[0] for name in paths))
+    if not table and len(groups) == 1:
+        table = groups[0]
+    prefix = f"{table}/" if table else ""
+    chosen = [k for k, name in enumerate(paths) if name.startswith(prefix)]
+    if not chosen:
+        known = ", ".join(f"'{name}'" for name in groups[:20] if name)
+        raise BadInput(
+            f"{path}, table '{table}'",
+            "there is no such group with datasets",
+            f"it has {known}" if known else "leave table out",
+        )
+    return [found[k] for k in chosen], [paths[k].removeprefix(prefix) for k in chosen]
+
+
+def _values(file: Any, column: _Column, where: str, matlab: bool) -> NDArray[Any]:
+    dataset = file[column.path]
+    kind = dataset.dtype if column.field is None else dataset.dtype[column.field]
+    if dataset.external is not None or dataset.is_virtual:
+        raise BadInput(where, "lies in another file", "save its values in this one")
+    words = dataset.attrs.get("MATLAB_class", b"")
+    if words in [word.encode() for word in _NO_NUMBERS] or kind.base.kind not in "biuf":
+        name = words.decode() if isinstance(words, bytes) and words else kind.base.name
+        raise BadInput(where, f"holds {name[:60]}, not numbers", "export it as numbers")
+    size = int(dataset.size or 0) * dataset.dtype.itemsize
+    if size > LARGEST_COLUMN:
+        raise BadInput(
+            where,
+            f"would unpack to {size / 2**20:.0f} MiB, more than {LARGEST_COLUMN / 2**20:.0f} MiB",
+            "split the recording",
+        )
+    if dataset.shape is None or dataset.attrs.get("MATLAB_empty", 0):
+        return np.empty(0)
+    values = np.asarray(dataset[()] if column.field is None else dataset[column.field])
+    # MATLAB stores arrays transposed, and knows no vectors
+    return np.squeeze(values.T if matlab else values)
+
+
+READER = Reader("hdf5", (".h5", ".hdf5"), read_hdf5)

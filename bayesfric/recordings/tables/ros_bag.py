@@ -1,0 +1,229 @@
+"""Reading ROS 1 bags, ROS 2 bags and MCAP files, by the optional package rosbags."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.errors import BadInput
+from bayesfric.recordings.tables.bag_chunks import check_chunks
+from bayesfric.recordings.tables.reader import Reader, TableOptions
+from bayesfric.recordings.tables.table import Table
+
+# An hour at 1 kHz; each message takes a kilobyte or two.
+_MOST_MESSAGES = 2**22
+# Messages inside a message that are looked into.
+_MOST_PARTS = 200
+_DEEPEST = 20
+_TIME, _DURATION = "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"
+# Where a message lists the joints that its other lists are about.
+_JOINTS = ("name", "joint_names")
+# Units that a message's definition settles, by the beginning of a column's name.
+_UNITS = {
+    "sensor_msgs/msg/JointState": {"position": "rad", "velocity": "rad/s", "effort": "N m"},
+    "geometry_msgs/msg/WrenchStamped": {"wrench.force": "N", "wrench.torque": "N m"},
+}
+# What every bag holds beside measurements.
+_TALK = {
+    "rcl_interfaces/msg/Log",
+    "rcl_interfaces/msg/ParameterEvent",
+    "rosbag2_interfaces/msg/WriteSplitEvent",
+    "rosgraph_msgs/msg/Log",
+    "rosgraph_msgs/msg/Clock",
+    "std_msgs/msg/String",
+    "diagnostic_msgs/msg/DiagnosticArray",
+    "tf2_msgs/msg/TFMessage",
+}
+# Attributes, and indices or names of joints in lists.
+_Path = tuple[str | int, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Column:
+    name: str
+    path: _Path
+    is_time: bool = False
+    joint: str | None = None  # the signal of which joint, where the message lists them
+
+
+def read_bag(path: Path, options: TableOptions) -> Table:
+    """Read one topic, a row a message; ``options.table`` is the topic, if there are several.
+
+    Columns are fields by their path, as ``wrench.torque.z``, ``data[3]``, and of messages that
+    list joints their signals by name, as ``effort[knee]``, whatever order a message has them in.
+    ``received`` and stamps such as ``header.stamp`` are in s since the first message.
+
+    Promised to hostile input: no chunk is unpacked to more than 256 MiB.
+    """
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise BadInput(
+            str(path), "is a ROS bag, read by rosbags", "pip install 'bayesfric[ros]'"
+        ) from error
+    try:
+        check_chunks(path)
+        # bags of sqlite3 before ROS 2 Iron hold no definitions
+        with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
+            topic, kind, connections = _topic(path, reader, options.table)
+            stamps, messages = list[int](), list[Any]()
+            for connection, stamp, raw in reader.messages(connections=connections):
+                if len(messages) == _MOST_MESSAGES:
+                    raise BadInput(
+                        f"{path}, table '{topic}'",
+                        f"has more than {_MOST_MESSAGES} messages",
+                        "split the recording",
+                    )
+                stamps.append(int(stamp))
+                messages.append(reader.deserialize(raw, connection.msgtype))
+    except (BadInput, FileNotFoundError, PermissionError):
+        raise
+    except Exception as error:  # rosbags, and what it reads by, raise dozens of types when damaged
+        text = str(error).replace(f"{path}/", "")
+        raise BadInput(
+            str(path),
+            f"is not a readable ROS bag ({type(error).__name__}: {text})",
+            "record it again, or repair it with 'ros2 bag reindex' or 'mcap recover'",
+        ) from error
+    if not messages:
+        raise BadInput(f"{path}, table '{topic}'", "holds no message", "choose another topic")
+    columns = list(_columns(messages[0]))
+
+    def load(index: int) -> NDArray[Any]:
+        if index == 0:
+            return _since_first(stamps)
+        return _cells([_value(message, columns[index - 1]) for message in messages])
+
+    return Table(
+        f"{path}, table '{topic}'",
+        ["received", *(column.name for column in columns)],
+        load,
+        names_at=kind,
+        notes=(f"topic {topic} ({kind}), {len(messages)} messages",),
+        units=["s", *(_unit(kind, column) for column in columns)],
+        by_rows=True,
+    )
+
+
+def _topic(path: Path, reader: Any, wanted: str | None) -> tuple[str, str, Sequence[Any]]:
+    """Choose a topic: its name, its type, and what has published on it."""
+    topics = {name: found for name, found in reader.topics.items() if found.msgcount}
+    if wanted is None:
+        useful = [name for name, found in topics.items() if found.msgtype not in _TALK]
+        if len(useful) != 1:
+            known = ", ".join(f"'{name}'" for name in useful[:20])
+            raise BadInput(
+                str(path),
+                f"holds several topics ({known})" if useful else "holds no messages with numbers",
+                "name one with table" if useful else "check what was recorded",
+            )
+        wanted = useful[0]
+    if wanted not in topics:
+        known = ", ".join(f"'{name}'" for name in list(topics)[:20])
+        raise BadInput(
+            f"{path}, table '{wanted}'",
+            "there is no message on this topic",
+            f"it has {known}" if known else "check what was recorded",
+        )
+    found = topics[wanted]
+    kinds = sorted({connection.msgtype for connection in found.connections})
+    formats = {getattr(one.ext, "serialization_format", "cdr") for one in found.connections}
+    if len(kinds) > 1:
+        raise BadInput(
+            f"{path}, table '{wanted}'",
+            f"holds messages of several types ({', '.join(kinds)})",
+            "choose a topic of one type",
+        )
+    if formats - {"cdr"}:
+        raise BadInput(
+            f"{path}, table '{wanted}'",
+            f"its messages are {', '.join(sorted(formats))}, not CDR",
+            "record them with ROS 2",
+        )
+    if kinds[0] not in reader.typestore.fielddefs:
+        raise BadInput(
+            f"{path}, table '{wanted}'",
+            f"its type {kinds[0]} is unknown, and the bag holds no definition of it",
+            "record as MCAP, which holds them, or convert it with 'ros2 bag convert'",
+        )
+    return wanted, kinds[0], found.connections
+
+
+def _columns(message: Any) -> Iterator[_Column]:
+    """Name everything in a message; of lists that are about its joints also by joint."""
+    listed: list[Any] = next((names for k in _JOINTS if (names := getattr(message, k, None))), [])
+    joints = listed if all(isinstance(name, str) for name in listed) else []
+    for name, path, value in _leaves(message, "", (), 0):
+        yield _Column(name, path, getattr(value, "__msgtype__", None) in (_TIME, _DURATION))
+        is_list = isinstance(value, np.ndarray | list)
+        if is_list and len(value) == len(joints) and not any(isinstance(v, str) for v in value):
+            yield from (_Column(f"{name}[{joint}]", path, joint=joint) for joint in joints)
+
+
+def _leaves(value: Any, name: str, path: _Path, depth: int) -> Iterator[tuple[str, _Path, Any]]:
+    """Walk down to what is no message, or a time."""
+    if depth > _DEEPEST:
+        raise ValueError(f"a message is nested deeper than {_DEEPEST}")
+    kind = getattr(value, "__msgtype__", None)
+    if kind is not None and kind not in (_TIME, _DURATION):
+        for field in dataclasses.fields(value):
+            inner = f"{name}.{field.name}" if name else field.name
+            part = getattr(value, field.name)
+            yield from _leaves(part, inner, (*path, field.name), depth + 1)
+    elif isinstance(value, list) and value and hasattr(value[0], "__msgtype__"):
+        for k, part in enumerate(value[:_MOST_PARTS]):
+            yield from _leaves(part, f"{name}[{k}]", (*path, k), depth + 1)
+    else:
+        yield name, path, value
+
+
+def _unit(kind: str, column: _Column) -> str:
+    units = _UNITS.get(kind, {})
+    found = (unit for begin, unit in units.items() if column.name.startswith(begin))
+    return "s" if column.is_time else next(found, "")
+
+
+def _value(message: Any, column: _Column) -> Any:
+    """Take a column's value out of one message; ``None`` where it has none."""
+    found = message
+    for step in column.path:
+        if isinstance(step, str):
+            found = getattr(found, step)
+        elif step < len(found):
+            found = found[step]
+        else:
+            return None
+    if column.joint is None:
+        return found
+    listed = next(names for key in _JOINTS if (names := getattr(message, key, None)) is not None)
+    if column.joint not in listed or len(found) != len(listed):
+        return None
+    return found[listed.index(column.joint)]
+
+
+def _cells(values: list[Any]) -> NDArray[Any]:
+    kind = getattr(values[0], "__msgtype__", None)
+    if kind in (_TIME, _DURATION):
+        stamps = [int(v.sec) * 10**9 + int(v.nanosec) for v in values]
+        return _since_first(stamps) if kind == _TIME else np.array([n / 10**9 for n in stamps])
+    if all(isinstance(value, int | float) for value in values):
+        return np.array(values)
+    lengths = {len(value) if isinstance(value, np.ndarray) else -1 for value in values}
+    if len(lengths) == 1 and -1 not in lengths:
+        return np.stack(values)
+    plain = (value.item() if isinstance(value, np.generic) else value for value in values)
+    return np.fromiter(plain, dtype=object, count=len(values))
+
+
+def _since_first(stamps: list[int]) -> NDArray[np.float64]:
+    """Seconds since the first stamp in ns; whole numbers until they are divided, once."""
+    return np.array([(stamp - stamps[0]) / 10**9 for stamp in stamps])
+
+
+READER = Reader("ros", (".bag", ".mcap", ".db3"), read_bag, mark="metadata.yaml")

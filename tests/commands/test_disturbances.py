@@ -1,0 +1,130 @@
+"""Spans that a hand disturbed, found and told; and recordings in which nothing did."""
+
+import json
+
+import numpy as np
+import pytest
+
+import bayesfric as bf
+from tests.recordings.samples import has
+
+from .bench import cases
+
+T = 0.002 * np.arange(8000)
+
+
+def model(torque_more=0.0, seed=1, **keys):
+    """A pendulum that is moved, with something more in the torque."""
+    joint = bf.Joint.preset("servo-pendulum")
+    values = {"motor.inertia": 0.05, "motor.coulomb": 0.2, "motor.viscous": 0.05,
+              "load.first_moment": 0.1}  # fmt: skip
+    q = 0.9 * np.sin(2 * np.pi * 0.4 * T) + 0.3 * np.sin(2 * np.pi * 1.1 * T + 1)
+    v = np.gradient(q, T)
+    torque = values["motor.inertia"] * np.gradient(v, T) + values["motor.coulomb"] * np.sign(v)
+    torque += values["motor.viscous"] * v + 9.81 * values["load.first_moment"] * np.sin(q)
+    torque += 0.02 * np.random.default_rng(seed).standard_normal(T.size) + torque_more
+    return bf.Model(joint, bf.Recording.from_arrays(T, q, torque, name="bench", **keys))
+
+
+def push(start, stop, size=1.0):
+    return size * np.where(
+        (start < T) & (stop > T), np.sin(np.pi * (T - start) / (stop - start)), 0
+    )
+
+
+@pytest.mark.parametrize("span", [(3.0, 4.2), (9.1, 9.8)])
+def test_a_push_is_found_where_it_was(span):
+    (found,) = model(push(*span)).disturbances()
+    assert found.recording == "bench"
+    assert abs(found.start - span[0]) < 0.35
+    assert abs(found.stop - span[1]) < 0.35
+    assert found.times > 7.0
+    # and it is gone where it is left out, by the span that is proposed
+    spans = [[found.start, found.stop]]
+    assert model(push(*span), exclude=spans).disturbances() == []
+
+
+def test_two_pushes_are_two():
+    found = model(push(3.0, 4.0) - push(10.0, 11.0)).disturbances()
+    assert [round(0.5 * (one.start + one.stop)) in (3, 4, 10, 11) for one in found] == [True, True]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_is_no_push(seed):
+    assert model(seed=seed).disturbances() == []
+
+
+def test_what_the_model_lacks_everywhere_is_no_push():
+    """A ripple in the torque, as large as a push, all the time."""
+    assert model(0.3 * np.sin(40.0 * T)).disturbances() == []
+
+
+def test_check_proposes_what_to_exclude(bench):
+    made = model(push(3.0, 4.2))
+    measured = made.recordings[0]
+    columns = (measured.time, measured.position, measured.torque)
+    rows = np.stack(columns, axis=1).tolist()
+    bench.recording(["t,q,tau", *(",".join(map(repr, row)) for row in rows)])
+    bench.edit('preset = "motor-axis"', 'preset = "servo-pendulum"')
+    (doubt,) = [
+        one
+        for one in json.loads(bench.run("check", "c.toml", "--json").out)["doubts"]
+        if one["kind"] == "pushed"
+    ]
+    ((start, stop),) = doubt["exclude"]
+    text = bench.run("check", "c.toml").out
+    has(text, f"WARNING: in run the torque is off by up to {doubt['times']:.2g} times",
+        f"exclude = [[{start:.1f}, {stop:.1f}]]")  # fmt: skip
+
+
+# -- real recordings
+
+# s, free of a hand as found by eye (../shared/data/README.md)
+FREE = {
+    "es500": [(0.0, 7.4)],
+    "es1kg": [(0.0, 8.5), (12.7, 16.8)],
+    "sac": [(0.0, 10.0)],
+    "ilqr": [(3.4, 10.0)],
+    "ddp": [(0.0, 6.0)],
+    "dircol": [(0.0, 3.5)],
+}
+
+
+@pytest.mark.parametrize(
+    ("file", "pushes"),
+    cases(
+        ("es500", "es500", 1),
+        ("es1kg", "es1kg", 0),
+        ("sac", "sac", 2),
+        ("ilqr", "ilqr", 2),
+        ("ddp", "ddp", 0),
+        ("dircol", "dircol", 0),
+    ),
+)
+def test_spans_agree_with_those_found_by_hand(real_data, file, pushes):
+    one = bf.Recording.from_file(
+        real_data / "dfki-pendulum" / f"{file}.csv", time="time", position="position",
+        torque="torque",
+    )  # fmt: skip
+    found = bf.Model(bf.Joint.preset("servo-pendulum"), one).disturbances()
+    assert len(found) == pushes
+    for span in found:
+        for start, stop in FREE[file]:
+            # a window's width is what an average of residuals carries over
+            assert min(span.stop, stop) - max(span.start, start) < 0.3
+
+
+def test_no_span_in_recordings_that_nobody_touched(real_data):
+    knee = bf.Joint.preset("servo-pendulum")
+    for path in sorted((real_data / "xl330-pendulum").glob("*.json")):
+        one = bf.Recording.from_file(
+            path, time="timestamp", position="position", torque_constant="0.354 N m/A",
+            resistance="3.4 ohm", voltage={"column": "load", "unit": "V/885",
+                                           "twos_complement": 16, "times": "input_volts"},
+        )  # fmt: skip
+        assert bf.Model(knee, one).disturbances() == [], path.name
+    for name in ("DATA_EMPS", "DATA_EMPS_PULSES"):
+        one = bf.Recording.from_file(
+            real_data / "emps" / f"{name}.mat", time="t", position="qm", torque="vir"
+        )
+        assert bf.Model(bf.Joint.preset("motor-axis"), one).disturbances() == []

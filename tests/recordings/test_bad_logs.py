@@ -1,0 +1,473 @@
+"""Broken bags, HDF5, JSON lines and lists: one line that names the place and the mend."""
+
+import json
+import shutil
+import sqlite3
+import sys
+from importlib import resources
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from scipy.io import savemat
+
+from bayesfric.errors import BadInput
+from bayesfric.recordings.tables import Table, read_table
+from bayesfric.recordings.tables.reader import TableOptions
+from tests.recordings import logs
+from tests.recordings.samples import has
+
+from .samples import read, refused, source
+
+SOURCE = {
+    "time": {"column": "header.stamp", "unit": "s"},
+    "position": {"column": "position[knee]", "unit": "rad"},
+    "torque": {"column": "effort[knee]", "unit": "N m"},
+}
+
+
+def used(file, **changes):
+    keys = {**SOURCE, **changes}
+    return source(file, **{k: v for k, v in keys.items() if v is not None})
+
+
+def bag(folder, plugin=logs.StoragePlugin.MCAP, change=None, **more):
+    """A bag of numbers, of which ``change`` may alter one message after the other."""
+    messages = logs.joint_states(*logs.numbers())
+    if change is not None:
+        messages = ((s, change(k, m)) for k, (s, m) in enumerate(messages))
+    return logs.write_ros2(folder / "bag", messages, plugin, **more)
+
+
+def opened(path, **options):
+    return read_table(path, TableOptions(**options))
+
+
+def refusal(act):
+    with pytest.raises(BadInput) as caught:
+        act()
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+# -- ROS
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.99])
+@pytest.mark.parametrize("form", ["mcap", "db3", "bag"])
+def test_a_bag_that_is_cut_off(tmp_path, form, share):
+    if form == "bag":
+        path = logs.write_ros1(tmp_path / "x.bag", logs.joint_states(*logs.numbers(), logs.ROS1))
+    else:
+        plugin = logs.StoragePlugin.MCAP if form == "mcap" else logs.StoragePlugin.SQLITE3
+        (path,) = bag(tmp_path, plugin).glob(f"*.{form}")
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    has(refused(path.parent, used(path.name)), path.name)
+    if form != "bag":
+        has(refused(tmp_path, used("bag")), "bag")
+
+
+@pytest.mark.parametrize("form", ["mcap", "db3", "bag"])
+def test_another_file_under_the_suffix_of_a_bag(tmp_path, form):
+    path = tmp_path / f"x.{form}"
+    path.write_bytes(b"t,q,tau\n1,2,3\n")
+    has(refused(tmp_path, used(path.name)), path.name, "does not begin")
+    has(refused(tmp_path, used("bag")), "bag", "does not exist")
+
+
+def test_a_folder_that_is_no_bag(tmp_path):
+    (bag(tmp_path) / "metadata.yaml").unlink()
+    has(refused(tmp_path, used("bag")), "bag", "directory without metadata.yaml")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("bag.mcap", "other.mcap", "missing"),
+        ("bag.mcap", "../../../etc/passwd", "missing"),
+        ("storage_identifier: mcap", "storage_identifier: cdr9", "cdr9"),
+        ("version: 9", "version: 99", "99"),
+        ("rosbag2_bagfile_information", "something", "rosbag2_bagfile_information"),
+        ("relative_file_paths:", "relative_file_paths: [", "YAML"),
+        ("compression_mode: ''", "compression_mode: MESSAGE", "one by one"),
+    ],
+)
+def test_metadata_that_does_not_fit(tmp_path, old, new, says):
+    path = bag(tmp_path) / "metadata.yaml"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    has(refused(tmp_path, used("bag")), "bag", says)
+
+
+def test_topics(tmp_path):
+    bag(tmp_path, more=[("/other", logs.joint_states(*logs.numbers()))])
+    has(refused(tmp_path, used("bag")), "'/joint_states', '/other'", "name one with table")
+    has(refused(tmp_path, used("bag", table="/jo")), "'/jo'", "no message", "'/joint_states'")
+    assert read(tmp_path, used("bag", table="/other"))
+
+
+def test_a_topic_of_two_types(tmp_path):
+    strings = [(logs.BEGIN, logs.ROS2.types["std_msgs/msg/Float64"](1.0))]
+    bag(tmp_path, more=[("/joint_states", strings)])
+    has(refused(tmp_path, used("bag")), "several types", "Float64", "JointState")
+
+
+def test_talk_is_no_topic_of_numbers(tmp_path):
+    strings = [(logs.BEGIN, logs.ROS2.types["std_msgs/msg/String"]("hello"))]
+    bag(tmp_path, more=[("/talk", strings)])
+    assert read(tmp_path, used("bag"))
+    logs.write_ros2(tmp_path / "talk", strings, topic="/talk")
+    has(refused(tmp_path, used("talk")), "no messages with numbers")
+
+
+def test_a_type_that_nobody_knows(tmp_path):
+    (path,) = bag(tmp_path, logs.StoragePlugin.SQLITE3).glob("*.db3")
+    with sqlite3.connect(path) as database:
+        database.execute("UPDATE topics SET type = 'my_msgs/msg/Servo'")
+        database.execute("DELETE FROM message_definitions")
+    (tmp_path / "one.db3").write_bytes(path.read_bytes())
+    has(refused(tmp_path, used("one.db3")), "my_msgs/msg/Servo", "MCAP")
+
+
+def test_definitions_are_not_needed_of_known_types(tmp_path):
+    """Bags of ROS 2 before Iron hold none."""
+    (path,) = bag(tmp_path, logs.StoragePlugin.SQLITE3).glob("*.db3")
+    with sqlite3.connect(path) as database:
+        database.execute("DELETE FROM message_definitions")
+    (found,) = read(tmp_path, used("bag"))
+    np.testing.assert_array_equal(found.position, logs.numbers()[1][:, 1])
+
+
+def test_columns_of_messages(tmp_path):
+    bag(tmp_path)
+    elbow = {"column": "position[elbow]", "unit": "rad"}
+    has(refused(tmp_path, used("bag", position=elbow)), "'position[elbow]'", "'position[knee]'")
+    whole = {"column": "position", "unit": "rad"}
+    has(refused(tmp_path, used("bag", position=whole)), "no vector", "'position[0]'")
+    text = {"column": "header.frame_id", "unit": "rad"}
+    has(refused(tmp_path, used("bag", position=text)), "'header.frame_id'", "row 1", "empty")
+
+
+def without_knee(k, message):
+    if k == 16:
+        message.name = ["hip", "ankle"]
+    return message
+
+
+def two_of_three(k, message):
+    message.effort = message.effort[:1] if k == 16 else message.effort
+    return message
+
+
+def not_a_number(k, message):
+    message.effort[1] = np.nan if k == 16 else message.effort[1]
+    return message
+
+
+def goes_back(k, message):
+    message.header.stamp.sec -= 3 if k == 16 else 0
+    return message
+
+
+def stands_still(_, message):
+    message.header.stamp.sec = message.header.stamp.nanosec = 0
+    return message
+
+
+@pytest.mark.parametrize(
+    ("change", "parts"),
+    [
+        (without_knee, ["'position[knee]', row 17", "empty"]),
+        (two_of_three, ["'effort[knee]', row 17", "empty"]),
+        (not_a_number, ["'effort[knee]', row 17", "not a finite number"]),
+        (goes_back, ["'header.stamp'", "row 17", "goes back in time"]),
+        (stands_still, ["'header.stamp'", "row 2", "repeats the time stamp"]),
+    ],
+)
+def test_messages_that_differ(tmp_path, change, parts):
+    bag(tmp_path, change=change)
+    has(refused(tmp_path, used("bag")), *parts)
+
+
+def test_joints_of_two_publishers_are_told_apart(tmp_path):
+    """An arm and a gripper on one topic: every second message is of the other."""
+
+    def turns(k, message):
+        if k % 2:
+            message.name = ["finger", "thumb"]
+        return message
+
+    bag(tmp_path, change=turns)
+    has(refused(tmp_path, used("bag")), "'position[knee]', row 2")
+    (found,) = read(tmp_path, used("bag", where={"name[0]": "hip"}))
+    np.testing.assert_array_equal(found.position, logs.numbers()[1][::2, 1])
+
+
+def test_what_reads_bags_is_not_installed(tmp_path, monkeypatch):
+    bag(tmp_path)
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    has(refused(tmp_path, used("bag")), "pip install 'bayesfric[ros]'")
+
+
+def test_a_pattern_finds_bags(tmp_path):
+    bag(tmp_path)
+    shutil.copytree(tmp_path / "bag", tmp_path / "two")
+    (tmp_path / "nothing").mkdir()
+    found = read(tmp_path, used("*"))
+    assert [one.name for one in found] == ["bag", "two"]
+    assert found[0].sha256 == found[1].sha256
+
+
+# -- lists of signals
+
+LISTS = ("parquet", "json", "jsonl", "h5", "npz", "mat", "7.3")
+
+
+def listed(folder, form, n=200, k=3):
+    """Write a column of lists in every format that has them; the file's name."""
+    t = np.arange(n) * 0.01
+    state = np.stack([np.sin(t + i) for i in range(k)], axis=1)
+    tau = np.cos(t)
+    match form:
+        case "parquet":
+            table = pa.table({"t": t, "q": state.tolist(), "tau": tau})
+            pq.write_table(table, folder / "run.parquet")
+        case "json":
+            rows = {"t": t.tolist(), "q": state.tolist(), "tau": tau.tolist()}
+            (folder / "run.json").write_text(json.dumps(rows))
+        case "jsonl":
+            zipped = zip(t.tolist(), state.tolist(), tau.tolist(), strict=True)
+            rows = [json.dumps(dict(zip(("t", "q", "tau"), row, strict=True))) for row in zipped]
+            (folder / "run.jsonl").write_text("\n".join(rows))
+        case "h5":
+            with h5py.File(folder / "run.h5", "w") as file:
+                file["t"], file["q"], file["tau"] = t, state, tau
+        case "npz":
+            np.savez(folder / "run.npz", t=t, q=state, tau=tau)
+        case "mat":
+            savemat(folder / "run.mat", {"t": t, "q": state, "tau": tau})
+        case "7.3":
+            logs.write_matlab_73(folder / "run.mat", t, state, state, state)
+            return "run.mat", {"table": "log"}, state
+    return f"run.{form}", {}, state
+
+
+@pytest.mark.parametrize("form", LISTS)
+def test_one_of_several_signals(tmp_path, form):
+    file, keys, state = listed(tmp_path, form)
+    table = opened(tmp_path / file, **keys).sampled_as("t")
+    for k in range(3):
+        assert table.column(f"q[{k}]").tolist() == state[:, k].tolist()
+    has(refusal(lambda: table.column("q[3]")), "'q[3]'", "3 values a sample", "from 0 to 2")
+    has(refusal(lambda: table.column("q")), "'q'", "'q[0]'", "index from 0")
+    has(refusal(lambda: table.column("t[0]")), "'t[0]'", "leave the index in brackets out")
+    has(refusal(lambda: table.column("p[0]")), "'p[0]'", "does not exist")
+
+
+@pytest.mark.parametrize("form", ["h5", "npz", "mat", "json", "7.3"])
+def test_a_row_for_each_joint(tmp_path, form):
+    t, state = np.arange(200) * 0.01, np.random.default_rng(1).normal(size=(200, 3))
+    match form:
+        case "h5":
+            with h5py.File(tmp_path / "run.h5", "w") as file:
+                file["t"], file["q"] = t, state.T
+        case "npz":
+            np.savez(tmp_path / "run.npz", t=t, q=state.T)
+        case "mat":
+            savemat(tmp_path / "run.mat", {"t": t, "q": state.T})
+        case "json":
+            text = json.dumps({"t": t.tolist(), "q": state.T.tolist()})
+            (tmp_path / "run.json").write_text(text)
+        case _:
+            logs.write_matlab_73(tmp_path / "run.mat", t, state.T, state, state)
+    keys = {"table": "log"} if form == "7.3" else {}
+    path = next(tmp_path.glob("run.*"))
+    for table in (opened(path, **keys), opened(path, **keys).sampled_as("t")):
+        assert table.column("q[2]").tolist() == state[:, 2].tolist()
+
+
+def test_a_square_is_told_by_nothing_but_rows(tmp_path):
+    square = np.arange(25.0).reshape(5, 5)
+    table = Table("run", ["t", "q"], [np.arange(5.0), square].__getitem__)
+    for one in (table, table.sampled_as("t")):
+        has(refusal(lambda one=one: one.column("q[1]")), "5 x 5", "which axis is time")
+    # a list in each row leaves no doubt
+    pq.write_table(pa.table({"q": square.tolist()}), tmp_path / "run.parquet")
+    assert opened(tmp_path / "run.parquet").column("q[1]").tolist() == square[:, 1].tolist()
+
+
+def test_the_longer_axis_is_time_unless_another_column_says():
+    wide = np.arange(12.0).reshape(3, 4)
+    table = Table("run", ["t", "q"], [np.arange(3.0), wide].__getitem__)
+    assert table.column("q[1]").tolist() == wide[1].tolist()
+    assert table.sampled_as("t").column("q[1]").tolist() == wide[:, 1].tolist()
+    other = Table("run", ["t", "q"], [np.arange(7.0), wide].__getitem__).sampled_as("t")
+    has(refusal(lambda: other.column("q[1]")), "3 x 4", "7 samples")
+
+
+def test_a_column_of_that_very_name_goes_first():
+    arrays = [np.ones((4, 2)), np.full(4, 7.0)]
+    table = Table("run", ["q", "q[1]"], arrays.__getitem__)
+    assert table.column("q[1]").tolist() == [7.0] * 4
+    assert table.column("q[0]").tolist() == [1.0] * 4
+
+
+@pytest.mark.parametrize("form", ["parquet", "jsonl"])
+def test_lists_that_are_ragged(tmp_path, form):
+    rows = [[0.0, 1.0]] * 5 + [[0.0]] + [[0.0, 1.0]] * 5
+    if form == "parquet":
+        pq.write_table(pa.table({"q": rows}), tmp_path / "run.parquet")
+    else:
+        (tmp_path / "run.jsonl").write_text("\n".join(json.dumps({"q": row}) for row in rows))
+    table = opened(tmp_path / f"run.{form}")
+    has(refusal(lambda: table.column("q[0]")), "'q[0]'", "row 6", "a list of 1, the first has 2")
+
+
+def test_lists_of_other_things(tmp_path):
+    rows = [{"q": [1.0, 2.0]}, {"q": 3.0}, {"q": [1.0, None]}, {"q": [1.0, "x"]}]
+    for bad, parts in ((1, ["row 2", "3.0, not a list"]), (2, ["empty"]), (3, ["'x'"])):
+        path = tmp_path / "run.jsonl"
+        path.write_text("\n".join(json.dumps(row) for row in (rows[0], rows[bad])))
+        has(refusal(lambda path=path: opened(path).column("q[1]")), "row 2", *parts)
+
+
+# -- rows by a column's value
+
+
+@pytest.mark.parametrize("form", LISTS)
+def test_rows_are_chosen_in_every_format(tmp_path, form):
+    file, keys, state = listed(tmp_path, form, n=40)
+    t = 0.01 * np.arange(40)
+    kept = opened(tmp_path / file, **keys, where={"t": float(t[7])})
+    assert kept.column("q[1]").tolist() == [state[7, 1]]
+    message = refusal(lambda: opened(tmp_path / file, **keys, where={"t": -1.0}))
+    has(message, "'t', where", "-1.0 in no row", "0, 0.01, 0.02", "20 more")
+
+
+def test_conditions_are_all_to_hold():
+    arrays = [np.arange(6.0), np.array([1, 1, 2, 2, 3, 3.0]), np.array([1, 0, 1, 0, 1, 0.0])]
+    table = Table("run", ["t", "episode", "on"], arrays.__getitem__)
+    assert table.only({"episode": 2, "on": True}).column("t").tolist() == [2.0]
+    assert table.only({"on": 0}).column("t").tolist() == [1.0, 3.0, 5.0]
+    assert table.only({}).column("t").tolist() == arrays[0].tolist()
+    has(refusal(lambda: table.only({"episode": 2, "t": 0})), "'t', where", "it has 2, 3")
+    has(refusal(lambda: table.only({"run": 2})), "'run'", "does not exist")
+
+
+def test_text_and_numbered_columns_in_a_csv(tmp_path):
+    (tmp_path / "run.csv").write_text("task,t,q\nlift,0,1\nswing,1,2\nswing,2,x\nlift,3,4\n")
+    assert opened(tmp_path / "run.csv", where={"task": "lift"}).column("q").tolist() == [1.0, 4.0]
+    assert opened(tmp_path / "run.csv", where={"2": 1}).column("q").tolist() == [2.0]
+    message = refusal(lambda: opened(tmp_path / "run.csv", where={"task": "drop"}))
+    has(message, "'drop' in no row", "'lift', 'swing'")
+    swings = opened(tmp_path / "run.csv", where={"task": "swing"})
+    # a bad cell is named by its row in the file, not among those used
+    has(refusal(lambda: swings.column("q")), "row 3 (line 4)", "'x'")
+
+
+def test_a_column_of_another_length_cannot_be_chosen_from(tmp_path):
+    np.savez(tmp_path / "run.npz", t=np.arange(5.0), q=np.arange(4.0))
+    table = opened(tmp_path / "run.npz", where={"t": 1})
+    has(refusal(lambda: table.column("q")), "'q'", "4 values", "in where has 5")
+
+
+# -- HDF5, MATLAB 7.3, JSON lines, MATLAB's objects
+
+
+@pytest.mark.parametrize("share", [0.0, 0.05, 0.5, 0.9])
+@pytest.mark.parametrize("form", ["h5", "7.3"])
+def test_hdf5_that_is_cut_off(tmp_path, form, share):
+    file, keys, _ = listed(tmp_path, form)
+    data = (tmp_path / file).read_bytes()
+    (tmp_path / file).write_bytes(data[: int(share * len(data))])
+    has(refused(tmp_path, source(file, **keys)), file)
+
+
+def test_hdf5_groups(tmp_path):
+    logs.write_hdf5(tmp_path / "run.h5", *logs.numbers())
+    assert set(opened(tmp_path / "run.h5", table="observations").names) == {
+        "qpos", "qvel", "effort"
+    }  # fmt: skip
+    message = refusal(lambda: opened(tmp_path / "run.h5", table="obs"))
+    has(message, "table 'obs'", "no such group", "'observations'")
+    with h5py.File(tmp_path / "empty.h5", "w") as file:
+        file.create_group("g")
+    has(refusal(lambda: opened(tmp_path / "empty.h5")), "no datasets")
+
+
+def test_hdf5_of_one_group_needs_no_table(tmp_path):
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file["log/run1/t"] = np.arange(4.0)
+    assert opened(tmp_path / "run.h5").column("t").tolist() == [0.0, 1.0, 2.0, 3.0]
+
+
+def test_hdf5_rows_with_fields(tmp_path):
+    rows = np.zeros(4, dtype=[("t", "f8"), ("q", "i4", (2,)), ("name", "S3")])
+    rows["q"] = np.arange(8).reshape(4, 2)
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file["log"] = rows
+    table = opened(tmp_path / "run.h5")
+    assert table.names == ["t", "q", "name"]
+    assert table.column("q[1]").tolist() == [1.0, 3.0, 5.0, 7.0]
+    has(refusal(lambda: table.column("name")), "'name'", "not numbers")
+
+
+def test_matlab_73_text_and_cells(tmp_path):
+    logs.write_matlab_73(tmp_path / "run.mat", *logs.numbers())
+    table = opened(tmp_path / "run.mat", table="log")
+    has(refusal(lambda: table.column("note")), "'note'", "char, not numbers")
+    assert "a" not in table.names
+
+
+def test_json_lines(tmp_path):
+    path = tmp_path / "run.jsonl"
+    path.write_text('{"a": {"t": 1}}\n\n{"a": {"t": 2}}\n')
+    assert opened(path, table="a").column("t").tolist() == [1.0, 2.0]
+    has(refusal(lambda: opened(path, table="b")), "line 1", "'b'", "it has 'a'")
+    path.write_text('{"t": 1}\n\n{"t": 2}\n{"t": ')
+    has(refusal(lambda: opened(path)), "line 4", "not valid JSON", "cut it out")
+    path.write_text('{"t": 1}\n\n{"q": 2}\n')
+    has(refusal(lambda: opened(path).column("t")), "'t'", "row 2 (line 3)", "missing")
+    path.write_text('{"t": 1}\n[2]\n')
+    has(refusal(lambda: opened(path)), "row 2 (line 2)", "no object")
+    path.write_text('{"t": 1}\n\n{"t": "x"}\n')
+    has(refusal(lambda: opened(path).column("t")), "row 2 (line 3)", "'x'")
+
+
+def test_matlab_objects_beside_arrays():
+    """SciPy's own test data hold what MATLAB wrote; functions and an inline object."""
+    folder = Path(str(resources.files("scipy.io.matlab") / "tests" / "data"))
+    if not (folder / "some_functions.mat").exists():
+        pytest.skip("this SciPy comes without its test data")
+    table = opened(folder / "some_functions.mat")
+    has(" ".join(table.notes), "objects left out", "parabola")
+    with pytest.raises(BadInput, match="only objects"):
+        opened(folder / "sqr.mat")
+
+
+def element(kind, content):
+    return np.array([kind, len(content)], "<u4").tobytes() + content + bytes(-len(content) % 8)
+
+
+def opaque(name, inside):
+    """An object as MATLAB writes those of its newer classes: no dimensions, a matrix inside."""
+    words = (element(1, word) for word in (name, b"MCOS", b"timeseries"))
+    return element(14, element(6, np.array([17, 0], "<u4").tobytes()) + b"".join(words) + inside)
+
+
+def test_matlab_objects_of_newer_classes(tmp_path):
+    savemat(tmp_path / "run.mat", {"t": np.arange(4.0), "q": np.ones(4)})
+    savemat(tmp_path / "inside.mat", {"x": np.arange(6, dtype=np.uint32)})
+    inside = (tmp_path / "inside.mat").read_bytes()[128:]
+    data = (tmp_path / "run.mat").read_bytes()
+    two = opaque(b"log", inside) + opaque(b"more", inside)
+    (tmp_path / "run.mat").write_bytes(data[:128] + two + data[128:])
+    table = opened(tmp_path / "run.mat")
+    assert table.names == ["t", "q"]
+    assert table.column("t").tolist() == [0.0, 1.0, 2.0, 3.0]
+    has(" ".join(table.notes), "log, more")

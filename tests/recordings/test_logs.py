@@ -1,0 +1,134 @@
+"""Logs that people have: the same numbers come out of each, to the last bit."""
+
+import dataclasses
+import hashlib
+
+import numpy as np
+import pytest
+
+import bayesfric as bf
+from bayesfric.recordings import Processing, Recording, Source, read_recordings
+from bayesfric.recordings.tables import read_table, sha256
+from bayesfric.recordings.tables.reader import TableOptions
+from tests.recordings import logs
+from tests.recordings.samples import has
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("logs")
+    return folder, logs.all_logs(folder)
+
+
+def measured(folder, file, keys, **more):
+    source = Source.model_validate({"file": file, **keys, **more})
+    (found,) = read_recordings(
+        Recording(source, folder), ratio=1.0, motion="rotary", processing=Processing()
+    )
+    return found
+
+
+FORMATS = (
+    "ROS 2, sqlite3",
+    "ROS 2, MCAP",
+    "MCAP",
+    "ROS 1",
+    "LeRobot",
+    "HDF5",
+    "JSON lines",
+    "MATLAB 7.3",
+)
+
+
+def test_every_log_is_compared(written):
+    assert set(written[1]) == {"CSV", *FORMATS}
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_the_same_numbers_to_the_last_bit(written, form):
+    folder, found = written
+    plain, other = (measured(folder, *found[name]) for name in ("CSV", form))
+    arrays = [f.name for f in dataclasses.fields(plain) if hasattr(getattr(plain, f.name), "dtype")]
+    assert set(arrays) >= {"time", "position", "velocity", "torque", "excluded"}
+    for name in arrays:
+        one, two = getattr(plain, name), getattr(other, name)
+        assert one.dtype == two.dtype
+        assert one.tobytes() == two.tobytes(), name
+    assert (plain.segments, plain.period) == (other.segments, other.period)
+    # and they are the numbers that were written
+    t, q, v, tau = logs.numbers()
+    np.testing.assert_array_equal(other.time, t)
+    np.testing.assert_array_equal(other.position, q[:, 1])
+    np.testing.assert_array_equal(other.velocity, v[:, 1])
+    np.testing.assert_array_equal(other.torque, tau[:, 1])
+
+
+@pytest.mark.parametrize(
+    "forms",
+    [
+        ("CSV", "ROS 2, MCAP", "LeRobot"),
+        pytest.param(("CSV", *FORMATS), marks=pytest.mark.slow),
+    ],
+    ids=["three", "all"],
+)
+def test_the_same_posterior_to_the_last_bit(written, forms):
+    folder, found = written
+    draws = set()
+    for file, keys in (found[form] for form in forms):
+        recording = Recording(Source.model_validate({"file": file, "name": "knee", **keys}), folder)
+        model = bf.Model(
+            bf.Joint.preset("motor-axis"), [recording], sampling={"walkers": 16, "min_ess": 20}
+        )
+        posterior = model.sample(seed=1).posterior
+        draws.add(b"".join(posterior[name].to_numpy().tobytes() for name in sorted(posterior)))
+    assert len(draws) == 1
+
+
+@pytest.mark.parametrize("period", [0.001, 0.0333, 1e-4])
+def test_stamps_of_nanoseconds_are_the_decimal_numbers(tmp_path, period):
+    """Since the first message, from whole nanoseconds divided once: 0.001 s is 0.001 s."""
+    t = np.round(np.arange(300) * period, 9)
+    _, q, v, tau = logs.numbers(300)
+    logs.write_ros2(tmp_path / "bag", logs.joint_states(t, q, v, tau))
+    table = read_table(tmp_path / "bag", TableOptions())
+    for column in ("header.stamp", "received"):
+        assert table.column(column).tolist() == [float(f"{x:.9f}") for x in t.tolist()]
+
+
+def test_the_hash_of_a_bag_is_of_its_files(written):
+    folder, _ = written
+    files = sorted((folder / "db3").iterdir())
+    lines = (f"{f.name}\0{hashlib.sha256(f.read_bytes()).hexdigest()}\n" for f in files)
+    assert sha256(folder / "db3") == hashlib.sha256("".join(lines).encode()).hexdigest()
+
+
+def test_fields_by_path(tmp_path):
+    types = logs.ROS2.types
+    vector = types["geometry_msgs/msg/Vector3"]
+    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](1, 5), "")
+    dimension = types["std_msgs/msg/MultiArrayLayout"]([], 0)
+    wrenches = (
+        (
+            logs.BEGIN + k * 10**6,
+            types["geometry_msgs/msg/WrenchStamped"](
+                header,
+                types["geometry_msgs/msg/Wrench"](vector(0.0, 1.0, 2.0), vector(3.0, 4.0, k + 0.5)),
+            ),
+        )
+        for k in range(5)
+    )
+    arrays = (
+        (
+            logs.BEGIN + k * 10**6,
+            types["std_msgs/msg/Float64MultiArray"](dimension, np.arange(3) + 0.25 * k),
+        )
+        for k in range(5)
+    )
+    logs.write_ros2(tmp_path / "bag", wrenches, topic="/ft", more=[("/data", arrays)])
+    torque = read_table(tmp_path / "bag", TableOptions(table="/ft")).column("wrench.torque.z")
+    assert torque.tolist() == [0.5, 1.5, 2.5, 3.5, 4.5]
+    data = read_table(tmp_path / "bag", TableOptions(table="/data")).column("data[2]")
+    assert data.tolist() == [2.0, 2.25, 2.5, 2.75, 3.0]
+    with pytest.raises(bf.errors.BadInput) as caught:
+        read_table(tmp_path / "bag", TableOptions())
+    has(str(caught.value), "'/ft'", "'/data'", "table")

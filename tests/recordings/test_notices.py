@@ -1,0 +1,112 @@
+"""What reading tells of units, clocks, limits and rests; and of what it does not."""
+
+import numpy as np
+import pytest
+
+from bayesfric.recordings import Position, Processing, Torque, observe
+from bayesfric.recordings.checks import clipped, taken_for, ticking
+from bayesfric.recordings.rest import resting_ends
+from tests.conftest import made_recording
+from tests.recordings.samples import Channel, has, read, source
+from tests.recordings.test_motion_checks import table
+
+T = 0.005 * np.arange(4000)
+Q, V = np.sin(3 * T), 3 * np.cos(3 * T)
+
+
+@pytest.mark.parametrize(
+    ("factor", "ratio", "says"),
+    [
+        (180 / np.pi, 1.0, "deg/s"),
+        (30 / np.pi, 1.0, "rpm"),
+        (np.pi / 180, 1.0, "position in deg"),
+        (6.0, 1.0, "deg/s and taken for rpm"),
+        (50.0, 50.0, "of the motor"),
+        (0.02, 50.0, "of the joint"),
+        (-1.0, 50.0, "sign"),
+        (-180 / np.pi, 1.0, "deg/s and taken for rad/s, with the sign turned around"),
+        (1.3, 1.0, "unit, sign and side"),
+    ],
+)
+def test_the_likely_mistake_of_a_velocity(factor, ratio, says):
+    has(taken_for(factor, ratio), says)
+    wrong = made_recording(T, Q, V, 0.005, velocity=factor * V, ratio=ratio)
+    (said,) = [w for w in observe(wrong, Processing()).warnings if w.startswith("velocity")]
+    has(said, says)
+
+
+def warned(tmp_path, columns, word, **used):
+    table(tmp_path, columns)
+    (found,) = read(tmp_path, source(**used))
+    return [w for w in found.warnings if word in w]
+
+
+def test_counts_that_are_taken_for_radians(tmp_path):
+    counts = np.round(4096 * Q)
+    (said,) = warned(tmp_path, {"t": T, "q": counts, "tau": V}, "whole")
+    has(said, "position", "encoder counts")
+    used = {"position": Position(column="q", unit="turn/4096")}
+    assert not warned(tmp_path, {"t": T, "q": counts, "tau": V}, "whole", **used)
+
+
+def test_milliamperes_and_milliseconds(tmp_path):
+    columns = {"t": 1000 * T, "q": Q, "tau": np.round(1000 * V)}
+    said = warned(tmp_path, columns, "whole")
+    assert [w.partition(":")[0] for w in said] == ["time", "torque"]
+    used = {
+        "time": Channel(column="t", unit="ms"),
+        "torque": Torque(column="tau", unit="N m", constant="0.001"),
+    }
+    assert not warned(tmp_path, columns, "whole", **used)
+
+
+def test_a_torque_that_is_switched_is_no_count(tmp_path):
+    assert not warned(tmp_path, {"t": T, "q": Q, "tau": np.sign(V)}, "whole")
+
+
+def test_a_clock_that_is_coarse_beside_the_samples(tmp_path):
+    regular = 0.0025 * np.arange(4000)
+    coarse = np.floor(regular * 1000 + 1e-9) / 1000  # every second step is 2 ms, the others 3 ms
+    assert ticking(coarse) == pytest.approx(0.001)
+    (said,) = warned(tmp_path, {"t": coarse, "q": Q, "tau": V}, "multiples")
+    has(said, "0.001 s", "rate")
+
+
+@pytest.mark.parametrize("case", ["regular", "missing", "jitter", "two rates"])
+def test_clocks_that_are_fine(case):
+    rng = np.random.default_rng(1)
+    time = {
+        "regular": T,
+        "missing": np.delete(T, rng.integers(1, 3999, 100)),
+        "jitter": T + 1e-3 * rng.random(T.size),
+        "two rates": np.concatenate([T, T[-1] + 0.004 * np.arange(1, 100)]),
+    }[case]
+    assert ticking(time) is None
+
+
+def test_limits_to_both_sides_are_one():
+    """Of each side 0.7 % are at the limit, below what either would be told for."""
+    signal = np.sin(np.linspace(0, 200, 20_000))
+    limit = np.sort(np.abs(signal))[int(0.986 * signal.size)]
+    (said,) = clipped(np.clip(signal, -limit, limit), "torque")
+    has(said, f"±{limit:.6g}", "1.4 %")
+    (one,) = clipped(np.clip(signal, -2, np.sort(signal)[int(0.95 * signal.size)]), "torque")
+    has(one, "maximum")
+    assert clipped(signal, "torque") == []
+
+
+def test_rests_at_the_ends_are_told(tmp_path):
+    q = np.concatenate([np.zeros(800), Q, np.full(1000, Q[-1])])
+    t = 0.005 * np.arange(q.size)
+    begin, end = resting_ends(t, q)
+    has(begin, "until 4 s", "start = 4")
+    has(end, "from 23.99 s", "stop = 23.99")
+    assert resting_ends(T, Q) == []
+    table(tmp_path, {"t": t, "q": q, "tau": np.cos(t)})
+    (found,) = read(tmp_path)
+    has(" ".join(found.steps), "start = 4", "stop = 23.99")
+    assert not [w for w in found.warnings if "rest" in w]
+
+
+def test_nothing_is_told_of_sound_recordings(tmp_path):
+    assert not warned(tmp_path, {"t": T, "q": Q, "tau": V}, "")

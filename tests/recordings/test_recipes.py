@@ -1,0 +1,109 @@
+"""The README's recipes, to the letter, on logs as the tools write them."""
+
+import csv
+import re
+import tomllib
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+import bayesfric as bf
+from bayesfric.recordings import Processing, Recording, Source, read_recordings
+from tests.conftest import REPOSITORY
+
+TURN = 2 * np.pi
+
+
+def recipes():
+    """Recordings of the README's section on logs, by their files."""
+    text = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+    section = text.partition("## Logs that are read\n")[2].partition("\n## ")[0]
+    found = [tomllib.loads(one) for one in re.findall(r"```toml\n(.*?)```", section, re.DOTALL)]
+    return {one["recordings"][0]["file"]: one["recordings"][0] for one in found}
+
+
+@dataclass
+class Simulated:
+    time: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    torque: np.ndarray
+
+
+@pytest.fixture(scope="module")
+def simulated():
+    joint = bf.Joint.preset("motor-axis")
+    frame = joint.simulate(duration=4, seed=1)
+    q = frame["position"].to_numpy()
+    t = frame["time"].to_numpy()
+    return Simulated(t, q, np.gradient(q, t), frame["torque"].to_numpy())
+
+
+def ur(path, s):
+    """As rtde's CSVWriter: blanks between, vectors of six as name_0 to name_5."""
+    names = ["actual_q", "actual_qd", "actual_current"]
+    header = ["timestamp", *(f"{name}_{k}" for name in names for k in range(6))]
+    signals = (s.position, s.velocity, s.torque / 0.1)
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file, delimiter=" ")
+        writer.writerow(header)
+        for row in zip(s.time, *signals, strict=True):
+            rest = (x for value in row[1:] for x in (0.0, value, 0.5, -0.5, 0.0, 0.0))
+            writer.writerow([float(row[0]) + 1000.0, *map(float, rest)])
+
+
+def moteus(path, s):
+    """As CsvController of its examples: registers by name, in the order of the query."""
+    lines = ["time,MODE,POSITION,VELOCITY,TORQUE,VOLTAGE,TEMPERATURE,FAULT"]
+    turned = zip(s.time, s.position / TURN, s.velocity / TURN, s.torque, strict=True)
+    lines += [
+        ",".join(map(str, [float(t), 10, float(q), float(v), float(tau), 24.5, 31.0, 0]))
+        for t, q, v, tau in turned
+    ]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def odrive(path, s):
+    """As numpy.savetxt of BulkCapture.data: time, then what was asked for."""
+    columns = (s.time, s.position / TURN, s.velocity / TURN, s.torque / 0.055)
+    np.savetxt(path, np.stack(columns, axis=1), delimiter=",")
+
+
+LOGS = {"robot_data.csv": ur, "output.csv": moteus, "odrive.csv": odrive}
+
+
+def test_every_recipe_is_tried():
+    assert set(recipes()) == set(LOGS)
+
+
+@pytest.mark.parametrize("file", LOGS)
+def test_a_recipe_gives_back_what_was_simulated(tmp_path, simulated, file):
+    LOGS[file](tmp_path / file, simulated)
+    source = Source.model_validate(recipes()[file])
+    (found,) = read_recordings(
+        Recording(source, tmp_path), ratio=1.0, motion="rotary", processing=Processing()
+    )
+    # stamps of a controller that is up for a while lose digits
+    np.testing.assert_allclose(found.time, simulated.time, atol=1e-9)
+    for name in ("position", "velocity", "torque"):
+        one, two = getattr(found, name), getattr(simulated, name)
+        np.testing.assert_allclose(one, two, rtol=1e-9, atol=1e-9 * np.abs(two).max())
+
+
+@pytest.mark.parametrize("file", LOGS)
+def test_init_recognises_what_a_recipe_says(tmp_path, simulated, file):
+    """All but units that only a manual tells."""
+    from bayesfric.recordings.recognition.log import recognise
+    from bayesfric.recordings.tables import read_table
+    from bayesfric.recordings.tables.reader import TableOptions
+
+    LOGS[file](tmp_path / file, simulated)
+    log = recognise(
+        read_table(tmp_path / file, TableOptions()), "1" if file == "robot_data.csv" else None
+    )
+    recipe = recipes()[file]
+    for channel in ("time", "position", "velocity"):
+        assert log.of(channel).column == recipe[channel]["column"], channel
+    drive = next(one for one in log.chosen if one.channel in ("torque", "current"))
+    assert drive.column == recipe.get("torque", recipe.get("current"))["column"]
