@@ -35,6 +35,8 @@ Array = NDArray[np.float64]
 
 # Draws of the expected posterior that a cheaper likelihood is prepared for.
 _DRAWS = 300
+# Draws that are enough for intervals with the model's error, each of which is tried.
+_WIDE = 8000
 # Evaluations of a climb's step that may be dear before it is prepared anew.
 _OUTSIDE = 50
 # How often the simulation is linearised anew at the mode it led to.
@@ -63,9 +65,16 @@ class Fit:
             return self
         posterior = self.posterior
         rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(12,)))
-        draws = posterior.draws.reshape(-1, posterior.draws.shape[-1])
-        moved = self.model_error.widened(self.target, draws, rng).reshape(posterior.draws.shape)
-        return replace(self, posterior=replace(posterior, draws=moved), model_error=None)
+        e, w, steps, d = posterior.draws.shape
+        some = slice(None, None, -(-e * w * steps // _WIDE))
+        draws = posterior.draws[:, :, some]
+        moved = self.model_error.widened(self.target, draws.reshape(-1, d), rng)
+        changed = replace(
+            posterior,
+            draws=moved.reshape(draws.shape),
+            log_density=posterior.log_density[:, :, some],
+        )
+        return replace(self, posterior=changed, model_error=None)
 
     @property
     def chain(self) -> Joint:

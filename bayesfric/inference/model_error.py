@@ -10,6 +10,8 @@ adjusted for what each quarter itself contributed to the fit [2]_, so that witho
 the posterior's own. The share of it that noise does not explain, ``1 - 1/F`` of the F test that
 one fit suits all quarters, is model error. Where any axis' quarters differ by more than chance, the
 model error of all axes, summed, widens the draws, in sampling coordinates, where bounds hold [3]_.
+All this takes the torque for linear in these coordinates. A draw that is moved to where it is not,
+and fits far worse than it should there, is moved by less.
 
 Clusters in time cannot do this: the misfit repeats with the motion, and is the same in every period
 of it.
@@ -53,6 +55,9 @@ _RECORDINGS = 3
 _SELDOM = 0.01
 # Draws that tell where the posterior lies; and step to either side, in its sds.
 _DRAWS, _STEP = 4000, 0.3
+# What chi squared of a moved draw may be of what is foretold of it; and how often a move that
+# fits worse is halved.
+_ALLOWED, _HALVINGS = 3.0, 12
 # Outputs a group and a parameter, at least, for a group to say anything.
 _LEAST = 2
 # What of a direction's information one group may hold, at most, before its residuals are not
@@ -79,7 +84,9 @@ class ModelError:
     """What groups of the motion say of the model; ``reason`` is why they say nothing."""
 
     axes: tuple[Axis, ...]
-    root: Array  # (d, d) lower root of the covariance added to draws, in sampling coordinates
+    root: Array  # (d, d) root of the covariance added to draws, in sampling coordinates
+    # (d, d) chi squared of a move in these coordinates, were the torque linear in them
+    misfit: Array
     reason: Reason | None = None
 
     @cached_property
@@ -91,18 +98,34 @@ class ModelError:
         """Move draws of the posterior ``(n, d)`` by as much as the model may be off."""
         if not self.shown:
             return parameters
-        u = target.from_parameters(parameters)
-        moved, slope = target.to_parameters(u + rng.standard_normal(u.shape) @ self.root.T)
+        u, _ = target.straighten(target.from_parameters(parameters))
+        step = rng.standard_normal(u.shape) @ self.root.T
+        found, left = parameters.copy(), np.arange(len(u))
+        before = target.log_likelihood(parameters)
+        for _ in range(_HALVINGS):
+            moved, slope = target.to_parameters(target.bend(u[left] + step[left]))
+            possible = np.isfinite(slope) & np.isfinite(moved).all(axis=1)
+            worse = np.full(left.size, np.inf)
+            if possible.any():
+                likely = target.log_likelihood(moved[possible])
+                worse[possible] = 2.0 * (before[left[possible]] - likely)
+            foretold = np.einsum("ni,ij,nj->n", step[left], self.misfit, step[left])
+            # besides, the move meets what a draw's own misfit is
+            fine = worse <= _ALLOWED * (foretold + u.shape[1])
+            found[left[fine]] = moved[fine]
+            left = left[~fine]
+            step[left] *= 0.5
+            if not left.size:
+                break
         # so far out that it has no counterpart: stays where it was
-        possible = np.isfinite(slope) & np.isfinite(moved).all(axis=1)
-        return np.where(possible[:, None], moved, parameters)
+        return found
 
 
 def model_error(target: Target, posterior: Posterior) -> ModelError:
     """Ask groups of the motion whether the fit suits them; nothing is sampled."""
     d = len(target.names)
     axes: list[Axis] = []
-    root = np.zeros((d, d))
+    root, misfit = np.zeros((d, d)), np.zeros((d, d))
     reason: Reason | None = None
     if not isinstance(target.likelihood, TorqueLikelihood):
         reason = "likelihood"
@@ -121,7 +144,9 @@ def model_error(target: Target, posterior: Posterior) -> ModelError:
         if any(axis.differs for axis in axes):
             values, vectors = np.linalg.eigh(excess)
             root = vectors * np.sqrt(np.clip(values, 0.0, None))
-    return ModelError(tuple(axes), root, reason)
+            k = len(target.free)
+            misfit[:k, :k] = whole.misfit
+    return ModelError(tuple(axes), root, misfit, reason)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,17 +159,23 @@ class _Whitened:
     predicted: Array  # (n,) outputs there, as measured, N m or N
     root: Array  # (k, k) from those directions to sampling coordinates
 
+    @property
+    def misfit(self) -> Array:
+        """Chi squared of a move in sampling coordinates, ``(k, k)``."""
+        back = np.linalg.inv(self.root)
+        return np.asarray(back.T @ (self.rows.T @ self.rows) @ back)
+
 
 def _whitened(target: Target, likelihood: TorqueLikelihood, posterior: Posterior) -> _Whitened:
     k = len(target.free)
-    u = target.from_parameters(posterior.flat(_DRAWS))
+    u, _ = target.straighten(target.from_parameters(posterior.flat(_DRAWS)))
     u = u[np.isfinite(u).all(axis=1)]
     centre = u.mean(axis=0)
     root = np.linalg.cholesky(np.atleast_2d(np.cov(u[:, :k].T)))
     # central differences over a sizeable step: what a kink does to a draw counts, not its slope
     steps = np.zeros((2 * k + 1, u.shape[1]))
     steps[:k, :k], steps[k : 2 * k, :k] = _STEP * root.T, -_STEP * root.T
-    parameters, _ = target.to_parameters(centre + steps)
+    parameters, _ = target.to_parameters(target.bend(centre + steps))
     predicted = likelihood.predict(target.chain_values(parameters))
     scales = target.noise.scales(parameters[-1:, k:])[0]
     changes = [(p[:k] - p[k : 2 * k]) / (2.0 * _STEP) for p in predicted]

@@ -268,6 +268,8 @@ def test_commands_are_those_of_the_design():
         "fit",
         "report",
         "compare",
+        "export",
+        "rollout",
         # asked for as the table [pooling], whose answer is no run of one posterior
         "pool",
     }

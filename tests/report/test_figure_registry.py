@@ -7,7 +7,12 @@ import pytest
 
 from bayesfric.report import figures, run_directory
 from bayesfric.report.figures import registry
-from bayesfric.report.figures.registry import Section, comparison_figures, read_captions
+from bayesfric.report.figures.registry import (
+    Section,
+    comparison_figures,
+    read_captions,
+    rollout_figures,
+)
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.summary.summary import summarise
 
@@ -65,8 +70,9 @@ def test_one_file_makes_a_figure(one_more, tmp_path, knee, monkeypatch):
 
 
 def test_what_figures_declare():
-    both = {**run_directory.FIGURES, **comparison_figures()}
-    assert len(both) == len(run_directory.FIGURES) + len(comparison_figures())
+    kinds = (run_directory.FIGURES, rollout_figures(), comparison_figures())
+    both = {stem: one for kind in kinds for stem, one in kind.items()}
+    assert len(both) == sum(map(len, kinds))
     assert {one.section for one in both.values()} == set(get_args(Section))
     assert len({one.title for one in both.values()}) == len(both)
     # the page's order
