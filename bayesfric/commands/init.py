@@ -94,12 +94,20 @@ def _recordings(chain: Joint) -> Iterator[str]:
         '# voltage = { column = "voltage", unit = "V", torque_constant = "0.32 N m/A", '
         'resistance = "1.2 ohm" }'
     )
+    yield "# or, where only the position that the drive went for was recorded, its gains:"
+    yield f"# {target_line(linear)}"
     yield "# from outside on the load, as a dynamometer measures it:"
     yield f'# load_torque = {{ column = "load", unit = "{"N" if linear else "N m"}" }}'
     yield "# for losses that depend on it:"
     yield '# temperature = { column = "temperature", unit = "degC" }'
     yield '# added_mass = "2 kg"  # known mass bolted to the load'
     yield '# radius = "0.35 m"'
+
+
+def target_line(linear: bool) -> str:
+    """Write a position target whose gains are to be filled in."""
+    unit, gain = ("m", "8 N/m") if linear else ("rad", "8 N m/rad")
+    return f'target = {{ column = "goal", unit = "{unit}", kp = "{gain}" }}'
 
 
 def _choices() -> Iterator[str]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from bayesfric.commands.init import configuration
+from bayesfric.commands.init import configuration, target_line
 from bayesfric.config_text import toml_value
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.recognition.log import Chosen, Log, recognise
@@ -103,6 +103,8 @@ def _recording(file: Path, table: str | None, log: Log, geared: bool) -> Iterato
     if not any(log.of(key) for key in ("torque", "current", "voltage")):
         yield "# no column can be torque, current or voltage: name it"
         yield f'torque = {{ column = "{GUESSED}", unit = "N m{GUESSED}" }}'
+        yield "# or, in its place, the position that the drive went for and its controller's gains:"
+        yield f"# {target_line(linear=False)}"
     if log.valid:
         yield f"# valid = {toml_value(log.valid)}  # is it 0 where the motor is off?"
 

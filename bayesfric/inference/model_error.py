@@ -9,9 +9,10 @@ model error, and carries over to the parameters by the cluster-robust covariance
 adjusted for what each quarter itself contributed to the fit [2]_, so that without model error it is
 the posterior's own. The share of it that noise does not explain, ``1 - 1/F`` of the F test that
 one fit suits all quarters, is model error. Where any axis' quarters differ by more than chance, the
-model error of all axes, summed, widens the draws, in sampling coordinates, where bounds hold [3]_.
-All this takes the torque for linear in these coordinates. A draw that is moved to where it is not,
-and fits far worse than it should there, is moved by less.
+model error of all axes, summed, widens the draws, in coordinates where bounds hold [3]_. All this
+takes the torque for linear, and so it is done in straight coordinates (``Target.straighten``: along
+the sampled ones a knee's torque is bent within a fraction of a sd); a draw that is moved to where it
+fits far worse than it should is moved by less.
 
 Clusters in time cannot do this: the misfit repeats with the motion, and is the same in every period
 of it.
@@ -84,7 +85,7 @@ class ModelError:
     """What groups of the motion say of the model; ``reason`` is why they say nothing."""
 
     axes: tuple[Axis, ...]
-    root: Array  # (d, d) root of the covariance added to draws, in sampling coordinates
+    root: Array  # (d, d) root of the covariance added to draws, in straight coordinates
     # (d, d) chi squared of a move in these coordinates, were the torque linear in them
     misfit: Array
     reason: Reason | None = None
@@ -157,11 +158,11 @@ class _Whitened:
     residual: Array  # (n,) what the best fit leaves
     rank: int  # directions that the outputs tell anything of
     predicted: Array  # (n,) outputs there, as measured, N m or N
-    root: Array  # (k, k) from those directions to sampling coordinates
+    root: Array  # (k, k) from those directions to straight coordinates
 
     @property
     def misfit(self) -> Array:
-        """Chi squared of a move in sampling coordinates, ``(k, k)``."""
+        """Chi squared of a move in straight coordinates, ``(k, k)``."""
         back = np.linalg.inv(self.root)
         return np.asarray(back.T @ (self.rows.T @ self.rows) @ back)
 
@@ -223,7 +224,7 @@ def _axes(predicted: Array, observations: Sequence[Observation]) -> Iterator[tup
 def _spread(whole: _Whitened, groups: Index) -> tuple[Array, float] | None:
     """Tell how far groups pull the fit beyond what noise does, and how often chance does that.
 
-    The first is a covariance ``(k, k)`` in sampling coordinates, the second the p-value of the F
+    The first is a covariance ``(k, k)`` in straight coordinates, the second the p-value of the F
     test that all groups have the same parameters: F is one where they do, and one more than model
     error over noise where they do not. ``None`` where there are no two groups.
     """
