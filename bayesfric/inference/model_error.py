@@ -10,9 +10,9 @@ adjusted for what each quarter itself contributed to the fit [2]_, so that witho
 the posterior's own. The share of it that noise does not explain, ``1 - 1/F`` of the F test that
 one fit suits all quarters, is model error. Where any axis' quarters differ by more than chance, the
 model error of all axes, summed, widens the draws, in coordinates where bounds hold [3]_. All this
-takes the torque for linear, and so it is done in straight coordinates (``Target.straighten``: along
-the sampled ones a knee's torque is bent within a fraction of a sd); a draw that is moved to where it
-fits far worse than it should is moved by less.
+takes the torque for linear, and so it is done in straight coordinates (``Target.straighten``: in
+the sampled ones a knee's torque is bent within a fraction of a sd); a draw that is moved to where
+it fits far worse than it should is moved by less.
 
 Clusters in time cannot do this: the misfit repeats with the motion, and is the same in every period
 of it.
