@@ -56,9 +56,9 @@ _RECORDINGS = 3
 _SELDOM = 0.01
 # Draws that tell where the posterior lies; and step to either side, in its sds.
 _DRAWS, _STEP = 4000, 0.3
-# What chi squared of a moved draw may be of what is foretold of it; and how often a move that
-# fits worse is halved.
-_ALLOWED, _HALVINGS = 3.0, 12
+# What chi squared of a moved draw may be of what is foretold of it, an order of magnitude; and how
+# often a move that fits worse is halved.
+ALLOWED, _HALVINGS = 10.0, 12
 # Outputs a group and a parameter, at least, for a group to say anything.
 _LEAST = 2
 # What of a direction's information one group may hold, at most, before its residuals are not
@@ -112,7 +112,7 @@ class ModelError:
                 worse[possible] = 2.0 * (before[left[possible]] - likely)
             foretold = np.einsum("ni,ij,nj->n", step[left], self.misfit, step[left])
             # besides, the move meets what a draw's own misfit is
-            fine = worse <= _ALLOWED * (foretold + u.shape[1])
+            fine = worse <= ALLOWED * (foretold + u.shape[1])
             found[left[fine]] = moved[fine]
             left = left[~fine]
             step[left] *= 0.5
