@@ -19,8 +19,10 @@ Array = NDArray[np.float64]
 
 # More draws change no curve that could be seen.
 _MOST = 200_000
-# Medians of the same draws are the same; other draws of the same posterior are closer than this.
+# Medians of the same draws are the same; other draws of the same posterior are closer than this,
+# and a few of them closer than that many standard errors.
 _NEAR = 0.1  # sds
+_ERRORS = 4.0
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,8 @@ def _same(x: Array, row: PosteriorRow) -> bool:
         return False
     # the mean of a ratio may not settle, its median does
     told, found = (row.mean, x.mean()) if row.median is None else (row.median, np.median(x))
-    return bool(abs(found - told) <= _NEAR * row.sd + 1e-9 * abs(told))
+    near = max(_NEAR, _ERRORS * 1.25 / x.size**0.5)
+    return bool(abs(found - told) <= near * row.sd + 1e-9 * abs(told))
 
 
 def _derived(
