@@ -8,7 +8,9 @@ from pathlib import Path
 from bayesfric.commands.unfinished import asked_to_stop
 from bayesfric.errors import Interrupted
 from bayesfric.fleet.fleet import PLAN, Fleet, FleetRun
+from bayesfric.fleet.population import sure
 from bayesfric.inference.sampling.sampling import Progress
+from bayesfric.pooling.population import Interval
 from bayesfric.report.text_templates import filled
 
 
@@ -39,4 +41,8 @@ def fleet(
 
 def fleet_text(found: FleetRun) -> list[str]:
     """Say what came of it."""
-    return filled("fleet.txt.j2", found=found).splitlines()
+    return filled("fleet.txt.j2", found=found, sure=sure, span=_span).splitlines()
+
+
+def _span(one: Interval) -> str:
+    return f"{one.median:.4g} [{one.low:.4g}, {one.high:.4g}]"

@@ -87,7 +87,9 @@ def _crew(options: ClusterOptions) -> Iterator[Client]:
             require_encryption=options.ca is not None,
         )
         try:
-            client = Client(options.scheduler, security=security, timeout=_CONNECT)
+            client = Client(
+                options.scheduler, security=security, timeout=_CONNECT, set_as_default=False
+            )
         except (OSError, ValueError, TypeError) as error:
             raise _Gone from error
         try:
@@ -114,7 +116,7 @@ def _crew(options: ClusterOptions) -> Iterator[Client]:
             host="127.0.0.1",
             silence_logs=logging.CRITICAL,
         ) as cluster,
-        Client(cluster) as client,
+        Client(cluster, set_as_default=False) as client,
     ):
         yield client
 
@@ -131,14 +133,14 @@ def _serve(client: Client, waiting: deque[Task], arrived: Arrived) -> None:
     from distributed import as_completed
 
     flying: dict[Future, Task] = {}
-    coming = as_completed()
+    coming = as_completed(loop=client.loop)
     most = max(_HANDED_OUT, _PER_THREAD * sum(client.nthreads().values()))
     compiled = False
     try:
         while waiting or flying:
             while waiting and len(flying) < (most if compiled else 1):
                 task = waiting.popleft()
-                future = client.submit(do_unit, task, pure=False, retries=_RETRIES)
+                future = client.submit(do_unit_here, task, pure=False, retries=_RETRIES)
                 flying[future] = task
                 coming.add(future)
             future = next(coming)
@@ -154,6 +156,14 @@ def _serve(client: Client, waiting: deque[Task], arrived: Arrived) -> None:
         raise _Gone from error
     finally:
         waiting.extendleft(reversed(flying.values()))
+
+
+def do_unit_here(task: Task) -> Done:
+    """Do a unit on a worker, on its one thread: ArviZ writes files by Dask where it finds one."""
+    import dask
+
+    with dask.config.set(scheduler="synchronous"):
+        return do_unit(task)
 
 
 def _sampled(done: Done) -> bool:

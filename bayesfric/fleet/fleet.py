@@ -13,6 +13,7 @@ from filelock import FileLock, Timeout
 from bayesfric.errors import BadInput
 from bayesfric.fleet.crew import work_through
 from bayesfric.fleet.plan import ClusterOptions, Plan, RunOptions, Template, read_plan
+from bayesfric.fleet.population import FleetPopulation, fleet_population
 from bayesfric.fleet.results import FAILED, Record, Results, failure
 from bayesfric.fleet.units import cells_of, read_units, units_of
 from bayesfric.fleet.work import Done, Task
@@ -38,6 +39,7 @@ class FleetRun:
     left: Mapping[str, str]  # those that the machine failed; --resume tries them again
     status: Mapping[str, int]  # number of units by the status of their sampling
     seconds: float
+    population: FleetPopulation
 
     @property
     def frame(self) -> pd.DataFrame:
@@ -56,6 +58,7 @@ class FleetRun:
             "failed": dict(self.failed),
             "left": dict(self.left),
             "seconds": self.seconds,
+            **self.population.as_json(),
         }
 
 
@@ -165,13 +168,18 @@ class Fleet:
                 tasks = course.tasks(folder / UNITS)
                 work_through(tasks, options, course.arrived)
                 course.results.write()
+                found = course.end(folder, began)
+                write_beside(
+                    {folder / name: text for name, text in found.population.texts().items()},
+                    replace=True,
+                )
         except Timeout:
             what = "another process works on this fleet"
             raise BadInput(str(folder), what, "wait for it, or name another folder") from None
         except OSError as error:
             what = f"cannot be written ({error.strerror or error})"
             raise BadInput(str(folder), what, "mend that, then go on with --resume") from None
-        return course.end(folder, time.monotonic() - began)
+        return found
 
 
 def _check(folder: Path, *, resume: bool) -> None:
@@ -243,15 +251,21 @@ class _Course:
             words += f", {3600.0 * fitted / taken:.0f} an hour, {_duration(left)} left"
         return words
 
-    def end(self, folder: Path, seconds: float) -> FleetRun:
-        """Sum it up."""
+    def end(self, folder: Path, began: float) -> FleetRun:
+        """Sum it up, and say what the units are together."""
+        self._tell(Progress("population"))
+        plan = self.plan
+        population = fleet_population(folder / UNITS, plan.units, joint=plan.joint, over=plan.over)
         records = {u.name: self.results.records[u.name] for u in self.plan.units}
         failed = {name: r["error"] for name, r in records.items() if r["status"] == FAILED}
         status: dict[str, int] = {}
         for record in records.values():
             status[record["status"]] = status.get(record["status"], 0) + 1
         gone = {name: why for name, why in failed.items() if name not in self.left}
-        return FleetRun(folder, len(records), self.again, gone, self.left, status, seconds)
+        seconds = time.monotonic() - began
+        return FleetRun(
+            folder, len(records), self.again, gone, self.left, status, seconds, population
+        )
 
 
 def _duration(seconds: float) -> str:

@@ -15,7 +15,7 @@ from bayesfric.config import checked_toml, parse_config, read_toml
 from bayesfric.config_text import document_text
 from bayesfric.errors import BadInput, Unfit, nearest
 from bayesfric.fleet.results import COLUMNS
-from bayesfric.fleet.units import PLACEHOLDER, Unit, find_units, put_in, read_units
+from bayesfric.fleet.units import PLACEHOLDER, Unit, find_units, places_of, put_in, read_units
 from bayesfric.recordings.tables.reader import Options
 
 
@@ -153,6 +153,8 @@ class Plan:
             if name is not None and name not in columns:
                 what = f"there is no column {name!r}"
                 raise BadInput(f"{self.path}: units.{key}", what, nearest(name, columns))
+        if self.over is not None:
+            places_of(self.units, self.over)
         for name in columns:
             same = name == "unit" and all(one.text[name] == one.name for one in self.units)
             if name in COLUMNS and not same:

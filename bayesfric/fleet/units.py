@@ -9,6 +9,7 @@ import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ Value = str | float | int | bool | None
 _LARGEST = 200_000_000
 # What every file system takes, with room for what is put before and behind.
 _LONGEST = 180
+_DAY = 86_400.0  # s
 # A serial number such as 007 is none: it would lose its noughts.
 _NUMBER = re.compile(r"-?(0|[1-9][0-9]*)(\.[0-9]*)?([eE][-+]?[0-9]+)?")
 _WHOLE = re.compile(r"-?(0|[1-9][0-9]{0,17})")
@@ -160,6 +162,32 @@ def units_of(
     if not units:
         raise BadInput(known, "has no rows", "give a row for each unit")
     return units
+
+
+def places_of(units: Sequence[Unit], column: str) -> tuple[dict[str, float], str]:
+    """Give a column's numbers by unit, dates in days since the first, and their unit.
+
+    Raises
+    ------
+    BadInput
+        Naming the unit whose cell is neither.
+    """
+    values = {unit.name: unit.values[column] for unit in units}
+    told = {name: value for name, value in values.items() if value is not None}
+    if not any(isinstance(value, str) for value in told.values()):
+        return {name: float(value) for name, value in told.items()}, column
+    stamps = {}
+    for name, value in told.items():
+        try:
+            # dates alone have no zone, and none is guessed for them: all are taken alike
+            at = datetime.fromisoformat(str(value)).replace(tzinfo=None)
+        except ValueError:
+            where = f"units.over: column {column!r}, unit {name!r}"
+            mend = "write numbers, or dates such as 2026-05-31"
+            raise BadInput(where, f"{str(value)[:40]!r} is neither", mend) from None
+        stamps[name] = (at - datetime(1970, 1, 1)).total_seconds() / _DAY
+    first = min(stamps.values())
+    return {name: stamp - first for name, stamp in stamps.items()}, "day"
 
 
 def _typed(cells: Sequence[str]) -> Sequence[Value]:

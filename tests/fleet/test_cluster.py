@@ -207,8 +207,9 @@ def test_a_cluster_of_its_own_speaks_tls_only_and_may_be_restarted(tmp_path):
                 started[:] = [scheduler(), worker()]
 
         found = fleet.run(tmp_path / "out", progress=restart)
-        assert found.status == {"reliable": 4, "failed": 2}
         assert found.left == {}
+        assert set(found.failed) == {"broken", "missing"}, found.failed
+        assert found.status == {"reliable": 4, "failed": 2}
     finally:
         for one in started:
             os.killpg(one.pid, signal.SIGKILL)

@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesfric.errors import BadInput
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
 from bayesfric.report.summary.record import PosteriorRow, Summary
@@ -67,6 +68,16 @@ def read_draws(run: Path, summary: Summary, rebuild: Callable[[str], Joint | Non
         found.setdefault(name, x)
     rows = {**summary.derived, **summary.parameters}
     return RunDraws({name: x for name, x in found.items() if _same(x, rows[name])}, prior)
+
+
+def chain_of(config: str) -> Joint | None:
+    """Rebuild a run's chain from its configuration, where this version still reads that."""
+    from bayesfric.config import parse_config
+
+    try:
+        return parse_config(config, Path("config.toml")).tables.mechanism.joint()
+    except BadInput:
+        return None
 
 
 def _flat(stored: Any) -> Array:
