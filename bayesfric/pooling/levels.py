@@ -19,8 +19,9 @@ from bayesfric.pooling.population import Interval
 
 Array = NDArray[np.float64]
 
-# Grid of each spread, in the sd of all values.
-_SPREADS = np.geomspace(3e-3, 10.0, 48)
+# Grid of each spread, in the sd of all values; then as fine where the posterior is.
+_SPREADS = np.geomspace(3e-3, 10.0, 40)
+_FAR = 12.0
 _DRAWS = 8000
 # Fewer joints, or fewer repetitions in all, have no spread to speak of; fewer values no trend.
 _JOINTS, _REPEATED, _VALUES = 3, 2, 4
@@ -59,8 +60,11 @@ def levels(
     if not split:
         group, count = np.arange(len(y)), len(y)
     # without a split all spread is one
-    between = _SPREADS if split else np.zeros(1)
-    log, best, root = _posterior(y, s, x, group, count, between)
+    within, between = _SPREADS, _SPREADS if split else np.zeros(1)
+    log, *_ = _posterior(y, s, x, group, count, within, between)
+    within = _finer(within, log.max(axis=1))
+    between = _finer(between, log.max(axis=0))
+    log, best, root = _posterior(y, s, x, group, count, within, between)
     chance = np.exp(log - log.max()).ravel()
     rng = np.random.default_rng(seed)
     row, column = np.divmod(rng.choice(chance.size, _DRAWS, p=chance / chance.sum()), between.size)
@@ -69,9 +73,9 @@ def levels(
         ends = np.quantile(draws, [0.5, 0.5 - level / 2.0, 0.5 + level / 2.0])
         return Interval(*(unit * float(end) for end in ends))
 
-    def jittered(index: NDArray[np.int_]) -> Array:
-        step = np.log(_SPREADS[1] / _SPREADS[0])
-        return np.asarray(_SPREADS[index] * np.exp((rng.random(_DRAWS) - 0.5) * step))
+    def jittered(grid: Array, index: NDArray[np.int_]) -> Array:
+        step = np.log(grid[1] / grid[0])
+        return np.asarray(grid[index] * np.exp((rng.random(_DRAWS) - 0.5) * step))
 
     slope = None
     if x.shape[1] == 2:
@@ -79,17 +83,30 @@ def levels(
         slope = interval(draws, y_scale / x_scale)
     if not split:
         return Levels(None, None, slope)
-    return Levels(interval(jittered(column), y_scale), interval(jittered(row), y_scale), slope)
+    return Levels(
+        interval(jittered(between, column), y_scale),
+        interval(jittered(within, row), y_scale),
+        slope,
+    )
+
+
+def _finer(grid: Array, log: Array) -> Array:
+    """Take as many spreads where the posterior is; one alone stays."""
+    near = np.flatnonzero(log > log.max() - _FAR)
+    if grid.size == 1:
+        return grid
+    low, high = grid[max(near[0] - 1, 0)], grid[min(near[-1] + 1, grid.size - 1)]
+    return np.geomspace(low, high, grid.size)
 
 
 def _posterior(
-    y: Array, s: Array, x: Array, group: NDArray[np.int_], count: int, between: Array
+    y: Array, s: Array, x: Array, group: NDArray[np.int_], count: int, grid: Array, between: Array
 ) -> tuple[Array, Array, Array]:
     """Log density of ``(within, between)``, coefficients there, and the sd of the last one."""
-    shape = (_SPREADS.size, between.size)
+    shape = (grid.size, between.size)
     log, best, root = np.empty(shape), np.empty((*shape, x.shape[1])), np.empty(shape)
     prior_between = np.log(between / (1.0 + between**2)) if between.size > 1 else np.zeros(1)
-    for i, within in enumerate(_SPREADS):
+    for i, within in enumerate(grid):
         w = 1.0 / (s**2 + within**2)
         in_group = np.bincount(group, w, count)
         data = np.column_stack([x, y])
