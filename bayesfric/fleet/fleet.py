@@ -169,10 +169,7 @@ class Fleet:
                 work_through(tasks, options, course.arrived)
                 course.results.write()
                 found = course.end(folder, began)
-                write_beside(
-                    {folder / name: text for name, text in found.population.texts().items()},
-                    replace=True,
-                )
+                _write(folder, self.plan, course.results.records, found.population)
         except Timeout:
             what = "another process works on this fleet"
             raise BadInput(str(folder), what, "wait for it, or name another folder") from None
@@ -194,6 +191,15 @@ def _check(folder: Path, *, resume: bool) -> None:
         raise BadInput(str(folder), "is not empty", mend or "name another folder with -o")
     if not folder.parent.is_dir():
         raise BadInput(str(folder.parent), "there is no such folder", "make it first")
+
+
+def _write(folder: Path, plan: Plan, records: Mapping[str, Record], found: FleetPopulation) -> None:
+    """Write what the units are together: tables, figures, the page."""
+    from bayesfric.fleet.page import draw, fleet_page
+
+    figures = draw(folder, found)
+    texts = found.texts() | {"fleet.html": fleet_page(folder, plan.units, records, found, figures)}
+    write_beside({folder / name: text for name, text in texts.items()}, replace=True)
 
 
 def _text(plan: Plan) -> str:

@@ -23,7 +23,7 @@ from bayesfric.report.summary.record import PosteriorRow, Summary, read_summary_
 Array = NDArray[np.float64]
 
 # What is likelier an outlier than not has no say in spreads of joints and trends.
-_OUTLIER = 0.5
+OUTLIER = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ class FleetQuantity:
             "between_joints": spreads["between"],
             "within_joints": spreads["within"],
             "trend": slope and {**asdict(slope), "per": per, "sure": sure(slope.low, slope.high)},
-            "outlying": {name: p for name, p in self.outlying.items() if p >= _OUTLIER},
+            "outlying": {name: p for name, p in self.outlying.items() if p >= OUTLIER},
         }
 
 
@@ -93,7 +93,7 @@ class FleetPopulation:
             "outliers": [
                 {"unit": unit, "probability": p, "quantity": name}
                 for unit, p, name in self.outliers
-                if p >= _OUTLIER
+                if p >= OUTLIER
             ],
         }
 
@@ -160,7 +160,7 @@ def _pooled(one: Told, joints: Mapping[str, str], places: Mapping[str, float]) -
     level = next(iter(one.runs.values())).level
     pool = with_outliers(list(one.likelihoods.values()), level)
     outlying = dict(zip(one.likelihoods, pool.outlying, strict=True))
-    kept = [name for name, p in outlying.items() if p < _OUTLIER and (not places or name in places)]
+    kept = [name for name, p in outlying.items() if p < OUTLIER and (not places or name in places)]
     found = [one.likelihoods[name] for name in kept]
     parts = Levels(None, None, None)
     if kept:
