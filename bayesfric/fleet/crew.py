@@ -49,7 +49,7 @@ def work_through(tasks: Sequence[Task], options: ClusterOptions, arrived: Arrive
     Raises
     ------
     BadInput
-        If Dask is not installed, or no scheduler answers.
+        If no scheduler answers.
     """
     waiting = deque(tasks)
     lost: float | None = None
@@ -70,15 +70,36 @@ def work_through(tasks: Sequence[Task], options: ClusterOptions, arrived: Arrive
             time.sleep(1.0)
 
 
-@contextmanager
-def _crew(options: ClusterOptions) -> Iterator[Client]:
+def check_engine(options: ClusterOptions) -> None:
+    """Refuse what no cluster can be made of, before anything is written.
+
+    Raises
+    ------
+    BadInput
+        If Dask is not installed, or the limit of memory is none.
+    """
     try:
-        import dask
-        from distributed import Client, LocalCluster
-        from distributed.security import Security
+        import cryptography  # noqa: F401 (makes a local cluster's certificates)
+        import distributed  # noqa: F401
+        from dask.utils import parse_bytes
     except ImportError:
         what = "works with Dask distributed, which is not installed"
         raise BadInput("bayesfric fleet", what, "pip install 'bayesfric[fleet]'") from None
+    try:
+        enough = parse_bytes(options.memory_limit) > 0
+    except ValueError:
+        enough = False
+    if not enough:
+        where = f"cluster.memory_limit = {options.memory_limit!r}"
+        raise BadInput(where, "is no size", 'write such as "2 GiB"')
+
+
+@contextmanager
+def _crew(options: ClusterOptions) -> Iterator[Client]:
+    import dask
+    from distributed import Client, LocalCluster
+    from distributed.security import Security
+
     if options.scheduler is not None:
         security = Security(
             tls_ca_file=options.ca,

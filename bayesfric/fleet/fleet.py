@@ -4,15 +4,25 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 from filelock import FileLock, Timeout
+from pydantic import BaseModel, ValidationError
 
+from bayesfric.complaints import complaint
 from bayesfric.errors import BadInput
-from bayesfric.fleet.crew import work_through
-from bayesfric.fleet.plan import ClusterOptions, Plan, RunOptions, Template, read_plan
+from bayesfric.fleet.crew import check_engine, work_through
+from bayesfric.fleet.plan import (
+    ClusterOptions,
+    Plan,
+    RunOptions,
+    Template,
+    read_plan,
+    read_template,
+)
 from bayesfric.fleet.population import FleetPopulation, fleet_population
 from bayesfric.fleet.results import FAILED, Record, Results, failure
 from bayesfric.fleet.units import cells_of, read_units, units_of
@@ -95,15 +105,10 @@ class Fleet:
         runs: Mapping[str, Any] | None = None,
         cluster: Mapping[str, Any] | None = None,
     ) -> None:
-        import tomllib
-
-        from bayesfric.config import read_toml
-
         if isinstance(template, Mapping):
-            place, document = Path("template").absolute(), dict(template)
+            made = Template(Path("template").absolute(), dict(template))
         else:
-            place = Path(template).absolute()
-            document = tomllib.loads(read_toml(place))
+            made = read_template(Path(template))
         if isinstance(units, str | Path):
             rows = read_units(Path(units), name)
         else:
@@ -111,12 +116,12 @@ class Fleet:
             rows = units_of(*cells_of(told, "units"), name, "units", first_row=1)
         self.plan = Plan(
             Path("Fleet"),
-            Template(place, document),
+            made,
             rows,
             joint,
             over,
-            RunOptions.model_validate(runs or {}),
-            ClusterOptions.model_validate(cluster or {}),
+            _options(RunOptions, runs or {}, "runs"),
+            _options(ClusterOptions, cluster or {}, "cluster"),
         ).checked()
 
     @classmethod
@@ -160,6 +165,7 @@ class Fleet:
         told = {key: value for key, value in given.items() if value is not None}
         options = self.plan.cluster.model_copy(update=told)
         _check(folder, resume=resume)
+        check_engine(options)
         try:
             folder.mkdir(exist_ok=True)
             with FileLock(folder / LOCK).acquire(timeout=0), progress_shown(progress) as tell:
@@ -170,6 +176,10 @@ class Fleet:
                 course.results.write()
                 found = course.end(folder, began)
                 _write(folder, self.plan, course.results.records, found.population)
+        except BadInput:
+            if not resume:
+                _remove_if_begun_only(folder)
+            raise
         except Timeout:
             what = "another process works on this fleet"
             raise BadInput(str(folder), what, "wait for it, or name another folder") from None
@@ -177,6 +187,16 @@ class Fleet:
             what = f"cannot be written ({error.strerror or error})"
             raise BadInput(str(folder), what, "mend that, then go on with --resume") from None
         return found
+
+
+Chosen = TypeVar("Chosen", bound=BaseModel)
+
+
+def _options(kind: type[Chosen], given: Mapping[str, Any], name: str) -> Chosen:
+    try:
+        return kind.model_validate(dict(given), strict=True)
+    except ValidationError as error:
+        raise complaint(f"Fleet: {name}.", name, error, given, kind) from None
 
 
 def _check(folder: Path, *, resume: bool) -> None:
@@ -191,6 +211,15 @@ def _check(folder: Path, *, resume: bool) -> None:
         raise BadInput(str(folder), "is not empty", mend or "name another folder with -o")
     if not folder.parent.is_dir():
         raise BadInput(str(folder.parent), "there is no such folder", "make it first")
+
+
+def _remove_if_begun_only(folder: Path) -> None:
+    """Leave nothing behind of a fleet of which no unit was begun."""
+    if not (folder / UNITS).exists():
+        for name in (PLAN, LOCK):
+            (folder / name).unlink(missing_ok=True)
+        with suppress(OSError):
+            folder.rmdir()
 
 
 def _write(folder: Path, plan: Plan, records: Mapping[str, Record], found: FleetPopulation) -> None:

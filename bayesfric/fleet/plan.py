@@ -177,6 +177,14 @@ class Plan:
         raise first
 
 
+def read_template(path: Path) -> Template:
+    """Read a configuration whose texts hold placeholders; it is checked when they are filled."""
+    try:
+        return Template(path.absolute(), tomllib.loads(read_toml(path)))
+    except ValueError as error:
+        raise BadInput(str(path), f"is no TOML ({error})", "correct the file") from None
+
+
 def read_plan(path: Path) -> Plan:
     """Read ``FLEET.toml``, its template and its units.
 
@@ -188,19 +196,14 @@ def read_plan(path: Path) -> Plan:
     tables = checked_toml(read_toml(path), path, FleetTables, "fleet")
     folder, options = path.parent, tables.units
     if isinstance(tables.template, str):
-        place = folder / tables.template
-        try:
-            document = tomllib.loads(read_toml(place))
-        except ValueError as error:
-            raise BadInput(str(place), f"is no TOML ({error})", "correct the file") from None
+        template = read_template(folder / tables.template)
     else:
-        place, document = path, tables.template
+        template = Template(path.absolute(), tables.template)
     if options.table is not None:
         units = read_units(folder / options.table, options.name)
     else:
         assert options.glob is not None
-        start = os.path.relpath(folder, place.parent)
+        start = os.path.relpath(folder.absolute(), template.path.parent)
         units = find_units(options.glob, folder, options.name, start)
-    template = Template(place.absolute(), document)
     plan = Plan(path, template, units, options.joint, options.over, tables.runs, tables.cluster)
     return plan.checked()

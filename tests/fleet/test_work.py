@@ -2,9 +2,12 @@
 
 import errno
 import json
+import sys
 
 import pytest
 
+import bayesfric as bf
+from bayesfric.errors import BadInput
 from bayesfric.fleet import work
 from bayesfric.fleet.fleet import _Course
 from bayesfric.fleet.plan import read_plan
@@ -84,3 +87,28 @@ def test_a_fault_of_the_machine_is_none_of_the_unit(tasks, monkeypatch, number):
     assert told.value.errno == number
     # nothing is kept of it
     assert not work.do_unit(tasks["broken"])["again"]
+
+
+def test_without_dask_one_line_says_what_to_install(tmp_path, monkeypatch):
+    path = write_fleet(tmp_path, good=1)
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(BadInput, match=r"not installed; pip install 'bayesfric\[fleet\]'"):
+        bf.Fleet.from_config(path).run(tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"cluster": {"memory_limit": "much"}}, "memory_limit = 'much': is no size"),
+        ({"cluster": {"worker": 2}}, "Fleet: cluster.worker: unknown key"),
+        ({"runs": {"draws": "all"}}, "Fleet: runs.draws"),
+        ({"over": "file"}, "is neither"),
+    ],
+)
+def test_options_in_python_are_checked_as_those_of_a_file(tmp_path, options, said):
+    write_fleet(tmp_path, good=1)
+    with pytest.raises(BadInput) as told:
+        bf.Fleet(tmp_path / "unit.toml", tmp_path / "units.csv", **options).run(tmp_path / "out")
+    assert said in str(told.value)
+    assert not (tmp_path / "out").exists()
