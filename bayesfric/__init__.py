@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from bayesfric import plot
     from bayesfric.export.exported import export
+    from bayesfric.fleet.fleet import Fleet
     from bayesfric.mechanism.element import Element, Load
     from bayesfric.mechanism.joint import Joint
     from bayesfric.mechanism.own_term import Term
@@ -23,13 +24,14 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = [
-    "Element", "Joint", "Load", "Model", "Recording", "Term", "export", "plot", "report",
+    "Element", "Fleet", "Joint", "Load", "Model", "Recording", "Term", "export", "plot", "report",
     "rollout", "summary",
 ]  # fmt: skip
 
 # Imported when first used: the command line must answer --help at once.
 _HOMES = {
     "Element": "mechanism.element",
+    "Fleet": "fleet.fleet",
     "Joint": "mechanism.joint",
     "Load": "mechanism.element",
     "Model": "model",

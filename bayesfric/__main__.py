@@ -2,4 +2,6 @@
 
 from bayesfric.cli import main
 
-main()
+# the processes of a fleet import this, under another name
+if __name__ == "__main__":
+    main()

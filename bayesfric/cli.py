@@ -399,6 +399,44 @@ def compare(
     _print(comparison_dict(found), as_json, [*comparison_text(found), *written])
 
 
+@app.command()
+def fleet(
+    plan: Annotated[Path, typer.Argument(metavar="FLEET", help="template and units (TOML)")],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="folder to make; FLEET-fleet if left out")
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="processes; as many as cores if left out")
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="of a running Dask scheduler")
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="do what is missing, or has changed since")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Fit many units by one template, and say what population they are."""
+    from bayesfric.commands.fleet import fleet as run
+    from bayesfric.commands.fleet import fleet_text
+
+    try:
+        with progress_shown(sys.stderr.isatty()) as progress:
+            found = run(
+                plan,
+                output or Path(f"{plan.stem}-fleet"),
+                workers=workers,
+                scheduler=scheduler,
+                resume=resume,
+                progress=progress,
+            )
+    except Interrupted as stopped:
+        raise _Stopped(stopped) from None
+    _print(found.as_json(), as_json, fleet_text(found))
+    if found.left:
+        raise typer.Exit(NOT_CONVERGED)
+
+
 def _fit(
     config: Callable[[], Any], folder: Path, as_json: bool, remark: str = "", **options: Any
 ) -> None:
@@ -423,10 +461,10 @@ class _Stopped(Exception):
     def __init__(self, stopped: Interrupted) -> None:
         self.code = 128 + stopped.signal
         text = "interrupted, nothing was written"
-        if stopped.saved:
+        if stopped.kept:
             again = [word for word in sys.argv[1:] if word not in ("--resume", "--force")]
             command = shlex.join(["bayesfric", *again, "--resume"])
-            text = f"interrupted, {stopped.saved} steps are kept; go on with: {command}"
+            text = f"interrupted, {stopped.kept} kept; go on with: {command}"
         super().__init__(text)
 
 

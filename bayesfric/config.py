@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -47,6 +47,8 @@ _LARGEST = 1_000_000
 # tomllib takes time with the square of a dotted key's length
 _LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){50}""")
 _NUL = re.compile(r"(?<!\\)(?:\\\\)*\\u0000")
+
+Checked = TypeVar("Checked", bound=BaseModel)
 
 
 class NoiseOptions(Options):
@@ -211,10 +213,16 @@ class Config(BaseModel):
 
 def read_config(path: Path) -> Config:
     """Read and check a configuration; what cannot be used is bad input, with key and mend."""
+    text = read_toml(path)
+    return parse_config(text, path).model_copy(update={"origin": _origin(path)})
+
+
+def read_toml(path: Path) -> str:
+    """Read the text of a TOML file; bad input where there is none."""
     mend = "name the .toml file"
     try:
         str(path).encode()
-        text = read_text(path, _LARGEST, "configuration", mend, "save it as UTF-8")
+        return read_text(path, _LARGEST, "configuration", mend, "save it as UTF-8")
     except UnicodeEncodeError:
         # every later print of it would end in an error
         raise BadInput(
@@ -228,7 +236,6 @@ def read_config(path: Path) -> Config:
         raise BadInput(
             str(path), f"cannot be read ({error.strerror})", "check its name and its rights"
         ) from None
-    return parse_config(text, path).model_copy(update={"origin": _origin(path)})
 
 
 def _origin(path: Path) -> Origin | None:
@@ -253,6 +260,16 @@ def _absolute(path: Path) -> Path:
 
 def parse_config(text: str, path: Path) -> Config:
     """Check a configuration's text; see :func:`read_config`."""
+    tables = checked_toml(text, path, Tables, "configuration")
+    # a name may come twice, dotted and in a table
+    for name, count in Counter(n for n, _ in _flatten(tables.priors, "distribution")).items():
+        if count > 1:
+            raise BadInput(f"{path}: priors.{name}", "is given twice", "leave one out")
+    return Config(path=path, text=text, tables=tables)
+
+
+def checked_toml(text: str, path: Path, model: type[Checked], kind: str) -> Checked:
+    """Read TOML as what a model describes; bad input names the key, and ``kind`` the whole."""
     if found := _LONG_KEY.search(text):
         line = text.count("\n", 0, found.start()) + 1
         raise BadInput(f"{path}, line {line}", "a key has more than 50 parts", "correct the file")
@@ -266,17 +283,12 @@ def parse_config(text: str, path: Path) -> Config:
     if _NUL.search(as_json):
         raise BadInput(str(path), "holds a NUL character", "leave it out")
     try:
-        tables = Tables.model_validate_json(as_json, strict=True)
+        return model.model_validate_json(as_json, strict=True)
     except ValidationError as error:
         if error.errors(include_url=False)[0]["type"] == "json_invalid":
-            what = "is nested too deep for a configuration"
+            what = f"is nested too deep for a {kind}"
             raise BadInput(str(path), what, "correct the file") from None
-        raise complaint(f"{path}: ", "configuration", error, document, Tables) from None
-    # a name may come twice, dotted and in a table
-    for name, count in Counter(n for n, _ in _flatten(tables.priors, "distribution")).items():
-        if count > 1:
-            raise BadInput(f"{path}: priors.{name}", "is given twice", "leave one out")
-    return Config(path=path, text=text, tables=tables)
+        raise complaint(f"{path}: ", kind, error, document, model) from None
 
 
 def _no_toml(path: Path, text: str, message: str) -> BadInput:

@@ -44,11 +44,13 @@ class Unfit(ValueError):
 class Interrupted(KeyboardInterrupt):
     """The user asked to stop, and what was done so far is kept.
 
-    ``signal`` asked for it, Ctrl-C if there was none; ``saved`` steps of the sampler are on disk.
+    ``signal`` asked for it, Ctrl-C if there was none; ``saved`` steps of the sampler are on disk,
+    or what else is ``kept`` says; nothing if it is empty.
     """
 
-    def __init__(self, signal: int | None, saved: int) -> None:
+    def __init__(self, signal: int | None, saved: int, kept: str | None = None) -> None:
         self.signal, self.saved = signal or 2, saved
+        self.kept = f"{saved} steps are" * bool(saved) if kept is None else kept
         super().__init__(f"interrupted, {saved} steps are kept")
 
 

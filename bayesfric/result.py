@@ -48,10 +48,11 @@ class Result:
     def __deepcopy__(self, _: Any) -> Result:
         return self
 
-    def write(self, folder: Path) -> Summary:
+    def write(self, folder: Path, *, draws: int | None = None) -> Summary:
         """Write a run directory, and give what its ``summary.json`` holds.
 
-        Nothing is left behind where the folder cannot be written to.
+        Nothing is left behind where the folder cannot be written to. With a number of ``draws`` it
+        is a light one, see :func:`~bayesfric.report.run_directory.write_run`.
         """
         config, measured = self.model.config, self.recordings
         # what was given as a table in memory is saved in the run, where its configuration has it
@@ -70,7 +71,7 @@ class Result:
                     measured[k] = replace(one, path=folder / file, sha256=sha256(made))
             origin = config.origin_of(measured, folder if self.model.given else config.folder)
             summary = self.summary.model_copy(update={"source": origin.model_dump(mode="json")})
-            write_run(folder, self.fit, summary, config.text, measured, Path(name))
+            write_run(folder, self.fit, summary, config.text, measured, Path(name), draws)
         return summary
 
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from bayesfric.errors import BadInput
-from bayesfric.mechanism.joint import Joint
 from bayesfric.report.comparison.comparison import Comparison, comparison
 from bayesfric.report.comparison.table import comparison_csv, comparison_dict, comparison_markdown
 from bayesfric.report.summary.record import Summary, read_summary_file
@@ -36,7 +35,7 @@ def compare(
         between_runs_csv,
         each_run_csv,
     )
-    from bayesfric.report.comparison.run_draws import read_draws
+    from bayesfric.report.comparison.run_draws import chain_of, read_draws
     from bayesfric.report.figures.registry import ComparedRuns, comparison_figures
     from bayesfric.report.figures.style import save
     from bayesfric.report.page.compare_page import compare_page, shared_recordings
@@ -48,7 +47,7 @@ def compare(
     checked = {name: Summary.read(summary, name) for name, summary in summaries.items()}
     provenance = {name: read_provenance(run) for name, run in zip(summaries, runs, strict=True)}
     draws = {
-        name: read_draws(run, checked[name], _chain)
+        name: read_draws(run, checked[name], chain_of)
         for name, run in zip(summaries, runs, strict=True)
         if len(runs) > 1
     }
@@ -77,16 +76,6 @@ def compare(
         for name, text in texts.items():
             (beside / name).write_text(text, encoding="utf-8")
     return found
-
-
-def _chain(config: str) -> Joint | None:
-    """Rebuild a run's chain from its configuration, where this version still reads that."""
-    from bayesfric.config import parse_config
-
-    try:
-        return parse_config(config, Path("config.toml")).tables.mechanism.joint()
-    except BadInput:
-        return None
 
 
 def read_summaries(runs: Sequence[Path]) -> dict[str, Mapping[str, Any]]:

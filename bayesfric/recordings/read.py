@@ -255,7 +255,7 @@ def _excluded(source: Columns, time: Array, warnings: list[str]) -> Flags:
 
 def _found(source: Source, folder: Path) -> list[tuple[Path, str]]:
     """Find every file once, in the order of the source and sorted inside a pattern; and a name."""
-    paths = _expand(source, folder)
+    paths = recorded_files(source, folder)
     if source.name is None:
         return list(zip(paths, _names(paths), strict=True))
     if len(paths) > 1:
@@ -267,7 +267,8 @@ def _found(source: Source, folder: Path) -> list[tuple[Path, str]]:
     return [(paths[0], source.name)]
 
 
-def _expand(source: Source, folder: Path) -> list[Path]:
+def recorded_files(source: Source, folder: Path) -> list[Path]:
+    """Find the files of a recording; one named without wildcards may not be there."""
     paths: list[Path] = []
     for pattern in source.files:
         if (folder / pattern).exists() or not glob.has_magic(pattern):

@@ -120,21 +120,31 @@ def write_run(
     config_text: str,
     recordings: list[Measurement],
     saved: Path | None = None,
+    draws: int | None = None,
 ) -> None:
     """Write a run directory that :func:`check_free` let pass.
 
     ``config_text`` is the configuration as read; of ``recordings`` it keeps the SHA-256; what
-    the folder ``saved`` holds belongs into it.
+    the folder ``saved`` holds belongs into it. With a number of ``draws`` it is a light one:
+    so many are kept, and neither figures, tables nor page are made, as of one of hundreds nobody
+    looks at.
     """
     summary = Summary.read(summary)
     with made_beside(folder) as beside:
         if saved is not None:
             shutil.copytree(saved, beside, dirs_exist_ok=True)
         (beside / "config.toml").write_text(config_text, encoding="utf-8")
+        indent = 1 if draws is None else None
         (beside / "summary.json").write_text(
-            json.dumps(summary.as_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n",
+            json.dumps(summary.as_dict(), indent=indent, ensure_ascii=False, allow_nan=False)
+            + "\n",
             encoding="utf-8",
         )
+        if draws is not None:
+            write_archive(
+                beside / "posterior.nc", **thinned(fit, summary, config_text, recordings, draws)
+            )
+            return
         figures = beside / "figures"
         figures.mkdir()
         run, drawn = FinishedRun(fit, summary), []
@@ -204,20 +214,55 @@ def archived(
         },
         "dims": {o.name: [f"time_{o.name}"] for o in outputs},
         "coords": {f"time_{o.name}": o.time for o in outputs},
-        "attrs": {
-            "bayesfric": bayesfric.__version__,
-            "versions": json.dumps(
-                {"python": platform.python_version()}
-                | {name: version(name) for name in ("numpy", "scipy", "emcee", "arviz", "numba")}
-            ),
-            "seed": str(posterior.seed),
-            "config": config_text,
-            "recordings": json.dumps({r.name: r.sha256 for r in recordings}),
-            "noise": json.dumps(summary.noise.as_dict()),
-            "fixed": json.dumps({name: row.as_dict() for name, row in summary.fixed.items()}),
-            "status": summary.sampler.status,
-        },
+        "attrs": _told_of_run(fit, summary, config_text, recordings),
         "variable_attrs": dict.fromkeys(("posterior", "derived", "prior", "told"), told),
+    }
+
+
+def thinned(
+    fit: Fit, summary: Summary, config_text: str, recordings: list[Measurement], draws: int
+) -> dict[str, Any]:
+    """Put together the archive of a light run: so many draws of the posterior and its prior.
+
+    What follows from them is left out; a comparison derives it again.
+    """
+    posterior, told = fit.posterior, {name: _told(row) for name, row in summary.rows.items()}
+    rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(1,)))
+    kept, wide = posterior.flat(draws), fit.wide.posterior.flat(draws)
+    named = list(enumerate(posterior.names))
+    return {
+        "groups": {
+            "posterior": {name: kept[None, :, k] for k, name in named},
+            **({"told": {n: wide[None, :, k] for k, n in named}} if fit.wide is not fit else {}),
+            # of a density that is smoothed anyway
+            "prior": {
+                name: posterior.priors[k].draw(draws, rng)[None].astype(np.float32)
+                for k, name in named
+            },
+        },
+        "dims": {},
+        "coords": {},
+        "attrs": _told_of_run(fit, summary, config_text, recordings),
+        "variable_attrs": dict.fromkeys(("posterior", "prior", "told"), told),
+    }
+
+
+def _told_of_run(
+    fit: Fit, summary: Summary, config_text: str, recordings: list[Measurement]
+) -> dict[str, str]:
+    """Say what is needed to repeat a run."""
+    return {
+        "bayesfric": bayesfric.__version__,
+        "versions": json.dumps(
+            {"python": platform.python_version()}
+            | {name: version(name) for name in ("numpy", "scipy", "emcee", "arviz", "numba")}
+        ),
+        "seed": str(fit.posterior.seed),
+        "config": config_text,
+        "recordings": json.dumps({r.name: r.sha256 for r in recordings}),
+        "noise": json.dumps(summary.noise.as_dict()),
+        "fixed": json.dumps({name: row.as_dict() for name, row in summary.fixed.items()}),
+        "status": summary.sampler.status,
     }
 
 

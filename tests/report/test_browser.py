@@ -16,6 +16,7 @@ import pytest
 
 from bayesfric.commands.compare import compare
 
+from .made_fleet import COUNT, WORN, write_fleet
 from .made_summaries import knee, loaded, write_draws
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
@@ -39,7 +40,7 @@ pytestmark = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def pages(written_run, tmp_path_factory):
-    """Copies of both pages in a folder that holds nothing else."""
+    """Copies of all pages in a folder that holds nothing else."""
     alone = tmp_path_factory.mktemp("alone")
     shutil.copyfile(written_run / "report.html", alone / "run.html")
     made = tmp_path_factory.mktemp("runs")
@@ -50,6 +51,9 @@ def pages(written_run, tmp_path_factory):
     compare([made / "knee", made / "loaded"], made / "out")
     assert (made / "out" / "figures" / "overlay.svg").exists()
     shutil.copyfile(made / "out" / "report.html", alone / "compare.html")
+    fleet = tmp_path_factory.mktemp("fleet")
+    write_fleet(fleet)
+    shutil.copyfile(fleet / "fleet.html", alone / "fleet.html")
     return alone
 
 
@@ -65,7 +69,7 @@ def browser(tmp_path_factory):
     driver.quit()
 
 
-@pytest.fixture(params=["run.html", "compare.html"])
+@pytest.fixture(params=["run.html", "compare.html", "fleet.html"])
 def page(request, browser, pages):
     return show(browser, pages / request.param)
 
@@ -193,6 +197,31 @@ def test_tables_sort_by_keyboard_and_mouse(page):
     assert head.get_attribute("aria-sort") == "ascending"
 
 
+def test_a_fleets_units_stand_outliers_first_and_can_be_filtered(browser, pages):
+    page = show(browser, pages / "fleet.html")
+    names = (
+        "return [...document.querySelectorAll('#table-units tbody tr')]"
+        ".filter(r => r.getBoundingClientRect().height > 0).map(r => r.cells[0].textContent)"
+    )
+    every = page.execute_script(names)
+    assert len(every) == COUNT + 1
+    assert (every[0], every[-1]) == (WORN, "broken")
+    box = page.find_element(By.CSS_SELECTOR, ".filter input")
+    box.send_keys("J1 2026-05")
+    assert set(page.execute_script(names)) == {"knee-01", "knee-05", "knee-09"}
+    assert page.find_element(By.CSS_SELECTOR, ".filter output").text == f"3 of {COUNT + 1}"
+    box.clear()
+    box.send_keys(" ")
+    assert page.execute_script(names) == every
+    # a page of its own where there is one, its folder else
+    links = {
+        a.text: a.get_attribute("href")
+        for a in page.find_elements(By.CSS_SELECTOR, "#table-units a")
+    }
+    assert links["knee-00"].endswith("/units/knee-00/report.html")
+    assert links["knee-01"].endswith("/units/knee-01")
+
+
 def test_anchors_lead_to_their_sections(page):
     links = page.find_elements(By.CSS_SELECTOR, "nav a")
     assert len(links) >= 5
@@ -247,7 +276,7 @@ def test_figures_can_be_saved(run, tmp_path):
     assert len(list(root.iter("{http://www.w3.org/2000/svg}path"))) > 20
 
 
-@pytest.mark.parametrize("name", ["run.html", "compare.html"])
+@pytest.mark.parametrize("name", ["run.html", "compare.html", "fleet.html"])
 def test_a_phone_needs_no_sideways_scrolling(browser, pages, name):
     show(browser, pages / name, width=380, height=800)
     widest = browser.execute_script(
@@ -261,7 +290,8 @@ def test_a_phone_needs_no_sideways_scrolling(browser, pages, name):
 
 
 @pytest.mark.parametrize(
-    ("name", "dark"), [("run.html", False), ("run.html", True), ("compare.html", False)]
+    ("name", "dark"),
+    [("run.html", False), ("run.html", True), ("compare.html", False), ("fleet.html", True)],
 )
 @pytest.mark.skipif(not AXE.is_file(), reason="AXE_CORE does not name axe.min.js of axe-core")
 def test_nothing_keeps_anybody_out(browser, pages, name, dark):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 from bayesfric.pooling.population import (
@@ -41,10 +41,36 @@ class PooledQuantity:
         return sum(bool(row.doubted) for row in self.runs.values())
 
 
+@dataclass(frozen=True)
+class Told:
+    """What several runs say of one quantity, each by itself."""
+
+    name: str
+    runs: Mapping[str, PosteriorRow]
+    likelihoods: Mapping[str, Likelihood]
+
+
 def between_runs(
     runs: Mapping[str, Summary], draws: Mapping[str, RunDraws] | None = None
 ) -> list[PooledQuantity]:
     """Pool every quantity that the data of two runs, on recordings of their own, determine.
+
+    See :func:`told_by_runs` for what counts.
+    """
+    return [
+        PooledQuantity(
+            one.name,
+            one.runs,
+            population(list(one.likelihoods.values()), next(iter(one.runs.values())).level),
+        )
+        for one in told_by_runs(runs, draws)
+    ]
+
+
+def told_by_runs(
+    runs: Mapping[str, Summary], draws: Mapping[str, RunDraws] | None = None
+) -> Iterator[Told]:
+    """Give what runs say of every quantity that the data of two of them determine.
 
     By the runs' ``draws`` where there are any, else as if posteriors were normal. A run whose prior
     has a say counts by its draws over those of its prior, and not at all without them: one prior
@@ -57,8 +83,7 @@ def between_runs(
         if run.sampler.status != "unusable"
     }
     if len(tables) < 2:
-        return []
-    found = []
+        return
     for name in dict.fromkeys(name for table in tables.values() for name in table):
         rows = {
             run: table[name]
@@ -74,10 +99,7 @@ def between_runs(
             for run, row in rows.items()
         }
         kept = {run: one for run, one in each.items() if one is not None}
-        level = next(iter(rows.values())).level
-        pool = population(list(kept.values()), level)
-        found.append(PooledQuantity(name, {run: rows[run] for run in kept}, pool))
-    return found
+        yield Told(name, {run: rows[run] for run in kept}, kept)
 
 
 def _told(row: PosteriorRow) -> bool:

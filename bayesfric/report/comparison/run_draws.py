@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesfric.errors import BadInput
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
 from bayesfric.report.summary.record import PosteriorRow, Summary
@@ -19,8 +20,10 @@ Array = NDArray[np.float64]
 
 # More draws change no curve that could be seen.
 _MOST = 200_000
-# Medians of the same draws are the same; other draws of the same posterior are closer than this.
+# Medians of the same draws are the same; other draws of the same posterior are closer than this,
+# and a few of them closer than that many standard errors.
 _NEAR = 0.1  # sds
+_ERRORS = 4.0
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,16 @@ def read_draws(run: Path, summary: Summary, rebuild: Callable[[str], Joint | Non
     return RunDraws({name: x for name, x in found.items() if _same(x, rows[name])}, prior)
 
 
+def chain_of(config: str) -> Joint | None:
+    """Rebuild a run's chain from its configuration, where this version still reads that."""
+    from bayesfric.config import parse_config
+
+    try:
+        return parse_config(config, Path("config.toml")).tables.mechanism.joint()
+    except BadInput:
+        return None
+
+
 def _flat(stored: Any) -> Array:
     """Lay chains and draws of a data set out in a row, evenly thinned where there are many."""
     x = np.asarray(stored[()], dtype=np.float64).ravel()
@@ -82,7 +95,8 @@ def _same(x: Array, row: PosteriorRow) -> bool:
         return False
     # the mean of a ratio may not settle, its median does
     told, found = (row.mean, x.mean()) if row.median is None else (row.median, np.median(x))
-    return bool(abs(found - told) <= _NEAR * row.sd + 1e-9 * abs(told))
+    near = max(_NEAR, _ERRORS * 1.25 / x.size**0.5)
+    return bool(abs(found - told) <= near * row.sd + 1e-9 * abs(told))
 
 
 def _derived(

@@ -29,6 +29,24 @@
     }));
   }
 
+  // a table's filter: rows that hold all the words
+  for (const box of document.querySelectorAll(".filter input")) {
+    const rows = [...document.getElementById(box.dataset.table).tBodies[0].rows];
+    const line = box.closest(".filter");
+    const told = line.querySelector("output");
+    line.hidden = false;
+    box.addEventListener("input", () => {
+      const words = box.value.toLowerCase().split(/\s+/).filter(Boolean);
+      let shown = 0;
+      for (const row of rows) {
+        const text = row.textContent.toLowerCase();
+        row.hidden = !words.every((word) => text.includes(word));
+        shown += !row.hidden;
+      }
+      told.textContent = words.length ? `${shown} of ${rows.length}` : "";
+    });
+  }
+
   // figures: the drawing itself moves into the dialog, so that no name is there twice
   const dialog = document.getElementById("enlarged");
   const place = document.getElementById("enlarged-body");

@@ -1,0 +1,310 @@
+"""A fleet, worked through and gone on with."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self, TypeVar
+
+from filelock import FileLock, Timeout
+from pydantic import BaseModel, ValidationError
+
+from bayesfric.complaints import complaint
+from bayesfric.errors import BadInput
+from bayesfric.fleet.crew import check_engine, work_through
+from bayesfric.fleet.plan import (
+    ClusterOptions,
+    Plan,
+    RunOptions,
+    Template,
+    read_plan,
+    read_template,
+)
+from bayesfric.fleet.population import FleetPopulation, fleet_population
+from bayesfric.fleet.results import FAILED, Record, Results, failure
+from bayesfric.fleet.units import cells_of, read_units, units_of
+from bayesfric.fleet.work import Done, Task
+from bayesfric.inference.sampling.sampling import Progress
+from bayesfric.progress import progress_shown
+from bayesfric.report.files import write_beside
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+# Files of a fleet's folder.
+PLAN, TABLE, UNITS, LOCK = "fleet.toml", "results.parquet", "units", ".lock"
+
+
+@dataclass(frozen=True)
+class FleetRun:
+    """What came of a fleet."""
+
+    folder: Path
+    units: int
+    again: int  # were finished before
+    failed: Mapping[str, str]  # units by the line that says why
+    left: Mapping[str, str]  # those that the machine failed; --resume tries them again
+    status: Mapping[str, int]  # number of units by the status of their sampling
+    seconds: float
+    population: FleetPopulation
+
+    @property
+    def frame(self) -> pd.DataFrame:
+        """The table of results, a row for each unit and quantity."""
+        import pandas as pd
+
+        return pd.read_parquet(self.folder / TABLE)
+
+    def as_json(self) -> dict[str, Any]:
+        """Give what ``bayesfric fleet --json`` prints."""
+        return {
+            "folder": str(self.folder),
+            "units": self.units,
+            "again": self.again,
+            "status": dict(self.status),
+            "failed": dict(self.failed),
+            "left": dict(self.left),
+            "seconds": self.seconds,
+            **self.population.as_json(),
+        }
+
+
+class Fleet:
+    """The same fit of many units: joints, days, or both.
+
+    Parameters
+    ----------
+    template
+        A configuration as nested dicts, or the file of one, with ``{column}`` in its texts.
+    units
+        A unit a row: a data frame, a mapping of columns, or a CSV or Parquet file.
+    name
+        What units are called, such as ``"{serial}-{day}"``; the column ``unit`` if left out.
+    joint, over
+        Columns: which joint several units are of, and what to look for a trend over.
+    runs, cluster
+        The tables of a ``FLEET.toml``, as dicts of the same keys.
+
+    Raises
+    ------
+    BadInput
+        For anything that fits no unit.
+    """
+
+    def __init__(
+        self,
+        template: Mapping[str, Any] | Path | str,
+        units: Any,
+        *,
+        name: str | None = None,
+        joint: str | None = None,
+        over: str | None = None,
+        runs: Mapping[str, Any] | None = None,
+        cluster: Mapping[str, Any] | None = None,
+    ) -> None:
+        if isinstance(template, Mapping):
+            made = Template(Path("template").absolute(), dict(template))
+        else:
+            made = read_template(Path(template))
+        if isinstance(units, str | Path):
+            rows = read_units(Path(units), name)
+        else:
+            told = units.to_dict("list") if hasattr(units, "to_dict") else dict(units)
+            rows = units_of(*cells_of(told, "units"), name, "units", first_row=1)
+        self.plan = Plan(
+            Path("Fleet"),
+            made,
+            rows,
+            joint,
+            over,
+            _options(RunOptions, runs or {}, "runs"),
+            _options(ClusterOptions, cluster or {}, "cluster"),
+        ).checked()
+
+    @classmethod
+    def from_config(cls, path: Path | str) -> Self:
+        """Read a ``FLEET.toml``."""
+        fleet = cls.__new__(cls)
+        fleet.plan = read_plan(Path(path))
+        return fleet
+
+    def run(
+        self,
+        folder: Path | str,
+        *,
+        workers: int | None = None,
+        scheduler: str | None = None,
+        resume: bool = False,
+        progress: bool | Callable[[Progress], None] = False,
+    ) -> FleetRun:
+        """Fit every unit that is not done.
+
+        Parameters
+        ----------
+        folder
+            To make, or with ``resume`` to go on in.
+        workers
+            Processes on this machine.
+        scheduler
+            Address of a running Dask scheduler, whose workers see the same files.
+        resume
+            Do only what is missing, or has changed since.
+        progress
+            Whether to show a bar, or what to call as work goes on.
+
+        Raises
+        ------
+        BadInput
+            If the folder is not free, or cannot be written to; or no scheduler answers.
+        """
+        began, folder = time.monotonic(), Path(folder).absolute()
+        given = {"workers": workers, "scheduler": scheduler}
+        told = {key: value for key, value in given.items() if value is not None}
+        options = self.plan.cluster.model_copy(update=told)
+        _check(folder, resume=resume)
+        check_engine(options)
+        try:
+            folder.mkdir(exist_ok=True)
+            with FileLock(folder / LOCK).acquire(timeout=0), progress_shown(progress) as tell:
+                write_beside({folder / PLAN: _text(self.plan)}, replace=True)
+                course = _Course(self.plan, Results(folder / TABLE, self.plan.units), tell)
+                tasks = course.tasks(folder / UNITS)
+                work_through(tasks, options, course.arrived)
+                course.results.write()
+                found = course.end(folder, began)
+                _write(folder, self.plan, course.results.records, found.population)
+        except BadInput:
+            if not resume:
+                _remove_if_begun_only(folder)
+            raise
+        except Timeout:
+            what = "another process works on this fleet"
+            raise BadInput(str(folder), what, "wait for it, or name another folder") from None
+        except OSError as error:
+            what = f"cannot be written ({error.strerror or error})"
+            raise BadInput(str(folder), what, "mend that, then go on with --resume") from None
+        return found
+
+
+Chosen = TypeVar("Chosen", bound=BaseModel)
+
+
+def _options(kind: type[Chosen], given: Mapping[str, Any], name: str) -> Chosen:
+    try:
+        return kind.model_validate(dict(given), strict=True)
+    except ValidationError as error:
+        raise complaint(f"Fleet: {name}.", name, error, given, kind) from None
+
+
+def _check(folder: Path, *, resume: bool) -> None:
+    """Refuse a folder that is not free, or holds no fleet to go on with."""
+    if folder.exists() and not folder.is_dir():
+        raise BadInput(str(folder), "is a file", "name a folder with -o")
+    there = (folder / PLAN).is_file()
+    if resume and not there:
+        raise BadInput(str(folder), "there is no fleet to resume", "leave --resume out")
+    if not resume and folder.exists() and any(folder.iterdir()):
+        mend = "add --resume to do what is missing, or name another with -o" if there else ""
+        raise BadInput(str(folder), "is not empty", mend or "name another folder with -o")
+    if not folder.parent.is_dir():
+        raise BadInput(str(folder.parent), "there is no such folder", "make it first")
+
+
+def _remove_if_begun_only(folder: Path) -> None:
+    """Leave nothing behind of a fleet of which no unit was begun."""
+    if not (folder / UNITS).exists():
+        for name in (PLAN, LOCK):
+            (folder / name).unlink(missing_ok=True)
+        with suppress(OSError):
+            folder.rmdir()
+
+
+def _write(folder: Path, plan: Plan, records: Mapping[str, Record], found: FleetPopulation) -> None:
+    """Write what the units are together: tables, figures, the page."""
+    from bayesfric.fleet.page import draw, fleet_page
+
+    figures = draw(folder, found)
+    texts = found.texts() | {"fleet.html": fleet_page(folder, plan.units, records, found, figures)}
+    write_beside({folder / name: text for name, text in texts.items()}, replace=True)
+
+
+def _text(plan: Plan) -> str:
+    """Keep what the fleet was made of."""
+    from bayesfric.config_text import document_text
+
+    told = plan.runs.model_dump()
+    units = {"count": len(plan.units), "joint": plan.joint, "over": plan.over}
+    return document_text({"template": plan.template.document, "units": units, "runs": told})
+
+
+class _Course:
+    """How far a fleet is."""
+
+    def __init__(self, plan: Plan, results: Results, tell: Callable[[Progress], None]) -> None:
+        self.plan, self.results, self._tell = plan, results, tell
+        self.again, self.left = 0, dict[str, str]()
+        self._began = time.monotonic()
+
+    def tasks(self, folder: Path) -> list[Task]:
+        """Fill the template for each unit; one with an empty cell has failed already."""
+        tasks: list[Task] = []
+        draws = self.plan.runs.draws if self.plan.runs.light else None
+        for unit in self.plan.units:
+            try:
+                text = self.plan.template.filled(unit)
+            except BadInput as error:
+                self.results.records[unit.name] = failure(str(error))
+                continue
+            place = str(self.plan.template.path)
+            where = str(folder / unit.name)
+            tasks.append(
+                {"name": unit.name, "text": text, "place": place, "folder": where, "draws": draws}
+            )
+        return tasks
+
+    def arrived(self, name: str, done: Done | str) -> None:
+        """Take what came of a unit."""
+        if isinstance(done, str):
+            self.left[name] = done
+            record: Record = failure(f"machine: {done}")
+        else:
+            record = done["record"]
+            self.again += done["again"]
+        self.results.add(name, record)
+        self._tell(Progress(self._words()))
+
+    def _words(self) -> str:
+        records = self.results.records
+        done, failed = len(records), sum(r["status"] == FAILED for r in records.values())
+        fitted, taken = done - self.again, time.monotonic() - self._began
+        words = f"{done} of {len(self.plan.units)} units, {failed} failed"
+        if fitted > 0 and taken > 0.0:
+            left = (len(self.plan.units) - done) * taken / fitted
+            words += f", {3600.0 * fitted / taken:.0f} an hour, {_duration(left)} left"
+        return words
+
+    def end(self, folder: Path, began: float) -> FleetRun:
+        """Sum it up, and say what the units are together."""
+        self._tell(Progress("population"))
+        plan = self.plan
+        population = fleet_population(folder / UNITS, plan.units, joint=plan.joint, over=plan.over)
+        records = {u.name: self.results.records[u.name] for u in self.plan.units}
+        failed = {name: r["error"] for name, r in records.items() if r["status"] == FAILED}
+        status: dict[str, int] = {}
+        for record in records.values():
+            status[record["status"]] = status.get(record["status"], 0) + 1
+        gone = {name: why for name, why in failed.items() if name not in self.left}
+        seconds = time.monotonic() - began
+        return FleetRun(
+            folder, len(records), self.again, gone, self.left, status, seconds, population
+        )
+
+
+def _duration(seconds: float) -> str:
+    minutes = round(seconds / 60.0)
+    if minutes < 1:
+        return f"{seconds:.0f} s"
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"

@@ -1,0 +1,209 @@
+"""``FLEET.toml``: one template, the units it is filled for, and how they are worked through."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Self
+
+from pydantic import Field, model_validator
+
+from bayesfric.config import checked_toml, parse_config, read_toml
+from bayesfric.config_text import document_text
+from bayesfric.errors import BadInput, Unfit, nearest
+from bayesfric.fleet.results import COLUMNS
+from bayesfric.fleet.units import PLACEHOLDER, Unit, find_units, places_of, put_in, read_units
+from bayesfric.recordings.tables.reader import Options
+
+
+class UnitsOptions(Options):
+    """The ``[units]`` table: what is fitted."""
+
+    table: str | None = Field(None, description="CSV or Parquet, a unit a row, a column a name.")
+    glob: str | None = Field(
+        None, description="Files with named parts, such as 'logs/{robot}/{day}.csv', one a unit."
+    )
+    name: str | None = Field(
+        None, description="What units are called, such as '{serial}-{day}'; the column 'unit'."
+    )
+    joint: str | None = Field(
+        None, description="Column that several units of the same joint share: days of one joint."
+    )
+    over: str | None = Field(
+        None, description="Column of numbers or dates to look for a trend over: day, mileage."
+    )
+
+    @model_validator(mode="after")
+    def _one_of(self) -> Self:
+        if (self.table is None) == (self.glob is None):
+            raise Unfit("a table or a glob", "got both" if self.table else "got neither")
+        return self
+
+
+class RunOptions(Options):
+    """The ``[runs]`` table: what is kept of every unit."""
+
+    light: bool = Field(True, description="no figures, tables and pages, and few draws")
+    draws: int = Field(300, ge=50, le=100_000, description="of the posterior, kept in light runs")
+
+
+class ClusterOptions(Options):
+    """The ``[cluster]`` table: who works."""
+
+    workers: int | None = Field(
+        None, ge=1, le=1000, description="processes on this machine; as many as cores if left out"
+    )
+    memory_limit: str = Field("2 GiB", description="of a worker, which is started anew beyond it")
+    scheduler: str | None = Field(
+        None, description="address of a running Dask scheduler, such as tls://host:8786"
+    )
+    ca: str | None = Field(None, description="PEM file: who signed the cluster's certificates")
+    certificate: str | None = Field(None, description="PEM file: this client's certificate")
+    key: str | None = Field(None, description="PEM file: its key")
+    patience: float = Field(
+        300.0, ge=0, le=1e6, description="s to wait for a scheduler that is gone to come back"
+    )
+
+    @model_validator(mode="after")
+    def _all_of_tls(self) -> Self:
+        if len({one is None for one in (self.ca, self.certificate, self.key)}) > 1:
+            raise Unfit("'ca', 'certificate' and 'key' together", "got one of them")
+        return self
+
+
+class FleetTables(Options):
+    """Everything that ``FLEET.toml`` may hold."""
+
+    template: str | dict[str, Any]
+    units: UnitsOptions
+    runs: RunOptions = RunOptions()
+    cluster: ClusterOptions = ClusterOptions()
+
+
+@dataclass(frozen=True)
+class Template:
+    """A configuration with ``{column}`` in its texts."""
+
+    path: Path  # file names in it are relative to its folder
+    document: Mapping[str, Any]
+
+    def filled(self, unit: Unit) -> str:
+        """Write the configuration of a unit; a text that is one placeholder becomes its value.
+
+        Raises
+        ------
+        BadInput
+            Naming the key, if a placeholder has no column, or an empty cell.
+        """
+        return document_text(self._filled(self.document, unit, ""))
+
+    def placeholders(self) -> Iterator[tuple[str, str]]:
+        """Name every placeholder, with the key it stands in."""
+        waiting: list[tuple[str, Any]] = [("", self.document)]
+        while waiting:
+            place, value = waiting.pop()
+            inner = place and f"{place}."
+            if isinstance(value, Mapping):
+                waiting += [(f"{inner}{key}", x) for key, x in value.items()]
+            elif isinstance(value, list):
+                waiting += [(f"{inner}{k}", x) for k, x in enumerate(value, start=1)]
+            elif isinstance(value, str):
+                yield from ((place, m[1]) for m in PLACEHOLDER.finditer(value) if m[1] is not None)
+
+    def _filled(self, value: Any, unit: Unit, place: str) -> Any:
+        if isinstance(value, Mapping):
+            inner = place and f"{place}."
+            return {key: self._filled(x, unit, f"{inner}{key}") for key, x in value.items()}
+        if isinstance(value, list):
+            return [self._filled(x, unit, f"{place}.{k}") for k, x in enumerate(value, start=1)]
+        if not isinstance(value, str):
+            return value
+        where = f"{self.path}: {place}"
+        text = put_in(value, unit.text, where, f"unit {unit.name!r}")
+        alone = PLACEHOLDER.fullmatch(value)
+        return unit.values[alone[1]] if alone and alone[1] is not None else text
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A fleet to be worked through."""
+
+    path: Path
+    template: Template
+    units: Sequence[Unit]
+    joint: str | None = None
+    over: str | None = None
+    runs: RunOptions = field(default_factory=RunOptions)
+    cluster: ClusterOptions = field(default_factory=ClusterOptions)
+
+    def checked(self) -> Plan:
+        """Refuse what could fit no unit: it would be the same line a thousand times.
+
+        Raises
+        ------
+        BadInput
+            Naming the column or key.
+        """
+        columns = list(self.units[0].text)
+        for key in ("joint", "over"):
+            name = getattr(self, key)
+            if name is not None and name not in columns:
+                what = f"there is no column {name!r}"
+                raise BadInput(f"{self.path}: units.{key}", what, nearest(name, columns))
+        if self.over is not None:
+            places_of(self.units, self.over)
+        for name in columns:
+            same = name == "unit" and all(one.text[name] == one.name for one in self.units)
+            if name in COLUMNS and not same:
+                what = f"a column cannot be called {name!r}, which results are"
+                raise BadInput(str(self.path), what, "give it another name")
+        for place, name in self.template.placeholders():
+            if name not in columns:
+                where = f"{self.template.path}: {place}"
+                what = f"asks for {{{name}}}, and the units have no such column"
+                raise BadInput(where, what, nearest(name, columns))
+        first: BadInput | None = None
+        for unit in self.units:
+            try:
+                parse_config(self.template.filled(unit), self.template.path)
+            except BadInput as error:
+                first = first or error
+            else:
+                return self
+        assert first is not None
+        raise first
+
+
+def read_template(path: Path) -> Template:
+    """Read a configuration whose texts hold placeholders; it is checked when they are filled."""
+    try:
+        return Template(path.absolute(), tomllib.loads(read_toml(path)))
+    except ValueError as error:
+        raise BadInput(str(path), f"is no TOML ({error})", "correct the file") from None
+
+
+def read_plan(path: Path) -> Plan:
+    """Read ``FLEET.toml``, its template and its units.
+
+    Raises
+    ------
+    BadInput
+        Naming file and key, column or row, for anything that fits no unit.
+    """
+    tables = checked_toml(read_toml(path), path, FleetTables, "fleet")
+    folder, options = path.parent, tables.units
+    if isinstance(tables.template, str):
+        template = read_template(folder / tables.template)
+    else:
+        template = Template(path.absolute(), tables.template)
+    if options.table is not None:
+        units = read_units(folder / options.table, options.name)
+    else:
+        assert options.glob is not None
+        start = os.path.relpath(folder.absolute(), template.path.parent)
+        units = find_units(options.glob, folder, options.name, start)
+    plan = Plan(path, template, units, options.joint, options.over, tables.runs, tables.cluster)
+    return plan.checked()

@@ -1,0 +1,145 @@
+"""The table of a fleet's results: a row for each unit and quantity, whole at every moment."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bayesfric.errors import BadInput
+from bayesfric.fleet.units import Unit
+from bayesfric.report.summary.record import Summary
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+# Columns before those of the units; the kinds are Arrow's names.
+COLUMNS = {
+    "unit": "string",  # of the fleet
+    "status": "string",  # of the sampling, or "failed"
+    "quantity": "string",
+    "value": "double",  # posterior median
+    "low": "double",
+    "high": "double",  # interval to be told first
+    "sd": "double",
+    "level": "double",
+    "measure": "string",  # unit of the numbers
+    "verdict": "string",
+    "doubted": "string",
+    "gauge_free": "bool",
+    "warnings": "string",  # of the unit, a line each
+    "error": "string",  # the line of a unit that failed
+}
+FAILED = "failed"
+# Share of the time that may go into writing the table while units come in.
+_SHARE = 0.02
+
+Record = Mapping[str, Any]
+
+
+def record_of(summary: Summary) -> dict[str, Any]:
+    """Give what a fleet keeps of a finished run: strings, numbers, lists and dicts."""
+    rows = []
+    for name, row in summary.rows.items():
+        low, high = row.told_interval
+        rows.append(
+            {
+                "quantity": name,
+                "value": row.middle,
+                "low": low,
+                "high": high,
+                "sd": row.told_sd,
+                "level": row.level,
+                "measure": row.unit,
+                "verdict": row.verdict,
+                "doubted": ", ".join(row.doubted),
+                "gauge_free": row.gauge_free,
+            }
+        )
+    return {
+        "status": summary.sampler.status,
+        "warnings": list(summary.warnings),
+        "error": None,
+        "rows": rows,
+    }
+
+
+def failure(error: str) -> dict[str, Any]:
+    """Give what a fleet keeps of a unit that failed: its one line."""
+    return {"status": FAILED, "warnings": [], "error": error, "rows": []}
+
+
+class Results:
+    """What came in so far; ``path`` holds it as a Parquet file that is always a whole one.
+
+    Rows go by the units' order and the summary's, whatever order they come in: the file of a
+    finished fleet has the same bytes every time.
+    """
+
+    def __init__(self, path: Path, units: Sequence[Unit]) -> None:
+        self.path, self._units = path, units
+        self.records: dict[str, Record] = {}
+        self._written, self._took = 0.0, 0.0
+
+    def add(self, name: str, record: Record) -> None:
+        """Take a unit's result; the file follows, as often as takes little of the time."""
+        self.records[name] = record
+        if time.monotonic() - self._written > self._took / _SHARE:
+            self.write()
+
+    def write(self) -> None:
+        """Write all that is there beside the file, and move it into place.
+
+        Raises
+        ------
+        BadInput
+            If the disk takes no more.
+        """
+        import pyarrow.parquet as pq
+
+        began = time.monotonic()
+        beside = self.path.with_name(f".{self.path.name}.{os.getpid()}.partial")
+        try:
+            pq.write_table(self.table(), beside)
+            beside.replace(self.path)
+        except OSError as error:
+            with suppress(OSError):
+                beside.unlink()
+            what = f"cannot be written ({error.strerror or error})"
+            raise BadInput(str(self.path), what, "mend that, then go on with --resume") from None
+        self._written = time.monotonic()
+        self._took = self._written - began
+
+    def table(self) -> pa.Table:
+        """Lay everything out, the columns of the units last."""
+        import pyarrow as pa
+
+        own = [name for name in self._units[0].values if name not in COLUMNS]
+        kinds = {name: self._kind(name) for name in own}
+        schema = pa.schema([(n, pa.type_for_alias(k)) for n, k in (COLUMNS | kinds).items()])
+        columns: dict[str, list[Any]] = {name: [] for name in (*COLUMNS, *own)}
+        for row in self._rows():
+            for name, cells in columns.items():
+                cells.append(row.get(name))
+        return pa.table(columns, schema=schema)
+
+    def _kind(self, column: str) -> str:
+        kinds = {type(unit.values[column]) for unit in self._units} - {type(None)}
+        names = {str: "string", float: "double", int: "int64", bool: "bool"}
+        return names[kinds.pop()] if len(kinds) == 1 else "string"
+
+    def _rows(self) -> Iterator[dict[str, Any]]:
+        for unit in self._units:
+            if (record := self.records.get(unit.name)) is None:
+                continue
+            told = unit.values | {
+                "unit": unit.name,
+                "status": record["status"],
+                "warnings": "\n".join(record["warnings"]) or None,
+                "error": record["error"],
+            }
+            for row in record["rows"] or [{}]:
+                yield told | row

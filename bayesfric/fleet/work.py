@@ -1,0 +1,152 @@
+"""What a worker does with a unit: the whole fit, once, in a run directory of its own.
+
+What goes in is a :class:`Task`, what comes out a dict of strings and numbers. ``unit.json`` in the
+run directory says what was fitted and what came out; it is written last, so a unit without it is
+not finished, and one with it is not done again while configuration, recordings and version are
+the same.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, TypedDict
+
+from filelock import FileLock
+
+import bayesfric
+from bayesfric.config import Config, parse_config
+from bayesfric.errors import BadInput
+from bayesfric.fleet.results import failure, record_of
+from bayesfric.model import Model
+from bayesfric.recordings.read import recorded_files
+from bayesfric.recordings.tables import sha256
+from bayesfric.report.files import write_beside
+
+# What the machine, not the unit, is to blame for: it may go well the next time.
+_MACHINE = {
+    errno.EIO, errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ESTALE,
+    errno.EAGAIN, errno.ETIMEDOUT, errno.EROFS, errno.ENODEV, errno.ENOLCK,
+}  # fmt: skip
+UNIT = "unit.json"
+
+
+class Task(TypedDict):
+    """All that a worker is told."""
+
+    name: str
+    text: str  # the filled configuration
+    place: str  # of the template; file names are relative to its folder
+    folder: str  # run directory to make
+    draws: int | None  # of a light run
+
+
+class Done(TypedDict):
+    """All that a worker gives back; ``again`` is whether it was finished before."""
+
+    record: dict[str, Any]
+    again: bool
+
+
+def do_unit(task: Task) -> Done:
+    """Fit a unit, unless that is done.
+
+    Raises
+    ------
+    OSError
+        For faults of the machine only; all else is told in the record.
+    """
+    folder = Path(task["folder"])
+    with _alone(folder):
+        config, facts, why = _facts(task)
+        if (record := _stored(folder, facts)) is not None:
+            return {"record": record, "again": True}
+        shutil.rmtree(folder, ignore_errors=True)
+        record = failure(why) if config is None else _fitted(config, folder, task["draws"])
+        folder.mkdir(parents=True, exist_ok=True)
+        text = json.dumps({"of": facts, "record": record}, ensure_ascii=False, allow_nan=False)
+        with _blaming_the_machine():
+            write_beside({folder / UNIT: f"{text}\n"})
+    return {"record": record, "again": False}
+
+
+def _fitted(config: Config, folder: Path, draws: int | None) -> dict[str, Any]:
+    try:
+        with _blaming_the_machine():
+            result = Model.from_config(config).fit()
+            return record_of(result.write(folder, draws=draws))
+    except (OSError, MemoryError):
+        raise
+    except BadInput as error:
+        return failure(str(error))
+    except Exception as error:  # a defect of this package is one unit's, not the fleet's
+        said = " ".join(f"{type(error).__name__}: {error}".split())
+        return failure(f"internal: {said}")
+
+
+@contextmanager
+def _blaming_the_machine() -> Iterator[None]:
+    """Let faults of the machine through as they are, also where they were put into words."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno in _MACHINE:
+            raise
+        raise BadInput(str(error.filename), str(error.strerror), "check the file") from error
+    except BadInput as error:
+        cause = error.__cause__ or error.__context__
+        if isinstance(cause, OSError) and cause.errno in _MACHINE:
+            # rebuilt, as pickled ones lose what they hold
+            raise OSError(cause.errno, cause.strerror, str(cause.filename or error.where)) from None
+        raise
+
+
+def _facts(task: Task) -> tuple[Config | None, dict[str, Any], str]:
+    """Say what a fit depends on; without a configuration, why there is none."""
+    facts: dict[str, Any] = {
+        "bayesfric": bayesfric.__version__,
+        "configuration": hashlib.sha256(task["text"].encode()).hexdigest(),
+        "draws": task["draws"],
+        "recordings": {},
+    }
+    try:
+        config = parse_config(task["text"], Path(task["place"]))
+    except BadInput as error:
+        return None, facts, str(error)
+    for source in config.tables.recordings:
+        # what cannot be read is told when it is fitted, and is tried again when it can
+        with suppress(BadInput):
+            for path in recorded_files(source, config.folder):
+                with suppress(BadInput):
+                    facts["recordings"][str(path)] = None
+                    facts["recordings"][str(path)] = sha256(path)
+    return config, facts, ""
+
+
+def _stored(folder: Path, facts: dict[str, Any]) -> dict[str, Any] | None:
+    """Read what came of the same unit before."""
+    try:
+        found = json.loads((folder / UNIT).read_text(encoding="utf-8"))
+        return dict(found["record"]) if found["of"] == facts else None
+    except (OSError, ValueError, LookupError, TypeError):
+        return None
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Wait until nobody else works on the unit: a worker that was thought lost, say.
+
+    The system gives the lock back when a process ends, however it ends.
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    path = folder.with_name(f".{folder.name}.lock")
+    with FileLock(path):
+        yield
+        # who waits for it finds the unit done
+        with suppress(OSError):
+            path.unlink()

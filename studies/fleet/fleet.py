@@ -1,0 +1,224 @@
+"""A SIMULATED fleet with a population, ten worn units and five broken files in it.
+
+``python studies/fleet/fleet.py FOLDER`` makes it there, times a shell loop over ``bayesfric fit``,
+the fleet with 1, 2 and 4 workers and then the whole of it, watches the workers' memory, and looks
+for what was put in: the worn units, the broken files, the population. Writes ``axis.json``
+or ``knee.json``.
+
+``--kind knee`` simulates Rabbit knees (six seconds of a core each), ``axis`` plain motor axes (one
+second). Times hold beside whatever else the machine does.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+
+from bayesfric.commands.simulate import simulate
+from bayesfric.config import parse_config
+
+HERE = Path(__file__).resolve().parent
+SEED = 21
+WORN = 10
+# Mean and spread of what differs; a worn unit has so many times as much of the first.
+POPULATION = {
+    "axis": {"motor.viscous": (0.05, 0.004), "motor.coulomb": (0.2, 0.012)},
+    "knee": {"motor.viscous": (1.6e-4, 1.0e-5), "motor.inertia": (3.32e-4, 7e-6)},
+}
+WEAR = (1.5, 2.2)
+RECORDING = """
+[[recordings]]
+file = "{file}"
+time = { column = "time", unit = "s" }
+position = { column = "position", unit = "rad", side = "motor" }
+torque = { column = "torque", unit = "N m" }
+"""
+MECHANISM = {
+    "axis": '[mechanism]\npreset = "motor-axis"\n',
+    "knee": '[mechanism]\npreset = "rabbit-knee"\n',
+}
+SIMULATION = {
+    "axis": 'duration = 10.0\nrate = 200\nexcitation = "multisine"\nencoder_counts = 1048576\n',
+    "knee": 'duration = 10.0\nrate = 1000\nexcitation = "square"\namplitude = 0.8\n',
+}
+BROKEN = {
+    "one-row": "time,position,torque\n0.0,0.0,0.0\n",
+    "no-torque": "time,position\n" + "".join(f"{0.01 * k:g},0.1\n" for k in range(200)),
+    "empty": "",
+    "words": "time,position,torque\n" + "".join(f"{0.01 * k:g},stuck,0\n" for k in range(200)),
+    "missing": None,
+}
+
+
+def make(folder: Path, kind: str, count: int) -> dict[str, Any]:
+    """Write recordings, template, units and plan; gives what is true."""
+    rng = np.random.default_rng(SEED)
+    (folder / "logs").mkdir(parents=True)
+    population = POPULATION[kind]
+    names = [f"{kind}-{k:04d}" for k in range(count - len(BROKEN))]
+    worn = set(rng.choice(names, min(WORN, len(names) // 4), replace=False).tolist())
+    first = next(iter(population))
+    rows, truth = ["unit,file,hours"], {}
+    for k, name in enumerate(names):
+        values = {n: float(m + s * rng.standard_normal()) for n, (m, s) in population.items()}
+        wear = float(rng.uniform(*WEAR))
+        if name in worn:
+            values[first] *= wear
+        truth[name] = values
+        given = "".join(f'"{n}" = {x!r}\n' for n, x in values.items())
+        text = (
+            f"{MECHANISM[kind]}[simulation]\n{SIMULATION[kind]}seed = {SEED + k}\n"
+            f"[simulation.parameters]\n{given}"
+        )
+        simulate(parse_config(text, folder / "made.toml"), folder / "logs" / f"{name}.csv")
+        rows.append(f"{name},logs/{name}.csv,{rng.integers(0, 5000)}")
+    for name, content in BROKEN.items():
+        if content is not None:
+            (folder / "logs" / f"{name}.csv").write_text(content, encoding="utf-8")
+        rows.append(f"{name},logs/{name}.csv,0")
+    (folder / "units.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    (folder / "unit.toml").write_text(f"{MECHANISM[kind]}{RECORDING}", encoding="utf-8")
+    plan = 'template = "unit.toml"\n\n[units]\ntable = "units.csv"\nover = "hours"\n'
+    (folder / "fleet.toml").write_text(plan, encoding="utf-8")
+    return {"values": truth, "worn": sorted(worn)}
+
+
+def part(folder: Path, count: int) -> Path:
+    """Write a plan of the first few units."""
+    lines = (folder / "units.csv").read_text(encoding="utf-8").splitlines()[: count + 1]
+    (folder / f"first-{count}.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    text = (folder / "fleet.toml").read_text(encoding="utf-8")
+    path = folder / f"first-{count}.toml"
+    path.write_text(text.replace("units.csv", f"first-{count}.csv"), encoding="utf-8")
+    return path
+
+
+@contextmanager
+def watched() -> Iterator[list[tuple[float, float, float]]]:
+    """Note s, MB of the client and the most of a worker, twice a second, of a child's children."""
+    seen: list[tuple[float, float, float]] = []
+    stop, began = threading.Event(), time.monotonic()
+
+    def look() -> None:
+        while not stop.wait(0.5):
+            try:
+                (client,) = psutil.Process().children()
+                rss = [one.memory_info().rss / 1e6 for one in client.children()]
+                own = client.memory_info().rss / 1e6
+            except (psutil.Error, ValueError):
+                continue
+            seen.append((time.monotonic() - began, own, max(rss, default=0.0)))
+
+    thread = threading.Thread(target=look)
+    thread.start()
+    try:
+        yield seen
+    finally:
+        stop.set()
+        thread.join()
+
+
+def command(folder: Path, *words: str) -> dict[str, Any]:
+    """Run ``bayesfric`` and give seconds of the wall and of the processors, and what it prints."""
+    before, began = os.times(), time.monotonic()
+    done = subprocess.run(
+        [sys.executable, "-m", "bayesfric", *words],
+        cwd=folder, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    wall, after = time.monotonic() - began, os.times()
+    cpu = after.children_user + after.children_system
+    cpu -= before.children_user + before.children_system
+    if done.returncode not in (0, 3):
+        raise SystemExit(done.stderr)
+    return {"seconds": wall, "cpu_seconds": cpu, "found": json.loads(done.stdout)}
+
+
+def loop(folder: Path, count: int) -> dict[str, float]:
+    """Fit the first units one after the other, each by a command."""
+    took = []
+    for line in (folder / "units.csv").read_text(encoding="utf-8").splitlines()[1 : count + 1]:
+        name, file, _ = line.split(",")
+        text = (folder / "unit.toml").read_text(encoding="utf-8").replace("{file}", file)
+        (folder / f"{name}.toml").write_text(text, encoding="utf-8")
+        done = command(folder, "fit", f"{name}.toml", "-o", f"loop-{name}", "--json")
+        took.append((done["seconds"], done["cpu_seconds"]))
+    wall, cpu = np.array(took[1:]).mean(axis=0)  # the first may compile
+    return {"units": count - 1, "seconds": float(wall), "cpu_seconds": float(cpu)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--kind", choices=list(POPULATION), default="knee")
+    parser.add_argument("--units", type=int, default=1000)
+    parser.add_argument("--timed", type=int, default=24, help="units that efficiency is told by")
+    parser.add_argument("--loop", type=int, default=6, help="units of the shell loop")
+    parser.add_argument("--workers", type=int, nargs="*", default=[1, 2, 4])
+    given = parser.parse_args()
+    folder = given.folder.absolute()
+    truth = make(folder, given.kind, given.units)
+    told: dict[str, Any] = {
+        "kind": given.kind,
+        "units": given.units,
+        "machine": f"{os.cpu_count()} cores, {platform.machine()}, load {os.getloadavg()[0]:.1f}",
+        "loop": loop(folder, given.loop),
+        "timed": {},
+    }
+    print(json.dumps(told["loop"]), flush=True)
+    plan = part(folder, given.timed)
+    for workers in given.workers:
+        words = ["--workers", str(workers), "-o", f"timed-{workers}", "--json"]
+        done = command(folder, "fleet", plan.name, *words)
+        told["timed"][workers] = {k: done[k] for k in ("seconds", "cpu_seconds")}
+        print(workers, told["timed"][workers], flush=True)
+    with watched() as memory:
+        done = command(folder, "fleet", "fleet.toml", "-o", "all", "--workers", "2", "--json")
+    found = done["found"]
+    sizes = [
+        sum(one.stat().st_size for one in run.iterdir()) for run in (folder / "all/units").iterdir()
+    ]
+    named = [one["name"] for one in found["quantities"]]
+    ranked = [one["unit"] for one in found["outliers"]]
+    quarter = max(len(memory) // 4, 1)
+    told |= {
+        "seconds": done["seconds"],
+        "cpu_seconds": done["cpu_seconds"],
+        "status": found["status"],
+        "failed": found["failed"],
+        "outliers": found["outliers"],
+        "worn": truth["worn"],
+        "worn_in_first_20": sum(name in truth["worn"] for name in ranked[:20]),
+        "median_bytes": float(np.median(sizes)),
+        "worker_mb": [
+            max(m[2] for m in memory[k * quarter :][:quarter] or memory) for k in range(4)
+        ],
+        "client_mb": [
+            max(m[1] for m in memory[k * quarter :][:quarter] or memory) for k in range(4)
+        ],
+        "population": {
+            one["name"]: {
+                "true": POPULATION[given.kind].get(one["name"]),
+                **{key: one[key] for key in ("mean", "spread", "trend", "units")},
+            }
+            for one in found["quantities"]
+        },
+    }
+    print(len(named), "quantities", {k: told[k] for k in ("seconds", "worn_in_first_20")})
+    (HERE / f"{given.kind}.json").write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,49 @@
+"""What a fleet's finished runs say together."""
+
+import json
+
+import pytest
+
+from bayesfric.errors import BadInput
+from bayesfric.fleet.units import places_of, units_of
+from tests.report.made_fleet import WORN, write_fleet
+from tests.report.made_summaries import LEG
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    return write_fleet(tmp_path_factory.mktemp("fleet"))
+
+
+def test_the_worn_unit_is_the_first_outlier(found):
+    assert found.outliers[0][0] == WORN
+    assert found.outliers[0][1] > 0.9
+    assert found.outliers[1][1] < 0.5
+
+
+def test_what_the_data_leave_open_is_not_pooled(found):
+    assert not {one.name for one in found.quantities} & set(LEG)
+    assert {one.name for one in found.quantities} >= {"motor.inertia", "total.inertia"}
+
+
+def test_what_is_written_is_json_and_tells_every_quantity(found):
+    texts = found.texts()
+    told = json.loads(texts["population.json"])
+    assert [one["name"] for one in told["quantities"]] == [one.name for one in found.quantities]
+    assert told["outliers"][0]["unit"] == WORN
+    lines = texts["population.csv"].splitlines()
+    assert len(lines) == 1 + len(found.quantities)
+    one = told["quantities"][0]
+    assert one["trend"]["per"] == "day"
+    assert one["between_joints"]["low"] < one["between_joints"]["high"]
+
+
+def test_dates_are_days_since_the_first():
+    rows = [["a", "2026-05-03"], ["b", "2026-05-01T12:00:00"], ["c", "2026-06-01"]]
+    units = units_of(["unit", "day"], rows, None, "units.csv")
+    assert places_of(units, "day") == ({"a": 1.5, "b": 0.0, "c": 30.5}, "day")
+    units = units_of(["unit", "km"], [["a", "1.5"], ["b", "2"]], None, "units.csv")
+    assert places_of(units, "km") == ({"a": 1.5, "b": 2.0}, "km")
+    units = units_of(["unit", "day"], [["a", "2026-05-03"], ["b", "May"]], None, "units.csv")
+    with pytest.raises(BadInput, match="unit 'b': 'May' is neither"):
+        places_of(units, "day")

@@ -1,0 +1,116 @@
+"""Units, their names and values, and the template filled with them."""
+
+import pytest
+
+from bayesfric.errors import BadInput
+from bayesfric.fleet.plan import read_plan
+from bayesfric.fleet.units import find_units, read_units
+
+from .made import TEMPLATE, write_fleet
+
+
+def table(folder, text):
+    path = folder / "units.csv"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_numbers_are_numbers_and_serial_numbers_are_not(tmp_path):
+    path = table(tmp_path, "unit;mass;serial;n;ok;note\na;2.50;007;3;true;x\nb;1e-2;010;4;false;\n")
+    a, b = read_units(path, None)
+    assert (a.name, b.name) == ("a", "b")
+    assert a.values == {
+        "unit": "a", "mass": 2.5, "serial": "007", "n": 3, "ok": True, "note": "x",
+    }  # fmt: skip
+    assert b.values["mass"] == 0.01
+    assert b.values["note"] is None
+    assert type(a.values["n"]) is int
+    # inside other words as it was written
+    assert a.text["mass"] == "2.50"
+
+
+def test_a_parquet_table_says_the_same(tmp_path):
+    import pandas as pd
+
+    frame = pd.DataFrame({"unit": ["a", "b"], "mass": [2.5, float("nan")], "n": [1, 2]})
+    frame.to_parquet(tmp_path / "units.parquet")
+    a, b = read_units(tmp_path / "units.parquet", None)
+    assert a.values == {"unit": "a", "mass": 2.5, "n": 1}
+    assert b.values["mass"] is None
+
+
+def test_a_glob_names_parts(tmp_path):
+    for name in ("r1/knee/01.csv", "r1/hip/01.csv", "r2/knee/12.csv", "r2/knee/x.txt"):
+        (tmp_path / "logs" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "logs" / name).touch()
+    units = find_units("logs/{robot}/{joint}/{day}.csv", tmp_path, None)
+    assert [u.name for u in units] == ["r1-hip-01", "r1-knee-01", "r2-knee-12"]
+    assert units[2].values == {
+        "robot": "r2", "joint": "knee", "day": "12", "file": "logs/r2/knee/12.csv",
+    }  # fmt: skip
+    # a part named twice is one
+    (tmp_path / "logs/r3/r3").mkdir(parents=True)
+    (tmp_path / "logs/r3/r3/x.csv").touch()
+    (only,) = find_units("logs/{robot}/{robot}/{day}.csv", tmp_path, "{robot}")
+    assert only.name == "r3"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("unit,x\na,1\na,2\n", ("row 3", "'a' is there twice")),
+        ("unit,x\n../a,1\n", ("row 2", "cannot be the name of a folder")),
+        ("unit,x\n.a,1\n", ("row 2", "cannot be the name of a folder")),
+        ("unit,x\na,1,2\n", ("row 2", "3 cells")),
+        ("serial,x\na,1\n", ("does not say what units are called",)),
+        ("unit,unit\na,1\n", ("two columns are called 'unit'",)),
+        ("unit,x\n", ("has no rows",)),
+        ("", ("is empty",)),
+    ],
+)
+def test_a_bad_table_is_told_in_a_line(tmp_path, text, said):
+    with pytest.raises(BadInput) as told:
+        read_units(table(tmp_path, text), None)
+    assert all(part in str(told.value) for part in said), told.value
+
+
+def test_the_template_is_filled(tmp_path):
+    plan = read_plan(write_fleet(tmp_path))
+    import tomllib
+
+    filled = tomllib.loads(plan.template.filled(plan.units[1]))
+    assert filled["sampling"] == {"min_ess": 300, "seed": 1}
+    assert filled["recordings"][0]["file"] == "u1.csv"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('"{seed}"', '"{sead}"', ("sampling.seed", "{sead}", "did you mean 'seed'?")),
+        ("min_ess = 300", "min_es = 300", ("unit.toml: sampling.min_es", "unknown key")),
+    ],
+)
+def test_a_template_that_fits_no_unit_is_refused(tmp_path, old, new, said):
+    path = write_fleet(tmp_path)
+    assert old in TEMPLATE
+    (tmp_path / "unit.toml").write_text(TEMPLATE.replace(old, new))
+    with pytest.raises(BadInput) as told:
+        read_plan(path)
+    assert all(part in str(told.value) for part in said), told.value
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('over = "km"', 'over = "kn"', ("units.over", "use one of")),
+        ('table = "units.csv"', "", ("units", "got neither")),
+        ('table = "units.csv"', 'tabel = "units.csv"', ("units.tabel", "unknown key")),
+        ('"unit.toml"', '"unix.toml"', ("unix.toml", "there is no such file")),
+    ],
+)
+def test_a_bad_plan_is_told_in_a_line(tmp_path, old, new, said):
+    path = write_fleet(tmp_path)
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(BadInput) as told:
+        read_plan(path)
+    assert all(part in str(told.value) for part in said), told.value
