@@ -30,10 +30,15 @@ _RETRIES, _DEATHS = 2, 5
 # takes no memory of the scheduler's.
 _HANDED_OUT, _PER_THREAD = 256, 4
 _CONNECT = 10.0  # s
-# A worker is one thread; what it calls must not start more.
-_ONE_THREAD = dict.fromkeys(
-    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
-)
+# A worker is one thread; what it calls must not start more. And what was freed goes back to the
+# system: else a worker's memory grows with the number of its units.
+_ENVIRONMENT = {
+    **dict.fromkeys(
+        ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
+    ),
+    "MALLOC_TRIM_THRESHOLD_": "65536",
+    "MALLOC_ARENA_MAX": "2",
+}
 
 # Takes a unit's name and what came of it; words instead where the machine failed it.
 Arrived = Callable[[str, Done | str], None]
@@ -121,7 +126,9 @@ def _crew(options: ClusterOptions) -> Iterator[Client]:
         return
     chosen = {
         "distributed.scheduler.allowed-failures": _DEATHS,
-        "distributed.nanny.pre-spawn-environ": _ONE_THREAD,
+        "distributed.nanny.pre-spawn-environ": _ENVIRONMENT,
+        # what it samples of every fit stays in a worker's memory
+        "distributed.worker.profile.enabled": False,
         # a fit holds Python's lock for seconds while it compiles
         "distributed.admin.tick.limit": "1 h",
     }
