@@ -270,6 +270,7 @@ def test_commands_are_those_of_the_design():
         "compare",
         "export",
         "rollout",
+        "fleet",
         # asked for as the table [pooling], whose answer is no run of one posterior
         "pool",
     }
