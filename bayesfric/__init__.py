@@ -1,8 +1,9 @@
 """What a measured motor torque says about a joint, as posteriors.
 
 A :class:`Joint` is made of :class:`Element` and :class:`Load`, a :class:`Recording` of files,
-arrays or a table; a :class:`Model` of both answers every question. What it samples goes to
-:func:`summary`, :mod:`plot`, :func:`report` and :func:`export`.
+arrays or a table; a :class:`Model` of both answers every question, and :func:`check` says what
+looks wrong beforehand. What it samples goes to :func:`summary`, :mod:`plot`, :func:`report` and
+:func:`export`.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from bayesfric import plot
+    from bayesfric.checked import check
     from bayesfric.export.exported import export
     from bayesfric.fleet.fleet import Fleet
     from bayesfric.mechanism.element import Element, Load
@@ -24,8 +26,8 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = [
-    "Element", "Fleet", "Joint", "Load", "Model", "Recording", "Term", "export", "plot", "report",
-    "rollout", "summary",
+    "Element", "Fleet", "Joint", "Load", "Model", "Recording", "Term", "check", "export", "plot",
+    "report", "rollout", "summary",
 ]  # fmt: skip
 
 # Imported when first used: the command line must answer --help at once.
@@ -37,6 +39,7 @@ _HOMES = {
     "Model": "model",
     "Recording": "recordings.recording",
     "Term": "mechanism.own_term",
+    "check": "checked",
     "export": "export",
     "plot": "plot",
     "report": "report",

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import gc
 import json
+import os
 import shlex
 import sys
 import warnings
 from collections.abc import Callable
+from contextlib import ExitStack
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,9 +19,10 @@ import typer
 import bayesfric
 from bayesfric.errors import BadInput, Interrupted
 from bayesfric.estimates.methods import ESTIMATORS
-from bayesfric.progress import progress_shown
+from bayesfric.progress import Spent, progress_shown
 
 if TYPE_CHECKING:
+    from bayesfric.config import Config
     from bayesfric.model import Model
 
 # Commands import what they need when they run, so that --help answers at once.
@@ -41,9 +45,21 @@ OutputError = Annotated[
     bool, typer.Option("--output-error", help="with the output-error estimate, which simulates")
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="go on with an interrupted run")]
+Paper = Annotated[
+    bool,
+    typer.Option("--paper", help="with figures as PDF and PNG, and LaTeX; report adds them later"),
+]
 RunOption = Annotated[Path | None, typer.Option("-o", "--output", help="run directory to make")]
 
 BAD_INPUT, NOT_CONVERGED, INTERRUPTED = 2, 3, 130
+
+# Our matrices are small. Threads that share one wait for each other, where another process has
+# the second core for hundreds of times as long as the work takes.
+_THREADS_OF_LINEAR_ALGEBRA = (
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+)
 
 
 @app.callback(invoke_without_command=True)
@@ -58,7 +74,7 @@ def _version(
 @app.command()
 def init(
     preset: Annotated[
-        str | None, typer.Argument(help="rabbit-knee, motor-axis or servo-pendulum")
+        str | None, typer.Argument(help="rabbit-knee, motor-axis, servo-pendulum; or fleet")
     ] = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="file to write; printed if left out")
@@ -71,30 +87,54 @@ def init(
         str | None, typer.Option(help="with --from: table, group or topic inside the file")
     ] = None,
     joint: Annotated[str | None, typer.Option(help="with --from: which joint of several")] = None,
+    all_keys: Annotated[
+        bool, typer.Option("--all-keys", help="every key, its type, default, unit and meaning")
+    ] = False,
+    schema: Annotated[
+        bool, typer.Option("--schema", help="the JSON schema by which editors complete keys")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="replace the file to write")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Write a commented configuration."""
     from bayesfric.commands.init import configuration
+    from bayesfric.commands.init_fleet import FLEET, fleet_plan
     from bayesfric.commands.init_from import configuration_from, guesses_text
+    from bayesfric.commands.keys import reference_text, schema_hint
     from bayesfric.report.files import write_beside
 
     found = None
+    asked = "--schema" if schema else "--all-keys" if all_keys else ""
+    if schema and all_keys:
+        raise BadInput("--all-keys", "is beside --schema", "ask for one")
+    if force and output is None:
+        raise BadInput("--force", "replaces a file", "name it with -o")
+    if log is not None and (asked or preset == FLEET):
+        raise BadInput(asked or FLEET, "takes no log", "leave --from out")
     if log is not None:
         found = configuration_from(log, preset, output, table=table, joint=joint)
     elif table is not None or joint is not None:
         key = "--table" if table is not None else "--joint"
         raise BadInput(key, "is for a log", "add --from LOG")
-    elif preset is None:
+    elif preset is None and not asked:
         raise BadInput("PRESET", "is missing", "name one, or a log with --from LOG")
-    text = configuration(preset) if found is None and preset is not None else ""
-    text = text if found is None else found["text"]
+    if asked:
+        text = reference_text(preset, schema=schema, option=asked)
+    elif preset == FLEET:
+        text = fleet_plan()
+    else:
+        text = configuration(preset or "") if found is None else found["text"]
     if output is not None:
-        write_beside({output: text})
+        write_beside({output: text}, replace=force)
     written = [f"Written to {output}"] if output else [text]
     _print(
         {**(found or {}), "written": str(output) if output else None, "text": text},
         as_json,
-        [*written, *(guesses_text(found) if found and output else ())],
+        [
+            *written,
+            *(guesses_text(found) if found and output else ()),
+            *(schema_hint(output) if schema and output else ()),
+        ],
     )
 
 
@@ -117,11 +157,10 @@ def simulate(
 @app.command()
 def check(config: ConfigFile, as_json: AsJson = False) -> None:
     """Read everything; print what is measured, its quality and its problems."""
-    from bayesfric.commands.check import check as run
-    from bayesfric.commands.check import check_text
+    from bayesfric.checked import check as run
 
-    found = run(_model(config))
-    _print(found, as_json, check_text(found))
+    found = run(config)
+    _print(found.as_json(), as_json, found.text().splitlines())
 
 
 if TYPE_CHECKING:
@@ -242,13 +281,18 @@ def fit(
     explain: Annotated[
         bool, typer.Option("--explain", help="with what the model lacks, as explain finds it")
     ] = False,
+    paper: Paper = False,
     as_json: AsJson = False,
 ) -> None:
     """Sample the posterior and write the run directory."""
-    from bayesfric.config import read_config
+
+    def read() -> Config:
+        from bayesfric.config import read_config
+
+        return read_config(config)
 
     _fit(
-        lambda: read_config(config),
+        read,
         output or Path(f"{config.stem}-run"),
         as_json,
         seed=seed,
@@ -256,6 +300,7 @@ def fit(
         force=force,
         output_error=output_error,
         explain=explain,
+        paper=paper,
     )
 
 
@@ -265,25 +310,35 @@ def demo(
     seed: Seed = None,
     resume: Resume = False,
     force: Force = False,
+    paper: Paper = False,
     as_json: AsJson = False,
 ) -> None:
     """Fit the packaged knee: a recording SIMULATED from Table 3 of the paper."""
-    from bayesfric.commands.fit import demo_config
+
+    def read() -> Config:
+        from bayesfric.commands.fit import demo_config
+
+        return demo_config()
 
     output = output or Path("demo-run")
     remark = "The demo recording is simulated, from Table 3 of the paper."
-    _fit(demo_config, output, as_json, remark, seed=seed, resume=resume, force=force)
+    options: dict[str, Any] = {"seed": seed, "resume": resume, "force": force, "paper": paper}
+    _fit(read, output, as_json, remark, **options)
 
 
 @app.command()
 def report(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="run directory")],
+    paper: Annotated[
+        bool, typer.Option("--paper", help="with figures as PDF and PNG, drawn anew, and LaTeX")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Make the page and the tables of a finished run again."""
     from bayesfric.commands.report import report as make
 
-    found = make(run)
+    with progress_shown(sys.stderr.isatty()) as progress:
+        found = make(run, paper=paper, progress=progress)
     _print(found, as_json, [f"Written to {run}: {', '.join(found['written'])}"])
 
 
@@ -438,19 +493,31 @@ def fleet(
 
 
 def _fit(
-    config: Callable[[], Any], folder: Path, as_json: bool, remark: str = "", **options: Any
+    config: Callable[[], Config], folder: Path, as_json: bool, remark: str = "", **options: Any
 ) -> None:
-    from bayesfric.commands.fit import fit as run
-    from bayesfric.commands.fit import fit_text
+    spent = Spent()  # before what it imports, which takes time, too
+    from bayesfric.report.second_process import second_process
 
-    try:
-        with progress_shown(sys.stderr.isatty()) as progress:
-            summary = run(config(), folder, progress=progress, **options)
-    except Interrupted as stopped:
-        raise _Stopped(stopped) from None
-    if remark:
-        print(remark, file=sys.stderr)
-    _print(summary, as_json, fit_text(summary, folder))
+    with second_process(), ExitStack() as bars:
+        from bayesfric.commands.fit import fit as run
+        from bayesfric.commands.fit import fit_text
+
+        show = bars.enter_context(progress_shown(sys.stderr.isatty()))
+
+        def tell(found: Any) -> None:
+            nonlocal show
+            bars.close()  # it would stand amid the numbers
+            if remark:
+                print(remark, file=sys.stderr)
+            if not as_json:
+                _print(found, as_json, fit_text(found))
+            show = bars.enter_context(progress_shown(sys.stderr.isatty()))
+
+        try:
+            summary = run(config(), folder, progress=lambda x: show(x), found=tell, **options)
+        except Interrupted as stopped:
+            raise _Stopped(stopped) from None
+    _print(summary, as_json, [f"Written to {folder}. In all {spent}"])
     if summary["sampler"]["status"] != "reliable":
         raise typer.Exit(NOT_CONVERGED)
 
@@ -476,10 +543,14 @@ def _model(config: Path) -> Model:
 
 def _print(found: Any, as_json: bool, lines: Any) -> None:
     if as_json:
-        print(json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False))
-    else:
+        lines = [json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False)]
+    try:
         for line in lines:
             print(line)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # who reads has read enough, as head does; what is to be made is made all the same
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def main() -> None:
@@ -487,6 +558,8 @@ def main() -> None:
     if not sys.warnoptions:
         # libraries' remarks to programmers; python -W brings them back
         warnings.simplefilter("ignore")
+    for name in _THREADS_OF_LINEAR_ALGEBRA:
+        os.environ.setdefault(name, "1")  # before NumPy is there to read it
     try:
         app(prog_name="bayesfric")
     except BadInput as error:
@@ -501,6 +574,8 @@ def main() -> None:
             raise
         print("bayesfric: interrupted, nothing was written", file=sys.stderr)
         sys.exit(INTERRUPTED)
+    finally:
+        gc.freeze()  # or Python looks for garbage once more before it ends: 0.4 s
 
 
 if __name__ == "__main__":

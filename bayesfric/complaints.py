@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from bayesfric.errors import BadInput, Unfit, nearest
+from bayesfric.errors import BadInput, Guess, Unfit, nearest
 
 _LONGEST = 60
 
@@ -75,7 +75,15 @@ def complaint(
     where = prefix + (".".join(words) or whole)
     if first["type"] == "extra_forbidden":
         return BadInput(where, "unknown key", nearest(words[-1], _known_keys(place, model)))
-    return BadInput(where, *_worded([e for p, e in deeper if p == place]))
+    what, mend = _worded([e for p, e in deeper if p == place])
+    if _guessed(first) and (more := [p for p, e in found if _guessed(e) and p != place]):
+        others = (".".join(str(x + 1) if isinstance(x, int) else x for x in p) for p in more)
+        what += f", as {', '.join(dict.fromkeys(others))} are"
+    return BadInput(where, what, mend)
+
+
+def _guessed(error: Any) -> bool:
+    return isinstance(error.get("ctx", {}).get("error"), Guess)
 
 
 def _place(location: Sequence[int | str], document: Any) -> list[int | str]:

@@ -33,6 +33,7 @@ from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.source import Source
 from bayesfric.recordings.tables.reader import Options
+from bayesfric.recordings.units import in_unit
 from bayesfric.self_check.self_check import SelfCheckOptions
 
 if TYPE_CHECKING:
@@ -79,22 +80,39 @@ class LikelihoodOptions(Options):
         "motion; output-error: the position, by simulation, nothing differentiated",
     )
     segment: float = Field(
-        0.5, gt=0, le=1e5, description="s after which the output-error simulation starts anew"
+        0.5,
+        gt=0,
+        le=1e5,
+        description="s after which the output-error simulation starts anew",
+        json_schema_extra=in_unit("s"),
     )
 
 
 class Tables(Options):
     """Everything a configuration may hold; ``init`` writes the tables of options by this list."""
 
-    mechanism: MechanismOptions
-    recordings: tuple[Source, ...] = ()
-    processing: Processing = Processing()
-    priors: dict[str, Any] = Field(default_factory=dict)
-    references: dict[str, Any] = Field(default_factory=dict)
-    estimation: Estimation = Estimation()
-    likelihood: LikelihoodOptions = LikelihoodOptions()
-    noise: NoiseOptions = NoiseOptions()
-    sampling: Sampling = Sampling()
+    mechanism: MechanismOptions = Field(description="What the joint is: a preset, or elements.")
+    recordings: tuple[Source, ...] = Field(
+        (), description="Where recordings are and what their columns mean; a table for each layout."
+    )
+    processing: Processing = Field(
+        Processing(), description="How recordings are filtered, differentiated and decimated:"
+    )
+    priors: dict[str, Any] = Field(
+        default_factory=dict,
+        description="What is known of parameters, by name: a number fixes, [low, high] is uniform, "
+        '{ distribution = "norm", loc = ..., scale = ... } one of SciPy; in SI units.',
+    )
+    references: dict[str, Any] = Field(
+        default_factory=dict,
+        description="Values to compare results with, by name; they enter no fit. In SI units.",
+    )
+    estimation: Estimation = Field(Estimation(), description="How point estimates are made:")
+    likelihood: LikelihoodOptions = Field(
+        LikelihoodOptions(), description="Which measured quantity the posterior explains:"
+    )
+    noise: NoiseOptions = Field(NoiseOptions(), description="What the noise is taken for:")
+    sampling: Sampling = Field(Sampling(), description="How the posterior is sampled:")
     validation: Validation = Field(
         Validation(),
         description="What the fit does not see, so that 'bayesfric fit' can say how well it "

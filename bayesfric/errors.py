@@ -41,6 +41,10 @@ class Unfit(ValueError):
         super().__init__(f"expected {wanted}, {what}")
 
 
+class Guess(Unfit):
+    """A value that ``bayesfric init --from`` guessed, and nobody has looked at since."""
+
+
 class Interrupted(KeyboardInterrupt):
     """The user asked to stop, and what was done so far is kept.
 

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
+from bayesfric.inference.fitting import Fit
+from bayesfric.inference.likelihood.noise_choice import Choice
+from bayesfric.inference.model_error import model_error
+from bayesfric.inference.posterior import Diagnostics, Posterior, Status
+from bayesfric.inference.predictive import predict_held_out
 from bayesfric.mechanism.joint import Joint
 from bayesfric.model import Model
 from bayesfric.report.summary.record import Summary, read_summary_file
@@ -62,24 +67,88 @@ def finished(posterior: Any) -> Finished:
     if not isinstance(posterior, str | Path):
         return _sampled(result_of(posterior))
     run = Path(posterior)
+    summary, model, groups = _read(run)
+    names = tuple(summary.parameters)
+    found = groups.get("told") or groups["posterior"]
+    draws = np.stack([found[name].ravel() for name in names], axis=1)
+    return Finished(model, summary, names, draws.astype(np.float64), run.resolve().name)
+
+
+def fit_of(run: Path) -> tuple[Fit, Summary]:
+    """Put a finished run's fit together again, from its draws and recordings.
+
+    Its point estimates are in the summary only.
+
+    Raises
+    ------
+    BadInput
+        If the folder holds no run, or none of the recordings that it was fitted to.
+    """
+    summary, model, groups = _read(run)
+    told, rows = summary.sampler, summary.parameters
+    chains = np.stack([groups["posterior"][name] for name in rows], axis=-1).astype(np.float64)
+    ensembles = told.ensembles or 1
+    draws = chains.reshape(ensembles, -1, *chains.shape[1:])
+    middle = np.median(chains.reshape(-1, chains.shape[-1]), axis=0)
+    fixed = {n: p.value for n, p in model.priors.items() if p.fixed}
+    point = fixed | dict(zip(rows, middle.tolist(), strict=True))
+    target = model.target(
+        {name: point[name] for name in model.chain.names}, Choice(summary.noise.order or 0, ())
+    )
+    # a walker that never moved repeats where it was put
+    moved = np.ptp(draws, axis=2).any(axis=-1)
+    posterior = Posterior(
+        names=target.names,
+        priors=target.priors,
+        draws=draws,
+        log_density=groups["sample_stats"]["lp"].reshape(draws.shape[:-1]),
+        coordinates=told.coordinates,
+        diagnostics=Diagnostics(
+            status=cast(Status, told.status),
+            problems=tuple(told.problems),
+            rhat=np.array([row.rhat or np.nan for row in rows.values()]),
+            ess=np.array([row.ess or np.nan for row in rows.values()]),
+            tau=np.full(len(rows), told.tau or np.nan),
+            acceptance=moved * (told.acceptance or 1.0),
+            ensembles=ensembles,
+            walkers=draws.shape[1],
+            warmup=told.warmup or 0,
+            steps=told.steps or draws.shape[2],
+            thin=told.thin or 1,
+            not_finite=told.not_finite or 0,
+            seconds=told.seconds or 0.0,
+        ),
+        seed=told.seed or 0,
+    )
+    held_out = predict_held_out(target, posterior, model.held_out) if model.held_out else ()
+    found = Fit(target, posterior, (), tuple(held_out))
+    return replace(found, model_error=model_error(target, posterior)), summary
+
+
+def _read(run: Path) -> tuple[Summary, Model, dict[str, dict[str, Array]]]:
+    """Read summary, configuration with its recordings, and draws."""
     summary = Summary.read(read_summary_file(run), str(run))
     model = Model.from_config(run / "config.toml")
-    names = tuple(summary.parameters)
     path = run / "posterior.nc"
+    groups: dict[str, dict[str, Array]] = {}
     try:
         with h5py.File(path) as file:
-            group = file["told" if "told" in file else "posterior"]
-            draws = np.stack([np.asarray(group[name][()]).ravel() for name in names], axis=1)
+            for group in ("posterior", "told"):
+                if group in file:
+                    groups[group] = {n: np.asarray(file[group][n][()]) for n in summary.parameters}
+            if "sample_stats" in file:
+                groups["sample_stats"] = {"lp": np.asarray(file["sample_stats"]["lp"][()])}
+        groups["posterior"]
     except (OSError, KeyError, TypeError, ValueError, AttributeError):
         raise BadInput(
             str(path), "holds no draws of the run's parameters", "fit the run again"
         ) from None
     free = [name for name in model.chain.names if not model.priors[name].fixed]
-    if missing := [name for name in free if name not in names]:
+    if missing := [name for name in free if name not in summary.parameters]:
         raise BadInput(
             str(run / "config.toml"), f"{missing[0]} was not sampled", "fit the run again"
         )
-    return Finished(model, summary, names, draws.astype(np.float64), run.resolve().name)
+    return summary, model, groups
 
 
 def _sampled(result: Result) -> Finished:

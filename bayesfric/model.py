@@ -48,7 +48,7 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
 from bayesfric.notebook import html_table
 from bayesfric.preparation import prepare, residual_noise
-from bayesfric.progress import progress_shown
+from bayesfric.progress import by_method, progress_shown, silent
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.trajectory import Trajectory, trajectory
 
@@ -64,17 +64,8 @@ Array = NDArray[np.float64]
 Shown = Callable[[Progress], None]
 
 
-def silent(_: Progress) -> None:
-    """Tell nobody how far work has come."""
-
-
 def _first_point(estimates: Sequence[Estimate]) -> dict[str, float] | None:
     return next((dict(one.point) for one in estimates if one.point), None)
-
-
-def by_method(progress: Shown) -> Callable[[str], None]:
-    """Tell by the name of a method of estimation that it begins."""
-    return lambda method: progress(Progress(f"{method} estimate"))
 
 
 # Points besides the estimate that recordings to make next are simulated at.
@@ -268,6 +259,8 @@ class Model:
         frame = pd.DataFrame.from_dict(rows, orient="index")
         frame.index.names = ["method", "name"]
         frame.loc[~frame["determined"], ["value", "sd", "sd_robust"]] = np.nan
+        first = ["value", "sd", "sd_robust", "unit"]
+        frame = frame[[*first, *(name for name in frame.columns if name not in first)]]
         return frame.droplevel("method") if len(methods) == 1 else frame
 
     def trajectories(self, segment: float = np.inf) -> list[Trajectory]:
@@ -284,7 +277,7 @@ class Model:
 
     def disturbances(self) -> list[Disturbance]:
         """Find spans in which something else acted, as a hand that pushed, to ``exclude``."""
-        return disturbances(self.chain, self.observations)
+        return disturbances(self.chain, self.recordings, self.observations)
 
     def once_a_turn(self, estimates: Sequence[Estimate] = ()) -> OnceATurn | None:
         """Estimate a torque once a turn that gravity does not explain, as :meth:`delays` does."""
@@ -338,7 +331,8 @@ class Model:
             self.estimates(["input-error"], progress=progress)[0].point
         )
         with self.config.named(), few_threads(self.observations):
-            return explain(self.evidence, point, progress=lambda stage: progress(Progress(stage)))
+            found = explain(self.evidence, point, progress=lambda stage: progress(Progress(stage)))
+        return replace(found, pushed=tuple(self.disturbances()))
 
     def advise(self, name: str, *, progress: Shown = silent) -> Ranking:
         """Rank recordings to make next by what they would leave of one quantity.
@@ -598,5 +592,7 @@ class Model:
 
     def _repr_html_(self) -> str:
         seen = ", ".join(f"{escape(o.name)}: {len(o.time)} outputs" for o in self.observations)
+        told = [f"{o.name}: {text}" for o in self.observations for text in o.warnings]
         rows = ((n, p.text, "default" if p.default else "given") for n, p in self.priors.items())
-        return f"<p>{seen}</p>{html_table(rows, ('parameter', 'prior', ''))}"
+        warned = "".join(f"<p>WARNING: {escape(text)}</p>" for text in told)
+        return f"<p>{seen}</p>{warned}{html_table(rows, ('parameter', 'prior', ''))}"

@@ -1,13 +1,69 @@
-"""How far long work has come, shown on stderr."""
+"""How far long work has come, shown on stderr, and what time it took."""
 
 from __future__ import annotations
 
+import os
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     from bayesfric.inference.sampling.sampling import Progress
+
+
+class Spent:
+    """Time since it was made: by the clock, and of all processors, second processes included."""
+
+    def __init__(self) -> None:
+        self._began = time.perf_counter(), _cpu_seconds()
+
+    @property
+    def seconds(self) -> float:
+        """By the clock."""
+        return time.perf_counter() - self._began[0]
+
+    @property
+    def cpu_seconds(self) -> float:
+        """Of processors: more than by the clock where several worked, less where others did."""
+        return _cpu_seconds() - self._began[1]
+
+    def __str__(self) -> str:
+        """Word both."""
+        return spent_text(self)
+
+
+class Timed(Protocol):
+    """What knows the time it took."""
+
+    @property
+    def seconds(self) -> float:
+        """By the clock."""
+
+    @property
+    def cpu_seconds(self) -> float:
+        """Of processors."""
+
+
+def spent_text(of: Timed) -> str:
+    """Word what time was taken."""
+    return f"{of.seconds:.1f} s by the clock, {of.cpu_seconds:.1f} s of CPU time"
+
+
+def _cpu_seconds() -> float:
+    now = os.times()
+    return now.user + now.system + now.children_user + now.children_system
+
+
+def silent(_: Progress) -> None:
+    """Tell nobody how far work has come."""
+
+
+def by_method(progress: Callable[[Progress], None]) -> Callable[[str], None]:
+    """Tell by the name of a method of estimation that it begins."""
+    from bayesfric.inference.sampling.sampling import Progress
+
+    return lambda method: progress(Progress(f"{method} estimate"))
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,9 +13,10 @@ from bayesfric.config_text import saved_name
 from bayesfric.errors import BadInput
 from bayesfric.inference.archive import make_archive
 from bayesfric.inference.fitting import Fit
+from bayesfric.inference.sampling.sampling import Progress
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.tables import sha256
-from bayesfric.report.run_directory import archived, check_free, write_run
+from bayesfric.report.files import check_free
 from bayesfric.report.summary.record import Summary, read_summary_file
 
 if TYPE_CHECKING:
@@ -40,6 +42,8 @@ class Result:
 
     def inference_data(self) -> Any:
         """Give what ``posterior.nc`` holds, as ArviZ has it."""
+        from bayesfric.report.run_directory import archived  # brings Matplotlib with it
+
         text = self.model.config.text
         data = make_archive(**archived(self.fit, self.summary, text, self.recordings))
         object.__setattr__(data, _KEPT, (self, ref(data)))
@@ -48,12 +52,22 @@ class Result:
     def __deepcopy__(self, _: Any) -> Result:
         return self
 
-    def write(self, folder: Path, *, draws: int | None = None) -> Summary:
+    def write(
+        self,
+        folder: Path,
+        *,
+        draws: int | None = None,
+        paper: bool = False,
+        progress: Callable[[Progress], None] = lambda _: None,
+    ) -> Summary:
         """Write a run directory, and give what its ``summary.json`` holds.
 
         Nothing is left behind where the folder cannot be written to. With a number of ``draws`` it
-        is a light one, see :func:`~bayesfric.report.run_directory.write_run`.
+        is a light one, see :func:`~bayesfric.report.run_directory.write_run`; ``paper`` adds
+        LaTeX, and figures as PDF and PNG.
         """
+        from bayesfric.report.run_directory import write_run  # brings Matplotlib with it
+
         config, measured = self.model.config, self.recordings
         # what was given as a table in memory is saved in the run, where its configuration has it
         files = {
@@ -71,7 +85,17 @@ class Result:
                     measured[k] = replace(one, path=folder / file, sha256=sha256(made))
             origin = config.origin_of(measured, folder if self.model.given else config.folder)
             summary = self.summary.model_copy(update={"source": origin.model_dump(mode="json")})
-            write_run(folder, self.fit, summary, config.text, measured, Path(name), draws)
+            write_run(
+                folder,
+                self.fit,
+                summary,
+                config.text,
+                measured,
+                Path(name),
+                draws,
+                paper=paper,
+                progress=progress,
+            )
         return summary
 
 
@@ -98,14 +122,14 @@ def summary(posterior: Any) -> Summary:
     Returns
     -------
     Summary
-        Every number with its verdict; ``frame()`` is its table, which it shows in a notebook.
+        Every number with its verdict; ``frame`` is its table, which it shows in a notebook.
     """
     if isinstance(posterior, str | Path):
         return Summary.read(read_summary_file(Path(posterior)), str(posterior))
     return result_of(posterior).summary
 
 
-def report(posterior: Any, folder: Path | str, *, force: bool = False) -> Path:
+def report(posterior: Any, folder: Path | str, *, force: bool = False, paper: bool = False) -> Path:
     """Write the run directory of a posterior, as ``bayesfric fit`` does.
 
     Recordings that were given as arrays are saved in it, and its ``config.toml`` names them.
@@ -118,6 +142,8 @@ def report(posterior: Any, folder: Path | str, *, force: bool = False) -> Path:
         The run directory to make.
     force
         Keep an old run under another name.
+    paper
+        Add LaTeX tables, methods and references, and figures as PDF and PNG.
 
     Returns
     -------
@@ -132,5 +158,5 @@ def report(posterior: Any, folder: Path | str, *, force: bool = False) -> Path:
     folder = Path(folder)
     result = result_of(posterior)
     check_free(folder, force=force)
-    result.write(folder)
+    result.write(folder, paper=paper)
     return folder / "report.html"

@@ -14,7 +14,7 @@ from bayesfric.errors import BadInput
 from bayesfric.estimates.descent import few_threads
 from bayesfric.estimates.methods import ESTIMATORS, estimate_by
 from bayesfric.estimates.point_estimate import Estimate
-from bayesfric.explain.explanation import Explanation, asked_for
+from bayesfric.explain.explanation import Explanation, Term, asked_for
 from bayesfric.identifiability.identification import identify
 from bayesfric.identifiability.plausible import Point
 from bayesfric.identifiability.sentences import plain
@@ -25,7 +25,9 @@ from bayesfric.inference.predictive import predict_held_out
 from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Progress, Sampling
 from bayesfric.inference.target import Target
-from bayesfric.model import Model, by_method, silent
+from bayesfric.model import Model
+from bayesfric.progress import by_method, silent
+from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import White, find_doubts, put_doubts
 from bayesfric.report.summary.model_error import add_model_error
 from bayesfric.report.summary.noise import add_white_intervals, white_alternative
@@ -77,7 +79,8 @@ def whole_fit(
     if model.held_out:
         held_out = predict_held_out(found.target, found.posterior, model.held_out)
         found = replace(found, held_out=held_out)
-    summary = summarise(found, model.references(), begun.choice)
+    derived = groups(found)
+    summary = summarise(found, model.references(), begun.choice, derived)
     compared = None
     if white_alternative(found):
         progress(Progress("the same with white noise"))
@@ -85,20 +88,23 @@ def whole_fit(
         compared = _with_white_noise(model, sample, quick, checkpoint("white-noise", quick))
         summary = add_white_intervals(summary, compared[0] if compared else None)
     found = replace(found, model_error=model_error(found.target, found.posterior))
-    summary = add_model_error(summary, found)
+    summary = add_model_error(summary, found, derived)
     late = [] if model.chain.delay else model.delays(begun.estimates)
     turn = model.once_a_turn(begun.estimates)
-    doubts = find_doubts(found, summary, begun.choice, compared, late, turn)
+    pushed = model.disturbances()
+    doubts = find_doubts(found, summary, begun.choice, compared, late, turn, pushed)
     if (checked := _self_check(model, found, progress)) is not None:
-        part = self_check_part(found, summary, checked)
+        part = self_check_part(found, summary, checked, derived)
         summary = summary.model_copy(update={"self_check": part})
         doubts += self_check_doubts(summary)
     summary = put_doubts(summary, doubts)
     progress(Progress("identifiability"))
+    terms = _asked(model, begun, lacks)
     update: dict[str, Any] = {
-        "warnings": [*summary.warnings, *begun.missing, *_structure(model, begun, lacks)],
+        "warnings": [*summary.warnings, *begun.missing, *_structure(begun, terms)],
+        "asked_terms": list(terms),
         # nothing in a file of samples tells; the configuration may
-        "may_be_simulated": model.config.tables.simulation is not None,
+        "may_be_simulated": _may_be_simulated(model),
     }
     if lacks is not None:
         update["explanation"] = lacks
@@ -110,17 +116,28 @@ def whole_fit(
     return Result(model, found, summary.model_copy(update=update))
 
 
-def _structure(model: Model, begun: Beginning, lacks: Explanation | None) -> list[str]:
-    """Say which terms would explain what passes for noise that remembers."""
+def _may_be_simulated(model: Model) -> bool:
+    """Whether something says how, or there is the truth; ``init`` writes an empty table."""
+    told = model.config.tables.simulation
+    files = [one.path for one in model.recordings if one.path is not None]
+    there = any(path.with_suffix(".truth.json").is_file() for path in files)
+    return there or (told is not None and bool(told.model_fields_set))
+
+
+def _asked(model: Model, begun: Beginning, lacks: Explanation | None) -> Sequence[Term]:
+    """Find terms that would explain what the model leaves, where what it leaves remembers."""
+    if lacks is not None:
+        return lacks.asked
     if begun.choice is None or not begun.choice.asked.order:
-        return []
-    if lacks is None:
-        point = next(dict(e.point) for e in begun.estimates if e.point)
-        with few_threads(model.observations):
-            terms = asked_for(model.evidence, point)
-    else:
-        terms = lacks.asked
-    if not terms:
+        return ()
+    point = next(dict(e.point) for e in begun.estimates if e.point)
+    with few_threads(model.observations):
+        return asked_for(model.evidence, point)
+
+
+def _structure(begun: Beginning, terms: Sequence[Term]) -> list[str]:
+    """Say which terms would explain what passes for noise that remembers."""
+    if begun.choice is None or not begun.choice.asked.order or not terms:
         return []
     return [sentence("structure", {"order": begun.choice.asked.order, "terms": terms})]
 

@@ -37,9 +37,10 @@ def run(study: str) -> None:
         target = runs / path.stem
         if target.exists():
             shutil.rmtree(target)
-        summary = fit(read_config(path), target)
+        # the three of the paper beside the demo's posterior
+        summary = fit(read_config(path), target, paper=True, output_error=study == "demo")
         print(f"=== {study}/{path.name}")
-        print("\n".join(fit_text(summary, target.relative_to(ROOT))))
+        print("\n".join(fit_text(summary)))
         if path.stem.endswith("-held-out"):
             # less data: not to be compared with the others, only its prediction counts
             for suffix in (".pdf", ".png"):

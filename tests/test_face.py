@@ -66,12 +66,12 @@ def same_draws(first, second):
         assert first[name].values.tobytes() == second[name].values.tobytes(), name
 
 
-def test_the_example_of_the_readme_is_the_fit(bench):
-    text = (REPOSITORY / "README.md").read_text()
+def test_the_example_of_the_reference_is_the_fit(bench):
+    text = (REPOSITORY / "studies/reference/python.md").read_text()
     (code,) = re.findall(r"<!-- python-example -->\n```python\n(.*?)```\n<!-- end -->", text, re.S)
     shutil.copy(Path(str(files("bayesfric") / "examples")) / "knee.csv", bench.folder)
     told = {}
-    exec(compile(code, "README.md", "exec"), told)
+    exec(compile(code, "python.md", "exec"), told)
     (bench.folder / "own.toml").write_text("""
 [mechanism]
 preset = "rabbit-knee"
@@ -159,10 +159,41 @@ def test_point_estimates_and_what_can_be_known_are_tables():
     found = model.estimate("input-error")
     assert found.loc["motor.inertia", "value"] == pytest.approx(0.01, rel=0.02)
     assert list(found.index.names) == ["name"]
+    assert list(found.columns[:2]) == ["value", "sd"]
     assert {"least-squares", "input-error"} == set(
         model.estimate("least-squares", "input-error").index.get_level_values("method")
     )
     assert model.identify().loc["motor.inertia", "verdict"] == "data"
+
+
+def test_check_is_what_the_command_prints(bench):
+    pd.DataFrame(dict(zip("tqu", measured(), strict=True))).to_csv(bench.folder / "one.csv")
+    one = bf.Recording.from_file(bench.folder / "one.csv", time="t", position="q", torque="u")
+    model = bf.Model(axis(), one)
+    (bench.folder / "c.toml").write_text(model.config.text)
+    told = bench.run("check", "c.toml")
+    assert told.out.splitlines() == bf.check("c.toml").text().splitlines()
+    assert json.loads(bench.run("check", "c.toml", "--json").out) == bf.check("c.toml").as_json()
+    # nothing is wrong, and the friction is that of the motion
+    found = bf.check(model)
+    assert found.warnings == ()
+    row = found.as_json()["least_squares"]["parameters"]["motor.coulomb"]
+    assert row["value"] == pytest.approx(TRUTH["motor.coulomb"], rel=0.02)
+
+
+def test_the_torque_that_a_motion_takes_is_the_sum_of_its_terms():
+    speed, acceleration = np.array([0.5, -2.0, 0.0]), np.array([1.0, 0.0, 3.0])
+    expected = 0.01 * acceleration + 0.05 * speed + 0.2 * np.sign(speed) + 0.02
+    found = axis().torque(TRUTH, 0.3, speed, acceleration)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    # a posterior's draws hold the noise's, too
+    noisy = axis().torque(TRUTH | {"noise.sigma": 0.1}, 0.3, speed, acceleration)
+    np.testing.assert_allclose(noisy, expected, rtol=1e-12)
+    # draws of some, with others known
+    draws = axis().torque(TRUTH | {"offset": np.array([0.02, 0.52])}, 0.3, speed, acceleration)
+    np.testing.assert_allclose(draws, [expected, expected + 0.5], rtol=1e-12)
+    with pytest.raises(KeyError, match=r"missing: \['offset'\]"):
+        axis().torque({n: x for n, x in TRUTH.items() if n != "offset"}, 0.3, speed, acceleration)
 
 
 def test_figures_and_summaries_are_of_what_was_sampled():
@@ -170,6 +201,9 @@ def test_figures_and_summaries_are_of_what_was_sampled():
     assert "friction" in dir(PLOT)
     assert bf.plot.friction(posterior).axes
     assert "motor.inertia" in bf.summary(posterior)._repr_html_()
+    said = str(bf.summary(posterior))
+    assert said.startswith("sampling ")
+    assert "Parameters (90 % intervals)" in said
     with pytest.raises(AttributeError, match="friction"):
         bf.plot.frictoin(posterior)
     with pytest.raises(BadInput, match=r"Model\.sample"):
@@ -180,6 +214,11 @@ def test_objects_show_themselves():
     model = bf.Model(axis(), arrays(name="<one>"))
     assert "&lt;one&gt;" in model._repr_html_()
     assert "motor.inertia" in model._repr_html_()
+    assert "WARNING" not in model._repr_html_()
+    t, q, tau = measured()
+    late = bf.Model(axis(), bf.Recording.from_arrays(1e3 * t, q, tau))
+    assert "WARNING: recording-1: time: the sampling period" in late._repr_html_()
+    assert bf.check(late).warnings[0].startswith("recording-1: time: the sampling period")
     assert "motor.inertia" in axis()._repr_html_()
     shown = arrays(name="<one>", added_mass="2 kg", radius=0.3)._repr_html_()
     assert all(text in shown for text in ("&lt;one&gt;", "position", "added_mass", "2"))

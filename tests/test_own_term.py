@@ -54,7 +54,7 @@ def model(recording):
 def run(model, tmp_path_factory):
     posterior = model.sample(seed=1)
     folder = tmp_path_factory.mktemp("own") / "run"
-    bf.report(posterior, folder)
+    bf.report(posterior, folder, paper=True)
     return posterior, folder
 
 
@@ -98,7 +98,7 @@ def test_tables_page_and_methods_show_it(run):
     assert parameters["motor.cogging"]["symbol"] == "k_6"
     assert "motor.cogging" in set(pd.read_csv(folder / "summary.csv")["name"])
     assert "motor.cogging" in (folder / "report.html").read_text(encoding="utf-8")
-    assert "k_6" in next((folder / "tables").glob("param*.tex")).read_text(encoding="utf-8")
+    assert "k_6" in (folder / "tables" / "parameters.tex").read_text(encoding="utf-8")
     assert "cogging six times a turn" in (folder / "text" / "methods.txt").read_text()
     assert any((folder / "figures").glob("friction.*"))
 

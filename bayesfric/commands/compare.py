@@ -19,10 +19,10 @@ def compare(
 ) -> Comparison:
     """Compare finished runs, or the methods of a single one.
 
-    ``output`` is a folder to make: ``report.html``, ``comparison.csv``, ``.md`` and ``.json``,
-    ``figures/forest.pdf``, ``.svg`` and ``.png``; of several runs ``between-runs.csv``,
-    ``each-run.csv``, ``figures/population`` and, where two hold their draws, ``figures/overlay``.
-    Point estimates are shown of a single run only if
+    ``output`` is a folder to make: ``report.html``, ``comparison.csv``, ``.md``, ``.tex`` and
+    ``.json``, ``figures/forest.pdf``, ``.svg`` and ``.png``; of several runs ``between-runs.csv``
+    and, where something is pooled, ``.tex``, ``each-run.csv``, ``figures/population`` and, where
+    two hold their draws, ``figures/overlay``. Point estimates are shown of a single run only if
     ``estimates`` is left out. Of what cannot be compared nothing is written.
     """
     summaries = read_summaries(runs)
@@ -38,9 +38,10 @@ def compare(
     from bayesfric.report.comparison.run_draws import chain_of, read_draws
     from bayesfric.report.figures.registry import ComparedRuns, comparison_figures
     from bayesfric.report.figures.style import save
+    from bayesfric.report.files import check_free, made_beside
     from bayesfric.report.page.compare_page import compare_page, shared_recordings
     from bayesfric.report.page.provenance import read_provenance
-    from bayesfric.report.run_directory import check_free, made_beside
+    from bayesfric.report.paper.tables import between_runs_latex, methods_latex
 
     check_free(output, force=None)
     found = comparison(summaries, estimates=estimates)
@@ -57,17 +58,19 @@ def compare(
     pooled.sort(key=lambda one: order[one.name])
     compared = ComparedRuns(found, checked, draws, pooled)
     # what cannot be drawn is told before anything is written
-    drawn = {stem: one.draw(compared) for stem, one in comparison_figures().items()}
+    drawn = {stem: one.figure(compared) for stem, one in comparison_figures().items()}
     with made_beside(output) as beside:
         as_json = json.dumps(comparison_dict(found), indent=1, ensure_ascii=False, allow_nan=False)
         texts = {
             "comparison.csv": comparison_csv(found),
             "comparison.md": comparison_markdown(found),
             "comparison.json": f"{as_json}\n",
+            "comparison.tex": methods_latex(found),
         }
         if len(checked) > 1:
             texts["between-runs.csv"] = between_runs_csv(pooled)
             texts["each-run.csv"] = each_run_csv(pooled)
+            texts |= {"between-runs.tex": between_runs_latex(pooled)} if pooled else {}
         (beside / "figures").mkdir()
         for stem, figure in drawn.items():
             if figure is not None:

@@ -11,8 +11,10 @@ from bayesfric.explain.explanation import Explanation, Number
 from bayesfric.model import Model
 from bayesfric.report.figures.ladder import ladder_figure
 from bayesfric.report.figures.style import save
+from bayesfric.report.files import parents_made, unwritable
 from bayesfric.report.numbers import text_value
-from bayesfric.report.text_templates import filled
+from bayesfric.report.summary.doubts import pushed_doubts
+from bayesfric.report.text_templates import filled, sentence
 
 
 def explain_record(found: Explanation, model: Model) -> dict[str, Any]:
@@ -24,21 +26,23 @@ def figure_file(path: Path) -> Path:
     """Settle where the figure goes, before anything is computed."""
     if path.suffix.lower() != ".pdf":
         raise BadInput(str(path), "is not named .pdf", "name the figure something.pdf")
-    if not path.parent.is_dir():
-        raise BadInput(str(path), "its folder is not there", "make it, or name another with -o")
-    return path
+    try:
+        # what cannot be made is told before anything is computed
+        with parents_made(path):
+            return path
+    except OSError as error:
+        raise unwritable(path, error, "file") from None
 
 
 def write_figure(found: Explanation, path: Path) -> None:
     """Draw the models, as PDF, PNG and SVG."""
     try:
-        with TemporaryDirectory(prefix=".", dir=path.parent) as aside:
+        with parents_made(path), TemporaryDirectory(prefix=".", dir=path.parent) as aside:
             save(ladder_figure(found), Path(aside), path.stem)
             for made in Path(aside).iterdir():
                 made.replace(path.parent / made.name)
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise BadInput(str(path), f"cannot be written ({reason})", "name another with -o") from None
+        raise unwritable(path, error, "file") from None
 
 
 def explain_text(found: Explanation) -> list[str]:
@@ -47,6 +51,10 @@ def explain_text(found: Explanation) -> list[str]:
     text = filled(
         "explain.txt.j2",
         found=found,
+        pushed=[
+            sentence("pushed", one)
+            for one in pushed_doubts(found.pushed, lacking=bool(found.asked))
+        ],
         rungs=[m for m in found.models if not m.rival],
         names=list(names),
         value=_value,

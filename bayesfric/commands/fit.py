@@ -13,7 +13,8 @@ from bayesfric.config import Config, read_config
 from bayesfric.errors import BadInput
 from bayesfric.inference.sampling.sampling import Progress
 from bayesfric.model import Model
-from bayesfric.report.run_directory import check_free
+from bayesfric.report.files import check_free
+from bayesfric.report.summary.record import Summary
 from bayesfric.report.terminal import fit_text as fit_text
 
 
@@ -26,10 +27,13 @@ def fit(
     force: bool = False,
     output_error: bool = False,
     explain: bool = False,
+    paper: bool = False,
     progress: Callable[[Progress], None] = lambda _: None,
+    found: Callable[[Summary], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Fit a configuration, write the run directory, and return what ``summary.json`` holds.
 
+    ``found`` takes the numbers as soon as they are there, before figures and pages are made.
     ``resume`` goes on with an interrupted run; the result is that of one never interrupted.
     ``force`` keeps what stands there, and an interrupted run's checkpoint, under other names and
     starts afresh. Nothing is written of what cannot be used; where the disk is full or gone, and
@@ -46,9 +50,10 @@ def fit(
             progress=progress,
             checkpoint=partial(run.sampling, model),
         )
+        found(result.summary)
         progress(Progress("writing results"))
         try:
-            summary = result.write(folder)
+            summary = result.write(folder, paper=paper, progress=progress)
         except BadInput as error:
             mend = "mend that, then write them with --resume: nothing is sampled again"
             raise BadInput(error.where, error.what, mend) from None

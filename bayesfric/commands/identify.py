@@ -16,18 +16,32 @@ from bayesfric.identifiability.identification import Identification
 from bayesfric.identifiability.next_recording import Ranking
 from bayesfric.identifiability.sentences import page
 from bayesfric.model import Model
+from bayesfric.report.alerts import doubt_text
 from bayesfric.report.files import write_beside
+from bayesfric.report.summary.doubts import little_explained
 
 
 def identify_record(found: Identification, model: Model) -> dict[str, Any]:
     """Put an identification into the form that ``--json`` prints; what is infinite is ``None``."""
-    return {"config": str(model.config.path), **found.as_json()}
+    return {"config": str(model.config.path), **found.as_json(), "doubts": _doubts(model)}
 
 
 def identify_text(found: Identification, model: Model) -> list[str]:
     """Word an identification for a person: first what cannot be told, then the tables."""
     unit = "rad" if model.chain.load.motion == "rotary" else "m"
-    return page("identify.txt", found=found, unit=unit)
+    doubted = _warnings(model)
+    return [*doubted, *page("identify.txt", found=found, unit=unit, doubted=bool(doubted))]
+
+
+def _doubts(model: Model) -> list[dict[str, Any]]:
+    """Doubt a mechanism before anything is said of its parameters, as ``check`` does."""
+    return little_explained(model.chain, model.observations)
+
+
+def _warnings(model: Model) -> list[str]:
+    """Word these doubts, a line between them and what follows."""
+    told = [f"WARNING: {doubt_text(one)}" for one in _doubts(model)]
+    return [*told, ""] if told else []
 
 
 def advice_file(name: str, output: Path | None, *, force: bool) -> Path:
@@ -68,18 +82,21 @@ def write_advice(found: Ranking, path: Path, model: Model, *, force: bool) -> bo
 def advice_record(found: Ranking, model: Model, written: Path | None) -> dict[str, Any]:
     """Put a ranking into the form that ``--json`` prints; what is infinite is ``None``."""
     file = str(written) if written else None
-    return {"config": str(model.config.path), **found.as_json(), "written": file}
+    return {"config": str(model.config.path), **found.as_json(), "written": file} | {
+        "doubts": _doubts(model)
+    }
 
 
 def advice_text(found: Ranking, model: Model, written: Path | None) -> list[str]:
     """Word a ranking for a person: what to do first, then the table."""
-    return page(
+    told = page(
         "advise.txt",
         found=found,
         written=written,
         torque_unit=_torque_unit(model),
         position_unit="rad" if model.chain.load.motion == "rotary" else "m",
     )
+    return [*_warnings(model), *told]
 
 
 def _torque_unit(model: Model) -> str:

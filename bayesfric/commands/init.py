@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, get_args
 
 from pydantic import BaseModel
@@ -33,19 +33,22 @@ def configuration(preset: str, recordings: Sequence[str] | None = None) -> str:
         [
             f"# bayesfric configuration: {chosen.meaning}.",
             "# Lines that begin with '#' are defaults or examples; remove the '#' to change them.",
+            "# Every key, with its meaning: bayesfric init --all-keys. So that editors with Taplo",
+            "# complete them: bayesfric init --schema -o keys.json, and as first line of this file",
+            "# '#:schema ./keys.json'.",
             "",
             *_mechanism(preset, chain),
             "",
             *(_recordings(chain) if recordings is None else recordings),
             *_choices(),
-            *_options("processing"),
+            *options("processing"),
             "",
             *_priors(chain),
             "",
             "# Values to compare results with, from a data sheet or CAD; they enter no fit.",
             "# [references]",
             f'# "{name}" = {{ value = 0.41, source = "CAD" }}',
-            *(line for key in tables[first:] for line in _options(key)),
+            *(line for key in tables[first:] for line in options(key)),
             f"# Parameters are those of {chosen.source}, unless given here:",
             "# [simulation.parameters]",
             *(f'# "{name}" = {value:.6g}' for name, value in chosen.values.items()),
@@ -56,7 +59,9 @@ def configuration(preset: str, recordings: Sequence[str] | None = None) -> str:
 
 def _mechanism(preset: str, chain: Joint) -> Iterator[str]:
     yield "[mechanism]"
-    yield f'preset = "{preset}"'
+    yield f'preset = "{preset}"  # for {PRESETS[preset].when}'
+    for other in other_presets(preset):
+        yield f'# preset = "{other}"  # for {PRESETS[other].when}'
     yield (
         f"# offset = {str(chain.offset).lower()}  # unknown constant in the motor torque; "
         'or "per-recording"'
@@ -76,6 +81,12 @@ def _mechanism(preset: str, chain: Joint) -> Iterator[str]:
             yield f"# {option} = {chosen}  # {OPTION_MEANINGS[option]}: {known}"
         for option in CYCLES:
             yield f"# {option} = []  # {OPTION_MEANINGS[option]}, such as [1, 7, 42]"
+
+
+def other_presets(preset: str) -> list[str]:
+    """Name the presets that could be meant instead, those without a gearbox first."""
+    others = (name for name in PRESETS if name != preset)
+    return sorted(others, key=lambda name: PRESETS[name].chain().ratio)
 
 
 def _recordings(chain: Joint) -> Iterator[str]:
@@ -132,9 +143,12 @@ def _priors(chain: Joint) -> Iterator[str]:
         yield f"# {p.name:<26} {p.unit or '-':<8} {p.meaning}"
 
 
-def _options(table: str) -> Iterator[str]:
-    """Write a table of options, with their meanings and defaults or examples."""
-    field = Tables.model_fields[table]
+def options(
+    table: str, of: type[BaseModel] = Tables, given: Mapping[str, Any] | None = None
+) -> Iterator[str]:
+    """Write a table of options, with their meanings, and defaults or examples but for the given."""
+    field = of.model_fields[table]
+    given = given or {}
     yield ""
     if field.description:
         yield f"# {field.description}"
@@ -146,7 +160,8 @@ def _options(table: str) -> Iterator[str]:
             continue
         text = f"{key}: {option.description}"
         yield from textwrap.wrap(text, 92, initial_indent="# ", subsequent_indent="#   ")
-        yield f"# {key} = {_toml(option.examples[0] if option.examples else option.default)}"
+        example = option.examples[0] if option.examples else option.default
+        yield f"{key} = {_toml(given[key])}" if key in given else f"# {key} = {_toml(example)}"
 
 
 def _toml(value: Any) -> str:

@@ -7,13 +7,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from bayesfric.commands.init import configuration, target_line
+from bayesfric.commands.init import configuration, other_presets, target_line
 from bayesfric.config_text import toml_value
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.recognition.log import Chosen, Log, recognise
 from bayesfric.recordings.tables import read_table
 from bayesfric.recordings.tables.reader import TableOptions
-from bayesfric.recordings.units import GUESSED
+from bayesfric.recordings.units import GUESSED, alternatives
 
 _DEFAULT = "motor-axis"
 # What no log tells, as a configuration wants it.
@@ -34,7 +34,8 @@ def configuration_from(
 ) -> dict[str, Any]:
     """Write a configuration for a log: ``text``, ``guesses`` and what the log does not tell.
 
-    File names are relative to where ``output`` will be.
+    A guess has what else it may be, ``or``; ``presets`` are those that could be meant where none
+    was named. File names are relative to where ``output`` will be.
 
     Raises
     ------
@@ -49,11 +50,13 @@ def configuration_from(
     unknown = list(log.unknown)
     if preset is None:
         unknown.insert(0, f"the mechanism: {given} is taken, as no PRESET was named")
+    others = other_presets(given) if preset is None else []
     if geared:
         unknown.append("whether position and velocity are those of the motor or of the joint")
     return {
         "text": configuration(given, list(_recording(file, table, log, geared))),
         "preset": given,
+        "presets": [{"preset": name, "when": PRESETS[name].when} for name in others],
         "guesses": list(_guesses(log)),
         "unknown": unknown,
         "joint": log.joint,
@@ -67,21 +70,30 @@ def guesses_text(found: dict[str, Any]) -> Iterator[str]:
         others = ", ".join(one for one in found["joints"] if one != found["joint"])
         yield f"Joint {found['joint']}; with --joint one of: {others}"
     if found["guesses"]:
-        yield f"Guessed; look at each, and remove its '{GUESSED}':"
+        yield f"Guessed; look at each, and remove every '{GUESSED}':"
     for one in found["guesses"]:
-        yield f"  {one['key']} = {toml_value(one['value'])}: {one['why']}"
+        others = " or ".join(map(toml_value, one["or"]))
+        instead = f"; or {others}" if others else ""
+        yield f"  {one['key']} = {toml_value(one['value'])}: {one['why']}{instead}"
     for text in found["unknown"]:
         yield f"  not known: {text}"
+    for one in found["presets"]:
+        yield f"  preset = {toml_value(one['preset'])} is for {one['when']}"
 
 
-def _guesses(log: Log) -> Iterator[dict[str, str]]:
+def _guesses(log: Log) -> Iterator[dict[str, Any]]:
     for one in log.chosen:
         if one.unit.endswith(GUESSED):
-            yield {"key": f"{one.channel}.unit", "value": one.unit, "why": one.why}
+            units = list(alternatives(one.unit.removesuffix(GUESSED)))
+            yield {"key": f"{one.channel}.unit", "value": one.unit, "why": one.why, "or": units}
+        if one.others:
+            columns = list(one.others[:3])
+            told = {"key": f"{one.channel}.column", "value": one.column, "why": one.why}
+            yield told | {"or": columns}
         for key, value in _CONSTANTS.get(one.channel, {}).items():
-            yield {"key": f"{one.channel}.{key}", "value": value, "why": _CONSTANT_WHY}
+            yield {"key": f"{one.channel}.{key}", "value": value, "why": _CONSTANT_WHY, "or": []}
     if log.rate:
-        yield {"key": "rate", "value": log.rate, "why": "no column tells time"}
+        yield {"key": "rate", "value": log.rate, "why": "no column tells time", "or": []}
 
 
 def _recording(file: Path, table: str | None, log: Log, geared: bool) -> Iterator[str]:

@@ -3,38 +3,67 @@
 from __future__ import annotations
 
 import os
-from contextlib import suppress
+from collections.abc import Callable
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from bayesfric.errors import BadInput
+from bayesfric.inference.sampling.sampling import Progress
 from bayesfric.report.files import write_beside
 from bayesfric.report.page.run_page import run_page
-from bayesfric.report.paper.tables import summary_texts
+from bayesfric.report.paper.tables import latex_texts, summary_texts
 from bayesfric.report.summary.record import read_summary_file
 
 
-def report(run: Path) -> dict[str, Any]:
+def report(
+    run: Path, *, paper: bool = False, progress: Callable[[Progress], None] = lambda _: None
+) -> dict[str, Any]:
     """Make ``report.html`` and what follows from ``summary.json`` again; nothing is sampled.
 
-    Nothing is changed where the folder holds no finished run, or cannot be written to.
+    ``paper`` has the figures drawn again, as PDF and PNG, for which the recordings are read, and
+    writes LaTeX tables, methods and references. Nothing is changed where the folder holds no
+    finished run, or cannot be written to.
     """
     summary = read_summary_file(run)
     name = Path(os.path.realpath(run)).name
     # first, for it looks at every key
     page = run_page(run, summary, name)
     texts = summary_texts(summary, name) | {"report.html": page}
-    tables = run / "tables"
-    made = not tables.exists()
+    drawn: list[str] = []
+    if any(run.glob("tables/*.tex")):
+        texts |= latex_texts(summary, name)
     try:
-        tables.mkdir(exist_ok=True)
+        if paper:
+            drawn = _for_paper(run, name, texts, progress)
         write_beside({run / file: text for file, text in texts.items()}, replace=True)
     except OSError as error:
         raise BadInput(
             str(run), f"cannot be written ({error.strerror})", "copy the run to a folder of yours"
         ) from None
-    finally:
-        if made:
-            with suppress(OSError):  # it is filled, as it should be
-                tables.rmdir()
-    return {"run": str(run), "written": sorted(texts)}
+    return {"run": str(run), "written": sorted([*texts, *drawn])}
+
+
+def _for_paper(
+    run: Path, name: str, texts: dict[str, str], progress: Callable[[Progress], None]
+) -> list[str]:
+    """Add texts to write, and draw; give the files drawn."""
+    from bayesfric.finished import fit_of
+    from bayesfric.report.figures.registry import FinishedRun
+    from bayesfric.report.figures.style import IN_PAPER
+    from bayesfric.report.paper.methods_text import methods_text
+    from bayesfric.report.run_directory import draw, paper_texts
+    from bayesfric.report.second_process import shared_work
+
+    progress(Progress("recordings"))
+    fit, summary = fit_of(run)
+    texts |= paper_texts(summary, name, methods_text(fit, summary))
+    figures = run / "figures"
+    with TemporaryDirectory(prefix=".", dir=run) as beside:
+        with shared_work(progress) as share:
+            draw(Path(beside), FinishedRun(fit, summary), IN_PAPER, share, progress)
+        figures.mkdir(exist_ok=True)
+        files = sorted(Path(beside).iterdir())
+        for file in files:
+            file.replace(figures / file.name)
+    return [f"figures/{file.name}" for file in files]

@@ -28,6 +28,7 @@ from bayesfric.errors import BadInput, Interrupted
 from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.model import Model
+from bayesfric.report.files import parents_made
 
 # How a disk without locks tells it: better one run without than none at all.
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
@@ -109,7 +110,7 @@ def unfinished(folder: Path, *, resume: bool, force: bool) -> Iterator[Unfinishe
     if resume and force:
         raise BadInput("--resume", "cannot go with --force", "give one of them")
     try:
-        with alone_in(place, folder):
+        with parents_made(place), alone_in(place, folder):
             run = Unfinished(folder, place)
             there = run.kept
             if resume and not there:

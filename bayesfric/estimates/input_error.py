@@ -33,6 +33,8 @@ _SPLITS = ((0.05, 0.5), (0.2, 0.2), (0.2, 0.5), (0.2, 0.8), (0.5, 0.3), (0.5, 0.
 _SAME = 0.01
 # Minima of the first pass that the second looks at again.
 _MINIMA = 3
+# Share of the lowest criterion of all by which what is known may raise it, and none is lower.
+_REACHED = 1e-6
 # How often the sds behind weights and Huber's loss are taken anew, and when they stand still.
 _ROUNDS = 8
 _SETTLED = 1e-3
@@ -122,10 +124,29 @@ def _starts(problem: TorqueProblem, options: Estimation) -> tuple[list[Array], l
         vectors = vectors[: len(_SPLITS)]
         vectors.insert(0, form.parameters(found.theta1, found.theta2, fixed))
         projected = [vectors[0][problem.columns]]
+        lowest = (1.0 + _REACHED) * projection.criterion(found.theta2) + problem.rounding
+        if _alone(problem, options) and _height(problem, problem.inside(vectors[0])) <= lowest:
+            # nothing known is in the way, and from the splits the projection has searched already
+            vectors = vectors[:1]
         if found.theta2.size:
             searched = f"; of eqs. (18) and (19), {found.starts_agreeing} of {found.starts}"
     inside = [problem.inside(_toward_told(problem, vector)) for vector in vectors]
     return inside, projected, searched
+
+
+def _height(problem: TorqueProblem, x: Array) -> float:
+    residual = problem.residual(x)
+    return float(residual @ residual)
+
+
+def _alone(problem: TorqueProblem, options: Estimation) -> bool:
+    """Whether the plain sum of squares is all that is minimised: there is no second pass."""
+    told = problem.knowledge.rows(problem.chain)[0].size
+    return not told and options.loss != "huber" and not _by_recording(problem, options)
+
+
+def _by_recording(problem: TorqueProblem, options: Estimation) -> bool:
+    return options.weights == "recording" and len(problem.observations) > 1
 
 
 def _refined(
@@ -135,11 +156,11 @@ def _refined(
     n = problem.measured.size
     floor = ROUNDING * float(np.sqrt(np.mean(problem.measured**2)))
     robust = options.loss == "huber"
-    by_recording = options.weights == "recording" and len(problem.observations) > 1
+    by_recording = _by_recording(problem, options)
     rows, targets = problem.knowledge.rows(problem.chain)
     terms = Terms(np.ones(n))
     best = found[0]
-    if not rows.size and not robust and not by_recording:
+    if _alone(problem, options):
         return terms, best.x
     # sds from a fit that a noisy recording or an outlier has bent are taken again
     for again in range(_ROUNDS if robust or by_recording else 1):

@@ -81,7 +81,7 @@ class TotalsProjection:
     """The linear map from torques to the totals of eq. (11)."""
 
     def __init__(self, chain: Joint, observations: Sequence[Observation]) -> None:
-        self._chain = chain
+        self._chain, self._observations = chain, observations
         # of the totals, such as inertia; (n_outputs, n_totals), filtered like the measured torque
         self.names, self.regressors = _regressors(chain, observations)
         # the same as results show them: total.inertia, or motor.inertia where that is all of it
@@ -92,6 +92,13 @@ class TotalsProjection:
     def solve(self, torque: NDArray[np.float64]) -> NDArray[np.float64]:
         """Totals of filtered torques, ``(n_outputs,)`` or ``(n_outputs, k)``."""
         return np.asarray(self._solution @ torque)
+
+    def of_samples(self) -> list[NDArray[np.float64]]:
+        """Give the same map of the samples of each recording's torque, ``(n_totals, n)``."""
+        ends = np.cumsum([o.filter.n_outputs for o in self._observations])[:-1]
+        parts = np.split(self._solution, ends, axis=1)
+        pairs = zip(self._observations, parts, strict=True)
+        return [o.filter.reached(part) for o, part in pairs]
 
     def describe(self, name: str) -> tuple[str, str, str]:
         """Give unit, LaTeX symbol and meaning of a total."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 _FAR = 2000
 
 # Numbers of unfiltered torque held at once.
-_ROWS_AT_ONCE = 5_000_000
+_ROWS_AT_ONCE = 500_000
 # The load torque at which efficiencies are stated: nearly the largest of the recordings.
 _LOAD_QUANTILE = 0.95
 
@@ -28,20 +28,39 @@ def filtered_torque(chain: Joint, observation: Observation, values: Array) -> Ar
     Gives ``(n, n_outputs)``, N m or N.
     """
     out = np.empty((values.shape[0], observation.filter.n_outputs))
-    # unfiltered torque of a long recording is kept for a few vectors at a time
+    for part, torque in _torques(chain, observation, values):
+        out[part] = observation.filter.apply(torque)
+    return out
+
+
+def weighed_torque(chain: Joint, observation: Observation, weights: Array, values: Array) -> Array:
+    """Weigh the samples of that torque before any filter, by ``(k, n_samples)``: ``(k, n)``."""
+    out = np.empty((len(weights), values.shape[0]))
+    for part, torque in _torques(chain, observation, values):
+        # no threads: for products this small those of @ cost more, on a busy machine fifty times
+        out[:, part] = np.einsum("ks,ns->kn", weights, torque)
+    return out
+
+
+def _torques(
+    chain: Joint, observation: Observation, values: Array
+) -> Iterator[tuple[slice, Array]]:
+    """Give unfiltered torque of a few vectors at a time: of a long recording it is large."""
     rows = max(1, _ROWS_AT_ONCE // max(observation.q.size, 1))
     for first in range(0, values.shape[0], rows):
-        torque = inverse_torque(
-            chain,
-            values[first : first + rows],
-            observation.q,
-            observation.qd,
-            observation.qdd,
-            inputs=observation.inputs,
-            time=observation.stamps,
+        part = slice(first, first + rows)
+        yield (
+            part,
+            inverse_torque(
+                chain,
+                values[part],
+                observation.q,
+                observation.qd,
+                observation.qdd,
+                inputs=observation.inputs,
+                time=observation.stamps,
+            ),
         )
-        out[first : first + rows] = observation.filter.apply(torque)
-    return out
 
 
 def torque_jacobian(

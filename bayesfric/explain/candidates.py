@@ -25,6 +25,8 @@ _PERIODS = 2.0
 # An inertia elsewhere is one with that which is there; the unknown offset and delay of a whole
 # chain have their own checks.
 _LEFT_OUT = frozenset({"inertia"})
+# Options of a load that come with another one: a real arm does not hang at zero.
+_ON_TOP = {"gravity_angle": "first_moment"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +38,7 @@ class Candidate:
     choice: Any
     phrase: str  # what it is called in a sentence
     chain: Joint  # with it
-    point: Mapping[str, float]  # parameters of that chain; what it brings is neutral there
+    point: Mapping[str, float]  # of that chain; what it brings is neutral there, or small
     new: tuple[str, ...]  # parameters that it brings
     sign: int  # of what it brings, where that can have one only; 0 where it can have both
     shape: tuple[str, float] | None = None  # what shapes it, and at which value it is tried
@@ -60,6 +62,9 @@ class Candidate:
     @property
     def setting(self) -> str:
         """Where and how a configuration says it."""
+        if len(self.new) > 1 and self.option in _ON_TOP:
+            both = f"{_ON_TOP[self.option]} = true, {self.option} = true"
+            return f"mechanism.{self.owner} = {{ {both} }}"
         if not self.owner:
             return f"mechanism.{self.option} = true"
         place = "load" if self.owner == "load" else f"elements.{self.owner}"
@@ -102,7 +107,8 @@ def candidates(
 
 def with_choice(chain: Joint, bearer: Element | Load, option: str, choice: Any) -> Joint:
     """Give a chain in which one of its elements, or the load, has another option."""
-    changed = replace(bearer, **{option: choice})
+    chosen: dict[str, Any] = {_ON_TOP[option]: True} if option in _ON_TOP else {}
+    changed = replace(bearer, **{**chosen, option: choice})
     if isinstance(changed, Load):
         return replace(chain, load=changed)
     elements = [changed if e.name == bearer.name else e for e in chain.elements]
@@ -116,8 +122,7 @@ def _goes(bearer: Element | Load, option: str, choice: Any) -> bool:
         return False
     if isinstance(bearer, Load):
         sliding = bearer.motion == "linear" and option in ("first_moment", "gravity_angle")
-        needs = option != "gravity_angle" or bearer.has("first_moment")
-        return needs and not sliding and (now is None or choice == "stiffening")
+        return not sliding and (now is None or choice == "stiffening")
     if now is not None:
         # from the simpler to the richer only, in the order of the table
         known = list(CHOICES[option])
@@ -150,6 +155,9 @@ def _changed(
     values: dict[str, float] = {}
     shapes: list[tuple[str, tuple[float, ...]]] = []
     replaced = [q for q in bearer.quantities if q.option == option]
+    below = _ON_TOP.get(option, "")
+    if below and not bearer.has(below):
+        phrase = f"{LOAD_CHOICES[below][True]}, with {phrase}"
     for p in made.parameters:
         if p.name in point:
             values[p.name] = point[p.name]
@@ -157,6 +165,9 @@ def _changed(
         # what takes another's place begins as that one, such as one direction of a loss
         same = [q for q in replaced if q.role == p.row.role and not p.row.tries]
         values[p.name] = point[f"{bearer.name}.{same[0].name}"] if same else p.default
+        if p.quantity == below and p.row.spread is not None:
+            # of nothing no angle shows
+            values[p.name] = p.row.spread(sizes_at(chain, bearer.name, scales))
         if p.row.tries is not None:
             shapes.append((p.name, p.row.tries(sizes_at(chain, bearer.name, scales))))
     if not shapes:

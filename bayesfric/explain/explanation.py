@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bayesfric.errors import BadInput
+from bayesfric.estimates.disturbances import Disturbance
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.methods import Given
@@ -18,6 +19,7 @@ from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
 from bayesfric.estimates.torque_near import larger
 from bayesfric.explain.candidates import Candidate
 from bayesfric.explain.ladder import Rung, Trial, climb, compared, stacked
+from bayesfric.mechanism.presets import PRESETS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -33,6 +35,7 @@ class Term:
     evidence: float  # natural logarithm of its Bayes factor beside the model it was tried with
     also: tuple[str, ...]  # settings that do the same to these motions
     rivals: tuple[Term, ...] = ()  # what it cannot be told from
+    presets: tuple[str, ...] = ()  # those that have it, where the joint is another preset
 
     @property
     def name(self) -> str:
@@ -90,6 +93,8 @@ class Explanation:
         one with each rival in its place.
     averaged
         Mean and sd of every number over the models that cannot be told apart.
+    pushed
+        Spans in which something else acted, to exclude before any term is added.
     """
 
     unit: str  # of the torque
@@ -102,6 +107,7 @@ class Explanation:
     folds: tuple[str, ...]  # what was left out in turn
     whole_recordings: bool  # whether that is recordings, or kinds of motion
     memory: tuple[float, ...]  # partial autocorrelations of the noise beside all terms
+    pushed: tuple[Disturbance, ...] = ()
 
     @property
     def last(self) -> Model:
@@ -212,9 +218,35 @@ def explain(
 
 def _term(t: Trial, rivals: Sequence[Trial] = ()) -> Term:
     one = t.candidate
-    also = tuple(dict.fromkeys(other.setting for other in t.others))
+    also = tuple(dict.fromkeys(other.setting for other in _simplest(one, t.others)))
     others = tuple(_term(other) for other in rivals)
-    return Term(one.phrase, one.owner, one.setting, t.evidence, also, others)
+    presets = tuple(_having(one))
+    return Term(one.phrase, one.owner, one.setting, t.evidence, also, others, presets)
+
+
+def _having(one: Candidate) -> Iterator[str]:
+    """Name presets of the same ratio whose load is like that of the chain with a term."""
+    load = one.chain.load
+    if one.owner != load.name or one.chain.made_from not in PRESETS:
+        return
+    for name, preset in PRESETS.items():
+        chain = preset.chain()
+        if chain.ratio == one.chain.ratio and load.choices.items() <= chain.load.choices.items():
+            yield name
+
+
+def _simplest(one: Candidate, others: Sequence[Candidate]) -> Iterator[Candidate]:
+    """Leave out richer choices of the same option.
+
+    Two losses that come out alike are the one loss: they do the same only as far as they hold it.
+    """
+    least: dict[tuple[str, str], int] = {}
+    for candidate in (one, *others):
+        place = candidate.owner, candidate.option
+        least[place] = min(len(candidate.new), least.get(place, len(candidate.new)))
+    for candidate in others:
+        if len(candidate.new) == least[candidate.owner, candidate.option]:
+            yield candidate
 
 
 def _estimated(given: Given, point: Mapping[str, float], added: Sequence[Candidate]) -> Estimate:

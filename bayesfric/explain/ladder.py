@@ -285,7 +285,8 @@ def _trials(search: _Search, taken: Sequence[Trial]) -> list[Trial]:
         )
         one, g, mine = max(shapes, key=lambda x: x[1].evidence)
         trials.append(Trial(one, evidence, plain, (), mine, g.direction))
-    trials.sort(key=lambda t: -t.plain)
+    # of two that do the same the first is named, not the one that rounding favours
+    trials.sort(key=lambda t: -round(t.plain, 6))
     apart: list[Trial] = []
     for t in trials:
         for k, other in enumerate(apart):
@@ -298,8 +299,13 @@ def _trials(search: _Search, taken: Sequence[Trial]) -> list[Trial]:
 
 
 def _one(trial: Trial, same: Trial) -> Trial:
-    """Make one of two that do the same, under the name of the one with fewer parameters."""
-    simpler = len(same.columns) < len(trial.columns)
+    """Make one of two that do the same, under the name of the one with fewer parameters.
+
+    With as many, a weight comes before a ripple: few motors have one that repeats once a turn.
+    """
+    ripple, other = (t.candidate.option in CYCLES for t in (trial, same))
+    weight = same.candidate.owner == "load" and ripple and not other
+    simpler = len(same.columns) < len(trial.columns) + weight
     if simpler and same.beaten_by(trial) < _AS_GOOD:
         trial, same = same, trial
     return replace(trial, others=(*trial.others, same.candidate, *same.others))

@@ -18,6 +18,7 @@ from bayesfric.export.at_joint import (
 from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.trajectory import Trajectory
+from bayesfric.report.summary.derived_quantities import rms_of
 
 # Seconds of free motion over which two joints are compared, each time from the same state.
 SPAN = 2.0
@@ -127,19 +128,15 @@ def _wrong(
         load,
         _size(difference),
         _size(float(numbers["gain"][0]) * difference),
-        _rms(np.concatenate(motion)) if motion else None,
-        float(np.median([_rms(x) for x in motion])) if motion else None,
-        _rms(whole),
+        rms_of(np.concatenate(motion)) if motion else None,
+        float(np.median([rms_of(x) for x in motion])) if motion else None,
+        rms_of(whole),
     )
 
 
 def _size(x: Array) -> Size:
     big = np.abs(x)
-    return Size(_rms(x), float(np.quantile(big, 0.9)), float(big.max()))
-
-
-def _rms(x: Array) -> float:
-    return float(np.sqrt(np.mean(x**2)))
+    return Size(rms_of(x), float(np.quantile(big, 0.9)), float(big.max()))
 
 
 def _motion(

@@ -27,9 +27,10 @@ from bayesfric.export.format import (
     format_of,
     sentence,
 )
+from bayesfric.export.pendulum import pendulum
 from bayesfric.finished import Finished, finished
 from bayesfric.report.figures.style import save
-from bayesfric.report.run_directory import check_free, made_beside
+from bayesfric.report.files import check_free, made_beside, parents_made, unwritable
 from bayesfric.report.summary.summary import LEVEL
 
 # Draws that intervals are told from.
@@ -82,16 +83,17 @@ class Exported:
             return [str(output / name) for name in names]
         check_output(output, force=force)
         try:
-            with TemporaryDirectory(prefix=".", dir=output.parent) as aside:
+            with (
+                parents_made(output),
+                TemporaryDirectory(prefix=".", dir=output.parent) as aside,
+            ):
                 places = {name: self._place(output, name) for name in self._fill(Path(aside))}
                 if not force and (taken := [x for x in places.values() if x.exists()]):
                     raise BadInput(str(taken[0]), "exists already", "add --force to replace it")
                 for name, place in places.items():
                     Path(aside, name).replace(place)
         except OSError as error:
-            reason = error.strerror or str(error)
-            mend = "name another file with -o"
-            raise BadInput(str(output), f"cannot be written ({reason})", mend) from None
+            raise unwritable(output, error, "file") from None
         return [str(place) for place in places.values()]
 
     def _place(self, output: Path, name: str) -> Path:
@@ -112,21 +114,10 @@ class Exported:
 def check_output(output: Path, *, force: bool) -> None:
     """Refuse what would be overwritten or cannot be made, before anything is computed."""
     if not output.suffix:
-        try:
-            check_free(output, force=None)
-        except BadInput as error:
-            if "is not empty" not in error.what:
-                raise
-            made = (output / "export.json").is_file()
-            if not (force and made):
-                mend = "name another folder with -o"
-                mend += ", or add --force to keep it under another name" if made else ""
-                raise BadInput(str(output), error.what, mend) from None
+        check_free(output, force=force, marked="export.json")
         return
     if output.is_dir():
         raise BadInput(str(output), "is a folder", "name a file, or a folder without a suffix")
-    if not output.parent.is_dir():
-        raise BadInput(str(output.parent), "there is no such folder", "make it, or change -o")
     if output.exists() and not force:
         raise BadInput(str(output), "exists already", "add --force to replace it")
 
@@ -252,8 +243,10 @@ def _record(
     said = {**vars(options), "gravity": found.joint.load.gravity}
     kinds = form.notes(options, found.joint)
     notes = [sentence("notes.txt.j2", kind, said) for kind in kinds]
-    if "body" in kinds and not middle.values["link_inertia"][0]:
-        notes.append(sentence("notes.txt.j2", "no link", {}))
+    if "body" in kinds and "rotor in link" not in kinds and not middle.values["link_inertia"][0]:
+        body = pendulum({name: float(x[0]) for name, x in middle.values.items()}, rotary)
+        told_of = {"mass": body.mass, "weighs": bool(np.any(body.com))}
+        notes.append(sentence("notes.txt.j2", "no link", told_of))
     if any(o.inputs.known_load for o in found.model.observations):
         notes.insert(0, sentence("notes.txt.j2", "known load", {}))
     status = _status(found)

@@ -9,12 +9,16 @@ certificates made for it alone, and one on a network should.
 
 from __future__ import annotations
 
+import importlib.util
 import logging
 import os
+import shutil
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from bayesfric.errors import BadInput
@@ -22,7 +26,7 @@ from bayesfric.fleet.plan import ClusterOptions
 from bayesfric.fleet.work import Done, Task, do_unit
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
+    from distributed import Client, Future, LocalCluster
 
 # How often what is the machine's fault is tried again, and how often a unit's worker may die.
 _RETRIES, _DEATHS = 2, 5
@@ -61,18 +65,24 @@ def work_through(tasks: Sequence[Task], options: ClusterOptions, arrived: Arrive
     while waiting:
         left = len(waiting)
         try:
-            with _crew(options) as client:
+            with _crew(options, Path(tasks[0]["folder"]).parent) as client:
                 _serve(client, waiting, arrived)
         except _Gone:
             if len(waiting) < left or lost is None:
                 # before anything was done the address is wrong, not the scheduler gone
-                first = lost is None and len(waiting) == len(tasks)
-                lost = time.monotonic() - (options.patience if first else 0.0)
+                wrong = options.scheduler and lost is None and len(waiting) == len(tasks)
+                lost = time.monotonic() - (options.patience if wrong else 0.0)
             if time.monotonic() - lost >= options.patience:
-                what = "no scheduler answers"
-                mend = "check address and certificates, or start one; then go on with --resume"
-                raise BadInput(str(options.scheduler), what, mend) from None
+                raise _unanswered(options) from None
             time.sleep(1.0)
+
+
+def _unanswered(options: ClusterOptions) -> BadInput:
+    if options.scheduler is None:
+        mend = "see whether memory and processes are left; then go on with --resume"
+        return BadInput("bayesfric fleet", "its workers do not start", mend)
+    mend = "check address and certificates, or start one; then go on with --resume"
+    return BadInput(options.scheduler, "no scheduler answers", mend)
 
 
 def check_engine(options: ClusterOptions) -> None:
@@ -90,6 +100,13 @@ def check_engine(options: ClusterOptions) -> None:
     except ImportError:
         what = "works with Dask distributed, which is not installed"
         raise BadInput("bayesfric fleet", what, "pip install 'bayesfric[fleet]'") from None
+    if options.slurm is not None:
+        if importlib.util.find_spec("dask_jobqueue") is None:
+            what = "works with dask-jobqueue, which is not installed"
+            raise BadInput("cluster.slurm", what, "pip install dask-jobqueue")
+        if shutil.which("sbatch") is None:
+            mend = "start the fleet on a machine that submits jobs"
+            raise BadInput("cluster.slurm", "there is no sbatch here", mend)
     try:
         enough = parse_bytes(options.memory_limit) > 0
     except ValueError:
@@ -100,9 +117,9 @@ def check_engine(options: ClusterOptions) -> None:
 
 
 @contextmanager
-def _crew(options: ClusterOptions) -> Iterator[Client]:
+def _crew(options: ClusterOptions, place: Path) -> Iterator[Client]:
     import dask
-    from distributed import Client, LocalCluster
+    from distributed import Client
     from distributed.security import Security
 
     if options.scheduler is not None:
@@ -132,21 +149,63 @@ def _crew(options: ClusterOptions) -> Iterator[Client]:
         # a fit holds Python's lock for seconds while it compiles
         "distributed.admin.tick.limit": "1 h",
     }
-    with (
-        dask.config.set(chosen),
-        LocalCluster(
-            n_workers=options.workers or _cores(),
-            threads_per_worker=1,
-            memory_limit=options.memory_limit,
-            dashboard_address=None,
-            security=True,
-            protocol="tls://",
-            host="127.0.0.1",
-            silence_logs=logging.CRITICAL,
-        ) as cluster,
-        Client(cluster, set_as_default=False) as client,
-    ):
+    with dask.config.set(chosen), ExitStack() as stack:
+        try:
+            if options.slurm is None:
+                cluster = stack.enter_context(_processes(options))
+            else:
+                certificates = stack.enter_context(_aside(place))
+                cluster = stack.enter_context(_jobs(options, certificates))
+            client = stack.enter_context(Client(cluster, set_as_default=False))
+        except (RuntimeError, OSError) as error:
+            raise _Gone from error  # a worker that died while it started, say
         yield client
+
+
+def _processes(options: ClusterOptions) -> LocalCluster:
+    from distributed import LocalCluster
+
+    return LocalCluster(
+        n_workers=options.workers or _cores(),
+        threads_per_worker=1,
+        memory_limit=options.memory_limit,
+        dashboard_address=None,
+        security=True,
+        protocol="tls://",
+        host="127.0.0.1",
+        silence_logs=logging.CRITICAL,
+    )
+
+
+@contextmanager
+def _aside(place: Path) -> Iterator[str]:
+    place.mkdir(exist_ok=True)
+    # dask-jobqueue removes its own files late, or twice
+    with TemporaryDirectory(prefix=".certificates-", dir=place, ignore_cleanup_errors=True) as name:
+        yield name
+
+
+def _jobs(options: ClusterOptions, certificates: str) -> Any:
+    """Ask SLURM for workers; what is not said here, dask-jobqueue's own configuration says.
+
+    Their certificates are in a folder that they see.
+    """
+    import dask
+    from dask_jobqueue.slurm import SLURMCluster
+
+    # no port that another may have
+    told = dask.config.get("jobqueue.slurm.scheduler-options", {}) | {"dashboard_address": ":0"}
+    cluster: Any = SLURMCluster(
+        cores=1,
+        processes=1,
+        memory=options.memory_limit,
+        security=True,
+        shared_temp_directory=certificates,
+        scheduler_options=told,
+        job_script_prologue=[f"export {name}={value}" for name, value in _ENVIRONMENT.items()],
+    )
+    cluster.scale(jobs=options.slurm)
+    return cluster
 
 
 def _cores() -> int:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
@@ -29,7 +29,7 @@ from bayesfric.fleet.units import cells_of, read_units, units_of
 from bayesfric.fleet.work import Done, Task
 from bayesfric.inference.sampling.sampling import Progress
 from bayesfric.progress import progress_shown
-from bayesfric.report.files import write_beside
+from bayesfric.report.files import parents_made, write_beside
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -48,7 +48,8 @@ class FleetRun:
     failed: Mapping[str, str]  # units by the line that says why
     left: Mapping[str, str]  # those that the machine failed; --resume tries them again
     status: Mapping[str, int]  # number of units by the status of their sampling
-    seconds: float
+    seconds: float  # by the clock
+    cpu_seconds: float  # of this process, and of all workers on units
     population: FleetPopulation
 
     @property
@@ -68,6 +69,7 @@ class FleetRun:
             "failed": dict(self.failed),
             "left": dict(self.left),
             "seconds": self.seconds,
+            "cpu_seconds": self.cpu_seconds,
             **self.population.as_json(),
         }
 
@@ -167,19 +169,16 @@ class Fleet:
         _check(folder, resume=resume)
         check_engine(options)
         try:
-            folder.mkdir(exist_ok=True)
-            with FileLock(folder / LOCK).acquire(timeout=0), progress_shown(progress) as tell:
-                write_beside({folder / PLAN: _text(self.plan)}, replace=True)
-                course = _Course(self.plan, Results(folder / TABLE, self.plan.units), tell)
-                tasks = course.tasks(folder / UNITS)
-                work_through(tasks, options, course.arrived)
-                course.results.write()
-                found = course.end(folder, began)
-                _write(folder, self.plan, course.results.records, found.population)
-        except BadInput:
-            if not resume:
-                _remove_if_begun_only(folder)
-            raise
+            with parents_made(folder), _nothing_begun_left(folder, resume=resume):
+                folder.mkdir(exist_ok=True)
+                with FileLock(folder / LOCK).acquire(timeout=0), progress_shown(progress) as tell:
+                    write_beside({folder / PLAN: _text(self.plan)}, replace=True)
+                    course = _Course(self.plan, Results(folder / TABLE, self.plan.units), tell)
+                    tasks = course.tasks(folder / UNITS)
+                    work_through(tasks, options, course.arrived)
+                    course.results.write()
+                    found = course.end(folder, began)
+                    _write(folder, self.plan, course.results.records, found.population)
         except Timeout:
             what = "another process works on this fleet"
             raise BadInput(str(folder), what, "wait for it, or name another folder") from None
@@ -209,17 +208,20 @@ def _check(folder: Path, *, resume: bool) -> None:
     if not resume and folder.exists() and any(folder.iterdir()):
         mend = "add --resume to do what is missing, or name another with -o" if there else ""
         raise BadInput(str(folder), "is not empty", mend or "name another folder with -o")
-    if not folder.parent.is_dir():
-        raise BadInput(str(folder.parent), "there is no such folder", "make it first")
 
 
-def _remove_if_begun_only(folder: Path) -> None:
-    """Leave nothing behind of a fleet of which no unit was begun."""
-    if not (folder / UNITS).exists():
-        for name in (PLAN, LOCK):
-            (folder / name).unlink(missing_ok=True)
-        with suppress(OSError):
-            folder.rmdir()
+@contextmanager
+def _nothing_begun_left(folder: Path, *, resume: bool) -> Iterator[None]:
+    """Leave nothing behind of a new fleet that ends in bad input before any unit was begun."""
+    try:
+        yield
+    except BadInput:
+        if not resume and not (folder / UNITS).exists():
+            for name in (PLAN, LOCK):
+                (folder / name).unlink(missing_ok=True)
+            with suppress(OSError):
+                folder.rmdir()
+        raise
 
 
 def _write(folder: Path, plan: Plan, records: Mapping[str, Record], found: FleetPopulation) -> None:
@@ -246,7 +248,7 @@ class _Course:
     def __init__(self, plan: Plan, results: Results, tell: Callable[[Progress], None]) -> None:
         self.plan, self.results, self._tell = plan, results, tell
         self.again, self.left = 0, dict[str, str]()
-        self._began = time.monotonic()
+        self._began, self._cpu_seconds = time.monotonic(), -time.process_time()
 
     def tasks(self, folder: Path) -> list[Task]:
         """Fill the template for each unit; one with an empty cell has failed already."""
@@ -273,6 +275,7 @@ class _Course:
         else:
             record = done["record"]
             self.again += done["again"]
+            self._cpu_seconds += done["cpu_seconds"]
         self.results.add(name, record)
         self._tell(Progress(self._words()))
 
@@ -298,8 +301,10 @@ class _Course:
             status[record["status"]] = status.get(record["status"], 0) + 1
         gone = {name: why for name, why in failed.items() if name not in self.left}
         seconds = time.monotonic() - began
+        cpu_seconds = self._cpu_seconds + time.process_time()
         return FleetRun(
-            folder, len(records), self.again, gone, self.left, status, seconds, population
+            *(folder, len(records), self.again, gone, self.left, status),
+            *(seconds, cpu_seconds, population),
         )
 
 

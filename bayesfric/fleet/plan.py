@@ -17,23 +17,37 @@ from bayesfric.errors import BadInput, Unfit, nearest
 from bayesfric.fleet.results import COLUMNS
 from bayesfric.fleet.units import PLACEHOLDER, Unit, find_units, places_of, put_in, read_units
 from bayesfric.recordings.tables.reader import Options
+from bayesfric.recordings.units import in_unit
 
 
 class UnitsOptions(Options):
     """The ``[units]`` table: what is fitted."""
 
-    table: str | None = Field(None, description="CSV or Parquet, a unit a row, a column a name.")
+    table: str | None = Field(
+        None,
+        examples=["units.csv"],
+        description="CSV or Parquet, a unit a row, a column a name.",
+    )
     glob: str | None = Field(
-        None, description="Files with named parts, such as 'logs/{robot}/{day}.csv', one a unit."
+        None,
+        examples=["recordings/{unit}.csv"],
+        description="Files with named parts, such as 'logs/{robot}/{day}.csv', one a unit.",
     )
     name: str | None = Field(
-        None, description="What units are called, such as '{serial}-{day}'; the column 'unit'."
+        None,
+        examples=["{robot}-{day}"],
+        description="What units are called, such as '{serial}-{day}'; the column 'unit', or all "
+        "parts of the glob, if left out.",
     )
     joint: str | None = Field(
-        None, description="Column that several units of the same joint share: days of one joint."
+        None,
+        examples=["robot"],
+        description="Column that several units of the same joint share: days of one joint.",
     )
     over: str | None = Field(
-        None, description="Column of numbers or dates to look for a trend over: day, mileage."
+        None,
+        examples=["day"],
+        description="Column of numbers or dates to look for a trend over: day, mileage.",
     )
 
     @model_validator(mode="after")
@@ -54,33 +68,62 @@ class ClusterOptions(Options):
     """The ``[cluster]`` table: who works."""
 
     workers: int | None = Field(
-        None, ge=1, le=1000, description="processes on this machine; as many as cores if left out"
+        None,
+        ge=1,
+        le=1000,
+        examples=[4],
+        description="processes on this machine; as many as cores if left out",
     )
-    memory_limit: str = Field("2 GiB", description="of a worker, which is started anew beyond it")
+    memory_limit: str = Field("4 GiB", description="of a worker, which is started anew beyond it")
+    slurm: int | None = Field(
+        None,
+        ge=1,
+        le=10_000,
+        description="jobs of one core to ask SLURM for; queue, account and time as dask-jobqueue "
+        "is configured",
+        examples=[20],
+    )
     scheduler: str | None = Field(
-        None, description="address of a running Dask scheduler, such as tls://host:8786"
+        None,
+        examples=["tls://host:8786"],
+        description="address of a running Dask scheduler, such as tls://host:8786",
     )
-    ca: str | None = Field(None, description="PEM file: who signed the cluster's certificates")
-    certificate: str | None = Field(None, description="PEM file: this client's certificate")
-    key: str | None = Field(None, description="PEM file: its key")
+    ca: str | None = Field(
+        None,
+        examples=["ca.pem"],
+        description="PEM file: who signed the cluster's certificates",
+    )
+    certificate: str | None = Field(
+        None, examples=["client.pem"], description="PEM file: this client's certificate"
+    )
+    key: str | None = Field(None, examples=["client-key.pem"], description="PEM file: its key")
     patience: float = Field(
-        300.0, ge=0, le=1e6, description="s to wait for a scheduler that is gone to come back"
+        300.0,
+        ge=0,
+        le=1e6,
+        description="s to wait for a scheduler that is gone to come back",
+        json_schema_extra=in_unit("s"),
     )
 
     @model_validator(mode="after")
     def _all_of_tls(self) -> Self:
         if len({one is None for one in (self.ca, self.certificate, self.key)}) > 1:
             raise Unfit("'ca', 'certificate' and 'key' together", "got one of them")
+        if self.slurm is not None and self.scheduler is not None:
+            raise Unfit("'slurm' or 'scheduler'", "got both")
         return self
 
 
 class FleetTables(Options):
     """Everything that ``FLEET.toml`` may hold."""
 
-    template: str | dict[str, Any]
-    units: UnitsOptions
-    runs: RunOptions = RunOptions()
-    cluster: ClusterOptions = ClusterOptions()
+    template: str | dict[str, Any] = Field(
+        description="A configuration with {column} in its texts: its file, or the tables "
+        "themselves, as [template.mechanism]."
+    )
+    units: UnitsOptions = Field(description="What is fitted.")
+    runs: RunOptions = Field(RunOptions(), description="What is kept of every unit.")
+    cluster: ClusterOptions = Field(ClusterOptions(), description="Who works.")
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,8 @@ from bayesfric.pooling.levels import Levels, levels
 from bayesfric.pooling.outliers import WithOutliers, with_outliers
 from bayesfric.report.comparison.between_runs import Told, told_by_runs
 from bayesfric.report.comparison.run_draws import RunDraws, chain_of, read_draws
-from bayesfric.report.summary.record import PosteriorRow, Summary, read_summary_file
+from bayesfric.report.summary.record import Summary, read_summary_file
+from bayesfric.report.summary.rows import PosteriorRow
 
 Array = NDArray[np.float64]
 

@@ -12,6 +12,7 @@ import errno
 import hashlib
 import json
 import shutil
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -47,10 +48,11 @@ class Task(TypedDict):
 
 
 class Done(TypedDict):
-    """All that a worker gives back; ``again`` is whether it was finished before."""
+    """All that a worker gives back; no time is in the record, which is the same every time."""
 
     record: dict[str, Any]
-    again: bool
+    again: bool  # whether it was finished before
+    cpu_seconds: float  # that it took now
 
 
 def do_unit(task: Task) -> Done:
@@ -61,18 +63,22 @@ def do_unit(task: Task) -> Done:
     OSError
         For faults of the machine only; all else is told in the record.
     """
-    folder = Path(task["folder"])
+    began, folder = time.process_time(), Path(task["folder"])
     with _alone(folder):
         config, facts, why = _facts(task)
         if (record := _stored(folder, facts)) is not None:
-            return {"record": record, "again": True}
+            return _done(record, began, again=True)
         shutil.rmtree(folder, ignore_errors=True)
         record = failure(why) if config is None else _fitted(config, folder, task["draws"])
         folder.mkdir(parents=True, exist_ok=True)
         text = json.dumps({"of": facts, "record": record}, ensure_ascii=False, allow_nan=False)
         with _blaming_the_machine():
             write_beside({folder / UNIT: f"{text}\n"})
-    return {"record": record, "again": False}
+    return _done(record, began, again=False)
+
+
+def _done(record: dict[str, Any], began: float, *, again: bool) -> Done:
+    return {"record": record, "again": again, "cpu_seconds": time.process_time() - began}
 
 
 def _fitted(config: Config, folder: Path, draws: int | None) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from bayesfric.errors import Unfit
-from bayesfric.recordings.units import Kilograms, Metres
+from bayesfric.recordings.units import Kilograms, Metres, in_unit
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -31,29 +31,39 @@ class AdviceOptions(BaseModel):
         None,
         description="largest motor torque to command, N m or N; the largest of the recordings, "
         "filtered, if left out",
+        json_schema_extra=in_unit("N m or N"),
     )
     speed_limit: Positive | None = Field(
         None,
         description="fastest that the joint may become, rad/s or m/s; 1.2 times the fastest of "
         "the recordings if left out",
+        json_schema_extra=in_unit("rad/s or m/s"),
     )
     angle_limits: tuple[Finite, Finite] | None = Field(
         None,
-        description="[low, high] that the joint must stay between, rad or m; none if left out",
+        description="[low, high] that the joint must stay between, rad or m; if left out, what was "
+        "recorded where a controller held the joint, else none",
+        json_schema_extra=in_unit("rad or m"),
     )
     duration: Positive | None = Field(
         None,
         le=600,
         description="s of a proposed recording; that of the longest recording, at most 30, if "
         "left out",
+        json_schema_extra=in_unit("s"),
     )
     masses: tuple[Mass, ...] | None = Field(
         None,
         description="known masses on hand besides those of the recordings; [] for none; if left "
-        "out and the recordings have none, one about as heavy as the load",
+        "out and the recordings have none, one about as heavy as the load, up to 5 kg",
     )
     lag: float = Field(
-        0.005, ge=0, le=10, allow_inf_nan=False, description="time constant of the current loop, s"
+        0.005,
+        ge=0,
+        le=10,
+        allow_inf_nan=False,
+        description="time constant of the current loop, s",
+        json_schema_extra=in_unit("s"),
     )
 
     @field_validator("angle_limits")

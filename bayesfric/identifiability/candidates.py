@@ -13,6 +13,7 @@ from bayesfric.errors import BadInput
 from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.identifiability.sentences import Statement, stated
 from bayesfric.identifiability.virtual_recording import (
+    HEAVIEST,
     LINES,
     known_mass,
     longest_stretch,
@@ -25,6 +26,7 @@ from bayesfric.identifiability.virtual_recording import (
 )
 from bayesfric.mechanism import excitation
 from bayesfric.mechanism.forward import RunsAway
+from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.inputs import Inputs, steady
 from bayesfric.recordings.observation import Observation
@@ -63,6 +65,8 @@ class Limits:
     # the longest recording began
     start: float
     recorded_angles: tuple[float, float]  # lowest and highest of the recordings, rad or m
+    # whether a controller seems to have held the joint: then what can be played is its motion
+    held: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,10 +126,16 @@ def limits_of(
         outside its limits.
     """
     rotary = chain.load.motion == "rotary"
+    recorded = (
+        min(float(o.q.min()) for o in observations),
+        max(float(o.q.max()) for o in observations),
+    )
     carried = [replace(o.inputs, recording="") for o in observations if o.inputs.added_mass]
     if options.masses is None:
-        # what was bolted on once is on hand; a guess is for those who never did
-        on_hand = [] if carried else [known_mass(chain, values)]
+        # what was bolted on once is on hand; a guess is for those who never did, and where it would
+        # be too light to tell beside the load, or too heavy to bolt on, there is none
+        guess = known_mass(chain, values)
+        on_hand = [] if carried or guess.added_mass >= HEAVIEST else [guess]
     else:
         on_hand = [Inputs(m.mass, m.radius) for m in options.masses]
         for number, one in enumerate(on_hand, start=1):
@@ -143,7 +153,11 @@ def limits_of(
     duration = options.duration or min(whole, _LONGEST, _LONGEST_SAMPLES * period)
     first = float(base.q[stretch.start])
     start = _hanging(chain, values, first)
-    low, high = options.angle_limits or (-np.inf, np.inf)
+    # a joint that never was where gravity would hold it was held by something else
+    held = not recorded[0] <= start <= recorded[1]
+    held = held or any("feedback" in o.settings for o in observations)
+    angles = options.angle_limits or (recorded if held else None)
+    low, high = angles or (-np.inf, np.inf)
     if not low <= start <= high:
         start = first
     if not low <= start <= high:
@@ -157,14 +171,15 @@ def limits_of(
     return Limits(
         options.torque_limit or max(float(np.abs(o.measured).max()) for o in observations),
         options.speed_limit or _FASTER * max(float(np.abs(o.speed).max()) for o in observations),
-        options.angle_limits,
+        angles,
         duration,
         options.lag,
         tuple(
             replace(one, temperature=warm) for one in dict.fromkeys([Inputs(), *on_hand, *carried])
         ),
         start,
-        (min(float(o.q.min()) for o in observations), max(float(o.q.max()) for o in observations)),
+        recorded,
+        held,
     )
 
 
@@ -173,10 +188,14 @@ def longest(observations: Sequence[Observation]) -> Observation:
     return max(observations, key=lambda o: o.filter.n_outputs)
 
 
-def candidates(observations: Sequence[Observation], limits: Limits) -> Iterator[Candidate]:
-    """List everything that is worth trying.
+def candidates(
+    chain: Joint, values: Array, observations: Sequence[Observation], limits: Limits
+) -> Iterator[Candidate]:
+    """List everything that is worth trying; of a joint that was held, its recorded motion alone.
 
-    Whether one keeps the limits of speed and angle is known once it is played, see :func:`try_out`.
+    What known masses ask of the torque along that motion is of the chain's ``values``
+    ``(n_parameters,)``. Whether one keeps the limits of speed and angle is known once it is played,
+    see :func:`try_out`.
     """
     base = longest(observations)
     period, hertz = sample_period(base), pace(base)
@@ -197,6 +216,11 @@ def candidates(observations: Sequence[Observation], limits: Limits) -> Iterator[
         float(base.qd[stretch.start]),
         base,
     )
+    if limits.held:
+        for bolted in limits.masses:
+            if bolted.added_mass:
+                yield _carrying(chain, values, base, bolted, stretch)
+        return
     time = period * np.arange(max(round(limits.duration / period), 1), dtype=np.float64)
     bare = not any(o.inputs.added_mass for o in observations)
     for bolted in limits.masses:
@@ -208,6 +232,27 @@ def candidates(observations: Sequence[Observation], limits: Limits) -> Iterator[
                 peak = share * limits.torque
                 signal = peak, peak * shape, period, limits.lag
                 yield Candidate(kind, form, *signal, bolted, limits.start, 0.0)
+
+
+def _carrying(
+    chain: Joint, values: Array, base: Observation, bolted: Inputs, stretch: slice
+) -> Candidate:
+    """Repeat the motion of a recording, as its controller can, with a known mass bolted on."""
+    warm = replace(bolted, temperature=base.inputs.temperature)
+    torque = inverse_torque(chain, values, base.q, base.qd, base.qdd, inputs=warm, time=base.stamps)
+    made = replace(base, torque=torque, measured=base.filter.apply(torque), inputs=warm)
+    return Candidate(
+        "known mass",
+        f"the motion of {base.name!r} again",
+        float(np.abs(made.measured).max()),
+        torque[stretch],
+        sample_period(base),
+        0.0,
+        bolted,
+        float(base.q[stretch.start]),
+        float(base.qd[stretch.start]),
+        made,
+    )
 
 
 def _shapes(time: Array, hertz: float) -> Iterator[tuple[str, Array]]:

@@ -12,10 +12,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
@@ -29,6 +28,7 @@ from bayesfric.identifiability.known_quantities import (
     unknown_mass,
 )
 from bayesfric.identifiability.local import (
+    WEAK,
     LocalInformation,
     Verdict,
     in_natural_units,
@@ -37,10 +37,13 @@ from bayesfric.identifiability.local import (
 )
 from bayesfric.identifiability.open_directions import OpenDirection, open_directions
 from bayesfric.identifiability.plausible import Origin, Point
-from bayesfric.identifiability.remedies import HARDLY, WEAK, trials
+from bayesfric.identifiability.remedies import HARDLY, trials
 from bayesfric.identifiability.sentences import Statement, plain, stated
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import derive
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Array = NDArray[np.float64]
 
@@ -86,6 +89,8 @@ class Identification:
     @property
     def frame(self) -> pd.DataFrame:
         """One row a parameter: how well it would be known, by what, and with what it is open."""
+        import pandas as pd
+
         found = pd.DataFrame([vars(one) for one in self.parameters]).set_index("name")
         sharing = [
             [name for one in self.directions if label in one.exponents for name in one.exponents]
@@ -141,8 +146,8 @@ class Identification:
 
     def as_json(self) -> dict[str, Any]:
         """Give what ``bayesfric identify --json`` prints; what is infinite is ``None``."""
-        ranges = pd.DataFrame(self.ranges, columns=["at_estimate", "least", "largest"])
-        values = ranges.to_dict("list") if self.ranges else {}
+        columns = [list(column) for column in zip(*self.ranges, strict=True)]
+        values = dict(zip(("at_estimate", "least", "largest"), columns, strict=False))
         null = {"null": self.local.directions.tolerance}
         mass, voltage = self.known_mass, self.voltage
         derived = ("name", "prior_sd", "verdict", "on_bound")

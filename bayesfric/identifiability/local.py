@@ -32,6 +32,9 @@ _NULL_SIMULATED = 1e-6
 # positive, and those of either sign.
 _SMALL = 1e-3
 _SMALL_SIGNED = 1e-2
+# A direction along which the data leave more than this in a logarithm is weak: a factor
+# exp(0.5) = 1.6 either way.
+WEAK = 0.5
 # Share of the measured torque that counts as one for values the data cannot tell from zero.
 _FELT = 0.1
 # Entries of a null direction smaller than this do not belong to it.
@@ -155,10 +158,11 @@ def in_natural_units(
 ) -> LocalInformation:
     """Measure a value that is small beside what the data leave of it by what torque feels.
 
-    Of a value that may as well be zero, the logarithm says nothing. Where the sd from the
-    data is finite and larger than the value, a change that makes a tenth of the measured
-    torque counts as one instead (or the prior's sd, if that is less). Null directions do
-    not touch such parameters. Arguments are those of :func:`local_information` and its result.
+    Of a value that may as well be zero, the logarithm says nothing. Where the sd from the data is
+    finite and so large beside the value that its logarithm would be weak, a change that makes a
+    tenth of the measured torque counts as one instead (or the prior's sd, if that is less). Null
+    directions do not touch such parameters. Arguments are those of :func:`local_information` and
+    its result.
     """
     likelihood = target.likelihood
     values = target.chain_values(parameters[None])[0]
@@ -170,7 +174,7 @@ def in_natural_units(
     with np.errstate(divide="ignore"):
         floor = np.fmin(_FELT * np.linalg.norm(measured) / effect, sds)
     size = np.abs(parameters[:k])
-    small = np.isfinite(local.data_sd) & (size < local.data_sd) & (size < floor)
+    small = np.isfinite(local.data_sd) & (WEAK * size < local.data_sd) & (size < floor)
     small &= local.ways == 0
     units = np.where(small, floor, local.units)
     d = local.directions

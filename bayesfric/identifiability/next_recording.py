@@ -11,10 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput, nearest
@@ -43,6 +42,9 @@ from bayesfric.mechanism.experiment import Simulation, measure
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.observation import Observation
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Array = NDArray[np.float64]
 
@@ -172,6 +174,8 @@ class Ranking:
     @property
     def frame(self) -> pd.DataFrame:
         """One row a candidate, the best first."""
+        import pandas as pd
+
         return pd.json_normalize(self.as_json()["candidates"]).set_index("rank")
 
     def _repr_html_(self) -> str:
@@ -235,7 +239,7 @@ def ranking(
     vectors = np.stack([one.values for one in there])
     advices, dropped = [], []
     least: dict[tuple[str, Inputs], float] = {}
-    for candidate in candidates(observations, limits):
+    for candidate in candidates(chain, at_estimate, observations, limits):
         same = candidate.form, candidate.inputs
         if candidate.amplitude >= least.get(same, np.inf):
             continue  # more than this breaks a limit, as was found; or this does not move
@@ -250,15 +254,10 @@ def ranking(
             least[same] = tried_one.amplitude
         pairs = list(zip(there, recordings, strict=True))
         sds = _averaged([_sds(target, at, o, noise) for at, o in pairs], value)
-        shares = pd.DataFrame(
-            [
-                {k: x[0] for k, x in back_driven(chain, [o], v.values[None]).items()}
-                for v, o in pairs
-            ]
-        )
+        shares = [back_driven(chain, [o], v.values[None]) for v, o in pairs]
         drives = {
-            str(k): {"mean": float(x.mean()), "least": float(x.min()), "most": float(x.max())}
-            for k, x in shares.items()
+            k: {"mean": float(np.mean(x)), "least": min(x), "most": max(x)}
+            for k, x in ((k, [float(one[k][0]) for one in shares]) for k in shares[0])
         }
         fastest = max(float(np.abs(o.qd).max()) for o in recordings)
         q = np.concatenate([o.q for o in recordings])

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.identifiability.coverage import BackDriving, Coverage
-from bayesfric.identifiability.local import LocalInformation, NullDirection
-from bayesfric.identifiability.remedies import HARDLY, WEAK, Remedy, Trial, left_along, remedies
+from bayesfric.identifiability.local import WEAK, LocalInformation, NullDirection
+from bayesfric.identifiability.remedies import HARDLY, Remedy, Trial, left_along, remedies
 from bayesfric.identifiability.sentences import Statement, stated
 from bayesfric.mechanism.parameter import Parameter
 

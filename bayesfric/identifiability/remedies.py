@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.identifiability.coverage import Coverage
-from bayesfric.identifiability.local import LocalInformation
+from bayesfric.identifiability.local import WEAK, LocalInformation
 from bayesfric.identifiability.sentences import Statement, stated
 from bayesfric.identifiability.virtual_recording import (
     LAG,
@@ -31,9 +31,6 @@ from bayesfric.recordings.inputs import Inputs
 Array = NDArray[np.float64]
 RemedyKind = Literal["known value", "known mass", "excitation"]
 
-# A direction along which the data leave more than this in a logarithm is weak: a factor
-# exp(0.5) = 1.6 either way.
-WEAK = 0.5
 # The load drives an element in fewer of the moving samples than this: hardly ever.
 HARDLY = 0.01
 # A remedy has to do more than one more recording of the same kind, which gives 0.71.

@@ -35,7 +35,7 @@ LINES: Array = np.array([0.37, 0.73, 1.3, 2.9, 5.3])
 _SQUARE_SHARE = 0.6
 # A mass where the load tells none, kg and m, and the most that anyone would bolt on.
 _MASS, _RADIUS = 2.0, 0.35
-_MOST = 5.0
+HEAVIEST = 5.0
 # With fewer outputs than this, of twenty times as many samples or more, the joint stood still.
 _FEWEST = 20
 
@@ -68,12 +68,12 @@ def known_mass(chain: Joint, values: Array) -> Inputs:
     radius = 0.0 if chain.load.motion == "linear" else _RADIUS
     if radius == 0.0 or moment <= 0.0:
         mass = felt / (radius**2 or 1.0)
-        return Inputs(_two_digits(min(mass, _MOST)) if felt > 0.0 else _MASS, radius)
+        return Inputs(_two_digits(min(mass, HEAVIEST)) if felt > 0.0 else _MASS, radius)
     if inertia > 0.0:
         radius = float(np.clip(inertia / moment, 0.05, 1.0))
     elif moment <= 0.1:
         radius = 0.1
-    return Inputs(_two_digits(min(moment / radius, _MOST)), _two_digits(radius))
+    return Inputs(_two_digits(min(moment / radius, HEAVIEST)), _two_digits(radius))
 
 
 def square_with_sines(time: Array, hertz: float, lines: Array) -> Array:

@@ -14,6 +14,10 @@ takes the torque for linear, and so it is done in straight coordinates (``Target
 the sampled ones a knee's torque is bent within a fraction of a sd); a draw that is moved to where
 it fits far worse than it should is moved by less.
 
+A few outputs that no noise explains would hide all this, as what they leave passes for noise: where
+there are such (:mod:`bayesfric.inference.outlying`), it is asked anew without them, and the answer
+that widens more is taken.
+
 Clusters in time cannot do this: the misfit repeats with the motion, and is the same in every period
 of it.
 
@@ -30,7 +34,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -39,6 +43,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.outlying import Outlying, outlying
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.parameter import effort_words
@@ -46,6 +51,7 @@ from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 Reason = Literal["likelihood", "sampling", "few"]
 
 # Groups along an axis; with more, each sees too little of the motion to be misled by it.
@@ -89,6 +95,8 @@ class ModelError:
     # (d, d) chi squared of a move in these coordinates, were the torque linear in them
     misfit: Array
     reason: Reason | None = None
+    outlying: tuple[Outlying, ...] = ()  # outputs that are too far off, the farthest first
+    set_aside: bool = False  # whether they are left out of what ``axes`` and ``root`` say
 
     @cached_property
     def shown(self) -> bool:
@@ -125,29 +133,56 @@ class ModelError:
 def model_error(target: Target, posterior: Posterior) -> ModelError:
     """Ask groups of the motion whether the fit suits them; nothing is sampled."""
     d = len(target.names)
-    axes: list[Axis] = []
-    root, misfit = np.zeros((d, d)), np.zeros((d, d))
     reason: Reason | None = None
     if not isinstance(target.likelihood, TorqueLikelihood):
         reason = "likelihood"
     elif posterior.diagnostics.status == "unusable":
         reason = "sampling"
     else:
-        excess, whole = np.zeros((d, d)), _whitened(target, target.likelihood, posterior)
-        motion = target.likelihood.chain.motor_motion
-        for name, groups in _axes(whole.predicted, target.likelihood.observations):
-            found = _spread(whole, groups)
-            if found is None:
-                continue
-            axes.append(Axis(effort_words(name, motion), int(groups.max()) + 1, found[1]))
-            excess[: len(target.free), : len(target.free)] += found[0]
-        reason = None if axes else "few"
-        if any(axis.differs for axis in axes):
-            values, vectors = np.linalg.eigh(excess)
-            root = vectors * np.sqrt(np.clip(values, 0.0, None))
-            k = len(target.free)
-            misfit[:k, :k] = whole.misfit
-    return ModelError(tuple(axes), root, misfit, reason)
+        whole = _whitened(target, target.likelihood, posterior)
+        return _asked(whole, target.likelihood, d)
+    return ModelError((), np.zeros((d, d)), np.zeros((d, d)), reason)
+
+
+def _asked(whole: _Whitened, likelihood: TorqueLikelihood, d: int) -> ModelError:
+    """Ask with all outputs, and without those that are too far off for noise."""
+    found: tuple[Outlying, ...] = ()
+    clean = np.ones(whole.residual.size, dtype=np.bool_)
+    if likelihood.noise.gaussian:  # else the noise has room for them
+        seen = (whole.residual, likelihood.observations)
+        found, clean = outlying(
+            *seen, whole.rank // len(likelihood.observations), likelihood.noise.order
+        )
+    every, wide = _of_groups(whole, np.ones_like(clean), likelihood, d)
+    if not found:
+        return every
+    less, wider = _of_groups(whole, clean, likelihood, d)
+    # where neither widens, what few outputs cannot sway is the better answer
+    aside = less.reason is None and wider >= wide
+    return replace(less if aside else every, outlying=found, set_aside=aside)
+
+
+def _of_groups(
+    whole: _Whitened, kept: Flags, likelihood: TorqueLikelihood, d: int
+) -> tuple[ModelError, float]:
+    """Ask some of the outputs; the second is by how much that widens, in posterior variances."""
+    k = len(whole.root)
+    fit, excess = whole.only(kept), np.zeros((k, k))
+    root, misfit = np.zeros((d, d)), np.zeros((d, d))
+    axes: list[Axis] = []
+    for name, groups in _axes(whole.predicted, likelihood.observations):
+        found = _spread(fit, groups[kept])
+        if found is None:
+            continue
+        motion = likelihood.chain.motor_motion
+        axes.append(Axis(effort_words(name, motion), int(groups.max()) + 1, found[1]))
+        excess += found[0]
+    if any(axis.differs for axis in axes):
+        values, vectors = np.linalg.eigh(excess)
+        root[:k, :k] = vectors * np.sqrt(np.clip(values, 0.0, None))
+        misfit[:k, :k] = whole.misfit
+    added = np.linalg.solve(whole.root, root[:k, :k])
+    return ModelError(tuple(axes), root, misfit, None if axes else "few"), float(np.sum(added**2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,6 +200,14 @@ class _Whitened:
         """Chi squared of a move in straight coordinates, ``(k, k)``."""
         back = np.linalg.inv(self.root)
         return np.asarray(back.T @ (self.rows.T @ self.rows) @ back)
+
+    def only(self, kept: Flags) -> _Whitened:
+        """Fit some of the outputs anew."""
+        if kept.all():
+            return self
+        rows, (residual, rank) = self.rows[kept], _refitted(self.rows[kept], self.residual[kept])
+        predicted = self.predicted[kept]
+        return replace(self, rows=rows, residual=residual, rank=rank, predicted=predicted)
 
 
 def _whitened(target: Target, likelihood: TorqueLikelihood, posterior: Posterior) -> _Whitened:
@@ -184,16 +227,22 @@ def _whitened(target: Target, likelihood: TorqueLikelihood, posterior: Posterior
     rows = np.concatenate(likelihood.innovations(changes, scales), axis=1).T
     residual = np.concatenate(likelihood.innovations(left, scales))
     # a posterior's centre is not quite where outputs fit best, and that is no misfit
-    share, directions = np.linalg.eigh(rows.T @ rows)
-    told = directions[:, share > _NOTHING]
-    residual -= rows @ (told @ ((told.T @ (rows.T @ residual)) / share[share > _NOTHING]))
+    residual, rank = _refitted(rows, residual)
     return _Whitened(
         rows=rows,
         residual=residual,
-        rank=told.shape[1],
+        rank=rank,
         predicted=np.concatenate([p[-1] for p in predicted]),
         root=root,
     )
+
+
+def _refitted(rows: Array, residual: Array) -> tuple[Array, int]:
+    """Fit all directions that the outputs tell best: what that leaves, and how many they are."""
+    share, directions = np.linalg.eigh(rows.T @ rows)
+    told = directions[:, share > _NOTHING]
+    best = told @ ((told.T @ (rows.T @ residual)) / share[share > _NOTHING])
+    return residual - rows @ best, told.shape[1]
 
 
 def _axes(predicted: Array, observations: Sequence[Observation]) -> Iterator[tuple[str, Index]]:

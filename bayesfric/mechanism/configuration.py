@@ -20,6 +20,7 @@ from bayesfric.mechanism.quantities import (
     OPTION_MEANINGS,
     Motion,
 )
+from bayesfric.recordings.units import in_unit
 
 
 def _not_zero(value: float) -> float:
@@ -43,7 +44,9 @@ class _Options(BaseModel):
 class _Element(_Options):
     """One element; what is left out keeps the preset's choice, or is not there."""
 
-    ratio: Positive = Field(1.0, description="input speed over output speed")
+    ratio: Positive = Field(
+        1.0, description="input speed over output speed", json_schema_extra=in_unit("")
+    )
     motion: Motion = Field("rotary", description="whether the input turns or slides")
     subscript: str = Field("", description="LaTeX subscript of the symbols")
 
@@ -52,7 +55,9 @@ class _Load(_Options):
     """The load; what is left out keeps the preset's choice, or is not there."""
 
     gravity: Annotated[float, Field(allow_inf_nan=False), AfterValidator(_not_zero)] = Field(
-        STANDARD_GRAVITY, description="m/s², negative for a joint mounted upside down"
+        STANDARD_GRAVITY,
+        description="of the earth, m/s²; negative for a joint mounted upside down",
+        json_schema_extra=in_unit("m/s²"),
     )
     motion: Motion = Field("rotary", description="whether the load turns or slides")
 
@@ -89,7 +94,12 @@ else:  # the options are those of the table of quantities
 class MechanismOptions(_Options):
     """A preset with changes, or elements from motor to load."""
 
-    preset: str | None = Field(None, description="rabbit-knee, motor-axis or servo-pendulum")
+    preset: str | None = Field(
+        None,
+        description="joint to begin with: "
+        + "; ".join(f"{p.name}, {p.meaning}" for p in PRESETS.values()),
+        json_schema_extra={"enum": list(PRESETS)},
+    )
     motion: Motion | None = Field(None, description="makes every element turn, or slide")
     offset: Literal[True, False, "per-recording"] | None = Field(
         None, description="unknown constant in the motor torque; one for all, or per-recording"

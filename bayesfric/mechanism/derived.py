@@ -32,6 +32,8 @@ class Derived:
     meaning: str
     values: Array  # (n,), one for each parameter vector
     gauge_free: bool  # whether scaling leg parameters and alpha together leaves it unchanged
+    # whether it is the motion's as much as the joint's: another motion has another value
+    of_motion: bool = False
 
 
 def efficiencies(

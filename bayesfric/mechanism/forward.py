@@ -320,7 +320,7 @@ def carried_values(
         signals[len(places)] = ("load_torque", 0.0)
         places, addresses = (
             [*places, len(chain.elements)],
-            [*addresses, int(compiled(_against).address)],
+            [*addresses, int(compiled(_against, shaped=False).address)],
         )
     found = {}
     for k, (name, zero) in signals.items():

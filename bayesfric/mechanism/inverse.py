@@ -74,3 +74,22 @@ def load_torque(
             np.full(position.shape, np.nan if time is None else time)
         )
     return torque
+
+
+def load_reach(
+    chain: Joint, values: NDArray[np.float64], *, open_scale: bool
+) -> NDArray[np.float64]:
+    """Factors ``(n,)`` from the load's torque at the joint to its loss-free torque at the motor.
+
+    ``1/N``, or ``lambda_1/N`` where the scale between leg and alpha is open: the mean of what the
+    motor feels of the load while it drives and while it is driven, which no scaling changes; over
+    ``drive.gain`` where that is a parameter, as the torque itself is. ``values`` are
+    ``(n, n_parameters)``.
+    """
+    elements, load, _ = chain.tables(values)
+    gain = load[:, kernels.GAIN]
+    if not open_scale:
+        return np.asarray(1.0 / (chain.ratio * gain))
+    drive = np.prod(1.0 + elements[:, :, kernels.LOAD_DRIVE], axis=1)
+    back = np.prod(1.0 - elements[:, :, kernels.LOAD_BACK], axis=1)
+    return np.asarray(0.5 * (drive + back) / (chain.ratio * gain))

@@ -250,19 +250,64 @@ class Joint:
         columns, _, _ = record(self, checked)
         return pd.DataFrame(columns)
 
-    def vector(self, values: Mapping[str, float]) -> NDArray[np.float64]:
-        """Put named values in the order of :attr:`names`.
+    def torque(
+        self,
+        values: Mapping[str, ArrayLike],
+        position: ArrayLike,
+        speed: ArrayLike,
+        acceleration: ArrayLike,
+        *,
+        time: ArrayLike | None = None,
+    ) -> NDArray[np.float64]:
+        """Give the motor torque that a motion of the joint takes.
+
+        Parameters
+        ----------
+        values
+            A number for each parameter, or ``(n,)`` draws of it, such as
+            ``posterior.posterior[name].values.ravel()``.
+        position, speed, acceleration
+            ``(N,)`` of the joint, or one number for all (rad or m, SI). Where it stands still,
+            losses that depend on direction are zero.
+        time
+            ``(N,)`` s, for terms that depend on it, which are NaN without.
+
+        Returns
+        -------
+        ndarray
+            ``(N,)``, or ``(n, N)`` of draws, N m or N.
+
+        Raises
+        ------
+        KeyError
+            If a parameter is missing or a name is unknown.
+        ValueError
+            If lengths differ.
+        """
+        from bayesfric.mechanism.inverse import inverse_torque  # computes joints itself
+
+        draws = np.broadcast_arrays(*values.values())
+        vectors = self.vector(dict(zip(values, draws, strict=True)))
+        motion = np.broadcast_arrays(*np.atleast_1d(position, speed, acceleration))
+        stamps = None if time is None else np.asarray(time, dtype=np.float64)
+        return inverse_torque(self, vectors, *motion, time=stamps)
+
+    def vector(self, values: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
+        """Put named values in the order of :attr:`names`, one each or ``(n,)``, a row each.
+
+        Those of the noise may be among them, and are left out.
 
         Raises
         ------
         KeyError
             If a parameter is missing or a name is unknown.
         """
-        unknown = set(values) - set(self.names)
+        # draws of a posterior hold the noise's, too, which no torque knows
+        unknown = {name for name in values if not name.startswith("noise.")} - set(self.names)
         missing = set(self.names) - set(values)
         if unknown or missing:
             raise KeyError(f"unknown: {sorted(unknown)}, missing: {sorted(missing)}")
-        return np.array([values[name] for name in self.names], dtype=np.float64)
+        return np.array([values[name] for name in self.names], dtype=np.float64).T
 
     def tables(self, values: NDArray[np.float64], inputs: Inputs | None = None) -> Tables:
         """Lay parameter vectors out for the compiled kernels.

@@ -73,7 +73,7 @@ class Term:
             raise ValueError(f"{self.name!r} is no name of a term; write element.quantity")
         if quantity in QUANTITIES:
             raise ValueError(f"{quantity!r} is a quantity of every element; choose another name")
-        compiled(self.column)
+        compiled(self.column, shaped=False)
 
     @property
     def owner(self) -> str:
@@ -153,7 +153,7 @@ def along(
 
 
 @lru_cache(maxsize=256)
-def compiled(column: Column, *, shaped: bool = False) -> Any:
+def compiled(column: Column, *, shaped: bool) -> Any:
     """Compile a column to a function of position, speed, direction, time and what shapes it.
 
     Raises

@@ -15,6 +15,7 @@ class Preset:
 
     name: str  # as written in a configuration
     meaning: str  # one line for people
+    when: str  # what kind of joint to choose it for
     chain: Callable[[], Joint]  # makes the chain
     values: dict[str, float]  # parameter values for simulation, with their source in source
     source: str  # where the values come from
@@ -71,6 +72,7 @@ PRESETS: dict[str, Preset] = {
         Preset(
             "rabbit-knee",
             "motor, gearbox that passes torque differently when driving and back-driven, leg",
+            "a leg or an arm behind a gearbox of high ratio that loses more the more it carries",
             rabbit_knee,
             {
                 "motor.inertia": 3.56e-4,
@@ -89,6 +91,7 @@ PRESETS: dict[str, Preset] = {
         Preset(
             "motor-axis",
             "one axis with inertia, Coulomb and viscous friction and a torque offset",
+            "a motor, a wheel or a stage that gravity does not pull",
             motor_axis,
             {"motor.inertia": 0.01, "motor.viscous": 0.05, "motor.coulomb": 0.2, "offset": 0.02},
             "values of a small rotary stage, made up for simulation",
@@ -96,6 +99,7 @@ PRESETS: dict[str, Preset] = {
         Preset(
             "servo-pendulum",
             "a geared servo that swings a pendulum, all referred to its output shaft",
+            "a pendulum or an arm that gravity pulls, with torque and position of the joint",
             servo_pendulum,
             {
                 "motor.inertia": 2.0e-3,

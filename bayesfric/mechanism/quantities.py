@@ -61,6 +61,7 @@ class Sizes(NamedTuple):
     speed: float  # speed, acceleration: root mean square, rad or m and s
     acceleration: float
     gravity: float  # m/s²
+    lean: float  # largest sine of the angle to gravity
     duration: float  # of the longest recording, s
 
 
@@ -121,6 +122,8 @@ class Quantity:
     prior, spread
         Family and scale of the default prior; by default half-normal or, where both signs are
         possible, normal, with the scale that would need the largest torque.
+    stores
+        Whether it gives back what it takes: then other terms may carry it, and not the motor.
     prior_upper
         Where default priors end if before ``upper``.
     tries
@@ -153,6 +156,7 @@ class Quantity:
     circular: bool = False
     prior: str = ""
     spread: Callable[[Sizes], float] | None = None
+    stores: bool = False
     prior_upper: float = _INF
     tries: Callable[[Sizes], tuple[float, ...]] | None = None
     start: float | None = None
@@ -267,7 +271,7 @@ QUANTITIES: dict[str, Quantity] = {
     for row in (
         Quantity(
             "inertia", ("kg m²", "kg"), "J_{{{}}}", "inertia at the element's input",
-            option="inertia", column=lambda m: m.acceleration, power=1,
+            option="inertia", column=lambda m: m.acceleration, power=1, stores=True,
         ),
         Quantity(
             "viscous", ("N m s", "N s/m"), "f_{{{}}}", "loss growing in proportion to speed",
@@ -451,7 +455,7 @@ QUANTITIES: dict[str, Quantity] = {
             "first_moment", ("kg m", ""), "ml", "mass times distance to its centre",
             option="first_moment", column=lambda m: m.gravity, power=0,
             shares=(("gravity", 1.0),), totals=("gravity",),
-            spread=lambda s: s.torque / abs(s.gravity),
+            spread=lambda s: s.torque / abs(s.gravity * s.lean), stores=True,
         ),
         Quantity(
             "gravity_angle", ("rad", ""), "q_g", "angle added to q in gravity",
@@ -460,14 +464,14 @@ QUANTITIES: dict[str, Quantity] = {
         Quantity(
             "spring", ("N m/rad", "N/m"), "k_{{{}}}", "torque in proportion to position",
             option="spring", choice=(True, "stiffening"), column=lambda m: m.position, power=1,
-            lower=-_INF,
+            lower=-_INF, stores=True,
         ),
         # a cable or hose that tightens towards the ends of the range
         Quantity(
             "spring_cubic", ("N m/rad³", "N/m³"), "k_{{3,{}}}",
             "torque in proportion to the cube of position",
             option="spring", choice="stiffening", column=lambda m: m.position**3, power=3,
-            lower=-_INF,
+            lower=-_INF, stores=True,
         ),
         Quantity(
             "offset", _TORQUE, r"\Gamma_0", "constant torque in the measured motor torque",

@@ -23,7 +23,7 @@ from bayesfric.inference.prior.priors import Prior, read_prior
 from bayesfric.inference.sampling.sampling import Sampling, sample
 from bayesfric.inference.sampling.start import Start
 from bayesfric.inference.target import LogPosterior, Target
-from bayesfric.pooling.population import Interval, Varying
+from bayesfric.pooling.population import Varying, interval
 
 Array = NDArray[np.float64]
 
@@ -206,8 +206,3 @@ def varying_parts(
             runs=tuple(interval(x, level) for x in theta.T),
         )
     return found
-
-
-def interval(x: Array, level: float) -> Interval:
-    """Median and central interval of draws."""
-    return Interval(*(float(e) for e in np.quantile(x, [0.5, 0.5 - level / 2, 0.5 + level / 2])))

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.pooling.population import Interval
+from bayesfric.pooling.population import Interval, interval
 
 Array = NDArray[np.float64]
 
@@ -69,10 +69,6 @@ def levels(
     rng = np.random.default_rng(seed)
     row, column = np.divmod(rng.choice(chance.size, _DRAWS, p=chance / chance.sum()), between.size)
 
-    def interval(draws: Array, unit: float) -> Interval:
-        ends = np.quantile(draws, [0.5, 0.5 - level / 2.0, 0.5 + level / 2.0])
-        return Interval(*(unit * float(end) for end in ends))
-
     def jittered(grid: Array, index: NDArray[np.int_]) -> Array:
         step = np.log(grid[1] / grid[0])
         return np.asarray(grid[index] * np.exp((rng.random(_DRAWS) - 0.5) * step))
@@ -80,12 +76,12 @@ def levels(
     slope = None
     if x.shape[1] == 2:
         draws = best[row, column, 1] + root[row, column] * rng.standard_normal(_DRAWS)
-        slope = interval(draws, y_scale / x_scale)
+        slope = interval(draws, level, unit=y_scale / x_scale)
     if not split:
         return Levels(None, None, slope)
     return Levels(
-        interval(jittered(between, column), y_scale),
-        interval(jittered(within, row), y_scale),
+        interval(jittered(between, column), level, unit=y_scale),
+        interval(jittered(within, row), level, unit=y_scale),
         slope,
     )
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.pooling.population import Interval, Likelihood
+from bayesfric.pooling.population import Interval, Likelihood, interval
 
 Array = NDArray[np.float64]
 
@@ -121,12 +121,11 @@ def with_outliers(runs: Sequence[Likelihood], level: float = 0.9, seed: int = 0)
             total += out / np.maximum(out + (1.0 - e[k]) * inside[0], 1e-300) / _POINTS
         chances += total.tolist()
 
-    def interval(x: Array, shift: float = 0.0, unit: float = 1.0) -> Interval:
-        ends = np.quantile(x, [0.5, 0.5 - level / 2.0, 0.5 + level / 2.0])
-        return Interval(*(shift + unit * float(end) for end in ends))
-
     return WithOutliers(
-        interval(mu, middle, scale), interval(tau, 0.0, scale), interval(e), tuple(chances)
+        interval(mu, level, middle, scale),
+        interval(tau, level, 0.0, scale),
+        interval(e, level),
+        tuple(chances),
     )
 
 

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -183,18 +184,21 @@ def population(runs: Sequence[Likelihood], level: float = 0.9, seed: int = 0) ->
     weights = 1.0 / sds**2
     q = float(weights @ (means - weights @ means / weights.sum()) ** 2)
 
-    def interval(x: Array, shift: float = middle) -> Interval:
-        ends = np.quantile(x, [0.5, 0.5 - level / 2.0, 0.5 + level / 2.0])
-        return Interval(*(shift + scale * float(end) for end in ends))
-
+    own_unit = partial(interval, level=level, shift=middle, unit=scale)
     return Population(
-        mean=interval(mu),
-        spread=interval(tau, 0.0),
-        following=interval(following),
-        runs=tuple(interval(_shrunk(part, mu, tau, rng)) for part in parts),
+        mean=own_unit(mu),
+        spread=interval(tau, level, unit=scale),
+        following=own_unit(following),
+        runs=tuple(own_unit(_shrunk(part, mu, tau, rng)) for part in parts),
         q=q,
         p_value=float(stats.chi2.sf(q, len(runs) - 1)),
     )
+
+
+def interval(draws: Array, level: float, shift: float = 0.0, unit: float = 1.0) -> Interval:
+    """Median and central interval of ``shift + unit draws``."""
+    ends = np.quantile(draws, [0.5, 0.5 - level / 2.0, 0.5 + level / 2.0])
+    return Interval(*(shift + unit * float(end) for end in ends))
 
 
 _Part = tuple[Array, Array, float]

@@ -20,14 +20,15 @@ _ALIKE, _STRANGERS, _FACTOR = 0.9, 0.3, 0.1
 _NEAR = 0.05
 _DEG = 180.0 / np.pi
 _TAKEN = {
-    "in deg/s and taken for rad/s": _DEG,
+    "in deg/s and taken for rad/s, or the position in rad and taken for deg": _DEG,
     "in rpm and taken for rad/s": 30.0 / np.pi,
     "in turn/s and taken for rad/s": 0.5 / np.pi,
     "in rad/s and taken for deg/s, or the position in deg and taken for rad": 1.0 / _DEG,
     "in rad/s and taken for rpm": np.pi / 30.0,
     "in rad/s and taken for turn/s": 2.0 * np.pi,
     "in deg/s and taken for rpm": 6.0,
-    "in thousandths and taken for whole": 1e3,
+    "in thousandths and taken for whole, or the time in ms and taken for s": 1e3,
+    "in whole and taken for thousandths, or the time in s and taken for ms": 1e-3,
 }
 # Whole numbers of fewer kinds may be a torque that is switched.
 _COUNTS = 20

@@ -207,6 +207,19 @@ class ParallelFilter:
         """Sample in the middle of every window, shape (M,)."""
         return self.starts + len(self.taps) // 2
 
+    def reached(self, weights: Array) -> Array:
+        """Weights (k, N) of samples that do what those of outputs, (k, M), do.
+
+        ``weights @ apply(x)`` is ``reached(weights) @ x``: of many signals of which only a few
+        sums are wanted, none is filtered.
+        """
+        out = np.zeros((len(weights), self.used.size))
+        weighed = weights * self.gains
+        for shift, tap in enumerate(self.taps):
+            # windows begin at different samples
+            out[:, self.starts + shift] += tap * weighed
+        return out * self.used
+
     def apply(self, x: Array) -> Array:
         """Filter and decimate one or more signals, shape (..., N) to (..., M)."""
         x = np.asarray(x, dtype=np.float64)

@@ -14,6 +14,7 @@ from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation, observe, settled, window
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.tables.reader import Options
+from bayesfric.recordings.units import in_unit
 
 # Outputs left out before a held-out end, beyond one window of the parallel filter: noise that
 # remembers its predecessors must have forgotten them.
@@ -37,6 +38,7 @@ class Validation(Options):
         lt=1,
         description="share of every fitted recording, at its end, that the fit does not see "
         "either; none if left out",
+        json_schema_extra=in_unit(""),
         examples=[0.2],
     )
 

@@ -86,6 +86,7 @@ class Told(NamedTuple):
     kind: str  # what was measured: torque, force, current or voltage
     law: Law
     step: str  # how the torque comes about
+    torque_constant: float | None = None  # torque per current, of a measured current
 
 
 def measured_law(source: Columns, table: Table, drive: Drive) -> Told:
@@ -102,7 +103,7 @@ def measured_law(source: Columns, table: Table, drive: Drive) -> Told:
         factor = units.scale([source.current.torque_constant], constant_kind, where)
         law = Law(current * factor, np.ones(current.shape))
         step = f"{kind}: current times {source.current.torque_constant}"
-        return Told(source.current, "current", law, step)
+        return Told(source.current, "current", law, step, factor)
     if source.voltage is None:
         assert source.target is not None
         return position_law(source.target, table, drive)
@@ -132,7 +133,7 @@ def position_law(target: Target, table: Table, drive: Drive) -> Told:
     # what it is multiplied by is the supply, and comes later
     alone = target.model_copy(update={"times": None})
     aimed, _ = channels.joint_signal(alone, "target", table, drive)
-    gives, kp = _gain(target.kp, _one(POSITION[side]), drive, f"{where}, kp")
+    gives, kp = _gain(target.kp, units.si(POSITION[side]), drive, f"{where}, kp")
     missing = [key for key in gives.constants if getattr(target, key) is None]
     if missing:
         raise BadInput(
@@ -142,7 +143,7 @@ def position_law(target: Target, table: Table, drive: Drive) -> Told:
         )
     kd = 0.0
     if target.kd is not None:
-        other, kd = _gain(target.kd, _one(VELOCITY[side]), drive, f"{where}, kd")
+        other, kd = _gain(target.kd, units.si(VELOCITY[side]), drive, f"{where}, kd")
         if other is not gives:
             raise BadInput(
                 f"{where}, kd",
@@ -173,10 +174,6 @@ def position_law(target: Target, table: Table, drive: Drive) -> Told:
     kp, kd = kp * to_side, kd * to_side
     law = Law(kp * aimed, scale, kp, kd, limit, back_emf)
     return Told(target, gives.measured, law, told)
-
-
-def _one(kind: units.Kind) -> str:
-    return {"angle": "rad", "length": "m", "angular_speed": "rad/s", "speed": "m/s"}[kind]
 
 
 def _gain(text: str, per: str, drive: Drive, where: str) -> tuple[_Gives, float]:

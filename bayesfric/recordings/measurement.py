@@ -45,6 +45,8 @@ class Measurement:
     hold: Hold = "linear"  # how the torque goes between samples
     ratio: float = 1.0  # of the gear, motor motion per joint motion
     drive: str = "torque"  # what the torque was measured as: torque, force, current or voltage
+    doubted_units: tuple[str, ...] = ()  # channels of the motion whose unit a warning doubts
+    torque_constant: float | None = None  # N m/A or N/A, where a current was measured
     # how the drive makes its torque, in the closed loop where a target was recorded; None for
     # what no file tells, as a simulated twin
     law: Law | None = None

@@ -131,9 +131,14 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
     compared = made.compared & ~recording.excluded
     warnings = [*recording.warnings, *_band_warnings(numbers)]
     warnings += _resolution_warnings(numbers.resolution, recording)
+    doubted = [*recording.doubted_units]
     if recording.velocity is not None:
         speed = derivative(q, segments, period, numbers.reach)
-        warnings += _velocity_warnings(qd, speed, compared, recording.ratio)
+        factor = checks.speed_mismatch(qd, speed, compared)
+        warnings += _velocity_warnings(factor, recording.ratio)
+        # a smaller one may come of filters
+        if factor is not None and not 0.5 < factor < 2.0:
+            doubted.append("velocity")
     law = checks.feedback(recording.torque, q, qd, compared)
     found = numbers.resolution
     ratios = {"speed_ratio": found.speed_ratio, "acceleration_ratio": found.acceleration_ratio}
@@ -144,6 +149,7 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         "decimate": numbers.factor,
         "band": numbers.used_band,
         "differentiation": processing.differentiation,
+        "velocity": "differentiated" if recording.velocity is None else "measured",
         "reach": numbers.reach,
         "guard": numbers.guard,
         "band_by": found.reason,
@@ -151,6 +157,8 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         # no noise seen is no number
         **{key: ratio for key, ratio in ratios.items() if np.isfinite(ratio)},
         **({} if law is None else {"feedback": law[0]}),
+        **({"doubted_units": ", ".join(doubted)} if doubted else {}),
+        **_constant(recording),
         "dead_zone": made.dead_zone,
         "rest": processing.rest,
         "trim": numbers.trim_samples * period,
@@ -334,8 +342,7 @@ def _prepared(
     if share > SMALL_SHARE and numbers.cutoff:
         # the low-pass smears the jolt of a reversal over a period on either side
         moving &= ~_near(~moving, round(numbers.fs / numbers.cutoff))
-    # the low-pass carries what was excluded a little way past its borders, as past a segment's
-    parts = without_excluded(kept, _near(recording.excluded, trim))
+    parts = compared_parts(recording, trim)
     chosen, dropped = _windows(recording, numbers, kept, parts, moving, share)
     return _Prepared(q, qd, inside & moving, float(dead_zone), chosen, dropped, still, parts)
 
@@ -389,6 +396,16 @@ def _windows(
     }
 
 
+def compared_parts(recording: Measurement, trim: int) -> Segments:
+    """Give the stretches that may be compared: segments without ``trim`` samples at either end.
+
+    Without what is excluded, too, and as many samples beside that: the low-pass carries it a little
+    way past its borders, as past a segment's.
+    """
+    kept = tuple((a + trim, max(b - trim, a + trim)) for a, b in recording.segments)
+    return without_excluded(kept, _near(recording.excluded, trim))
+
+
 def moving_samples(qd: Array, segments: Segments, dead_zone: float, guard: int) -> Flags:
     """Flag the samples that may be used for their speed: those not below the dead zone.
 
@@ -396,10 +413,16 @@ def moving_samples(qd: Array, segments: Segments, dead_zone: float, guard: int) 
     a little way past its ends. As many slow samples in a row are a rest, fewer a reversal.
     """
     moving = np.abs(qd) >= dead_zone
-    rests = np.zeros_like(moving)
-    for a, b in without_excluded(segments, moving):
-        rests[a:b] = b - a >= guard
+    rests = resting(qd, segments, dead_zone, guard)
     return moving if not rests.any() else moving & ~_near(rests, guard)
+
+
+def resting(qd: Array, segments: Segments, dead_zone: float, guard: int) -> Flags:
+    """Flag samples below the dead zone, ``guard`` or more in a row."""
+    flags = np.zeros(len(qd), dtype=np.bool_)
+    for a, b in without_excluded(segments, np.abs(qd) >= dead_zone):
+        flags[a:b] = b - a >= guard
+    return flags
 
 
 def _near(flags: Flags, reach: int) -> Flags:
@@ -447,10 +470,7 @@ def _resolution_warnings(found: Resolution, recording: Measurement) -> Iterator[
         )
 
 
-def _velocity_warnings(
-    velocity: Array, differentiated: Array, compared: Flags, ratio: float
-) -> Iterator[str]:
-    factor = checks.speed_mismatch(velocity, differentiated, compared)
+def _velocity_warnings(factor: float | None, ratio: float) -> Iterator[str]:
     if factor is None:
         return
     said = f"is {factor:.3g} times the differentiated position: "
@@ -464,6 +484,12 @@ def _velocity_warnings(
 def _end_of_band(numbers: _Numbers) -> float:
     """Highest frequency that is compared, Hz."""
     return numbers.used_band or numbers.cutoff or 0.25 * numbers.fs
+
+
+def _constant(recording: Measurement) -> dict[str, float]:
+    """Keep the torque constant, by which a torque is told in amperes, too."""
+    constant = recording.torque_constant
+    return {} if constant is None else {"torque_constant": constant}
 
 
 def _gain_left(numbers: _Numbers, recording: Measurement, order: int) -> float:

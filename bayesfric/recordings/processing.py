@@ -9,7 +9,7 @@ from pydantic import Field, field_validator
 from bayesfric.errors import Unfit
 from bayesfric.recordings import units
 from bayesfric.recordings.tables.reader import Options
-from bayesfric.recordings.units import Hertz, HertzOrOff, Seconds
+from bayesfric.recordings.units import Hertz, HertzOrOff, Seconds, in_unit
 
 
 class Processing(Options):
@@ -45,6 +45,7 @@ class Processing(Options):
         None,
         description="Joint speed below which a sample is not used, in SI units or text such as "
         "'1 deg/s'; 1 % of the 99th percentile of the speed if left out; 0 for none.",
+        json_schema_extra=in_unit("rad/s or m/s"),
     )
     rest: bool = Field(
         False,
@@ -66,12 +67,14 @@ class Processing(Options):
         gt=1,
         allow_inf_nan=False,
         description="A time step longer than this many median periods separates segments.",
+        json_schema_extra=in_unit(""),
     )
     jitter: float = Field(
         0.01,
         ge=0,
         allow_inf_nan=False,
         description="Relative rms jitter of the time steps above which 'auto' resamples.",
+        json_schema_extra=in_unit(""),
     )
     min_samples: int = Field(50, ge=5, description="Segments with fewer samples are left out.")
 

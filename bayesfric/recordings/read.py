@@ -100,7 +100,9 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     told = measured_law(source, table, drive)
     channel, kind = told.channel, told.kind
     checks.check_not_huge(told.law.command, table.label(channel.column), kind)
-    aims = told if source.target is None else position_law(source.target, table, drive)
+    aims = told
+    if source.target is not None and told.channel is not source.target:
+        aims = position_law(source.target, table, drive)
 
     grid = make_grid(time, chosen, processing, table.where)
     checks.check_moves(position[part], table.label(source.position.column), "position")
@@ -113,6 +115,8 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         unit = "rad" if drive.motion == "rotary" else "m"
         warnings.append(f"position: quantised with a step of {coarse:.3g} {unit} at the joint")
     warnings += channels.counts(source, table, part)
+    whole = channels.whole(source, table, part)
+    doubted = {*(["time"] if grid.odd else []), *whole} & {"time", "position", "velocity"}
     steps.extend(grid.steps)
     steps.extend(resting_ends(time[part], position[part]))
 
@@ -146,7 +150,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
             how += f"; what acts on the motor times {drive.ratio:g}"
         steps.append(f"load {channels.TORQUE[drive.motion]}: {how}")
     excluded = _excluded(source, grid.time, warnings)
-    law = law if aims is told else aims.law.on(grid)
+    law = law if source.target is None else aims.law.on(grid)
     if source.valid is not None:
         valid = table.column(source.valid) != 0
         # between a valid and an invalid stamp the grid is not valid either
@@ -171,6 +175,8 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         warnings=tuple(warnings),
         hold=channel.hold,
         drive=kind,
+        doubted_units=tuple(sorted(doubted)),
+        torque_constant=told.torque_constant,
         law=law,
         ratio=drive.ratio,
     )
@@ -302,6 +308,9 @@ def _matching(pattern: str, folder: Path) -> Iterator[Path]:
         relative += "/*"
     hidden = any(part.startswith(".") for part in parts)
     try:
+        if any("**" in part and part != "**" for part in parts):
+            # from Python 3.13 on it would be a single *
+            raise ValueError("** stands for whole folders")
         for path in root.glob(relative):
             if hidden or not any(p.startswith(".") for p in path.relative_to(root).parts):
                 yield path

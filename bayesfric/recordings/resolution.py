@@ -181,7 +181,7 @@ def _spectra(recording: Measurement) -> _Spectra | None:
     if not parts:
         return None
     longest = max(p.stop - p.start for p in parts)
-    size = int(np.clip(longest // 4, _LEAST // 2, 4.0 * fs)) if longest // 4 > _LEAST // 2 else 32
+    size = max(_LEAST // 2, min(longest // 4, int(4.0 * fs)))
     f = np.fft.rfftfreq(size, recording.period).astype(np.float64)
     total, motion, torque = 0.0, np.zeros_like(f), np.zeros_like(f)
     for part in parts:

@@ -12,9 +12,11 @@ from bayesfric.errors import BadInput
 from bayesfric.recordings import units
 from bayesfric.recordings.measurement import Array, Segments
 from bayesfric.recordings.processing import Processing
+from bayesfric.recordings.recognition.values import time_unit
 
 _SLOWEST = 1.0
 _FASTEST = 1e-6
+_SHARES = {"ms": "thousandth", "us": "millionth", "ns": "billionth"}
 # a period outside these is no sampling at all, and its square leaves floating point
 _POSSIBLE = (1e-12, 1e9)
 _MOST_SAMPLES = 10_000_000
@@ -37,6 +39,7 @@ class Grid:
     resampled: bool
     steps: tuple[str, ...]
     warnings: tuple[str, ...]
+    odd: bool = False  # whether the period is so unlikely that the unit of time is doubted
 
     def linear(self, values: Array) -> Array:
         """Bring a signal ``(n,)`` onto the grid ``(m,)`` by linear interpolation."""
@@ -92,15 +95,19 @@ def make_grid(time: Array, chosen: tuple[int, int], processing: Processing, wher
     steps.append(f"time: {chosen[1] - chosen[0]} samples, {told}")
     if not _POSSIBLE[0] <= period <= _POSSIBLE[1]:
         raise BadInput(where, f"the sampling period is {period:.3g} s", "check the unit of time")
-    if not _FASTEST <= period <= _SLOWEST:
-        warnings.append(f"time: the sampling period is {period:.3g} s; is the unit of time right?")
+    odd = not _FASTEST <= period <= _SLOWEST
+    if odd:
+        likely = time_unit(period)
+        share = f", or a {_SHARES[likely]} of it ({likely} for s)" if likely in _SHARES else ""
+        told = f"the sampling period is {period:.3g} s; is the unit of time right{share}?"
+        warnings.append(f"time: {told}")
     times = [time[a:b] for a, b in pieces]
     if resampled:
         times = _resampled(times, period, processing.min_samples, where)
     ends = np.cumsum([len(part) for part in times]).tolist()
     segments = tuple(pairwise([0, *ends]))
     told_all = (tuple(steps), tuple(warnings))
-    return Grid(time, pieces, np.concatenate(times), segments, period, resampled, *told_all)
+    return Grid(time, pieces, np.concatenate(times), segments, period, resampled, *told_all, odd)
 
 
 def _pieces(

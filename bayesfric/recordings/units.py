@@ -7,11 +7,11 @@ import re
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field
 
-from bayesfric.errors import BadInput, Unfit
+from bayesfric.errors import BadInput, Guess, Unfit
 
 if TYPE_CHECKING:
     import pint
@@ -35,24 +35,66 @@ Kind = Literal[
 ]
 
 
-# A unit of every kind, and how to tell a user about it.
-_KINDS: dict[Kind, tuple[str, str]] = {
-    "time": ("s", "a time like 's' or '5 ms'"),
-    "angle": ("rad", "an angle like 'rad', 'deg' or 'turn/4096'"),
-    "length": ("m", "a length like 'm' or '2.5 mm'"),
-    "angular_speed": ("rad/s", "an angular speed like 'rad/s', 'deg/s' or 'rpm'"),
-    "speed": ("m/s", "a speed like 'm/s' or 'mm/s'"),
-    "torque": ("N m", "a torque like 'N m' or '9.84e-5 N m'"),
-    "force": ("N", "a force like 'N'"),
-    "current": ("A", "a current like 'A' or 'mA'"),
-    "voltage": ("V", "a voltage like 'V' or 'V/885'"),
-    "resistance": ("ohm", "a resistance like '3.4 ohm'"),
-    "frequency": ("Hz", "a frequency like '100 Hz'"),
-    "mass": ("kg", "a mass like '2 kg'"),
-    "torque_constant": ("N m/A", "a torque constant like '0.32 N m/A'"),
-    "force_constant": ("N/A", "a force constant like '35 N/A'"),
-    "share": ("", "a plain number like '1' or '0.9'"),
+# Powers of base units, by their names in pint, in order.
+Powers = tuple[tuple[str, float], ...]
+
+
+class _Told(NamedTuple):
+    """The SI unit of a kind, how to tell a user about it, and what it is made of."""
+
+    unit: str
+    example: str
+    powers: Powers
+
+
+_ENERGY: Powers = (("kilogram", 1), ("meter", 2), ("second", -2))
+_POWER: Powers = (("kilogram", 1), ("meter", 2), ("second", -3))
+_FORCE: Powers = (("kilogram", 1), ("meter", 1), ("second", -2))
+_KINDS: dict[Kind, _Told] = {
+    "time": _Told("s", "a time like 's' or '5 ms'", (("second", 1),)),
+    "angle": _Told("rad", "an angle like 'rad', 'deg' or 'turn/4096'", (("radian", 1),)),
+    "length": _Told("m", "a length like 'm' or '2.5 mm'", (("meter", 1),)),
+    "angular_speed": _Told(
+        "rad/s",
+        "an angular speed like 'rad/s', 'deg/s' or 'rpm'",
+        (("radian", 1), ("second", -1)),
+    ),
+    "speed": _Told("m/s", "a speed like 'm/s' or 'mm/s'", (("meter", 1), ("second", -1))),
+    "torque": _Told("N m", "a torque like 'N m' or '9.84e-5 N m'", _ENERGY),
+    "force": _Told("N", "a force like 'N'", _FORCE),
+    "current": _Told("A", "a current like 'A' or 'mA'", (("ampere", 1),)),
+    "voltage": _Told(
+        "V", "a voltage like 'V' or 'V/885'", (("ampere", -1), *_ENERGY[:2], ("second", -3))
+    ),
+    "resistance": _Told(
+        "ohm", "a resistance like '3.4 ohm'", (("ampere", -2), *_ENERGY[:2], ("second", -3))
+    ),
+    "frequency": _Told("Hz", "a frequency like '100 Hz'", (("second", -1),)),
+    "mass": _Told("kg", "a mass like '2 kg'", (("kilogram", 1),)),
+    "torque_constant": _Told(
+        "N m/A", "a torque constant like '0.32 N m/A'", (("ampere", -1), *_ENERGY)
+    ),
+    "force_constant": _Told("N/A", "a force constant like '35 N/A'", (("ampere", -1), *_FORCE)),
+    "share": _Told("", "a plain number like '1' or '0.9'", ()),
 }
+# Recordings are mostly in these, and then need no pint.
+_POWERS = {told.unit: told.powers for told in _KINDS.values()}
+
+# What logs also count a kind in, the likeliest first; what is guessed may be any of these.
+_COMMON: dict[Kind, tuple[str, ...]] = {
+    "time": ("s", "ms", "us"),
+    "angle": ("rad", "deg", "turn"),
+    "length": ("m", "mm"),
+    "angular_speed": ("rad/s", "deg/s", "rpm"),
+    "speed": ("m/s", "mm/s"),
+    "torque": ("N m", "mN m", "N cm"),
+    "force": ("N", "kN"),
+    "current": ("A", "mA"),
+    "voltage": ("V", "mV"),
+}
+
+# What a joint that slides has in place of what one that turns has.
+_SLIDING: dict[Kind, Kind] = {"angle": "length", "angular_speed": "speed", "torque": "force"}
 
 # pint reads "Nm" as a number times a metre; everybody else means newton metre
 _NEWTON_METRE = re.compile(r"(?<![A-Za-zµμ])([mkMcuµμ]?)N-?m(?![A-Za-z])")
@@ -62,13 +104,15 @@ _LARGE_POWER = re.compile(r"(\*\*|\^)\s*(?!-?\d(?![\d.*^]))|[²³]{2}")
 # and of floating-point numbers, which overflow at once where (9**9)**9 would grow for ever
 _WHOLE_NUMBER = re.compile(r"(?<![\w.])(\d+\.\d*|\.?\d+)(?:[eE][+-]?\d+)?(?![\w.])")
 _LONGEST = 80
+# Where the JSON schema of a configuration keeps a unit.
+UNIT_KEYWORD = "x-unit"
 # What ``bayesfric init --from`` puts behind what it guessed.
 GUESSED = "?"
 
 
 @cache
 def _registry() -> pint.UnitRegistry[Any]:
-    # pint takes half a second to set up, so only the first conversion pays for it
+    # pint takes half a second to set up, so only who converts pays for it
     import pint
 
     registry: pint.UnitRegistry[Any] = pint.UnitRegistry()
@@ -78,12 +122,12 @@ def _registry() -> pint.UnitRegistry[Any]:
 
 
 @cache
-def _base(text: str) -> tuple[float, tuple[tuple[str, float], ...]]:
+def _base(text: str) -> tuple[float, Powers]:
     """Return the SI factor of a unit text and its base units' exponents."""
+    if text.strip() in _POWERS:
+        return 1.0, _POWERS[text.strip()]
     if len(text) > _LONGEST or not _ALLOWED.fullmatch(text) or _LARGE_POWER.search(text):
         raise ValueError(f"'{text[:_LONGEST]}' is not a unit")
-    if not text.strip():
-        return 1.0, ()
     prepared = _WHOLE_NUMBER.sub(lambda m: m[0] + ".0" if m[0].isdigit() else m[0], text)
     prepared = _NEWTON_METRE.sub(r"(\1N*m)", prepared)
     prepared = re.sub(r"(?<=[\d.])\s*\((?=[mkMcuµμ]?N\*m\))", " * (", prepared)
@@ -104,11 +148,23 @@ def known(text: str) -> str:
     """Refuse what was guessed, and not looked at since."""
     if text.endswith(GUESSED):
         plain = text.removesuffix(GUESSED)
-        raise Unfit(
-            f"'{plain}' without the '{GUESSED}', or what is right, once you have looked at it",
+        others = " or ".join(f"'{one}'" for one in alternatives(plain))
+        what = f"what is right, such as {others}" if others else "what is right"
+        raise Guess(
+            f"'{plain}' without the '{GUESSED}', or {what}, once you have looked at it",
             f"'{text}' is a guess of init",
         )
     return text
+
+
+def alternatives(text: str) -> tuple[str, ...]:
+    """Name at most three other units that logs have for what is counted in ``text``."""
+    try:
+        _, powers = _base(text)
+    except ValueError:
+        return ()
+    alike = (common for kind, common in _COMMON.items() if _base(_KINDS[kind][0])[1] == powers)
+    return tuple(one for one in next(alike, ()) if one != text)[:3]
 
 
 def quantity(text: str, *kinds: Kind) -> float:
@@ -147,7 +203,7 @@ def scale(units: Sequence[str], kind: Kind, where: str = "unit") -> float:
 
 def _product(texts: Sequence[str], kinds: Sequence[Kind]) -> float:
     """Return the SI factor of a product of units that is of one of some kinds."""
-    expected = " or ".join(_KINDS[kind][1] for kind in kinds)
+    expected = " or ".join(_KINDS[kind].example for kind in kinds)
     factor = 1.0
     powers: dict[str, float] = {}
     for text in texts:
@@ -162,17 +218,30 @@ def _product(texts: Sequence[str], kinds: Sequence[Kind]) -> float:
     for kind in kinds:
         # a torque constant is also quoted as its reciprocal speed constant, V s/rad
         seen = {k: v for k, v in powers.items() if kind != "torque_constant" or k != "radian"}
-        if seen == dict(_base(_KINDS[kind][0])[1]):
+        if seen == dict(_KINDS[kind].powers):
             return factor
-    raise Unfit(expected, f"got {_listed(texts)}")
+    got = f"got {_listed(texts)}"
+    if any(k in kinds and powers == dict(_KINDS[s].powers) for k, s in _SLIDING.items()):
+        got += '; of a joint that slides say motion = "linear" under [mechanism]'
+    raise Unfit(expected, got)
+
+
+def si(kind: Kind) -> str:
+    """Name the unit that a kind is counted in."""
+    return _KINDS[kind].unit
 
 
 def _listed(texts: Sequence[str]) -> str:
     return " times ".join(f"'{text}'" for text in texts)
 
 
-def _number(*kinds: Kind, off: bool = False) -> BeforeValidator:
-    """Return a validator that turns text with a unit into an SI number."""
+def in_unit(text: str) -> dict[str, Any]:
+    """Declare the unit of a key's numbers, ``json_schema_extra`` of its field; empty for none."""
+    return {UNIT_KEYWORD: text}
+
+
+def _number(plain: Any, *kinds: Kind, off: bool = False) -> BeforeValidator:
+    """Return a validator that turns text with a unit into the SI number it is when ``plain``."""
 
     def read(value: Any) -> Any:
         if isinstance(value, bool):
@@ -181,11 +250,14 @@ def _number(*kinds: Kind, off: bool = False) -> BeforeValidator:
             return 0.0
         return quantity(value, *kinds) if isinstance(value, str) else value
 
-    return BeforeValidator(read)
+    return BeforeValidator(read, json_schema_input_type=plain | str)
 
 
-Seconds = Annotated[float, _number("time"), Field(ge=0, allow_inf_nan=False)]
-Hertz = Annotated[float, _number("frequency"), Field(gt=0, allow_inf_nan=False)]
-HertzOrOff = Annotated[float, _number("frequency", off=True), Field(ge=0, allow_inf_nan=False)]
-Kilograms = Annotated[float, _number("mass"), Field(ge=0, allow_inf_nan=False)]
-Metres = Annotated[float, _number("length"), Field(ge=0, allow_inf_nan=False)]
+_Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+_NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+_S, _HZ, _KG, _M = (Field(json_schema_extra=in_unit(text)) for text in ("s", "Hz", "kg", "m"))
+Seconds = Annotated[_NotNegative, _number(_NotNegative, "time"), _S]
+Hertz = Annotated[_Positive, _number(_Positive, "frequency"), _HZ]
+HertzOrOff = Annotated[_NotNegative, _number(_NotNegative, "frequency", off=True), _HZ]
+Kilograms = Annotated[_NotNegative, _number(_NotNegative, "mass"), _KG]
+Metres = Annotated[_NotNegative, _number(_NotNegative, "length"), _M]

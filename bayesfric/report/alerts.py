@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.summary.record import Readable, Summary
+from bayesfric.report.summary.record import OutlyingRow, Readable, Summary
+from bayesfric.report.summary.reference_check import references_off
 from bayesfric.report.summary.rollout import RollOutPart
 from bayesfric.report.text_templates import sentence
 
@@ -24,6 +26,8 @@ DOUBTS = (
     "pushed",
     "self-check",
 )
+# Outlying outputs that are named, the farthest; of others there is the number.
+NAMED = 5
 
 
 @dataclass(frozen=True)
@@ -66,9 +70,16 @@ def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:
     for doubt in summary.doubts:
         found.append(Alert(doubt.kind, doubt_text(doubt.model_dump()), "noise", first=True))
     error = summary.model_error
+    if error is not None and error.outlying:
+        text = sentence("outlying", {"outputs": error.outlying, "apart": _apart(error.outlying)})
+        found.append(Alert("outlying", text, "model-error", first=True))
     if error is not None and error.shown:
-        text = sentence("model error", {"found": error.found})
+        aside = len(error.outlying) if error.set_aside else 0
+        text = sentence("model error", {"found": error.found, "set_aside": aside})
         found.append(Alert("model error", text, "model-error", first=True))
+    if summary.sampler.status != "unusable" and (told := references_off(summary)) is not None:
+        text = sentence("references", told)
+        found.append(Alert("references", text, "parameters", first=True))
     if summary.sampler.status != "unusable":  # else there is no posterior to judge the model by
         for kind, values, section in _of_model(summary, contested):
             found.append(Alert(kind, sentence(kind, values), section))
@@ -76,6 +87,20 @@ def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:
     if summary.may_be_simulated:
         found.append(Alert("simulated", sentence("simulated")))
     return tuple(found)
+
+
+def _apart(outlying: Sequence[OutlyingRow]) -> dict[str, list[list[float]]]:
+    """Give the spans that leave outputs out, tenths of a second, recording by recording."""
+    spans: dict[str, list[list[float]]] = {}
+    for one in sorted(outlying[:NAMED], key=lambda o: o.time):
+        low = math.floor(10.0 * (one.time - 0.5 * one.period)) / 10.0
+        high = math.ceil(10.0 * (one.time + 0.5 * one.period)) / 10.0
+        of = spans.setdefault(one.recording, [])
+        if of and low <= of[-1][1]:
+            of[-1][1] = max(high, of[-1][1])
+        else:
+            of.append([low, high])
+    return spans
 
 
 def _of_model(

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
 import platform
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -16,17 +15,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bayesfric
-from bayesfric.errors import BadInput
 from bayesfric.inference.archive import as_chains, write_archive
 from bayesfric.inference.fitting import Fit
+from bayesfric.inference.sampling.sampling import Progress
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.report.figures.files import two_at_once
-from bayesfric.report.figures.registry import FinishedRun, captions, run_figures
+from bayesfric.report.answers.answers import answers_json
+from bayesfric.report.answers.record import FILE
+from bayesfric.report.figures.registry import FinishedRun, RunFigure, captions, run_figures
+from bayesfric.report.figures.style import ALL_KINDS, ON_PAGE, save
+from bayesfric.report.files import made_beside
 from bayesfric.report.page.run_page import run_page
-from bayesfric.report.paper.methods_text import methods_text
-from bayesfric.report.paper.tables import summary_texts
+from bayesfric.report.paper.methods_text import MethodsText, methods_text
+from bayesfric.report.paper.tables import latex_texts, summary_texts
+from bayesfric.report.second_process import Work, shared_work
 from bayesfric.report.summary.derived_quantities import coefficients
-from bayesfric.report.summary.record import PosteriorRow, Readable, Summary
+from bayesfric.report.summary.record import Readable, Summary
+from bayesfric.report.summary.rows import PosteriorRow
 
 # Draws kept of the groups that hold a number for every draw and every output.
 _POINTWISE_DRAWS = 400
@@ -37,82 +41,6 @@ FIGURES = run_figures()
 Array = NDArray[np.float64]
 
 
-def check_free(folder: Path, *, force: bool | None) -> None:
-    """Refuse a run directory that would overwrite another, or cannot be made.
-
-    ``force`` is whether an old run may be kept under another name; ``None`` where the command has
-    no such option. ``BadInput`` comes before any sampling is spent on it.
-    """
-    try:
-        if folder.is_symlink() and not folder.exists():
-            raise BadInput(str(folder), "is a link to nowhere", "name a folder with -o")
-        if folder.exists() and not folder.is_dir():
-            raise BadInput(str(folder), "is a file", "name a folder with -o")
-        if not _target(folder).name:
-            raise BadInput(str(folder), "is the whole disk", "name a folder in it with -o")
-        filled = folder.exists() and any(folder.iterdir())
-        if filled and force and not (folder / "summary.json").is_file():
-            raise BadInput(
-                str(folder), "is not empty and holds no run", "name another folder with -o"
-            )
-        if filled and not force:
-            raise BadInput(
-                str(folder),
-                "is not empty",
-                "name another folder with -o"
-                + ("" if force is None else ", or add --force to keep it under another name"),
-            )
-        beside = _beside(folder)
-        if not beside.parent.is_dir():
-            raise BadInput(
-                str(beside.parent), "there is no such folder", "make it first, or change -o"
-            )
-        # Only trying tells: rights, read-only disks and /proc all refuse in their own way.
-        beside.mkdir()
-        beside.rmdir()
-    except OSError as error:
-        raise _cannot(folder, error) from None
-
-
-@contextmanager
-def made_beside(folder: Path) -> Iterator[Path]:
-    """Give an empty folder to fill; it takes its name when the block ends well.
-
-    What stood there before is kept under another name; what a failed block left
-    is removed.
-    """
-    target = _target(folder)
-    beside = _beside(folder)
-    try:
-        beside.mkdir()
-        yield beside
-        if target.exists():
-            if any(target.iterdir()):
-                target.rename(_old_name(target))
-            else:
-                target.rmdir()
-        beside.rename(target)
-    except BaseException as error:
-        shutil.rmtree(beside, ignore_errors=True)
-        if isinstance(error, OSError):
-            raise _cannot(folder, error) from error
-        raise
-
-
-def _target(folder: Path) -> Path:
-    return Path(os.path.abspath(folder))  # noqa: PTH100  (".." must get a name, links stay)
-
-
-def _beside(folder: Path) -> Path:
-    target = _target(folder)
-    return target.with_name(f".{target.name}.{os.getpid()}.partial")
-
-
-def _cannot(folder: Path, error: OSError) -> BadInput:
-    reason = error.strerror or str(error)
-    return BadInput(str(folder), f"cannot be written ({reason})", "name another folder with -o")
-
-
 def write_run(
     folder: Path,
     fit: Fit,
@@ -121,13 +49,16 @@ def write_run(
     recordings: list[Measurement],
     saved: Path | None = None,
     draws: int | None = None,
+    *,
+    paper: bool = False,
+    progress: Callable[[Progress], None] = lambda _: None,
 ) -> None:
     """Write a run directory that :func:`check_free` let pass.
 
     ``config_text`` is the configuration as read; of ``recordings`` it keeps the SHA-256; what
     the folder ``saved`` holds belongs into it. With a number of ``draws`` it is a light one:
     so many are kept, and neither figures, tables nor page are made, as of one of hundreds nobody
-    looks at.
+    looks at. ``paper`` adds what a paper wants: :func:`paper_texts`, and figures as PDF and PNG.
     """
     summary = Summary.read(summary)
     with made_beside(folder) as beside:
@@ -145,36 +76,56 @@ def write_run(
                 beside / "posterior.nc", **thinned(fit, summary, config_text, recordings, draws)
             )
             return
-        figures = beside / "figures"
-        figures.mkdir()
-        run, drawn = FinishedRun(fit, summary), []
-        with two_at_once(figures) as save:
-            for stem, one in FIGURES.items():
-                if (figure := one.draw(run)) is not None:
-                    save(figure, stem)
-                    drawn.append(one)
-            # while the second process saves
-            write_posterior(beside / "posterior.nc", fit, summary, config_text, recordings)
-        said = methods_text(fit, summary)
-        texts = summary_texts(summary, folder.name) | {
-            "text/methods.txt": said.plain,
-            "text/methods.tex": said.latex,
-            "text/references.bib": said.bibtex,
-            "text/captions.md": captions(run, drawn),
-        }
+        run = FinishedRun(fit, summary)
+        kinds = ALL_KINDS if paper else ON_PAGE
+        with shared_work(progress) as share:
+            archive = archived(fit, summary, config_text, recordings)
+            # first: the second process has ArviZ ready
+            share("draws", partial(write_archive, beside / "posterior.nc", **archive))
+            drawn = draw(beside / "figures", run, kinds, share, progress)
+            said = methods_text(fit, summary)
+            texts = summary_texts(summary, folder.name) | {
+                "text/methods.txt": said.plain,
+                "text/captions.md": captions(run, drawn),
+                FILE: answers_json(fit),
+            }
+            if paper:
+                texts |= paper_texts(summary, folder.name, said)
         for name, text in texts.items():
             (beside / name).parent.mkdir(exist_ok=True)
             (beside / name).write_text(text, encoding="utf-8")
+        progress(Progress("page"))
         # last: it is made from what lies there
         page = run_page(beside, summary, folder.name)
         (beside / "report.html").write_text(page, encoding="utf-8")
 
 
-def write_posterior(
-    path: Path, fit: Fit, summary: Summary, config_text: str, recordings: list[Measurement]
-) -> None:
-    """Write ``posterior.nc``; see :func:`archived`."""
-    write_archive(path, **archived(fit, summary, config_text, recordings))
+def draw(
+    folder: Path,
+    run: FinishedRun,
+    kinds: Sequence[str],
+    share: Callable[[str, Work], None],
+    progress: Callable[[Progress], None],
+) -> list[RunFigure]:
+    """Draw a run's figures for ``folder``, and give them; the work of saving them is shared."""
+    folder.mkdir(exist_ok=True)
+    drawn = []
+    # from the end: what the second process can draw by itself stands there
+    for stem, one in reversed(FIGURES.items()):
+        progress(Progress(f"figure {stem}"))
+        if (drawing := one.draw(run)) is not None:
+            share(f"figure {stem}", partial(save, drawing, folder, stem, kinds))
+            drawn.append(one)
+    return drawn[::-1]
+
+
+def paper_texts(summary: Summary, name: str, said: MethodsText) -> dict[str, str]:
+    """Give what a paper wants of a run, by file name: LaTeX tables, methods and references."""
+    return {
+        **latex_texts(summary, name),
+        "text/methods.tex": said.latex,
+        "text/references.bib": said.bibtex,
+    }
 
 
 def archived(
@@ -320,10 +271,3 @@ def _pointwise(
         log_likelihood[o.name if same else f"{o.name}.terms"] = density.reshape(e, n, -1)
         predictive[o.name] = (predicted + noise).reshape(e, n, -1)
     return log_likelihood, predictive
-
-
-def _old_name(target: Path) -> Path:
-    k = 1
-    while (old := target.with_name(f"{target.name}.old{k}")).exists():
-        k += 1
-    return old

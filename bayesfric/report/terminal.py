@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 from bayesfric.report.alerts import alerts_of
-from bayesfric.report.comparison.cell import DOUBTFUL, TOGETHER, posterior_cells
+from bayesfric.report.comparison.cell import posterior_cells, settled_by
 from bayesfric.report.summary.bounds import bound_mend
 from bayesfric.report.summary.noise import noise_lines
 from bayesfric.report.summary.record import Readable, Summary
-from bayesfric.report.summary.self_check import self_check_lines
+from bayesfric.report.summary.self_check import narrow, self_check_lines
 from bayesfric.report.summary.validation import validation_lines
 from bayesfric.report.text_templates import filled
 
 
-def fit_text(summary: Readable, folder: Path | str) -> Iterator[str]:
-    """Word a summary, written to ``folder``, for a person, line by line."""
+def fit_text(summary: Readable) -> Iterator[str]:
+    """Word a summary for a person, line by line."""
     read = Summary.read(summary)
     cells = posterior_cells(read)
     combined = {name: row for name, row in read.derived.items() if row.gauge_free}
@@ -34,7 +33,6 @@ def fit_text(summary: Readable, folder: Path | str) -> Iterator[str]:
         noise=list(noise_lines(read.noise)),
         held_out=list(validation_lines(read.validation)) if read.validation else [],
         self_check=list(self_check_lines(read)),
-        folder=folder,
-        doubtful=DOUBTFUL,
-        together=TOGETHER,
+        narrow=narrow(read),
+        settled_by=settled_by,
     ).splitlines()

@@ -8,6 +8,7 @@ from typing import Any
 
 from jinja2 import Environment
 
+from bayesfric.progress import spent_text
 from bayesfric.report.numbers import p_text
 from bayesfric.templates import environment
 
@@ -39,7 +40,7 @@ def white_words(white: bool) -> str:
 
 
 # What templates of text and of pages have in common.
-FILTERS = {"p": p_text, "white": white_words, "listed": listed}
+FILTERS = {"p": p_text, "white": white_words, "listed": listed, "spent": spent_text}
 
 
 @cache

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from bayesfric.finished import Finished
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.sampling.convergence import autocorrelation
 
 Array = NDArray[np.float64]
 
@@ -75,14 +76,8 @@ def played(
 
 def memory(values: Array) -> float:
     """Integrated autocorrelation time in outputs, up to the first correlation below zero."""
-    x = values - values.mean()
-    power = float(x @ x)
-    if not power > 0.0:
+    if not np.ptp(values) > 0.0:
         return 1.0
-    total = 1.0
-    for lag in range(1, max(2, int(_LONGEST * x.size))):
-        r = float(x[lag:] @ x[:-lag]) / power
-        if r <= 0.0:
-            break
-        total += 2.0 * r
-    return total
+    r = autocorrelation(values[np.newaxis])[1 : max(2, int(_LONGEST * values.size))]
+    end = int(np.argmax(r <= 0.0)) if (r <= 0.0).any() else r.size
+    return 1.0 + 2.0 * float(r[:end].sum())

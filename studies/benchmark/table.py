@@ -1,4 +1,7 @@
-"""Print ``result.json`` as the tables of the README: ``python studies/benchmark/table.py``."""
+"""Print the README's tables, of ``result.json`` and ``whose.json``.
+
+``python studies/benchmark/table.py``.
+"""
 
 from __future__ import annotations
 
@@ -24,28 +27,94 @@ def ours(result: dict[str, Any]) -> Iterator[str]:
 
 def rivals(result: dict[str, Any]) -> Iterator[str]:
     """Rows of everything else, beside the first of ours."""
-    best = result["ours"]["1e+04 0"]["ess_per_second"]
-    yield "| sampler | ESS a second | faster by | settled | mean, sd off by | versions |"
-    yield "|---|---|---|---|---|---|"
-    yield f"| bayesfric | {best:,.0f} | 1 | yes | | |"
+    first = result["ours"]["1e+04 0"]
+    best, whole = first["ess_per_second"], first["seconds"]
+    yield (
+        "| sampler | ESS a second | faster by | in all: s by the clock, CPU s | settled | "
+        "mean, sd off by | versions |"
+    )
+    yield "|---|---|---|---|---|---|---|"
+    yield f"| bayesfric | {best:,.0f} | 1 | {whole:.0f}, not taken | yes | | |"
     for name, row in result.get("rivals", {}).items():
         if "failed" in row:
-            yield f"| {name} | failed: {row['failed']} | | | | |"
+            yield f"| {name} | failed: {row['failed']} | | | | | |"
             continue
+        whole = row["seconds"] + row["warm_up_seconds"]
         off = row["disagreement"]
         versions = ", ".join(f"{k} {v}" for k, v in row["versions"].items() if k != "arviz")
         at_least = "" if row["settled"] else "at least "
         yield (
             f"| {row['sampler']} | {row['ess_per_second']:.3g} | "
             f"{at_least}{best / row['ess_per_second']:,.0f} | "
+            f"{whole:.0f}, {row['cpu_seconds_in_all']:.0f} | "
             f"{'yes' if row['settled'] else 'no'} | {off['mean']:.1f}, {off['sd']:.1f} errors | "
             f"{versions} |"
         )
 
 
+def whose(result: dict[str, Any]) -> Iterator[str]:
+    """Rows of everyone on the same density in the same coordinates, and of ours in parts."""
+    arms = result["arms"]
+    best = arms["ours"]["ess_per_cpu_second"]
+    yield (
+        "| sampler | ESS a CPU second | ours over it | evaluations an effective draw | "
+        "CPU us an evaluation | warm-up, compiling: CPU s | R-hat | quantiles off by | remark |"
+    )
+    yield "|---|---|---|---|---|---|---|---|---|"
+    for name, row in sorted(arms.items(), key=_slowness):
+        if "failed" in row:
+            yield f"| {name} | failed: {row['failed']} | | | | | | | |"
+            continue
+        rate = f"{row['ess_per_cpu_second']:,.0f}"
+        if len(row["rates"]) > 1:
+            rate += f" ({min(row['rates']):,.0f}-{max(row['rates']):,.0f})"
+        right = "" if row["right"] else "at least "
+        rhat = "" if row["rhat"] is None else f"{row['rhat']:.3f}"
+        yield (
+            f"| {name} | {rate} | {right}{best / row['ess_per_cpu_second']:,.3g} | "
+            f"{row['evaluations_per_effective_draw']:,.3g} | "
+            f"{row['cpu_microseconds_per_evaluation']:.3g} | {row['warm_up_cpu_seconds']:.1f} | "
+            f"{rhat} | {row['quantiles_off_by_errors']:.1f} errors | "
+            f"{_remark(row)} |"
+        )
+
+
+def steps(result: dict[str, Any], parts: dict[str, Any]) -> Iterator[str]:
+    """Go from NumPyro on the full-length density in logarithms to ours, one thing at a time."""
+    far, arms = result["rivals"]["numpyro_nuts"], parts["arms"]
+    nuts, hmc, best = arms["blackjax NUTS"], arms["blackjax HMC"], arms["ours"]
+    needed = far["evaluations"] / far["ess"] / nuts["evaluations_per_effective_draw"]
+    dear = far["microseconds_per_evaluation"] / nuts["cpu_microseconds_per_evaluation"]
+    rates = [row["ess_per_cpu_second"] for row in (nuts, hmc, best)]
+    yield "| from NumPyro's NUTS to ours | times |"
+    yield "|---|---|"
+    yield f"| coordinates, whitened: fewer gradients an effective draw | {needed:,.0f} |"
+    yield f"| moments for the full length: cheaper gradients | {dear:.1f} |"
+    yield f"| HMC of many chains at once for NUTS of one | {rates[1] / rates[0]:.1f} |"
+    yield f"| our sampler for that HMC | {rates[2] / rates[1]:.1f} |"
+    yield f"| all | {needed * dear * rates[2] / rates[0]:,.0f} |"
+
+
+def _slowness(item: tuple[str, dict[str, Any]]) -> tuple[bool, float]:
+    """Ours and its parts first, then the fastest."""
+    name, row = item
+    return not name.startswith("ours"), -row.get("ess_per_cpu_second", 0.0)
+
+
+def _remark(row: dict[str, Any]) -> str:
+    return "; ".join(filter(None, ["" if row["right"] else "wrong", row["note"]]))
+
+
 def main() -> None:
-    result = json.loads((HERE / "result.json").read_text(encoding="utf-8"))
-    print("\n".join([*ours(result), "", *rivals(result)]))
+    result, parts = (
+        json.loads((HERE / name).read_text(encoding="utf-8"))
+        for name in ("result.json", "whose.json")
+    )
+    print(
+        "\n".join(
+            [*ours(result), "", *rivals(result), "", *whose(parts), "", *steps(result, parts)]
+        )
+    )
 
 
 if __name__ == "__main__":

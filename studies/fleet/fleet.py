@@ -29,6 +29,8 @@ import psutil
 
 from bayesfric.commands.simulate import simulate
 from bayesfric.config import parse_config
+from bayesfric.fleet.fleet import Fleet
+from bayesfric.fleet.population import fleet_population
 
 HERE = Path(__file__).resolve().parent
 SEED = 21
@@ -159,6 +161,26 @@ def loop(folder: Path, count: int) -> dict[str, float]:
     return {"units": count - 1, "seconds": float(wall), "cpu_seconds": float(cpu)}
 
 
+def covered(folder: Path, kind: str, parts: int = 20) -> dict[str, Any]:
+    """Take the fleet apart into so many, each drawn from the same, and ask each for what it is of.
+
+    Gives, of each quantity, in how many fleets the 90 % intervals hold mean and spread.
+    """
+    plan = Fleet.from_config(folder / "fleet.toml").plan
+    found: dict[str, Any] = {}
+    for k in range(parts):
+        several = fleet_population(folder / "all" / "units", plan.units[k::parts])
+        for one in several.quantities:
+            if one.name not in POPULATION[kind]:
+                continue
+            held = found.setdefault(one.name, {"fleets": 0, "mean": 0, "spread": 0})
+            held["fleets"] += 1
+            for key, true in zip(("mean", "spread"), POPULATION[kind][one.name], strict=True):
+                said = getattr(one.pool, key)
+                held[key] += said.low <= true <= said.high
+    return found
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("folder", type=Path)
@@ -215,6 +237,7 @@ def main() -> None:
             }
             for one in found["quantities"]
         },
+        "covered": covered(folder, given.kind),
     }
     print(len(named), "quantities", {k: told[k] for k in ("seconds", "worn_in_first_20")})
     (HERE / f"{given.kind}.json").write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")

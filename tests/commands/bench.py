@@ -3,7 +3,6 @@
 import re
 import subprocess
 import sys
-from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +12,7 @@ import pytest
 from bayesfric import cli
 from bayesfric.commands.simulate import simulate
 from bayesfric.config import read_config
-from bayesfric.report import run_directory
+from bayesfric.report import run_directory, second_process
 
 CONFIG = """\
 [mechanism]
@@ -56,6 +55,23 @@ torque = {{ column = "torque", unit = "N m" }}
 
 
 SMALL = JOINT + recorded()
+# Simulated and sampled in a moment.
+SAMPLED = f"""{SMALL}
+[sampling]
+min_ess = 200
+walkers = 24
+ensembles = 2
+seed = 5
+
+[noise]
+model = "white"
+
+[simulation]
+duration = 3.0
+rate = 200
+excitation = "multisine"
+encoder_counts = 1048576
+"""
 
 
 def simulated(path, text, name="small", seed=None):
@@ -167,4 +183,4 @@ def below_a_file(folder: Path):
 def without_figures(patch):
     """Write runs without drawing: that takes longer than small samplings."""
     patch.setattr(run_directory, "FIGURES", {})
-    patch.setattr(run_directory, "two_at_once", lambda _: nullcontext(lambda *_: None))
+    patch.setattr(second_process, "_helper", lambda: None)

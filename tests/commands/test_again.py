@@ -8,25 +8,8 @@ import pytest
 
 from bayesfric.config import read_config
 
-from .bench import SMALL, has, simulated, without_figures
+from .bench import SAMPLED, has, simulated, without_figures
 from .test_fit import draws
-
-CONFIG = f"""{SMALL}
-[sampling]
-min_ess = 200
-walkers = 24
-ensembles = 2
-seed = 5
-
-[noise]
-model = "white"
-
-[simulation]
-duration = 3.0
-rate = 200
-excitation = "multisine"
-encoder_counts = 1048576
-"""
 
 
 @pytest.fixture
@@ -35,7 +18,7 @@ def run(bench, monkeypatch):
     without_figures(monkeypatch)
     place = bench.folder / "project"
     place.mkdir()
-    simulated(place / "c.toml", CONFIG)
+    simulated(place / "c.toml", SAMPLED)
     with monkeypatch.context() as patch:
         # names as a user gives them: relative to where one is
         patch.chdir(place)
@@ -46,7 +29,7 @@ def run(bench, monkeypatch):
 
 def test_the_configuration_of_a_run_repeats_it(bench, run):
     config = run / "config.toml"
-    assert config.read_text() == CONFIG
+    assert config.read_text() == SAMPLED
     for command in ("check", "identify", "estimate"):
         ended = bench.run(command, config)
         assert ended.code == 0, ended

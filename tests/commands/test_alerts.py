@@ -104,7 +104,7 @@ def troubled():
 def test_what_makes_numbers_unsafe_comes_first(tmp_path, status):
     told = troubled()
     told["sampler"]["status"] = status
-    said = same(run_page(tmp_path, told, "knee"), "\n".join(fit_text(told, tmp_path)))
+    said = same(run_page(tmp_path, told, "knee"), "\n".join(fit_text(told)))
     kinds = [one.kind for one in alerts_of(told)]
     model = ["lacks", "may lack", "not white", "methods"] if status == "tentative" else []
     assert kinds == ["sampler", "of tomorrow", *model, "warning", "warning", "simulated"]

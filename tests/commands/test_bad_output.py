@@ -2,6 +2,8 @@
 
 import pytest
 
+from bayesfric.report.run_directory import made_beside
+
 from .bench import CONFIG, below_a_file, cases, has
 
 
@@ -24,8 +26,7 @@ LONG = "a" * 300
     ("output", "parts"),
     cases(
         ("a-file", "plain", ["plain: is a file; name a folder with -o"]),
-        ("below-a-file", "plain/run", ["plain: there is no such folder; make it first"]),
-        ("no-parent", "no/run", ["no: there is no such folder; make it first"]),
+        ("below-a-file", "plain/run", ["plain/run: cannot be written (Not a directory)"]),
         ("full", "full", ["full: is not empty; name another folder", "--force"]),
         ("here", ".", [".: is not empty"]),
         ("proc", "/proc/run", ["/proc/run: cannot be written"]),
@@ -53,7 +54,6 @@ def test_bad_output_is_told_before_anything_is_read(places):
     cases(
         ("exists", "c.toml", ["c.toml: exists already; name another file"]),
         ("a-folder", "full", ["full: is a folder; name a file"]),
-        ("no-parent", "no/c.toml", ["no/c.toml: cannot be written (No such file"]),
         ("below-a-file", "plain/c.toml", ["plain/c.toml: cannot be written (Not a directory)"]),
         ("proc", "/proc/c.toml", ["/proc/c.toml: cannot be written"]),
         ("long", LONG, ["too long"]),
@@ -62,6 +62,32 @@ def test_bad_output_is_told_before_anything_is_read(places):
 )
 def test_init_output(places, output, parts):
     has(places.refused("init", "motor-axis", "-o", output, "--json"), *parts)
+
+
+def test_folders_that_are_missing_are_made(bench):
+    assert bench.run("init", "motor-axis", "-o", "new/a.toml").code == 0
+    bench.config(CONFIG + "\n[simulation]\nduration = 0.2\n")
+    assert bench.run("simulate", "c.toml", "-o", "new/deep/er/x.csv").code == 0
+    made = {path.name for path in (bench.folder / "new").rglob("*")}
+    assert made == {"a.toml", "deep", "er", "x.csv", "x.truth.json"}
+
+
+@pytest.mark.parametrize("command", [("fit",), ("explain",), ("identify", "--advise", "offset")])
+def test_folders_that_are_missing_are_not_left_behind(bench, command):
+    (bench.folder / "run.csv").unlink()
+    name = {"fit": "run", "explain": "x.pdf", "identify": "x.csv"}[command[0]]
+    # ``refused`` looks for what was left
+    has(bench.refused(command[0], "c.toml", *command[1:], "-o", f"new/deep/{name}"), "run.csv")
+
+
+def test_a_run_that_fails_leaves_no_folder_made_for_it(tmp_path):
+    target = tmp_path / "new" / "deep" / "run"
+    with pytest.raises(ZeroDivisionError), made_beside(target):
+        assert 1 / 0
+    assert list(tmp_path.iterdir()) == []
+    with made_beside(target) as beside:
+        (beside / "a").write_text("a")
+    assert (target / "a").is_file()
 
 
 def test_init_preset(bench):
@@ -73,7 +99,6 @@ def test_init_preset(bench):
     cases(
         ("no-suffix", "x", ["x: is not named .csv"]),
         ("suffix", "x.txt", ["x.txt: is not named .csv"]),
-        ("no-parent", "no/x.csv", ["no/x.csv: cannot be written (No such file"]),
         ("below-a-file", "plain/x.csv", ["plain/x.csv: cannot be written (Not a directory)"]),
         ("proc", "/proc/x.csv", ["/proc/x.csv: cannot be written"]),
         ("long", f"{LONG}.csv", ["too long"]),

@@ -47,6 +47,7 @@ def test_one_run_in_a_process_of_its_own(runs):
         "report.html",
         "comparison.csv",
         "comparison.md",
+        "comparison.tex",
         "figures/forest.svg",
         "comparison.json",
         "figures",
@@ -100,7 +101,7 @@ def test_open_numbers_stay_without_sd_in_every_file(runs):
     ended = runs.run("compare", "knee", "-o", "out")
     assert ended.code == 0, ended
     texts = [path.read_text(encoding="utf-8") for path in runs.folder.glob("out/comparison.*")]
-    assert len(texts) == 3
+    assert len(texts) == 4
     for text in (ended.out, *texts):
         assert "7171" not in text
         assert "not determined" in text
@@ -121,7 +122,7 @@ def test_open_numbers_stay_without_sd_in_every_file(runs):
         (["knee" * 200], ["cannot be read"]),
         (["knee", "-o", "knee"], ["knee: is not empty"]),
         (["knee", "-o", "c.toml"], ["c.toml: is a file"]),
-        (["knee", "-o", "no/such/out"], ["there is no such folder"]),
+        (["knee", "nowhere", "-o", "no/such/out"], ["nowhere: there is no such folder"]),
     ],
 )
 def test_places(runs, arguments, parts):
@@ -129,6 +130,11 @@ def test_places(runs, arguments, parts):
     has(message, *parts)
     # there is no such option here
     assert "--force" not in message
+
+
+def test_folders_of_the_output_are_made(runs):
+    assert runs.run("compare", "knee", "-o", "no/such/out").code == 0
+    assert (runs.folder / "no/such/out/comparison.csv").is_file()
 
 
 def test_a_link_to_the_same_run(runs):

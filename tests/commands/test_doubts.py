@@ -1,22 +1,27 @@
 """Numbers that the sampling is sure of and nobody should be: found, demoted, and said first."""
 
 import importlib
+import json
 import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from bayesfric.commands.check import check, check_text
+from bayesfric.checked import check
 from bayesfric.commands.fit import fit_text
 from bayesfric.estimates.delay import Delay
+from bayesfric.estimates.disturbances import Disturbance
 from bayesfric.estimates.once_a_turn import OnceATurn
 from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
 from bayesfric.mechanism.joint import Joint
 from bayesfric.model import Model
+from bayesfric.recordings.recording import Recording
 from bayesfric.report.alerts import doubt_text
 from bayesfric.report.summary.doubts import doubts_before, find_doubts, put_doubts
-from bayesfric.report.summary.record import Spread, Summary
+from bayesfric.report.summary.record import ModelError, Summary
+from bayesfric.report.summary.rows import Spread
+from tests.commands.bench import SMALL
 from tests.conftest import REPOSITORY
 
 JOINT = """\
@@ -56,7 +61,7 @@ def fitted(tmp_path):
         path = tmp_path / "joint.toml"
         path.write_text(JOINT.format(preset=preset, more=more), encoding="utf-8")
         model = Model.from_config(path)
-        told = list(check_text(check(model)))
+        told = check(model).text().splitlines()
         return model.fit().summary.as_dict(), told
 
     return run
@@ -66,8 +71,8 @@ def kinds(summary):
     return {one["kind"] for one in summary["doubts"]}
 
 
-def first_lines(summary, tmp_path):
-    lines = list(fit_text(summary, tmp_path / "run"))
+def first_lines(summary):
+    lines = list(fit_text(summary))
     return lines[: lines.index("")]
 
 
@@ -89,7 +94,7 @@ def test_a_joint_in_closed_loop_keeps_its_inertia(closed_loop, fitted):
         assert abs(row["median"] - true) < 4.0 * row["sd"], name
 
 
-def test_a_band_that_is_asked_for_and_is_noise_is_doubted_first(closed_loop, fitted, tmp_path):
+def test_a_band_that_is_asked_for_and_is_noise_is_doubted_first(closed_loop, fitted):
     """The band of 0.1.0: nothing of it is called data, and why is said before any number."""
     one = closed_loop.recorded(3)
     wide = "[processing]\nlowpass = 50.0\ndecimate = 10"
@@ -100,10 +105,10 @@ def test_a_band_that_is_asked_for_and_is_noise_is_doubted_first(closed_loop, fit
     assert row["verdict"] != "data" or abs(row["median"] - true) < 4.0 * row["sd"]
     assert any("acceleration" in line for line in told if "WARNING" in line)
     assert kinds(summary) & {"acceleration", "memory", "unexplained", "noise"}
-    assert len(first_lines(summary, tmp_path)) > 1
+    assert len(first_lines(summary)) > 1
 
 
-def test_a_controllers_law_is_not_learned_as_friction(fitted, tmp_path):
+def test_a_controllers_law_is_not_learned_as_friction(fitted):
     """Torque 0.9 N m times the sign of speed: 0.1.0 called that Coulomb friction, and data."""
     from tests.recordings.test_motion_checks import T, bang_bang
 
@@ -114,7 +119,7 @@ def test_a_controllers_law_is_not_learned_as_friction(fitted, tmp_path):
     assert "data" not in verdicts(summary).values()
     assert summary["sampler"]["status"] == "tentative"
     assert any("sign of speed" in line for line in told)
-    assert any("sign of speed" in line for line in first_lines(summary, tmp_path))
+    assert any("sign of speed" in line for line in first_lines(summary))
 
 
 def test_a_torque_of_the_wrong_sign_is_said(fitted):
@@ -287,6 +292,33 @@ def test_a_late_position_is_warned_of_and_no_speed_term_called_data(fitted):
     assert line.startswith("WARNING: the position comes 0.004")
 
 
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({}, "the position comes 0.00399"),
+        ({"velocity": "rad/s"}, "late: velocity: is 57.3 times"),
+        ({"time": "s"}, "late: time: all numbers are whole"),
+    ],
+)
+def test_while_a_unit_is_doubted_no_delay_is(wrong, said):
+    """What a wrong unit leaves of the torque may look late; it is to be mended first."""
+    late = replace(Joint.preset("servo-pendulum"), delay=True)
+    options = {"rate": 500, "excitation": "multisine", "amplitude": 1.0, "torque_noise": 0.01}
+    made = late.simulate({"drive.delay": 0.004}, encoder_side="joint", **options)
+    speed = np.degrees(np.gradient(made["position"], made["time"]))
+    made = made.assign(time=np.round(1e3 * made["time"]), velocity=speed)
+    units = {"time": "ms", "velocity": "deg/s"} | wrong
+    one = Recording.from_dataframe(
+        made, name="late", velocity="velocity", time="time", torque="torque", position="position",
+        units=units,
+    )  # fmt: skip
+    found = check(Model(Joint.preset("servo-pendulum"), one))
+    assert any(text.startswith(said) for text in found.warnings), found.warnings
+    assert ("delay" in {doubt["kind"] for doubt in found.as_json()["doubts"]}) is not bool(wrong)
+    # what it would be is told all the same
+    assert found.as_json()["delays"]
+
+
 def test_a_zero_that_is_off_is_warned_of_and_gravity_not_called_data(fitted):
     """The same as a ripple once a turn; speed and acceleration have nothing to do with it."""
     text = "\n[mechanism.load]\ngravity_angle = false\n"
@@ -315,6 +347,22 @@ def test_only_what_moves_is_doubted_beside_gravity():
     assert find_doubts(_Fit(), split, turn=turn)[0]["parameters"] == ["motor.coulomb_positive"]
 
 
+@pytest.mark.parametrize("shown", [False, True])
+def test_a_push_is_told_before_what_the_model_lacks(shown):
+    summary = summary_of({"a.b": row(1.0, 0.9, 1.1)})
+    if shown:
+        error = {"shown": True, "axes": []}
+        summary = summary.model_copy(update={"model_error": ModelError.model_validate(error)})
+    pushes = [Disturbance("run", 15.94, 16.21, 60.0), Disturbance("run", 3.0, 3.4, 20.0)]
+    found = find_doubts(_Fit(), summary, white=(summary.parameters, 0.8), pushed=pushes)
+    assert [one["kind"] for one in found] == ["pushed", "noise"]
+    assert found[0]["exclude"] == [[15.9, 16.3], [3.0, 3.4]]
+    words = doubt_text(found[0])
+    assert "exclude = [[15.9, 16.3], [3.0, 3.4]]" in words
+    assert ("before any term is added" in words) == shown
+    assert put_doubts(summary, found).parameters["a.b"].doubted == ["pushed", "noise"]
+
+
 def test_delays_that_contradict_each_other_are_no_delay():
     def one(value, name):
         return Delay((name,), value, 1e-4, 2e-3, {"motor.inertia": 4.0})
@@ -325,4 +373,24 @@ def test_delays_that_contradict_each_other_are_no_delay():
     assert "contradict each other" in doubt_text(doubt)
     (doubt,) = doubts_before(totals, [], [one(0.01, "a"), one(0.0101, "b")])
     assert "set delay = true" in doubt_text(doubt)
+    # a motor does not follow the motion that it makes
+    (doubt,) = doubts_before(totals, [], [one(-0.01, "a"), one(-0.0101, "b")])
+    assert "set delay = true" not in doubt_text(doubt)
+    assert "no torque comes after the motion" in doubt_text(doubt)
     assert doubts_before(totals, [], [one(2e-4, "a")]) == []
+
+
+def test_check_says_that_a_pendulum_is_no_axis(bench):
+    """A SIMULATED servo pendulum, asked as a motor axis: gravity is most of its torque."""
+    pendulum = SMALL.replace("motor-axis", "servo-pendulum")
+    seen = '\n[simulation]\nduration = 4.0\nrate = 200\nexcitation = "multisine"\n'
+    bench.simulated(pendulum + seen, "small", seed=3)
+    kinds = {}
+    for name, text in {"right": pendulum, "wrong": SMALL}.items():
+        (bench.folder / f"{name}.toml").write_text(text, encoding="utf-8")
+        ended = bench.run("check", f"{name}.toml", "--json")
+        assert ended.code == 0
+        kinds[name] = [one["kind"] for one in json.loads(ended.out)["doubts"]]
+    assert "unexplained" in kinds["wrong"]
+    assert "unexplained" not in kinds["right"]
+    assert "servo-pendulum" in bench.run("check", "wrong.toml").out

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 import bayesfric as bf
@@ -52,6 +53,21 @@ def test_what_is_missing_is_named_first_with_what_to_write(swing):
         assert number["unit"] == "N m s"
 
 
+def test_a_push_comes_before_any_term(swing):
+    path = swing.folder / "small.csv"
+    table = pd.read_csv(path)
+    # what a hand takes over is not in the drive's torque
+    hand = table["time"].between(6.0, 6.5)
+    table.loc[hand, "torque"] -= 5.0
+    table.to_csv(path, index=False)
+    text = swing.run("explain", "c.toml").out
+    assert text.startswith("WARNING: in small the torque is off by")
+    (span,) = bf.Model.from_config("c.toml").disturbances()
+    assert (span.start, span.stop) == pytest.approx((6.0, 6.5), abs=0.05)
+    (printed,) = json.loads(swing.run("explain", "c.toml", "--json").out)["pushed"]
+    assert printed["start"] == span.start
+
+
 def test_python_returns_what_the_command_prints(swing):
     printed = json.loads(swing.run("explain", "c.toml", "--json").out)
     found = bf.Model.from_config("c.toml").explain()
@@ -76,7 +92,7 @@ def test_the_figure_is_written_and_nothing_else(swing):
     assert (swing.folder / "ladder.pdf").read_bytes().startswith(b"%PDF")
 
 
-@pytest.mark.parametrize("name", ["ladder.txt", "nowhere/ladder.pdf"])
+@pytest.mark.parametrize("name", ["ladder.txt", "c.toml/ladder.pdf"])
 def test_a_place_that_cannot_be_is_refused_before_anything(swing, name):
     has(swing.refused("explain", "c.toml", "-o", name), name)
 

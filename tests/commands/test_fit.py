@@ -1,9 +1,11 @@
 """``bayesfric fit`` and ``demo``: as a user runs them, and the same again."""
 
 import json
+import os
 import re
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from bayesfric.commands.fit import demo_config, fit, fit_text
 from bayesfric.config import read_config
 from bayesfric.inference.archive import read_archive
 from bayesfric.model import Model
+from bayesfric.progress import Spent
 
 from .bench import SMALL, simulated, without_figures
 
@@ -30,7 +33,7 @@ excitation = "multisine"
 encoder_counts = 1048576
 """
 TRUTH = {"motor.inertia": 0.01, "motor.viscous": 0.05, "motor.coulomb": 0.2, "offset": 0.02}
-KINDS = ("pdf", "png")
+KINDS = ("pdf", "png", "svg")
 # Table 3 of the 2005 paper: gearbox 50, alpha_1, alpha_2
 ALPHA = {"drive": 0.7432, "back": 1.408}
 
@@ -52,7 +55,7 @@ def folder(tmp_path_factory):
 def done(folder):
     """The command, the way a user runs it: in a process of its own."""
     return subprocess.run(
-        [sys.executable, "-m", "bayesfric", "fit", "small.toml", "-o", "run", "--json"],
+        [sys.executable, "-m", "bayesfric", "fit", "small.toml", "-o", "run", "--paper", "--json"],
         cwd=folder,
         capture_output=True,
         text=True,
@@ -105,6 +108,32 @@ def test_a_process_of_its_own_ends_well(done, folder):
         assert abs(row["mean"] - value) < 4.5 * row["sd"], name
 
 
+def test_who_reads_only_the_first_lines_has_the_run(folder):
+    """As ``bayesfric fit ... | head`` does: numbers are printed before anything is written."""
+    read, write = os.pipe()
+    os.close(read)
+    command = [sys.executable, "-m", "bayesfric", "fit", "few.toml", "-o", "piped"]
+    (folder / "few.toml").write_text(FEW, encoding="utf-8")
+    done = subprocess.run(
+        command, cwd=folder, stdout=write, stderr=subprocess.PIPE, text=True, check=False
+    )
+    os.close(write)
+    assert done.stderr == ""
+    assert done.returncode == 3
+    assert (folder / "piped" / "report.html").is_file()
+
+
+def test_time_is_that_of_all_processes():
+    spent = Spent()
+    program = "import time\nwhile time.process_time() < 0.3: pass"
+    subprocess.run([sys.executable, "-c", program], check=True)
+    time.sleep(0.2)
+    # the system counts user's and kernel's time in ticks, each cut off to a whole one
+    ticks = 2 / os.sysconf("SC_CLK_TCK")
+    # what waits takes the clock's time, and none of a processor's
+    assert 0.3 - ticks <= spent.cpu_seconds <= spent.seconds - 0.1
+
+
 def test_one_seed_gives_one_posterior(done, folder, again):
     assert done.returncode == 0
     summary, found = again()
@@ -153,6 +182,11 @@ def test_too_few_steps_end_with_3_and_are_marked(bench, folder):
     assert status in ("tentative", "unusable")
     assert written["sampler"]["problems"]
     assert ended.out.startswith(f"{status}: ")
+    spent = re.fullmatch(
+        r"Written to run\. In all ([\d.]+) s by the clock, ([\d.]+) s of CPU time",
+        ended.out.splitlines()[-1],
+    )
+    assert spent is not None
     for problem in written["sampler"]["problems"]:
         assert problem in ended.out
     assert {path.name for path in (bench.folder / "run").iterdir()} >= {
@@ -174,11 +208,10 @@ def test_force_keeps_the_old_run(bench, folder):
     assert second["sampler"]["seed"] == 9
 
 
-def test_text_for_people_names_every_parameter_with_its_unit(done, folder):
+def test_text_for_people_names_every_parameter_with_its_unit(done):
     summary = json.loads(done.stdout)
-    text = "\n".join(fit_text(summary, folder / "run"))
-    assert text.startswith("reliable: ")
-    assert str(folder / "run") in text
+    text = "\n".join(fit_text(summary))
+    assert text.startswith("sampling reliable")
     for name, row in summary["parameters"].items():
         low, high = row["interval"]
         line = next(line for line in text.split("\n") if line.split()[:1] == [name])

@@ -12,7 +12,7 @@ from bayesfric.config import read_config
 from bayesfric.model import Model
 
 from ..conftest import DATA, REPOSITORY
-from .bench import SMALL, has
+from .bench import SMALL, has, simulated
 
 FOLDER = Path(str(files("bayesfric") / "examples"))
 UR10E = REPOSITORY / "studies" / "ur10e" / "ur10e-joint2.toml"
@@ -177,3 +177,38 @@ def test_xl330_rests_on_its_known_mass_and_confounds_back_emf(bench, real_data):
     assert found["voltage"]["same_as_back_emf"] == ["motor.viscous"]
     has(found["voltage"]["meaning"], "viscous loss and back-EMF cannot be told apart")
     has(found["known_mass"]["meaning"], "known added mass is what determines", "drive.gain")
+
+
+PENDULUM = """[mechanism]
+preset = "servo-pendulum"
+[[recordings]]
+file = "swing.csv"
+time = { column = "time", unit = "s" }
+position = { column = "position", unit = "rad" }
+torque = { column = "torque", unit = "N m" }
+[simulation]
+duration = 6.0
+rate = 200
+excitation = "multisine"
+amplitude = 0.35
+encoder_counts = 1048576
+"""
+
+
+@pytest.mark.parametrize("advise", [(), ("--advise", "motor.viscous")])
+def test_a_pendulum_without_its_gravity_is_doubted_before_its_parameters(bench, advise):
+    """What a wrong mechanism leaves open is nothing to plan an experiment by."""
+    simulated(bench.folder / "c.toml", PENDULUM, name="swing")
+    short = "[advice]\nduration = 1.0\nmasses = []\n"
+    for preset, doubted in (("servo-pendulum", False), ("motor-axis", True)):
+        text = PENDULUM.replace("servo-pendulum", preset).partition("[simulation]")[0] + short
+        (bench.folder / "c.toml").write_text(text)
+        more = (*advise, "-o", f"{preset}.csv", "--force") if advise else ()
+        ended = bench.run("identify", "c.toml", *more)
+        assert ended.code == 0, ended.err
+        assert ended.out.startswith("WARNING") == doubted
+        if doubted:
+            has(ended.out.splitlines()[0], "explains only", "explain")
+            assert "can tell every parameter.\n" not in ended.out
+        told = json.loads(bench.run("identify", "c.toml", *more, "--json").out)
+        assert [one["kind"] for one in told["doubts"]] == ["unexplained"] * doubted

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.recognition.log import recognise
 from bayesfric.recordings.recognition.names import named
 from bayesfric.recordings.tables import Table, read_table
@@ -156,12 +157,22 @@ def test_guesses_are_refused_until_they_were_looked_at(bench):
     guesses = re.findall(r'(\w+) = "([^"]*\?)"', "\n".join(
         line for line in text.splitlines() if not line.startswith("#")))  # fmt: skip
     assert len(guesses) == 3
+    messages = []
     for _ in range(3):
         before, mark, after = (bench.folder / "made.toml").read_text().partition('?"')
         assert mark
         message = bench.refused("check", bench.folder / "made.toml")
         has(message, "made.toml: recordings.1.", "is a guess", "without the '?'")
+        messages.append(message)
         (bench.folder / "made.toml").write_text(before + '"' + after)
+    for message, others in zip(messages, ("'ms' or 'us'", "'mA'", ""), strict=True):
+        assert ("such as" in message) == bool(others)
+        assert others in message
+    # one look at all of them is enough
+    rest = ("recordings.1.current.unit", "recordings.1.current.torque_constant")
+    has(messages[0], *rest)
+    has(messages[1], rest[1])
+    assert " are;" not in messages[2]
     assert bench.run("check", bench.folder / "made.toml").code == 0
 
 
@@ -227,6 +238,27 @@ def test_json_holds_every_guess(bench):
     told = json.loads(bench.run("init", "--from", bench.folder / "log.csv", "--json").out)
     assert {one["key"] for one in told["guesses"]} == {"time.unit", "position.unit", "torque.unit"}
     assert all(one["why"] for one in told["guesses"])
+    units = {one["key"]: one["or"] for one in told["guesses"]}
+    assert units["time.unit"] == ["ms", "us"]
+    assert all(0 < len(others) <= 3 for others in units.values())
+
+
+def test_what_a_guess_could_be_instead_is_told(bench):
+    """A preset was taken, units and a column chosen: what else there is stands beside."""
+    pd.DataFrame({"t": T, "q": Q, "q_target": Q + 0.01, "tau": TAU}).to_csv(
+        bench.folder / "log.csv", index=False
+    )
+    text, out = written(bench, bench.folder / "log.csv")
+    others = [name for name in PRESETS if name != "motor-axis"]
+    assert len(others) >= 2
+    for name in others:
+        has(out, f'preset = "{name}" is for {PRESETS[name].when}')
+        has(text, f'# preset = "{name}"  # for {PRESETS[name].when}')
+    has(out, 'time.unit = "s?"', '"ms" or "us"', 'position.column = "q"', 'or "q_target"')
+    (bench.folder / "made.toml").unlink()
+    named, said = written(bench, bench.folder / "log.csv", "servo-pendulum")
+    has(named, 'preset = "servo-pendulum"')
+    assert "motor-axis" not in said  # it was asked for
 
 
 # -- real logs

@@ -77,7 +77,8 @@ def test_white_noise_stays_white(bench):
     summary, out = fitted(bench)
     assert summary["noise"]["model"] == "white"
     assert "white_interval" not in summary["parameters"]["offset"]
-    assert summary["noise"]["innovation_whiteness"]["white"] is True
+    # of white noise it is uniform: one seed in twenty is called coloured at 0.05
+    assert summary["noise"]["innovation_whiteness"]["p_value"] > 1e-3
     assert "white noise: [" not in out
 
 

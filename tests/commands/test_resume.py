@@ -464,7 +464,7 @@ def test_errors_of_the_disk_are_told(here, whole, monkeypatch):
     has(message, "posterior.steps: cannot be written (Input/output error)", "go on with --resume")
     assert steps(here.folder) == before
     with monkeypatch.context() as patch:
-        patch.setattr(run_directory, "write_posterior", broken)
+        patch.setattr(run_directory, "archived", broken)
         message = here.run("fit", "few.toml", "-o", "run", "--resume").err
     has(message, "run: cannot be written", "nothing is sampled again")
     assert here.run("fit", "few.toml", "-o", "run", "--resume").code == 3

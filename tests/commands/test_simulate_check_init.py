@@ -131,6 +131,19 @@ def test_init_writes_what_it_prints(bench, preset):
         assert name in printed
 
 
+def test_init_replaces_a_file_only_where_asked(bench):
+    assert bench.run("init", "motor-axis", "-o", "new.toml").code == 0
+    before = (bench.folder / "new.toml").read_text()
+    refused = bench.run("init", "servo-pendulum", "-o", "new.toml")
+    assert refused.code == 2
+    assert "exists already" in refused.err
+    assert "--force" in refused.err
+    assert (bench.folder / "new.toml").read_text() == before
+    assert bench.run("init", "servo-pendulum", "-o", "new.toml", "--force").code == 0
+    assert (bench.folder / "new.toml").read_text() != before
+    assert bench.run("init", "servo-pendulum", "--force").code == 2
+
+
 @pytest.mark.parametrize("preset", PRESETS)
 def test_every_commented_line_of_init_can_be_uncommented(bench, preset):
     """Defaults stand there as TOML, so taking the '#' away gives the same configuration."""

@@ -81,7 +81,7 @@ def test_what_is_held_out_is_predicted_and_changes_no_draw(three, monkeypatch):
     assert record["pooled"]["verdict"] == "covered"
     has(out, "Held out: 1 whole recording and the last 20 % of 2 recordings", "covered: 90 %")
     assert set(hashes) == set(NAMES)
-    assert (three.folder / "run" / "figures" / "validation.pdf").stat().st_size > 1000
+    assert (three.folder / "run" / "figures" / "validation.svg").stat().st_size > 1000
     assert "**validation**" in (three.folder / "run" / "text" / "captions.md").read_text()
     methods = (three.folder / "run" / "text" / "methods.txt").read_text()
     has(methods, f"{n} outputs were held out of the fit")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.commands.check import check, check_text
+from bayesfric.checked import check
 from bayesfric.estimates.once_a_turn import gravity_like
 from bayesfric.mechanism.excitation import current_loop, multisine
 from bayesfric.mechanism.forward import simulate
@@ -105,9 +105,10 @@ def test_a_motor_ripples_at_the_pace_of_gravity_unless_a_gear_slows_the_joint():
 
 def test_check_says_it():
     model = bf.Model(AXIS, bench(4, 0.04))
-    (doubt,) = check(model)["doubts"]
+    found = check(model)
+    (doubt,) = found.as_json()["doubts"]
     assert doubt["kind"] == "once-a-turn"
-    (line,) = [line for line in check_text(check(model)) if line.startswith("WARNING")]
+    (line,) = [line for line in found.text().splitlines() if line.startswith("WARNING")]
     assert "gravity_angle = true mends" in line
     assert "ripple of the motor's torque once a turn" in line
-    assert check(bf.Model(AXIS, bench(4)))["doubts"] == []
+    assert check(bf.Model(AXIS, bench(4))).warnings == ()

@@ -1,10 +1,16 @@
 """Terms that a model lacks are found, and none where none is missing."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import bayesfric as bf
+from bayesfric.estimates.estimation import Estimation
+from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.methods import Given
 from bayesfric.explain.candidates import Candidate, candidates
+from bayesfric.explain.explanation import asked_for
 from bayesfric.explain.ladder import climb
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS
@@ -95,3 +101,61 @@ def test_of_two_that_do_the_same_the_simpler_is_named(make_observation):
     o = make_observation(true, values, sigma=0.02, n=4000, factor=5, amplitude=0.8)
     found = climb(bare, [o], {name: VALUES[name] for name in bare.names})
     assert keys(found)[0] == ("load", "first_moment", "True")
+
+
+def given(chain, o):
+    return Given(chain, [o], Knowledge({}, {}, {}), Estimation(), tuple)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4, 3.0])
+def test_gravity_comes_before_a_ripple_once_a_turn(make_observation, angle):
+    """A sine and a cosine of the joint's angle are gravity, wherever its zero is."""
+    axis = PRESETS["motor-axis"].chain()
+    true = replace(axis, load=bf.Load(first_moment=True, gravity_angle=True))
+    known = {"motor.inertia": 0.02, "motor.viscous": 0.1, "motor.coulomb": 0.1, "offset": 0.0}
+    values = known | {"load.first_moment": 0.05, "load.gravity_angle": angle}
+    o = make_observation(true, values, sigma=0.02, n=4000, factor=5, amplitude=15.0)
+    (term,) = asked_for(given(axis, o), known)
+    assert term.owner == "load"
+    assert "first_moment = true" in term.setting
+    assert term.presets == ("servo-pendulum",)
+    assert any("cogging = [1]" in setting for setting in term.also)
+
+
+def test_a_ripple_of_a_geared_motor_is_no_gravity(make_observation):
+    """Once a turn of the motor is not once a turn of the joint."""
+    motor = {"inertia": True, "coulomb": "symmetric", "viscous": True}
+    gearbox = bf.Element("gearbox", ratio=7.0)
+    bare = bf.Joint([bf.Element("motor", **motor), gearbox])
+    true = bf.Joint([bf.Element("motor", **motor, cogging=(1,)), gearbox])
+    known = {"motor.inertia": 0.02, "motor.viscous": 0.1, "motor.coulomb": 0.1}
+    values = known | {"motor.cogging_sin_1": 0.3, "motor.cogging_cos_1": 0.2}
+    o = make_observation(true, values, sigma=0.02, n=4000, factor=5, amplitude=15.0)
+    (term,) = asked_for(given(bare, o), known)
+    assert (term.owner, term.setting) == ("motor", "mechanism.elements.motor.cogging = [1]")
+    assert not any("first_moment" in setting for setting in term.also)
+    assert term.presets == ()
+
+
+def test_a_linear_axis_has_no_gravity_of_an_angle(make_observation):
+    linear = {"motion": "linear"}
+    axis = bf.Joint([bf.Element("motor", inertia=True, **linear)], load=bf.Load(**linear))
+    point = {"motor.inertia": 5.0}
+    found = candidates(axis, [make_observation(axis, point)], point)
+    assert found
+    assert not {c.option for c in found} & {"first_moment", "gravity_angle", "cogging"}
+
+
+def test_a_richer_choice_that_only_repeats_the_simple_one_is_not_named_beside_it():
+    """One mu in both directions: two that come out alike are that one, and no alternative."""
+    whole = bf.Joint.preset("servo-pendulum")
+    options = {"rate": 200, "duration": 10, "excitation": "multisine", "torque_noise": 0.01}
+    made = whole.simulate({"gearbox.load": 0.3}, encoder_side="joint", **options)
+    bare = replace(whole, elements=tuple(replace(e, load_loss="none") for e in whole.elements))
+    one = bf.Recording.from_dataframe(made, time="time", position="position", torque="torque")
+    (term,) = bf.Model(bare, one).explain().asked
+    # where it is, motor or gearbox, nothing tells
+    assert {term.setting, *term.also} == {
+        'mechanism.elements.gearbox.load_loss = "one"',
+        'mechanism.elements.motor.load_loss = "one"',
+    }

@@ -1,6 +1,7 @@
 """A joint at its output: identities, and what cannot be carried."""
 
 import io
+import re
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -234,6 +235,38 @@ def test_the_body_has_inertia_and_first_moment(inertia, moment, angle):
     about = body.about_axis + body.mass * distance**2
     assert about + body.armature == pytest.approx(inertia + 0.01)
     assert 2.0 * body.across >= body.about_axis > 0.0  # a body can have it
+    assert body.armature > 0.0
+    # a pendulum has at least the inertia of its mass at its distance
+    lightest = moment**2 / (inertia or 0.01)
+    assert lightest < body.mass < (2.01 if inertia else 1.25) * lightest
+
+
+@pytest.mark.parametrize("rotary", [True, False])
+def test_a_rotors_inertia_stays_the_rotors_where_no_link_weighs_anything(rotary):
+    names = ("link_inertia", "link_moment", "link_gravity_angle")
+    body = pendulum(dict.fromkeys(names, 0.0) | {"armature": 95.0}, rotary)
+    assert body.armature == pytest.approx(95.0, rel=2e-3)
+    assert body.armature + body.inertia == pytest.approx(95.0, rel=1e-12)
+    assert 0.0 < body.mass <= 0.1
+    assert 2.0 * body.across >= body.about_axis > 0.0
+
+
+def test_a_link_of_its_own_inertia_alone_is_of_any_mass():
+    numbers = {"link_inertia": 0.2, "armature": 0.1, "link_moment": 0.0, "link_gravity_angle": 0.0}
+    body = pendulum(numbers, rotary=True)
+    assert (body.inertia, body.armature) == (0.2, 0.1)
+
+
+def test_what_stands_for_a_link_that_was_not_told_is_said_with_its_mass():
+    for name, word in (("motor-axis", "placeholder"), ("servo-pendulum", "first moment")):
+        joint, values = preset(name)
+        exported = bf.export(made(joint, values, 0.6), "mujoco")
+        (note,) = [x for x in exported.record["notes"] if "apart from the rotor's" in x]
+        assert word in note
+        (mass,) = re.findall(r'mass="([^"]*)"', exported.main)
+        assert f"{float(mass):.3g} kg" in note
+        assert note in exported.text()
+        assert note.split(".")[0] in exported.main
 
 
 def test_an_interval_of_what_the_data_leave_open_says_so():

@@ -8,31 +8,14 @@ import pytest
 
 import bayesfric as bf
 
-from ..commands.bench import SMALL, Bench, simulated, without_figures
-
-CONFIG = f"""{SMALL}
-[sampling]
-min_ess = 200
-walkers = 24
-ensembles = 2
-seed = 5
-
-[noise]
-model = "white"
-
-[simulation]
-duration = 3.0
-rate = 200
-excitation = "multisine"
-encoder_counts = 1048576
-"""
+from ..commands.bench import SAMPLED, Bench, simulated, without_figures
 
 
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory):
     """Fit once; whoever exports gets a copy."""
     folder = tmp_path_factory.mktemp("fitted")
-    simulated(folder / "c.toml", CONFIG)
+    simulated(folder / "c.toml", SAMPLED)
     with pytest.MonkeyPatch.context() as patch:
         without_figures(patch)
         from bayesfric.commands.fit import fit
@@ -98,7 +81,7 @@ def test_what_is_there_is_kept(bench):
     (bench.folder / "folder").mkdir()
     (bench.folder / "folder" / "mine").write_text("mine")
     held = bench.held()
-    for place in ("out.xml", "folder", "nowhere/out.xml"):
+    for place in ("out.xml", "folder", "out.xml/out.xml"):
         ended = bench.run("export", "c-run", "--to", "mujoco", "-o", place)
         assert ended.code == 2
         assert len(ended.err.strip().splitlines()) == 1

@@ -138,7 +138,7 @@ def test_the_feed_forward_is_the_inverse_model_over_the_recorded_range(name, com
     assert 8.0 * largest < 2 ** (31 - bits) <= 32.0 * largest
     python = {}
     exec(bf.export(done, "python").main, python)
-    again = [python["torque"](*map(float, row)) for row in zip(*moving, strict=True)]
+    again = [python["torque"](*row) for row in zip(*moving, strict=True)]  # NumPy's floats, too
     np.testing.assert_allclose(again, wanted, rtol=1e-12, atol=1e-15)
 
 

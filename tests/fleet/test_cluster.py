@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
@@ -59,25 +60,27 @@ def test_the_command_fits_all_and_goes_on_with_what_changed(tmp_path):
     assert "add --resume" in run_command(tmp_path, code=2).stderr
     again = json.loads(run_command(tmp_path, "--resume", "--json", "--workers", "1").stdout)
     assert again["again"] == 5
+    assert again["cpu_seconds"] < found["cpu_seconds"]
     assert finished(tmp_path / "out") == times
     assert (tmp_path / "out/results.parquet").read_bytes() == before
 
 
 @pytest.mark.slow
 def test_killed_workers_and_a_killed_client_change_no_byte(tmp_path):
-    write_fleet(tmp_path, good=6)
+    write_fleet(tmp_path, good=9)
     run_command(tmp_path, "--workers", "2")
     whole = (tmp_path / "out/results.parquet").read_bytes()
     shutil.move(tmp_path / "out", tmp_path / "undisturbed")
 
     def begin(*more):
-        return subprocess.Popen(
-            [*COMMAND, "--workers", "2", *more],
-            cwd=tmp_path,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
+        with (tmp_path / "said").open("w") as said:
+            return subprocess.Popen(
+                [*COMMAND, "--workers", "2", *more],
+                cwd=tmp_path,
+                stdout=subprocess.DEVNULL,
+                stderr=said,
+                start_new_session=True,
+            )
 
     client, killed = begin(), set()
     seen, end = {}, time.monotonic() + 300
@@ -87,18 +90,18 @@ def test_killed_workers_and_a_killed_client_change_no_byte(tmp_path):
             pq.read_table(tmp_path / "out/results.parquet")  # whole at every moment
         seen = finished(tmp_path / "out") | seen
         fresh = [pid for pid in workers_of(client.pid) if pid not in killed]
-        if len(killed) < 5 and len(seen) > len(killed) / 2 and fresh:
+        if len(killed) < 5 and len(seen) > len(killed) and fresh:
             os.kill(fresh[0], signal.SIGKILL)
             killed.add(fresh[0])
-        if len(seen) >= 4 and len(killed) >= 2 and "resumed" not in seen:
+        if len(killed) >= 3 and "resumed" not in seen:
             seen["resumed"] = 0
             os.killpg(client.pid, signal.SIGKILL)
             client.wait()
             seen = finished(tmp_path / "out") | seen
             client = begin("--resume")
         time.sleep(0.1)
-    assert client.returncode == 0
-    assert len(killed) >= 2
+    assert client.returncode == 0, (tmp_path / "said").read_text()
+    assert len(killed) == 5
     assert "resumed" in seen
     assert (tmp_path / "out/results.parquet").read_bytes() == whole
     # what was stored once was never stored again
@@ -106,6 +109,85 @@ def test_killed_workers_and_a_killed_client_change_no_byte(tmp_path):
     assert {name: last[name] for name in seen if name != "resumed"} == {
         name: when for name, when in seen.items() if name != "resumed"
     }
+
+
+@pytest.mark.slow
+def test_ctrl_c_leaves_a_fleet_to_go_on_with(tmp_path):
+    write_fleet(tmp_path, good=6)
+    client = subprocess.Popen(
+        [*COMMAND, "--workers", "2"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    end = time.monotonic() + 300
+    while not finished(tmp_path / "out"):
+        assert time.monotonic() < end
+        assert client.poll() is None
+        time.sleep(0.1)
+    workers = workers_of(client.pid)
+    client.send_signal(signal.SIGINT)
+    _, said = client.communicate(timeout=60)
+    assert client.returncode == 130
+    (line,) = [one for one in said.splitlines() if one.startswith("bayesfric: interrupted")]
+    assert "of 8 units are kept; go on with: bayesfric fleet" in line
+    assert line.endswith("--resume")
+    assert not any(Path(f"/proc/{pid}").exists() for pid in workers)
+    done = finished(tmp_path / "out")
+    again = json.loads(run_command(tmp_path, "--resume", "--json").stdout)
+    assert again["again"] >= len(done)
+    assert again["status"] == {"reliable": 6, "failed": 2}
+    later = finished(tmp_path / "out")
+    assert {name: later[name] for name in done} == done
+
+
+SBATCH = """#!{python}
+# Stands in for SLURM's: the job script runs as a process of its own on this machine.
+import os, subprocess, sys
+print(open(sys.argv[1]).read(), file=open("jobs", "a"))
+job = subprocess.Popen(["bash", sys.argv[1]], start_new_session=True,
+                       stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+print(f"Submitted batch job {{job.pid}}")
+"""
+SCANCEL = """#!{python}
+import os, signal, sys
+for job in sys.argv[1:]:
+    os.killpg(int(job), signal.SIGTERM)
+"""
+
+
+# dask-jobqueue leaves it to the collector to close and remove its certificates
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.slow
+def test_slurm_jobs_give_the_table_that_local_workers_give(tmp_path, monkeypatch):
+    """The queue is a stand-in; jobs, their scripts, TLS and the fits are real."""
+    pytest.importorskip("dask_jobqueue")
+    import dask
+
+    write_fleet(tmp_path)
+    (tmp_path / "bin").mkdir()
+    for name, text in {"sbatch": SBATCH, "scancel": SCANCEL}.items():
+        (tmp_path / "bin" / name).write_text(text.format(python=sys.executable))
+        (tmp_path / "bin" / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}:{os.environ['PATH']}")
+    monkeypatch.chdir(tmp_path)
+    with dask.config.set({"jobqueue.slurm.walltime": "00:20:00"}):  # what a cluster's users have
+        found = made(tmp_path, {"slurm": 2, "patience": 30.0}).run(tmp_path / "out")
+    assert found.left == {}
+    assert found.status == {"reliable": 3, "failed": 2}
+    jobs = (tmp_path / "jobs").read_text()
+    assert jobs.count("#SBATCH -t 00:20:00") == 2
+    assert "tls://" in jobs
+    assert not [one for one in (tmp_path / "out").rglob("*") if "PRIVATE KEY" in text_of(one)]
+    made(tmp_path, {"workers": 1}).run(tmp_path / "local")
+    tables = [(tmp_path / name / "results.parquet").read_bytes() for name in ("out", "local")]
+    assert tables[0] == tables[1]
+
+
+def text_of(path):
+    return path.read_text(errors="replace") if path.is_file() else ""
 
 
 def workers_of(pid):

@@ -3,15 +3,17 @@
 import errno
 import json
 import sys
+import time
 
 import pytest
 
 import bayesfric as bf
+from bayesfric.commands.fleet import fleet_text
 from bayesfric.errors import BadInput
 from bayesfric.fleet import work
 from bayesfric.fleet.fleet import _Course
 from bayesfric.fleet.plan import read_plan
-from bayesfric.fleet.results import Results
+from bayesfric.fleet.results import Results, failure
 from bayesfric.report.comparison.run_draws import read_draws
 from bayesfric.report.summary.record import Summary, read_summary_file
 
@@ -32,7 +34,10 @@ def test_a_unit_is_done_once_while_nothing_changes(tasks, tmp_path):
     assert first["record"]["status"] == "reliable", first
     # what goes through the scheduler is data
     assert json.loads(json.dumps(first)) == first
-    assert work.do_unit(task) == {"record": first["record"], "again": True}
+    again = work.do_unit(task)
+    assert again == first | {"again": True, "cpu_seconds": again["cpu_seconds"]}
+    # no fit was made
+    assert 0.0 < again["cpu_seconds"] < 0.5 * first["cpu_seconds"]
     # the run is small, and can be gone on with: compared, pooled, fitted again
     run = tmp_path / "units" / "a0"
     assert sum(one.stat().st_size for one in run.iterdir()) < 130_000
@@ -48,7 +53,23 @@ def test_a_unit_is_done_once_while_nothing_changes(tasks, tmp_path):
     assert not changed["again"]
     assert changed["record"]["rows"] != first["record"]["rows"]
     csv.write_text(before)
-    assert work.do_unit(task) == first
+    assert work.do_unit(task)["record"] == first["record"]
+
+
+def test_cpu_seconds_are_of_what_was_done_now(tmp_path):
+    plan = read_plan(write_fleet(tmp_path, good=2))
+    course = _Course(plan, Results(tmp_path / "r.parquet", plan.units), lambda _: None)
+    course.tasks(tmp_path / "units")
+    for name, again in (("a0", False), ("a1", True)):
+        record = failure("as a stand-in")
+        course.arrived(name, {"record": record, "again": again, "cpu_seconds": 1000.0})
+    course.arrived("missing", "its worker died")
+    course.results.records["broken"] = failure("as a stand-in")
+    (tmp_path / "units").mkdir()
+    found = course.end(tmp_path, time.monotonic())
+    assert 2000.0 < found.cpu_seconds < 2060.0
+    assert found.seconds < 60.0
+    assert f"{found.cpu_seconds:.1f} s of CPU time, 1 of them done before" in fleet_text(found)[0]
 
 
 def test_a_unit_that_fails_is_told_in_its_line_until_it_is_mended(tasks, tmp_path):

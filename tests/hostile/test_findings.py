@@ -397,8 +397,8 @@ def test_processing(tmp_path, edit, parts):
 @pytest.mark.parametrize(
     ("old", "new", "parts"),
     cases(
-        ("pattern", '"run.csv"', '"**x/*.csv"', ["recordings.1", "**x"]),
-        ("only-stars", '"run.csv"', '"***"', ["recordings.1"]),
+        ("pattern", '"run.csv"', '"**x/*.csv"', ["recordings.1", "**x", "is no pattern"]),
+        ("only-stars", '"run.csv"', '"***"', ["recordings.1", "is no pattern"]),
         ("unit-tiny", '"rad"', '"1e-320 rad"', ["'q'"]),
         ("unit-huge", '"rad"', '"1e300 rad"', ["'q'", "check its unit"]),
         ("unit-time", 'unit = "s"', 'unit = "1e-300 s"', ["run.csv", "unit of time"]),

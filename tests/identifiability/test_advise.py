@@ -15,11 +15,12 @@ from bayesfric.identifiability.candidates import candidates, limits_of, longest,
 from bayesfric.identifiability.local import local_information
 from bayesfric.identifiability.next_recording import ranking
 from bayesfric.identifiability.plausible import Point, points_around
-from bayesfric.identifiability.virtual_recording import known_mass, played
+from bayesfric.identifiability.virtual_recording import HEAVIEST, known_mass, played
 from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.mechanism import excitation
 from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.forward import simulate
+from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings import Processing
 from bayesfric.recordings.inputs import Inputs
@@ -311,8 +312,49 @@ def test_limits_left_out_come_from_the_recordings(square):
     assert 0.95 * N * PERIOD < limits.duration <= N * PERIOD
     assert longest([square, quick]) is square
     told = limits_of(AdviceOptions(duration=1.0, masses=()), CHAIN, [square], VALUES)
-    lengths = {one.command.size for one in candidates([square], told) if one.made is None}
+    lengths = {
+        one.command.size for one in candidates(CHAIN, VALUES, [square], told) if one.made is None
+    }
     assert lengths == {1000}
+
+
+def test_a_joint_that_was_held_is_asked_for_its_own_motion_only(square):
+    """Far from where the leg hangs, as a controller alone can keep it."""
+    held = replace(square, q=square.q + 2.0)
+    limits = limits_of(AdviceOptions(), CHAIN, [held], VALUES)
+    assert limits.held
+    assert limits.angles == (held.q.min(), held.q.max())
+    assert not limits_of(AdviceOptions(), CHAIN, [square], VALUES).held
+    fed_back = replace(square, settings=square.settings | {"feedback": "position"})
+    assert limits_of(AdviceOptions(), CHAIN, [fed_back], VALUES).held
+    forms = {one.form for one in candidates(CHAIN, VALUES, [held], limits)}
+    assert forms == {"another recording just like 'made-up'", "the motion of 'made-up' again"}
+    # with what is bolted on, its motion asks for the torque of a heavier leg
+    (carrying,) = [
+        one for one in candidates(CHAIN, VALUES, [held], limits) if one.kind == "known mass"
+    ]
+    inertia, moment = carrying.inputs.load("rotary")
+    more = {"load.inertia": inertia, "load.first_moment": moment}
+    heavier = CHAIN.vector({k: v + more.get(k, 0.0) for k, v in KNEE.values.items()})
+    expected = inverse_torque(CHAIN, heavier, held.q, held.qd, held.qdd)
+    np.testing.assert_allclose(carrying.made.torque, expected, rtol=1e-9, atol=1e-12)
+    # which it may be too much for the drive as it was used
+    assert carrying.amplitude > limits.torque
+    tight = ranked("load.first_moment", held)
+    assert [str(why) for _, why in tight.dropped] == ["the torque limit"]
+    found = ranked("load.first_moment", held, options=AdviceOptions(torque_limit=20.0))
+    assert found.advices[0].candidate.kind == "known mass"
+    assert np.isfinite(found.advices[0].after.data_sd)
+    assert np.isinf(found.now.data_sd)
+
+
+def test_no_mass_is_guessed_for_a_load_that_is_far_heavier(square):
+    heavy = CHAIN.vector(
+        {k: v * (1e3 if k.startswith("load") else 1) for k, v in KNEE.values.items()}
+    )
+    assert known_mass(CHAIN, heavy).added_mass == HEAVIEST
+    limits = limits_of(AdviceOptions(), CHAIN, [square], heavy)
+    assert [one.added_mass for one in limits.masses] == [0.0]
 
 
 def test_a_mass_is_proposed_that_weighs_about_as_much_as_there_is():

@@ -9,9 +9,9 @@ import pytest
 from bayesfric.identifiability.coverage import coverage_of
 from bayesfric.identifiability.identification import expected_covariance, identify
 from bayesfric.identifiability.known_quantities import speed_term
-from bayesfric.identifiability.local import local_information
+from bayesfric.identifiability.local import WEAK, local_information
 from bayesfric.identifiability.plausible import Point, estimate_point, points_around
-from bayesfric.identifiability.remedies import WEAK, left_along, open_counts
+from bayesfric.identifiability.remedies import left_along, open_counts
 from bayesfric.identifiability.virtual_recording import played
 from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.mechanism import excitation
@@ -369,3 +369,19 @@ def test_open_directions_are_counted_by_what_they_leave():
     assert open_counts(rotation @ np.diag([sharp, sharp, 0.0]) ** 2 @ rotation.T) == (1, 1)
     assert left_along(np.diag([4.0, 1.0]), np.array([1.0, 0.0])) == pytest.approx(0.5)
     assert left_along(np.diag([4.0, 0.0]), np.array([0.0, 1.0])) == np.inf
+
+
+@pytest.mark.parametrize("sds", [0.5, 1.3, 1.8, 5.0])
+def test_an_offset_that_the_table_says_the_data_tell_is_not_called_weak(make_observation, sds):
+    """Known to a hundredth of the torque, it is well known, whether or not it differs from 0."""
+    chain = AXIS.chain()
+    (observation,) = [make_observation(chain, AXIS.values | {"offset": 0.0}, sigma=1.0, n=1000)]
+    target = make_target(chain, [observation], read_priors(chain, {}, [observation]), "shared")
+    values = np.array([AXIS.values[name] for name in target.free] + [1.0])
+    j = target.free.index("offset")
+    values[j] = sds * local_information(target, values).data_sd[j]
+    found = identify(target, [Point("estimate", values)])
+    (row,) = [one for one in found.parameters if one.name == "offset"]
+    assert row.value / row.data_sd == pytest.approx(sds, rel=1e-6)
+    assert row.verdict == "data"
+    assert not any("offset" in one.exponents for one in found.directions)

@@ -207,6 +207,7 @@ def test_figure(sampled, tmp_path):
         assert by_gid["free"].get_ydata().size == 4
         assert by_gid["chi-square"].get_ydata()[0] == pytest.approx(-2.7055 / 2, abs=1e-4)
         assert by_gid["on bound"].get_text().startswith("$C_")
-    pdf, _ = save(figure, tmp_path, "profile")
+    save(figure, tmp_path, "profile")
+    pdf = tmp_path / "profile.pdf"
     assert b"/Type3" not in pdf.read_bytes()
     assert b"/FontFile2" in pdf.read_bytes()

@@ -9,9 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
+import bayesfric as bf
 from bayesfric.errors import BadInput
 from bayesfric.inference.noise import SCALES
-from bayesfric.inference.prior.defaults import Scales, default_prior
+from bayesfric.inference.prior.defaults import Scales, default_prior, measured_scales
 from bayesfric.inference.prior.priors import read_prior
 from bayesfric.mechanism.presets import PRESETS
 
@@ -117,10 +118,13 @@ def angle(text):
     return read_prior("load.gravity_angle", text, lower=-INF, upper=INF, circular=True)
 
 
-@pytest.mark.parametrize("text", [[0.0, 6.283], [-math.pi, math.pi], [3.0, 9.2832]])
+@pytest.mark.parametrize(
+    "text", [[0.0, 6.283], [-math.pi, math.pi], [3.0, 9.2832], [-3.14, 3.14], [0, 6.3]]
+)
 def test_a_whole_turn_has_no_ends_and_is_cut_anywhere(text):
     prior = angle(text)
     assert prior.whole_turn
+    assert prior.upper - prior.lower == pytest.approx(2.0 * math.pi, rel=1e-15)
     assert prior.limits == (-INF, INF)
     moved = prior.cut_opposite(-3.1)
     np.testing.assert_allclose([moved.lower, moved.upper], [-3.1 - math.pi, -3.1 + math.pi])
@@ -138,7 +142,7 @@ def test_a_part_of_a_turn_stays_where_it_is_and_a_distribution_is_cut_round_its_
     assert (normal.lower, normal.upper) == pytest.approx((3.14 - math.pi, 3.14 + math.pi))
     assert normal.cut_opposite(0.0) is normal
     with pytest.raises(BadInput, match="more than one turn") as caught:
-        angle([0.0, 6.3])
+        angle([0.0, 6.4])
     assert caught.value.mend
 
 
@@ -152,6 +156,30 @@ def test_default_priors_hold_the_presets_own_values(preset):
         assert p.lower <= prior.lower < prior.upper <= p.upper
         density = prior.log_density(np.array([PRESETS[preset].values[p.name]]))
         assert np.isfinite(density).all(), p.name
+
+
+def test_what_a_swing_stores_may_take_more_than_the_motor_gives():
+    """A pendulum at its own frequency: the motor makes up for friction only."""
+    joint = bf.Joint(
+        [bf.Element("motor", inertia=True, viscous=True)], load=bf.Load(first_moment=True)
+    )
+    t = np.arange(0.0, 20.0, 0.01)
+    moment, inertia = 0.35, 0.18
+    pace = math.sqrt(9.81 * moment / inertia)
+    # grows and falls, or inertia and gravity would be one
+    swing = (0.2 + 0.1 * np.sin(0.3 * t)) * np.sin(pace * t)
+    qd, qdd = np.gradient(swing, t), np.gradient(np.gradient(swing, t), t)
+    true = {"motor.inertia": inertia, "motor.viscous": 0.02, "load.first_moment": moment}
+    torque = joint.torque(true, swing, qd, qdd)
+    recording = bf.Recording.from_arrays(time=t, position=swing, torque=torque)
+    scales = measured_scales(joint, bf.Model(joint, recording).observations)
+    assert scales.torque < 0.4 * 9.81 * moment * math.sin(0.3)
+    sds = {p.name: default_prior(joint, p, scales).sd() for p in joint.parameters}
+    assert sds["load.first_moment"] > 0.25 * moment
+    assert sds["motor.inertia"] > 0.25 * inertia
+    # friction the motor does give
+    least = default_prior(joint, joint.parameters[1], replace(scales, exchanged=0.0))
+    assert sds["motor.viscous"] == least.sd()
 
 
 def test_default_scales_follow_the_shaft():

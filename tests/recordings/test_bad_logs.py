@@ -4,6 +4,7 @@ import json
 import shutil
 import sqlite3
 import sys
+from contextlib import closing
 from importlib import resources
 from pathlib import Path
 
@@ -127,7 +128,8 @@ def test_talk_is_no_topic_of_numbers(tmp_path):
 
 def test_a_type_that_nobody_knows(tmp_path):
     (path,) = bag(tmp_path, logs.StoragePlugin.SQLITE3).glob("*.db3")
-    with sqlite3.connect(path) as database:
+    # the connection's own context commits and does not close
+    with closing(sqlite3.connect(path)) as database, database:
         database.execute("UPDATE topics SET type = 'my_msgs/msg/Servo'")
         database.execute("DELETE FROM message_definitions")
     (tmp_path / "one.db3").write_bytes(path.read_bytes())
@@ -137,7 +139,7 @@ def test_a_type_that_nobody_knows(tmp_path):
 def test_definitions_are_not_needed_of_known_types(tmp_path):
     """Bags of ROS 2 before Iron hold none."""
     (path,) = bag(tmp_path, logs.StoragePlugin.SQLITE3).glob("*.db3")
-    with sqlite3.connect(path) as database:
+    with closing(sqlite3.connect(path)) as database, database:
         database.execute("DELETE FROM message_definitions")
     (found,) = read(tmp_path, used("bag"))
     np.testing.assert_array_equal(found.position, logs.numbers()[1][:, 1])

@@ -143,6 +143,9 @@ def test_parallel_filter(factor, band, edges, seed):
     np.testing.assert_allclose(
         used.apply(2 * x - 3 * y), 2 * used.apply(x) - 3 * used.apply(y), atol=1e-12
     )
+    # sums of outputs are sums of samples
+    sums = rng.normal(size=(3, used.n_outputs))
+    np.testing.assert_allclose(used.reached(sums) @ x, sums @ used.apply(x), atol=1e-11)
     if length <= 400:
         # what cannot be used counts for nothing, the rest for that much more
         whole = np.convolve(x * usable, used.taps, mode="valid")[used.starts]

@@ -24,7 +24,7 @@ Q, V = np.sin(3 * T), 3 * np.cos(3 * T)
         (50.0, 50.0, "of the motor"),
         (0.02, 50.0, "of the joint"),
         (-1.0, 50.0, "sign"),
-        (-180 / np.pi, 1.0, "deg/s and taken for rad/s, with the sign turned around"),
+        (-180 / np.pi, 1.0, "taken for deg, with the sign turned around"),
         (1.3, 1.0, "unit, sign and side"),
     ],
 )
@@ -33,6 +33,20 @@ def test_the_likely_mistake_of_a_velocity(factor, ratio, says):
     wrong = made_recording(T, Q, V, 0.005, velocity=factor * V, ratio=ratio)
     (said,) = [w for w in observe(wrong, Processing()).warnings if w.startswith("velocity")]
     has(said, says)
+
+
+@pytest.mark.parametrize(
+    ("time", "position", "says"),
+    [
+        (1.0, np.pi / 180, "or the position in rad and taken for deg"),
+        (1e-3, 1.0, "or the time in s and taken for ms"),
+        (1e3, 1.0, "or the time in ms and taken for s"),
+    ],
+)
+def test_a_velocity_that_is_right_is_not_blamed_alone(time, position, says):
+    wrong = made_recording(time * T, position * Q, V, 0.005 * time, velocity=V)
+    said = [w for w in observe(wrong, Processing()).warnings if w.startswith("velocity")]
+    has(said[0], says)
 
 
 def warned(tmp_path, columns, word, **used):

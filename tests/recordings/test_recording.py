@@ -80,7 +80,7 @@ def test_a_current_of_a_geared_motor():
         velocity=10.0 * np.gradient(Q, T),
         valid=T < 1.5,
         units={"time": "ms"},
-        torque_constant="0.5 N m/A",
+        torque_constant="500 N mm/A",
         side="motor",
         name="knee",
     )
@@ -89,8 +89,11 @@ def test_a_current_of_a_geared_motor():
     assert found.position == pytest.approx(Q)
     assert found.torque == pytest.approx(TAU)
     assert found.excluded.sum() == np.sum(T >= 1.5)
+    # in the motor's unit, whatever it was given in
+    assert found.torque_constant == pytest.approx(0.5)
     slides = measured(Recording.from_arrays(None, Q, TAU, rate="100 Hz"), motion="linear")
     assert slides.period == pytest.approx(0.01)
+    assert slides.torque_constant is None
 
 
 def test_a_table_in_memory_is_kept_as_a_file(tmp_path):

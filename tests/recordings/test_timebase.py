@@ -5,6 +5,7 @@ import pytest
 
 from bayesfric.errors import BadInput
 from bayesfric.recordings import Channel, Current, Position, Processing, Torque, Velocity, Voltage
+from bayesfric.recordings.observation import observe
 
 from .samples import read, source, swing
 
@@ -90,6 +91,16 @@ def test_strange_periods_warn(tmp_path, unit):
     save(tmp_path, *swing())
     recording = read(tmp_path, from_npz(time=Channel(column="t", unit=unit)))[0]
     assert any("unit of time" in warning for warning in recording.warnings)
+
+
+@pytest.mark.parametrize(("times", "unit"), [(1e3, "ms"), (1e6, "us")])
+def test_stamps_taken_for_seconds_are_told_from_their_period(tmp_path, times, unit):
+    """Such a recording is read, with the likely unit, however slow it is taken to be."""
+    t, q, tau = swing(200)
+    save(tmp_path, times * t, q, tau)
+    recording = read(tmp_path, from_npz(time=Channel(column="t", unit="s")))[0]
+    assert any(f"({unit} for s)" in warning for warning in recording.warnings)
+    assert observe(recording, Processing()).measured.size > 0
 
 
 def test_start_stop_and_exclude_count_from_the_first_stamp(tmp_path):

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -58,6 +59,12 @@ KNOWN = [
 ]
 
 
+@pytest.mark.parametrize("kind", get_args(units.Kind))
+def test_what_si_units_are_made_of_is_what_pint_says(kind):
+    # with a number in front it is pint that reads
+    assert units.quantity(f"1 {units.si(kind)}", kind) == 1.0
+
+
 @pytest.mark.parametrize(("text", "kind", "value"), KNOWN)
 def test_known(text, kind, value):
     assert units.scale([text], kind) == pytest.approx(value, rel=1e-12)
@@ -110,6 +117,12 @@ def test_an_angle_without_its_unit_is_asked_for():
         units.scale(["1/4096"], "angle", "position")
 
 
+@pytest.mark.parametrize(("text", "kind"), [("mm", "angle"), ("m/s", "angular_speed")])
+def test_what_slides_is_told_its_key(text, kind):
+    with pytest.raises(BadInput, match='motion = "linear"'):
+        units.scale([text], kind, "my key")
+
+
 def test_product_of_units():
     assert units.scale(["V", "35.15 N/V"], "force", "x") == pytest.approx(35.15)
     assert units.scale(["%", "9.84 mN m"], "torque", "x") == pytest.approx(9.84e-5)
@@ -144,3 +157,20 @@ def test_heavy_libraries_are_loaded_only_when_needed():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    ("text", "kind"),
+    [("s", "time"), ("turn/4096", "angle"), ("deg", "angle"), ("rad/s", "angular_speed"),
+     ("N m", "torque"), ("A", "current"), ("m", "length")],
+)  # fmt: skip
+def test_what_a_guessed_unit_could_be_instead_is_of_its_kind(text, kind):
+    others = units.alternatives(text)
+    assert 0 < len(others) <= 3
+    sizes = [units.scale([one], kind) for one in (text, *others)]
+    assert len(set(sizes)) == len(sizes)
+
+
+def test_what_no_other_unit_is_known_for_has_none():
+    for text in ("0.1 N m/A", "no unit", "ohm"):
+        assert units.alternatives(text) == ()

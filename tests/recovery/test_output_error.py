@@ -83,7 +83,7 @@ def test_the_archive_holds_positions_and_as_many_terms_as_states_leave(run):
 
 def test_methods_stand_side_by_side(run):
     folder, _ = run
-    assert (folder / "figures" / "methods.pdf").is_file()
+    assert (folder / "figures" / "methods.svg").is_file()
     table = (folder / "methods.csv").read_text(encoding="utf-8")
     for method in ("least-squares", "input-error", "output-error", "posterior"):
         assert method in table

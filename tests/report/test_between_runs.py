@@ -39,6 +39,14 @@ def test_only_what_the_data_of_two_runs_determine_is_pooled():
     assert {row["run"] for row in each} == {"a", "b"}
 
 
+def test_what_another_motion_changes_is_not_pooled():
+    other = loaded()
+    other["derived"]["total.inertia"]["of_motion"] = True
+    found = {one.name for one in between_runs(checked(a=knee(), b=other))}
+    assert "total.inertia" not in found
+    assert "total.viscous" in found
+
+
 def weak_in_c():
     other = copy.deepcopy(loaded())
     other["parameters"]["motor.viscous"] |= {"verdict": "weak", "prior_sd": 1.0}

@@ -12,7 +12,7 @@ from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.bounds import bound_mend, bound_warning
-from bayesfric.report.summary.record import PosteriorRow
+from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.summary.summary import summarise
 
 from .made_summaries import failed, knee, posterior_row
@@ -47,16 +47,17 @@ def test_a_bound_that_was_set_is_warned_of_and_widening_it_helps(summaries):
     assert row["at_bound"] == "upper"
     assert row["bound"] == pytest.approx(0.7 * VISCOUS)
     assert row["bound_physical"] is False
-    (told,) = [text for text in narrow["warnings"] if text.startswith("motor.viscous is held")]
-    assert f"widen priors.motor.viscous beyond {0.7 * VISCOUS:.4g} {row['unit']}" in told
-    lines = list(fit_text(narrow, "run"))
+    (told,) = [text for text in narrow["warnings"] if text.startswith("motor.viscous")]
+    for words in ("upper end", f"beyond {0.7 * VISCOUS:.4g} {row['unit']}", "widen priors.motor.v"):
+        assert words in told
+    lines = list(fit_text(narrow))
     assert f"WARNING: {told}" in lines
     mended = wide["parameters"]["motor.viscous"]
     assert mended["at_bound"] is None
     # the constant loss that is not there pulls at it from its own bound
     assert abs(mended["mean"] - VISCOUS) < 4.0 * mended["sd"]
     assert row["interval"][1] < VISCOUS
-    assert not any("is held by" in text for text in wide["warnings"])
+    assert not any("end of its range" in text for text in wide["warnings"])
 
 
 def test_a_physical_bound_is_explained_and_not_warned_of(summaries):
@@ -64,10 +65,12 @@ def test_a_physical_bound_is_explained_and_not_warned_of(summaries):
         row = summary["parameters"]["motor.coulomb"]
         if summary is summaries["wide"]:
             assert (row["at_bound"], row["bound"], row["bound_physical"]) == ("lower", 0.0, True)
-            lines = list(fit_text(summary, "run"))
+            lines = list(fit_text(summary))
             place = next(i for i, x in enumerate(lines) if x.startswith("  motor.coulomb "))
-            assert lines[place + 1].strip().startswith("it cannot be beyond 0 N m")
-        assert not any("motor.coulomb is held" in text for text in summary["warnings"])
+            assert "known only as a limit: at most" in lines[place]
+            assert "cannot tell it from 0 N m, the least that it can be" in lines[place + 1]
+            assert "has more of it" in lines[place + 1]
+        assert not any(text.startswith("motor.coulomb") for text in summary["warnings"])
 
 
 HELD = {"at_bound": "upper", "bound": 0.05, "data_sd": 0.01, "prior_sd": 1.0}
@@ -83,12 +86,33 @@ def test_what_the_prior_alone_makes_needs_no_other_bound():
     assert "widen" in bound_mend("motor.coulomb", PosteriorRow.model_validate(pushed))
 
 
+@pytest.mark.parametrize(("bound", "physical"), [(0.95, False), (1.0, True)])
+@pytest.mark.parametrize("name", ["noise.pacf_1", "noise.pacf_2"])
+def test_a_memory_at_its_bound_is_no_friction_at_zero_and_needs_no_wider_prior(
+    name, bound, physical
+):
+    told = HELD | {"bound": bound, "bound_physical": physical}
+    row = PosteriorRow.model_validate(posterior_row("", 0.94, 0.01, verdict="data", **told))
+    mend = bound_mend(name, row)
+    assert "the model lacks" in mend
+    assert "explain" in mend
+    assert "widen" not in mend
+    assert "small" not in mend
+    # what the joint has keeps its own words, and so does another number of the noise
+    assert "the most that it can be" in bound_mend("motor.coulomb", row) or not physical
+    assert "lacks" not in bound_mend("noise.sigma", row)
+    assert "lacks" not in bound_mend("motor.pacf_1", row)
+
+
 @pytest.mark.parametrize("verdict", ["data", "weak", "prior"])
 def test_the_page_and_the_table_tell_it_beside_the_number(tmp_path, verdict):
     told = copy.deepcopy(knee())
     row = posterior_row("N m", 0.04, 0.01, verdict=verdict, **HELD, bound_physical=False)
     told["parameters"]["motor.coulomb"] = row
-    mend = "widen priors.motor.coulomb beyond 0.05 N m, unless that bound is physical"
+    mend = (
+        "the data would have it beyond 0.05 N m; widen priors.motor.coulomb, unless you know "
+        "that it cannot be larger"
+    )
     (line,) = [r for r in parameter_table(told).rows if r.name == "motor.coulomb"]
     assert line.mend == mend
     page = read_page(run_page(tmp_path, told, "knee"))
@@ -108,10 +132,10 @@ def test_an_unusable_run_prints_no_interval(summaries):
     def shown(text):
         return {name for name in names for line in text if line.strip().startswith(f"{name} ")}
 
-    assert shown(list(fit_text(summary, "run"))) == set(names)
+    assert shown(list(fit_text(summary))) == set(names)
     problem = "the ensembles disagree on motor.inertia: raise sampling.max_steps"
     summary["sampler"]["problems"] = [problem]
-    text = list(fit_text(failed(summary), "run"))
+    text = list(fit_text(failed(summary)))
     assert text[1].strip() == problem
     assert any(line.startswith("No intervals") for line in text)
     assert shown(text) == set()
@@ -122,7 +146,7 @@ def test_of_a_run_that_did_not_converge_what_is_sound_is_shown(summaries, tmp_pa
     summary = failed(summaries["wide"], "motor.inertia")
     summary["sampler"]["status"] = status
     names = [*summary["parameters"], *summary["derived"]]
-    text = list(fit_text(summary, "run"))
+    text = list(fit_text(summary))
     starts = [line.split()[0] for line in text if line.startswith("  ") and "[" in line]
     assert starts == ["motor.inertia"]
     (told,) = [line for line in text if line.startswith("No intervals")]

@@ -1,41 +1,24 @@
-"""The pages in a real browser: drawn, quiet, alone, usable by keyboard, on a phone, on paper.
-
-``AXE_CORE`` names the file ``axe.min.js`` of the npm package axe-core.
-"""
+"""The pages in a real browser: drawn, quiet, alone, usable by keyboard, on a phone, on paper."""
 
 import base64
 import json
-import os
 import re
 import shutil
-import time
 import xml.etree.ElementTree as ET
-from pathlib import Path
 
 import pytest
 
 from bayesfric.commands.compare import compare
 
+from .chromium import barriers, events, needs_axe, needs_browser, show, until
 from .made_fleet import COUNT, WORN, write_fleet
 from .made_summaries import knee, loaded, write_draws
 
-webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
-from selenium.webdriver.chrome.service import Service  # noqa: E402
-from selenium.webdriver.common.by import By  # noqa: E402
-from selenium.webdriver.common.keys import Keys  # noqa: E402
+pytest.importorskip("selenium", reason="selenium is not installed")
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
 
-BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
-DRIVER = shutil.which("chromedriver")
-AXE = Path(os.environ.get("AXE_CORE", "no-such-file"))
-FLAGS = (
-    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
-    "--disable-dev-shm-usage",
-)  # fmt: skip
-
-pytestmark = pytest.mark.skipif(
-    not (BROWSER and DRIVER), reason="needs Debian's chromium and chromium-driver"
-)
+pytestmark = needs_browser
 
 
 @pytest.fixture(scope="module")
@@ -57,18 +40,6 @@ def pages(written_run, tmp_path_factory):
     return alone
 
 
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    options = webdriver.ChromeOptions()
-    options.binary_location = BROWSER
-    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
-        options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    driver = webdriver.Chrome(options=options, service=Service(DRIVER))
-    yield driver
-    driver.quit()
-
-
 @pytest.fixture(params=["run.html", "compare.html", "fleet.html"])
 def page(request, browser, pages):
     return show(browser, pages / request.param)
@@ -77,32 +48,6 @@ def page(request, browser, pages):
 @pytest.fixture
 def run(browser, pages):
     return show(browser, pages / "run.html")
-
-
-def show(browser, path, *, dark=False, width=1280, height=900):
-    browser.get_log("browser")
-    browser.get_log("performance")
-    scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
-    size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
-    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    browser.get(path.as_uri())
-    # tests do not wait for a page to glide
-    browser.execute_script("document.documentElement.style.scrollBehavior = 'auto'")
-    return browser
-
-
-def until(true, seconds=10.0):
-    end = time.monotonic() + seconds
-    while not (found := true()):
-        assert time.monotonic() < end, "it never happened"
-        time.sleep(0.05)
-    return found
-
-
-def events(browser, method):
-    messages = [json.loads(one["message"])["message"] for one in browser.get_log("performance")]
-    return [one["params"] for one in messages if one["method"] == method]
 
 
 def test_it_is_quiet_and_alone(page):
@@ -293,21 +238,10 @@ def test_a_phone_needs_no_sideways_scrolling(browser, pages, name):
     ("name", "dark"),
     [("run.html", False), ("run.html", True), ("compare.html", False), ("fleet.html", True)],
 )
-@pytest.mark.skipif(not AXE.is_file(), reason="AXE_CORE does not name axe.min.js of axe-core")
+@needs_axe
 def test_nothing_keeps_anybody_out(browser, pages, name, dark):
     show(browser, pages / name, dark=dark)
-    browser.execute_script(AXE.read_text(encoding="utf-8"))
-    browser.set_script_timeout(60)
-    found = browser.execute_async_script(
-        "const done = arguments[0]; axe.run(document, {resultTypes: ['violations']})"
-        ".then(r => done(r.violations), e => done([{impact: 'critical', id: String(e)}]))"
-    )
-    bad = [
-        (v["id"], v["help"], [n["target"] for n in v["nodes"]][:3])
-        for v in found
-        if v["impact"] in ("serious", "critical")
-    ]
-    assert bad == []
+    assert barriers(browser) == []
 
 
 def test_dark_and_light_differ_but_figures_stay_white(browser, pages):

@@ -11,6 +11,7 @@ from dataclasses import replace
 import pytest
 
 from bayesfric.errors import BadInput
+from bayesfric.report.alerts import alerts_of
 from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.comparison.table import (
@@ -69,6 +70,21 @@ def test_disagreement_of_references_and_runs_adds_their_variance():
         assert cell.disagreement == pytest.approx(0.7 / math.sqrt(2), rel=1e-6)
 
 
+def test_totals_of_the_motion_are_not_measured_between_runs():
+    a, b = knee(), loaded()
+    assert not [note for note in comparison({"a": a, "b": b}).notes if "own motion" in note]
+    b["derived"]["total.inertia"]["of_motion"] = True  # an older run does not tell
+    found = comparison({"a": a, "b": b})
+    assert found["total.inertia"].cells["b: posterior"].disagreement is None
+    assert found["total.viscous"].cells["b: posterior"].disagreement is not None
+    (note,) = [note for note in found.notes if "own motion" in note]
+    assert note.startswith("total.inertia: ")
+    # of one recording the methods have one motion
+    alone = comparison({"b": b})
+    assert alone["total.inertia"].cells["input-error"].disagreement is not None
+    assert not [note for note in alone.notes if "own motion" in note]
+
+
 def test_estimates_that_disagree_are_named():
     run = knee()
     assert not [note for note in comparison({"knee": run}).notes if "differs" in note]
@@ -78,9 +94,36 @@ def test_estimates_that_disagree_are_named():
     assert not [note for note in comparison({"knee": run}).notes if "differs" in note]
     row["value"] += 1.0 * TOTALS["total.inertia"][4]
     (note,) = [note for note in comparison({"knee": run}).notes if "differs" in note]
-    assert note.startswith("least-squares differs from the posterior by more than 3 sd in")
+    assert note.startswith("least-squares differs from the posterior by more than 3 sd")
     assert "total.inertia:" in note
     assert comparison({"knee": run}).contested == ("total.inertia",)
+
+
+@pytest.mark.parametrize(
+    ("sds", "wide", "doubted", "named"),
+    [
+        (10.0, 3.9, [], True),  # 2.6 of the widened sds, but outside, and 7 of both own
+        (10.0, 8.0, [], False),  # inside what is shown
+        (10.0, 3.9, ["noise"], False),  # the posterior is doubted already, and the run says why
+        (5.0, 2.0, [], False),  # outside, but 3.5 of both own
+        (6.5, 2.5, [], True),  # 2.6, and 4.6
+    ],
+)
+def test_an_estimate_outside_what_the_model_s_error_allows_is_named(sds, wide, doubted, named):
+    run = knee()
+    row = run["parameters"]["motor.inertia"]
+    row |= {"doubted": doubted, "verdict": "weak" if doubted else "data"}
+    sd, middle = row["sd"], row["median"]
+    ends = [middle - 1.645 * wide * sd, middle + 1.645 * wide * sd]
+    row |= {"model_error_interval": ends, "model_error_sd": wide * sd}
+    estimate = run["estimates"]["input-error"]["parameters"]["motor.inertia"]
+    estimate |= {"value": middle + sds * sd, "sd_robust": sd}
+    found = comparison({"knee": run})
+    assert abs(found["motor.inertia"].cells["input-error"].disagreement) < 3.0
+    assert found.contested == (("motor.inertia",) if named else ())
+    told = [one for one in alerts_of(run) if one.kind == "methods"]
+    assert len(told) == named
+    assert all("motor.inertia" in one.text for one in told)
 
 
 def test_estimates_of_another_run_saw_other_data():
@@ -315,7 +358,7 @@ def test_on_a_bound():
     row = run["estimates"]["input-error"]["parameters"]["motor.viscous"]
     row |= {"value": 0.0, "sd": None, "sd_robust": None, "determined": False, "at_bound": "lower"}
     cell = comparison({"a": run})["motor.viscous"].cells["input-error"]
-    assert (cell.status, cell.sd, cell.remark) == ("bound", None, "on its lower bound")
+    assert (cell.status, cell.sd, cell.remark) == ("bound", None, "at the lower end of its range")
     assert cell.disagreement == pytest.approx((0.0 - 3.8e-3) / 4.4e-4, rel=1e-9)
 
 
@@ -325,7 +368,7 @@ def test_a_span_without_width_is_a_bound():
     row = run["estimates"]["input-error"]["parameters"]["joint.viscous"]
     row |= {"value": 0.0, "determined": False, "sd": None, "at_bound": "lower", "span": [0.0, 0.0]}
     cell = comparison({"a": run})["joint.viscous"].cells["input-error"]
-    assert (cell.status, cell.span, cell.remark) == ("bound", None, "on its lower bound")
+    assert (cell.status, cell.span, cell.remark) == ("bound", None, "at the lower end of its range")
 
 
 @pytest.mark.parametrize(("bound", "words", "limit"), [("lower", "at most", 1), ("upper", "at", 0)])

@@ -57,7 +57,7 @@ def test_one_file_makes_a_figure(one_more, tmp_path, knee, monkeypatch):
     run, summary = tmp_path / "run", summarise(knee)
     run_directory.write_run(run, knee, summary, "", [])
     files = {path.name for path in (run / "figures").iterdir()}
-    assert files == {"made_up.pdf", "made_up.svg", "made_up.png"}
+    assert files == {"made_up.svg"}
     caption = "Torque of run 0: nothing is seen."
     written = read_captions((run / "text" / "captions.md").read_text(encoding="utf-8"))
     assert written == {"made_up": caption}

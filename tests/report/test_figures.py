@@ -98,7 +98,8 @@ def test_a_page_wide_and_nothing_cut_off(draw, which, drawn_once):
 
 @figures
 def test_fonts_are_embedded_truetype(draw, drawn_once, tmp_path):
-    pdf, png = save(drawn_once(draw, "many"), tmp_path, "figure")
+    save(drawn_once(draw, "many"), tmp_path, "figure")
+    pdf, png = tmp_path / "figure.pdf", tmp_path / "figure.png"
     content = pdf.read_bytes()
     kinds = set(re.findall(rb"/Subtype /(Type0|Type1|Type3|TrueType|CIDFontType\d)", content))
     assert b"Type0" in kinds or b"TrueType" in kinds
@@ -155,7 +156,8 @@ def test_figures_for_papers(stem, knee, tmp_path):
         assert ax.get_title() == ""
         assert ax.get_xlabel() == "" or has_unit(ax.get_xlabel())
         assert ax.get_ylabel() == "" or has_unit(ax.get_ylabel())
-    pdf, _ = save(figure, tmp_path, stem)
+    save(figure, tmp_path, stem)
+    pdf = tmp_path / f"{stem}.pdf"
     content = pdf.read_bytes()
     kinds = set(re.findall(rb"/Subtype /(Type0|Type1|Type3|TrueType|CIDFontType\d)", content))
     assert b"/FontFile2" in content

@@ -135,7 +135,7 @@ def test_limits_and_bounds():
     ax = panels(forest_figure(found))["motor.viscous"]
     assert len(drawn(ax, "thick")) == 1  # output-error
     words = [t.get_text() for t in ax.texts]
-    assert "on its lower bound" in words
+    assert "at the lower end of its range" in words
     assert any(text.startswith("at most") for text in words)
     assert max(float(x.max()) for x, _ in drawn(ax, "limit")) == pytest.approx(
         found["motor.viscous"].cells["posterior"].limit
@@ -200,7 +200,8 @@ def test_axes_say_units_and_there_are_no_titles(runs):
 
 def test_fonts_are_embedded_truetype(tmp_path):
     figure = forest_figure(comparison(CASES["methods"]))
-    pdf, png = save(figure, tmp_path, "forest")
+    save(figure, tmp_path, "forest")
+    pdf, png = tmp_path / "forest.pdf", tmp_path / "forest.png"
     content = pdf.read_bytes()
     kinds = set(re.findall(rb"/Subtype /(Type0|Type1|Type3|TrueType|CIDFontType\d)", content))
     assert b"Type0" in kinds or b"TrueType" in kinds

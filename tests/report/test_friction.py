@@ -7,14 +7,14 @@ import pytest
 
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.element import Element, Load
-from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.inverse import inverse_torque, load_reach
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.figures.curve_band import CurveJudge
 from bayesfric.report.figures.friction import friction_caption, friction_curves, friction_figure
-from bayesfric.report.figures.friction_curve import Covered, covered, friction_torque, load_reach
+from bayesfric.report.figures.friction_curve import Covered, covered, friction_torque
 from bayesfric.report.figures.registry import JudgedRun, run_figures
 from bayesfric.report.figures.style import COLUMN, PAGE
 from bayesfric.report.paper.tables import parameter_table

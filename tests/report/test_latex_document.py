@@ -7,15 +7,22 @@ import subprocess
 
 import pytest
 
+from bayesfric.report.comparison.between_runs import between_runs
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.figures.friction import friction_figure
 from bayesfric.report.figures.residual import residual_figure
 from bayesfric.report.figures.style import save
 from bayesfric.report.paper.methods_text import methods_text
-from bayesfric.report.paper.tables import methods_latex, parameter_table, parameters_latex
+from bayesfric.report.paper.tables import (
+    between_runs_latex,
+    methods_latex,
+    parameter_table,
+    parameters_latex,
+)
+from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.summary import summarise
 
-from .made_summaries import every_kind
+from .made_summaries import every_kind, loaded
 
 DOCUMENT = r"""\documentclass[journal]{IEEEtran}
 \usepackage[T1]{fontenc}
@@ -29,6 +36,8 @@ DOCUMENT = r"""\documentclass[journal]{IEEEtran}
 Tables \ref{tab:parameters} and \ref{tab:methods}.
 \input{table-every-kind}
 \input{table-every-method}
+\input{table-runs}
+\input{table-between-runs}
 \begin{figure*}\includegraphics{friction}\caption{Friction.}\end{figure*}
 \begin{figure*}\includegraphics{residual}\caption{Residuals.}\end{figure*}
 \bibliographystyle{IEEEtran}
@@ -58,9 +67,12 @@ def pieces(fit):
 def invented_tables():
     """Tables with every kind of number: skewed, limits, on bounds, open, large, negative."""
     run = every_kind()
+    runs = {name: Summary.read(one, name) for name, one in {"a": run, "b_2": loaded()}.items()}
     tables = {
         "table-every-kind.tex": parameters_latex(parameter_table(run)),
         "table-every-method.tex": methods_latex(comparison({"run": run})),
+        "table-runs.tex": methods_latex(comparison(runs)),
+        "table-between-runs.tex": between_runs_latex(between_runs(runs)),
     }
     # labels are unique in a paper
     return {name: text.replace(r"\label{", r"\label{invented-") for name, text in tables.items()}

@@ -31,9 +31,23 @@ def test_numbers_of_this_run(knee, said):
         f"bayesfric {bayesfric.__version__}",
         f"NumPy {version('numpy')}",
         "(input error)",
-        "differentiated without a filter",
+        "Velocities were measured, accelerations differentiated from them without a filter",
     ):
         assert words in said.plain, words
+
+
+def test_a_velocity_that_was_not_measured_was_differentiated(knee):
+    """The made-up motions have a velocity; take it away, and the words must change."""
+    (o,) = knee.observations
+    assert o.settings["velocity"] == "measured"
+    summary = summarise(knee).as_dict()
+    o.settings["velocity"] = "differentiated"
+    try:
+        text = methods_text(knee, summary).plain
+    finally:
+        o.settings["velocity"] = "measured"
+    assert "Velocities and accelerations were differentiated from positions" in text
+    assert "measured, accel" not in text
 
 
 def test_the_noise_model_is_the_summarys(knee):

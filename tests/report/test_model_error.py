@@ -12,6 +12,7 @@ from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.methods_text import methods_text
 from bayesfric.report.paper.tables import summary_texts
+from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.model_error import add_model_error
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.terminal import fit_text
@@ -31,7 +32,7 @@ def test_the_file_holds_both_and_reads_back(wrong):
     assert row["model_error_interval"] != row["interval"]
     assert told["model_error"]["shown"] is True
     assert Summary.read(told).as_dict() == told
-    frame = wrong.summary.frame().set_index("name")
+    frame = wrong.summary.frame.set_index("name")
     assert frame.loc[NAME, "model_error_low"] == row["model_error_interval"][0]
     assert frame.loc[NAME, "low"] == row["interval"][0]
 
@@ -46,7 +47,7 @@ def test_derived_quantities_widen_too(wrong):
 
 
 def test_the_terminal_says_it_first_and_prints_the_wide_one_first(wrong):
-    lines = list(fit_text(wrong.summary, "run"))
+    lines = list(fit_text(wrong.summary))
     row = wrong.summary.parameters[NAME]
     (line,) = (one for one in lines if one.strip().startswith(NAME))
     wide = "[{:.5g}, {:.5g}]".format(*row.model_error_interval)
@@ -110,6 +111,33 @@ def test_what_is_as_wide_as_its_prior_is_no_longer_data(wrong):
     # however badly a draw then fits
     error = ModelError((Axis("speed", 4, 0.0),), root, 1e12 * np.eye(len(names)))
     fit = replace(fit, model_error=error)
-    found = add_model_error(plain, fit)
+    found = add_model_error(plain, fit, groups(fit))
     assert found.parameters["motor.coulomb"].verdict == "weak"
     assert found.parameters["motor.inertia"].verdict == plain.parameters["motor.inertia"].verdict
+
+
+def test_outlying_outputs_are_named_five_at_most_with_what_leaves_them_out(tmp_path, wrong):
+    told = wrong.summary.as_dict()
+    rows = [
+        {"recording": "swing", "time": 16.356 + 0.11 * i, "period": 0.11, "times": 9.0 - i}
+        for i in range(7)
+    ]
+    told["model_error"] |= {"outlying": rows, "set_aside": True}
+    (one,) = (a for a in alerts_of(told) if a.kind == "outlying")
+    assert one.first
+    assert "16.36 s (9 sds)" in one.text
+    assert "and 2 more outputs" in one.text
+    assert "exclude = [[16.3, 16.9]]" in one.text
+    (first, *_) = (a for a in alerts_of(told) if a.kind == "model error")
+    assert "7 outputs too far off for noise are set aside" in first.text
+    assert "set aside for this: swing, 16.36 s" in run_page(tmp_path, told, "run")
+    assert Summary.read(told).as_dict() == told
+
+
+@pytest.mark.parametrize(("number", "said"), [(4, "in 1 way more"), (5, "in 2 ways more")])
+def test_one_way_more_is_no_ways(wrong, number, said):
+    told = wrong.summary.as_dict()
+    row = {"groups": 4, "p_value": 1e-6, "differs": True}
+    told["model_error"]["axes"] = [{"name": f"axis {k}"} | row for k in range(number)]
+    (one,) = (a for a in alerts_of(told) if a.kind == "model error")
+    assert said in one.text

@@ -15,7 +15,8 @@ from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.paper.methods_text import methods_text
 from bayesfric.report.summary import noise
 from bayesfric.report.summary.noise import add_white_intervals, correlation_warning
-from bayesfric.report.summary.record import Spread, Summary
+from bayesfric.report.summary.record import Summary
+from bayesfric.report.summary.rows import Spread
 from bayesfric.report.summary.summary import estimate_summary, summarise
 from tests.report.made_summaries import posterior_row
 

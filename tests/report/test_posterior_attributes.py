@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from bayesfric.inference.archive import read_archive
-from bayesfric.report.run_directory import write_posterior
+from bayesfric.inference.archive import read_archive, write_archive
+from bayesfric.report.run_directory import archived
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.summary import summarise
 
@@ -19,7 +19,7 @@ def run(make_fit, tmp_path_factory):
     fit = make_fit(samples=400, ensembles=2)
     summary = summarise(fit)
     path = tmp_path_factory.mktemp("nc") / "posterior.nc"
-    write_posterior(path, fit, summary, "", [])
+    write_archive(path, **archived(fit, summary, "", []))
     return summary, read_archive(path)
 
 
@@ -59,7 +59,7 @@ def test_reading_and_writing_a_summary_changes_nothing(made):
 
 def test_a_data_frame_has_a_line_for_each_number():
     summary = Summary.read(every_kind())
-    frame = summary.frame().set_index("name")
+    frame = summary.frame.set_index("name")
     assert list(frame.index) == [*summary.parameters, *summary.derived]
     line = frame.loc["motor.coulomb_positive"]
     assert (line["median"], line["low"], line["high"]) == (0.016, 0.002, 0.051)

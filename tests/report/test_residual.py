@@ -1,9 +1,13 @@
 """Residual analysis: white noise passes, and what is missing from a model shows."""
 
+import io
+import re
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
+from matplotlib.collections import LineCollection
 from scipy.signal import lfilter
 
 from bayesfric.inference.fitting import read_priors, target_of
@@ -12,13 +16,19 @@ from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.recordings import Processing
 from bayesfric.report.figures.residual import residual_figure
 from bayesfric.report.figures.style import PAGE
+from bayesfric.report.page.run_page import run_page
+from bayesfric.report.paper.methods_text import methods_text
+from bayesfric.report.paper.tables import parameter_table, parameters_csv
 from bayesfric.report.summary.residual_analysis import (
     lacking,
     residual_analysis,
     residual_words,
 )
+from bayesfric.report.summary.summary import summarise
+from bayesfric.report.terminal import fit_text
 
 from .conftest import SLIDE, draw_fast
+from .page_reader import read_page
 
 # Outputs at 100 Hz.
 SLOW = Processing(lowpass=0, decimate=10, dead_zone=0.02)
@@ -211,3 +221,104 @@ def test_the_figure_is_a_page_wide(which, request):
     figure = residual_figure(request.getfixturevalue(which))
     assert figure.get_figwidth() == PAGE
     draw_fast(figure)
+
+
+def test_no_words_stand_on_bars(knee):
+    """Residuals that remember for long, of noise that has a memory, too: every bar is long."""
+
+    def slow(o, _):
+        return 2.0 * np.sin(np.linspace(0.0, 6.0, o.measured.size))
+
+    figure = residual_figure(disturbed(remembering(knee, 0.9), slow))
+    figure.draw_without_rendering()
+    words = 0
+    for ax in figure.axes:
+        legend = ax.get_legend()
+        boxes = [text.get_window_extent() for text in ax.texts]
+        boxes += [legend.get_window_extent()] if legend else []
+        words += len(boxes)
+        for lines in ax.collections:
+            if not isinstance(lines, LineCollection):
+                continue
+            for path in lines.get_paths():
+                ends = lines.get_transform().transform(path.vertices)
+                for box in boxes:
+                    beside = (ends[:, 0] < box.x0) | (ends[:, 0] > box.x1)
+                    assert (beside | (ends[:, 1].max() < box.y0)).all()
+    assert words >= 4
+
+
+def test_what_was_measured_as_a_current_is_told_in_amperes_too(knee):
+    assert summarise(knee).fit.current_rms is None
+    assert not any(child.get_gid() == "amperes" for child in children(residual_figure(knee)))
+    (o,) = knee.observations
+    o.settings["torque_constant"] = 0.32
+    try:
+        summary, figure = summarise(knee), residual_figure(knee)
+        methods = methods_text(knee, summary).plain
+    finally:
+        del o.settings["torque_constant"]
+    current = summary.fit.residual_rms / 0.32
+    assert summary.fit.current_rms == pytest.approx(current)
+    (line,) = [x for x in fit_text(summary) if x.startswith("Residual rms")]
+    assert line.endswith(f"N m ({current:.4g} A)")
+    assert f"{current:.3g} A of the motor's current" in methods
+    draw_fast(figure)
+    (right,) = [child for child in children(figure) if child.get_gid() == "amperes"]
+    left = figure.axes[2]
+    scales = [
+        float(found[1]) if (found := re.search(r"10\^\{(-?\d+)\}", ax.get_ylabel())) else 0.0
+        for ax in (left, right)
+    ]
+    ends = [
+        np.array(ax.get_ylim()) * 10.0**by for ax, by in zip((left, right), scales, strict=True)
+    ]
+    np.testing.assert_allclose(ends[1], ends[0] / 0.32, rtol=1e-6)
+
+
+def test_torques_of_the_motor_are_told_in_amperes_and_no_others(knee, tmp_path):
+    (o,) = knee.observations
+    assert not any(row.current for row in summarise(knee).rows.values())
+    # a negative constant: current is counted the other way
+    o.settings["torque_constant"] = -0.32
+    try:
+        summary = summarise(knee)
+    finally:
+        del o.settings["torque_constant"]
+    told = {name: row.current for name, row in summary.rows.items() if row.current}
+    # simulated with 0.02 N m of noise
+    assert told["noise.sigma"][0] == pytest.approx(0.02 / 0.32, rel=0.02)
+    assert {name.partition(".")[0] for name in told} == {
+        *("motor", "noise", "total", "total_drive", "total_back")
+    }
+    # of the joint's bearing only what the motor feels of it
+    rest = [name for name, row in summary.rows.items() if row.unit == "N m" and name not in told]
+    assert {name.partition(".")[0] for name in rest} == {"joint"}
+    assert all(summary.rows[name].unit == "N m" for name in told)
+    frame = summary.frame.set_index("name")
+    assert set(frame.index[frame["current"].notna()]) == set(told)
+    ends = frame.loc["motor.coulomb_positive", ["low", "high", "current_low", "current_high"]]
+    np.testing.assert_allclose(ends.iloc[:2].astype(float), 0.32 * ends.iloc[2:].astype(float))
+    (line,) = [x for x in fit_text(summary) if x.split()[:1] == ["noise.sigma"]]
+    assert line.endswith(" A)")
+    table = parameter_table(summary)
+    (note,) = [x for x in table.notes if "in A" in x]
+    assert f"noise.sigma is {told['noise.sigma'][0]:.3g}" in note
+    rows = pd.read_csv(io.StringIO(parameters_csv(table))).set_index("name")
+    assert set(rows.index[rows["current"].notna()]) <= set(told)
+    assert rows.loc["noise.sigma", "current"] == pytest.approx(told["noise.sigma"][0])
+    page = read_page(run_page(tmp_path, summary, "knee"))
+    (line,) = [r for r in page.all("tr") if r.attrs.get("data-name") == "noise.sigma"]
+    assert f"{told['noise.sigma'][0]:.3g} A [" in line.text
+
+
+def test_behind_an_unknown_gain_only_the_noise_is_a_current(make_fit):
+    fit = make_fit(replace(SLIDE, gain=True), samples=400)
+    (o,) = fit.observations
+    o.settings["torque_constant"] = 5.0
+    told = {name for name, row in summarise(fit).rows.items() if row.current}
+    assert told == {"noise.sigma"}
+
+
+def children(figure):
+    return [child for ax in figure.axes for child in ax.child_axes]

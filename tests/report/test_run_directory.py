@@ -4,6 +4,7 @@ import hashlib
 import json
 import platform
 import re
+import shutil
 from dataclasses import replace
 from importlib.metadata import version
 
@@ -22,6 +23,7 @@ from bayesfric.inference.archive import read_archive
 from bayesfric.model import Model
 from bayesfric.report import run_directory
 from bayesfric.report.comparison.comparison import comparison
+from bayesfric.report.files import check_free
 from bayesfric.report.paper.tables import (
     methods_latex,
     parameter_table,
@@ -29,7 +31,7 @@ from bayesfric.report.paper.tables import (
     parameters_latex,
     parameters_markdown,
 )
-from bayesfric.report.run_directory import check_free, write_run
+from bayesfric.report.run_directory import write_run
 from bayesfric.report.summary.summary import summarise, summary_table
 
 from .page_reader import read_page
@@ -68,6 +70,10 @@ SAMPLED = {
 }
 
 
+# Figures that are really drawn here; the others are in tests/commands/test_fit.py.
+DRAWN = ("prior_posterior", "residual")
+
+
 def blank(*_):
     return Figure(figsize=(0.1, 0.1))
 
@@ -85,12 +91,11 @@ def folder(tmp_path_factory):
         simulate(made, folder / f"{name}.csv", seed=seed)
     (folder / "axis.toml").write_text(CONFIG, encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
-        # the real figures are drawn in tests/commands/test_fit.py
         for stem in run_directory.FIGURES:
             # an axis has no ridge and no load, nothing is held out, nobody asked what it lacks
-            if stem not in ("ridge", "efficiency", "validation", "ladder"):
+            if stem not in ("ridge", "efficiency", "validation", "ladder", *DRAWN):
                 patch.setitem(run_directory.FIGURES, stem, drawn_by(stem, blank))
-        fit(read_config(folder / "axis.toml"), folder / "run")
+        fit(read_config(folder / "axis.toml"), folder / "run", paper=True)
     return folder
 
 
@@ -113,7 +118,7 @@ def test_the_files_of_the_design(run):
     found = {path.name for path in run.iterdir()}
     tables = {"summary.csv", "methods.csv", "methods.md"}
     folders = {"figures", "tables", "text"}
-    files = {"posterior.nc", "summary.json", "config.toml", "report.html"}
+    files = {"posterior.nc", "summary.json", "config.toml", "report.html", "page.json"}
     assert found == files | folders | tables
     drawn = {path.name for path in (run / "figures").iterdir()}
     stems = ("corner", "prediction", "trace", "methods", "friction", "prior_posterior", "residual")
@@ -180,6 +185,32 @@ def test_a_run_can_be_reported_again(run, monkeypatch):
     found = report(run)
     assert held(run) == before
     assert set(found["written"]) >= {"report.html", "summary.csv", "tables/parameters.tex"}
+
+
+def test_what_a_paper_wants_can_be_had_later(run, tmp_path, monkeypatch):
+    """Of a run made without it, from draws and recordings: to the byte what --paper gives."""
+    some = {stem: run_directory.FIGURES[stem] for stem in DRAWN}
+    monkeypatch.setattr(run_directory, "FIGURES", some)
+    again = shutil.copytree(run, tmp_path / "run")
+    wanted = [f"figures/{stem}.{kind}" for stem in DRAWN for kind in ("pdf", "png")]
+    wanted += [f"tables/{name}.tex" for name in ("parameters", "methods")]
+    wanted += ["text/methods.tex", "text/references.bib"]
+    for name in wanted:
+        (again / name).unlink()
+    report(again)
+    assert not any((again / name).exists() for name in wanted)
+    assert set(report(again, paper=True)["written"]) >= set(wanted)
+    for name in wanted:
+        assert (again / name).read_bytes() == (run / name).read_bytes(), name
+    assert {path.name for path in again.iterdir()} == {path.name for path in run.iterdir()}
+
+
+def test_a_page_needs_no_paper(tmp_path, make_fit, monkeypatch):
+    monkeypatch.setattr(run_directory, "FIGURES", {"methods": drawn_by("methods", blank)})
+    fit = make_fit(samples=400, ensembles=2)
+    write(tmp_path / "run", (fit, summarise(fit).as_dict()))
+    kinds = {path.suffix for path in (tmp_path / "run").rglob("*") if path.is_file()}
+    assert kinds == {".nc", ".json", ".toml", ".html", ".csv", ".md", ".txt", ".svg"}
 
 
 def test_nothing_else_is_left_beside_it(folder):
@@ -363,6 +394,7 @@ def test_a_figure_that_fails_leaves_the_old_run(tmp_path, made):
     assert held(tmp_path) == before
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_full_disk_is_told_and_leaves_nothing(tmp_path, made, monkeypatch):
     def full(*_, **__):
         raise OSError(28, "No space left on device")
@@ -397,6 +429,6 @@ def test_an_empty_folder_is_used_without_force(tmp_path, made):
 def test_force_does_not_move_what_is_no_run(tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "thesis.tex").write_text("dear reader")
-    with pytest.raises(BadInput, match="holds no run"):
+    with pytest.raises(BadInput, match=r"holds no .summary\.json"):
         check_free(tmp_path / "run", force=True)
     assert set(map(str, held(tmp_path))) == {"run", "run/thesis.tex"}

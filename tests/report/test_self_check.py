@@ -6,10 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bayesfric.report.numbers import text_rounded
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.methods_text import methods_text
+from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import put_doubts
-from bayesfric.report.summary.self_check import self_check_doubts, self_check_part
+from bayesfric.report.summary.record import ModelError
+from bayesfric.report.summary.self_check import self_check_doubts, self_check_lines, self_check_part
 from bayesfric.report.terminal import fit_text
 from bayesfric.self_check.quick_fit import QuickFit
 from bayesfric.self_check.self_check import Checked
@@ -37,7 +40,7 @@ def checked(result, missed, unexplained=0.0, n=40):
 
 
 def told(result, found):
-    part = self_check_part(result.fit, result.summary, found)
+    part = self_check_part(result.fit, result.summary, found, groups(result.fit))
     return result.summary.model_copy(update={"self_check": part})
 
 
@@ -73,7 +76,7 @@ def test_what_no_shift_mends_is_doubtful_and_said_first(result):
     after = put_doubts(summary, [doubt])
     assert after.parameters[NAME].verdict == "weak"
     assert after.sampler.status == "tentative"
-    text = "\n".join(fit_text(after, "run"))
+    text = "\n".join(fit_text(after))
     assert f"the 90 % interval of {NAME} holds it in 9 %" in text
     assert re.search(rf"{NAME} +bias \+0.00 sd, 90 % intervals hold 9 %", text)
 
@@ -102,8 +105,23 @@ def test_the_page_says_why_there_is_none(result, tmp_path):
     assert 'id="self-check"' not in run_page(tmp_path, result.summary, "run")
 
 
+def test_the_terminal_says_of_which_interval_a_correction_is(result):
+    summary = told(result, checked(result, [2.0]))
+    assert "were the model right" not in "".join(self_check_lines(summary))
+    error = ModelError(shown=True)
+    lines = self_check_lines(summary.model_copy(update={"model_error": error}))
+    (line,) = (one for one in lines if one.strip().startswith(NAME))
+    assert "corrected, were the model right: " in line
+
+
 def test_the_methods_say_it_in_one_sentence(result):
-    said = methods_text(result.fit, told(result, checked(result, [2.0]))).plain
+    summary = told(result, checked(result, [2.0]))
+    said = methods_text(result.fit, summary).plain
     assert "In 40 recordings simulated at draws of the posterior" in said
     assert f"{NAME} was biased by more than 0.3 posterior sds" in said
+    row = summary.self_check.rows[NAME]
+    value, low, high = (
+        text_rounded(x, summary.rows[NAME].sd) for x in (row.corrected, *row.corrected_interval)
+    )
+    assert f"{NAME} would be {value} [{low}, {high}]; such simulations" in said
     assert "simulated at draws" not in methods_text(result.fit, result.summary).plain

@@ -13,6 +13,8 @@ import pytest
 from bayesfric.inference.fitting import fit, make_target, read_priors
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.configuration import MechanismOptions
+from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.summary.summary import summarise, summary_table
 
@@ -413,3 +415,24 @@ def test_what_has_converged_by_itself_is_told_where_the_whole_has_not(make_fit):
     sound = {name for name, row in summary["derived"].items() if row["converged"]}
     assert sound
     assert set(summary["derived"]) - sound
+
+
+def test_totals_of_a_joint_with_load_losses_are_those_of_its_motion(knee, slide):
+    derived = summarise(knee).derived
+    of_motion = {name for name, row in derived.items() if row.of_motion}
+    assert of_motion
+    assert {name.partition(".")[0] for name in of_motion} == {"total"}
+    assert {name for name in derived if name.startswith("total_")}
+    assert not any(row.of_motion for row in summarise(slide).derived.values())
+
+
+def test_a_total_that_is_nought_by_geometry_is_no_quantity(make_fit):
+    """Gravity with its zero where it is taken to be has no cosine; one that is off has."""
+    lever = Load(motion="rotary", inertia=False, first_moment=True, gravity_angle=True)
+    own = Element("motor", inertia=True, coulomb="symmetric", viscous=True, subscript="m")
+    fit = make_fit(Joint(elements=(own,), load=lever), samples=600)
+    assert "total.gravity_cosine" in summarise(fit).derived
+    draws = fit.posterior.draws.copy()
+    draws[..., fit.posterior.names.index("load.gravity_angle")] = 0.0
+    level = replace(fit, posterior=replace(fit.posterior, draws=draws))
+    assert "total.gravity_cosine" not in summarise(level).derived

@@ -10,19 +10,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesfric.report import numbers
+from bayesfric.report.comparison.between_runs import between_runs
+from bayesfric.report.comparison.cell import is_skewed
 from bayesfric.report.comparison.comparison import comparison
+from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper import latex
 from bayesfric.report.paper.tables import (
+    between_runs_latex,
     methods_latex,
     parameter_table,
     parameters_csv,
     parameters_latex,
     parameters_markdown,
 )
+from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.summary import summarise
 
 from .made_summaries import LEG, every_kind, knee, loaded
 from .made_tables import ends, lines, num, skewed
+from .page_reader import read_page
 
 CASES = {"open": knee, "loaded": loaded, "invented": every_kind}
 
@@ -162,11 +168,45 @@ def test_methods_table_is_the_comparison(summary):
             elif cell.status == "undetermined":
                 assert text == "---"
             elif cell.status != "limit":
+                if cell.interval and is_skewed(cell.value, *cell.interval):
+                    middle, up, down, last = skewed(re.sub(r"\\textsuperscript\{.*\}$", "", text))
+                    both = [middle - down, middle + up]
+                    np.testing.assert_allclose(both, cell.interval, rtol=0, atol=1.001 * last)
+                    continue
                 value, sd, last = num(re.sub(r"\\textsuperscript\{.*\}$", "", text))
                 tolerance = 0.5001 * last if cell.sd else 1e-3 * abs(cell.value)
                 assert value == pytest.approx(cell.value, abs=tolerance)
                 if cell.sd:
                     assert sd == pytest.approx(cell.sd, abs=0.5001 * last)
+
+
+def test_a_table_of_runs_is_the_comparison_and_what_is_pooled():
+    a, b = knee(), loaded()
+    b["derived"]["total.inertia"]["of_motion"] = True
+    runs = {"a": Summary.read(a, "a"), "b": Summary.read(b, "b")}
+    found = comparison(runs)
+    text = methods_latex(found)
+    body = lines(text)
+    assert len(body) == len(found.rows)
+    assert r"\label{tab:runs}" in text
+    assert "a: posterior & b: posterior" in text
+    marked = [r.name for r, c in zip(found.rows, body, strict=True) if "superscript{m}" in c[0]]
+    assert marked == ["total.inertia"]
+    assert "another motion gives other values" in text
+    # of one run its methods have one motion
+    assert "superscript{m}" not in methods_latex(comparison({"b": runs["b"]}))
+    pooled = between_runs(runs)
+    together = lines(between_runs_latex(pooled))
+    assert len(together) == len(pooled) > 3
+    for cells, one in zip(together, pooled, strict=True):
+        assert cells[1] == latex.unit(one.told.unit)
+        assert cells[5] == "2"
+        for shown, told in zip(
+            cells[2:5], (one.pool.mean, one.pool.following, one.pool.spread), strict=True
+        ):
+            low, high, last = ends(shown)
+            np.testing.assert_allclose([low, high], [told.low, told.high], atol=0.5001 * last)
+    assert between_runs_latex([]) == ""
 
 
 # -- numbers
@@ -225,3 +265,25 @@ def test_names_that_latex_would_trip_over():
 def test_no_uncertainty_no_digits(sd):
     with pytest.raises(ValueError, match="no uncertainty"):
         numbers.last_digit(sd)
+
+
+def test_a_verdict_is_the_same_in_every_table_and_on_the_page(tmp_path):
+    told = every_kind()
+    told["parameters"]["motor.inertia"] |= {"verdict": "weak", "doubted": ["noise"]}
+    table = parameter_table(told)
+    tex, markdown = lines(parameters_latex(table)), parameters_markdown(table).splitlines()[2:]
+    told_csv = csv.DictReader(io.StringIO(parameters_csv(table)))
+    verdicts = {r["name"]: r["verdict"] for r in told_csv}
+    page = read_page(run_page(tmp_path, told, "knee"))
+    shown = {
+        r.attrs["data-name"]: r.text
+        for r in reversed(list(page.all("tr")))
+        if "data-name" in r.attrs
+    }
+    begins = {"motor.coulomb_negative": "data, on one side", "motor.inertia": "doubtful"}
+    for name, words in begins.items():
+        k = next(i for i, r in enumerate(table.rows) if r.name == name)
+        assert tex[k][-1] == words == verdicts[name]
+        assert markdown[k].endswith(f"| {words} |")
+        assert words in shown[name]
+    assert "prior" not in shown["motor.coulomb_negative"]

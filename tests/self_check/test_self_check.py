@@ -11,6 +11,7 @@ from bayesfric.config import Tables
 from bayesfric.errors import BadInput
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.model import Model
+from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.self_check import self_check_part
 from bayesfric.report.terminal import fit_text
 from bayesfric.self_check.self_check import SelfCheckOptions, self_check
@@ -44,10 +45,10 @@ def test_the_bias_of_central_differences_is_found_and_taken_off(central):
 
 def test_what_is_corrected_is_no_doubt_and_said(central):
     assert "self-check" not in [doubt.kind for doubt in central.summary.doubts]
-    text = "\n".join(fit_text(central.summary, "run"))
+    text = "\n".join(fit_text(central.summary))
     assert "motor.inertia by +" in text
     assert "not always found again" in text
-    frame = central.summary.frame().set_index("name")
+    frame = central.summary.frame.set_index("name")
     assert frame.loc["motor.inertia", "corrected"] < frame.loc["motor.inertia", "median"]
 
 
@@ -60,7 +61,7 @@ def test_exact_derivatives_have_next_to_no_bias(exact):
         assert abs(row.bias) < 0.5, name
         assert row.coverage == pytest.approx(0.9, abs=0.03), name
         assert (row.corrected_interval is None) == (abs(row.bias) < 0.3)
-    (line,) = [one for one in fit_text(exact.summary, "run") if one.startswith("Self-check")]
+    (line,) = [one for one in fit_text(exact.summary) if one.startswith("Self-check")]
     assert "found again" in line
 
 
@@ -93,9 +94,9 @@ def test_the_output_error_has_none_and_says_so(exact):
     model = exact.model
     given = (model.recordings, model.observations, model.config.tables.processing)
     checked = self_check(simulating, found.posterior, *given, 20)
-    part = self_check_part(found, exact.summary, checked)
+    part = self_check_part(found, exact.summary, checked, groups(found))
     assert (part.made, part.reason, part.rows) == (0, "likelihood", {})
-    told = fit_text(exact.summary.model_copy(update={"self_check": part}), "run")
+    told = fit_text(exact.summary.model_copy(update={"self_check": part}))
     assert any("Self-check: none, the likelihood is of the position" in line for line in told)
 
 

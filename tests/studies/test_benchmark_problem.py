@@ -115,6 +115,32 @@ def test_same_seed_same_problem(problem, written, tmp_path):
             np.testing.assert_array_equal(first[name], second[name])
 
 
+def test_the_density_that_gradient_samplers_get_is_the_targets(written, problem, monkeypatch):
+    """In coordinates and from moments, with the gradient by hand, near the posterior and off it."""
+    path, target = written
+    with np.load(path) as file:
+        draws = np.exp(file["starts"])
+    target = target.with_widths(draws.std(axis=0))
+    target = target.prepared(target.from_parameters(draws[:300]))
+    # by its own name, which what Numba keeps compiled asks for
+    monkeypatch.syspath_prepend(FOLDER / "same_density")
+    density = importlib.import_module("density")
+    medians = np.array([problem.PRIOR_MEDIANS[name] for name in target.names])
+    reduced = density.Reduced.of(target, draws, medians, problem.PRIOR_SD)
+    u = target.from_parameters(draws[:300])
+    sds = u.std(axis=0)
+    u[100:] += sds * np.random.default_rng(1).standard_normal((200, sds.size))
+    u = u[reduced.distance(target.to_parameters(u)[0]) < density.RADIUS]
+    assert len(u) > 100
+    assert density.check(target(u), np.array([reduced.one(x)[0] for x in u])) < 1e-8
+    for x in u[:: len(u) // 20]:
+        steps = 1e-4 * np.diag(sds)
+        up, down = (np.array([reduced.one(x + sign * s)[0] for s in steps]) for sign in (1, -1))
+        by_differences = (up - down) / 2e-4
+        # kinks and the third derivative of a density whose sds are one in these units
+        np.testing.assert_allclose(reduced.one(x)[1] * sds, by_differences, rtol=1e-4, atol=1e-2)
+
+
 @pytest.mark.slow
 def test_a_rival_runs_and_reports(written):
     """Plain emcee is also in this environment; a second of it shows the way there and back."""

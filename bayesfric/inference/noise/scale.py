@@ -32,6 +32,9 @@ class Scale:
     # tails, comes from one bench
     shared: bool = False
     chosen: bool = False  # whether the residuals of an estimate say if the noise has it
+    # sentence on a posterior that a bound holds, where no wider prior would mend it; see
+    # bayesfric.report.summary.bounds
+    at_bound: str = ""
     remark: str = ""  # a sentence for the methods paragraph, with the reference it rests on
 
     def read_prior(self, texts: Mapping[str, PriorText], sizes: Scales) -> Prior:

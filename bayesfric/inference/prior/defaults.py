@@ -3,24 +3,32 @@
 No single term is expected to need much more torque than the largest measured
 one. So a constant loss gets a half-normal with that torque as its scale, a
 viscous loss that torque over the typical speed, an inertia that torque over the
-typical acceleration, each at its own element's shaft. Scales are rounded to one
+typical acceleration, each at its own element's shaft. What a term stores the motor need not
+give: gravity and inertia of a pendulum that swings carry each other. So these get the torque that
+least squares is sure that one of the terms takes, where that is larger. Scales are rounded to one
 digit: they state an order of magnitude, not a measurement.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesfric.errors import BadInput
+from bayesfric.estimates.least_squares import TotalsProjection, least_squares
 from bayesfric.inference.prior.priors import Prior, PriorText, read_prior
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import CarriedTerm, along
 from bayesfric.mechanism.parameter import TURN, Parameter
 from bayesfric.mechanism.quantities import Sizes, State
 from bayesfric.recordings.observation import Observation
+
+# Share of the samples that a size is the largest of: a glitch must not set a scale.
+_NEARLY_ALL = 0.999
 
 
 @dataclass(frozen=True)
@@ -30,6 +38,8 @@ class Scales:
     torque: float  # largest measured of the motor (99.9th percentile), N m or N
     speed: float  # root mean square at the joint
     acceleration: float
+    lean: float = 1.0  # largest sine of the joint's angle that gravity was seen at
+    exchanged: float = 0.0  # torque that one term surely takes, from another maybe
     position: float = 1.0  # range of the joint's, rad or m
     duration: float = 1.0  # of the longest recording, s
     position_step: float = 0.0  # finest that one was read in; 0 where it is not known
@@ -45,7 +55,9 @@ def measured_scales(chain: Joint, observations: Sequence[Observation]) -> Scales
     acceleration = np.concatenate([o.qdd[o.filter.centres] for o in observations])
     duration = sum(o.period * o.measured.size for o in observations)
     return Scales(
-        torque=float(np.quantile(np.abs(torque), 0.999)),
+        torque=float(np.quantile(np.abs(torque), _NEARLY_ALL)),
+        lean=_lean(chain, observations),
+        exchanged=_surely_taken(chain, observations),
         speed=_rms(speed),
         # a motion that hardly accelerates still changes its speed once in the recording
         acceleration=max(_rms(acceleration), _rms(speed) / duration),
@@ -57,6 +69,27 @@ def measured_scales(chain: Joint, observations: Sequence[Observation]) -> Scales
             for c in chain.carried
         },
     )
+
+
+def _lean(chain: Joint, observations: Sequence[Observation]) -> float:
+    # from an unknown zero it may be any
+    if any(p.circular for p in chain.parameters):
+        return 1.0
+    most = max(float(np.abs(np.sin(o.q[o.filter.centres])).max()) for o in observations)
+    return most or 1.0
+
+
+def _surely_taken(chain: Joint, observations: Sequence[Observation]) -> float:
+    """Give the largest torque that least squares finds in one term, less two of its sds."""
+    projection = TotalsProjection(chain, observations)
+    with suppress(BadInput):
+        found = least_squares(chain, observations)
+        sizes = np.quantile(np.abs(projection.regressors), _NEARLY_ALL, axis=0)
+        known = np.array([v.determined for v in found.values])
+        sds = np.array([max(v.sd, np.nan_to_num(v.sd_robust)) for v in found.values])
+        least = np.abs([v.value for v in found.values]) - 2.0 * sds
+        return float(np.max(least[known] * sizes[known], initial=0.0))
+    return 0.0
 
 
 def _at_outputs(carried: CarriedTerm, o: Observation) -> NDArray[np.float64]:
@@ -83,6 +116,7 @@ def sizes_at(chain: Joint, owner: str, scales: Scales) -> Sizes:
         scales.speed * to_joint,
         scales.acceleration * to_joint,
         chain.load.gravity,
+        scales.lean,
         scales.duration,
     )
 
@@ -92,6 +126,8 @@ def _text(chain: Joint, p: Parameter, scales: Scales) -> PriorText:
     row = p.row
     if row.prior == "uniform":
         return [-TURN / 2.0, TURN / 2.0] if row.circular else [row.lower, row.upper]
+    if row.stores:
+        scales = replace(scales, torque=max(scales.torque, scales.exchanged))
     sizes = sizes_at(chain, p.owner, scales)
     if row.spread is not None:
         scale = row.spread(sizes)

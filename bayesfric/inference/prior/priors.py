@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,9 @@ Array = NDArray[np.float64]
 # What a configuration may say: 3.3e-4, [0, 1] or {distribution = "norm", loc = 1, scale = 2}.
 PriorText = float | Sequence[float] | Mapping[str, Any]
 
-# A range this much wider or narrower than a turn is a turn, rad: nobody types all digits of pi.
-_TURN_TYPED = 1e-3
+# A range this much wider or narrower than a turn is a turn, rad: nobody types all digits of pi, and
+# a gap of a degree that 3.14 or 6.3 leaves nobody means.
+_TURN_TYPED = 0.02
 # Below this share of its mass inside the parameter's support a prior is taken for a mistake.
 _LEAST_MASS = 1e-6
 
@@ -85,6 +87,15 @@ class Prior:
         values = self.distribution.ppf(low + (high - low) * rng.random(n))
         return np.asarray(np.clip(values, self.lower, self.upper), dtype=np.float64)
 
+    def interval(self, level: float) -> tuple[float, float]:
+        """Give the ends of the central interval of probability ``level``, inside the support."""
+        if self.fixed:
+            return self.value, self.value
+        low, high = self.distribution.cdf(self.lower), self.distribution.cdf(self.upper)
+        share = np.array([0.5 - level / 2.0, 0.5 + level / 2.0])
+        ends = np.clip(self.distribution.ppf(low + (high - low) * share), self.lower, self.upper)
+        return float(ends[0]), float(ends[1])
+
     def sd(self) -> float:
         """Return the standard deviation of the cut distribution; 0 where fixed."""
         if self.fixed or self.mass > 1.0 - 1e-12:
@@ -102,8 +113,13 @@ class Prior:
     def _nodes(self) -> tuple[Array, Array]:
         """Nodes and weights of a quadrature in probability, inside the support."""
         low, high = self.distribution.cdf(self.lower), self.distribution.cdf(self.upper)
-        nodes, weights = np.polynomial.legendre.leggauss(200)
+        nodes, weights = _gauss()
         return self.distribution.ppf(low + (high - low) * (nodes + 1.0) / 2.0), weights / 2.0
+
+
+@cache
+def _gauss() -> tuple[Array, Array]:
+    return np.polynomial.legendre.leggauss(200)
 
 
 def fixed(value: float) -> Prior:
@@ -159,6 +175,8 @@ def _range(
     if circular and high - low > TURN + _TURN_TYPED:
         mend = f"give one turn at most, such as [{low:g}, {low + TURN:.6g}]"
         raise BadInput(where, f"[{low:g}, {high:g}] is more than one turn", mend)
+    if circular and high - low > TURN - _TURN_TYPED:
+        high = low + TURN
     shown = f"uniform({low:.6g}, {high:.6g})"
     return Prior(shown, stats.uniform(low, high - low), math.nan, low, high)
 

@@ -119,35 +119,48 @@ def _mixture(z: Array, components: int) -> tuple[Array, Array, Array]:
     """Fit normals to white draws ``(n, d)``: weights, means and Cholesky factors."""
     n, d = z.shape
     skewed = (z * np.sum(z**2, axis=1, keepdims=True)).mean(axis=0)
-    place = np.argsort(np.argsort(z @ skewed)) * components // n
-    share = np.eye(components)[place]
+    share = np.eye(components)[np.argsort(np.argsort(z @ skewed)) * components // n]
+    # densities and moments are both linear in a draw's coordinates and their products
+    i, j = np.triu_indices(d)
+    terms = np.concatenate([np.ones((n, 1)), z, z[:, i] * z[:, j]], axis=1)
     last = -np.inf
     for _ in range(_ROUNDS):
-        weights = share.mean(axis=0)
-        means = (share.T @ z) / (n * weights[:, None])
-        roots = np.empty((components, d, d))
-        level = np.empty((n, components))
-        for k in range(components):
-            away = z - means[k]
-            covariance = (share[:, k, None] * away).T @ away / (n * weights[k])
-            # a component may not collapse onto a few draws
-            roots[k] = _cholesky(covariance + 1e-3 * np.eye(d))
-            white = np.linalg.inv(roots[k]) @ away.T
-            level[:, k] = (
-                math.log(weights[k])
-                - 0.5 * np.sum(white**2, axis=0)
-                - np.log(np.diag(roots[k])).sum()
-            )
-        top = level.max(axis=1, keepdims=True)
-        share = np.exp(level - top)
-        total = share.sum(axis=1, keepdims=True)
-        share /= total
-        gained = float(np.mean(top + np.log(total)))
+        found = _maximised(share, terms, d)
+        share, gained = _expected(found, terms)
         # an empty component would divide by zero in the next round
         if gained - last < _GAIN or share.mean(axis=0).min() * n < 2 * d:
             break
         last = gained
-    return weights, means, roots
+    return found
+
+
+def _maximised(share: Array, terms: Array, d: int) -> tuple[Array, Array, Array]:
+    """Give the normals that suit draws best that belong to each by a share, ``(n, k)``."""
+    moments = share.T @ terms
+    i, j = np.triu_indices(d)
+    means = moments[:, 1 : d + 1] / moments[:, :1]
+    covariances = np.empty((len(moments), d, d))
+    covariances[:, i, j] = covariances[:, j, i] = moments[:, d + 1 :] / moments[:, :1]
+    # draws are white, so nothing cancels; a component may not collapse onto a few of them
+    covariances += 1e-3 * np.eye(d) - means[:, :, None] * means[:, None, :]
+    return moments[:, 0] / len(terms), means, _cholesky(covariances)
+
+
+def _expected(found: tuple[Array, Array, Array], terms: Array) -> tuple[Array, float]:
+    """Give each draw's shares in the normals, ``(n, k)``, and the mean log density."""
+    weights, means, roots = found
+    i, j = np.triu_indices(means.shape[1])
+    inverses = np.linalg.inv(roots)
+    precisions = inverses.transpose(0, 2, 1) @ inverses
+    centres = np.einsum("kij,kj->ki", precisions, means)
+    constant = np.log(weights) - 0.5 * np.einsum("ki,ki->k", means, centres)
+    constant -= np.log(np.diagonal(roots, axis1=1, axis2=2)).sum(axis=1)
+    products = np.where(i == j, -0.5, -1.0) * precisions[:, i, j]
+    level = terms @ np.concatenate([constant[:, None], centres, products], axis=1).T
+    top = level.max(axis=1, keepdims=True)
+    share = np.exp(level - top)
+    total = share.sum(axis=1, keepdims=True)
+    return share / total, float(np.mean(top + np.log(total)))
 
 
 def _cholesky(covariance: Array) -> Array:

@@ -31,6 +31,7 @@ from bayesfric.inference.sampling.start import Start
 from bayesfric.inference.sampling.surrogate import Surrogate
 from bayesfric.inference.sampling.undefined_likelihood import beside_posterior, complaint
 from bayesfric.inference.target import Target
+from bayesfric.recordings.units import in_unit
 
 Array = NDArray[np.float64]
 
@@ -67,9 +68,19 @@ class Sampling(BaseModel):
         "128 where the likelihood is cheap",
     )
     min_ess: float = Field(
-        4000.0, gt=0, le=1e8, description="independent draws wanted of every parameter"
+        4000.0,
+        gt=0,
+        le=1e8,
+        description="independent draws wanted of every parameter",
+        json_schema_extra=in_unit(""),
     )
-    max_rhat: float = Field(1.01, gt=1, le=2, description="largest nested R-hat accepted")
+    max_rhat: float = Field(
+        1.01,
+        gt=1,
+        le=2,
+        description="largest nested R-hat accepted",
+        json_schema_extra=in_unit(""),
+    )
     max_steps: int = Field(
         20_000,
         ge=100,
@@ -260,10 +271,14 @@ def _walk(
     main: _Ensembles, settings: Sampling, most: int, progress: Callable[[Progress], None]
 ) -> _Look:
     """Walk until every criterion is met, the steps are used up or it is hopeless."""
-    block, seen = _block(main.target, settings), []
+    block, seen, enough = _block(main.target, settings), [], math.inf
     while True:
-        # looks at growing distances: a stopping rule asked too often stops by luck
-        main.run(min(max(block, main.steps // 3), most - main.steps))
+        # looks at growing distances: a stopping rule asked too often stops by luck; but nearer
+        # where the last one predicted that less is enough
+        ahead = max(block, main.steps // 3)
+        if enough < main.steps + ahead:
+            ahead = max(block // 2, math.ceil(enough) - main.steps)
+        main.run(min(ahead, most - main.steps))
         moving = convergence.without_stuck(main.chain(), main.acceptance())
         rhats, tau = nested_rhat(moving), convergence.autocorrelation_time(moving)
         ess = convergence.effective_sample_size(moving, tau)
@@ -274,7 +289,8 @@ def _walk(
             and main.steps >= LONG_ENOUGH * tau.max()
         )
         needed = convergence.steps_needed(main.steps, rhats, settings.max_rhat, tau)
-        seen.append((main.steps, float(needed.max())))
+        enough = float(needed.max())
+        seen.append((main.steps, enough))
         lost = not done and hopeless(seen, most)
         if done or lost or main.steps >= most:
             return _Look(rhats, tau, ess, needed, lost)

@@ -10,12 +10,13 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from bayesfric.errors import BadInput, Unfit
 from bayesfric.recordings.tables.table import Table
+from bayesfric.recordings.units import in_unit
 
 _LARGEST_WHOLE = 2**30
 # Opening a pipe waits for ever, and a device never ends.
@@ -34,10 +35,18 @@ class Options(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
+def _name_formats(schema: dict[str, Any]) -> None:
+    schema["enum"] = list(readers())
+
+
 class TableOptions(Options):
     """How a file is laid out."""
 
-    format: str | None = Field(None, description="File format; found from the suffix if left out.")
+    format: str | None = Field(
+        None,
+        description="File format; found from the suffix if left out.",
+        json_schema_extra=_name_formats,
+    )
     delimiter: str | None = Field(
         None,
         description="Text: the character between columns, or 'tab' or 'whitespace'; found by "
@@ -58,6 +67,7 @@ class TableOptions(Options):
         default_factory=dict,
         description="Use only the rows in which columns equal values, such as one episode of "
         "many: { episode_index = 3 }.",
+        json_schema_extra=in_unit(""),
     )
 
     @field_validator("format")

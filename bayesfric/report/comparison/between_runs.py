@@ -16,7 +16,8 @@ from bayesfric.pooling.population import (
 from bayesfric.report.comparison.cell import has_converged
 from bayesfric.report.comparison.comparison import on_one_turn
 from bayesfric.report.comparison.run_draws import RunDraws
-from bayesfric.report.summary.record import PosteriorRow, Summary, of_noise
+from bayesfric.report.summary.record import Summary, of_noise
+from bayesfric.report.summary.rows import PosteriorRow
 
 # Fewer runs whose data determine a quantity are no population.
 _LEAST = 2
@@ -55,7 +56,8 @@ def between_runs(
 ) -> list[PooledQuantity]:
     """Pool every quantity that the data of two runs, on recordings of their own, determine.
 
-    See :func:`told_by_runs` for what counts.
+    See :func:`told_by_runs` for what counts. What another motion changes is not pooled: runs of one
+    joint may differ in it.
     """
     return [
         PooledQuantity(
@@ -64,6 +66,7 @@ def between_runs(
             population(list(one.likelihoods.values()), next(iter(one.runs.values())).level),
         )
         for one in told_by_runs(runs, draws)
+        if not any(row.of_motion for row in one.runs.values())
     ]
 
 

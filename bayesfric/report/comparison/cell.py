@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from bayesfric.report.numbers import Medium
 from bayesfric.report.summary.bounds import told_by_data
 from bayesfric.report.summary.part import Bound
-from bayesfric.report.summary.record import EstimatedRow, PosteriorRow, Readable, Summary
+from bayesfric.report.summary.record import Readable, Summary
+from bayesfric.report.summary.rows import EstimatedRow, PosteriorRow
 
 Status = Literal["determined", "undetermined", "bound", "limit", "known"]
 _NOT_DETERMINED = "not determined"
@@ -15,6 +17,27 @@ DOUBTFUL = "doubtful: not what the data determine, see what the run warns of"
 TOGETHER = "data, prior and bounds together"
 NOT_CONVERGED = "the sampling has not converged"
 _LOST = "the search has not converged"
+
+
+# Ends of the interval whose distances from the median differ by more than this are skewed.
+_SKEWED = 0.2
+# Half width of a 90 % interval of a normal distribution, in standard deviations.
+HALF = 1.645
+
+
+def is_skewed(middle: float, low: float, high: float) -> bool:
+    """Whether one sd would misname an interval's two sides."""
+    down, up = middle - low, high - middle
+    return abs(up - down) > _SKEWED * (up + down)
+
+
+def settled_by(row: PosteriorRow) -> str:
+    """Say what settles a number that the data alone do not."""
+    if row.doubted:
+        return DOUBTFUL
+    if row.given_by:
+        return f"determined by the data and your prior on {', '.join(row.given_by)}"
+    return TOGETHER
 
 
 @dataclass(frozen=True)
@@ -48,6 +71,14 @@ class Cell:
     # whether there is a posterior, or an estimate, at all; `undetermined` where not
     converged: bool = True
 
+    def written(self, medium: Medium) -> str:
+        """Write the value with its sd; a skewed one with the distances to its interval's ends."""
+        if not self.sd:
+            return medium.number(self.value, 5)
+        if self.interval is not None and is_skewed(self.value, *self.interval):
+            return medium.ends(self.value, *self.interval, self.sd)
+        return medium.value(self.value, self.sd)
+
 
 def estimate_cell(row: EstimatedRow, converged: bool = True) -> Cell:
     """Judge one number of a point estimate, whose search ended at a minimum or did not."""
@@ -57,7 +88,7 @@ def estimate_cell(row: EstimatedRow, converged: bool = True) -> Cell:
         # a scaling does not move a zero away from its bound
         span = row.span if row.span is not None and row.span[0] < row.span[1] else None
         if row.at_bound is not None and span is None:
-            return Cell(row.value, "bound", remark=f"on its {row.at_bound} bound")
+            return Cell(row.value, "bound", remark=f"at the {row.at_bound} end of its range")
         return left_open(row.value, span)
     if row.sd_robust is None:
         return Cell(row.value, "determined", sd=row.sd, sd_plain=row.sd)
@@ -101,7 +132,7 @@ def posterior_cell(row: PosteriorRow, accounts: bool, status: str = "reliable") 
         )
     if row.verdict == "prior":
         return left_open(row.middle, None, ": prior and bounds")
-    remarks = [DOUBTFUL if row.doubted else TOGETHER] if row.verdict == "weak" else []
+    remarks = [settled_by(row)] if row.verdict == "weak" else []
     remarks += row.beside
     return Cell(
         row.middle,

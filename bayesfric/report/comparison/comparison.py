@@ -16,17 +16,14 @@ from bayesfric.errors import BadInput
 from bayesfric.estimates.point_estimate import METHODS, Kind, Method
 from bayesfric.mechanism.parameter import turned
 from bayesfric.report.comparison.cell import Cell, estimate_cell, left_open, posterior_cell
-from bayesfric.report.summary.record import (
-    PosteriorRow,
-    Readable,
-    ReferenceRow,
-    Summary,
-    of_noise,
-)
+from bayesfric.report.summary.record import Readable, Summary, of_noise
+from bayesfric.report.summary.rows import PosteriorRow, ReferenceRow
 
 REFERENCE = "reference"
 # Standard deviations of the posterior beyond which an estimate is another one.
 _FAR = 3.0
+# And outside the interval shown: sds of both, the posterior's own, that are no chance either.
+_FAR_OF_BOTH = 4.0
 
 
 @dataclass(frozen=True)
@@ -48,7 +45,8 @@ class Row:
     """One quantity; ``cells`` by column label, those that have it.
 
     ``symbol`` is LaTeX without dollar signs, empty where no file tells it.
-    ``gauge_free`` is whether scaling leg parameters and alpha together leaves it.
+    ``gauge_free`` is whether scaling leg parameters and alpha together leaves it, ``of_motion``
+    whether another motion of the same joint has another value.
     """
 
     name: str
@@ -58,6 +56,7 @@ class Row:
     kind: Kind
     gauge_free: bool
     cells: Mapping[str, Cell]
+    of_motion: bool = False
 
 
 @dataclass(frozen=True)
@@ -92,6 +91,7 @@ class _Facts:
     said: list[bool] = field(default_factory=list)
     guessed: list[bool] = field(default_factory=list)
     cells: dict[str, Cell] = field(default_factory=dict)
+    of_motion: bool = False
     # words of each run's posterior, which state for example the load of an efficiency
     meanings: dict[str, str] = field(default_factory=dict)
 
@@ -163,6 +163,7 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
         if run.sampler.status != "reliable"
     ]
     notes += _meanings(facts)
+    notes += _of_motion(facts, runs)
     reference = _add_references(facts, runs, notes)
     if reference is not None:
         columns.append(reference)
@@ -175,17 +176,20 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
             meaning=fact.meaning,
             kind=fact.kind,
             gauge_free=fact.gauge_free,
-            cells=_measured(fact.cells, columns, baseline),
+            cells=_measured(fact, columns, baseline),
+            of_motion=fact.of_motion,
         )
         for name, fact in facts.items()
         if fact.found
     ]
     rows.sort(key=_order)  # keeps the order of the files within each group
     mine = [c for c in columns if baseline is not None and c.run == baseline.run]
-    apart = {column.label: _apart(rows, column) for column in mine if column.kind == "estimate"}
+    told = runs[baseline.run].rows if baseline is not None else {}
+    apart = {c.label: _apart(rows, c, told) for c in mine if c.kind == "estimate"}
     notes += [
-        f"{label} differs from the posterior by more than {_FAR:g} sd in {', '.join(names)}: the "
-        "two take different things for granted, and of one of them they do not hold."
+        f"{label} differs from the posterior by more than {_FAR:g} sd, or {_FAR_OF_BOTH:g} of both "
+        f"were the model right, in {', '.join(names)}: the two take different things for granted, "
+        "and of one of them they do not hold."
         for label, names in apart.items()
         if names
     ]
@@ -233,6 +237,7 @@ def _gather(facts: dict[str, _Facts], run: str, summary: Summary) -> None:
                 continue
             fact = tell(name, row, _kind(name, summary), row.gauge_free)
             fact.meanings[run] = row.meaning
+            fact.of_motion |= row.of_motion
             # the joint's own symbol before that of what least squares sees
             fact.symbol = row.symbol or fact.symbol
             # the data alone leave what a scaling changes without any sd
@@ -335,15 +340,39 @@ def _meanings(facts: Mapping[str, _Facts]) -> Iterator[str]:
             yield f"{name} is not the same everywhere: {each}."
 
 
-def _apart(rows: list[Row], column: Column) -> list[str]:
-    """Name the determined numbers in which an estimate is far from the first posterior."""
+def _of_motion(facts: Mapping[str, _Facts], runs: Mapping[str, Summary]) -> Iterator[str]:
+    names = [name for name, fact in facts.items() if fact.of_motion]
+    if names and len(runs) > 1:
+        yield (
+            f"{', '.join(names)}: what a fit without load losses would find along each run's own "
+            "motion; another motion of the same joint gives other values, so runs are not measured "
+            "against each other by them."
+        )
+
+
+def _apart(rows: list[Row], column: Column, told: Mapping[str, PosteriorRow]) -> list[str]:
+    """Name the determined numbers in which an estimate is far from a posterior, ``told``."""
     return [
         row.name
         for row in rows
         if (cell := row.cells.get(column.label)) is not None
         and cell.status == "determined"
-        and abs(cell.disagreement or 0.0) > _FAR
+        and (
+            abs(cell.disagreement or 0.0) > _FAR
+            or (cell.disagreement is not None and _outside(cell, told[row.name]))
+        )
     ]
+
+
+def _outside(cell: Cell, told: PosteriorRow) -> bool:
+    """Whether an estimate is far from an undoubted posterior, room for the model's error or not.
+
+    The posterior's own sd counts: that which the model's error widens holds a lot, and two answers
+    of the same data that noise cannot part are worth a word.
+    """
+    low, high = told.told_interval
+    apart = abs(cell.value - told.middle) / math.hypot(told.sd, cell.sd or 0.0)
+    return not told.doubted and not low <= cell.value <= high and apart > _FAR_OF_BOTH
 
 
 def _add_references(
@@ -375,17 +404,18 @@ def _add_references(
     return Column(REFERENCE, "reference", "", None, ", ".join(sources)) if found else None
 
 
-def _measured(
-    cells: Mapping[str, Cell], columns: list[Column], baseline: Column | None
-) -> dict[str, Cell]:
+def _measured(fact: _Facts, columns: list[Column], baseline: Column | None) -> dict[str, Cell]:
     """Put the cells into the columns' order and measure them against the first posterior."""
-    ordered = {c.label: cells[c.label] for c in columns if c.label in cells}
+    ordered = {c.label: fact.cells[c.label] for c in columns if c.label in fact.cells}
     base = ordered.get(baseline.label) if baseline else None
     if baseline is None or base is None or base.status != "determined" or not base.sd:
         return ordered
     for column in columns:
         cell = ordered.get(column.label)
         if cell is None or column is baseline:
+            continue
+        # two motions need not agree
+        if fact.of_motion and column.run not in ("", baseline.run):
             continue
         # what a run took as known is no finding, and what is open agrees with anything
         if cell.status in ("determined", "bound") or column.kind == "reference":

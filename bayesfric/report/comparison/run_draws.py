@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from bayesfric.errors import BadInput
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
-from bayesfric.report.summary.record import PosteriorRow, Summary
+from bayesfric.report.summary.record import Summary
+from bayesfric.report.summary.rows import PosteriorRow
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayesfric.report.comparison.cell import Cell
 from bayesfric.report.comparison.comparison import Comparison
-from bayesfric.report.numbers import text_rounded, text_value
+from bayesfric.report.numbers import TEXT, text_rounded
 from bayesfric.report.text_templates import filled
 
 if TYPE_CHECKING:
@@ -131,7 +131,7 @@ def _cell_parts(cell: Cell | None) -> list[str]:
     parts = []
     if cell.status not in ("undetermined", "limit"):
         plain = cell.status == "determined" and not cell.accounts
-        parts.append(text_value(cell.value, cell.sd) + (_PLAIN if plain else ""))
+        parts.append(cell.written(TEXT) + (_PLAIN if plain else ""))
     if cell.interval is not None:
         low, high = (text_rounded(end, cell.sd) for end in cell.interval)
         parts.append(f"[{low}, {high}]")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -52,6 +53,13 @@ def corner_figure(fit: Fit, summary: Summary, chosen: Sequence[str] | None = Non
     eight: where the data leave parameters open, first combinations that they determine, then what
     they determine of the parameters; else the parameters as sampled.
     """
+    return _drawn(*_parts(fit, summary, chosen))
+
+
+def _parts(
+    fit: Fit, summary: Summary, chosen: Sequence[str] | None = None
+) -> tuple[list[Quantity], list[Cell], list[Quantity]]:
+    """Give what is shown, what is said of each, and what is left out."""
     cells = posterior_cells(summary)
     sampled = quantities(fit)
     # what fixed parameters make up is known, and has no posterior
@@ -60,13 +68,15 @@ def corner_figure(fit: Fit, summary: Summary, chosen: Sequence[str] | None = Non
         shown = _choice(sampled, combined, cells, fit.target.noise.names)
     else:
         shown = _pick([*combined, *sampled], chosen)
-    left_out = [q for q in sampled if q not in shown]
+    return shown, [cells[q.name] for q in shown], [q for q in sampled if q not in shown]
+
+
+def _drawn(shown: list[Quantity], judged: list[Cell], left_out: list[Quantity]) -> Figure:
     k = len(shown)
     with paper_figure(PAGE, PAGE, apart=0.02) as figure:
         grid = figure.add_gridspec(k, k)
         draws = [q.draws / q.factor for q in shown]
         ranges = [q.nearly_all(0.06) for q in shown]
-        judged = [cells[q.name] for q in shown]
         open_ = [cell.status == "undetermined" for cell in judged]
         for i in range(k):
             for j in range(i + 1):
@@ -168,7 +178,7 @@ FIGURE = RunFigure(
     title="Marginal and pairwise posteriors",
     section="posterior",
     place=1,
-    draw=lambda run: corner_figure(run.fit, run.summary),
+    draw=lambda run: partial(_drawn, *_parts(run.fit, run.summary)),
     caption=(
         f"Diagonal: posterior density with {100 * LEVEL:.0f} % interval, dashed the prior of "
         "parameters. Below: 50 % and 90 % of the draws. What the data leave open is hatched, has "

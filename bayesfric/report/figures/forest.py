@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -12,15 +13,13 @@ from matplotlib.legend_handler import HandlerLine2D
 from matplotlib.lines import Line2D
 
 from bayesfric.errors import BadInput
-from bayesfric.report.comparison.cell import Cell
+from bayesfric.report.comparison.cell import HALF, Cell
 from bayesfric.report.comparison.comparison import REFERENCE, Column, Comparison, Row, comparison
 from bayesfric.report.figures import style
 from bayesfric.report.figures.registry import ComparisonFigure, RunFigure
 from bayesfric.report.figures.style import Look, power_of_ten, remark_below, run_style, shortened
 from bayesfric.report.summary.summary import LEVEL
 
-# Half width of a 90 % interval of a normal distribution, in standard deviations.
-_HALF = 1.645
 # Up to so many panels stand below each other in one column of a paper.
 _FEW = 4
 _ACROSS = 3
@@ -174,7 +173,7 @@ def _panel(ax: Axes, row: Row, lines: list[_Line], inches: float) -> None:
 
 
 def _around(cell: Cell, sd: float) -> tuple[float, float]:
-    return cell.value - _HALF * sd, cell.value + _HALF * sd
+    return cell.value - HALF * sd, cell.value + HALF * sd
 
 
 def _bars(cell: Cell) -> list[tuple[tuple[float, float], str, Look]]:
@@ -330,7 +329,7 @@ METHODS = RunFigure(
     title="Estimates and posterior side by side",
     section="methods",
     # of a single run, whose name is nowhere shown
-    draw=lambda run: forest_figure(comparison({"run": run.summary})),
+    draw=lambda run: partial(forest_figure, comparison({"run": run.summary})),
     caption=f"Every quantity by every method and by the posterior. {_BARS}",
     alternative=lambda judged: forest_words(judged.methods),
 )

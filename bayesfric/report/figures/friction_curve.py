@@ -24,7 +24,7 @@ from scipy.spatial import cKDTree
 
 from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism import kernels
-from bayesfric.mechanism.inverse import load_torque
+from bayesfric.mechanism.inverse import load_reach, load_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import State
 from bayesfric.recordings.inputs import AT_ROOM
@@ -34,21 +34,6 @@ from bayesfric.report.figures.style import Array
 # A place counts as covered by this many outputs within this share of the recorded span.
 _NEIGHBOURS = 3
 _NEAR = 0.08
-
-
-def load_reach(chain: Joint, values: Array, *, open_scale: bool) -> Array:
-    """Factors ``(n,)`` from the load's torque at the joint to its loss-free torque at the motor.
-
-    ``1/N``, or ``lambda_1/N`` where the scale between leg and alpha is open (see the module); over
-    ``drive.gain`` where that is a parameter, as the torque itself is.
-    """
-    elements, load, _ = chain.tables(values)
-    gain = load[:, kernels.GAIN]
-    if not open_scale:
-        return np.asarray(1.0 / (chain.ratio * gain))
-    drive = np.prod(1.0 + elements[:, :, kernels.LOAD_DRIVE], axis=1)
-    back = np.prod(1.0 - elements[:, :, kernels.LOAD_BACK], axis=1)
-    return np.asarray(0.5 * (drive + back) / (chain.ratio * gain))
 
 
 def friction_torque(

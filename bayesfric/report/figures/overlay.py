@@ -22,7 +22,8 @@ from bayesfric.report.comparison.comparison import Row
 from bayesfric.report.figures import style
 from bayesfric.report.figures.registry import ComparedRuns, ComparisonFigure
 from bayesfric.report.figures.style import Array, Look, corner_words, run_style, shortened
-from bayesfric.report.summary.record import PosteriorRow, Summary
+from bayesfric.report.summary.record import Summary
+from bayesfric.report.summary.rows import PosteriorRow
 
 Told = Literal["data", "both", "open"]
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import partial
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -15,7 +18,8 @@ from bayesfric.report.figures.quantity import Quantity, not_shown, quantities
 from bayesfric.report.figures.registry import JudgedRun, RunFigure
 from bayesfric.report.figures.style import corner_words, panel_grid, paper_figure, remark_below
 from bayesfric.report.page.values import judgement
-from bayesfric.report.summary.record import PosteriorRow, Summary
+from bayesfric.report.summary.record import Summary
+from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.summary.summary import LEVEL
 
 _COLUMNS = 4
@@ -33,16 +37,20 @@ def prior_posterior_figure(fit: Fit, summary: Summary) -> Figure:
     some times as wide as the posterior, else the posterior with the prior passing through;
     the ratio of the two sds stands beside the verdict. At most twenty-four panels.
     """
-    everything = quantities(fit)
+    return _drawn(quantities(fit), summary.parameters, posterior_cells(summary))
+
+
+def _drawn(
+    everything: list[Quantity], rows: Mapping[str, PosteriorRow], judged: Mapping[str, Cell]
+) -> Figure:
     shown, left_out = everything[:_MOST], everything[_MOST:]
-    judged = posterior_cells(summary)
     cells = [judged[q.name] for q in shown]
     with paper_figure(
         style.PAGE, _AROUND + _ROW * -(-len(shown) // _COLUMNS), apart=0.05
     ) as figure:
         panels = panel_grid(figure, len(shown), _COLUMNS)
         for ax, q, cell in zip(panels, shown, cells, strict=True):
-            _panel(ax, q, summary.parameters[q.name], cell)
+            _panel(ax, q, rows[q.name], cell)
         ratio = Line2D([], [], linestyle="none", label="1:n  sd of posterior to prior")
         style.legend_above(figure, [*marginal_handles(cells), ratio])
         remark_below(figure, not_shown(left_out))
@@ -91,7 +99,9 @@ FIGURE = RunFigure(
     stem="prior_posterior",
     title="Prior and posterior",
     section="posterior",
-    draw=lambda run: prior_posterior_figure(run.fit, run.summary),
+    draw=lambda run: partial(
+        _drawn, quantities(run.fit), run.summary.parameters, posterior_cells(run.summary)
+    ),
     caption=(
         f"Prior (dashed) and posterior density of each parameter; dotted: {100 * LEVEL:.0f} % "
         "interval; hatched where the data leave the parameter open. 1:n compares the sds of "

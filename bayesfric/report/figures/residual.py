@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
 from scipy import stats
 
 from bayesfric.inference.fitting import Fit
 from bayesfric.report.figures import style
 from bayesfric.report.figures.prediction import residuals_in_words
 from bayesfric.report.figures.registry import FinishedRun, JudgedRun, RunFigure
-from bayesfric.report.figures.style import few_ticks, paper_figure, power_of_ten, scaled_unit
+from bayesfric.report.figures.style import Array, few_ticks, paper_figure, power_of_ten, scaled_unit
 from bayesfric.report.numbers import p_text
 from bayesfric.report.summary.residual_analysis import (
     Binned,
@@ -19,6 +20,7 @@ from bayesfric.report.summary.residual_analysis import (
     residual_analysis,
     residual_words,
 )
+from bayesfric.report.summary.summary import torque_constant
 from bayesfric.report.text_templates import white_words
 
 _HEIGHT = 3.6
@@ -38,7 +40,7 @@ def residual_figure(fit: Fit) -> Figure:
         upper = halves[0].subgridspec(1, 2, width_ratios=(2.0, 1.0))
         _draw_correlation(figure.add_subplot(upper[0]), fit, found)
         _draw_quantiles(figure.add_subplot(upper[1]), found)
-        reach = max((float((abs(b.mean) + b.sd).max()) for b in found.against), default=1.0)
+        reach = max((float((abs(b.mean) + _bar(b)).max()) for b in found.against), default=1.0)
         exponent = power_of_ten(-reach, reach)
         lower = style.panel_grid(figure, len(found.against), max(len(found.against), 1), halves[1])
         for ax, binned in zip(lower, found.against, strict=True):
@@ -48,6 +50,7 @@ def residual_figure(fit: Fit) -> Figure:
             ax.tick_params(labelleft=ax is lower[0])
         if lower:
             lower[0].set_ylabel(f"residual ({scaled_unit(exponent, found.unit)})")
+            _draw_amperes(lower[-1], torque_constant(fit), reach, 10.0**exponent)
     return figure
 
 
@@ -84,7 +87,11 @@ def _draw_correlation(ax: Axes, fit: Fit, found: ResidualAnalysis) -> None:
     ax.set_ylabel("autocorrelation (–)")
     few_ticks(ax.xaxis, 8)
     few_ticks(ax.yaxis, 5)
-    ax.legend(loc="upper right", handlelength=1.6, borderpad=0.2)
+    # above the panel: a slow memory's bars reach to all of its corners
+    ax.legend(
+        loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, handlelength=1.6, frameon=False,
+        borderpad=0.1, borderaxespad=0.1, columnspacing=1.2,
+    )  # fmt: skip
 
 
 def _draw_quantiles(ax: Axes, found: ResidualAnalysis) -> None:
@@ -99,6 +106,30 @@ def _draw_quantiles(ax: Axes, found: ResidualAnalysis) -> None:
     ax.set_ylabel(f"of {'residuals' if found.innovations is None else 'innovations'} (rms)")
     few_ticks(ax.xaxis, 5)
     few_ticks(ax.yaxis, 5)
+
+
+def _draw_amperes(ax: Axes, constant: float | None, reach: float, factor: float) -> None:
+    """Tell residuals in the current that was measured, too, on the right."""
+    if not constant:
+        return
+    exponent = power_of_ten(-reach / abs(constant), reach / abs(constant))
+    by = factor / (abs(constant) * 10.0**exponent)
+
+    def there(y: ArrayLike) -> ArrayLike:
+        return by * np.asarray(y, dtype=np.float64)
+
+    def back(a: ArrayLike) -> ArrayLike:
+        return np.asarray(a, dtype=np.float64) / by
+
+    right = ax.secondary_yaxis("right", functions=(there, back))
+    right.set_ylabel(f"as current ({scaled_unit(exponent, 'A')})")
+    right.set_gid("amperes")
+    few_ticks(right.yaxis, 5)
+
+
+def _bar(b: Binned) -> Array:
+    """Half the length of the longer of a bin's two bars."""
+    return np.fmax(b.sd, _HALF * b.error)
 
 
 def _draw_binned(ax: Axes, b: Binned, factor: float) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -109,18 +109,34 @@ def paper_style() -> Iterator[None]:
         yield
 
 
-def save(figure: Figure, folder: Path, stem: str) -> tuple[Path, Path]:
-    """Write a figure as ``<stem>.pdf``, ``.svg``, ``.png`` (300 dpi); give PDF and PNG.
+# A figure, or what draws it and can be sent to another process.
+Drawing = Figure | Callable[[], Figure]
+# Files of a figure: what a page shows, what goes into papers and talks.
+ON_PAGE, IN_PAPER = ("svg",), ("pdf", "png")
+ALL_KINDS = (*ON_PAGE, *IN_PAPER)
+# What makes the same figure the same bytes.
+_UNDATED: dict[str, dict[str, Any]] = {
+    "pdf": {"metadata": {"CreationDate": None}},
+    "svg": {"metadata": {"Date": None}},
+    "png": {"dpi": 300.0},
+}
 
-    The same figure gives the same bytes: no date is written, and names inside the SVG
-    come from a fixed salt. Its size is kept, nothing is cropped.
+
+def drawn(drawing: Drawing) -> Figure:
+    """Give the figure, drawn now where it is not yet."""
+    return drawing() if callable(drawing) else drawing
+
+
+def save(drawing: Drawing, folder: Path, stem: str, kinds: Sequence[str] = ALL_KINDS) -> None:
+    """Write a figure as ``<stem>.pdf``, ``.svg`` and ``.png`` (300 dpi), or some of them.
+
+    What draws one is asked for it. The same figure gives the same bytes: no date is written, and
+    names inside the SVG come from a fixed salt. Its size is kept, nothing is cropped.
     """
-    pdf, svg, png = (folder / f"{stem}.{kind}" for kind in ("pdf", "svg", "png"))
+    figure = drawn(drawing)
     with paper_style():
-        figure.savefig(pdf, format="pdf", metadata={"CreationDate": None})
-        figure.savefig(svg, format="svg", metadata={"Date": None})
-        figure.savefig(png, format="png", dpi=300.0)
-    return pdf, png
+        for kind in kinds:
+            figure.savefig(folder / f"{stem}.{kind}", format=kind, **_UNDATED[kind])
 
 
 def line_style(k: int) -> tuple[str, LineStyle]:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from bayesfric.inference.fitting import Fit
+from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.sampling.convergence import autocorrelation
 from bayesfric.report.figures import style
 from bayesfric.report.figures.quantity import Quantity, not_shown, quantities
@@ -27,16 +30,19 @@ def trace_figure(fit: Fit) -> Figure:
     90 % band over them; on the right the autocorrelation of the walkers over
     the lag in steps of the sampler.
     """
-    everything = quantities(fit)
+    return _drawn(fit.posterior, quantities(fit))
+
+
+def _drawn(posterior: Posterior, everything: list[Quantity]) -> Figure:
     shown, left_out = everything[:_MOST], everything[_MOST:]
-    diagnostics = fit.posterior.diagnostics
-    ensembles, _, steps, _ = fit.posterior.draws.shape
+    diagnostics = posterior.diagnostics
+    ensembles, _, steps, _ = posterior.draws.shape
     with style.paper_figure(style.PAGE, min(_TALLEST, _AROUND + _ROW * len(shown))) as figure:
         axes = figure.subplots(len(shown), 2, squeeze=False, sharex="col", width_ratios=(2.0, 1.0))
         figure.align_ylabels(axes[:, 0])
-        longest = _longest_lag(fit)
+        longest = _longest_lag(posterior)
         for (left, right), q, tau in zip(axes, shown, diagnostics.tau, strict=False):
-            draws = fit.posterior[q.name]
+            draws = posterior[q.name]
             _trace(left, q, draws / q.factor, diagnostics.thin)
             _forgetting(right, draws, diagnostics.thin, float(tau), longest)
         axes[-1, 0].set_xlabel("step after warm-up")
@@ -88,12 +94,12 @@ def _forgetting(ax: Axes, ensembles: Array, thin: int, tau: float, longest: floa
     ax.text(0.97, 0.88, said, ha="right", va="top", fontsize=style.SMALL, transform=ax.transAxes)
 
 
-def _longest_lag(fit: Fit) -> float:
+def _longest_lag(posterior: Posterior) -> float:
     """Far enough to see the slowest parameter forget, and at least ten kept draws."""
-    d = fit.posterior.diagnostics
+    d = posterior.diagnostics
     finite = d.tau[np.isfinite(d.tau)]
     wanted = max(6.0 * float(finite.max(initial=0.0)), 10.0 * d.thin)
-    return float(max(min(wanted, d.thin * fit.posterior.draws.shape[2] / 2.0), d.thin))
+    return float(max(min(wanted, d.thin * posterior.draws.shape[2] / 2.0), d.thin))
 
 
 def _words(judged: JudgedRun) -> str:
@@ -109,7 +115,7 @@ FIGURE = RunFigure(
     stem="trace",
     title="How the ensembles ran",
     section="sampling",
-    draw=lambda run: trace_figure(run.fit),
+    draw=lambda run: partial(_drawn, run.fit.posterior, quantities(run.fit)),
     caption=(
         "Median and spread of the walkers of every ensemble along the steps kept, and the "
         "autocorrelation of what the ensembles drew."

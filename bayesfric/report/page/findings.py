@@ -52,8 +52,12 @@ def findings(table: ParameterTable, summary: Summary) -> dict[str, Any]:
         "more": max(0, len(known) - _MOST),
         "limits": [r for r in [*joint, *combined] if r.by == "limit"],
         "open": list(_groups([*joint, *combined], summary)),
+        "meanings": {r.name: r.meaning for r in [*joint, *combined]},
         # what the model leaves depends on these
         "lacks": [lack.on for lack in summary.fit.lacks if lack.sure],
+        # whether another mechanism comes before anything else, and what the recordings ask for
+        "wrong": summary.mechanism_doubted,
+        "asked": summary.asked,
         # where the order was chosen, auto itself found that no memory helps
         "try_auto": correlated and not summary.noise.order_chosen_from,
         # remedies, each with how many of the directions it lifts, if any were looked for

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+from collections.abc import Sequence
 from functools import cache
 from importlib.resources import files
 from typing import Any
@@ -21,13 +22,13 @@ from bayesfric.report.text_templates import FILTERS
 from bayesfric.templates import environment
 
 
-def render(template: str, **told: Any) -> str:
-    """Fill a template of ``templates/``; text is escaped.
+def render(template: str, *, scripts: Sequence[str] = ("page.js",), **told: Any) -> str:
+    """Fill a template of ``templates/``, with ``scripts`` that lie beside it; text is escaped.
 
     The page's policy forbids every request and every script but its own, which is
     named by its hash: what a file of the run may hold cannot act.
     """
-    style, script = _asset("page.css"), _asset("page.js")
+    style, script = _asset("page.css"), "".join(_asset(name) for name in scripts)
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     policy = (
         "default-src 'none'; base-uri 'none'; form-action 'none'; img-src data:; "

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
 from pathlib import Path
+from typing import Any
 
 from bayesfric.report.alerts import alerts
+from bayesfric.report.answers.record import Calculator, read_answers
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.comparison.table import explained
 from bayesfric.report.figures.registry import (
@@ -18,7 +21,10 @@ from bayesfric.report.page.figures import page_figures
 from bayesfric.report.page.findings import findings
 from bayesfric.report.page.provenance import read_provenance
 from bayesfric.report.page.rendering import render
-from bayesfric.report.paper.tables import parameter_table
+from bayesfric.report.page.status import glance
+from bayesfric.report.page.stretch import stretch_drawing
+from bayesfric.report.page.strip import methods_of, strips
+from bayesfric.report.paper.tables import ParameterTable, parameter_table
 from bayesfric.report.summary.record import Readable, Summary
 from bayesfric.report.text_templates import sentence
 
@@ -26,8 +32,9 @@ from bayesfric.report.text_templates import sentence
 def run_page(folder: Path, summary: Readable, name: str) -> str:
     """Write the page of a run: HTML that fetches nothing.
 
-    Figures, texts, configuration and the head of ``posterior.nc`` are read from the run directory
-    ``folder``; what is missing is left out. ``BadInput`` where the summary lacks something.
+    Figures, texts, ``page.json``, configuration and the head of ``posterior.nc`` are read from the
+    run directory ``folder``; what is missing is left out. ``BadInput`` where the summary lacks
+    something.
     """
     config = _text(folder / "config.toml")
     read = Summary.read(summary, name)
@@ -36,13 +43,22 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
     table = parameter_table(read, name)
     methods = comparison({name: read})
     judged = JudgedRun(read, table, methods)
+    found, answers = findings(table, read), read_answers(folder)
+    made = strips([*found["known"], *found["limits"]], methods)
     captions = read_captions(_text(folder / "text" / "captions.md"))
     return render(
         "run.html.j2",
+        scripts=("page.js", "calculator.js"),
         title=name,
         summary=read,
         alerts=alerts(read, methods.contested),
-        found=findings(table, read),
+        look=glance(table, read),
+        found=found,
+        answers=answers,
+        drawing=stretch_drawing(answers.stretch) if answers.stretch else None,
+        strips=made,
+        methods_shown=methods_of(made.values()),
+        law=_law(answers.calculator, table),
         table=table,
         notes=table.notes_where(marked=False),
         methods=methods,
@@ -59,6 +75,26 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
     )
 
 
+def _law(told: Calculator | None, table: ParameterTable) -> dict[str, Any] | None:
+    """Give what the calculator is worded from, and what its script reads."""
+    if told is None:
+        return None
+    error = table.summary.model_error
+    return {
+        **told.model_dump(),
+        "text": json.dumps(told.as_dict(), allow_nan=False),
+        "draws": max((len(x) for x in told.values if isinstance(x, list)), default=1),
+        "widened": error is not None and error.shown,
+        "unsettled": any(row.by == "open" for row in table.joint),
+        "doubted": "wrong"
+        if table.summary.mechanism_doubted
+        else "doubted"
+        if table.summary.doubts
+        else "",
+        "unusable": table.summary.sampler.status == "unusable",
+    }
+
+
 def _text(path: Path) -> str:
     """Read a text that a run may lack."""
     try:
@@ -70,6 +106,6 @@ def _text(path: Path) -> str:
 def _simulated(config: str) -> bool:
     """Whether the configuration says how to simulate its recordings; for older summaries."""
     try:
-        return "simulation" in tomllib.loads(config)
+        return bool(tomllib.loads(config).get("simulation"))
     except tomllib.TOMLDecodeError:
         return False

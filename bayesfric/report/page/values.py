@@ -7,15 +7,14 @@ from collections.abc import Iterable
 
 from markupsafe import Markup
 
-from bayesfric.report.comparison.cell import DOUBTFUL, NOT_CONVERGED, TOGETHER, Cell
-from bayesfric.report.numbers import HTML, html_interval, html_number, html_value
+from bayesfric.report.comparison.cell import NOT_CONVERGED, Cell, settled_by
+from bayesfric.report.numbers import HTML, html_interval, html_number
 from bayesfric.report.paper.tables import ParameterRow
 
 NOT_DETERMINED = "not determined by the data"
 _VERDICTS = {
     "data": "data",
-    "together": TOGETHER,
-    "limit": "data, prior and bounds, on one side only",
+    "limit": "data, on one side only",
     "open": NOT_DETERMINED,
     "known": "taken as known",
 }
@@ -25,8 +24,8 @@ def verdict_words(row: ParameterRow) -> str:
     """Say what determined a number, in words that stand in its line."""
     if not row.cell.converged:
         return NOT_CONVERGED
-    if row.by == "together" and row.row is not None and row.row.doubted:
-        return DOUBTFUL
+    if row.by == "together" and row.row is not None:
+        return settled_by(row.row)
     return _VERDICTS[row.by]
 
 
@@ -80,7 +79,7 @@ def cell_html(cell: Cell | None) -> Markup:
     if cell.status not in ("undetermined", "limit"):
         plain_sd = cell.status == "determined" and not cell.accounts and cell.sd
         mark = Markup('<sup class="mark">†</sup>') if plain_sd else Markup()
-        shown = html_value(cell.value, cell.sd) if cell.sd else html_number(f"{cell.value:.5g}")
+        shown = Markup(cell.written(HTML))
         lines.append(shown + mark)
     if cell.interval is not None and cell.sd:
         lines.append(html_interval(*cell.interval, cell.sd))

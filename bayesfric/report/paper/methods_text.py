@@ -18,6 +18,7 @@ from bayesfric.inference.fitting import Fit
 from bayesfric.inference.noise import SCALES
 from bayesfric.mechanism.parameter import effort_words
 from bayesfric.report.comparison.cell import TOGETHER
+from bayesfric.report.numbers import text_rounded
 from bayesfric.report.paper import latex
 from bayesfric.report.paper.tables import counts, parameter_table
 from bayesfric.report.summary.noise import correlation_warning
@@ -127,7 +128,8 @@ def _sentences(fit: Fit, summary: Summary) -> str:
         by=counts([row for row in joint if row.cell.converged]),
         together=TOGETHER,
         correlated=correlation_warning(summary),
-        biased=[n for n, row in off_rows(summary).items() if row.corrected_interval],
+        biased={n: row for n, row in off_rows(summary).items() if row.corrected_interval},
+        rounded=text_rounded,
         python=platform.python_version(),
         bayesfric=bayesfric.__version__,
         versions={name: version(name) for name in _VERSIONS},

@@ -8,32 +8,49 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import pandas as pd
-
-from bayesfric.report.comparison.cell import Cell, posterior_cell
+from bayesfric.report.comparison.cell import Cell, is_skewed, posterior_cell
 from bayesfric.report.comparison.comparison import Comparison, comparison
 from bayesfric.report.comparison.table import comparison_csv, comparison_markdown, markdown_table
-from bayesfric.report.numbers import LATEX, TEXT, Medium, latex_number, latex_value
+from bayesfric.report.numbers import (
+    LATEX,
+    TEXT,
+    Medium,
+    latex_interval,
+    latex_number,
+)
 from bayesfric.report.paper import latex
 from bayesfric.report.summary.bounds import bound_mend
 from bayesfric.report.summary.noise import correlation_warning
-from bayesfric.report.summary.record import KnownRow, PosteriorRow, Readable, Summary, of_noise
+from bayesfric.report.summary.record import Readable, Summary, of_noise
+from bayesfric.report.summary.rows import KnownRow, PosteriorRow
 from bayesfric.report.summary.summary import summary_table
 from bayesfric.report.text_templates import filled
 
-# Ends of the interval whose distances from the median differ by more than this are skewed.
-_SKEWED = 0.2
+# Of a normal's 90 % interval, by which its ends are rounded.
+_WIDTHS = 1.0 / 3.29
+if TYPE_CHECKING:
+    from bayesfric.report.comparison.between_runs import PooledQuantity
+
 _GROUPS = {
     "free": "What the motor feels, whatever the scale of leg and gearbox",
     "parameter": "Parameters",
     "derived": "Derived, of the scale of leg and gearbox",
     "known": "Taken as known",
 }
-_VERDICTS = {"data": "data", "weak": "data and prior", "prior": "prior"}
+# By what settles a number, as on the page, in words that a column of a paper has room for.
+_VERDICTS = {
+    "data": "data",
+    "together": "data and prior",
+    "limit": "data, on one side",
+    "open": "prior",
+    "known": "known",
+}
 COLUMNS = [
     "group", "name", "symbol", "meaning", "unit", "status", "verdict",
     "median", "mean", "sd", "low", "high", "level", "limit", "remark",
+    "current", "current_low", "current_high",
 ]  # fmt: skip
 
 
@@ -72,9 +89,7 @@ class ParameterRow:
         """Whether one sd would misname the interval's two sides."""
         if self.row is None or self.row.median is None:
             return False
-        low, high = self.row.told_interval
-        down, up = self.row.median - low, high - self.row.median
-        return abs(up - down) > _SKEWED * (up + down)
+        return is_skewed(self.row.median, *self.row.told_interval)
 
     @property
     def by(self) -> str:
@@ -90,7 +105,9 @@ class ParameterRow:
         """What determined it, in words."""
         if not self.cell.converged:
             return "not converged"
-        return _VERDICTS[self.row.verdict] if self.row is not None else "known"
+        if self.by == "together" and self.row is not None and self.row.doubted:
+            return "doubtful"
+        return _VERDICTS[self.by]
 
     @property
     def mend(self) -> str:
@@ -196,7 +213,11 @@ def parameters_csv(table: ParameterTable) -> str:
             told |= {key: getattr(r.row, key) for key in ("median", "mean", "sd", "level")}
             told["low"], told["high"] = r.row.told_interval
             told["sd"] = r.row.told_sd
+            current = r.row.current or (None, None, None)
+            told["current"], told["current_low"], told["current_high"] = current
         lines.append(told)
+    import pandas as pd
+
     return str(pd.DataFrame(lines, columns=COLUMNS).to_csv(index=False))
 
 
@@ -265,7 +286,8 @@ def _table(
 
 
 def methods_latex(found: Comparison) -> str:
-    """Lay a comparison of methods out as a ``table*``."""
+    """Lay a comparison of methods, or of runs, out as a ``table*``."""
+    runs = len({column.run for column in found.columns} - {""})
     body: list[str] = []
     group = None
     for row in found.rows:
@@ -274,6 +296,7 @@ def methods_latex(found: Comparison) -> str:
         group = (row.kind, row.gauge_free)
         cells = [_cell(row.cells.get(column.label)) for column in found.columns]
         name = latex.symbol(row.symbol, row.name)
+        name += r"\textsuperscript{m}" if row.of_motion and runs > 1 else ""
         body.append(" & ".join([name, latex.unit(row.unit), *cells]) + r" \\")
     head = " & ".join(["", "Unit", *(latex.escaped(c.label) for c in found.columns)]) + r" \\"
     every = [row.cells.get(column.label) for row in found.rows for column in found.columns]
@@ -287,12 +310,34 @@ def methods_latex(found: Comparison) -> str:
         ),
         "n.c.: not converged": any(not c.converged for c in cells_),
         "b: on its bound": any(c.status == "bound" for c in cells_),
-        "Empty: the method does not tell it": None in every,
+        f"Empty: the {'run' if runs > 1 else 'method'} does not tell it": None in every,
+        "m: of each run's own motion, another motion gives other values": runs > 1
+        and any(row.of_motion for row in found.rows),
     }
     notes = ["One standard deviation in parentheses, accounting for correlated residuals"]
     notes += [note for note, applies in told.items() if applies]
     columns = "@{}ll" + "l" * len(found.columns) + "@{}"
-    return _table("Estimates by method", notes, "tab:methods", columns, head, body)
+    words = (
+        ("Runs side by side", "tab:runs") if runs > 1 else ("Estimates by method", "tab:methods")
+    )
+    return _table(words[0], notes, words[1], columns, head, body)
+
+
+def between_runs_latex(found: Sequence[PooledQuantity]) -> str:
+    """Lay what runs say together out as a ``table*``; empty where nothing is pooled."""
+    if not found:
+        return ""
+    body = []
+    for one in found:
+        intervals = (one.pool.mean, one.pool.following, one.pool.spread)
+        cells = [latex.symbol(one.told.symbol, one.name), latex.unit(one.told.unit)]
+        cells += [latex_interval(x.low, x.high, _WIDTHS * (x.high - x.low)) for x in intervals]
+        cells += [str(len(one.runs)), latex_number(one.pool.p_value, 2)]
+        body.append(" & ".join(cells) + r" \\")
+    head = r"& Unit & Population mean & Next recording & Sd between runs & Runs & $p$ \\"
+    notes = [f"Intervals hold {100 * found[0].told.level:g} %"]
+    notes += ["p: how often chance alone would part runs of one truth so far (Cochran's Q)"]
+    return _table("Runs together", notes, "tab:between-runs", "@{}lllllll@{}", head, body)
 
 
 def _cell(cell: Cell | None) -> str:
@@ -302,7 +347,7 @@ def _cell(cell: Cell | None) -> str:
         return "---" if cell.converged else "n.c."
     if cell.limit is not None:
         return LATEX.limits[cell.at_bound == "upper"] + latex_number(cell.limit, 3)
-    shown = latex_value(cell.value, cell.sd) if cell.sd else latex_number(cell.value)
+    shown = cell.written(LATEX)
     if cell.status == "bound":
         return shown + r"\textsuperscript{b}"
     plain = cell.status == "determined" and not cell.accounts
@@ -320,8 +365,14 @@ def summary_texts(summary: Readable, run: str) -> dict[str, str]:
         "summary.csv": summary_table(summary),
         "methods.csv": comparison_csv(methods),
         "methods.md": comparison_markdown(methods),
-        "tables/parameters.tex": parameters_latex(table),
         "tables/parameters.md": parameters_markdown(table),
         "tables/parameters.csv": parameters_csv(table),
-        "tables/methods.tex": methods_latex(methods),
+    }
+
+
+def latex_texts(summary: Readable, run: str) -> dict[str, str]:
+    """Lay the same numbers out as LaTeX, by file name inside the run directory."""
+    return {
+        "tables/parameters.tex": parameters_latex(parameter_table(summary, run)),
+        "tables/methods.tex": methods_latex(comparison({run: summary})),
     }

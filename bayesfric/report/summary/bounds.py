@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 
-from bayesfric.report.summary.record import PosteriorRow
+from bayesfric.inference.noise import SCALES
+from bayesfric.report.summary.record import of_noise
+from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.text_templates import sentence
 
 
@@ -27,7 +29,9 @@ def bound_mend(name: str, row: PosteriorRow) -> str:
         return ""
     bound = f"{row.bound:.4g} {row.unit}".strip()
     kind = "physical bound" if row.bound_physical else "set bound"
-    return sentence(kind, {"name": name, "bound": bound})
+    if of_noise(name) and (scale := SCALES.get(name.split(".")[1])) and scale.at_bound:
+        kind = scale.at_bound
+    return sentence(kind, {"name": name, "bound": bound, "side": row.at_bound})
 
 
 def bound_warning(name: str, row: PosteriorRow) -> str | None:

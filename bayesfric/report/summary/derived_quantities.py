@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.estimates.least_squares import TotalsProjection
-from bayesfric.estimates.torque import filtered_torque, typical_load
+from bayesfric.estimates.torque import typical_load, weighed_torque
 from bayesfric.identifiability.local import LocalInformation, verdict
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.sampling import convergence
@@ -21,7 +21,9 @@ Array = NDArray[np.float64]
 
 LEVEL = 0.9
 # Samples times draws for the totals; more draws change nothing that is printed.
-_TOTALS_BUDGET = 50_000_000
+_TOTALS_BUDGET = 25_000_000
+# A total below this share of the others of its unit is zero but for rounding.
+_NOUGHT = 1e-9
 
 
 @dataclass(frozen=True)
@@ -39,14 +41,20 @@ class Group:
     prior: tuple[int, int]
 
 
-def groups(fit: Fit) -> tuple[Group, Group]:
-    """Give totals, as least squares would find them in each draw's torque, and coefficients."""
+Groups = tuple[Group, Group]
+
+
+def groups(fit: Fit) -> Groups:
+    """Give totals, as least squares would find them in each draw's torque, and coefficients.
+
+    The totals take as long as some hundred steps of the sampling: once is enough for a fit.
+    """
     return _totals(fit), coefficients(fit)
 
 
-def derived_rows(fit: Fit, local: LocalInformation) -> dict[str, dict[str, Any]]:
+def derived_rows(fit: Fit, local: LocalInformation, derived: Groups) -> dict[str, dict[str, Any]]:
     """Put all derived quantities into the form of ``summary.json``, by name."""
-    return {name: row for group in groups(fit) for name, row in _rows(fit, local, group)}
+    return {name: row for group in derived for name, row in _rows(fit, local, group)}
 
 
 def described_as(what: Any) -> dict[str, str]:
@@ -97,11 +105,21 @@ def _rows(fit: Fit, local: LocalInformation, group: Group) -> Iterator[tuple[str
                 **spread(q.values),
                 "converged": bool(converged),
                 **({"prior_sd": prior_sd} if np.isfinite(prior_sd) else {}),
+                **_prior_interval(prior),
                 "verdict": verdict(_robust_sd(q.values), prior_sd, told),
                 "undefined_share": 1.0 - float(np.isfinite(q.values).mean()),
                 "gauge_free": q.gauge_free,
+                **({"of_motion": True} if q.of_motion else {}),
             },
         )
+
+
+def _prior_interval(drawn: Array) -> dict[str, Any]:
+    drawn = drawn[np.isfinite(drawn)]
+    if not drawn.size:
+        return {}
+    ends = np.quantile(drawn, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2])
+    return {"prior_interval": ends.tolist()}
 
 
 def _totals(fit: Fit) -> Group:
@@ -112,17 +130,38 @@ def _totals(fit: Fit) -> Group:
         i for i, (_, label, open_) in enumerate(names) if label not in fit.chain.names and not open_
     ]
 
-    def values(parameters: Array) -> Array:
-        torques = [filtered_torque(fit.chain, o, parameters) for o in fit.observations]
-        return projection.solve(np.concatenate(torques, axis=1).T)[wanted]
-
     most = max(400, _TOTALS_BUDGET // sum(o.q.size for o in fit.observations))
+
+    maps = projection.of_samples()
+
+    def every(parameters: Array) -> Array:
+        pairs = zip(fit.observations, maps, strict=True)
+        parts = [weighed_torque(fit.chain, o, one, parameters) for o, one in pairs]
+        return np.asarray(np.sum(parts, axis=0))
+
+    drawn = every(fit.chain_draws(most)) if wanted else np.empty((len(names), 1))
+    described = [projection.describe(name) for name, *_ in names]
+    wanted = [i for i in wanted if not _nought(i, drawn, [unit for unit, *_ in described])]
+
+    def values(parameters: Array) -> Array:
+        return every(parameters)[wanted]
+
+    # what a load loss adds is spread over the other terms, along each motion differently
+    lossy = any(element.load_loss != "none" for element in fit.chain.elements)
     found = []
-    for i, draws in zip(wanted, values(fit.chain_draws(most)) if wanted else (), strict=True):
-        unit, symbol, meaning = projection.describe(names[i][0])
+    for i in wanted:
+        unit, symbol, meaning = described[i]
         meaning += ", as a fit without load losses would find it"
-        found.append(Derived(names[i][1], unit, symbol, meaning, draws, gauge_free=True))
+        told = {"gauge_free": True, "of_motion": lossy}
+        found.append(Derived(names[i][1], unit, symbol, meaning, drawn[i], **told))
     return Group(found, values, most, (300, 3))
+
+
+def _nought(i: int, drawn: Array, units: Sequence[str]) -> bool:
+    """Whether a total is nought by geometry: no finding, for what is left of it is rounding."""
+    sizes = np.abs(drawn).max(axis=1)
+    alike = [size for size, unit in zip(sizes, units, strict=True) if unit == units[i]]
+    return bool(sizes[i] <= _NOUGHT * max(alike))
 
 
 def coefficients(fit: Fit) -> Group:

@@ -14,14 +14,18 @@ import numpy as np
 
 from bayesfric.estimates.delay import Delay
 from bayesfric.estimates.disturbances import Disturbance
-from bayesfric.estimates.information import CORRELATED
+from bayesfric.estimates.information import CORRELATED, lag_one
+from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.once_a_turn import OnceATurn
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.noise_choice import Choice
+from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.parameter import effort_words
 from bayesfric.mechanism.quantities import QUANTITIES, TOTALS, Quantity, State
 from bayesfric.recordings.observation import LEAST_RATIO, Observation
-from bayesfric.report.summary.record import Doubt, Spread, Summary, quantity_of
+from bayesfric.report.summary.record import Doubt, Summary, quantity_of
+from bayesfric.report.summary.rows import Spread
 
 # Share of the torque's variance that a model of the joint should explain, where what it leaves
 # is no white noise.
@@ -43,6 +47,7 @@ def find_doubts(
     white: tuple[White, float] | None = None,
     delays: Sequence[Delay] = (),
     turn: OnceATurn | None = None,
+    pushed: Sequence[Disturbance] = (),
 ) -> list[dict[str, Any]]:
     """Look for what makes the numbers of a fit doubtful, for ``summary["doubts"]``.
 
@@ -50,20 +55,25 @@ def find_doubts(
     recordings say with white noise, where that was sampled:
     :func:`bayesfric.report.summary.summary.spreads`, and the residuals' root mean square;
     ``delays`` those that the joint does not have for a parameter; ``turn`` the torque once a turn
-    that gravity does not explain. Gives ``kind``, ``parameters``
-    and what else tells of each.
+    that gravity does not explain; ``pushed`` spans in which something else acted. Gives ``kind``,
+    ``parameters`` and what else tells of each.
     """
     if summary.sampler.status == "unusable":
         return []  # there is no posterior to doubt
     rows = {**summary.joint, **summary.derived}
     told = [name for name, row in rows.items() if row.verdict == "data"]
+    memory = list(_memory(choice))
+    error = summary.model_error
+    lacking = bool(memory) or (error is not None and error.shown)
     found = [
+        # before what else may be wrong: it may all come of this
+        *pushed_doubts(pushed, lacking=lacking),
         *_unexplained(summary),
         *doubts_before(fit.estimates[0], fit.observations),
-        *_memory(choice),
+        *memory,
         *_noise(summary, told, white),
         *_acceleration(fit, summary, told),
-        *({**one, "of": _of_motion(fit, told)} for one in _late(delays)),
+        *({**one, "of": _of_motion(fit, told)} for one in _late(delays, fit.observations)),
         *({**one, "of": of} for one in _turning(turn) if (of := _turned(told, one["moved"]))),
     ]
     return [{"kind": one.pop("kind"), "parameters": one.pop("of", told), **one} for one in found]
@@ -91,6 +101,21 @@ def _unexplained(summary: Summary) -> Iterator[dict[str, Any]]:
         yield {"kind": "unexplained", "share": share, "quantity": summary.fit.quantity}
 
 
+def little_explained(chain: Joint, observations: Sequence[Observation]) -> list[dict[str, Any]]:
+    """Doubt a mechanism whose best totals leave much of the torque, before there is a fit."""
+    projection = TotalsProjection(chain, observations)
+    measured = np.concatenate([o.measured for o in observations])
+    left = measured - projection.regressors @ projection.solve(measured)
+    share = 1.0 - float(np.var(left) / np.var(measured))
+    if (
+        share >= _EXPLAINED
+        or not lag_one(left, np.ones(left.size - 1, dtype=np.bool_)) > CORRELATED
+    ):
+        return []
+    quantity = effort_words("motor torque", chain.motor_motion)
+    return [{"kind": "unexplained", "share": share, "quantity": quantity}]
+
+
 def doubts_before(
     totals: Estimate,
     observations: Sequence[Observation],
@@ -103,12 +128,22 @@ def doubts_before(
     ``totals`` are of :func:`bayesfric.estimates.least_squares.least_squares`; no ``parameters`` are
     named: all are doubtful.
     """
-    found = [*_feedback(observations), *_negative(totals), *_late(delays), *_turning(turn)]
-    return [*found, *_pushed(pushed)]
+    found = [
+        *_feedback(observations),
+        *_negative(totals),
+        *_late(delays, observations),
+        *_turning(turn),
+    ]
+    return [*found, *pushed_doubts(pushed)]
 
 
-def _pushed(pushed: Sequence[Disturbance]) -> Iterator[dict[str, Any]]:
-    """Name spans in which something else acted, recording by recording."""
+def pushed_doubts(
+    pushed: Sequence[Disturbance], *, lacking: bool = False
+) -> Iterator[dict[str, Any]]:
+    """Name spans in which something else acted, recording by recording.
+
+    ``lacking`` tells whether the model seems to lack something, too.
+    """
     for name in dict.fromkeys(one.recording for one in pushed):
         spans = [one for one in pushed if one.recording == name]
         yield {
@@ -116,6 +151,7 @@ def _pushed(pushed: Sequence[Disturbance]) -> Iterator[dict[str, Any]]:
             "recording": name,
             "exclude": [[_down(one.start), _up(one.stop)] for one in spans],
             "times": max(one.times for one in spans),
+            "lacking": lacking,
         }
 
 
@@ -127,8 +163,13 @@ def _up(seconds: float) -> float:
     return float(np.ceil(10.0 * seconds) / 10.0)
 
 
-def _late(delays: Sequence[Delay]) -> Iterator[dict[str, Any]]:
-    """Name positions that come late: of all recordings together, or of those that do."""
+def _late(delays: Sequence[Delay], observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
+    """Name positions that come late: of all recordings together, or of those that do.
+
+    Where a unit of the motion is doubted, what is off need not be time: mend that first.
+    """
+    doubted = {o.name for o in observations if "doubted_units" in o.settings}
+    delays = [one for one in delays if not doubted & set(one.recordings)]
     together = [one for one in delays if one.matters and len(one.recordings) > 1]
     late = together or [one for one in delays if one.matters]
     if not late:

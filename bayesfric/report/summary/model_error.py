@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bayesfric.inference.fitting import Fit
-from bayesfric.report.summary.derived_quantities import groups, spread
+from bayesfric.report.summary.derived_quantities import Groups, spread
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import ModelError as Told
 from bayesfric.report.summary.record import Summary, of_noise
@@ -18,19 +18,23 @@ from bayesfric.report.summary.record import Summary, of_noise
 _WIDE = 0.5
 
 
-def add_model_error(summary: Summary, fit: Fit) -> Summary:
-    """Put intervals with the model's error into a summary, and judge verdicts by them."""
+def add_model_error(summary: Summary, fit: Fit, derived: Groups) -> Summary:
+    """Put intervals with the model's error into a summary, and judge verdicts by them.
+
+    ``derived`` are the fit's :func:`~bayesfric.report.summary.derived_quantities.groups`.
+    """
     error = fit.model_error
     if error is None:
         return summary
     axes = [asdict(axis) | {"differs": axis.differs} for axis in error.axes]
     reason = {} if error.reason is None else {"reason": error.reason}
-    told = Told.model_validate({"shown": error.shown, "axes": axes, **reason})
+    far = {"outlying": [asdict(one) for one in error.outlying], "set_aside": error.set_aside}
+    told = Told.model_validate({"shown": error.shown, "axes": axes, **reason, **far})
     if not error.shown:
         return summary.model_copy(update={"model_error": told})
     wide = fit.wide.posterior.flat()
     found = {n: wide[:, j] for j, n in enumerate(fit.posterior.names) if not of_noise(n)}
-    for group in groups(fit):
+    for group in derived:
         if group.found:
             some = wide[:: -(-len(wide) // group.most)]
             with np.errstate(divide="ignore", invalid="ignore"):

@@ -16,7 +16,8 @@ from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.noise import SCALES
 from bayesfric.mechanism.parameter import effort_words
-from bayesfric.report.summary.record import Likelihood, Noise, Spread, Summary, of_noise
+from bayesfric.report.summary.record import Likelihood, Noise, Summary, of_noise
+from bayesfric.report.summary.rows import Spread
 from bayesfric.report.text_templates import filled, sentence
 
 Array = NDArray[np.float64]

@@ -6,7 +6,7 @@ Tables, page, terminal and comparison are views of it.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -14,11 +14,9 @@ from pydantic import BeforeValidator, Field, FiniteFloat, TypeAdapter
 
 from bayesfric.complaints import read_text
 from bayesfric.errors import BadInput
-from bayesfric.estimates.point_estimate import Kind, Method
-from bayesfric.explain.explanation import Explanation
+from bayesfric.estimates.point_estimate import Method
+from bayesfric.explain.explanation import Explanation, Term
 from bayesfric.report.summary.part import (
-    Bound,
-    Described,
     Name,
     NotNegative,
     Open,
@@ -27,6 +25,13 @@ from bayesfric.report.summary.part import (
     Share,
 )
 from bayesfric.report.summary.rollout import RollOutPart
+from bayesfric.report.summary.rows import (
+    EstimatedRow,
+    KnownRow,
+    PosteriorRow,
+    ReferenceRow,
+    amperes,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -37,21 +42,14 @@ ReadExplanation = Annotated[
     Explanation,
     BeforeValidator(lambda x: _EXPLANATION.validate_python(x) if isinstance(x, Mapping) else x),
 ]
+# Kinds of doubts that say of the mechanism that it is not the joint's.
+OF_MECHANISM = ("unexplained", "memory")
+_TERM = TypeAdapter(Term)
+ReadTerm = Annotated[
+    Term, BeforeValidator(lambda x: _TERM.validate_python(x) if isinstance(x, Mapping) else x)
+]
 # A summary is a page or two of numbers; anything larger is some other file.
 _LARGEST = 20_000_000
-
-
-class EstimatedRow(Described):
-    """One number of a point estimate, as ``EstimatedValue`` of estimates has it."""
-
-    value: FiniteFloat
-    sd: NotNegative | None = None
-    sd_robust: NotNegative | None = None
-    kind: Kind | None = None
-    gauge_free: bool | None = None
-    determined: bool | None = None
-    at_bound: Bound | None = None
-    span: Pair | None = None
 
 
 class EstimateTable(Part):
@@ -65,93 +63,6 @@ class EstimateTable(Part):
     outputs: int | None = None
     assumption: str = ""
     notes: list[str] = Field(default_factory=list)
-
-
-class Spread(Part):
-    """Where the draws of one quantity lie."""
-
-    mean: FiniteFloat
-    sd: NotNegative
-    median: FiniteFloat | None = None
-    interval: Pair
-    level: Annotated[FiniteFloat, Field(gt=0.0, lt=1.0)]
-
-    @property
-    def middle(self) -> float:
-        """The number to print: the median, or of files that lack it the mean."""
-        return self.mean if self.median is None else self.median
-
-
-class PosteriorRow(Spread, Described):
-    """One parameter or derived quantity of a posterior.
-
-    ``interval`` and ``sd`` hold if the model is right, ``model_error_interval`` is there where the
-    recordings show that it is not. ``doubted`` are the kinds of doubts there are of it,
-    ``white_interval`` what white noise would have given, ``period`` that of an angle. Priors' texts
-    and diagnostics are of parameters only, ``undefined_share`` of derived quantities.
-    """
-
-    rhat: FiniteFloat | None = None
-    ess: FiniteFloat | None = None
-    converged: bool | None = None
-    prior: str = ""
-    prior_default: bool = False
-    prior_sd: NotNegative | None = None
-    contraction: FiniteFloat | None = None
-    data_sd: NotNegative | None = None
-    verdict: Literal["data", "weak", "prior"]
-    at_bound: Bound | None = None
-    bound: FiniteFloat | None = None
-    bound_physical: bool | None = None
-    prior_sensitivity: FiniteFloat | None = None
-    likelihood_sensitivity: FiniteFloat | None = None
-    diagnosis: str | None = None
-    period: FiniteFloat | None = None
-    undefined_share: Share | None = None
-    gauge_free: bool | None = None
-    doubted: list[str] = Field(default_factory=list)
-    white_interval: Pair | None = None
-    white_sd: NotNegative | None = None
-    model_error_interval: Pair | None = None
-    model_error_sd: NotNegative | None = None
-
-    @property
-    def told_interval(self) -> list[float]:
-        """The interval to print first."""
-        return self.model_error_interval or self.interval
-
-    @property
-    def told_sd(self) -> float:
-        """The sd of :attr:`told_interval`."""
-        return self.sd if self.model_error_sd is None else self.model_error_sd
-
-    @property
-    def beside(self) -> list[str]:
-        """What to know of it besides its verdict."""
-        told = [f"leans on its {self.at_bound} bound"] if self.at_bound else []
-        if self.undefined_share:
-            told.append(f"undefined in {100 * self.undefined_share:.0f} % of the draws")
-        return told
-
-    @property
-    def narrowing(self) -> float | None:
-        """How many times narrower than its prior the posterior is."""
-        return self.prior_sd / self.sd if self.prior_sd and self.sd else None
-
-
-class KnownRow(Described):
-    """A parameter that was taken as known."""
-
-    value: FiniteFloat
-
-
-class ReferenceRow(Part):
-    """A value from elsewhere: the manufacturer's, or from CAD."""
-
-    value: FiniteFloat
-    unit: str
-    sd: NotNegative | None = None
-    source: str = "reference"
 
 
 class Likelihood(Part):
@@ -261,10 +172,19 @@ class Residual(Part):
     explained: FiniteFloat | None = None
     unit: str = ""
     quantity: str = "output"
+    # N m/A or N/A, where all that is explained was measured as a current
+    torque_constant: FiniteFloat | None = None
     lacks: list[Lack] = Field(default_factory=list)
     integration_steps: int | None = None
     discretisation_error: FiniteFloat | None = None
     recordings: dict[Name, RecordingRow] = Field(default_factory=dict)
+
+    @property
+    def current_rms(self) -> float | None:
+        """The residuals' root mean square in A, where a current was measured."""
+        if self.residual_rms is None or not self.torque_constant:
+            return None
+        return amperes(self.residual_rms, self.torque_constant)
 
 
 class Coverage(Part):
@@ -367,12 +287,27 @@ class AxisRow(Part):
     differs: bool
 
 
+class OutlyingRow(Part):
+    """One output that is too far off for the fitted noise."""
+
+    recording: str
+    time: FiniteFloat
+    period: NotNegative
+    times: NotNegative
+
+
 class ModelError(Part):
-    """Whether groups of the motion show that the model is wrong; ``reason`` is why not asked."""
+    """Whether groups of the motion show that the model is wrong; ``reason`` is why not asked.
+
+    ``outlying`` are outputs that no noise explains, the farthest first; where they are
+    ``set_aside``, it was asked without them.
+    """
 
     shown: bool
     axes: list[AxisRow] = Field(default_factory=list)
     reason: Literal["likelihood", "sampling", "few"] | None = None
+    outlying: list[OutlyingRow] = Field(default_factory=list)
+    set_aside: bool = False
 
     @property
     def found(self) -> list[str]:
@@ -422,6 +357,7 @@ class Summary(Part):
     self_check: SelfCheck | None = None
     model_error: ModelError | None = None
     explanation: ReadExplanation | None = None
+    asked_terms: list[ReadTerm] = Field(default_factory=list)
     rollout: RollOutPart | None = None
     doubts: list[Doubt] = Field(default_factory=list)
     may_be_simulated: bool | None = None
@@ -441,6 +377,16 @@ class Summary(Part):
         return (
             self.sampler.status == "tentative" and bool(self.doubts) and not self.sampler.problems
         )
+
+    @property
+    def mechanism_doubted(self) -> bool:
+        """Whether what the model leaves is no noise: another mechanism has to be taken first."""
+        return any(doubt.kind in OF_MECHANISM for doubt in self.doubts)
+
+    @property
+    def asked(self) -> Sequence[Term]:
+        """Terms that the recordings ask for, the strongest first, as far as that was looked for."""
+        return self.explanation.asked if self.explanation else self.asked_terms
 
     @property
     def rows(self) -> dict[str, PosteriorRow]:
@@ -468,11 +414,13 @@ class Summary(Part):
         }
         return self.model_copy(update=tables | update)
 
+    @property
     def frame(self) -> pd.DataFrame:
-        """Lay parameters, then derived quantities, out as a table with a line for each.
+        """Parameters, then derived quantities, as a table with a line for each.
 
         It has ``name``, ``group`` and the keys of :class:`PosteriorRow`, ends of intervals in
-        columns of their own; ``doubted`` are kinds of doubts, joined.
+        columns of their own, and ``current``, in A, what is a torque of the motor that was measured
+        as one; ``doubted`` are kinds of doubts, joined.
         """
         import pandas as pd
 
@@ -486,6 +434,8 @@ class Summary(Part):
                 for key in ("white", "model_error"):
                     pair = getattr(row, f"{key}_interval") or (None, None)
                     ends[f"{key}_low"], ends[f"{key}_high"] = pair
+                current = row.current or (None, None, None)
+                ends["current"], ends["current_low"], ends["current_high"] = current
                 ends |= self._checked(name)
                 told = dict(row) | ends | {"doubted": ", ".join(row.doubted)}
                 yield {"name": name, "group": group} | told
@@ -502,6 +452,12 @@ class Summary(Part):
             "corrected_high": high,
         }
 
+    def __str__(self) -> str:
+        """Say it as the terminal does."""
+        from bayesfric.report.terminal import fit_text
+
+        return "\n".join(fit_text(self))
+
     def _repr_html_(self) -> str:
         """Show the table with its verdicts in a notebook."""
         from bayesfric.report.page.rendering import notebook_table
@@ -514,7 +470,8 @@ _FRAME = ("name", "group", "unit", "symbol", "meaning", "median", "low", "high",
     "contraction", "at_bound", "undefined_share", "prior_sensitivity", "likelihood_sensitivity",
     "diagnosis", "gauge_free", "white_low", "white_high", "white_sd",
     "model_error_low", "model_error_high", "model_error_sd",
-    "bias", "coverage", "corrected", "corrected_low", "corrected_high")  # fmt: skip
+    "bias", "coverage", "corrected", "corrected_low", "corrected_high",
+    "current", "current_low", "current_high")  # fmt: skip
 Readable = Summary | Mapping[str, Any]
 
 

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from bayesfric.inference.fitting import Fit
-from bayesfric.report.summary.derived_quantities import LEVEL, groups
-from bayesfric.report.summary.record import PosteriorRow, SelfCheck, SelfCheckRow, Summary, of_noise
+from bayesfric.report.summary.derived_quantities import LEVEL, Groups
+from bayesfric.report.summary.record import SelfCheck, SelfCheckRow, Summary, of_noise
+from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.text_templates import filled, sentence
 from bayesfric.self_check.self_check import Checked
 
@@ -41,8 +42,11 @@ class _Errors:
     missed: Array  # in the quantity's unit, without noise
 
 
-def self_check_part(fit: Fit, summary: Summary, checked: Checked) -> SelfCheck:
-    """Sum up a self-check of a fit, for ``summary["self_check"]``."""
+def self_check_part(fit: Fit, summary: Summary, checked: Checked, derived: Groups) -> SelfCheck:
+    """Sum up a self-check of a fit, for ``summary["self_check"]``.
+
+    ``derived`` are the fit's :func:`~bayesfric.report.summary.derived_quantities.groups`.
+    """
     begun, worked = time.perf_counter(), time.process_time()
     made = len(checked.fits)
     told: dict[str, Any] = {"asked": checked.asked, "made": made}
@@ -52,7 +56,7 @@ def self_check_part(fit: Fit, summary: Summary, checked: Checked) -> SelfCheck:
     unexplained = np.array([one.unexplained for one in checked.fits])
     support = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
     rows = {}
-    for errors in _errors(fit, checked):
+    for errors in _errors(fit, checked, derived):
         row = summary.rows[errors.name]
         if row.sd > 0.0 and np.isfinite(errors.missed).sum() >= max(2.0, 0.5 * made):
             limits = support.get(errors.name, (-np.inf, np.inf))
@@ -100,15 +104,35 @@ def off_rows(summary: Summary) -> dict[str, SelfCheckRow]:
     }
 
 
+def _by_data(summary: Summary) -> dict[str, SelfCheckRow]:
+    # where a prior has a say, no interval holds nine of ten truths
+    rows = summary.self_check.rows if summary.self_check is not None else {}
+    return {name: row for name, row in rows.items() if summary.rows[name].verdict == "data"}
+
+
+def found_least(summary: Summary) -> tuple[str, float] | None:
+    """Name what the data determine whose intervals hold the truth least often."""
+    told = [(name, row.coverage) for name, row in _by_data(summary).items()]
+    return min(told, key=lambda one: one[1], default=None)
+
+
+def narrow(summary: Summary) -> bool:
+    """Whether an interval holds too few truths, beyond chance, for a run to be called reliable."""
+    rows = _by_data(summary).values()
+    return any(row.coverage + _SURE * row.coverage_error < LOW for row in rows)
+
+
 def self_check_lines(summary: Summary) -> Iterator[str]:
     """Word it for a terminal, line by line."""
     if (check := summary.self_check) is not None:
         why = sentence("no self-check", check.model_dump()) if check.reason else ""
-        text = filled("self_check.txt.j2", check=check, why=why, off=off_rows(summary))
+        allowed = summary.model_error is not None and summary.model_error.shown
+        told = {"check": check, "why": why, "off": off_rows(summary), "allowed": allowed}
+        text = filled("self_check.txt.j2", **told)
         yield from text.splitlines()
 
 
-def _errors(fit: Fit, checked: Checked) -> Iterator[_Errors]:
+def _errors(fit: Fit, checked: Checked, derived: Groups) -> Iterator[_Errors]:
     nearby = np.stack([one.nearby for one in checked.fits])
     shares = np.array([one.share for one in checked.fits])
     for j, name in enumerate(fit.posterior.names):
@@ -116,7 +140,7 @@ def _errors(fit: Fit, checked: Checked) -> Iterator[_Errors]:
             truth = checked.truth[:, j]
             yield _Errors(name, truth, (nearby[:, j] - truth) / shares)
     with np.errstate(divide="ignore", invalid="ignore"):
-        for group in groups(fit):
+        for group in derived:
             if not group.found:
                 continue
             true = group.values(fit.target.chain_values(checked.truth))

@@ -19,19 +19,23 @@ from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.noise import SCALES
 from bayesfric.inference.posterior import Posterior
+from bayesfric.inference.prior.priors import Prior
 from bayesfric.mechanism.parameter import TURN
 from bayesfric.report.summary import noise as noise_part
 from bayesfric.report.summary.bounds import bound_warning
 from bayesfric.report.summary.derived_quantities import (
     LEVEL,
+    Groups,
     derived_rows,
     described_as,
     groups,
     rms_of,
     spread,
 )
-from bayesfric.report.summary.record import EstimatedRow, Readable, Spread, Summary
+from bayesfric.report.summary.given_scale import tell_given_scales
+from bayesfric.report.summary.record import Readable, Summary, of_noise
 from bayesfric.report.summary.residual_analysis import lacking
+from bayesfric.report.summary.rows import EstimatedRow, Spread
 from bayesfric.report.summary.validation import validation_record
 
 __all__ = ["LEVEL", "estimate_summary", "rms", "spreads", "summarise", "summary_table"]
@@ -42,16 +46,21 @@ _COLUMNS = ["name", "unit", "mean", "sd", "median", "low", "high", "level", "rha
     "prior", "prior_sd", "contraction", "verdict", "at_bound", "converged", "undefined_share",
     "prior_sensitivity", "likelihood_sensitivity", "white_low", "white_high",
     "model_error_low", "model_error_high", "model_error_sd",
-    "bias", "coverage", "corrected", "corrected_low", "corrected_high"]  # fmt: skip
+    "bias", "coverage", "corrected", "corrected_low", "corrected_high",
+    "current", "current_low", "current_high"]  # fmt: skip
 
 
 def summarise(
-    fit: Fit, references: Mapping[str, Any] | None = None, choice: Choice | None = None
+    fit: Fit,
+    references: Mapping[str, Any] | None = None,
+    choice: Choice | None = None,
+    derived: Groups | None = None,
 ) -> Summary:
     """Put all numbers of a fit together; those that do not exist are ``None``.
 
     ``references`` are values to compare with, as a configuration gives them, ``choice`` how the
-    order of the noise was chosen, where it was.
+    order of the noise was chosen, where it was, ``derived`` what follows from the parameters, where
+    it is there already.
     """
     posterior = fit.posterior
     local = local_information(fit.target, posterior.median)
@@ -66,7 +75,7 @@ def summarise(
             for p, value in zip(fit.chain.parameters, fit.chain_draws(1)[0], strict=True)
             if p.name not in fit.target.free
         },
-        "derived": derived_rows(fit, local),
+        "derived": derived_rows(fit, local, groups(fit) if derived is None else derived),
         "estimates": {estimate.method: estimate_summary(estimate) for estimate in fit.estimates},
         "references": dict(references or {}),
         "likelihood": {
@@ -85,6 +94,7 @@ def summarise(
         "fit": {
             "residual_rms": rms(fit),
             **_explained(fit),
+            "torque_constant": torque_constant(fit),
             "unit": outputs[0].unit,
             "quantity": outputs[0].quantity,
             "lacks": list(lacking(fit)),
@@ -104,7 +114,7 @@ def summarise(
         **({"validation": validation_record(fit)} if fit.held_out else {}),
         "sampler": _sampler(posterior),
     }
-    summary = Summary.model_validate(found)
+    summary = _with_currents(tell_given_scales(Summary.model_validate(found)), fit)
     sound = {name: row for name, row in summary.parameters.items() if row.converged}
     warnings = [
         *posterior.diagnostics.warnings,
@@ -142,6 +152,35 @@ def rms(fit: Fit) -> float:
     return rms_of(np.concatenate(fit.residuals))
 
 
+def torque_constant(fit: Fit) -> float | None:
+    """Give torque per current, N m/A or N/A, where torque is explained and all of it a current."""
+    if fit.target.likelihood.method == "output-error":
+        return None
+    found = {o.settings.get("torque_constant") for o in fit.observations}
+    (only,) = found if len(found) == 1 else (None,)
+    return None if only is None else float(only)
+
+
+def _with_currents(summary: Summary, fit: Fit) -> Summary:
+    """Mark torques of the motor, where all of them were measured as one current.
+
+    A loss behind the motor is none, but totals are. An unknown ``drive.gain`` stands between
+    current and torque: then only the noise, which is of what was measured, is one.
+    """
+    constant, chain = torque_constant(fit), fit.chain
+    if constant is None:
+        return summary
+    unit = fit.target.likelihood.outputs[0].unit
+    at_motor = {p.name for p in chain.parameters if p.owner in ("", chain.elements[0].name)}
+    names = [
+        name
+        for name, row in summary.rows.items()
+        if row.unit == unit
+        and (of_noise(name) or (not chain.gain and (name in at_motor or name in summary.derived)))
+    ]
+    return summary.with_rows({name: {"torque_constant": constant} for name in names})
+
+
 def _explained(fit: Fit) -> dict[str, float]:
     """Give the share of the measured torque's variance that the posterior mean explains."""
     if fit.target.likelihood.method == "output-error":
@@ -162,7 +201,7 @@ def spreads(fit: Fit) -> dict[str, Spread]:
 
 def summary_table(summary: Readable) -> str:
     """Lay the parameters and derived quantities of a summary out as CSV text."""
-    return str(Summary.read(summary).frame().to_csv(index=False, columns=_COLUMNS))
+    return str(Summary.read(summary).frame.to_csv(index=False, columns=_COLUMNS))
 
 
 def _discretisation(likelihood: Likelihood) -> dict[str, Any]:
@@ -220,6 +259,7 @@ def _parameters(fit: Fit, local: LocalInformation) -> dict[str, Any]:
             "prior": prior.text,
             "prior_default": prior.default,
             "prior_sd": _number(prior_sd),
+            **_prior_interval(prior),
             "contraction": _number(1.0 - (sd / prior_sd) ** 2),
             "data_sd": _number(data_sd),
             "verdict": verdict(sd, prior_sd, data_sd),
@@ -230,6 +270,13 @@ def _parameters(fit: Fit, local: LocalInformation) -> dict[str, Any]:
             **({"period": TURN} if prior.circular else {}),
         }
     return rows
+
+
+def _prior_interval(prior: Prior) -> dict[str, Any]:
+    ends = prior.interval(LEVEL)
+    # a whole turn has none: where it is cut means nothing
+    known = np.isfinite(ends).all() and not prior.whole_turn
+    return {"prior_interval": list(ends)} if known else {}
 
 
 def _at_bound(

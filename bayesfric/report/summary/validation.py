@@ -115,7 +115,7 @@ def _numbers(predictions: Sequence[Prediction], outputs: Outputs) -> dict[str, A
         "log_score": float(np.mean(np.concatenate([p.log_score for p in predictions]))),
         "discrepancy": _discrepancy(residual**2 - variance, at) if finite else None,
     }
-    verdict = _verdict(shares[_JUDGED])
+    verdict = _verdict(shares[_JUDGED], numbers["discrepancy"])
     judged = {"share": numbers["coverage"][f"{_JUDGED:g}"], "quantity": outputs.quantity}
     says = sentence(verdict, numbers | judged | {"unit": outputs.unit})
     return numbers | {"verdict": verdict, "says": says}
@@ -130,11 +130,13 @@ def _discrepancy(excess: Array, at: NDArray[np.int64]) -> dict[str, Any]:
     return {"value": value, "interval": [low, high], "level": _LEVEL}
 
 
-def _verdict(share: Coverage) -> str:
+def _verdict(share: Coverage, discrepancy: Mapping[str, Any] | None) -> str:
     low, high = _PASSES
     if low <= share.share <= high:
         return "covered"
-    if abs(share.share - _JUDGED) <= _SURE * share.standard_error:
+    # too few are inside, and what is outside is too far out: then both say the same
+    beyond = share.share < low and discrepancy is not None and discrepancy["interval"][0] > 0.0
+    if not beyond and abs(share.share - _JUDGED) <= _SURE * share.standard_error:
         return "undecided"
     return "too wide" if share.share > high else "model discrepancy"
 

@@ -1,8 +1,10 @@
-"""``bayesfric check``: what is measured, its quality and its problems."""
+"""What is measured, its quality and its problems: all there is to say before a fit."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,12 +14,50 @@ from bayesfric.model import Model
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.report.alerts import doubt_text
-from bayesfric.report.summary.doubts import doubts_before
+from bayesfric.report.summary.doubts import doubts_before, little_explained
 from bayesfric.report.summary.summary import estimate_summary
 
 
-def check(model: Model) -> dict[str, Any]:
-    """Collect everything there is to say before a fit."""
+@dataclass(frozen=True)
+class Checked:
+    """What was read, and what looks wrong."""
+
+    found: Mapping[str, Any]
+
+    def as_json(self) -> dict[str, Any]:
+        """Give what ``bayesfric check --json`` prints."""
+        return dict(self.found)
+
+    def text(self) -> str:
+        """Say it for people."""
+        return "\n".join(_lines(self.found))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What looks wrong, a sentence each: of every recording, then of all together."""
+        rows = self.found["recordings"]
+        said = [f"{one['name']}: {text}" for one in rows for text in one["warnings"]]
+        return (*said, *map(doubt_text, self.found["doubts"]))
+
+
+def check(model: Model | Path | str) -> Checked:
+    """Say what is measured, its quality and its problems, before anything is fitted.
+
+    Parameters
+    ----------
+    model
+        A model, or the file of a configuration.
+
+    Raises
+    ------
+    BadInput
+        For anything that cannot be used.
+    """
+    model = model if isinstance(model, Model) else Model.from_config(model)
+    return Checked(_found(model))
+
+
+def _found(model: Model) -> dict[str, Any]:
     (totals,) = model.estimates(["least-squares"])
     delays = model.delays()
     unsettled = {f"noise.{scale.name}" for scale in SCALES.values() if scale.chosen}
@@ -60,13 +100,16 @@ def check(model: Model) -> dict[str, Any]:
             }
             for one in delays
         ],
-        "doubts": doubts_before(
-            totals,
-            model.observations,
-            () if model.chain.delay else delays,
-            model.once_a_turn(),
-            model.disturbances(),
-        ),
+        "doubts": [
+            *little_explained(model.chain, model.observations),
+            *doubts_before(
+                totals,
+                model.observations,
+                () if model.chain.delay else delays,
+                model.once_a_turn(),
+                model.disturbances(),
+            ),
+        ],
         "least_squares": estimate_summary(totals),
     }
 
@@ -79,8 +122,7 @@ def _parts(model: Model) -> Iterator[tuple[Measurement, Observation, str | None]
         yield one.recording, one.observation, one.part
 
 
-def check_text(found: dict[str, Any]) -> Iterator[str]:
-    """Word the result of :func:`check` for a person, line by line."""
+def _lines(found: Mapping[str, Any]) -> Iterator[str]:
     for recording in found["recordings"]:
         held = f", {recording['held_out']} held out" if recording["held_out"] else ""
         yield f"{recording['name']}{held}  ({recording['file']}, {recording['duration']:.3g} s)"

@@ -1,0 +1,189 @@
+"""``bayesfric init --all-keys``: every key of a configuration, out of its schema."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bayesfric.commands.init_fleet import FLEET
+from bayesfric.config_schema import Kind, schema_of
+from bayesfric.errors import BadInput
+from bayesfric.recordings.units import UNIT_KEYWORD
+
+Models = Mapping[str, Mapping[str, Any]]  # of a schema, by name
+
+_WORDS = {
+    "number": "number",
+    "integer": "whole number",
+    "string": "text",
+    "boolean": "true or false",
+    "object": "table",
+}
+_BOUNDS = {
+    "exclusiveMinimum": "more than",
+    "minimum": "at least",
+    "exclusiveMaximum": "less than",
+    "maximum": "at most",
+}
+_TITLES: dict[Kind, str] = {
+    "configuration": "a configuration",
+    "fleet": "FLEET.toml, the plan of a fleet",
+}
+
+
+@dataclass(frozen=True)
+class Key:
+    """One key: what may be written, and what it means."""
+
+    name: str
+    type: str
+    default: str  # as TOML; "required", or empty where what is left out is found or not there
+    unit: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class KeyTable:
+    """The keys of a table; several places where they are the same."""
+
+    places: tuple[str, ...]  # as their headings in the file
+    keys: tuple[Key, ...]
+
+
+def key_tables(kind: Kind) -> list[KeyTable]:
+    """List every key that a kind of file may hold, table by table.
+
+    Parameters
+    ----------
+    kind
+        ``configuration``, or ``fleet`` for ``FLEET.toml``.
+
+    Returns
+    -------
+    list of KeyTable
+        The whole file first; a table that may stand at several places is there once.
+    """
+    schema = schema_of(kind)
+    models = schema["$defs"]
+    places: dict[str, list[str]] = {}
+    waiting = [("", schema)]
+    while waiting:
+        place, found = waiting.pop(0)
+        for name, field in found["properties"].items():
+            for model, ending, several in _tables_in(field, models):
+                path = f"{place}.{name}{ending}".lstrip(".")
+                if model not in places:
+                    waiting.append((path, models[model]))
+                heading = f"[[{path}]]" if several else f"[{path}]"
+                places.setdefault(model, []).append(heading)
+    top = KeyTable(("the file",), tuple(_keys(schema, models)))
+    rest = (KeyTable(tuple(at), tuple(_keys(models[n], models))) for n, at in places.items())
+    return [top, *rest]
+
+
+def keys_text(kind: Kind) -> str:
+    """Write every key of a kind of file as Markdown."""
+    command = "init fleet --all-keys" if kind == "fleet" else "init --all-keys"
+    lines = [
+        f"# Every key of {_TITLES[kind]}",
+        "",
+        f"Out of the models that check it, by `bayesfric {command}`. Where no default stands, what "
+        "is left out is chosen, or is not there. Numbers are in the unit of their row; where text "
+        "may stand for a number, it brings its own, as in `'1 kHz'`.",
+    ]
+    for table in key_tables(kind):
+        heading = ", ".join(f"`{place}`" if place[0] == "[" else place for place in table.places)
+        lines += ["", f"## {heading}", "", "| key | type | default | unit | meaning |"]
+        lines += ["|---|---|---|---|---|"]
+        for key in table.keys:
+            default = key.default if key.default in ("", "required") else f"`{key.default}`"
+            cells = (f"`{key.name}`", key.type, default, key.unit, key.meaning)
+            lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    return "\n".join([*lines, ""])
+
+
+def schema_text(kind: Kind) -> str:
+    """Write the JSON schema of a kind of file."""
+    return json.dumps(schema_of(kind), indent=1, ensure_ascii=False) + "\n"
+
+
+def schema_hint(schema: Path) -> list[str]:
+    """Say what makes an editor complete files by a schema that was written."""
+    return [
+        f"Editors with Taplo complete files beside it that begin with: #:schema ./{schema.name}"
+    ]
+
+
+def reference_text(asked: str | None, *, schema: bool, option: str) -> str:
+    """Write what ``init`` was asked for: keys, or the schema, of a configuration or a fleet.
+
+    Raises
+    ------
+    BadInput
+        Where a preset was named: keys are the same for all.
+    """
+    if asked not in (None, FLEET):
+        mend = f"leave it out, or say {FLEET} for the keys of {_TITLES['fleet']}"
+        raise BadInput(str(asked), f"{option} is the same for every preset", mend)
+    kind: Kind = "fleet" if asked == FLEET else "configuration"
+    return schema_text(kind) if schema else keys_text(kind)
+
+
+def _tables_in(field: Mapping[str, Any], models: Models) -> Iterator[tuple[str, str, bool]]:
+    """Name the tables a key may hold: model, what follows the key in its path, whether several."""
+    if "$ref" in field:
+        name = _name(field)
+        if "properties" in models[name]:
+            yield name, "", False
+        else:
+            yield from _tables_in(models[name], models)
+    for one in field.get("anyOf", ()):
+        yield from _tables_in(one, models)
+    if field.get("type") == "array":
+        yield from ((model, end, True) for model, end, _ in _tables_in(field["items"], models))
+    if isinstance(more := field.get("additionalProperties"), dict):
+        yield from ((model, f".NAME{end}", s) for model, end, s in _tables_in(more, models))
+
+
+def _name(field: Mapping[str, Any]) -> str:
+    return str(field["$ref"]).rpartition("/")[2]
+
+
+def _keys(model: Mapping[str, Any], models: Models) -> Iterator[Key]:
+    required = model.get("required", ())
+    for name, field in model["properties"].items():
+        default = "required" if name in required else ""
+        if "default" in field:
+            default = json.dumps(field["default"], ensure_ascii=False)
+        meaning = field.get("description", "").removesuffix(":")
+        yield Key(name, _type(field, models), default, _unit(field), meaning)
+
+
+def _unit(field: Mapping[str, Any]) -> str:
+    """Look up the unit of a key's numbers, in a list too."""
+    if UNIT_KEYWORD in field:
+        return str(field[UNIT_KEYWORD])
+    return _unit(field["items"]) if "items" in field else ""
+
+
+def _type(field: Mapping[str, Any], models: Models) -> str:
+    """Say in words what may be written."""
+    if "$ref" in field:
+        found = models[_name(field)]
+        return "table" if "properties" in found else _type(found, models)
+    if "anyOf" in field:
+        return " or ".join(dict.fromkeys(_type(one, models) for one in field["anyOf"]))
+    if "enum" in field or "const" in field:
+        choices = field.get("enum") or [field["const"]]
+        return " or ".join(f"`{json.dumps(one)}`" for one in choices)
+    if field["type"] == "array":
+        number = f"{field['minItems']}: " if field.get("minItems") else ""
+        return f"list of {number}{_type(field['items'], models)}"
+    word = _WORDS[field["type"]]
+    if isinstance(more := field.get("additionalProperties"), dict):
+        return f"{word} of {_type(more, models)}"
+    bounds = [f"{text} {field[key]:.10g}" for key, text in _BOUNDS.items() if key in field]
+    return " ".join([word, " and ".join(bounds)]).strip()

@@ -1,0 +1,1 @@
+"""What a page answers with besides the summary: out of a fit, into ``page.json``, as data."""

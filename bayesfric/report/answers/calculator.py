@@ -1,0 +1,212 @@
+"""The law of a fitted joint, with a few hundred draws, for a page that works out torques.
+
+Elements pass torque on as :mod:`bayesfric.mechanism.kernels` says; what each term adds is written
+down from its row in the table of quantities.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.estimates.assemble import open_scalings
+from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.inference.fitting import Fit
+from bayesfric.mechanism.inverse import load_reach, load_torque
+from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.parameter import Parameter
+from bayesfric.mechanism.quantities import (
+    CHOICES,
+    CYCLE_PHRASES,
+    CYCLES,
+    LOAD_CHOICES,
+    SHAPES,
+)
+from bayesfric.report.answers.formula import Formula, Unwritten, formula_of, mentions
+from bayesfric.report.answers.record import Calculator, ElementRow, GroupRow, Seen, TermRow
+from bayesfric.report.summary.derived_quantities import LEVEL
+
+Array = NDArray[np.float64]
+
+# Ends of a 90 % band of so many draws are known to a tenth of its width.
+_DRAWS = 300
+# Of a draw; far finer than draws differ, and a third of the bytes.
+_DIGITS = 7
+# Slots of the kernels that the page's script knows by name, of an element and of the whole.
+ELEMENT_FORMS = frozenset(
+    (
+        "stribeck_ratio", "stribeck_load_ratio", "stribeck_velocity", "stribeck_exponent",
+        "load_drive", "load_back", "load_drive_difference", "load_back_difference", "load_speed",
+        "load_square",
+    )
+)  # fmt: skip
+LOAD_FORMS = frozenset(("gravity_angle", "gain"))
+# What may be chosen besides speed and load, where a term depends on one of these.
+_INPUTS: Mapping[Literal["position", "acceleration"], tuple[str, ...]] = {
+    "position": ("position", "gravity"),
+    "acceleration": ("acceleration",),
+}
+# What the load itself needs, as :func:`bayesfric.mechanism.inverse.load_torque` has it.
+_WEIGHT = ("inertia", "first_moment")
+
+
+def calculator(fit: Fit) -> Calculator:
+    """Write a fitted joint down; where it has a term that cannot be, say which.
+
+    Draws are those that allow for the model's error, where the recordings show any.
+    """
+    chain = fit.chain
+    values = fit.wide.target.chain_values(fit.wide.posterior.flat(_DRAWS))
+    values = np.array([[float(f"{x:.{_DIGITS}g}") for x in row] for row in values.tolist()])
+    fixed = [i for i, name in enumerate(chain.names) if name not in fit.target.free]
+    known = Knowledge({chain.names[i]: float(values[0, i]) for i in fixed})
+    open_scale = bool(open_scalings(chain, known, fit.observations))
+    seen = _seen(fit, values, open_scale=open_scale)
+    return written(chain, values, seen, open_scale=open_scale)
+
+
+def written(chain: Joint, values: Array, seen: Seen, *, open_scale: bool) -> Calculator:
+    """Write a joint down with vectors ``(n, n_parameters)`` of its parameters.
+
+    ``open_scale`` is whether the scale between load and load losses is open.
+    """
+    try:
+        law = _Law(chain)
+    except Unwritten as error:
+        return Calculator(missing=str(error))
+    return Calculator(
+        level=LEVEL,
+        names=list(chain.names),
+        values=[float(x[0]) if np.ptp(x) == 0.0 else x.tolist() for x in values.T],
+        elements=law.elements,
+        gravity=chain.load.gravity,
+        load_forms=law.load_forms,
+        terms=law.terms,
+        groups=law.groups,
+        inputs=[name for name, fields in _INPUTS.items() if law.mentions(fields)],
+        lossy=any(element.load_loss != "none" for element in chain.elements),
+        open_scale=open_scale,
+        own_offsets=bool(chain.own_offsets),
+        begins=law.begins,
+        scaled=chain.gain,
+        motion=chain.load.motion,
+        motor_motion=chain.motor_motion,
+        seen=seen,
+    )
+
+
+class _Law:
+    """Elements, terms and groups of a joint."""
+
+    def __init__(self, chain: Joint) -> None:
+        self.chain = chain
+        self.elements = [
+            ElementRow(ratio=e.ratio, reach=chain.reaches[e.name], forms={}) for e in chain.elements
+        ]
+        self.load_forms: dict[str, int] = {}
+        self.terms: list[TermRow] = []
+        self.groups: list[GroupRow] = []
+        self.begins = False
+        self._keys: list[str] = []
+        places = {e.name: k for k, e in enumerate(chain.elements)}
+        places |= {"load": len(places), "": len(places) + 1, "drive": len(places) + 1}
+        for index, p in enumerate(chain.parameters):
+            self._put(index, p, places[p.owner])
+
+    def mentions(self, fields: tuple[str, ...]) -> bool:
+        """Tell whether a term depends on one of some fields of a state."""
+        return any(mentions(term.formula, fields) for term in self.terms)
+
+    def _put(self, index: int, p: Parameter, place: int) -> None:
+        row = p.row
+        if row.signal:  # at 20 degC, and at rest as far as torque changes, there is none of it
+            self.begins = self.begins or row.signal == "temperature"
+            return
+        if p.quantity == "offset" and self.chain.own_offsets:
+            return  # whose it is, only the recording says
+        if p.quantity in SHAPES:
+            return
+        if row.role != "own":
+            at_element = place < len(self.elements)
+            forms = self.elements[place].forms if at_element else self.load_forms
+            for slot in (p.quantity,) if row.slots is None else row.slots:
+                if slot not in (ELEMENT_FORMS if at_element else LOAD_FORMS):
+                    raise Unwritten(p.name)
+                forms[slot] = index
+            return
+        formula: Formula = 1.0
+        if p.quantity != "offset":
+            assert row.column is not None
+            try:
+                formula = formula_of(row.column, shaped=bool(row.shape))
+            except Unwritten:
+                raise Unwritten(p.name) from None
+        self.begins = self.begins or mentions(formula, ("time",))
+        shape = self.chain.names.index(f"{p.owner}.{row.shape}") if row.shape else -1
+        self.terms.append(
+            TermRow(
+                place=place,
+                parameter=index,
+                shape=shape,
+                rises=row.rises,
+                group=self._group(p, loss=mentions(formula, ("speed", "direction"))),
+                formula=formula,
+                weight=p.owner == "load" and p.quantity in _WEIGHT,
+            )
+        )
+
+    def _group(self, p: Parameter, *, loss: bool) -> int:
+        """Find the group of a term, all elements together, or begin it."""
+        option = p.row.option
+        key = option or p.name
+        if key not in self._keys:
+            self._keys.append(key)
+            self.groups.append(GroupRow(words=_words(p), loss=loss))
+        return self._keys.index(key)
+
+
+def _words(p: Parameter) -> str:
+    option = p.row.option
+    if not option:
+        return p.meaning
+    if option in CYCLES:
+        return CYCLE_PHRASES[option]
+    return next(iter({**CHOICES, **LOAD_CHOICES}[option].values()))
+
+
+def _seen(fit: Fit, values: Array, *, open_scale: bool) -> Seen:
+    """Say where the outputs were; loads are those of the draws' median."""
+    chain, middle = fit.chain, np.median(values, axis=0)
+    motion = [
+        (o.q[at], o.speed, o.qdd[at], load_torque(
+            chain, middle, o.q[at], o.qdd[at], inputs=o.inputs, time=o.stamps[at]
+        ))
+        for o in fit.observations
+        for at in (o.filter.centres,)
+    ]  # fmt: skip
+    q, qd, qdd, load = (np.concatenate(x) for x in zip(*motion, strict=True))
+    reach = float(load_reach(chain, middle[None], open_scale=open_scale)[0])
+    # a joint without a load may still be asked for one
+    largest = max(float(np.abs(o.measured).max()) for o in fit.observations) * chain.ratio
+    return Seen(
+        speed=_ends(qd),
+        slowest=float(np.abs(qd).min()),
+        position=_ends(q),
+        acceleration=_ends(qdd),
+        load=_ends(reach * load),
+        outside=float(np.abs(load).max()) or largest,
+    )
+
+
+def _ends(x: Array) -> list[float]:
+    return [float(x.min()), float(x.max())]
+
+
+def parameter_vectors(found: Calculator) -> Array:
+    """Give the draws that a page holds as vectors of the joint, ``(n, n_parameters)``."""
+    n = max((len(x) for x in found.values if isinstance(x, list)), default=1)
+    columns = [np.broadcast_to(np.asarray(x), (n,)) for x in found.values]
+    return np.stack(columns, axis=1).astype(np.float64)

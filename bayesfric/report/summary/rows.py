@@ -1,0 +1,139 @@
+"""Rows of ``summary.json``: what it says of one number."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, FiniteFloat
+
+from bayesfric.estimates.point_estimate import Kind
+from bayesfric.report.summary.part import Bound, Described, NotNegative, Pair, Part, Share
+
+
+def amperes(torque: float, constant: float) -> float:
+    """Tell a torque of the motor as its current, which a negative constant counts backwards."""
+    return torque / abs(constant)
+
+
+class EstimatedRow(Described):
+    """One number of a point estimate, as ``EstimatedValue`` of estimates has it."""
+
+    value: FiniteFloat
+    sd: NotNegative | None = None
+    sd_robust: NotNegative | None = None
+    kind: Kind | None = None
+    gauge_free: bool | None = None
+    determined: bool | None = None
+    at_bound: Bound | None = None
+    span: Pair | None = None
+
+
+class Spread(Part):
+    """Where the draws of one quantity lie."""
+
+    mean: FiniteFloat
+    sd: NotNegative
+    median: FiniteFloat | None = None
+    interval: Pair
+    level: Annotated[FiniteFloat, Field(gt=0.0, lt=1.0)]
+
+    @property
+    def middle(self) -> float:
+        """The number to print: the median, or of files that lack it the mean."""
+        return self.mean if self.median is None else self.median
+
+
+class PosteriorRow(Spread, Described):
+    """One parameter or derived quantity of a posterior.
+
+    ``interval`` and ``sd`` hold if the model is right, ``model_error_interval`` is there where the
+    recordings show that it is not; ``prior_interval`` is of the same level. ``doubted`` are the
+    kinds of doubts there are of it, ``given_by`` parameters whose told priors give it its scale,
+    ``white_interval`` what white noise would have given,
+    ``torque_constant`` (N m/A or N/A) is of a torque of the motor that was measured as a current,
+    ``period`` that of an angle, ``of_motion`` whether another motion of the same joint has another
+    value. Priors' texts and diagnostics are of parameters only, ``undefined_share`` of derived
+    quantities.
+    """
+
+    rhat: FiniteFloat | None = None
+    ess: FiniteFloat | None = None
+    converged: bool | None = None
+    prior: str = ""
+    prior_default: bool = False
+    prior_sd: NotNegative | None = None
+    prior_interval: Pair | None = None
+    contraction: FiniteFloat | None = None
+    data_sd: NotNegative | None = None
+    verdict: Literal["data", "weak", "prior"]
+    at_bound: Bound | None = None
+    bound: FiniteFloat | None = None
+    bound_physical: bool | None = None
+    prior_sensitivity: FiniteFloat | None = None
+    likelihood_sensitivity: FiniteFloat | None = None
+    diagnosis: str | None = None
+    period: FiniteFloat | None = None
+    of_motion: bool = False
+    undefined_share: Share | None = None
+    gauge_free: bool | None = None
+    doubted: list[str] = Field(default_factory=list)
+    given_by: list[str] = Field(default_factory=list)
+    white_interval: Pair | None = None
+    white_sd: NotNegative | None = None
+    model_error_interval: Pair | None = None
+    model_error_sd: NotNegative | None = None
+    torque_constant: FiniteFloat | None = None
+
+    @property
+    def current(self) -> tuple[float, float, float] | None:
+        """What :attr:`middle` and the ends of :attr:`told_interval` are in A, if of a current."""
+        if not self.torque_constant:
+            return None
+        middle, low, high = (
+            amperes(x, self.torque_constant) for x in (self.middle, *self.told_interval)
+        )
+        return middle, low, high
+
+    @property
+    def told_interval(self) -> list[float]:
+        """The interval to print first."""
+        return self.model_error_interval or self.interval
+
+    @property
+    def told_sd(self) -> float:
+        """The sd of :attr:`told_interval`."""
+        return self.sd if self.model_error_sd is None else self.model_error_sd
+
+    @property
+    def reaches(self) -> str:
+        """Say that it reaches to an end of its range, if it does."""
+        ends = {"lower": "down to the least", "upper": "up to the most"}
+        return f"reaches {ends[self.at_bound]} that it may be" if self.at_bound else ""
+
+    @property
+    def beside(self) -> list[str]:
+        """What to know of it besides its verdict."""
+        told = [self.reaches] if self.reaches else []
+        if self.undefined_share:
+            told.append(f"undefined in {100 * self.undefined_share:.0f} % of the draws")
+        return told
+
+    @property
+    def narrowing(self) -> float | None:
+        """How many times narrower than its prior the posterior is."""
+        return self.prior_sd / self.sd if self.prior_sd and self.sd else None
+
+
+class KnownRow(Described):
+    """A parameter that was taken as known."""
+
+    value: FiniteFloat
+
+
+class ReferenceRow(Part):
+    """A value from elsewhere: the manufacturer's, or from CAD."""
+
+    value: FiniteFloat
+    unit: str
+    sd: NotNegative | None = None
+    source: str = "reference"

@@ -1,0 +1,85 @@
+"""Run the tutorials, and keep their outputs in them.
+
+``python studies/tutorials/run.py`` runs all five, ``run.py first_joint a_fleet`` some of them;
+``--check`` runs without keeping anything. Wants ``pip install '.[tutorials]'``.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import os
+import sys
+import time
+from pathlib import Path
+
+import nbformat
+from nbclient import NotebookClient
+from PIL import Image
+
+HERE = Path(__file__).resolve().parent
+NAMES = (
+    "first_joint",
+    "what_the_data_cannot_tell",
+    "which_friction_model",
+    "to_mujoco_and_a_controller",
+    "a_fleet",
+)
+SECONDS = 600  # that a cell may take
+COLOURS = 48  # of a picture, which is what makes it small
+
+
+def executed(name: str) -> nbformat.NotebookNode:
+    """Run one tutorial in a fresh kernel of this Python, and give it with its outputs.
+
+    Raises
+    ------
+    nbclient.exceptions.CellExecutionError
+        If a cell fails.
+    """
+    notebook = nbformat.read(HERE / f"{name}.ipynb", as_version=4)
+    # cells that begin with ! call the command of this Python
+    os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    place = {"metadata": {"path": str(HERE)}}
+    NotebookClient(
+        notebook, timeout=SECONDS, kernel_name="python3", resources=place, coalesce_streams=True
+    ).execute()
+    return notebook
+
+
+def small(png: str) -> str:
+    """Take the colours of a picture, in base64, down to as many as figures have."""
+    made = io.BytesIO()
+    picture = Image.open(io.BytesIO(base64.b64decode(png))).convert("RGB")
+    picture.quantize(COLOURS, dither=Image.Dither.NONE).save(made, "PNG", optimize=True)
+    return base64.b64encode(made.getvalue()).decode()
+
+
+def bare(notebook: nbformat.NotebookNode) -> nbformat.NotebookNode:
+    """Take off what changes from run to run, or from machine to machine."""
+    notebook.metadata = {
+        "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
+        "language_info": {"name": "python"},
+    }
+    for n, cell in enumerate(notebook.cells):
+        cell.metadata, cell.id = {}, f"cell-{n:02d}"
+        for output in cell.get("outputs", ()):
+            if output.output_type == "stream":
+                output.text = output.text.replace("\r\n", "\n")
+            if "image/png" in output.get("data", {}):
+                output.data["image/png"] = small(output.data["image/png"])
+    return notebook
+
+
+def main(words: list[str]) -> None:
+    names = [word for word in words if not word.startswith("--")] or list(NAMES)
+    for name in names:
+        began = time.monotonic()
+        notebook = bare(executed(name))
+        if "--check" not in words:
+            nbformat.write(notebook, HERE / f"{name}.ipynb")
+        print(f"{name}: {time.monotonic() - began:.0f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

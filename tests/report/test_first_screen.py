@@ -1,0 +1,462 @@
+"""The first screen: three answers out of data, strips on one axis, the worst seconds."""
+
+import copy
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bayesfric.report.answers.calculator import calculator
+from bayesfric.report.answers.record import Answers
+from bayesfric.report.answers.stretch import _gaps, stretch
+from bayesfric.report.comparison.comparison import comparison
+from bayesfric.report.page.run_page import run_page
+from bayesfric.report.page.status import Glance, glance
+from bayesfric.report.page.stretch import stretch_drawing
+from bayesfric.report.page.strip import strips
+from bayesfric.report.paper.tables import parameter_table
+from bayesfric.report.summary.record import Summary, of_noise
+from bayesfric.report.summary.summary import summarise
+from bayesfric.report.terminal import fit_text
+
+from .conftest import build
+from .made_summaries import LEG, MOTOR, every_kind, failed, knee, loaded
+from .page_reader import read_page
+
+
+def looked(told):
+    read = Summary.read(told)
+    return glance(parameter_table(read), read)
+
+
+def asked(found, **more):
+    return found | {"model_error": {"shown": False, "axes": []}} | more
+
+
+def test_three_answers_are_those_of_the_data():
+    look = looked(knee())
+    assert (look.trusted, look.known, look.right) == ("yes", "partly", "unasked")
+    assert look.settled == ("data",) * len(MOTOR) + ("open",) * len(LEG)
+    names = tuple(name for name in loaded()["parameters"] if not of_noise(name))
+    assert looked(asked(loaded())) == Glance(
+        "yes", "yes", "yes", ("data",) * 6, {"data": names}, 5 + 5, (), ()
+    )
+    look = looked(every_kind())
+    assert set(look.settled) == {"data", "together", "limit", "open"}
+    assert list(look.settled) == sorted(
+        look.settled, key=("data", "together", "limit", "open").index
+    )
+    tentative = asked(knee(), sampler={"status": "tentative"})
+    assert looked(tentative).trusted == "partly"
+    doubted = asked(knee(), doubts=[{"kind": "memory", "parameters": []}])
+    assert looked(doubted).trusted == "partly"
+    doubted = asked(loaded())
+    doubted["parameters"]["motor.inertia"] |= {"verdict": "weak", "doubted": ["delay"]}
+    look = looked(doubted)
+    assert (look.known, look.settled.count("doubted")) == ("partly", 1)
+    look = looked(failed(knee()))
+    assert (look.trusted, look.known, look.right) == ("no", "no", "unasked")
+    assert set(look.settled) == {"lost"}
+
+
+def checked(coverage, **more):
+    rows = {
+        name: {"bias": 0.1, "bias_error": 0.01, "coverage": share, "coverage_error": 0.01}
+        for name, share in coverage.items()
+    }
+    for name, row in more.items():
+        rows[name.replace("__", ".")] |= row
+    took = {"seconds": 1.0, "cpu_seconds": 1.0}
+    return {"asked": 40, "made": 40, "rows": rows, "unexplained": 0.1, **took}
+
+
+def test_one_look_tells_the_worst_coverage_and_which_interval_it_is(tmp_path):
+    told = asked(loaded())
+    told["self_check"] = checked({"motor.inertia": 0.89, "motor.viscous": 0.813})
+    card, *_ = (
+        li for li in read_page(run_page(tmp_path, told, "run")).all("li") if "Trusted?" in li.text
+    )
+    assert "81 % at worst (motor.viscous)" in card.text
+    assert "if the model is right" in card.text
+    # what is open is the prior's, whatever is simulated
+    told["parameters"]["motor.viscous"]["verdict"] = "prior"
+    assert looked(told).worst == ("motor.inertia", 0.89)
+    del told["self_check"]
+    assert looked(told).worst is None
+
+
+def test_no_green_where_an_interval_of_the_simulation_holds_too_few_truths(tmp_path):
+    """Nor does the terminal then call more than the sampling reliable."""
+    told = asked(loaded(), self_check=checked({"motor.inertia": 0.89, "motor.viscous": 0.77}))
+    assert looked(told).trusted == "partly"
+    told["sampler"] |= {"min_ess": 5000.0, "max_rhat": 1.0, "seconds": 1.0}
+    text = "Sampling reliable, intervals too narrow in simulation"
+    assert text in read_page(run_page(tmp_path, told, "run")).text
+    assert next(fit_text(told)).startswith(text.lower())
+    # what a prior has a say in misses truths without being wrong
+    told["parameters"]["motor.viscous"]["verdict"] = "weak"
+    assert looked(told).trusted == "yes"
+    # forty recordings scatter by as much
+    told["parameters"]["motor.viscous"]["verdict"] = "data"
+    told["self_check"]["rows"]["motor.viscous"]["coverage"] = 0.79
+    assert looked(told).trusted == "yes"
+
+
+def test_strips_show_the_widened_interval_and_what_the_self_check_corrects(tmp_path):
+    told = asked(loaded(), model_error={"shown": True, "axes": []})
+    row = told["parameters"]["motor.inertia"]
+    low, high = row["interval"]
+    row |= {"model_error_interval": [low - 1e-5, high + 1e-5], "model_error_sd": 3.5e-5}
+    right = {"corrected": 3.511e-4, "corrected_interval": [3.1e-4, 3.9e-4]}
+    told["self_check"] = checked({"motor.inertia": 0.7}, motor__inertia=right)
+    assert "posterior 0.0002872 to 0.0003928" in made_strips(told)["motor.inertia"].words
+    page = read_page(run_page(tmp_path, told, "run"))
+    (first,) = page.all("section", id="findings")
+    (card,) = [li for li in first.all("li") if "Trusted?" in li.text]
+    assert "widened" in card.text
+    (legend,) = [p for p in first.all("p") if p.attrs.get("class") == "legend"]
+    assert "widened" in legend.text
+    (line,) = [s.text for s in first.all("span") if "by the self-check" in s.text][-1:]
+    assert "3.51" in line
+    assert "were the model right" in line
+
+
+@pytest.mark.parametrize("undecided", ["lacks", "held-out"])
+def test_what_is_undecided_is_not_green(tmp_path, undecided):
+    told = asked(knee())
+    if undecided == "lacks":
+        told["fit"]["lacks"] = [{"on": "joint speed", "share": 0.23, "sure": False}]
+    else:
+        held = {"outputs": 9, "coverage": {}, "residual_rms": 1.0, "says": "too few"}
+        told["validation"] = {"unit": "N m", "parts": {}, "pooled": held | {"verdict": "undecided"}}
+    page = read_page(run_page(tmp_path, told, "run"))
+    (card,) = [li for li in page.all("li") if "Model right?" in li.text]
+    assert card.attrs["data-kind"] == "unasked"
+    assert "Not decided" in card.text
+    assert ("joint speed may explain 23 %" in card.text) == (undecided == "lacks")
+    told["fit"]["lacks"] = []
+    told.pop("validation", None)
+    assert looked(told).right == "yes"
+
+
+def test_a_limit_and_what_needs_its_prior_are_counted_apart(tmp_path):
+    """Six numbers, of which the data alone tell four: not all six are known."""
+    told = asked(loaded())
+    told["parameters"]["motor.inertia"] |= {
+        "verdict": "weak", "at_bound": "lower", "bound": 0.0, "data_sd": 1e-5, "prior_sd": 1e-2,
+    }  # fmt: skip
+    told["parameters"]["load.inertia"] |= {"verdict": "weak"}
+    look = looked(told)
+    assert look.known == "partly"
+    assert look.settled == ("data",) * 4 + ("together", "limit")
+    assert (look.named["limit"], look.named["together"]) == (("motor.inertia",), ("load.inertia",))
+    page = read_page(run_page(tmp_path, told, "run"))
+    (card,) = [li for li in page.all("li") if "Known?" in li.text]
+    assert "Four of six parameters by the data" in card.text
+    assert re.search(r"one only as a limit \(motor\.inertia\)", card.text)
+    assert re.search(r"one only together with prior and bounds \(load\.inertia\)", card.text)
+
+
+@pytest.mark.parametrize(
+    ("change", "right", "against"),
+    [
+        ({}, "yes", ()),
+        ({"model_error": {"shown": True, "axes": []}}, "partly", ("error",)),
+        ({"model_error": {"shown": False, "axes": [], "reason": "few"}}, "unasked", ()),
+        ({"fit": {"lacks": [{"on": "speed", "share": 0.2, "sure": True}]}}, "partly", ("lacks",)),
+        ({"fit": {"lacks": [{"on": "speed", "share": 0.2, "sure": False}]}}, "unasked", ()),
+        ({"doubts": [{"kind": "unexplained"}]}, "no", ("unexplained",)),
+        ({"doubts": [{"kind": "memory"}]}, "partly", ("memory",)),
+    ],
+)
+def test_whether_the_model_is_right(change, right, against):
+    look = looked(asked(knee()) | change)
+    assert (look.right, look.against) == (right, against)
+
+
+GRAVITY = {
+    "phrase": "gravity moment ml", "owner": "load", "evidence": 90.0, "also": [],
+    "setting": "mechanism.load.first_moment = true",
+}  # fmt: skip
+
+
+def of_wrong_mechanism(told, kind, **more):
+    """A run whose residual is no noise, and what it tells of that."""
+    doubt = {
+        "unexplained": {"share": 0.6, "quantity": "motor torque"},
+        "memory": {"asked": 2, "taken": 0, "shift": 4.0, "rise": 1.2},
+    }[kind]
+    return told | {"doubts": [{"kind": kind, "parameters": [], **doubt}]} | more
+
+
+@pytest.mark.parametrize("told", [knee, loaded])
+@pytest.mark.parametrize("kind", ["unexplained", "memory"])
+@pytest.mark.parametrize("asked_terms", [[], [GRAVITY]])
+def test_a_wrong_mechanism_comes_before_every_experiment(tmp_path, told, kind, asked_terms):
+    right = read_page(run_page(tmp_path, asked(told()), "run"))
+    page = read_page(
+        run_page(tmp_path, of_wrong_mechanism(asked(told()), kind, asked_terms=asked_terms), "run")
+    )
+    lines = list(fit_text(of_wrong_mechanism(asked(told()), kind, asked_terms=asked_terms)))
+    (place,) = [k for k, x in enumerate(lines) if "First change the mechanism" in x]
+    assert (GRAVITY["setting"] in lines[place]) == bool(asked_terms)
+    assert not any(x.startswith("  motor.inertia") for x in lines[:place])
+    assert "First change the mechanism" not in "\n".join(fit_text(asked(told())))
+    (step, *_), (before, *_) = (
+        [li for div in one.all("div") if div.attrs.get("class") == "next" for li in div.all("li")]
+        or [None]
+        for one in (page, right)
+    )
+    assert step.text.startswith("First change the mechanism")
+    assert before is None or not before.text.startswith("First change the mechanism")
+    assert "bayesfric explain" in step.text
+    assert (GRAVITY["setting"] in step.text) == bool(asked_terms)
+    (following,) = [d for d in page.all("div") if d.attrs.get("class") == "next"]
+    # neither a value to fix nor a recording to make: they would be for a wrong mechanism
+    assert "--advise" not in following.text
+    assert "prior from a data sheet" not in following.text
+    (left,) = page.all("div", id="left-open")
+    assert "Nothing" not in left.text
+    assert "no number here is settled" in left.text
+
+
+def test_nothing_is_open_only_where_nothing_speaks_against_the_model(tmp_path):
+    def said(**more):
+        page = read_page(run_page(tmp_path, asked(loaded(), **more), "run"))
+        following = [d for d in page.all("div") if d.attrs.get("class") == "next"]
+        return [one.text for one in (*page.all("div", id="left-open"), *following)]
+
+    assert ["Nothing" in text for text in said()] == [True, True]
+    unsure = said(fit={"lacks": [{"on": "speed", "share": 0.2, "sure": False}]})
+    assert ["Nothing" in text for text in unsure] == [False, False]
+    wrong = said(model_error={"shown": True, "axes": []})
+    assert ["Nothing" in text for text in wrong] == [False, False]
+
+
+def test_a_shape_goes_with_every_answer_and_a_link_leads_on(tmp_path):
+    for told in (knee(), asked(loaded()), failed(knee())):
+        page = read_page(run_page(tmp_path, told, "run"))
+        cards = [li for li in page.all("li") if li.attrs.get("class") == "glance"]
+        look = looked(told)
+        assert [li.attrs["data-kind"] for li in cards] == [look.trusted, look.known, look.right]
+        names = {node.attrs.get("id") for node in page.every()}
+        for li, kind in zip(cards, (look.trusted, look.known, look.right), strict=True):
+            (shape,) = [s for s in li.all("span") if "shape" in s.attrs.get("class", "").split()]
+            assert shape.text == {"yes": "✓", "partly": "!", "no": "✕", "unasked": "?"}[kind]
+            (link,) = li.all("a")
+            assert link.attrs["href"][1:] in names
+            assert len(li.text) > 30
+
+
+def made_strips(told):
+    read = Summary.read(told)
+    return strips(parameter_table(read).rows, comparison({"run": read}))
+
+
+def test_strips_put_everything_on_one_axis():
+    told = knee()
+    told["parameters"]["motor.inertia"]["prior_interval"] = [0.0, 2e-3]
+    strip = made_strips(told)["motor.inertia"]
+    unit = lambda at: strip.low + at / 100.0 * (strip.high - strip.low)  # noqa: E731
+    marks = {m.label: m for m in strip.marks}
+    assert [m.kind for m in strip.marks].count("estimate") == 2  # least squares has none of it
+    interval = marks["posterior"]
+    assert [unit(interval.low), unit(interval.high)] == pytest.approx(
+        told["parameters"]["motor.inertia"]["interval"]
+    )
+    assert unit(interval.at) == pytest.approx(3.40e-4)
+    value, sd = 3.40e-4 - 0.6 * 2.6e-5, 2.6e-5
+    estimate = marks["input-error"]
+    assert unit(estimate.at) == pytest.approx(value)
+    assert unit(estimate.high) == pytest.approx(value + 1.645 * sd, rel=1e-6)
+    assert unit(marks["data sheet"].at) == pytest.approx(3.32e-4)
+    # wider than the axis on both sides, and cut there
+    assert (marks["prior"].low, marks["prior"].high) == (0.0, 100.0)
+    for word in ("prior 0 to 0.002", "data sheet", "input-error", "kg m²"):
+        assert word in strip.words
+
+
+def test_what_is_far_off_is_at_the_end_and_says_where():
+    told = knee()
+    told["references"]["motor.inertia"]["value"] = 1.0
+    strip = made_strips(told)["motor.inertia"]
+    (far,) = [m for m in strip.marks if m.kind == "reference"]
+    assert (far.at, far.beyond) == (100.0, "high")
+    low, high = told["parameters"]["motor.inertia"]["interval"]
+    assert strip.high - strip.low < 20.0 * (high - low)
+
+
+@pytest.mark.parametrize(("side", "bound"), [("lower", 0.0), ("upper", 0.06)])
+def test_a_limit_reaches_from_its_bound_and_nothing_beyond(side, bound):
+    told = every_kind()
+    name = "motor.coulomb_negative"
+    row = told["parameters"][name]
+    row |= {"at_bound": side, "bound": bound, "interval": [0.003, 0.05]}
+    strip = made_strips(told)[name]
+    (mark,) = strip.marks
+    assert mark.at is None  # it has no value
+    unit = [strip.low + at / 100.0 * (strip.high - strip.low) for at in (mark.low, mark.high)]
+    assert unit == pytest.approx([0.0, 0.05] if side == "lower" else [0.003, 0.06])
+    assert bound in (strip.low, strip.high)
+
+
+def test_nothing_open_has_a_strip(tmp_path):
+    told = knee()
+    for row in told["parameters"].values():
+        row["prior_interval"] = [0.0, 1.0]
+    assert not set(made_strips(told)) & set(LEG)
+    page = read_page(run_page(tmp_path, told, "run"))
+    drawn = [d for d in page.all("div") if d.attrs.get("class") == "strip"]
+    (known,) = [d for d in page.all("dl") if d.attrs.get("class") == "known"]
+    assert len(drawn) == len(list(known.all("dt")))
+    for one in drawn:
+        assert one.attrs["role"] == "img"
+        assert "posterior" in one.attrs["aria-label"]
+
+
+def test_words_come_before_raw_names(tmp_path):
+    page = read_page(run_page(tmp_path, knee(), "run"))
+    (first,) = page.all("section", id="findings")
+    for dt in first.all("dt"):
+        assert re.search(r"made up total[_.\w]*|made up \w+\.\w+", dt.text)
+    names = [p for p in first.all("p") if p.attrs.get("class") == "names"]
+    assert names
+    for p in names:
+        assert all(re.fullmatch(r"made up \w+\.\w+(; )?", s.text) for s in p.all("span"))
+
+
+@pytest.mark.parametrize("number", [4, 5])
+def test_dozens_of_remarks_stand_behind_one_line(tmp_path, number):
+    told = knee() | {"warnings": [f"remark {k}" for k in range(number)], "may_be_simulated": True}
+    told["fit"]["lacks"] = [{"on": "joint speed", "share": 0.1, "sure": True}]
+    (first,) = read_page(run_page(tmp_path, told, "run")).all("section", id="findings")
+    flags = [p.attrs["data-kind"] for p in first.all("p") if p.attrs.get("class") == "flag"]
+    assert flags == ["lacks", *["warning"] * number, "simulated"]
+    behind = [p.attrs["data-kind"] for one in first.all("details") for p in one.all("p")]
+    assert behind == (["warning"] * number if number > 4 else [])
+
+
+def test_prior_intervals_are_of_the_priors():
+    fit = build(samples=400, ensembles=2)
+    found = summarise(fit).rows
+    for prior, name in zip(fit.posterior.priors, fit.posterior.names, strict=True):
+        low, high = found[name].prior_interval
+        inside = prior.distribution.cdf([low, high]) - prior.distribution.cdf(prior.lower)
+        assert inside / prior.mass == pytest.approx([0.05, 0.95], abs=1e-9)
+    # of a total, by a large sample of its own
+    rng = np.random.default_rng(1)
+    draws = {
+        name: prior.draw(20_000, rng)
+        for name, prior in zip(fit.posterior.names, fit.posterior.priors, strict=True)
+    }
+    mine = (
+        draws["motor.viscous"] + draws["joint.viscous"] * (1 + draws["gearbox.load_drive"]) / 2500
+    )
+    ends = np.quantile(mine, [0.05, 0.95])
+    assert found["total_drive.viscous"].prior_interval == pytest.approx(ends, rel=0.15)
+
+
+@pytest.fixture
+def long():
+    """A fit of 13 s in two halves, whose residuals are nothing but a burst at 9 s."""
+    fit = build(samples=6000)
+    residual = np.zeros_like(fit.target.likelihood.outputs[0].measured)
+    time = fit.target.likelihood.outputs[0].time
+    residual[(time > 5.9) & (time < 6.1)] = 0.3
+    changed = copy.copy(fit)
+    changed.__dict__["residuals"] = [residual]
+    return changed
+
+
+def test_the_worst_seconds_are_chosen_by_the_rule(long):
+    (o,), (residual,) = long.target.likelihood.outputs, long.residuals
+    found = stretch(long)
+    begin, end = found.span
+    assert 4.5 < end - begin <= 5.0
+    assert begin < 5.9
+    assert end > 6.1
+    inside = (o.time >= begin) & (o.time <= end)
+    assert found.residual_rms == pytest.approx(np.sqrt(np.mean(residual[inside] ** 2)))
+    # no other window of 5 s is worse
+    for first in o.time[:: o.time.size // 50]:
+        other = (o.time >= first) & (o.time <= first + 5.0)
+        if o.time[-1] >= first + 5.0:
+            assert np.mean(residual[other] ** 2) <= found.residual_rms**2 * (1 + 1e-9)
+    # the gap of a second between the halves is none of the drawing
+    assert len(found.pieces) >= 2
+    for time, measured, mean, _ in map(np.asarray, found.pieces):
+        at = np.searchsorted(o.time, time - 1e-4)
+        assert measured == pytest.approx(o.measured[at], rel=1e-5)
+        assert measured - mean == pytest.approx(residual[at], abs=1e-5)
+
+
+def test_every_gap_says_why_nothing_is_compared_there(long):
+    """The gap between the halves has no samples; the others are where the joint turns round."""
+    (o,), (of,) = long.target.likelihood.outputs, long.observations
+    told = stretch(long)
+    (missing,) = [gap for gap in told.gaps if gap.why == "missing"]
+    stamps = of.stamps
+    assert not ((stamps > missing.span[0] + 0.2) & (stamps < missing.span[1] - 0.2)).any()
+    assert len(told.gaps) == len(told.pieces) - 1
+    for gap in told.gaps:
+        assert not ((o.time > gap.span[0]) & (o.time < gap.span[1])).any()
+        if gap.why == "rest":
+            inside = (stamps >= gap.span[0]) & (stamps <= gap.span[1])
+            assert np.abs(of.qd[inside]).min() < of.settings["dead_zone"]
+    drawing = stretch_drawing(told)
+    assert set(drawing.gaps) == {gap.why for gap in told.gaps}
+    assert str(drawing.markup).count('class="gap') == len(told.gaps)
+
+
+def test_what_the_configuration_leaves_out_is_told_from_rest():
+    fit = build(samples=2000)
+    (o,), (outputs,) = fit.observations, fit.target.likelihood.outputs
+    # in the middle of the longest piece nothing rests
+    ends = np.flatnonzero(np.concatenate([[True], ~outputs.follows, [True]]))
+    longest = int(np.argmax(np.diff(ends)))
+    middle = o.time[ends[longest : longest + 2].sum() // 2]
+    kept = np.abs(o.time - middle) > 5.0 * outputs.period
+    named = {k: getattr(outputs, k)[kept] for k in ("time", "measured", "segment_of")}
+    cut = replace(outputs, **named, follows=np.diff(named["time"]) < 1.5 * outputs.period)
+    found = list(_gaps(cut, o, 0, cut.time.size))
+    (out,) = [gap for gap in found if gap.span[0] < middle < gap.span[1]]
+    assert out.why == "left-out"
+    assert [gap for gap in found if gap is not out] == list(_gaps(outputs, o, 0, o.time.size))
+
+
+def test_the_drawing_is_of_the_numbers(long):
+    told = stretch(long)
+    drawing = stretch_drawing(told)
+    assert told.recording in drawing.markup
+    assert str(drawing.markup).count("M") > len(told.pieces)
+    paths = " ".join(re.findall(r' d="([^"]*)"', str(drawing.markup)))
+    numbers = [float(x) for x in re.findall(r"-?\d+\.\d", paths)]
+    assert min(numbers) >= 0.0
+    assert max(numbers) <= 1000.0
+    empty = told.model_copy(update={"pieces": []})
+    assert stretch_drawing(empty) is None
+    ragged = told.model_copy(update={"pieces": [[[0.0], [1.0, 2.0], [1.0], [1.0]]]})
+    assert stretch_drawing(ragged) is None
+
+
+@pytest.mark.parametrize("kind", ["unexplained", "memory", None])
+def test_a_doubtful_number_of_the_calculator_says_so(tmp_path, kind):
+    fit = build(samples=400, ensembles=2)
+    answers = Answers(calculator=calculator(fit))
+    (tmp_path / "page.json").write_text(answers.model_dump_json(), encoding="utf-8")
+    told = of_wrong_mechanism(asked(loaded()), kind) if kind else asked(loaded())
+    page = read_page(run_page(tmp_path, told, "run"))
+    (section,) = page.all("section", id="calculator")
+    numbers = [p for p in section.all("p") if p.attrs.get("class") == "now"]
+    assert len(numbers) == 2
+    assert ["doubtful" in p.text for p in numbers] == [kind is not None] * 2
+
+
+def test_what_is_no_page_json_is_left_out(tmp_path):
+    for text in ("", "[]", '{"stretch": {"unit": 3}}', "\x00"):
+        (tmp_path / "page.json").write_text(text, encoding="utf-8")
+        page = read_page(run_page(tmp_path, knee(), "run"))
+        (section,) = page.all("section", id="calculator")
+        assert "holds no page.json" in section.text
+    assert Answers.model_validate_json("{}").calculator is None

@@ -1,0 +1,65 @@
+"""A number that is data times somebody's told weight is neither open nor the prior's own."""
+
+import copy
+
+import pytest
+
+from bayesfric.report.page.run_page import run_page
+from bayesfric.report.summary.given_scale import tell_given_scales
+from bayesfric.report.summary.record import Summary
+from bayesfric.report.terminal import fit_text
+
+from .made_summaries import loaded, posterior_row
+
+NAMES = ("motor.inertia", "load.first_moment", "drive.gain")
+
+
+def weighed(**changes):
+    """A gain that nobody knows, and a load of which one told the weight within 7 %."""
+    told = copy.deepcopy(loaded())
+    told["derived"] = {}
+    default = {"prior_default": True, "verdict": "prior"}
+    told["parameters"] = {
+        "motor.inertia": posterior_row("kg m²", 0.14, 0.01, **default | {"prior_sd": 0.042}),
+        "load.first_moment": posterior_row(
+            "kg m", 0.27, 0.0195, verdict="prior", prior_sd=0.02, prior_default=False
+        ),
+        "drive.gain": posterior_row("", 0.77, 0.056, **default | {"prior_sd": 0.6}),
+    }
+    for name, row in changes.items():
+        told["parameters"][name.replace("__", ".")] |= row
+    way = {"parameters": dict.fromkeys(NAMES, 1.0), "meaning": "one factor"}
+    told["identifiability"] = {"null_directions": [way]}
+    return tell_given_scales(Summary.read(told))
+
+
+def test_what_the_told_weight_settles_says_so(tmp_path):
+    read = weighed()
+    assert read.parameters["motor.inertia"].given_by == ["load.first_moment"]
+    assert read.parameters["drive.gain"].verdict == "weak"
+    # the weight itself is what was told
+    assert read.parameters["load.first_moment"].verdict == "prior"
+    lines = {line.split()[0]: line for line in fit_text(read) if line.strip()}
+    assert "determined by the data and your prior on load.first_moment" in lines["motor.inertia"]
+    assert "NOT determined" not in lines["motor.inertia"]
+    assert "your prior on load.first_moment" in run_page(tmp_path, read.as_dict(), "run")
+    assert Summary.read(read.as_dict()) == read
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        # nobody told it
+        {"load__first_moment": {"prior_default": True}},
+        # another prior says nearly as much: who settles the factor cannot be told
+        {"motor__inertia": {"prior_sd": 0.014}},
+    ],
+)
+def test_where_no_told_prior_settles_the_factor_all_stays_open(changes):
+    assert {row.verdict for row in weighed(**changes).parameters.values()} == {"prior"}
+
+
+def test_what_is_as_wide_as_its_prior_is_the_priors():
+    read = weighed(motor__inertia={"sd": 0.03, "prior_sd": 0.042})
+    assert read.parameters["motor.inertia"].verdict == "prior"
+    assert read.parameters["drive.gain"].verdict == "weak"

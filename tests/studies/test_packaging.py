@@ -1,0 +1,49 @@
+"""What is published says one thing everywhere: version, dependencies, citation."""
+
+import re
+import tomllib
+from importlib.metadata import metadata
+from importlib.resources import files
+
+import bayesfric
+from tests.conftest import REPOSITORY
+
+PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+# What conda calls otherwise.
+CONDA = {"matplotlib": "matplotlib-base"}
+
+
+def test_one_version():
+    assert bayesfric.__version__ == PROJECT["version"] == metadata("bayesfric")["Version"]
+    citation = (REPOSITORY / "CITATION.cff").read_text(encoding="utf-8")
+    assert re.search(r"^version: (.*)$", citation, re.M)[1] == PROJECT["version"]
+    recipe = (REPOSITORY / ".ci" / "conda" / "recipe.yaml").read_text(encoding="utf-8")
+    assert re.search(r'^  version: "(.*)"$', recipe, re.M)[1] == PROJECT["version"]
+
+
+def test_conda_asks_for_what_pip_asks_for():
+    recipe = (REPOSITORY / ".ci" / "conda" / "recipe.yaml").read_text(encoding="utf-8")
+    run = re.search(r"^  run:\n((?:    - .*\n)+)", recipe, re.M)[1]
+    asked = {}
+    for one in PROJECT["dependencies"]:
+        name, bound = one.split(">=")
+        asked[CONDA.get(name, name)] = f">={bound}"
+    assert dict(line.split()[1:] for line in run.splitlines()) == {
+        "python": PROJECT["requires-python"], **asked,
+    }  # fmt: skip
+
+
+def test_what_is_no_module_is_installed_too():
+    """Templates, words, scripts of pages, examples and the mark of types."""
+    root = files("bayesfric")
+    for name in (
+        "py.typed",
+        "examples/knee.csv",
+        "examples/knee.truth.json",
+        "report/templates/sentences.txt.j2",
+        "report/page/templates/run.html.j2",
+        "report/paper/references.bib",
+        "identifiability/wording/sentences.toml",
+        "export/templates/feedforward.c.j2",
+    ):
+        assert root.joinpath(*name.split("/")).is_file(), name

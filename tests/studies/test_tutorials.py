@@ -1,0 +1,117 @@
+"""The tutorials: what their committed outputs say, and, slowly, what they say when run anew."""
+
+import importlib
+import json
+import re
+import sys
+
+import pytest
+
+from tests.conftest import REPOSITORY
+
+FOLDER = REPOSITORY / "studies" / "tutorials"
+NAMES = sorted(path.stem for path in FOLDER.glob("*.ipynb"))
+NUMBER = r"(-?\d+(?:\.\d+)?(?:e[-+]?\d+)?)"
+
+
+def printed(notebook):
+    """Text that the cells printed or showed, in order; fails where one of them did."""
+    found = []
+    for cell in notebook["cells"]:
+        for output in cell.get("outputs", ()):
+            assert output["output_type"] != "error", cell["source"]
+            text = output.get("text") or output.get("data", {}).get("text/plain", "")
+            found.append("".join(text))
+    return "\n".join(found)
+
+
+def numbers(pattern, text):
+    (found,) = re.findall(pattern.replace("#", NUMBER), text)
+    return [float(x) for x in ([found] if isinstance(found, str) else found)]
+
+
+def first_joint(text):
+    at = [
+        text.index(words)
+        for words in (
+            "is the unit of time right, or a thousandth of it (ms for s)?",
+            "or the position in deg and taken for rad?",
+            "Delay of the position after the torque",  # the whole of what check prints
+        )
+    ]
+    assert at == sorted(at)
+    assert "WARNING" not in text[at[2] - 2000 :]
+    assert "reliable" in text
+    assert numbers("# of 6 true values in their 90 % interval", text)[0] >= 4
+    assert "joint-run/report.html" in text
+
+
+def what_the_data_cannot_tell(text):
+    assert numbers("largest difference: # °", text)[0] < 1e-9
+    (null,) = re.findall("^null: (.*)$", text, re.M)
+    for name in ("gearbox.alpha_drive", "load.inertia", "load.first_moment", "joint.viscous"):
+        assert name in null
+    assert "no torque changes" in null
+    assert "of the data alone inf" in text
+    assert re.search(r"^1 +known mass", text, re.M)
+    assert "null directions left: 0" in text
+    foretold, sampled = numbers("foretold #, sampled # kg m²", text)
+    assert foretold == pytest.approx(sampled, rel=0.3)
+
+
+def which_friction_model(text):
+    first = re.findall("^asked for: (.*?),", text, re.M)[0]
+    assert first == "a loss per transmitted torque (servo)"
+    assert "simulated, complete: 13 terms tried, 0 asked for" in text
+
+
+def to_mujoco_and_a_controller(text):
+    assert "gearbox.load = " in text
+    (plain,) = numbers("MuJoCo as it is, from our roll-out: +# mrad", text)
+    (mended,) = numbers("with friction set at each step: +# mrad", text)
+    assert mended < 0.2 * plain
+    (most,) = numbers("feed-forward: up to # N m", text)
+    (off,) = numbers("off the truth by at most # mN m", text)
+    assert off < 0.01 * 1e3 * most
+    if "no C compiler here" not in text:
+        assert numbers("compiled C and Python agree within # N m", text)[0] < 1e-12
+
+
+def a_fleet(text):
+    assert "24 units: {'reliable': 24} failed: {}" in text
+    outliers = re.findall(r"^(axis-\d\d): motor.viscous, probability ([\d.]+)$", text, re.M)
+    assert sorted(name for name, _ in outliers) == ["axis-05", "axis-17"]
+    assert min(float(p) for _, p in outliers) > 0.99
+    _, low, high = numbers(r"spread of motor.viscous: # \[#, #\]", text)
+    (true,) = numbers("spread of the healthy ones' true values: # N m s", text)
+    (every,) = numbers("of all, worn ones in it: +# N m s", text)
+    assert low < true < high < every
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_committed_outputs_say_what_the_words_say(name):
+    notebook = json.loads((FOLDER / f"{name}.ipynb").read_text(encoding="utf-8"))
+    globals()[name](printed(notebook))
+    source = "".join("".join(cell["source"]) for cell in notebook["cells"])
+    assert "simulated" in source
+    # outputs are of the cells as they are
+    code = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    assert [cell["execution_count"] for cell in code] == list(range(1, len(code) + 1))
+
+
+def test_they_are_listed_and_small():
+    readme = (FOLDER / "README.md").read_text(encoding="utf-8")
+    assert sorted(re.findall(r"^\| \[`(\w+)`\]", readme, re.M)) == NAMES
+    assert sum(path.stat().st_size for path in FOLDER.rglob("*.*")) < 2e6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_it_runs_and_says_it_again(name, monkeypatch):
+    for module in ("nbclient", "ipykernel", "mujoco", "distributed"):
+        pytest.importorskip(module, reason="wants bayesfric[tutorials]")
+    monkeypatch.syspath_prepend(str(FOLDER))
+    monkeypatch.delitem(sys.modules, "run", raising=False)
+    run = importlib.import_module("run")
+    assert sorted(run.NAMES) == NAMES
+    globals()[name](printed(run.executed(name)))
