@@ -576,6 +576,10 @@ def main() -> None:
         sys.exit(INTERRUPTED)
     finally:
         gc.freeze()  # or Python looks for garbage once more before it ends: 0.4 s
+        # A KeyboardInterrupt that went through an exec of text, as in an import of a dataclass,
+        # makes ``python -m`` end by SIGINT whatever its exit code (CPython's run_eval_code_obj);
+        # the next exec of text takes that back.
+        exec("")
 
 
 if __name__ == "__main__":

@@ -331,6 +331,25 @@ def test_signals_in_processes_of_their_own(here, whole, numbers):
     same(here.folder, whole)
 
 
+def test_an_interrupted_import_ends_like_anything_else(tmp_path):
+    """A dataclass is made by an exec of text; after that ``-m`` would end by the signal itself."""
+    (tmp_path / "within.py").write_text(
+        "from bayesfric import cli\n"
+        "cli.app = lambda **_: exec('raise KeyboardInterrupt')\n"
+        "cli.main()\n",
+        encoding="utf-8",
+    )
+    ended = subprocess.run(
+        [sys.executable, "-m", "within"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
+        capture_output=True,
+        text=True,
+    )
+    assert ended.returncode == 130
+    assert ended.stderr == "bayesfric: interrupted, nothing was written\n"
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_handlers_are_put_back(here, number):
     def mine(*_):
