@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 from bayesfric.config import Config, NoiseOptions
 from bayesfric.errors import BadInput
+from bayesfric.estimates.attenuation import Attenuated, attenuations
 from bayesfric.estimates.delay import find_delay
 from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
@@ -66,6 +67,22 @@ def prepare(
     _check_recordings(config, chain, found)
     with config.named():
         divided = divide(found, tables.processing, tables.validation)
+        for name in {c.row.signal for c in chain.carried if c.row.column and c.row.signal}:
+            for o in divided.observations:
+                if getattr(o.inputs, name) is None:
+                    raise BadInput(
+                        f"recording {o.name!r}",
+                        f"has no {name}, and the mechanism has losses that depend on it",
+                        f"name its column with {name} = {{ column = ... }}",
+                    )
+        both = divided.recordings, divided.observations
+        if attenuated := attenuations(chain, *both, tables.processing):
+            narrower = {one.recording: one.narrower for one in attenuated}
+            if tables.processing.chooses_band:
+                found = [replace(r, widest_band=narrower.get(r.name)) for r in found]
+                divided = divide(found, tables.processing, tables.validation)
+            else:
+                divided = _doubted(divided, attenuated)
         # the torque's rate sizes a prior, whatever the delay is
         observations = (_timed(divided, 0.0) if chain.delay else divided).observations
     if tables.mechanism.offset == "per-recording":
@@ -87,14 +104,6 @@ def prepare(
                     "its table names no distribution",
                     'write for example {distribution = "norm", loc = 0.4, scale = 0.05}',
                 )
-        for name in {c.row.signal for c in chain.carried if c.row.column and c.row.signal}:
-            for o in observations:
-                if getattr(o.inputs, name) is None:
-                    raise BadInput(
-                        f"recording {o.name!r}",
-                        f"has no {name}, and the mechanism has losses that depend on it",
-                        f"name its column with {name} = {{ column = ... }}",
-                    )
         priors = read_priors(chain, config.priors, observations, _noise_quantities(config))
         if chain.delay:
             prior = priors[chain.delay_name]
@@ -105,6 +114,22 @@ def prepare(
                 else find_delay(chain, divided.recordings, observations)[0],
             )
     return Prepared(chain, divided.recordings, divided.observations, priors, divided.held_out)
+
+
+def _doubted(divided: Divided, attenuated: Sequence[Attenuated]) -> Divided:
+    """Note with observations that a narrower band contradicts the one that was asked for."""
+    noted = {
+        one.recording: {
+            "band_doubted": one.band,
+            "band_narrower": one.narrower,
+            "inertia_narrower": one.larger / one.inertia,
+        }
+        for one in attenuated
+    }
+    observations = [
+        replace(o, settings={**o.settings, **noted.get(o.name, {})}) for o in divided.observations
+    ]
+    return replace(divided, observations=observations)
 
 
 def _timed(divided: Divided, delay: float) -> Divided:

@@ -1,9 +1,10 @@
 """Spans of a recording in which something else acted, such as a hand that pushed.
 
 Looked for by a robust least squares of each recording alone, so that the span itself moves the fit
-little, in two ways. A jolt, also in a reversal or next to a rest: at any sample the torque lacks
-far more than friction, noise and errors of the model could take. And a gentler push that lasts: at
-what is compared the torque is off by several times what it is elsewhere.
+little, in three ways. A jolt, also in a reversal or next to a rest: at any sample the torque lacks
+far more than friction, noise and errors of the model could take. A gentler push that lasts: at
+what is compared the torque is off by several times what it is elsewhere. And one that is hardly
+larger than residuals are, but goes one way for longer than they do.
 """
 
 from __future__ import annotations
@@ -41,6 +42,10 @@ _WINDOW, _OUTPUTS = 0.4, 8
 _FAR, _LEAST, _ENDS = 7.5, 3, 2.5
 # A smaller share of the largest torque, or more spans, are more often what the model lacks.
 _GENTLE, _OFTEN = 0.25, 4
+# A slow push: s over which residuals are averaged with their sign, at least so many outputs; how
+# many robust sds of such averages are no chance; to where its ends reach; and how large a share of
+# the largest torque it is. What nobody touched has up to 19 sds or 0.19 of that, never both.
+_SLOW, _FEWEST, _ONE_WAY, _FADES, _LEAST_SLOW = 0.3, 3, 8.0, 4.0, 0.3
 # A shorter recording does not tell what is usual; nor one of which more than this share is far.
 _ENOUGH, _MOST = 40, 0.35
 _STEPS = 30
@@ -82,10 +87,12 @@ def _found(chain: Joint, recording: Measurement, o: Observation) -> list[Disturb
     if _of_controller(projection, o.measured, totals):
         return []
     jolts = list(_jolts(chain, recording, o, projection.names, totals))
-    gentle = _gentle(o, o.measured - projection.regressors @ totals)
-    # where both see one, all samples tell its ends better than averages do
-    beside = [g for g in gentle if all(g.stop < j.start or j.stop < g.start for j in jolts)]
-    return sorted([*jolts, *beside], key=lambda one: one.start)
+    residual = o.measured - projection.regressors @ totals
+    found = jolts
+    # where several see one, all samples tell its ends better than averages do
+    for others in (_gentle(o, residual), _slow(o, residual)):
+        found += [g for g in others if all(g.stop < j.start or j.stop < g.start for j in found)]
+    return sorted(found, key=lambda one: one.start)
 
 
 def _of_controller(projection: TotalsProjection, torque: Array, totals: Array) -> bool:
@@ -165,6 +172,32 @@ def _gentle(o: Observation, residual: Array) -> list[Disturbance]:
             found.append(Disturbance(o.name, float(o.time[a]), float(o.time[b - 1]), peak))
     joined = _joined(found, 2.0 * half)
     return joined if len(joined) <= _OFTEN else []
+
+
+def _slow(o: Observation, residual: Array) -> list[Disturbance]:
+    """Look for averages with their sign, in which what goes to and fro cancels."""
+    half = 0.5 * max(_SLOW, _FEWEST * o.period)
+    first = np.searchsorted(o.time, o.time - half)
+    last = np.searchsorted(o.time, o.time + half, "right")
+    sums = np.concatenate([[0.0], np.cumsum(residual)])
+    whole = last - first >= _FEWEST
+    mean = np.where(whole, (sums[last] - sums[first]) / (last - first), 0.0)
+    if not whole.any() or not (usual := robust_sd(mean[whole])) > 0.0:
+        return []
+    size = np.abs(mean)
+    large = size > _LEAST_SLOW * float(np.quantile(np.abs(o.measured), _LARGE))
+    found = []
+    for a, b in _runs(size > _FADES * usual):
+        if np.any(large[a:b] & (size[a:b] > _ONE_WAY * usual)):
+            # an average is small where only part of it is pushed
+            beside = np.sign(mean[a]) * residual > robust_sd(residual)
+            while a > 0 and beside[a - 1]:
+                a -= 1
+            while b < beside.size and beside[b]:
+                b += 1
+            times = float(size[a:b].max()) / usual
+            found.append(Disturbance(o.name, float(o.time[a]), float(o.time[b - 1]), times))
+    return found if len(found) <= _OFTEN else []
 
 
 def _robust(regressors: Array, torque: Array) -> Array:

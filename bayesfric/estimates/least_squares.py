@@ -87,16 +87,16 @@ class TotalsProjection:
         # the same as results show them: total.inertia, or motor.inertia where that is all of it
         self.labels = [total_label(chain, name) for name in self.names]
         # norm of each regressor, and which totals the motion cannot tell from others
-        self.scale, self.open, self._solution, _ = shortest(self.regressors)
+        self.scale, self.open, self.solution, _ = shortest(self.regressors)
 
     def solve(self, torque: NDArray[np.float64]) -> NDArray[np.float64]:
         """Totals of filtered torques, ``(n_outputs,)`` or ``(n_outputs, k)``."""
-        return np.asarray(self._solution @ torque)
+        return np.asarray(self.solution @ torque)
 
     def of_samples(self) -> list[NDArray[np.float64]]:
         """Give the same map of the samples of each recording's torque, ``(n_totals, n)``."""
         ends = np.cumsum([o.filter.n_outputs for o in self._observations])[:-1]
-        parts = np.split(self._solution, ends, axis=1)
+        parts = np.split(self.solution, ends, axis=1)
         pairs = zip(self._observations, parts, strict=True)
         return [o.filter.reached(part) for o, part in pairs]
 

@@ -47,6 +47,8 @@ class Measurement:
     drive: str = "torque"  # what the torque was measured as: torque, force, current or voltage
     doubted_units: tuple[str, ...] = ()  # channels of the motion whose unit a warning doubts
     torque_constant: float | None = None  # N m/A or N/A, where a current was measured
+    # Hz beyond which an acceleration is not what the joint's is, where a model has told
+    widest_band: float | None = None
     # how the drive makes its torque, in the closed loop where a target was recorded; None for
     # what no file tells, as a simulated twin
     law: Law | None = None

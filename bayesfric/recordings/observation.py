@@ -530,6 +530,12 @@ def _told(
             f"signal to noise in the band to {found.band:.3g} Hz (rms): {', '.join(ratios)}; noise "
             f"of a sample {found.noise:.2g}"
         )
+    if found.reason == "model":
+        yield (
+            f"band: ends at {found.band:.3g} Hz, as in a wider one the inertia comes out smaller "
+            "and more torque is unexplained: there is noise in the acceleration that grows with "
+            "the motion, such as of time stamps"
+        )
     cutoff = parallel_cutoff(numbers.factor, numbers.band, numbers.fs)
     yield f"trim: {numbers.trim_samples} samples off both ends of every segment"
     yield (

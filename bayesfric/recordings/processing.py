@@ -78,6 +78,11 @@ class Processing(Options):
     )
     min_samples: int = Field(50, ge=5, description="Segments with fewer samples are left out.")
 
+    @property
+    def chooses_band(self) -> bool:
+        """Whether the band is chosen by the recording, none of its filters being given."""
+        return self.lowpass is None and self.decimate is None and self.band is None
+
     @field_validator("dead_zone")
     @classmethod
     def _speed(cls, value: float | str | None) -> float | str | None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from bayesfric.recordings.measurement import Array, Measurement
 
-Reason = Literal["sampling", "position", "torque", "length"]
+Reason = Literal["sampling", "position", "torque", "length", "model"]
 
 # The motion's power over its noise's, up to the band's end at each frequency and over the whole
 # band: the first bounds what a noise model can do that weighs the end of the band most, the
@@ -54,9 +54,10 @@ class Resolution:
     """What a recording resolves.
 
     ``reason`` is what ends the band: the ``sampling`` rate, the ``position``'s noise, that the
-    ``torque`` has no power beyond, or the ``length`` of the recording, below which there were too
-    few outputs. The ratios are root mean squares of the motion over those of the noise, in the
-    band; infinite where no noise is seen.
+    ``torque`` has no power beyond, the ``length`` of the recording, below which there were too
+    few outputs, or what a ``model`` of the joint says of its acceleration
+    (:mod:`bayesfric.estimates.attenuation`). The ratios are root mean squares of the motion over
+    those of the noise, in the band; infinite where no noise is seen.
     """
 
     band: float  # Hz up to which measured and modelled torque can be compared
@@ -155,7 +156,10 @@ def _choose(recording: Measurement, seen: _Spectra, variance: float) -> tuple[fl
     band, reason = min(ends)
     used = recording.time.size - int(recording.excluded.sum())
     least = min(0.5 * _OUTPUTS * fs / max(used, 1), WIDEST * fs)
-    return (band, reason) if band >= least else (least, "length")
+    if not band >= least:  # nor a number, for a joint that never moves
+        band, reason = least, "length"
+    widest = recording.widest_band
+    return (band, reason) if widest is None or band <= widest else (widest, "model")
 
 
 def _steps(recording: Measurement) -> float:

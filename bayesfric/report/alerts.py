@@ -17,6 +17,7 @@ from bayesfric.report.text_templates import sentence
 DOUBTS = (
     "unexplained",
     "feedback",
+    "attenuated",
     "negative",
     "memory",
     "noise",

@@ -25,10 +25,10 @@ def move(chain, values, torque, **load):
     return simulate(chain, chain.vector(values), torque, PERIOD, substeps=1, **load)
 
 
-def prepare(position, torque, length=np.inf, name="made-up", added_mass=0.0, radius=0.0):
+def prepare(position, torque, length=np.inf, name="made-up", added_mass=0.0, radius=0.0, **keys):
     time = np.arange(position.size) * PERIOD
     recording = made_recording(
         time, position, torque, PERIOD, name=name, inputs=Inputs(added_mass, radius, name)
     )
-    observation = observe(recording, Processing())
+    observation = observe(recording, Processing(**keys))
     return trajectory(recording, observation, length), observation

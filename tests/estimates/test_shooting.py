@@ -111,7 +111,8 @@ def test_eliminating_states_is_fitting_them(knee):
 def test_a_joint_that_sticks_has_no_initial_speed_to_fit():
     """Far below breakaway the position stays what it was; its speed there says nothing."""
     torque = np.full(200, 0.01)
-    trajectory, _ = prepare(np.full(200, 0.1), torque)
+    # its differences are rounding, of which a dead zone leaves more or less from machine to machine
+    trajectory, _ = prepare(np.full(200, 0.1), torque, dead_zone=0)
     shooting = Shooting(CHAIN, [trajectory], 1)
     states = np.array([[0.1, 0.0]])
     found = shooting.sensitivities(VALUES, states, 1e-5 * VALUES, (1e-6, 1e-5))

@@ -36,7 +36,10 @@ def test_a_measured_first_moment_is_near_cads_or_not_called_data(real_data, stud
     row = found["parameters"]["load.first_moment"]
     assert right_or_not_data(row, study.CAD.get(name, 0.304))
     if name == "ddp":
-        assert (row["verdict"], found["status"]) == ("data", "reliable")
+        assert found["status"] == "reliable"
+        # whatever the torque's scale is: CAD's 0.15 kg m² over 0.304 kg m
+        ratio = found["parameters"]["motor.inertia"]["median"] / row["median"]
+        assert ratio == pytest.approx(0.15 / 0.304, rel=0.1)
     if name == "ilqr":
         assert found["status"] == "tentative"
 

@@ -130,6 +130,7 @@ def doubts_before(
     """
     found = [
         *_feedback(observations),
+        *_attenuated(observations),
         *_negative(totals),
         *_late(delays, observations),
         *_turning(turn),
@@ -234,6 +235,20 @@ def _feedback(observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
             laws.setdefault(str(law), []).append(o.name)
     for law, names in laws.items():
         yield {"kind": "feedback", "law": law, "recordings": names}
+
+
+def _attenuated(observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
+    """Name bands that were asked for and that lose part of the inertia."""
+    seen = {o.name: o.settings for o in observations if "band_narrower" in o.settings}
+    if seen:
+        yield {
+            "kind": "attenuated",
+            "bands": {
+                name: [float(numbers["band_doubted"]), float(numbers["band_narrower"])]
+                for name, numbers in seen.items()
+            },
+            "times": max(float(numbers["inertia_narrower"]) for numbers in seen.values()),
+        }
 
 
 def _negative(totals: Estimate) -> Iterator[dict[str, Any]]:

@@ -1,0 +1,154 @@
+"""A band so wide that what is taken for acceleration is partly something else.
+
+Noise of the acceleration takes part of the inertia (attenuation, as errors in variables do), and
+leaves torque unexplained where it is. What a position at rest shows of it is not all: time stamps
+that are not those of the samples, or a torque of another instant, make noise that grows with speed.
+It grows with frequency, too. So the same recording is looked at in narrower bands: where inertia
+comes out larger and a hertz of the band holds less that is unexplained, the wider one is wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+
+import numpy as np
+from scipy import stats
+
+from bayesfric.errors import BadInput
+from bayesfric.estimates.least_squares import TotalsProjection
+from bayesfric.estimates.torque_form import shortest
+from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.observation import Observation, observe
+from bayesfric.recordings.processing import Processing
+from bayesfric.recordings.resolution import lowpass_above
+from bayesfric.recordings.timing import retimed
+
+# From one band to the next, and how many narrower ones may contradict a band.
+_NARROWER, _NEXT = 1.4, 2
+# The inertia grows by so many sds, both bands' together, with less left per hertz; or at all, with
+# so much less left, and where that is less often by chance than once in a thousand times. Bands
+# share outputs, so that by chance it hardly ever grows by that. What the model's own
+# errors leave per hertz is less in wider bands.
+_SDS, _LESS, _SELDOM = 1.7, 2.0, 1e-3
+# By a smaller share it grows where load losses bend the torque that totals are linear in.
+_WORTH = 0.01
+# An inertia below so many of its sds is none that could be lost.
+_TOLD = 4.0
+# Outputs more than what is fitted to them, or nothing is told.
+_FREE = 20
+
+
+@dataclass(frozen=True)
+class Attenuated:
+    """A recording's band, Hz, in which part of the inertia is lost, and one without that."""
+
+    recording: str
+    band: float
+    narrower: float
+    inertia: float  # by least squares in either, seen by the motor
+    larger: float
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Least squares of the totals in one band."""
+
+    band: float
+    inertia: float
+    sd: float
+    left: float  # variance that is unexplained, per hertz
+    free: int
+
+
+def attenuations(
+    chain: Joint,
+    recordings: Sequence[Measurement],
+    observations: Sequence[Observation],
+    processing: Processing,
+) -> list[Attenuated]:
+    """Find recordings whose band is contradicted by a narrower one, and none narrower by that.
+
+    ``processing`` is that of the observations. Where nothing tells, a band is taken for well.
+    """
+    pairs = zip(recordings, observations, strict=True)
+    found = [_attenuated(chain, r, o, processing) for r, o in pairs]
+    return [one for one in found if one]
+
+
+def _attenuated(
+    chain: Joint, recording: Measurement, observation: Observation, processing: Processing
+) -> Attenuated | None:
+    first = _seen(chain, recording, observation)
+    if first is None:
+        return None
+    others = _narrower(chain, recording, observation, processing)
+    best, tried = first, list(islice(others, _NEXT))
+    while better := [i for i, one in enumerate(tried) if _beats(one, best)]:
+        best, after = tried[better[0]], better[0] + 1
+        tried = [*tried[after:], *islice(others, after)]
+    if best is first:
+        return None
+    return Attenuated(recording.name, first.band, best.band, first.inertia, best.inertia)
+
+
+def _narrower(
+    chain: Joint, recording: Measurement, observation: Observation, processing: Processing
+) -> Iterator[_Seen]:
+    fs = 1.0 / recording.period
+    factor = round(float(observation.settings["decimate"]))
+    share = 1.0
+    while True:
+        share *= _NARROWER
+        wanted = round(share * factor)
+        if wanted <= factor:
+            continue
+        changed = {
+            "decimate": wanted,
+            "lowpass": lowpass_above(fs / (2 * wanted), fs),
+            "band": None,
+        }
+        try:
+            narrower = observe(recording, processing.model_copy(update=changed))
+            seen = _seen(chain, recording, narrower)
+        except BadInput:  # it leaves no output
+            return
+        if seen is None:
+            return
+        yield seen
+
+
+def _seen(chain: Joint, recording: Measurement, o: Observation) -> _Seen | None:
+    projection = TotalsProjection(replace(chain, delay=False), [o])
+    free = o.measured.size - len(projection.names) - 1
+    if "inertia" not in projection.names or free < _FREE:
+        return None
+    # a delay leaves torque as well, and is another matter: what it would leave is taken off, too
+    there = retimed(o, recording.segments, recording.period, 0.0, recording.back_emf)
+    assert there.inputs.torque_rate is not None
+    rate = o.filter.apply(there.inputs.torque_rate.values)
+    regressors = np.column_stack([projection.regressors, rate])
+    _, shared, solution, _ = shortest(regressors)
+    i = projection.names.index("inertia")
+    if shared[i]:
+        return None
+    values = solution @ o.measured
+    left = o.measured - regressors @ values
+    variance, half = float(left @ left) / free, 0.5 / o.period
+    sd = float(np.sqrt(variance * (solution[i] @ solution[i])))
+    return _Seen(half, float(values[i]), sd, variance / half, free)
+
+
+def _beats(narrow: _Seen, wide: _Seen) -> bool:
+    """Whether a narrower band contradicts a wider one as noise of the acceleration would."""
+    if not narrow.inertia > _TOLD * narrow.sd:
+        return False
+    grows = narrow.inertia - wide.inertia
+    if not (grows > _WORTH * abs(narrow.inertia) and wide.left > narrow.left):
+        return False
+    if grows > _SDS * np.hypot(narrow.sd, wide.sd):
+        return True
+    ratio = wide.left / narrow.left if narrow.left > 0.0 else np.inf
+    return bool(ratio > max(_LESS, stats.f.isf(_SELDOM, wide.free, narrow.free)))
