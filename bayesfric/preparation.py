@@ -67,13 +67,13 @@ def prepare(
     _check_recordings(config, chain, found)
     with config.named():
         divided = divide(found, tables.processing, tables.validation)
-        for name in {c.row.signal for c in chain.carried if c.row.column and c.row.signal}:
+        for signal in {c.row.signal for c in chain.carried if c.row.column and c.row.signal}:
             for o in divided.observations:
-                if getattr(o.inputs, name) is None:
+                if getattr(o.inputs, signal) is None:
                     raise BadInput(
                         f"recording {o.name!r}",
-                        f"has no {name}, and the mechanism has losses that depend on it",
-                        f"name its column with {name} = {{ column = ... }}",
+                        f"has no {signal}, and the mechanism has losses that depend on it",
+                        f"name its column with {signal} = {{ column = ... }}",
                     )
         both = divided.recordings, divided.observations
         if attenuated := attenuations(chain, *both, tables.processing):

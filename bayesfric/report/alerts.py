@@ -21,6 +21,7 @@ DOUBTS = (
     "negative",
     "memory",
     "noise",
+    "noise-bound",
     "acceleration",
     "delay",
     "once-a-turn",

@@ -18,7 +18,12 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.model import Model
 from bayesfric.recordings.recording import Recording
 from bayesfric.report.alerts import doubt_text
-from bayesfric.report.summary.doubts import doubts_before, find_doubts, put_doubts
+from bayesfric.report.summary.doubts import (
+    doubts_before,
+    find_doubts,
+    pushed_doubts,
+    put_doubts,
+)
 from bayesfric.report.summary.record import ModelError, Summary
 from bayesfric.report.summary.rows import Spread
 from tests.commands.bench import SMALL
@@ -356,11 +361,17 @@ def test_a_push_is_told_before_what_the_model_lacks(shown):
     pushes = [Disturbance("run", 15.94, 16.21, 60.0), Disturbance("run", 3.0, 3.4, 20.0)]
     found = find_doubts(_Fit(), summary, white=(summary.parameters, 0.8), pushed=pushes)
     assert [one["kind"] for one in found] == ["pushed", "noise"]
-    assert found[0]["exclude"] == [[15.9, 16.3], [3.0, 3.4]]
+    assert found[0]["exclude"] == [[3.0, 3.4], [15.9, 16.3]]
     words = doubt_text(found[0])
-    assert "exclude = [[15.9, 16.3], [3.0, 3.4]]" in words
+    assert "exclude = [[3.0, 3.4], [15.9, 16.3]]" in words
     assert ("before any term is added" in words) == shown
     assert put_doubts(summary, found).parameters["a.b"].doubted == ["pushed", "noise"]
+
+
+def test_pushes_that_overlap_in_tenths_of_a_second_are_one_span():
+    pushes = [Disturbance("run", 15.94, 16.21, 60.0), Disturbance("run", 16.24, 17.16, 20.0)]
+    (doubt,) = pushed_doubts(pushes)
+    assert doubt["exclude"] == [[15.9, 17.2]]
 
 
 def test_delays_that_contradict_each_other_are_no_delay():

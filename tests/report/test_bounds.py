@@ -8,10 +8,13 @@ from bayesfric.commands.fit import fit_text
 from bayesfric.inference.fitting import fit, make_target, read_priors
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.report.alerts import doubt_text
 from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.tables import parameter_table
-from bayesfric.report.summary.bounds import bound_mend, bound_warning
+from bayesfric.report.summary.bounds import bound_mend, bound_warning, noise_cut
+from bayesfric.report.summary.doubts import find_doubts, put_doubts
+from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.summary.summary import summarise
 
@@ -102,6 +105,42 @@ def test_a_memory_at_its_bound_is_no_friction_at_zero_and_needs_no_wider_prior(
     assert "the most that it can be" in bound_mend("motor.coulomb", row) or not physical
     assert "lacks" not in bound_mend("noise.sigma", row)
     assert "lacks" not in bound_mend("motor.pacf_1", row)
+
+
+@pytest.mark.parametrize(
+    ("changed", "doubted"),
+    [({}, True), ({"at_bound": "lower"}, False), ({"bound_physical": True}, False)],
+)
+def test_noise_that_a_prior_keeps_small_makes_every_number_doubtful(changed, doubted):
+    told = copy.deepcopy(knee())
+    row = posterior_row("N m", 0.04, 0.01, verdict="data", **HELD, bound_physical=False)
+    told["parameters"]["noise.sigma"] = row | changed
+    summary = Summary.read(told)
+    cut = noise_cut("noise.sigma", summary.parameters["noise.sigma"])
+    assert cut is doubted
+    # told once: as a doubt or as a warning
+    warned = bound_warning("noise.sigma", summary.parameters["noise.sigma"])
+    assert (warned is not None) == (changed == {"at_bound": "lower"})
+    # one of the joint is its own affair
+    assert not noise_cut("motor.coulomb", summary.parameters["noise.sigma"])
+
+
+def test_a_fit_with_noise_held_down_determines_nothing(make_observation):
+    """White noise of 0.05 N m that may be 0.02 at most: intervals have 0.4 of their width."""
+    chain = AXIS.chain()
+    observation = make_observation(chain, AXIS.values, sigma=0.05, n=1000, seed=6)
+    priors = read_priors(chain, {"noise.sigma": [0.001, 0.02]}, [observation])
+    found = fit(
+        make_target(chain, [observation], priors, "shared"),
+        Sampling(seed=2, min_ess=400, walkers=24, ensembles=2),
+    )
+    summary = summarise(found)
+    (cut,) = [d for d in find_doubts(found, summary) if d["kind"] == "noise-bound"]
+    assert (cut["noise"], cut["bound"]) == ("noise.sigma", pytest.approx(0.02))
+    doubted = put_doubts(summary, [cut])
+    assert doubted.sampler.status == "tentative"
+    assert all(row.verdict != "data" for row in doubted.joint.values())
+    assert "held down by its bound of 0.02 N m" in doubt_text(cut)
 
 
 @pytest.mark.parametrize("verdict", ["data", "weak", "prior"])

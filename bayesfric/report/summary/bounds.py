@@ -34,8 +34,22 @@ def bound_mend(name: str, row: PosteriorRow) -> str:
     return sentence(kind, {"name": name, "bound": bound, "side": row.at_bound})
 
 
+def noise_cut(name: str, row: PosteriorRow) -> bool:
+    """Whether a prior keeps noise smaller than the data have it: intervals are then too narrow.
+
+    Of noise that remembers, a bound keeps the model's own effects.
+    """
+    if not of_noise(name) or row.at_bound != "upper" or row.bound_physical or not held(row):
+        return False
+    scale = SCALES.get(name.split(".")[1])
+    return scale is not None and not scale.at_bound and row.bound is not None
+
+
 def bound_warning(name: str, row: PosteriorRow) -> str | None:
-    """Warn of a bound that was set, not given by physics: it cuts the posterior off."""
-    if row.bound_physical or not (mend := bound_mend(name, row)):
+    """Warn of a bound that was set, not given by physics: it cuts the posterior off.
+
+    Where that is all numbers' concern it is a doubt (:func:`noise_cut`).
+    """
+    if row.bound_physical or noise_cut(name, row) or not (mend := bound_mend(name, row)):
         return None
     return sentence("bound", {"name": name, "row": row, "mend": mend})

@@ -24,6 +24,7 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import effort_words
 from bayesfric.mechanism.quantities import QUANTITIES, TOTALS, Quantity, State
 from bayesfric.recordings.observation import LEAST_RATIO, Observation
+from bayesfric.report.summary.bounds import noise_cut
 from bayesfric.report.summary.record import Doubt, Summary, quantity_of
 from bayesfric.report.summary.rows import Spread
 
@@ -72,6 +73,7 @@ def find_doubts(
         *doubts_before(fit.estimates[0], fit.observations),
         *memory,
         *_noise(summary, told, white),
+        *_cut(summary),
         *_acceleration(fit, summary, told),
         *({**one, "of": _of_motion(fit, told)} for one in _late(delays, fit.observations)),
         *({**one, "of": of} for one in _turning(turn) if (of := _turned(told, one["moved"]))),
@@ -150,18 +152,23 @@ def pushed_doubts(
         yield {
             "kind": "pushed",
             "recording": name,
-            "exclude": [[_down(one.start), _up(one.stop)] for one in spans],
+            "exclude": _tenths(spans),
             "times": max(one.times for one in spans),
             "lacking": lacking,
         }
 
 
-def _down(seconds: float) -> float:
-    return float(np.floor(10.0 * seconds) / 10.0)
-
-
-def _up(seconds: float) -> float:
-    return float(np.ceil(10.0 * seconds) / 10.0)
+def _tenths(spans: Sequence[Disturbance]) -> list[list[float]]:
+    """Widen spans to tenths of a second, and join those that then overlap."""
+    out: list[list[float]] = []
+    for one in sorted(spans, key=lambda one: one.start):
+        start = float(np.floor(10.0 * one.start) / 10.0)
+        stop = float(np.ceil(10.0 * one.stop) / 10.0)
+        if out and start <= out[-1][1]:
+            out[-1][1] = max(out[-1][1], stop)
+        else:
+            out.append([start, stop])
+    return out
 
 
 def _late(delays: Sequence[Delay], observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
@@ -292,6 +299,13 @@ def _noise(
     if moved or rise > _RISE:
         of = {} if rise > _RISE else {"of": list(moved)}
         yield {"kind": "noise", "rise": rise, "white": moved, **of}
+
+
+def _cut(summary: Summary) -> Iterator[dict[str, Any]]:
+    """Name noise that a prior keeps smaller than the data have it."""
+    for name, row in summary.parameters.items():
+        if row.converged and noise_cut(name, row):
+            yield {"kind": "noise-bound", "noise": name, "bound": row.bound, "unit": row.unit}
 
 
 def _apart(one: Sequence[float], other: Sequence[float]) -> bool:
