@@ -25,6 +25,9 @@ from bayesfric.recordings.read import read_recordings
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.timing import timed
 
+# Times an inertia by which a band that was asked for is worth a doubt.
+_HARM = 1.05
+
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
@@ -117,7 +120,10 @@ def prepare(
 
 
 def _doubted(divided: Divided, attenuated: Sequence[Attenuated]) -> Divided:
-    """Note with observations that a narrower band contradicts the one that was asked for."""
+    """Note with observations that a narrower band contradicts the one that was asked for.
+
+    Where that moves the inertia by little, the one who asked for it has the better reason.
+    """
     noted = {
         one.recording: {
             "band_doubted": one.band,
@@ -125,6 +131,7 @@ def _doubted(divided: Divided, attenuated: Sequence[Attenuated]) -> Divided:
             "inertia_narrower": one.larger / one.inertia,
         }
         for one in attenuated
+        if one.larger > _HARM * one.inertia
     }
     observations = [
         replace(o, settings={**o.settings, **noted.get(o.name, {})}) for o in divided.observations
