@@ -82,7 +82,8 @@ def _attenuated(
     chain: Joint, recording: Measurement, observation: Observation, processing: Processing
 ) -> Attenuated | None:
     first = _seen(chain, recording, observation)
-    if first is None:
+    # noise that takes a share of the inertia leaves at least that share of its torque unexplained
+    if first is None or first.free * first.sd**2 < _WORTH * first.inertia**2:
         return None
     others = _narrower(chain, recording, observation, processing)
     best, tried = first, list(islice(others, _NEXT))
