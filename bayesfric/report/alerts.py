@@ -71,7 +71,8 @@ def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:
         found.append(Alert(doubt.kind, doubt_text(doubt.model_dump()), "noise", first=True))
     error = summary.model_error
     if error is not None and error.outlying:
-        text = sentence("outlying", {"outputs": error.outlying, "apart": _apart(error.outlying)})
+        seen = {"outputs": error.outlying, "apart": _apart(error.outlying)}
+        text = sentence("outlying", seen | {"unit": summary.fit.unit})
         found.append(Alert("outlying", text, "model-error", first=True))
     if error is not None and error.shown:
         aside = len(error.outlying) if error.set_aside else 0
