@@ -75,7 +75,9 @@ def test_one_look_tells_the_worst_coverage_and_which_interval_it_is(tmp_path):
     told = asked(loaded())
     told["self_check"] = checked({"motor.inertia": 0.89, "motor.viscous": 0.813})
     card, *_ = (
-        li for li in read_page(run_page(tmp_path, told, "run")).all("li") if "Trusted?" in li.text
+        li
+        for li in read_page(run_page(tmp_path, told, "run")).all("li")
+        if "Sampled well?" in li.text
     )
     assert "81 % at worst (motor.viscous)" in card.text
     assert "if the model is right" in card.text
@@ -84,6 +86,28 @@ def test_one_look_tells_the_worst_coverage_and_which_interval_it_is(tmp_path):
     assert looked(told).worst == ("motor.inertia", 0.89)
     del told["self_check"]
     assert looked(told).worst is None
+
+
+@pytest.mark.parametrize(
+    ("change", "said", "alone"),
+    [
+        ({}, "Yes: it converged", True),
+        (
+            {"sampler": {"status": "tentative"}, "doubts": [{"kind": "some"}]},
+            "Converged, but numbers are doubtful",
+            False,
+        ),
+        ({"sampler": {"status": "tentative", "problems": ["x"]}}, "Not yet: tentative", False),
+    ],
+)
+def test_a_sampling_that_converged_is_not_told_as_a_right_result(tmp_path, change, said, alone):
+    page = read_page(run_page(tmp_path, asked(loaded()) | change, "run"))
+    card, *others = page.all("li", **{"class": "glance"})
+    question, answer = (next(card.all("p", **{"class": c})).text for c in ("question", "said"))
+    assert (question, answer) == ("Sampled well?", said)
+    assert ("of the sampling alone" in card.text) == alone
+    # no heading asks whether the result is to be trusted
+    assert not any("rusted" in one.text for one in (card, *others))
 
 
 def test_no_green_where_an_interval_of_the_simulation_holds_too_few_truths(tmp_path):
@@ -113,7 +137,7 @@ def test_strips_show_the_widened_interval_and_what_the_self_check_corrects(tmp_p
     assert "posterior 0.0002872 to 0.0003928" in made_strips(told)["motor.inertia"].words
     page = read_page(run_page(tmp_path, told, "run"))
     (first,) = page.all("section", id="findings")
-    (card,) = [li for li in first.all("li") if "Trusted?" in li.text]
+    (card,) = [li for li in first.all("li") if "Sampled well?" in li.text]
     assert "widened" in card.text
     (legend,) = [p for p in first.all("p") if p.attrs.get("class") == "legend"]
     assert "widened" in legend.text
