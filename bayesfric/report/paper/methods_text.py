@@ -112,6 +112,9 @@ def _sentences(fit: Fit, summary: Summary) -> str:
     def total(key: str) -> int:
         return sum(int(o.settings[key]) for o in seen)
 
+    def seconds_out(*by: str) -> float:
+        return sum(one.length for o in seen for one in o.left_out if one.by in by)
+
     joint = parameter_table(summary).joint
     text = filled(
         "methods.txt.j2",
@@ -122,6 +125,7 @@ def _sentences(fit: Fit, summary: Summary) -> str:
         summary=summary,
         each=each,
         total=total,
+        seconds_out=seconds_out,
         masses=list(dict.fromkeys(replace(i, recording="") for i in loaded)),
         carried=len(loaded),
         joint=joint,
