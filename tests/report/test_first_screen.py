@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bayesfric.recordings.measurement import LeftOut
 from bayesfric.report.answers.calculator import calculator
 from bayesfric.report.answers.record import Answers
 from bayesfric.report.answers.stretch import _gaps, stretch
@@ -447,6 +448,30 @@ def test_what_the_configuration_leaves_out_is_told_from_rest():
     (out,) = [gap for gap in found if gap.span[0] < middle < gap.span[1]]
     assert out.why == "left-out"
     assert [gap for gap in found if gap is not out] == list(_gaps(outputs, o, 0, o.time.size))
+
+
+def test_one_gap_may_be_rest_and_left_out():
+    """Beside a rest of the made-up swing some motion is excluded: two blocks, told apart."""
+    fit = build(samples=2000)
+    (o,), (outputs,) = fit.observations, fit.target.likelihood.outputs
+    gaps = list(_gaps(outputs, o, 0, o.time.size))
+    rests = [gap for gap in gaps if gap.why == "rest"]
+    rest = max(rests, key=lambda gap: gap.span[1] - gap.span[0])
+    # it begins where the longest rest ends
+    span = LeftOut(rest.span[1], rest.span[1] + 0.1, "exclude")
+    kept = (o.time < span.start) | (o.time > span.stop)
+    named = {k: getattr(outputs, k)[kept] for k in ("time", "measured", "segment_of")}
+    cut = replace(outputs, **named, follows=np.diff(named["time"]) < 1.5 * outputs.period)
+    seen = replace(o, left_out=(LeftOut(0.0, 0.01, "cut"), span))
+    first, second = (
+        g for g in _gaps(cut, seen, 0, cut.time.size) if rest.span[0] <= g.span[0] < span.stop
+    )
+    assert (first.why, second.why) == ("rest", "left-out")
+    # the trim beside what is excluded is left out, too
+    trim = o.settings["trim_samples"] * o.settings["sampling_rate"] ** -1
+    assert first.span == [rest.span[0], pytest.approx(span.start - trim, abs=2 * outputs.period)]
+    assert second.span[0] == first.span[1]
+    assert second.span[1] >= span.stop
 
 
 def test_the_drawing_is_of_the_numbers(long):

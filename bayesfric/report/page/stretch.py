@@ -28,6 +28,13 @@ def told_gaps(told: Stretch) -> dict[str, str]:
     return {kind: words for kind, words in GAPS.items() if kind in kinds}
 
 
+# What the user left out is hatched, as in figures.
+_HATCH = Markup(
+    '<defs><pattern id="left-out" width="8" height="8" patternUnits="userSpaceOnUse" '
+    'patternTransform="rotate(45)"><path class="hatch" d="M0 0V8"></path></pattern></defs>'
+)
+
+
 @dataclass(frozen=True)
 class StretchDrawing:
     """A drawing, the ends of its axes, and words for its gaps."""
@@ -84,4 +91,6 @@ def stretch_drawing(told: Stretch) -> StretchDrawing | None:
     head = Markup(
         '<svg viewBox="0 0 {:g} {:g}" preserveAspectRatio="none" role="img" aria-label="{}">'
     ).format(_WIDTH, _HEIGHT, words)
+    if "left-out" in gaps_in_words:
+        head += _HATCH
     return StretchDrawing(head + gaps + lines + Markup("</svg>"), low, high, gaps_in_words)
