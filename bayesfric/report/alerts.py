@@ -55,6 +55,12 @@ def roll_out_doubt(found: RollOutPart) -> dict[str, Any] | None:
     return {"level": found.level, "inside": found.pooled.position.inside, "narrow": rows}
 
 
+def roll_out_wide(found: RollOutPart) -> dict[str, Any] | None:
+    """Say of which recordings the bands are too wide to tell anything."""
+    rows = {name: row for name, row in found.recordings.items() if row.wide}
+    return {"level": found.level, "unit": found.unit, "wide": rows} if rows else None
+
+
 def alerts_of(summary: Readable, where: str = "run") -> tuple[Alert, ...]:
     """Gather what a summary of the run ``where`` warns of."""
     read = Summary.read(summary, where)
@@ -120,6 +126,8 @@ def _of_model(
         yield "held out", summary.validation.pooled.model_dump(), "held-out"
     if summary.rollout is not None and (told := roll_out_doubt(summary.rollout)):
         yield "roll-out", told, "roll-out"
+    if summary.rollout is not None and (told := roll_out_wide(summary.rollout)):
+        yield "wide bands", told, "roll-out"
     if summary.self_check is not None:
         corrected = {n: r.bias for n, r in summary.self_check.rows.items() if r.corrected_interval}
         if corrected:

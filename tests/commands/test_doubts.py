@@ -360,6 +360,9 @@ def test_a_push_is_told_before_what_the_model_lacks(shown):
     words = doubt_text(found[0])
     assert "exclude = [[15.9, 16.3], [3.0, 3.4]]" in words
     assert "by up to 9 N m, 60 times as much as usual" in words
+    # as runs of before wrote it
+    before = {key: value for key, value in found[0].items() if key not in ("torque", "unit")}
+    assert "by up to 60 times as much as usual" in doubt_text(before)
     assert ("before any term is added" in words) == shown
     assert put_doubts(summary, found).parameters["a.b"].doubted == ["pushed", "noise"]
 

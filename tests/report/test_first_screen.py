@@ -147,6 +147,23 @@ def test_strips_show_the_widened_interval_and_what_the_self_check_corrects(tmp_p
     assert "were the model right" in line
 
 
+@pytest.mark.parametrize("blind", [0.1, 0.9])
+def test_bands_that_tell_nothing_make_nothing_green(tmp_path, blind):
+    error = {"mae": 1.0, "rmse": 1.0, "inside": 0.94, "inside_alone": 0.9, "width": 20.0}
+    row = {"position": error, "speed": error, "room": 3.14159, "blind": blind}
+    rolled = {"level": 0.9, "draws": 9, "seed": 1, "unit": "rad", "recordings": {"sac": row},
+              "pooled": row, "unexplained": {"sac": 0.5}, "left": 0.3,
+              "torque_unit": "N m"}  # fmt: skip
+    told = loaded() | {"rollout": rolled}
+    wide = blind > 0.2
+    assert looked(told).right == ("unasked" if wide else "yes")
+    page = read_page(run_page(tmp_path, told, "run"))
+    (section,) = page.all("section", id="roll-out")
+    assert ("too wide to tell" in section.text) == wide
+    said = [p.text for p in page.all("p", **{"class": "flag"})]
+    assert any("bands that tell nothing: wider than 3.1 rad" in text for text in said) == wide
+
+
 @pytest.mark.parametrize("undecided", ["lacks", "held-out"])
 def test_what_is_undecided_is_not_green(tmp_path, undecided):
     told = asked(knee())

@@ -106,4 +106,6 @@ def _right(summary: Summary, against: Sequence[str], undecided: Sequence[str]) -
         return "unasked"
     error = summary.model_error
     asked = error is not None and error.reason is None
-    return "yes" if asked or summary.validation or summary.rollout else "unasked"
+    # bands that are wider than any motion say nothing for it
+    rolled = summary.rollout is not None and not summary.rollout.pooled.wide
+    return "yes" if asked or summary.validation or rolled else "unasked"
