@@ -59,8 +59,7 @@ _ORDER = ("data", "together", "limit", *_UNKNOWN)
 def _settled(row: ParameterRow) -> str:
     if not row.cell.converged:
         return "lost"
-    doubted = row.by == "together" and row.row is not None and row.row.doubted
-    return "doubted" if doubted else row.by
+    return "doubted" if row.cell.doubted else row.by
 
 
 def _trusted(summary: Summary) -> Kind:

@@ -79,8 +79,9 @@ def stretch_drawing(told: Stretch) -> StretchDrawing | None:
     gaps_in_words = told_gaps(told)
     words += "".join(f" {text}." for text in gaps_in_words.values())
     gaps = Markup("").join(
-        Markup('<path class="gap {}" d="M{:.1f} 0H{:.1f}V{:g}H{:.1f}Z"></path>').format(
-            gap.why, *(_WIDTH * (x - begin) / (end - begin) for x in gap.span), _HEIGHT,
+        Markup('<path class="gap {0}"{1} d="M{2:.1f} 0H{3:.1f}V{4:g}H{5:.1f}Z"></path>').format(
+            gap.why, Markup(' fill="url(#left-out)"') if gap.why == "left-out" else "",
+            *(_WIDTH * (x - begin) / (end - begin) for x in gap.span), _HEIGHT,
             _WIDTH * (gap.span[0] - begin) / (end - begin),
         )
         for gap in told.gaps

@@ -128,6 +128,7 @@ def self_check_lines(summary: Summary) -> Iterator[str]:
         why = sentence("no self-check", check.model_dump()) if check.reason else ""
         allowed = summary.model_error is not None and summary.model_error.shown
         told = {"check": check, "why": why, "off": off_rows(summary), "allowed": allowed}
+        told["doubted"] = {name for name, row in summary.rows.items() if row.doubted}
         text = filled("self_check.txt.j2", **told)
         yield from text.splitlines()
 
