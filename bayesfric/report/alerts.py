@@ -11,6 +11,7 @@ from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.summary.record import OutlyingRow, Readable, Summary
 from bayesfric.report.summary.reference_check import references_off
 from bayesfric.report.summary.rollout import RollOutPart
+from bayesfric.report.summary.self_check import to_cite
 from bayesfric.report.text_templates import sentence
 
 # Kinds of doubts, see bayesfric.report.summary.doubts; each has a macro that words it.
@@ -129,9 +130,9 @@ def _of_model(
     if summary.rollout is not None and (told := roll_out_wide(summary.rollout)):
         yield "wide bands", told, "roll-out"
     if summary.self_check is not None:
-        corrected = {n: r.bias for n, r in summary.self_check.rows.items() if r.corrected_interval}
-        if corrected:
-            yield "corrected", {"bias": corrected, "allowed": allowed}, "self-check"
+        cite = to_cite(summary)
+        if cite is not None:
+            yield "corrected", cite, "self-check"
     if contested:
         yield "methods", {"names": contested}, "methods"
 

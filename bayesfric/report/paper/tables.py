@@ -19,12 +19,14 @@ from bayesfric.report.numbers import (
     Medium,
     latex_interval,
     latex_number,
+    text_rounded,
 )
 from bayesfric.report.paper import latex
 from bayesfric.report.summary.bounds import bound_mend
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Readable, Summary, of_noise
 from bayesfric.report.summary.rows import KnownRow, PosteriorRow
+from bayesfric.report.summary.self_check import cite_sentence, to_cite
 from bayesfric.report.summary.summary import summary_table
 from bayesfric.report.text_templates import filled
 
@@ -50,7 +52,7 @@ _VERDICTS = {
 COLUMNS = [
     "group", "name", "symbol", "meaning", "unit", "status", "verdict",
     "median", "mean", "sd", "low", "high", "level", "limit", "remark",
-    "current", "current_low", "current_high",
+    "current", "current_low", "current_high", "corrected", "corrected_low", "corrected_high",
 ]  # fmt: skip
 
 
@@ -161,6 +163,10 @@ class ParameterTable:
             sampler=self.summary.sampler,
             correlated=correlation_warning(self.summary),
             marked=marked,
+            biased=(to_cite(self.summary) or {}).get("rows", {}),
+            cite=cite_sentence(self.summary),
+            of={row.name: row.row for row in self.rows},
+            rounded=text_rounded,
         )
         return tuple(text.splitlines())
 
@@ -204,7 +210,7 @@ def counts(rows: Sequence[ParameterRow]) -> dict[str, int]:
 
 def parameters_csv(table: ParameterTable) -> str:
     """Lay the table out as CSV, every number in full; nothing in it where it is open."""
-    lines = []
+    lines, corrected = [], (to_cite(table.summary) or {}).get("rows", {})
     for r in table.rows:
         told = {key: getattr(r, key) for key in ("group", "name", "symbol", "meaning", "unit")}
         remark = "; ".join(text for text in (r.cell.remark, r.mend) if text)
@@ -220,6 +226,9 @@ def parameters_csv(table: ParameterTable) -> str:
             told["sd"] = r.row.told_sd
             current = r.row.current or (None, None, None)
             told["current"], told["current_low"], told["current_high"] = current
+            if (right := corrected.get(r.name)) is not None:
+                told["corrected"] = right.corrected
+                told["corrected_low"], told["corrected_high"] = right.corrected_interval
         lines.append(told)
     import pandas as pd
 
