@@ -48,6 +48,18 @@ def doubt_text(doubt: Mapping[str, Any]) -> str:
     return f"{doubt['kind']}: {', '.join(doubt.get('parameters', ()))}"
 
 
+def first_step(summary: Summary) -> str:
+    """Say what comes before any other step, where something else seems to have acted; else empty.
+
+    That is a push, or a torque that neither the model nor any term that it may lack explains.
+    """
+    pushed = [doubt.model_dump() for doubt in summary.doubts if doubt.kind == "pushed"]
+    unexplained = any(doubt.kind == "unexplained" for doubt in summary.doubts)
+    if not pushed and (summary.asked or not unexplained):
+        return ""
+    return sentence("untouched", {"pushed": pushed})
+
+
 def roll_out_doubt(found: RollOutPart) -> dict[str, Any] | None:
     """Say in which recordings the motion leaves its bands too often, if in all together."""
     if not found.pooled.narrow:
