@@ -140,16 +140,21 @@ def test_the_methods_say_it_in_one_sentence(result):
 @pytest.mark.parametrize(
     ("wide", "doubted", "rule"),
     [
-        (False, False, "the corrected ones where there are any, else those of the tables"),
-        (True, False, "those of the tables, uncorrected"),
-        (True, True, "doubtful ones are not to be cited"),
+        (0.0, False, "the corrected ones where there are any, else those of the tables"),
+        (10.0, False, "those of the tables, uncorrected"),
+        (10.0, True, "doubtful ones are not to be cited"),
+        # a bias of two sds is large beside an interval five times as wide, too
+        (5.0, False, "each with an interval as wide as that of the tables"),
     ],
 )
 def test_one_rule_says_what_to_cite_everywhere(tmp_path, result, wide, doubted, rule):
     """And the tables hold what is to be cited."""
     summary = told(result, checked(result, [2.0]))
     if wide:
-        summary = summary.model_copy(update={"model_error": ModelError(shown=True)})
+        row = summary.rows[NAME]
+        low, high = (row.median + wide * (end - row.median) for end in row.interval)
+        wider = {"model_error_interval": [low, high], "model_error_sd": wide * row.sd}
+        summary = summary.with_rows({NAME: wider}, model_error=ModelError(shown=True))
     if doubted:
         summary = summary.with_rows({NAME: {"verdict": "weak", "doubted": ["delay"]}})
     table = parameter_table(summary)
@@ -160,11 +165,12 @@ def test_one_rule_says_what_to_cite_everywhere(tmp_path, result, wide, doubted, 
     texts = ["\n".join(table.notes), methods_text(result.fit, summary).plain, section.text, alert,
              "\n".join(self_check_lines(summary))]  # fmt: skip
     assert [rule in text for text in texts] == [True] * 5
-    assert ("doubtful" if doubted else "one above" if wide else "this is the value") in beside
+    by = {0.0: "this is the value to cite", 5.0: "as wide as above", 10.0: "is the one above"}
+    assert ("doubtful" if doubted else by[wide]) in beside
     # the corrected value stands in the tables where it is the one to cite
     row = summary.self_check.rows[NAME]
     written = f"{NAME} {text_rounded(row.corrected, summary.rows[NAME].sd)} ["
-    assert any(written in note for note in table.notes) == (not wide)
+    assert any(written in note for note in table.notes) == (wide < 10.0)
     lines = csv.DictReader(io.StringIO(parameters_csv(table)))
     (line,) = (one for one in lines if one["name"] == NAME)
     found = [float(line[key]) for key in ("corrected", "corrected_low", "corrected_high")]

@@ -155,6 +155,7 @@ class ParameterTable:
 
     def notes_where(self, *, marked: bool) -> tuple[str, ...]:
         """Say what to know besides; ``marked`` is whether open numbers are marked ``(prior)``."""
+        cite = to_cite(self.summary)
         text = filled(
             "parameter_notes.txt.j2",
             rows=self.rows,
@@ -163,8 +164,8 @@ class ParameterTable:
             sampler=self.summary.sampler,
             correlated=correlation_warning(self.summary),
             marked=marked,
-            biased=(to_cite(self.summary) or {}).get("rows", {}),
             cite=cite_sentence(self.summary),
+            biased=cite["rows"] if cite and cite["which"] != "tables" else {},
             of={row.name: row.row for row in self.rows},
             rounded=text_rounded,
         )

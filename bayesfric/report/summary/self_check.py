@@ -105,13 +105,21 @@ def off_rows(summary: Summary) -> dict[str, SelfCheckRow]:
 
 
 def to_cite(summary: Summary) -> dict[str, Any] | None:
-    """Give what decides whether corrected values are to be cited; ``None`` where there are none."""
+    """Give what decides whether corrected values are to be cited; ``None`` where there are none.
+
+    ``which`` are ``corrected`` ones; where intervals have room for the model's error, those of the
+    ``tables``; and ``both``, the one's values with the other's width, where a bias is large even
+    beside that room.
+    """
     rows = {name: row for name, row in off_rows(summary).items() if row.corrected_interval}
     if not rows:
         return None
     allowed = summary.model_error is not None and summary.model_error.shown
-    doubted = any(summary.rows[name].doubted for name in rows)
-    return {"rows": rows, "allowed": allowed, "doubted": doubted}
+    told = summary.rows
+    moved = max(abs(r.bias) * told[n].sd / (told[n].told_sd or np.inf) for n, r in rows.items())
+    which = "corrected" if not allowed else "both" if moved > BIASED else "tables"
+    doubted = any(told[name].doubted for name in rows)
+    return {"rows": rows, "allowed": allowed, "which": which, "doubted": doubted}
 
 
 def _by_data(summary: Summary) -> dict[str, SelfCheckRow]:
