@@ -53,7 +53,7 @@ def explain_text(found: Explanation) -> list[str]:
         found=found,
         pushed=[
             sentence("pushed", one)
-            for one in pushed_doubts(found.pushed, lacking=bool(found.asked))
+            for one in pushed_doubts(found.pushed, found.unit, lacking=bool(found.asked))
         ],
         rungs=[m for m in found.models if not m.rival],
         names=list(names),

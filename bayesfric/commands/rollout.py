@@ -11,7 +11,7 @@ from typing import Any
 from bayesfric.commands.report import report
 from bayesfric.errors import BadInput
 from bayesfric.inference.sampling.sampling import Progress
-from bayesfric.report.alerts import roll_out_doubt
+from bayesfric.report.alerts import roll_out_doubt, roll_out_wide
 from bayesfric.report.figures.registry import read_captions, rollout_figures
 from bayesfric.report.figures.style import save
 from bayesfric.report.files import write_beside
@@ -47,6 +47,8 @@ def rollout_text(found: RollOutPart) -> Iterator[str]:
     yield from filled("rollout.txt.j2", found=found).splitlines()
     if doubt := roll_out_doubt(found):
         yield f"WARNING: {sentence('roll-out', doubt)}"
+    if wide := roll_out_wide(found):
+        yield f"WARNING: {sentence('wide bands', wide)}"
 
 
 def _write(run: Path, found: RollOut, told: RollOutPart) -> None:

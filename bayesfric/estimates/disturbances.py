@@ -64,6 +64,7 @@ class Disturbance:
     start: float
     stop: float
     times: float
+    torque: float  # by how much it is off at most, averaged over a moment, N m or N at the motor
 
 
 def disturbances(
@@ -139,7 +140,8 @@ def _jolts(
             beyond = np.abs(lossless[a:b]) - losses[a:b]
             inner = a + np.flatnonzero(beyond > max(_FOOT * usual, _RISEN * float(beyond.max())))
             start, stop = o.stamps[inner[[0, -1]]].tolist()
-            yield Disturbance(o.name, start, stop, float(lacking[a:b].max()) / max(usual, _TINY))
+            most = float(lacking[a:b].max())
+            yield Disturbance(o.name, start, stop, most / max(usual, _TINY), most)
 
 
 def _averaged(values: Array, used: Flags, length: int) -> Array:
@@ -167,9 +169,10 @@ def _gentle(o: Observation, residual: Array) -> list[Disturbance]:
     found = []
     for a, b in _runs(times > _ENDS):
         if np.count_nonzero(enough[a:b] & (times[a:b] > _FAR)) >= _LEAST:
-            peak = float(times[a:b].max())
+            most = float(local[a:b].max())
             # the average has carried it to either side already
-            found.append(Disturbance(o.name, float(o.time[a]), float(o.time[b - 1]), peak))
+            start, stop = float(o.time[a]), float(o.time[b - 1])
+            found.append(Disturbance(o.name, start, stop, most / usual, most))
     joined = _joined(found, 2.0 * half)
     return joined if len(joined) <= _OFTEN else []
 
@@ -195,8 +198,8 @@ def _slow(o: Observation, residual: Array) -> list[Disturbance]:
                 a -= 1
             while b < beside.size and beside[b]:
                 b += 1
-            times = float(size[a:b].max()) / usual
-            found.append(Disturbance(o.name, float(o.time[a]), float(o.time[b - 1]), times))
+            start, stop, most = float(o.time[a]), float(o.time[b - 1]), float(size[a:b].max())
+            found.append(Disturbance(o.name, start, stop, most / usual, most))
     return found if len(found) <= _OFTEN else []
 
 
@@ -228,7 +231,7 @@ def _joined(spans: Sequence[Disturbance], gap: float) -> list[Disturbance]:
     for one in spans:
         if out and one.start - out[-1].stop <= gap:
             before = out.pop()
-            times = max(before.times, one.times)
-            one = Disturbance(one.recording, before.start, one.stop, times)
+            times, torque = max(before.times, one.times), max(before.torque, one.torque)
+            one = Disturbance(one.recording, before.start, one.stop, times, torque)
         out.append(one)
     return out

@@ -22,6 +22,21 @@ Hold = Literal["zero", "linear", "cubic"]
 Segments = tuple[tuple[int, int], ...]
 
 
+@dataclass(frozen=True)
+class LeftOut:
+    """A span that is not compared with the model, s from the file's first stamp."""
+
+    start: float
+    stop: float
+    # the keys that say so: `cut` is `start` and `stop`
+    by: Literal["cut", "exclude", "valid"]
+
+    @property
+    def length(self) -> float:
+        """Seconds from its first stamp to its last."""
+        return self.stop - self.start
+
+
 @dataclass(frozen=True, eq=False)
 class Measurement:
     """What was measured in one file or table in memory; arrays have the shape (n,)."""
@@ -52,3 +67,4 @@ class Measurement:
     # how the drive makes its torque, in the closed loop where a target was recorded; None for
     # what no file tells, as a simulated twin
     law: Law | None = None
+    left_out: tuple[LeftOut, ...] = ()  # what the user left out, in the order of time

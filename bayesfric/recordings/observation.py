@@ -26,7 +26,7 @@ from bayesfric.recordings.filters import (
     reach_of,
 )
 from bayesfric.recordings.inputs import Inputs, Signal
-from bayesfric.recordings.measurement import Array, Flags, Measurement, Segments
+from bayesfric.recordings.measurement import Array, Flags, LeftOut, Measurement, Segments
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.resolution import (
     ABOVE_GAPS,
@@ -81,6 +81,7 @@ class Observation:
     position_step: float = 0.0
     # what samples at rest say, where they are asked and the position tells rest
     rest: Rest | None = None
+    left_out: tuple[LeftOut, ...] = ()  # what the user left out
 
 
 @dataclass(frozen=True)
@@ -211,6 +212,7 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         settings=settings,
         position_step=finest_step(recording.position),
         rest=resting,
+        left_out=recording.left_out,
     )
 
 

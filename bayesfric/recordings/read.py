@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from bayesfric.recordings import channels, checks, filters, units
 from bayesfric.recordings.channels import VELOCITY, Drive, Motion
 from bayesfric.recordings.inputs import Inputs, Signal
 from bayesfric.recordings.law import Law, Told, measured_law, position_law
-from bayesfric.recordings.measurement import Array, Flags, Measurement
+from bayesfric.recordings.measurement import Array, Flags, LeftOut, Measurement
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.rest import resting_ends
@@ -150,11 +151,13 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
             how += f"; what acts on the motor times {drive.ratio:g}"
         steps.append(f"load {channels.TORQUE[drive.motion]}: {how}")
     excluded = _excluded(source, grid.time, warnings)
+    left_out = [*_cut(time, *chosen), *_spans(excluded, grid.time, "exclude")]
     law = law if source.target is None else aims.law.on(grid)
     if source.valid is not None:
         valid = table.column(source.valid) != 0
         # between a valid and an invalid stamp the grid is not valid either
         off = grid.linear(valid.astype(np.float64)) < 1.0
+        left_out += _spans(off & ~excluded, grid.time, "valid")
         law, excluded = replace(law, off=off), excluded | off
     if excluded.any():
         steps.append(f"exclude: {int(excluded.sum())} of {len(excluded)} samples not compared")
@@ -179,6 +182,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         torque_constant=told.torque_constant,
         law=law,
         ratio=drive.ratio,
+        left_out=tuple(sorted(left_out, key=lambda one: one.start)),
     )
 
 
@@ -257,6 +261,21 @@ def _excluded(source: Columns, time: Array, warnings: list[str]) -> Flags:
             warnings.append(f"exclude: no sample lies in [{start:g}, {stop:g}] s")
         excluded |= span
     return excluded
+
+
+def _cut(time: Array, first: int, last: int) -> Iterator[LeftOut]:
+    """Name what lies before ``start`` and after ``stop``, where there is anything."""
+    if first > 0:
+        yield LeftOut(float(time[0]), float(time[first]), "cut")
+    if last < len(time):
+        yield LeftOut(float(time[last - 1]), float(time[-1]), "cut")
+
+
+def _spans(flags: Flags, time: Array, by: Literal["exclude", "valid"]) -> Iterator[LeftOut]:
+    """Name the spans of flagged samples."""
+    change = np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8))
+    for a, b in zip(np.flatnonzero(change == 1), np.flatnonzero(change == -1), strict=True):
+        yield LeftOut(float(time[a]), float(time[b - 1]), by)
 
 
 def _found(source: Source, folder: Path) -> list[tuple[Path, str]]:

@@ -11,6 +11,7 @@ from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.summary.record import OutlyingRow, Readable, Summary
 from bayesfric.report.summary.reference_check import references_off
 from bayesfric.report.summary.rollout import RollOutPart
+from bayesfric.report.summary.self_check import to_cite
 from bayesfric.report.text_templates import sentence
 
 # Kinds of doubts, see bayesfric.report.summary.doubts; each has a macro that words it.
@@ -49,12 +50,30 @@ def doubt_text(doubt: Mapping[str, Any]) -> str:
     return f"{doubt['kind']}: {', '.join(doubt.get('parameters', ()))}"
 
 
+def first_step(summary: Summary) -> str:
+    """Say what comes before any other step, where something else seems to have acted; else empty.
+
+    That is a push, or a torque that neither the model nor any term that it may lack explains.
+    """
+    pushed = [doubt.model_dump() for doubt in summary.doubts if doubt.kind == "pushed"]
+    unexplained = any(doubt.kind == "unexplained" for doubt in summary.doubts)
+    if not pushed and (summary.asked or not unexplained):
+        return ""
+    return sentence("untouched", {"pushed": pushed})
+
+
 def roll_out_doubt(found: RollOutPart) -> dict[str, Any] | None:
     """Say in which recordings the motion leaves its bands too often, if in all together."""
     if not found.pooled.narrow:
         return None
     rows = {name: row.position for name, row in found.recordings.items() if row.narrow}
     return {"level": found.level, "inside": found.pooled.position.inside, "narrow": rows}
+
+
+def roll_out_wide(found: RollOutPart) -> dict[str, Any] | None:
+    """Say of which recordings the bands are too wide to tell anything."""
+    rows = {name: row for name, row in found.recordings.items() if row.wide}
+    return {"level": found.level, "unit": found.unit, "wide": rows} if rows else None
 
 
 def alerts_of(summary: Readable, where: str = "run") -> tuple[Alert, ...]:
@@ -73,7 +92,8 @@ def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:
         found.append(Alert(doubt.kind, doubt_text(doubt.model_dump()), "noise", first=True))
     error = summary.model_error
     if error is not None and error.outlying:
-        text = sentence("outlying", {"outputs": error.outlying, "apart": _apart(error.outlying)})
+        seen = {"outputs": error.outlying, "apart": _apart(error.outlying)}
+        text = sentence("outlying", seen | {"unit": summary.fit.unit})
         found.append(Alert("outlying", text, "model-error", first=True))
     if error is not None and error.shown:
         aside = len(error.outlying) if error.set_aside else 0
@@ -121,10 +141,12 @@ def _of_model(
         yield "held out", summary.validation.pooled.model_dump(), "held-out"
     if summary.rollout is not None and (told := roll_out_doubt(summary.rollout)):
         yield "roll-out", told, "roll-out"
+    if summary.rollout is not None and (told := roll_out_wide(summary.rollout)):
+        yield "wide bands", told, "roll-out"
     if summary.self_check is not None:
-        corrected = {n: r.bias for n, r in summary.self_check.rows.items() if r.corrected_interval}
-        if corrected:
-            yield "corrected", {"bias": corrected, "allowed": allowed}, "self-check"
+        cite = to_cite(summary)
+        if cite is not None:
+            yield "corrected", cite, "self-check"
     if contested:
         yield "methods", {"names": contested}, "methods"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from bayesfric.report.alerts import alerts_of
+from bayesfric.report.alerts import alerts_of, first_step
 from bayesfric.report.comparison.cell import posterior_cells, settled_by
 from bayesfric.report.summary.bounds import bound_mend
 from bayesfric.report.summary.noise import noise_lines
@@ -24,6 +24,7 @@ def fit_text(summary: Readable) -> Iterator[str]:
         "fit.txt.j2",
         summary=read,
         alerts=alerts_of(read),
+        first=first_step(read),
         parts=parts,
         cells=cells,
         lost=[name for rows in parts.values() for name in rows if not cells[name].converged],

@@ -17,6 +17,8 @@ Input = Literal["torque", "voltage", "target"]
 Part = Literal["fitted", "held out", "new"]
 
 LEVEL = 0.9
+# Share of the time in which bands may be as wide as anything that moves, before they tell nothing.
+BLIND = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +29,7 @@ class Error:
     rmse: float
     inside: float  # share of samples inside the band
     inside_alone: float  # and inside that of the parameters alone
+    width: float  # median width of the band
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +49,15 @@ class Rolled:
     at_position: Error
     at_speed: Error
     runaway: float  # share of the draws that leave any range, or have no motion
+    # what a band of the position tells nothing beyond: how far the joint moved, or half a turn
+    # where gravity acts; and the share of the time in which it is wider
+    room: float
+    blind: float
+
+    @property
+    def wide(self) -> bool:
+        """Whether being inside the band says nothing."""
+        return self.blind > BLIND
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +86,7 @@ class RollOut:
                 float(np.sqrt(np.mean([r.rmse**2 for r in rows]))),
                 float(np.mean([r.inside for r in rows])),
                 float(np.mean([r.inside_alone for r in rows])),
+                float(np.mean([r.width for r in rows])),
             )
         return found
 

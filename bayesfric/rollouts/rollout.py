@@ -262,11 +262,15 @@ def _rolled(
     kind: Input = "torque"
     if law is not None and law.follows:
         kind = "target" if law.closed else "voltage"
+    chain, room = posterior.joint, float(np.ptp(m.position[used]))
+    turns = chain.load.motion == "rotary"
+    if turns and any(p.quantity == "first_moment" for p in chain.parameters):
+        room = min(room, np.pi)
     return Rolled(
         name=m.name,
         part=one.part,
         input=kind,
-        unit="rad" if posterior.joint.load.motion == "rotary" else "m",
+        unit="rad" if turns else "m",
         time=m.time,
         position=m.position,
         speed=speed,
@@ -276,6 +280,8 @@ def _rolled(
         at_position=_error(m.position, q_middle, q_band, q_alone, used),
         at_speed=_error(speed, v_middle, v_band, v_alone, used),
         runaway=float(lost.mean()),
+        room=room,
+        blind=float(np.mean((q_band[1] - q_band[0])[used] > room)),
     )
 
 
@@ -311,4 +317,5 @@ def _error(
         return float(np.mean((measured >= ends[0])[used] & (measured <= ends[1])[used]))
 
     rms = float(np.sqrt(np.mean(left**2)))
-    return Error(float(np.mean(np.abs(left))), rms, inside(band), inside(alone))
+    width = float(np.median((band[1] - band[0])[used]))
+    return Error(float(np.mean(np.abs(left))), rms, inside(band), inside(alone), width)

@@ -185,7 +185,7 @@ def row(median, low, high, verdict="data"):
 
 
 class _Fit:
-    estimates = (type("E", (), {"values": ()})(),)
+    estimates = (Estimate("least-squares", (), 1.0, 100, "N m"),)
     observations = ()
 
 
@@ -358,19 +358,23 @@ def test_a_push_is_told_before_what_the_model_lacks(shown):
     if shown:
         error = {"shown": True, "axes": []}
         summary = summary.model_copy(update={"model_error": ModelError.model_validate(error)})
-    pushes = [Disturbance("run", 15.94, 16.21, 60.0), Disturbance("run", 3.0, 3.4, 20.0)]
+    pushes = [Disturbance("run", 15.94, 16.21, 60.0, 9.0), Disturbance("run", 3.0, 3.4, 20.0, 3.0)]
     found = find_doubts(_Fit(), summary, white=(summary.parameters, 0.8), pushed=pushes)
     assert [one["kind"] for one in found] == ["pushed", "noise"]
     assert found[0]["exclude"] == [[3.0, 3.4], [15.9, 16.3]]
     words = doubt_text(found[0])
     assert "exclude = [[3.0, 3.4], [15.9, 16.3]]" in words
+    assert "by up to 9 N m, 60 times as much as usual" in words
+    # as runs of before wrote it
+    before = {key: value for key, value in found[0].items() if key not in ("torque", "unit")}
+    assert "by up to 60 times as much as usual" in doubt_text(before)
     assert ("before any term is added" in words) == shown
     assert put_doubts(summary, found).parameters["a.b"].doubted == ["pushed", "noise"]
 
 
 def test_pushes_that_overlap_in_tenths_of_a_second_are_one_span():
-    pushes = [Disturbance("run", 15.94, 16.21, 60.0), Disturbance("run", 16.24, 17.16, 20.0)]
-    (doubt,) = pushed_doubts(pushes)
+    pushes = [Disturbance("run", 15.94, 16.21, 60.0, 9.0), Disturbance("run", 16.24, 17.16, 20.0, 3.0)]
+    (doubt,) = pushed_doubts(pushes, "N m")
     assert doubt["exclude"] == [[15.9, 17.2]]
 
 

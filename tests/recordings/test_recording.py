@@ -37,6 +37,17 @@ def refused(make):
     return str(caught.value)
 
 
+def test_what_is_left_out_is_told_with_its_keys():
+    """Between the first and the last stamp that start, stop, exclude and valid leave out."""
+    keys = {"start": 0.1, "stop": 0.9, "exclude": [[0.3, 0.4], [0.35, 0.5]]}
+    valid = (T < 0.695) | (T > 0.705)
+    told = measured(Recording.from_arrays(T, Q, TAU, valid=valid, **keys)).left_out
+    assert [one.by for one in told] == ["cut", "exclude", "valid", "cut"]
+    ends = [end for one in told for end in (one.start, one.stop)]
+    assert ends == pytest.approx([0, 0.1, 0.3, 0.5, 0.7, 0.7, 0.9, T[-1]], abs=1.1 * np.diff(T)[0])
+    assert measured(Recording.from_arrays(T, Q, TAU)).left_out == ()
+
+
 def test_arrays_a_dataframe_and_its_file_are_the_same_bytes(tmp_path):
     frame = pd.DataFrame({"t": T, "note": "x", "q": Q, "tau": TAU})
     columns = {"time": "t", "position": "q", "torque": "tau"}
@@ -52,6 +63,8 @@ def test_arrays_a_dataframe_and_its_file_are_the_same_bytes(tmp_path):
     for other in (table, file, measured(Recording(configured, tmp_path))):
         same(arrays, other)
     assert (arrays.inputs.added_mass, arrays.excluded.sum()) == (2.0, 11)
+    (span,) = arrays.left_out
+    assert (span.start, span.stop, span.by) == (pytest.approx(0.2), pytest.approx(0.3), "exclude")
     assert (arrays.path, file.path) == (None, tmp_path / "run.csv")
     assert (arrays.name, file.name) == ("recording-1", "run")
     assert len(arrays.sha256) == 64

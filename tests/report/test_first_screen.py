@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bayesfric.recordings.measurement import LeftOut
 from bayesfric.report.answers.calculator import calculator
 from bayesfric.report.answers.record import Answers
 from bayesfric.report.answers.stretch import _gaps, stretch
@@ -75,7 +76,9 @@ def test_one_look_tells_the_worst_coverage_and_which_interval_it_is(tmp_path):
     told = asked(loaded())
     told["self_check"] = checked({"motor.inertia": 0.89, "motor.viscous": 0.813})
     card, *_ = (
-        li for li in read_page(run_page(tmp_path, told, "run")).all("li") if "Trusted?" in li.text
+        li
+        for li in read_page(run_page(tmp_path, told, "run")).all("li")
+        if "Sampled well?" in li.text
     )
     assert "81 % at worst (motor.viscous)" in card.text
     assert "if the model is right" in card.text
@@ -84,6 +87,28 @@ def test_one_look_tells_the_worst_coverage_and_which_interval_it_is(tmp_path):
     assert looked(told).worst == ("motor.inertia", 0.89)
     del told["self_check"]
     assert looked(told).worst is None
+
+
+@pytest.mark.parametrize(
+    ("change", "said", "alone"),
+    [
+        ({}, "Yes: it converged", True),
+        (
+            {"sampler": {"status": "tentative"}, "doubts": [{"kind": "some"}]},
+            "Converged, but numbers are doubtful",
+            False,
+        ),
+        ({"sampler": {"status": "tentative", "problems": ["x"]}}, "Not yet: tentative", False),
+    ],
+)
+def test_a_sampling_that_converged_is_not_told_as_a_right_result(tmp_path, change, said, alone):
+    page = read_page(run_page(tmp_path, asked(loaded()) | change, "run"))
+    card, *others = page.all("li", **{"class": "glance"})
+    question, answer = (next(card.all("p", **{"class": c})).text for c in ("question", "said"))
+    assert (question, answer) == ("Sampled well?", said)
+    assert ("of the sampling alone" in card.text) == alone
+    # no heading asks whether the result is to be trusted
+    assert not any("rusted" in one.text for one in (card, *others))
 
 
 def test_no_green_where_an_interval_of_the_simulation_holds_too_few_truths(tmp_path):
@@ -113,13 +138,30 @@ def test_strips_show_the_widened_interval_and_what_the_self_check_corrects(tmp_p
     assert "posterior 0.0002872 to 0.0003928" in made_strips(told)["motor.inertia"].words
     page = read_page(run_page(tmp_path, told, "run"))
     (first,) = page.all("section", id="findings")
-    (card,) = [li for li in first.all("li") if "Trusted?" in li.text]
+    (card,) = [li for li in first.all("li") if "Sampled well?" in li.text]
     assert "widened" in card.text
     (legend,) = [p for p in first.all("p") if p.attrs.get("class") == "legend"]
     assert "widened" in legend.text
     (line,) = [s.text for s in first.all("span") if "by the self-check" in s.text][-1:]
     assert "3.51" in line
     assert "were the model right" in line
+
+
+@pytest.mark.parametrize("blind", [0.1, 0.9])
+def test_bands_that_tell_nothing_make_nothing_green(tmp_path, blind):
+    error = {"mae": 1.0, "rmse": 1.0, "inside": 0.94, "inside_alone": 0.9, "width": 20.0}
+    row = {"position": error, "speed": error, "room": 3.14159, "blind": blind}
+    rolled = {"level": 0.9, "draws": 9, "seed": 1, "unit": "rad", "recordings": {"sac": row},
+              "pooled": row, "unexplained": {"sac": 0.5}, "left": 0.3,
+              "torque_unit": "N m"}  # fmt: skip
+    told = loaded() | {"rollout": rolled}
+    wide = blind > 0.2
+    assert looked(told).right == ("unasked" if wide else "yes")
+    page = read_page(run_page(tmp_path, told, "run"))
+    (section,) = page.all("section", id="roll-out")
+    assert ("too wide to tell" in section.text) == wide
+    said = [p.text for p in page.all("p", **{"class": "flag"})]
+    assert any("bands that tell nothing: wider than 3.1 rad" in text for text in said) == wide
 
 
 @pytest.mark.parametrize("undecided", ["lacks", "held-out"])
@@ -199,16 +241,23 @@ def test_a_wrong_mechanism_comes_before_every_experiment(tmp_path, told, kind, a
         run_page(tmp_path, of_wrong_mechanism(asked(told()), kind, asked_terms=asked_terms), "run")
     )
     lines = list(fit_text(of_wrong_mechanism(asked(told()), kind, asked_terms=asked_terms)))
-    (place,) = [k for k, x in enumerate(lines) if "First change the mechanism" in x]
+    # a torque that nothing explains may be a hand's: that is looked at before
+    hand = kind == "unexplained" and not asked_terms
+    change = "Then change the mechanism" if hand else "First change the mechanism"
+    (place,) = [k for k, x in enumerate(lines) if change in x]
+    assert ("First make sure that nothing but the drive" in lines[place - 1]) == hand
     assert (GRAVITY["setting"] in lines[place]) == bool(asked_terms)
     assert not any(x.startswith("  motor.inertia") for x in lines[:place])
     assert "First change the mechanism" not in "\n".join(fit_text(asked(told())))
-    (step, *_), (before, *_) = (
+    (*steps, _), (before, *_) = (
         [li for div in one.all("div") if div.attrs.get("class") == "next" for li in div.all("li")]
         or [None]
         for one in (page, right)
     )
-    assert step.text.startswith("First change the mechanism")
+    assert len(steps) == 1 + hand
+    step = steps[hand]
+    assert step.text.startswith(change)
+    assert steps[0].text.startswith("First make sure that nothing but the drive") == hand
     assert before is None or not before.text.startswith("First change the mechanism")
     assert "bayesfric explain" in step.text
     assert (GRAVITY["setting"] in step.text) == bool(asked_terms)
@@ -219,6 +268,25 @@ def test_a_wrong_mechanism_comes_before_every_experiment(tmp_path, told, kind, a
     (left,) = page.all("div", id="left-open")
     assert "Nothing" not in left.text
     assert "no number here is settled" in left.text
+
+
+@pytest.mark.parametrize("told", [knee, loaded])
+def test_a_push_is_left_out_before_any_trajectory_is_proposed(tmp_path, told):
+    pushed = {"kind": "pushed", "parameters": [], "recording": "sac", "times": 66.0,
+              "lacking": False, "exclude": [[17.9, 18.3], [21.9, 22.2]]}  # fmt: skip
+    found = asked(told(), doubts=[pushed])
+    first = "First leave out what was pushed (of sac exclude = [[17.9, 18.3], [21.9, 22.2]])"
+    (following,) = read_page(run_page(tmp_path, found, "run")).all("div", **{"class": "next"})
+    step, *_ = following.all("li")
+    assert step.text.startswith(first)
+    assert "record again without a hand" in step.text
+    assert following.text.index(first) < following.text.index("--advise")
+    assert "Only after that" in following.text
+    assert any(line.strip().startswith(first) for line in fit_text(found))
+    (following,) = read_page(run_page(tmp_path, asked(told()), "run")).all(
+        "div", **{"class": "next"}
+    )
+    assert "hand" not in following.text
 
 
 def test_nothing_is_open_only_where_nothing_speaks_against_the_model(tmp_path):
@@ -423,6 +491,30 @@ def test_what_the_configuration_leaves_out_is_told_from_rest():
     (out,) = [gap for gap in found if gap.span[0] < middle < gap.span[1]]
     assert out.why == "left-out"
     assert [gap for gap in found if gap is not out] == list(_gaps(outputs, o, 0, o.time.size))
+
+
+def test_one_gap_may_be_rest_and_left_out():
+    """Beside a rest of the made-up swing some motion is excluded: two blocks, told apart."""
+    fit = build(samples=2000)
+    (o,), (outputs,) = fit.observations, fit.target.likelihood.outputs
+    gaps = list(_gaps(outputs, o, 0, o.time.size))
+    rests = [gap for gap in gaps if gap.why == "rest"]
+    rest = max(rests, key=lambda gap: gap.span[1] - gap.span[0])
+    # it begins where the longest rest ends
+    span = LeftOut(rest.span[1], rest.span[1] + 0.1, "exclude")
+    kept = (o.time < span.start) | (o.time > span.stop)
+    named = {k: getattr(outputs, k)[kept] for k in ("time", "measured", "segment_of")}
+    cut = replace(outputs, **named, follows=np.diff(named["time"]) < 1.5 * outputs.period)
+    seen = replace(o, left_out=(LeftOut(0.0, 0.01, "cut"), span))
+    first, second = (
+        g for g in _gaps(cut, seen, 0, cut.time.size) if rest.span[0] <= g.span[0] < span.stop
+    )
+    assert (first.why, second.why) == ("rest", "left-out")
+    # the trim beside what is excluded is left out, too
+    trim = o.settings["trim_samples"] * o.settings["sampling_rate"] ** -1
+    assert first.span == [rest.span[0], pytest.approx(span.start - trim, abs=2 * outputs.period)]
+    assert second.span[0] == first.span[1]
+    assert second.span[1] >= span.stop
 
 
 def test_the_drawing_is_of_the_numbers(long):

@@ -1,5 +1,6 @@
 """The methods paragraph: what was done in this run, and nothing that was not."""
 
+import copy
 import re
 from dataclasses import replace
 from importlib.metadata import version
@@ -7,6 +8,7 @@ from importlib.metadata import version
 import pytest
 
 import bayesfric
+from bayesfric.recordings.measurement import LeftOut
 from bayesfric.report.paper.methods_text import ENTRIES, methods_text
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.summary import summarise
@@ -48,6 +50,29 @@ def test_a_velocity_that_was_not_measured_was_differentiated(knee):
         o.settings["velocity"] = "measured"
     assert "Velocities and accelerations were differentiated from positions" in text
     assert "measured, accel" not in text
+
+
+def test_what_was_left_out_by_hand_is_told_by_recording_and_in_all(many):
+    summary = summarise(many).as_dict()
+    assert "Left out" not in methods_text(many, summary).plain
+    first, second, *others = many.observations
+    cut = LeftOut(0.0, 0.25, "cut"), LeftOut(1.4, 2.0, "cut")
+    hand = LeftOut(0.5, 0.75, "exclude"), LeftOut(1.0, 1.1, "exclude")
+    off = LeftOut(1.2, 1.23, "valid")
+    seen = (
+        replace(first, left_out=(cut[0], *hand, cut[1])),
+        replace(second, left_out=(off, hand[1])),
+        *others,
+    )
+    target, likelihood = copy.copy(many.target), copy.copy(many.target.likelihood)
+    likelihood.observations, target.likelihood = seen, likelihood
+    fit = replace(many, target=target)
+    text = methods_text(fit, summary).plain
+    assert (
+        "Left out by hand were 1.3 s in all: of run 0 what lies before 0.25 s, 0.5 to 0.75 s, "
+        "1 to 1.1 s and what lies after 1.4 s; of run 1 1 to 1.1 s." in text
+    )
+    assert "Not compared were 0.03 s more in which a recording's own column says" in text
 
 
 def test_the_noise_model_is_the_summarys(knee):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from bayesfric.inference.model_error import Axis, ModelError
+from bayesfric.inference.outlying import Outlying
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.page.run_page import run_page
@@ -116,21 +117,35 @@ def test_what_is_as_wide_as_its_prior_is_no_longer_data(wrong):
     assert found.parameters["motor.inertia"].verdict == plain.parameters["motor.inertia"].verdict
 
 
+def test_an_outlying_output_is_told_in_newtonmetres(wrong):
+    """By what it is off from the posterior mean's torque, at its own time."""
+    (o,) = wrong.fit.target.likelihood.outputs
+    one = Outlying(o.name, float(o.time[7]), o.period, 5.0)
+    fit = replace(wrong.fit, model_error=replace(wrong.fit.model_error, outlying=(one,)))
+    (row,) = add_model_error(wrong.summary, fit, groups(fit)).model_error.outlying
+    mean = wrong.fit.target.likelihood.predict(wrong.fit.chain_draws(200))[0].mean(axis=0)
+    assert row.off == pytest.approx(abs(o.measured[7] - mean[7]))
+
+
 def test_outlying_outputs_are_named_five_at_most_with_what_leaves_them_out(tmp_path, wrong):
     told = wrong.summary.as_dict()
     rows = [
         {"recording": "swing", "time": 16.356 + 0.11 * i, "period": 0.11, "times": 9.0 - i}
+        | ({"off": 0.42} if i == 0 else {})  # summaries of before do not tell it
         for i in range(7)
     ]
     told["model_error"] |= {"outlying": rows, "set_aside": True}
     (one,) = (a for a in alerts_of(told) if a.kind == "outlying")
     assert one.first
-    assert "16.36 s (9 sds)" in one.text
+    assert "16.36 s (0.42 N m off, 9 sds)" in one.text
+    assert "(8 sds)" in one.text
     assert "and 2 more outputs" in one.text
     assert "exclude = [[16.3, 16.9]]" in one.text
     (first, *_) = (a for a in alerts_of(told) if a.kind == "model error")
     assert "7 outputs too far off for noise are set aside" in first.text
-    assert "set aside for this: swing, 16.36 s" in run_page(tmp_path, told, "run")
+    assert "set aside for this: swing, 16.36 s (0.42 N m off, 9 sds)" in run_page(
+        tmp_path, told, "run"
+    )
     assert Summary.read(told).as_dict() == told
 
 

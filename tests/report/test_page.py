@@ -193,7 +193,7 @@ def test_first_screen_names_what_is_open(page, summary):
     for name, row in summary["parameters"].items():
         if row["verdict"] == "prior" and not row["at_bound"]:
             assert name in first.text, name
-    assert "reliable" in first.text
+    assert "Yes: it converged" in first.text
     assert "bayesfric identify" in first.text
     assert "may be simulated, not measured" in first.text
 

@@ -1,21 +1,31 @@
 """What is made of a self-check: rows, corrections, doubts, and words on page and terminal."""
 
+import csv
+import io
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from bayesfric.report.alerts import alerts_of
 from bayesfric.report.numbers import text_rounded
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.methods_text import methods_text
+from bayesfric.report.paper.tables import parameter_table, parameters_csv
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import put_doubts
 from bayesfric.report.summary.record import ModelError
-from bayesfric.report.summary.self_check import self_check_doubts, self_check_lines, self_check_part
+from bayesfric.report.summary.self_check import (
+    cite_sentence,
+    self_check_doubts,
+    self_check_lines,
+    self_check_part,
+)
 from bayesfric.report.terminal import fit_text
 from bayesfric.self_check.quick_fit import QuickFit
 from bayesfric.self_check.self_check import Checked
+from tests.report.page_reader import read_page
 from tests.self_check.bench import model
 
 NAME = "motor.viscous"
@@ -125,3 +135,48 @@ def test_the_methods_say_it_in_one_sentence(result):
     )
     assert f"{NAME} would be {value} [{low}, {high}]; such simulations" in said
     assert "simulated at draws" not in methods_text(result.fit, result.summary).plain
+
+
+@pytest.mark.parametrize(
+    ("wide", "doubted", "rule"),
+    [
+        (0.0, False, "the corrected ones where there are any, else those of the tables"),
+        (10.0, False, "those of the tables, uncorrected"),
+        (10.0, True, "doubtful ones are not to be cited"),
+        # a bias of two sds is large beside an interval five times as wide, too
+        (5.0, False, "each with an interval as wide as that of the tables"),
+    ],
+)
+def test_one_rule_says_what_to_cite_everywhere(tmp_path, result, wide, doubted, rule):
+    """And the tables hold what is to be cited."""
+    summary = told(result, checked(result, [2.0]))
+    if wide:
+        row = summary.rows[NAME]
+        low, high = (row.median + wide * (end - row.median) for end in row.interval)
+        wider = {"model_error_interval": [low, high], "model_error_sd": wide * row.sd}
+        summary = summary.with_rows({NAME: wider}, model_error=ModelError(shown=True))
+    if doubted:
+        summary = summary.with_rows({NAME: {"verdict": "weak", "doubted": ["delay"]}})
+    table = parameter_table(summary)
+    page = read_page(run_page(tmp_path, summary, "run"))
+    (section,) = page.all("section", id="self-check")
+    (beside,) = (s.text for s in page.all("span") if "by the self-check:" in s.text)
+    (alert,) = (a.text for a in alerts_of(summary) if a.kind == "corrected")
+    texts = ["\n".join(table.notes), methods_text(result.fit, summary).plain, section.text, alert,
+             "\n".join(self_check_lines(summary))]  # fmt: skip
+    assert [rule in text for text in texts] == [True] * 5
+    by = {0.0: "this is the value to cite", 5.0: "as wide as above", 10.0: "is the one above"}
+    assert ("doubtful" if doubted else by[wide]) in beside
+    # the corrected value stands in the tables where it is the one to cite
+    row = summary.self_check.rows[NAME]
+    written = f"{NAME} {text_rounded(row.corrected, summary.rows[NAME].sd)} ["
+    assert any(written in note for note in table.notes) == (wide < 10.0)
+    lines = csv.DictReader(io.StringIO(parameters_csv(table)))
+    (line,) = (one for one in lines if one["name"] == NAME)
+    found = [float(line[key]) for key in ("corrected", "corrected_low", "corrected_high")]
+    assert found == [row.corrected, *row.corrected_interval]
+
+
+def test_nothing_is_said_of_citing_where_nothing_is_corrected(result):
+    assert cite_sentence(told(result, checked(result, [0.0]))) == ""
+    assert "to cite" not in methods_text(result.fit, result.summary).plain

@@ -10,12 +10,17 @@ import pandas as pd
 import pytest
 
 import bayesfric as bf
+from bayesfric.commands.rollout import rollout_text
 from bayesfric.finished import finished
 from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.law import Law
+from bayesfric.report.alerts import roll_out_wide
+from bayesfric.report.figures.rollout import rollout_figure
+from bayesfric.report.summary.rollout import rollout_part
 from bayesfric.result import result_of
-from bayesfric.rollouts.rollout import rollout
+from bayesfric.rollouts.recordings import Recorded
+from bayesfric.rollouts.rollout import _rolled, rollout
 from tests.commands.bench import Bench, without_figures
 
 JOINT = '[mechanism]\npreset = "motor-axis"\n[mechanism.load]\nfirst_moment = true\n'
@@ -183,6 +188,47 @@ def test_a_joint_that_lacks_a_torque_is_said_to(made, joint, tmp_path):
     assert doubt is not None
     assert doubt["inside"] < 0.5
     assert roll_out_doubt(rollout_part(rollout(found, draws=30))) is None
+
+
+def test_bands_wider_than_the_motion_are_said_to_tell_nothing(made):
+    """The same bands and motion, and then the motion 300 times smaller."""
+    _, found = made
+    played = rollout(found, draws=30)
+    (two,) = played.rolled
+    fine = np.isfinite(two.band[0])
+    span = np.ptp(two.position[fine])
+    assert two.room == pytest.approx(span)
+    assert span < np.pi
+    assert two.at_position.width == pytest.approx(np.median((two.band[1] - two.band[0])[fine]))
+    assert not two.wide
+    told = rollout_part(played)
+    assert roll_out_wide(told) is None
+    assert not any("tell nothing" in line for line in rollout_text(told))
+    # at what half of all bands are wider than
+    small = replace(two, room=two.at_position.width, blind=0.5)
+    told = rollout_part(replace(played, rolled=(small,)))
+    assert list(roll_out_wide(told)["wide"]) == ["two"]
+    lines = list(rollout_text(told))
+    marked = [line for line in lines if line.endswith("too wide to tell")]
+    assert [line.split()[0] for line in marked] == ["two", "all"]
+    assert "for 50 % of the time" in lines[-1]
+    figure = rollout_figure(replace(played, rolled=(small,)))
+    assert figure.axes[0].get_title().endswith("too wide to tell")
+
+
+@pytest.mark.parametrize(("gravity", "turns"), [(True, 0.5), (False, 4.0)])
+def test_half_a_turn_is_all_there_is_where_gravity_acts(made, joint, gravity, turns):
+    """A motion over four turns: beyond half of one, gravity may be anything."""
+    _, found = made
+    run = finished(found)
+    m, o = run.model.recordings[0], run.model.observations[0]
+    far = replace(m, position=np.linspace(0.0, 8.0 * np.pi, m.time.size))
+    moved = far.position + np.linspace(-2.0, 2.0, 5)[:, None], np.zeros((5, m.time.size))
+    some = SimpleNamespace(joint=joint if gravity else CHAIN)
+    x = _rolled(some, Recorded(far, o, "new"), moved, moved)
+    assert x.room == pytest.approx(2.0 * np.pi * turns)
+    # ends of nine tenths of five draws over 4 rad: wider than half a turn, not than four
+    assert (x.blind, x.wide) == (float(gravity), gravity)
 
 
 def test_a_fit_by_targets_is_that_by_the_torque(made, joint):

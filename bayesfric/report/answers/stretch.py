@@ -86,21 +86,33 @@ def _pieces(o: Outputs, begin: int, end: int) -> Iterator[slice]:
 
 
 def _gaps(o: Outputs, observation: Observation, begin: int, end: int) -> Iterator[Gap]:
-    """Say of each gap of a window why nothing is compared there."""
-    stamps, laid = observation.stamps, observation.filter
-    sample = float(np.median(np.diff(stamps)))
-    step = max(round(o.period / sample), 1)
+    """Say of each gap of a window why nothing is compared there; one may have several reasons."""
+    stamps, sample = observation.stamps, float(np.median(np.diff(observation.stamps)))
     for at in begin + np.flatnonzero(~o.follows[begin : end - 1]):
         span = [float(o.time[at]), float(o.time[at + 1])]
         first, last = np.searchsorted(stamps, np.array(span) - 0.5 * sample)
         if np.diff(stamps[first : last + 1]).max(initial=0.0) > _HOLE * sample:
             yield Gap(span=span, why="missing")
             continue
-        # of windows that are missing, those that only hold samples fast enough
-        starts = np.arange(first + step, last, step) - len(laid.taps) // 2
-        windows = (laid.used[max(s, 0) : s + len(laid.taps)] for s in starts.tolist())
-        fast = any(window.all() for window in windows)
-        yield Gap(span=span, why="left-out" if fast else "rest")
+        step = max(round(o.period / sample), 1)
+        absent = np.arange(first + step, last, step)
+        out = [_left_out(observation, middle, sample) for middle in absent.tolist()]
+        turns = [k for k in range(1, len(out)) if out[k] != out[k - 1]]
+        ends = [span[0], *(0.5 * float(stamps[absent[k - 1]] + stamps[absent[k]]) for k in turns)]
+        for k, low, high in zip([0, *turns], ends, [*ends[1:], span[1]], strict=True):
+            yield Gap(span=[low, high], why="left-out" if out and out[k] else "rest")
+
+
+def _left_out(o: Observation, middle: int, sample: float) -> bool:
+    """Whether an output about a sample is missing because of what was left out there.
+
+    Its window touches that, or holds nothing but samples that are fast enough.
+    """
+    half = len(o.filter.taps) // 2
+    reach, at = (half + int(o.settings["trim_samples"])) * sample, o.stamps[middle]
+    told = (one for one in o.left_out if one.by != "cut")
+    window = o.filter.used[max(middle - half, 0) : middle - half + len(o.filter.taps)]
+    return any(x.start - reach <= at <= x.stop + reach for x in told) or bool(window.all())
 
 
 def _short(columns: Array) -> list[list[float]]:

@@ -70,6 +70,12 @@ class Cell:
     disagreement: float | None = None
     # whether there is a posterior, or an estimate, at all; `undetermined` where not
     converged: bool = True
+    doubted: bool = False  # whether its run says that it is doubtful, however narrow
+
+    @property
+    def told_status(self) -> str:
+        """Its status, or that it is doubtful, for tables that are filtered by it."""
+        return "doubtful" if self.doubted else self.status
 
     def written(self, medium: Medium) -> str:
         """Write the value with its sd; a skewed one with the distances to its interval's ends."""
@@ -127,9 +133,11 @@ def posterior_cell(row: PosteriorRow, accounts: bool, status: str = "reliable") 
     if row.at_bound is not None and row.verdict != "data" and told_by_data(row):
         limit = high if row.at_bound == "lower" else low
         words = f"{'at most' if row.at_bound == 'lower' else 'at least'} {limit:.3g}"
+        words += f"; {DOUBTFUL}" if row.doubted else ""
         return Cell(
-            row.middle, "limit", level=row.level, limit=limit, at_bound=row.at_bound, remark=words
-        )
+            row.middle, "limit", level=row.level, limit=limit, at_bound=row.at_bound,
+            remark=words, doubted=bool(row.doubted),
+        )  # fmt: skip
     if row.verdict == "prior":
         return left_open(row.middle, None, ": prior and bounds")
     remarks = [settled_by(row)] if row.verdict == "weak" else []
@@ -143,6 +151,7 @@ def posterior_cell(row: PosteriorRow, accounts: bool, status: str = "reliable") 
         interval=(low, high),
         level=row.level,
         remark="; ".join(remarks),
+        doubted=bool(row.doubted),
     )
 
 

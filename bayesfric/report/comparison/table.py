@@ -93,7 +93,12 @@ def comparison_frame(found: Comparison) -> pd.DataFrame:
             if (cell := row.cells.get(column.label)) is None:
                 continue
             told = {key: getattr(row, key) for key in _COLUMNS[:6]} | asdict(cell)
-            told |= {"column": column.label, "run": column.run, "column_kind": column.kind}
+            told |= {
+                "status": cell.told_status,
+                "column": column.label,
+                "run": column.run,
+                "column_kind": column.kind,
+            }
             told |= {"sd_uncorrelated": cell.sd_plain, "accounts_for_correlation": cell.accounts}
             told["low"], told["high"] = cell.interval or (None, None)
             told["span_low"], told["span_high"] = cell.span or (None, None)

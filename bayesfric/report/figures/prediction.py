@@ -11,6 +11,7 @@ from scipy.special import ndtri
 
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.likelihood import Outputs
+from bayesfric.recordings.observation import Observation
 from bayesfric.report.figures import style
 from bayesfric.report.figures.over_time import as_pixels, broken, draw_band, draw_measured
 from bayesfric.report.figures.registry import JudgedRun, RunFigure
@@ -25,6 +26,7 @@ _BUDGET = 20_000_000
 # Above so many outputs in a figure's width, dots would hide the lines.
 _MOST_DOTS = 960.0
 _HEIGHT = 3.4
+_GREY = "#8a8a8a"
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,8 @@ def prediction_figure(fit: Fit) -> Figure:
     A column for each of at most three recordings: above, the measured output
     (torque after the parallel filter, or position), the posterior predictive mean and
     its 90 % band, noise included; below, the residual and two noise scales on either side.
-    Where outputs are missing (dead zone, excluded spans) the lines break.
+    Where outputs are missing (dead zone, excluded spans) the lines break; excluded spans are
+    hatched.
     """
     outputs = fit.target.likelihood.outputs
     shown = outputs[:_MOST]
@@ -90,8 +93,11 @@ def prediction_figure(fit: Fit) -> Figure:
             2, len(shown), squeeze=False, sharex="col", sharey="row", height_ratios=(1.8, 1.0)
         )
         most_dots = _MOST_DOTS / len(shown)
-        for (above, below), o, p in zip(axes.T, shown, predictive(fit), strict=False):
+        drawn = zip(axes.T, shown, predictive(fit), fit.observations, strict=False)
+        for (above, below), o, p, of in drawn:
             _torque(above, o, p, most_dots)
+            _left_out(above, of)
+            _left_out(below, of)
             _residual(below, o, p, most_dots)
             below.set_xlabel("time (s)")
             below.set_xlim(float(o.time.min()), max(float(o.time.max()), o.time.min() + 1e-9))
@@ -102,12 +108,20 @@ def prediction_figure(fit: Fit) -> Figure:
         axes[0, 0].set_ylabel(f"{what} ({unit})")
         axes[1, 0].set_ylabel(f"residual ({unit})")
         figure.align_ylabels(axes[:, 0])
-        style.legend_above(
-            figure, [h for ax in axes[:, 0] for h in ax.get_legend_handles_labels()[0]]
-        )
+        every = [zip(*ax.get_legend_handles_labels(), strict=True) for ax in axes.T.flat]
+        named = {label: handle for pairs in every for handle, label in pairs}
+        style.legend_above(figure, list(named.values()))
         if len(outputs) > _MOST:
             remark_below(figure, f"first {_MOST} of {len(outputs)} recordings")
     return figure
+
+
+def _left_out(ax: Axes, o: Observation) -> None:
+    spans = [(one.start, one.length) for one in o.left_out if one.by != "cut"]
+    if spans:
+        look: Look = {"facecolor": "none", "edgecolor": _GREY, "hatch": style.OPEN_HATCH}
+        named: Look = {"label": "left out by the user", "gid": "left-out", "linewidth": 0.0}
+        ax.broken_barh(spans, (0.0, 1.0), transform=ax.get_xaxis_transform(), **look, **named)
 
 
 def _torque(ax: Axes, o: Outputs, p: Predictive, most_dots: float) -> None:
@@ -167,7 +181,8 @@ FIGURE = RunFigure(
     section="prediction",
     draw=lambda run: prediction_figure(run.fit),
     caption=(
-        "What was measured and what the posterior predicts, noise included, with residuals below."
+        "What was measured and what the posterior predicts, noise included, with residuals below. "
+        "Gaps that are not hatched are too slow to be compared, or have no samples."
     ),
     alternative=residuals_in_words,
 )

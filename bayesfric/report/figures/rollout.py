@@ -42,6 +42,7 @@ def rollout_figure(found: RollOut) -> Figure:
             ax.set_xlim(float(one.time[0]), float(one.time[-1]))
             ax.set_ylabel(f"position ({one.unit})")
             share = f"{100 * one.at_position.inside:.0f} % inside"
+            share += " a band too wide to tell" if one.wide else ""
             ax.set_title(f"{shortened(one.name)}: {share}", fontsize=style.SMALL, pad=2.5)
             few_ticks(ax.yaxis, 4)
             few_ticks(ax.xaxis, 6)
@@ -74,7 +75,7 @@ def _words(judged: JudgedRun) -> str:
     rows = {**found.recordings, "all together": found.pooled}
     parts = [
         f"{name}: mean absolute error {1e3 * row.position.mae:.3g} m{found.unit}, "
-        f"{100 * row.position.inside:.0f} % inside"
+        f"{100 * row.position.inside:.0f} % inside{', too wide to tell' if row.wide else ''}"
         for name, row in rows.items()
     ]
     return "; ".join(parts) + "."

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from bayesfric.report.alerts import first_step
 from bayesfric.report.paper.tables import ParameterRow, ParameterTable
 from bayesfric.report.summary.record import OpenDirectionRow, RemedyRow, Summary
 
@@ -55,6 +56,8 @@ def findings(table: ParameterTable, summary: Summary) -> dict[str, Any]:
         "meanings": {r.name: r.meaning for r in [*joint, *combined]},
         # what the model leaves depends on these
         "lacks": [lack.on for lack in summary.fit.lacks if lack.sure],
+        # what comes before anything else, where something but the drive seems to have acted
+        "first": first_step(summary),
         # whether another mechanism comes before anything else, and what the recordings ask for
         "wrong": summary.mechanism_doubted,
         "asked": summary.asked,

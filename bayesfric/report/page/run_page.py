@@ -25,7 +25,9 @@ from bayesfric.report.page.status import glance
 from bayesfric.report.page.stretch import stretch_drawing
 from bayesfric.report.page.strip import methods_of, strips
 from bayesfric.report.paper.tables import ParameterTable, parameter_table
+from bayesfric.report.summary.noise import white_wider
 from bayesfric.report.summary.record import Readable, Summary
+from bayesfric.report.summary.self_check import cite_sentence, to_cite
 from bayesfric.report.text_templates import sentence
 
 
@@ -71,6 +73,9 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         no_self_check=sentence("no self-check", read.self_check.model_dump())
         if read.self_check and read.self_check.reason
         else "",
+        cite=cite_sentence(read),
+        which_to_cite=(to_cite(read) or {}).get("which"),
+        white_wider=white_wider(read),
         methods_text=_text(folder / "text" / "methods.txt").strip(),
     )
 

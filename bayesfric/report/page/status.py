@@ -59,8 +59,7 @@ _ORDER = ("data", "together", "limit", *_UNKNOWN)
 def _settled(row: ParameterRow) -> str:
     if not row.cell.converged:
         return "lost"
-    doubted = row.by == "together" and row.row is not None and row.row.doubted
-    return "doubted" if doubted else row.by
+    return "doubted" if row.cell.doubted else row.by
 
 
 def _trusted(summary: Summary) -> Kind:
@@ -106,4 +105,6 @@ def _right(summary: Summary, against: Sequence[str], undecided: Sequence[str]) -
         return "unasked"
     error = summary.model_error
     asked = error is not None and error.reason is None
-    return "yes" if asked or summary.validation or summary.rollout else "unasked"
+    # bands that are wider than any motion say nothing for it
+    rolled = summary.rollout is not None and not summary.rollout.pooled.wide
+    return "yes" if asked or summary.validation or rolled else "unasked"

@@ -28,6 +28,13 @@ def told_gaps(told: Stretch) -> dict[str, str]:
     return {kind: words for kind, words in GAPS.items() if kind in kinds}
 
 
+# What the user left out is hatched, as in figures.
+_HATCH = Markup(
+    '<defs><pattern id="left-out" width="8" height="8" patternUnits="userSpaceOnUse" '
+    'patternTransform="rotate(45)"><path class="hatch" d="M0 0V8"></path></pattern></defs>'
+)
+
+
 @dataclass(frozen=True)
 class StretchDrawing:
     """A drawing, the ends of its axes, and words for its gaps."""
@@ -72,8 +79,9 @@ def stretch_drawing(told: Stretch) -> StretchDrawing | None:
     gaps_in_words = told_gaps(told)
     words += "".join(f" {text}." for text in gaps_in_words.values())
     gaps = Markup("").join(
-        Markup('<path class="gap {}" d="M{:.1f} 0H{:.1f}V{:g}H{:.1f}Z"></path>').format(
-            gap.why, *(_WIDTH * (x - begin) / (end - begin) for x in gap.span), _HEIGHT,
+        Markup('<path class="gap {0}"{1} d="M{2:.1f} 0H{3:.1f}V{4:g}H{5:.1f}Z"></path>').format(
+            gap.why, Markup(' fill="url(#left-out)"') if gap.why == "left-out" else "",
+            *(_WIDTH * (x - begin) / (end - begin) for x in gap.span), _HEIGHT,
             _WIDTH * (gap.span[0] - begin) / (end - begin),
         )
         for gap in told.gaps
@@ -84,4 +92,6 @@ def stretch_drawing(told: Stretch) -> StretchDrawing | None:
     head = Markup(
         '<svg viewBox="0 0 {:g} {:g}" preserveAspectRatio="none" role="img" aria-label="{}">'
     ).format(_WIDTH, _HEIGHT, words)
+    if "left-out" in gaps_in_words:
+        head += _HATCH
     return StretchDrawing(head + gaps + lines + Markup("</svg>"), low, high, gaps_in_words)

@@ -24,7 +24,7 @@ def verdict_words(row: ParameterRow) -> str:
     """Say what determined a number, in words that stand in its line."""
     if not row.cell.converged:
         return NOT_CONVERGED
-    if row.by == "together" and row.row is not None:
+    if row.row is not None and (row.by == "together" or row.cell.doubted):
         return settled_by(row.row)
     return _VERDICTS[row.by]
 
@@ -59,7 +59,7 @@ def were_right_html(row: ParameterRow) -> Markup | None:
     if told is None or told.model_error_interval is None or row.cell.status != "determined":
         return None
     low, high = told.interval
-    return html_interval(low, high, told.sd) if told.sd else None
+    return Markup(row.with_doubt(html_interval(low, high, told.sd))) if told.sd else None
 
 
 def white_html(row: ParameterRow) -> Markup | None:
@@ -68,7 +68,7 @@ def white_html(row: ParameterRow) -> Markup | None:
     if told is None or not told.white_interval or row.cell.status != "determined":
         return None
     (low, high), sd = told.white_interval, told.white_sd or told.sd
-    return html_interval(low, high, sd) if sd else None
+    return Markup(row.with_doubt(html_interval(low, high, sd))) if sd else None
 
 
 def cell_html(cell: Cell | None) -> Markup:

@@ -23,7 +23,7 @@ from bayesfric.report.paper import latex
 from bayesfric.report.paper.tables import counts, parameter_table
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Readable, Summary
-from bayesfric.report.summary.self_check import off_rows
+from bayesfric.report.summary.self_check import cite_sentence, to_cite
 from bayesfric.report.text_templates import filled
 
 _ENTRY = re.compile(r"^% ([^\n]+)\n(@\w+\{(\w+),\n.*?^\}\n)", re.MULTILINE | re.DOTALL)
@@ -112,6 +112,9 @@ def _sentences(fit: Fit, summary: Summary) -> str:
     def total(key: str) -> int:
         return sum(int(o.settings[key]) for o in seen)
 
+    def seconds_out(*by: str) -> float:
+        return sum(one.length for o in seen for one in o.left_out if one.by in by)
+
     joint = parameter_table(summary).joint
     text = filled(
         "methods.txt.j2",
@@ -122,13 +125,15 @@ def _sentences(fit: Fit, summary: Summary) -> str:
         summary=summary,
         each=each,
         total=total,
+        seconds_out=seconds_out,
         masses=list(dict.fromkeys(replace(i, recording="") for i in loaded)),
         carried=len(loaded),
         joint=joint,
         by=counts([row for row in joint if row.cell.converged]),
         together=TOGETHER,
         correlated=correlation_warning(summary),
-        biased={n: row for n, row in off_rows(summary).items() if row.corrected_interval},
+        biased=(to_cite(summary) or {}).get("rows", {}),
+        cite=cite_sentence(summary),
         rounded=text_rounded,
         python=platform.python_version(),
         bayesfric=bayesfric.__version__,

@@ -19,12 +19,14 @@ from bayesfric.report.numbers import (
     Medium,
     latex_interval,
     latex_number,
+    text_rounded,
 )
 from bayesfric.report.paper import latex
 from bayesfric.report.summary.bounds import bound_mend
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Readable, Summary, of_noise
 from bayesfric.report.summary.rows import KnownRow, PosteriorRow
+from bayesfric.report.summary.self_check import cite_sentence, to_cite
 from bayesfric.report.summary.summary import summary_table
 from bayesfric.report.text_templates import filled
 
@@ -50,7 +52,7 @@ _VERDICTS = {
 COLUMNS = [
     "group", "name", "symbol", "meaning", "unit", "status", "verdict",
     "median", "mean", "sd", "low", "high", "level", "limit", "remark",
-    "current", "current_low", "current_high",
+    "current", "current_low", "current_high", "corrected", "corrected_low", "corrected_high",
 ]  # fmt: skip
 
 
@@ -105,9 +107,11 @@ class ParameterRow:
         """What determined it, in words."""
         if not self.cell.converged:
             return "not converged"
-        if self.by == "together" and self.row is not None and self.row.doubted:
-            return "doubtful"
-        return _VERDICTS[self.by]
+        return "doubtful" if self.cell.doubted else _VERDICTS[self.by]
+
+    def with_doubt(self, written: str) -> str:
+        """Say beside a number or an interval that it is doubtful, if it is."""
+        return f"{written} (doubtful)" if self.cell.doubted else written
 
     @property
     def mend(self) -> str:
@@ -120,13 +124,13 @@ class ParameterRow:
             return medium.number(self.cell.value, 5), medium.none
         if self.cell.limit is not None:
             sign = medium.limits[self.cell.at_bound == "upper"]
-            return sign + medium.number(self.cell.limit, 3), medium.none
+            return self.with_doubt(sign + medium.number(self.cell.limit, 3)), medium.none
         if self.by == "open":
             return f"{medium.none} ({self.verdict})", medium.none
         if not self.row.sd:
             return medium.number(self.row.middle, 5), medium.none
         (low, high), sd = self.row.told_interval, self.row.told_sd
-        ends = medium.interval(low, high, sd)
+        ends = self.with_doubt(medium.interval(low, high, sd))
         if self.skewed:
             return medium.ends(self.row.middle, low, high, sd), ends
         return medium.value(self.row.middle, sd), ends
@@ -151,6 +155,7 @@ class ParameterTable:
 
     def notes_where(self, *, marked: bool) -> tuple[str, ...]:
         """Say what to know besides; ``marked`` is whether open numbers are marked ``(prior)``."""
+        cite = to_cite(self.summary)
         text = filled(
             "parameter_notes.txt.j2",
             rows=self.rows,
@@ -159,6 +164,10 @@ class ParameterTable:
             sampler=self.summary.sampler,
             correlated=correlation_warning(self.summary),
             marked=marked,
+            cite=cite_sentence(self.summary),
+            biased=cite["rows"] if cite and cite["which"] != "tables" else {},
+            of={row.name: row.row for row in self.rows},
+            rounded=text_rounded,
         )
         return tuple(text.splitlines())
 
@@ -192,18 +201,21 @@ def parameter_table(summary: Readable, run: str = "summary.json") -> ParameterTa
 
 
 def counts(rows: Sequence[ParameterRow]) -> dict[str, int]:
-    """Count numbers by what settles them: ``data``, ``together``, ``limit``, ``open``."""
-    by = [row.by for row in rows]
-    return {key: by.count(key) for key in ("data", "together", "limit", "open")}
+    """Count numbers by what settles them: ``data``, ``together``, ``limit``, ``open``.
+
+    Those that are ``doubtful`` are none of these.
+    """
+    by = ["doubtful" if row.cell.doubted else row.by for row in rows]
+    return {key: by.count(key) for key in ("data", "together", "limit", "open", "doubtful")}
 
 
 def parameters_csv(table: ParameterTable) -> str:
     """Lay the table out as CSV, every number in full; nothing in it where it is open."""
-    lines = []
+    lines, corrected = [], (to_cite(table.summary) or {}).get("rows", {})
     for r in table.rows:
         told = {key: getattr(r, key) for key in ("group", "name", "symbol", "meaning", "unit")}
         remark = "; ".join(text for text in (r.cell.remark, r.mend) if text)
-        told |= {"status": r.cell.status, "verdict": r.verdict, "remark": remark}
+        told |= {"status": r.cell.told_status, "verdict": r.verdict, "remark": remark}
         if r.row is None:
             told["median"] = r.cell.value
         elif r.by == "limit":
@@ -215,6 +227,9 @@ def parameters_csv(table: ParameterTable) -> str:
             told["sd"] = r.row.told_sd
             current = r.row.current or (None, None, None)
             told["current"], told["current_low"], told["current_high"] = current
+            if (right := corrected.get(r.name)) is not None:
+                told["corrected"] = right.corrected
+                told["corrected_low"], told["corrected_high"] = right.corrected_interval
         lines.append(told)
     import pandas as pd
 
@@ -310,6 +325,7 @@ def methods_latex(found: Comparison) -> str:
         ),
         "n.c.: not converged": any(not c.converged for c in cells_),
         "b: on its bound": any(c.status == "bound" for c in cells_),
+        "d: doubtful, see what the run warns of": any(c.doubted for c in cells_),
         f"Empty: the {'run' if runs > 1 else 'method'} does not tell it": None in every,
         "m: of each run's own motion, another motion gives other values": runs > 1
         and any(row.of_motion for row in found.rows),
@@ -346,10 +362,12 @@ def _cell(cell: Cell | None) -> str:
     if cell.status == "undetermined":
         return "---" if cell.converged else "n.c."
     if cell.limit is not None:
-        return LATEX.limits[cell.at_bound == "upper"] + latex_number(cell.limit, 3)
+        mark = r"\textsuperscript{d}" if cell.doubted else ""
+        return LATEX.limits[cell.at_bound == "upper"] + latex_number(cell.limit, 3) + mark
     shown = cell.written(LATEX)
     if cell.status == "bound":
         return shown + r"\textsuperscript{b}"
+    shown += r"\textsuperscript{d}" if cell.doubted else ""
     plain = cell.status == "determined" and not cell.accounts
     return shown + (r"\textsuperscript{\dag}" if plain else "")
 

@@ -68,7 +68,7 @@ def find_doubts(
     lacking = bool(memory) or (error is not None and error.shown)
     found = [
         # before what else may be wrong: it may all come of this
-        *pushed_doubts(pushed, lacking=lacking),
+        *pushed_doubts(pushed, fit.estimates[0].residual_unit, lacking=lacking),
         *_unexplained(summary),
         *doubts_before(fit.estimates[0], fit.observations),
         *memory,
@@ -137,15 +137,16 @@ def doubts_before(
         *_late(delays, observations),
         *_turning(turn),
     ]
-    return [*found, *pushed_doubts(pushed)]
+    return [*found, *pushed_doubts(pushed, totals.residual_unit)]
 
 
 def pushed_doubts(
-    pushed: Sequence[Disturbance], *, lacking: bool = False
+    pushed: Sequence[Disturbance], unit: str, *, lacking: bool = False
 ) -> Iterator[dict[str, Any]]:
     """Name spans in which something else acted, recording by recording.
 
-    ``lacking`` tells whether the model seems to lack something, too.
+    ``unit`` is that of the torque; ``lacking`` tells whether the model seems to lack something,
+    too.
     """
     for name in dict.fromkeys(one.recording for one in pushed):
         spans = [one for one in pushed if one.recording == name]
@@ -154,6 +155,8 @@ def pushed_doubts(
             "recording": name,
             "exclude": _tenths(spans),
             "times": max(one.times for one in spans),
+            "torque": max(one.torque for one in spans),
+            "unit": unit,
             "lacking": lacking,
         }
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from bayesfric.inference.fitting import Fit
+from bayesfric.inference.outlying import Outlying
 from bayesfric.report.summary.derived_quantities import Groups, spread
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import ModelError as Told
@@ -28,7 +29,8 @@ def add_model_error(summary: Summary, fit: Fit, derived: Groups) -> Summary:
         return summary
     axes = [asdict(axis) | {"differs": axis.differs} for axis in error.axes]
     reason = {} if error.reason is None else {"reason": error.reason}
-    far = {"outlying": [asdict(one) for one in error.outlying], "set_aside": error.set_aside}
+    outlying = [asdict(one) | {"off": _off(fit, one)} for one in error.outlying]
+    far = {"outlying": outlying, "set_aside": error.set_aside}
     told = Told.model_validate({"shown": error.shown, "axes": axes, **reason, **far})
     if not error.shown:
         return summary.model_copy(update={"model_error": told})
@@ -46,6 +48,13 @@ def add_model_error(summary: Summary, fit: Fit, derived: Groups) -> Summary:
     before = correlation_warning(summary)
     warnings = [correlation_warning(after) if w == before else w for w in summary.warnings]
     return after.model_copy(update={"warnings": [w for w in warnings if w]})
+
+
+def _off(fit: Fit, one: Outlying) -> float:
+    """Give what the posterior leaves of an output, in its unit."""
+    outputs, left = fit.target.likelihood.outputs, fit.residuals
+    (k,) = (k for k, o in enumerate(outputs) if o.name == one.recording)
+    return abs(float(left[k][int(np.argmin(np.abs(outputs[k].time - one.time)))]))
 
 
 def _change(summary: Summary, name: str, draws: np.ndarray) -> dict[str, Any]:

@@ -105,6 +105,8 @@ def noise_lines(noise: Noise | Mapping[str, Any]) -> Iterator[str]:
     yield from filled("noise.txt.j2", noise=Noise.read(noise)).splitlines()
 
 
+# How many times wider intervals of white noise are worth a word.
+_WIDER = 1.1
 # A log-likelihood this uncertain moves an interval by about a standard deviation.
 _LINEAR = 1.0
 
@@ -139,6 +141,21 @@ def correlation_warning(summary: Summary) -> str | None:
     allowed = error is not None and error.shown
     values = {"memory": memory, "lag": lag, "times": times, "robust": robust, "allowed": allowed}
     return sentence("independent", values)
+
+
+def white_wider(summary: Summary) -> str:
+    """Say why white noise would give wider intervals, where it would; else empty."""
+    wider = [
+        name
+        for name, row in summary.joint.items()
+        if row.verdict != "prior" and row.white_sd and row.white_sd > _WIDER * row.sd
+    ]
+    if not wider:
+        return ""
+    # below zero, what is too much is soon followed by too little, and a mean knows more of it
+    sums = [sum(one) for one in summary.noise.autoregression.values()]
+    negative = bool(sums) and float(np.mean(sums)) < 0.0
+    return sentence("white wider", {"names": wider, "negative": negative})
 
 
 def white_alternative(fit: Fit) -> bool:

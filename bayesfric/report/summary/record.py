@@ -288,12 +288,13 @@ class AxisRow(Part):
 
 
 class OutlyingRow(Part):
-    """One output that is too far off for the fitted noise."""
+    """One output that is too far off for the fitted noise; ``off`` is its residual's size."""
 
     recording: str
     time: FiniteFloat
     period: NotNegative
     times: NotNegative
+    off: NotNegative | None = None
 
 
 class ModelError(Part):

@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import FiniteFloat
 
 from bayesfric.report.summary.part import Name, NotNegative, Part, Share
-from bayesfric.rollouts.rolled import Input, RollOut
+from bayesfric.rollouts.rolled import BLIND, Input, RollOut
 from bayesfric.rollouts.rolled import Part as Which
 
 # Share inside 90 % bands below which they are called too narrow. Positions within a second of each
@@ -22,21 +22,33 @@ class MotionError(Part):
     rmse: NotNegative
     inside: Share
     inside_alone: Share
+    width: NotNegative | None = None
 
 
 class RollOutRow(Part):
-    """One recording, or all together."""
+    """One recording, or all together.
+
+    In a share ``blind`` of the time the position's band is wider than ``room``, beyond which it
+    tells nothing.
+    """
 
     part: Which | None = None
     input: Input | None = None
     position: MotionError
     speed: MotionError
     runaway: Share = 0.0
+    room: NotNegative | None = None
+    blind: Share = 0.0
 
     @property
     def narrow(self) -> bool:
         """Whether the position leaves its bands far too often."""
         return self.position.inside < _FEWEST
+
+    @property
+    def wide(self) -> bool:
+        """Whether being inside the position's band says nothing."""
+        return self.blind > BLIND
 
 
 class RollOutPart(Part):
@@ -68,12 +80,15 @@ def rollout_part(found: RollOut) -> RollOutPart:
                     "position": vars(one.at_position),
                     "speed": vars(one.at_speed),
                     "runaway": one.runaway,
+                    "room": one.room,
+                    "blind": one.blind,
                 }
                 for one in found.rolled
             },
             "pooled": {
                 "position": vars(found.pooled["at_position"]),
                 "speed": vars(found.pooled["at_speed"]),
+                "blind": sum(one.blind for one in found.rolled) / len(found.rolled),
             },
             "unexplained": found.unexplained,
             "left": found.left,

@@ -104,6 +104,24 @@ def off_rows(summary: Summary) -> dict[str, SelfCheckRow]:
     }
 
 
+def to_cite(summary: Summary) -> dict[str, Any] | None:
+    """Give what decides whether corrected values are to be cited; ``None`` where there are none.
+
+    ``which`` are ``corrected`` ones; where intervals have room for the model's error, those of the
+    ``tables``; and ``both``, the one's values with the other's width, where a bias is large even
+    beside that room.
+    """
+    rows = {name: row for name, row in off_rows(summary).items() if row.corrected_interval}
+    if not rows:
+        return None
+    allowed = summary.model_error is not None and summary.model_error.shown
+    told = summary.rows
+    moved = max(abs(r.bias) * told[n].sd / (told[n].told_sd or np.inf) for n, r in rows.items())
+    which = "corrected" if not allowed else "both" if moved > BIASED else "tables"
+    doubted = any(told[name].doubted for name in rows)
+    return {"rows": rows, "allowed": allowed, "which": which, "doubted": doubted}
+
+
 def _by_data(summary: Summary) -> dict[str, SelfCheckRow]:
     # where a prior has a say, no interval holds nine of ten truths
     rows = summary.self_check.rows if summary.self_check is not None else {}
@@ -122,12 +140,20 @@ def narrow(summary: Summary) -> bool:
     return any(row.coverage + _SURE * row.coverage_error < LOW for row in rows)
 
 
+def cite_sentence(summary: Summary) -> str:
+    """Say which values to cite, where some are corrected; else empty."""
+    told = to_cite(summary)
+    return sentence("cite", told) if told else ""
+
+
 def self_check_lines(summary: Summary) -> Iterator[str]:
     """Word it for a terminal, line by line."""
     if (check := summary.self_check) is not None:
         why = sentence("no self-check", check.model_dump()) if check.reason else ""
         allowed = summary.model_error is not None and summary.model_error.shown
         told = {"check": check, "why": why, "off": off_rows(summary), "allowed": allowed}
+        told["cite"] = cite_sentence(summary)
+        told["doubted"] = {name for name, row in summary.rows.items() if row.doubted}
         text = filled("self_check.txt.j2", **told)
         yield from text.splitlines()
 

@@ -1,0 +1,100 @@
+"""What is doubtful is said to be so right beside its interval, wherever that is printed."""
+
+import csv
+import io
+import re
+
+import pytest
+
+from bayesfric.report.comparison.comparison import comparison
+from bayesfric.report.page.run_page import run_page
+from bayesfric.report.paper.tables import latex_texts, methods_latex, summary_texts
+from bayesfric.report.terminal import fit_text
+
+from .made_summaries import loaded
+from .page_reader import read_page
+
+NAME, LIMIT, FINE = "motor.inertia", "load.inertia", "motor.viscous"
+
+
+@pytest.fixture
+def told():
+    """A run that is right but for two numbers, one of them known as a limit only."""
+    found = loaded()
+    found["sampler"] |= {"status": "tentative", "min_ess": 5e3, "max_rhat": 1.0, "seconds": 1.0}
+    found["doubts"] = [{"kind": "some", "parameters": [NAME, LIMIT]}]
+    doubted = {"verdict": "weak", "doubted": ["some"]}
+    found["parameters"][NAME] |= doubted | {
+        "model_error_interval": [2.7e-4, 4.1e-4], "model_error_sd": 4e-5,
+    }  # fmt: skip
+    bound = {"at_bound": "lower", "bound": 0.0, "data_sd": 1e-3, "prior_sd": 1.0}
+    found["parameters"][LIMIT] |= doubted | bound
+    found["model_error"] = {"shown": True, "axes": []}
+    return found
+
+
+def test_in_the_terminal_right_behind_the_interval(told):
+    lines = list(fit_text(told))
+    (line,) = (x for x in lines if x.split()[:1] == [NAME])
+    # before any other interval
+    assert re.search(r"\[[^\]]*\] kg m²   doubtful: .*\(were the model right: \[", line)
+    (line,) = (x for x in lines if x.split()[:1] == [LIMIT])
+    assert re.search(r"\[[^\]]*\] kg m²   doubtful, and known only as a limit", line)
+    (line,) = (x for x in lines if x.split()[:1] == [FINE])
+    assert "doubtful" not in line
+
+
+def test_in_the_same_cell_of_every_table(told):
+    texts = summary_texts(told, "run") | latex_texts(told, "run")
+    for name, sign in (("tables/parameters.md", " | "), ("tables/parameters.tex", " & ")):
+        for row in texts[name].splitlines():
+            cells = row.split(sign)
+            if len(cells) < 5:
+                continue
+            interval = [cell for cell in cells if re.search(r"\[.*\]", cell)][:1]
+            value = [cell for cell in cells if "≤" in cell or r"\leq" in cell]
+            if NAME in cells[0]:
+                assert interval[0].rstrip("$ ").endswith("(doubtful)"), row
+            elif value:
+                assert value[0].endswith("(doubtful)"), row
+            else:
+                assert "doubtful" not in row, row
+    assert r"\textsuperscript{d}" in methods_latex(comparison({"run": told}))
+    assert "d: doubtful" in methods_latex(comparison({"run": told}))
+
+
+@pytest.mark.parametrize("name", ["tables/parameters.csv", "methods.csv"])
+def test_a_table_that_is_filtered_by_status_does_not_pass_it(told, name):
+    rows = list(csv.DictReader(io.StringIO(summary_texts(told, "run")[name])))
+    status = {row["name"]: row["status"] for row in rows if row.get("column", "posterior") != "CAD"
+              and row.get("column_kind", "posterior") == "posterior"}  # fmt: skip
+    assert (status[NAME], status[LIMIT]) == ("doubtful", "doubtful")
+    assert status[FINE] == "determined"
+
+
+def test_on_the_page_beside_each_interval(told, tmp_path):
+    told["self_check"] = {
+        **{"asked": 40, "made": 40, "seconds": 1.0, "cpu_seconds": 1.0, "unexplained": 0.1},
+        "rows": {
+            name: {"bias": 0.5, "bias_error": 0.01, "coverage": 0.85, "coverage_error": 0.01,
+                   "corrected": 3.4e-4, "corrected_interval": [3e-4, 3.9e-4]}
+            for name in (NAME, FINE)
+        },
+    }  # fmt: skip
+    page = read_page(run_page(tmp_path, told, "run"))
+    seen = 0
+    for row in page.all("tr"):
+        if row.attrs.get("data-name") not in (NAME, FINE) or "data-column" in str(row.children):
+            continue
+        for cell in row.all("td"):
+            if re.search(r"\[[^\]]*,[^\]]*\]", cell.text):
+                seen += 1
+                assert ("doubtful" in cell.text) == (row.attrs["data-name"] == NAME), cell.text
+    assert seen == 7  # interval, were the model right, as fitted, corrected; three of the other
+    (first,) = page.all("section", id="findings")
+    drawn = {s.attrs["class"].split()[-1] for s in first.all("div", role="img")}
+    assert drawn == {"strip", "in-doubt"}
+    corrected = [s.text for s in first.all("span") if "by the self-check" in s.text]
+    assert sorted("doubtful" in text for text in corrected) == [False, True]
+    (left,) = page.all("div", id="left-open")
+    assert "two are doubtful" in left.text
