@@ -69,12 +69,14 @@ def check(model: Model | Path | str) -> Checked:
 def _found(model: Model) -> dict[str, Any]:
     (totals,) = model.estimates(["least-squares"])
     delays = model.delays()
+    ignored = [] if model.chain.delay else delays
+    unexplained = little_explained(model.chain, model.observations, ignored)
     doubts = [
-        *little_explained(model.chain, model.observations),
+        *unexplained,
         *doubts_before(
             totals,
             model.observations,
-            () if model.chain.delay else delays,
+            [] if unexplained else ignored,
             model.once_a_turn(),
             model.disturbances(),
         ),
@@ -172,7 +174,11 @@ def _lines(found: Mapping[str, Any]) -> Iterator[str]:
         yield f"  {name:<28} {v['value']:>12.5g} ± {v['sd']:<9.2g} {v['unit']:<8} {v['meaning']}"
     yield f"  {'residual rms':<28} {totals['residual_rms']:>12.4g}"
     yield ""
-    yield "Delay of the position after the torque"
+    unsure = any(one["kind"] == "unexplained" for one in found["doubts"])
+    yield (
+        "Delay of the position after the torque"
+        + (", not to be judged while the model explains so little" if unsure else "")
+    )
     for one in found["delays"]:
         alone = len(one["recordings"]) == 1
         name = one["recordings"][0] if alone else "all together"
