@@ -460,7 +460,7 @@ def _band_warnings(numbers: _Numbers) -> Iterator[str]:
     # the small share is rounding
     if band > FOLDING * half * (1.0 + 1e-9):
         yield (
-            f"band: {band:.6g} Hz is far above half the decimated rate ({half:.6g} Hz), "
+            f"band: {band:.6g} Hz is above half the decimated rate ({half:.6g} Hz), "
             f"so higher frequencies fold back; {mend}"
         )
     if numbers.factor > 1 and band < SHARING * half:
