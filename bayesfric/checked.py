@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from bayesfric.config_text import toml_value
 from bayesfric.inference.noise import SCALES
 from bayesfric.model import Model
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.rest import resting_ends
 from bayesfric.report.alerts import doubt_text
 from bayesfric.report.summary.doubts import doubts_before, little_explained
 from bayesfric.report.summary.summary import estimate_summary
+
+# What a key of a recording leaves out.
+_LEFT_OUT = {
+    "start": "the joint rests until then",
+    "stop": "the joint rests from then on",
+    "exclude": "something else acted, as a hand; besides what is excluded already",
+}
 
 
 @dataclass(frozen=True)
@@ -60,6 +69,18 @@ def check(model: Model | Path | str) -> Checked:
 def _found(model: Model) -> dict[str, Any]:
     (totals,) = model.estimates(["least-squares"])
     delays = model.delays()
+    ignored = [] if model.chain.delay else delays
+    unexplained = little_explained(model.chain, model.observations, ignored)
+    doubts = [
+        *unexplained,
+        *doubts_before(
+            totals,
+            model.observations,
+            [] if unexplained else ignored,
+            model.once_a_turn(),
+            model.disturbances(),
+        ),
+    ]
     unsettled = {f"noise.{scale.name}" for scale in SCALES.values() if scale.chosen}
     return {
         "config": str(model.config.path),
@@ -100,16 +121,8 @@ def _found(model: Model) -> dict[str, Any]:
             }
             for one in delays
         ],
-        "doubts": [
-            *little_explained(model.chain, model.observations),
-            *doubts_before(
-                totals,
-                model.observations,
-                () if model.chain.delay else delays,
-                model.once_a_turn(),
-                model.disturbances(),
-            ),
-        ],
+        "doubts": doubts,
+        "leave_out": _leave_out(model, doubts),
         "least_squares": estimate_summary(totals),
     }
 
@@ -120,6 +133,20 @@ def _parts(model: Model) -> Iterator[tuple[Measurement, Observation, str | None]
         yield recording, observation, None
     for one in model.held_out:
         yield one.recording, one.observation, one.part
+
+
+def _leave_out(model: Model, doubts: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Give the keys of recordings that leave out what is no motion of the joint by its motor."""
+    pushed = {one["recording"]: one["exclude"] for one in doubts if one["kind"] == "pushed"}
+    divided = {one.observation.name for one in model.held_out}
+    found: dict[str, dict[str, Any]] = {}
+    for one in model.recordings:
+        # of a recording whose end is held out the last motion is not here
+        ends = {} if one.name in divided else resting_ends(one.time, one.position)
+        spans = {"exclude": pushed[one.name]} if one.name in pushed else {}
+        if ends or spans:
+            found[one.name] = {**ends, **spans}
+    return found
 
 
 def _lines(found: Mapping[str, Any]) -> Iterator[str]:
@@ -147,7 +174,11 @@ def _lines(found: Mapping[str, Any]) -> Iterator[str]:
         yield f"  {name:<28} {v['value']:>12.5g} ± {v['sd']:<9.2g} {v['unit']:<8} {v['meaning']}"
     yield f"  {'residual rms':<28} {totals['residual_rms']:>12.4g}"
     yield ""
-    yield "Delay of the position after the torque"
+    unsure = any(one["kind"] == "unexplained" for one in found["doubts"])
+    yield (
+        "Delay of the position after the torque"
+        + (", not to be judged while the model explains so little" if unsure else "")
+    )
     for one in found["delays"]:
         alone = len(one["recordings"]) == 1
         name = one["recordings"][0] if alone else "all together"
@@ -158,3 +189,8 @@ def _lines(found: Mapping[str, Any]) -> Iterator[str]:
         yield f"  {name:<28} {one['delay']:>12.3g} ± {one['sd']:<9.2g} s{samples}"
     for doubt in found["doubts"]:
         yield f"WARNING: {doubt_text(doubt)}"
+    for number, (name, keys) in enumerate(found["leave_out"].items()):
+        if number == 0:
+            yield from ("", "What these keys under [[recordings]] leave out")
+        for key, value in keys.items():
+            yield f"  {name:<28} {key} = {toml_value(value)}  # {_LEFT_OUT[key]}"

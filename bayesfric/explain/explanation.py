@@ -225,13 +225,14 @@ def _term(t: Trial, rivals: Sequence[Trial] = ()) -> Term:
 
 
 def _having(one: Candidate) -> Iterator[str]:
-    """Name presets of the same ratio whose load is like that of the chain with a term."""
+    """Name other presets of the same ratio whose load is like that of the chain with a term."""
     load = one.chain.load
     if one.owner != load.name or one.chain.made_from not in PRESETS:
         return
     for name, preset in PRESETS.items():
         chain = preset.chain()
-        if chain.ratio == one.chain.ratio and load.choices.items() <= chain.load.choices.items():
+        alike = chain.ratio == one.chain.ratio and name != one.chain.made_from
+        if alike and load.choices.items() <= chain.load.choices.items():
             yield name
 
 

@@ -152,6 +152,15 @@ class Ranking:
                 yield rank, one
             seen.add(kind)
 
+    @property
+    def left_out(self) -> Iterator[tuple[str, int, list[str]]]:
+        """Reasons why candidates are no use, with how many there are of each, and their forms."""
+        reasons: dict[str, list[str]] = {}
+        for one, why in self.dropped:
+            reasons.setdefault(str(why), []).append(one.form)
+        for reason, forms in reasons.items():
+            yield reason, len(forms), list(dict.fromkeys(forms))
+
     def _described(self, one: Candidate) -> dict[str, Any]:
         found = {"kind": one.kind, "form": one.form, "peak_torque": one.amplitude}
         return found | {"duration": one.duration, **_bolted(one), "start": one.q0}

@@ -8,7 +8,10 @@ import numpy as np
 
 from bayesfric.errors import BadInput
 from bayesfric.recordings.measurement import Array, Flags
+from bayesfric.recordings.resolution import finest_step
 
+# A step below this share of the range is rounding of numbers; above the other it is coarse.
+_NO_STEP, COARSE_STEP = 1e-6, 1e-3
 # Shorter runs of one value are chance in a quantised signal
 _RUN = 4
 _CLIPPED_SHARE = 0.01
@@ -99,14 +102,14 @@ def clipped(values: Array, what: str) -> list[str]:
 
 
 def quantisation(values: Array) -> float | None:
-    """Return the step of a coarsely quantised signal; None if it has too many values for that."""
-    levels = np.unique(values)
-    if not 3 <= len(levels) <= len(values) / 3:
+    """Return the step in which a signal is read; None where no reading repeats, or for none.
+
+    However long the recording is: the same sensor has the same step.
+    """
+    if np.unique(values).size == values.size:
         return None
-    gaps = np.diff(levels)
-    step = float(gaps.min())
-    multiples = gaps / step
-    return step if bool(np.all(np.abs(multiples - np.round(multiples)) < 0.05)) else None
+    step = finest_step(values)
+    return step if step > _NO_STEP * float(np.ptp(values)) else None
 
 
 def unwrapped(angle: Array) -> tuple[Array, int]:

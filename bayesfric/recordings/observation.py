@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 from bayesfric.errors import BadInput
 from bayesfric.recordings import checks, units
 from bayesfric.recordings.filters import (
+    FOLDING,
     LARGE_SHARE,
+    SHARING,
     SMALL_SHARE,
     ParallelFilter,
     check_cutoff,
+    decimation,
     derivative,
     lay_windows,
     lowpass,
@@ -283,17 +286,22 @@ def _settle(recording: Measurement, processing: Processing) -> _Numbers:
     if cutoff is None and factor is None:
         # one number settles the others: the band that is compared
         resolution = resolve(recording, band)
-        longest = max(b - a for a, b in recording.segments)
-        most = max(round(0.5 / WIDEST), longest // _FITTING)
-        factor = int(np.clip(round(fs / (2.0 * resolution.band)), 1, most))
-        cutoff = lowpass_above(resolution.band if band else fs / (2 * factor), fs)
+        if band is None:
+            longest = max(b - a for a, b in recording.segments)
+            most = max(round(0.5 / WIDEST), longest // _FITTING)
+            factor = int(np.clip(round(fs / (2.0 * resolution.band)), 1, most))
+        else:
+            factor = decimation(band, fs)
+        cutoff = lowpass_above(band or fs / (2 * factor), fs)
     else:
         cutoff = fs / 10 if cutoff is None else cutoff
-        if factor is None:
+        if factor is None and band is not None:
+            factor = decimation(band, fs)
+        elif factor is None:
             factor = max(1, round(fs / cutoff)) if cutoff else 1
-        factor = min(factor, len(recording.time))  # larger ones leave no output either
         half = fs / (2 * factor) if factor > 1 else cutoff or fs / 2
         resolution = resolve(recording, half if band is None else band)
+    factor = min(factor, len(recording.time))  # larger ones leave no output either
     if cutoff:
         check_cutoff(cutoff, fs, f"{where}, lowpass")
     reach = reach_of(processing.differentiation, cutoff, fs)
@@ -447,17 +455,20 @@ def without_excluded(segments: Segments, excluded: Flags) -> Segments:
 
 
 def _band_warnings(numbers: _Numbers) -> Iterator[str]:
-    band, decimated = numbers.band, numbers.fs / numbers.factor
-    if band is not None and band > decimated / 2:
+    band, half = numbers.band, numbers.fs / (2 * numbers.factor)
+    if band is None:
+        return
+    mend = f"decimate = {decimation(band, numbers.fs)} would fit"
+    # the small share is rounding
+    if band > FOLDING * half * (1.0 + 1e-9):
         yield (
-            f"band: {band:.6g} Hz is above half the decimated rate ({decimated / 2:.6g} Hz)"
-            ", so higher frequencies fold back"
+            f"band: {band:.6g} Hz is above half the decimated rate ({half:.6g} Hz), "
+            f"so higher frequencies fold back; {mend}"
         )
-    if numbers.factor > 1 and band is not None and band < 0.4 * decimated:
+    if numbers.factor > 1 and band < SHARING * half:
         yield (
-            f"band: {band:.6g} Hz is below half the decimated rate ({decimated / 2:.6g} "
-            f"Hz), so neighbouring outputs share noise and intervals come out too narrow; "
-            f"decimate = {max(1, int(numbers.fs / (2.0 * band)))} would fit"
+            f"band: {band:.6g} Hz is below half the decimated rate ({half:.6g} Hz), so "
+            f"neighbouring outputs share noise and intervals come out too narrow; {mend}"
         )
 
 

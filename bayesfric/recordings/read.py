@@ -20,7 +20,6 @@ from bayesfric.recordings.law import Law, Told, measured_law, position_law
 from bayesfric.recordings.measurement import Array, Flags, LeftOut, Measurement
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.recording import Recording
-from bayesfric.recordings.rest import resting_ends
 from bayesfric.recordings.source import Columns, Source
 from bayesfric.recordings.tables import Table, is_recording, read_table, sha256
 from bayesfric.recordings.timebase import Grid, check_order, make_grid
@@ -111,15 +110,18 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     warnings = [*grid.warnings]
     if not told.law.closed:
         warnings += checks.clipped(channels.signed(channel, table)[part], kind)
-    coarse = checks.quantisation(position[part])
-    if coarse is not None:
-        unit = "rad" if drive.motion == "rotary" else "m"
-        warnings.append(f"position: quantised with a step of {coarse:.3g} {unit} at the joint")
+    if (read_in := checks.quantisation(position[part])) is not None:
+        unit, range_ = "rad" if drive.motion == "rotary" else "m", float(np.ptp(position[part]))
+        steps.append(f"position: read in steps of {read_in:.3g} {unit} at the joint")
+        if read_in > checks.COARSE_STEP * range_:
+            warnings.append(
+                f"position: read in steps of {read_in:.3g} {unit}, coarse beside the {range_:.3g} "
+                f"{unit} that the joint moves through; move it further, or read it more finely"
+            )
     warnings += channels.counts(source, table, part)
     whole = channels.whole(source, table, part)
     doubted = {*(["time"] if grid.odd else []), *whole} & {"time", "position", "velocity"}
     steps.extend(grid.steps)
-    steps.extend(resting_ends(time[part], position[part]))
 
     joint = grid.smooth(position)
     speed = None if velocity is None else grid.linear(velocity)

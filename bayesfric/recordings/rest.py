@@ -59,18 +59,22 @@ def at_rest(position: Array, segments: Segments, least: int) -> Flags:
     return flags
 
 
-def resting_ends(time: Array, position: Array) -> list[str]:
-    """Say how long the joint rests before its first motion and after its last, where long."""
+def resting_ends(time: Array, position: Array) -> dict[str, float]:
+    """Give ``start`` and ``stop`` in s that leave long rests at the ends out; none where none is.
+
+    As a configuration has them, to hundredths: the joint rests before its first motion, and after
+    its last.
+    """
     least = max(_LONG, _LONG_SHARE * float(time[-1] - time[0]))
     away = _STILL * float(np.ptp(position))
     first = int(np.argmax(np.abs(position - position[0]) > away))
     last = position.size - 1 - int(np.argmax(np.abs(position[::-1] - position[-1]) > away))
-    said = []
+    found = {}
     if time[first] - time[0] > least:
-        said.append(f"rest: until {time[first]:.3g} s; start = {time[first]:.3g} leaves it out")
+        found["start"] = round(float(time[first]), 2)
     if time[-1] - time[last] > least:
-        said.append(f"rest: from {time[last]:.4g} s on; stop = {time[last]:.4g} leaves it out")
-    return said
+        found["stop"] = round(float(time[last]), 2)
+    return found
 
 
 def rests(

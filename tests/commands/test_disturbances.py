@@ -14,12 +14,13 @@ from .bench import cases
 T = 0.002 * np.arange(8000)
 
 
-def model(torque_more=0.0, seed=1, **keys):
+def model(torque_more=0.0, seed=1, envelope=1.0, **keys):
     """A pendulum that is moved, with something more in the torque."""
     joint = bf.Joint.preset("servo-pendulum")
     values = {"motor.inertia": 0.05, "motor.coulomb": 0.2, "motor.viscous": 0.05,
               "load.first_moment": 0.1}  # fmt: skip
     q = 0.9 * np.sin(2 * np.pi * 0.4 * T) + 0.3 * np.sin(2 * np.pi * 1.1 * T + 1)
+    q = q * envelope
     v = np.gradient(q, T)
     torque = values["motor.inertia"] * np.gradient(v, T) + values["motor.coulomb"] * np.sign(v)
     torque += values["motor.viscous"] * v + 9.81 * values["load.first_moment"] * np.sin(q)
@@ -134,6 +135,27 @@ def test_check_proposes_what_to_exclude(bench):
     has(text, "WARNING: in run the torque is off for a while by up to "
         f"{doubt['torque']:.2g} N m, {doubt['times']:.0f} times as much as usual",
         f"exclude = [[{start:.1f}, {stop:.1f}]]")  # fmt: skip
+
+
+def test_check_says_which_keys_leave_rests_and_pushes_out(bench):
+    """The joint begins to move at 3 s, comes to rest at 13 s, and is pushed between."""
+    going = np.clip((T - 3.0) / 1.0, 0, 1) ** 3 * np.clip((13.0 - T) / 1.0, 0, 1) ** 3
+    made = model(push(7.0, 8.2), envelope=going).recordings[0]
+    rows = np.stack((made.time, made.position, made.torque), axis=1).tolist()
+    bench.recording(["t,q,tau", *(",".join(map(repr, row)) for row in rows)])
+    bench.edit('preset = "motor-axis"', 'preset = "servo-pendulum"')
+    told = json.loads(bench.run("check", "c.toml", "--json").out)["leave_out"]["run"]
+    # a motion that begins with the cube of time is below a thousandth of its range for a tenth
+    assert told["start"] == pytest.approx(3.1, abs=0.1)
+    assert told["stop"] == pytest.approx(12.9, abs=0.1)
+    ((start, stop),) = told["exclude"]
+    assert (start, stop) == pytest.approx((7.0, 8.2), abs=0.4)
+    text = bench.run("check", "c.toml").out
+    keys = [f"start = {told['start']}", f"stop = {told['stop']}", f"exclude = [[{start}, {stop}]]"]
+    has(text.split("[[recordings]]")[1], *keys)
+    # with these keys there is nothing more to leave out
+    bench.edit("[[recordings]]", "[[recordings]]\n" + "\n".join(keys))
+    assert json.loads(bench.run("check", "c.toml", "--json").out)["leave_out"] == {}
 
 
 # -- real recordings

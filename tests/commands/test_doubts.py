@@ -373,7 +373,10 @@ def test_a_push_is_told_before_what_the_model_lacks(shown):
 
 
 def test_pushes_that_overlap_in_tenths_of_a_second_are_one_span():
-    pushes = [Disturbance("run", 15.94, 16.21, 60.0, 9.0), Disturbance("run", 16.24, 17.16, 20.0, 3.0)]
+    pushes = [
+        Disturbance("run", 15.94, 16.21, 60.0, 9.0),
+        Disturbance("run", 16.24, 17.16, 20.0, 3.0),
+    ]
     (doubt,) = pushed_doubts(pushes, "N m")
     assert doubt["exclude"] == [[15.9, 17.2]]
 

@@ -143,6 +143,82 @@ def test_without_names_the_speed_of_a_column_tells():
     has(" ".join(log.unknown), "no names")
 
 
+# -- the unit of an angle
+
+# Of 28 rad and of 28 degrees alike nothing but the joint itself tells which they are: SIMULATED, a
+# pendulum that spins and one that swings, in one unit and in the other.
+SPIN = -14.0 + 14.0 * np.cos(2 * np.pi * 0.1 * T) + 0.5 * np.sin(2 * np.pi * 0.7 * T)
+SWING = np.radians(SPIN)
+
+
+def gravity_and_more(q, weight=1.0):
+    v = np.gradient(q, T)
+    noise = 0.02 * np.random.default_rng(5).standard_normal(T.size)
+    return 0.02 * np.gradient(v, T) + 0.1 * np.tanh(v / 0.05) + weight * np.sin(q) + noise
+
+
+@pytest.mark.parametrize(("unit", "times"), [("rad", 1.0), ("deg", 180.0 / np.pi)])
+@pytest.mark.parametrize("motion", [SPIN, SWING], ids=["spins", "swings"])
+def test_gravity_tells_the_unit_of_an_angle(motion, unit, times):
+    v = np.gradient(motion, T)
+    one = found(
+        time=T, position=times * motion, velocity=times * v, torque=gravity_and_more(motion)
+    )
+    if motion is SWING and unit == "rad":
+        # half a radian: the sine is the angle, and the range alone tells
+        has(one["position"].why, "by its range alone")
+    else:
+        has(one["position"].why, f"in {unit} inertia, friction and gravity explain")
+    assert (one["position"].unit, one["velocity"].unit) == (f"{unit}?", f"{unit}/s?")
+
+
+def test_without_gravity_a_guess_says_what_each_unit_would_mean():
+    one = found(time=T, position=SPIN, torque=gravity_and_more(SPIN, weight=0.0))
+    turns, degrees = np.ptp(SPIN) / (2 * np.pi), np.ptp(SPIN)
+    has(one["position"].why, "by its range alone", f"{turns:.3g} turns if it were rad",
+        f"{degrees:.4g} degrees if it were deg")  # fmt: skip
+
+
+@pytest.mark.parametrize(("unit", "turn"), [("rad", 2 * np.pi), ("deg", 360.0), ("turn", 1.0)])
+@pytest.mark.parametrize("decimals", [5, 15])
+def test_a_step_that_is_a_turn_over_a_power_of_two_tells_the_unit(unit, turn, decimals):
+    q = np.round(4096 * np.sin(T)) / 4096 * turn
+    one = found(time=T, position=np.round(q, decimals), torque=np.cos(3 * T))
+    assert one["position"].unit == f"{unit}?"
+    has(one["position"].why, f"a turn over 4096 in {unit}")
+
+
+def test_steps_of_decimals_tell_no_unit():
+    one = found(time=T, position=np.round(30 * np.sin(T), 2), torque=np.cos(3 * T))
+    has(one["position"].why, "by its range alone")
+
+
+@pytest.mark.parametrize(("unit", "turn"), [("rad", 2 * np.pi), ("deg", 360.0)])
+def test_rests_at_half_turns_tell_the_unit(unit, turn):
+    """Hung, then balanced after one and a half and after two and a half turns; no torque tells."""
+    places = np.interp(T, [0, 2, 3, 5, 6, 10], [0, 0, -1.5, -1.5, -2.5, -2.5])
+    shaken = 0.003 * np.sin(40 * T)
+    one = found(time=T, position=turn * (places + shaken), torque=np.cos(3 * T))
+    assert one["position"].unit == f"{unit}?"
+    has(one["position"].why, f"in {unit} it rests at", "-2.5, -1.5 turns")
+
+
+@pytest.mark.parametrize("file", ["sac", "es500", "es1kg", "ilqr", "ddp", "dircol"])
+@pytest.mark.parametrize(("unit", "times"), [("rad", 1.0), ("deg", 180.0 / np.pi)])
+def test_the_unit_of_a_measured_pendulum_is_found_without_its_encoders_step(
+    real_data, file, unit, times
+):
+    """A millionth of a turn of noise hides the step, which tells the unit of the log as it is."""
+    log = pd.read_csv(real_data / f"dfki-pendulum/{file}.csv")
+    whole = found(**log)
+    assert (whole["position"].unit, whole["velocity"].unit) == ("rad?", "rad/s?")
+    has(whole["position"].why, "±95.5 rad")
+    noise = 1e-6 * np.random.default_rng(3).standard_normal(len(log))
+    log["position"] = times * (log["position"] + noise)
+    log["velocity"] *= times
+    assert found(**log)["position"].unit == f"{unit}?"
+
+
 # -- the command
 
 

@@ -15,6 +15,7 @@ from bayesfric.identifiability.candidates import candidates, limits_of, longest,
 from bayesfric.identifiability.local import local_information
 from bayesfric.identifiability.next_recording import ranking
 from bayesfric.identifiability.plausible import Point, points_around
+from bayesfric.identifiability.sentences import page
 from bayesfric.identifiability.virtual_recording import HEAVIEST, known_mass, played
 from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.mechanism import excitation
@@ -214,6 +215,18 @@ def test_what_cannot_move_is_dropped_and_said_so(square):
     assert set(reasons) == {"longer", "excitation", "known mass"}
     assert reasons.pop("longer") == "the torque limit"
     assert set(reasons.values()) == {"the joint hardly moves"}
+    # one line for each reason, however many there are; everything is in the other form
+    lines = page(
+        "advise.txt", found=found, written=None, torque_unit="N m", position_unit="rad"
+    )  # fmt: skip
+    told = lines[lines.index("Left out (--json describes each)") + 1 :]
+    still = [one for one, reason in found.dropped if str(reason) != "the torque limit"]
+    assert len(still) > 8
+    (line,) = [x for x in told if "the joint hardly moves" in x]
+    assert line.startswith(f"  the joint hardly moves ({len(still)}): {still[0].form}, ")
+    assert f"and {len({one.form for one in still}) - 4} more" in line
+    assert len(told) == 2
+    assert len(found.as_json()["dropped"]) == len(found.dropped)
 
 
 def test_a_flat_improper_prior_leaves_no_sd_without_a_mass(square):

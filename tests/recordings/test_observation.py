@@ -4,6 +4,8 @@ import json
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from bayesfric.errors import BadInput
 from bayesfric.recordings import (
@@ -136,9 +138,34 @@ def test_measured_velocity_is_used():
     np.testing.assert_allclose(seen.qdd[20:-20], 0.1, atol=1e-4)
 
 
-def test_a_band_that_folds_back_warns():
+def test_a_band_unlike_the_decimation_that_was_asked_for_warns():
     seen = observe(recording(), Processing(decimate=10, band=40))
-    assert any("fold back" in warning for warning in seen.warnings)
+    assert any("fold back; decimate = 7 would fit" in warning for warning in seen.warnings)
+    seen = observe(recording(), Processing(decimate=10, band=10))
+    assert any("share noise" in warning for warning in seen.warnings)
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.floats(20.0, 2000.0), st.floats(0.006, 0.45), st.sampled_from([None, 0.0, 0.02, 0.2]))
+@example(200.0, 3.5 / 200.0, None)
+@example(200.0, 3.5 / 200.0, 0.05)
+def test_the_decimation_that_is_chosen_for_a_band_is_not_warned_of(fs, share, lowpass):
+    asked = Processing(
+        band=share * fs, lowpass=None if lowpass is None else lowpass * fs, dead_zone=0
+    )
+    seen = observe(recording(n=2000, period=1.0 / fs), asked)
+    assert seen.settings["n_outputs"] > 0
+    assert not [text for text in seen.warnings if text.startswith("band")]
+    # a low-pass does not change what the band takes
+    factor = seen.settings["decimate"]
+    assert factor == observe(recording(n=2000, period=1.0 / fs), Processing(
+        band=share * fs, dead_zone=0
+    )).settings["decimate"]  # fmt: skip
+    # white noise comes out nearly white: its sum over all lags is what intervals rest on
+    taps = seen.filter.taps
+    if factor > 1:
+        lags = np.correlate(taps, taps, "full")[(len(taps) - 1) % factor :: factor]
+        assert 0.7 < lags.sum() / (taps @ taps) < 1.3
 
 
 @pytest.mark.parametrize(

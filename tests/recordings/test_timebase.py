@@ -180,10 +180,38 @@ def test_saturation_and_quantisation_warn(tmp_path):
     save(tmp_path, t, np.round(q / step) * step, np.clip(tau, -0.2, 0.2))
     warnings = " ".join(read(tmp_path, from_npz())[0].warnings)
     assert "torque: stays at ±0.2 (raw), its maximum and minimum" in warnings
-    assert "step of 0.0982 rad" in warnings
+    assert "position: read in steps of 0.0982 rad, coarse beside the" in warnings
     save(tmp_path, t, q, np.clip(tau, -0.1, 0.2))
     warnings = " ".join(read(tmp_path, from_npz())[0].warnings)
     assert "torque: stays at 0.2 (raw), its maximum" in warnings
     assert "torque: stays at -0.1 (raw), its minimum" in warnings
     save(tmp_path, t, q, tau)
-    assert not read(tmp_path, from_npz())[0].warnings
+    (plain,) = read(tmp_path, from_npz())
+    assert not plain.warnings
+    assert not [said for said in plain.steps if "in steps of" in said]
+
+
+def test_the_same_encoder_is_told_alike_however_long_a_recording_is(tmp_path):
+    step = 2 * np.pi / 2156
+    for count in (300, 3000):  # the same motion once and ten times, and coarse in neither
+        t = 0.005 * np.arange(count)
+        q = np.round(3.0 * np.sin(2 * np.pi / 1.5 * t + 0.1) / step) * step
+        save(tmp_path, t, q, np.cos(t))
+        (found,) = read(tmp_path, from_npz())
+        assert "position: read in steps of 0.00291 rad at the joint" in found.steps
+        assert not found.warnings
+
+
+def test_logs_of_one_measured_encoder_are_told_alike(data):
+    told = set()
+    for file in ("sac", "es500", "es1kg", "ilqr", "ddp", "dircol"):
+        wanted = source(
+            str(data / "dfki-pendulum" / f"{file}.csv"),
+            time=Channel(column="time", unit="s"),
+            position=Position(column="position", unit="rad"),
+            torque=Torque(column="torque", unit="N m"),
+        )
+        (found,) = read(data, wanted)
+        told.add(next(said for said in found.steps if "in steps of" in said))
+        assert not [said for said in found.warnings if "in steps of" in said]
+    assert told == {"position: read in steps of 0.00291 rad at the joint"}

@@ -289,6 +289,20 @@ def test_a_push_is_left_out_before_any_trajectory_is_proposed(tmp_path, told):
     assert "hand" not in following.text
 
 
+def test_the_unit_of_the_position_comes_before_the_mechanism(tmp_path):
+    told = of_wrong_mechanism(asked(knee()), "unexplained", asked_terms=[GRAVITY])
+    told["doubts"][0]["units"] = [{"is": "rad", "taken": "deg", "share": 0.82}]
+    page = read_page(run_page(tmp_path, told, "run"))
+    (following,) = [d for d in page.all("div") if d.attrs.get("class") == "next"]
+    assert next(iter(following.all("li"))).text.startswith("First look at the unit of the position")
+    assert "in rad, not in deg" in following.text
+    assert "82 %" in following.text
+    lines = "\n".join(fit_text(told))
+    assert "  First look at the unit of the position" in lines
+    for text in (following.text, lines):
+        assert "First change the mechanism" not in text
+
+
 def test_nothing_is_open_only_where_nothing_speaks_against_the_model(tmp_path):
     def said(**more):
         page = read_page(run_page(tmp_path, asked(loaded(), **more), "run"))

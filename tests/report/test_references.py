@@ -2,6 +2,9 @@
 
 import copy
 
+import numpy as np
+import pytest
+
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.reference_check import references_off
@@ -53,3 +56,58 @@ def test_a_loss_per_torque_says_nothing_of_its_scale():
     made = told(**{LOAD: lambda row: row.middle / 2.5})
     found = references_off(Summary.read(made))
     assert found["factor"] is None
+
+
+def test_a_factor_of_all_says_how_to_have_it_fitted():
+    made = told(**{INERTIA: lambda row: row.middle / 2.5})
+    value = made["references"][INERTIA]["value"]
+    (alert,) = (one for one in alerts_of(made) if one.kind == "references")
+    assert "gain = true under [mechanism]" in alert.text
+    assert (
+        f'"{INERTIA}" = {{ distribution = "norm", loc = {value:.4g}, scale = its sd' in alert.text
+    )
+    made["references"][INERTIA]["sd"] = 0.01 * value
+    assert f"scale = {0.01 * value:.2g} }}" in references_text(made)
+    # what is fitted already is not advised, nor what cannot be a prior, nor without a factor
+    fitted = copy.deepcopy(made)
+    fitted["parameters"]["drive.gain"] = copy.deepcopy(fitted["parameters"][LOAD])
+    assert "gain = true" not in references_text(fitted)
+    apart = told(**{INERTIA: lambda row: row.middle / 2.5, VISCOUS: lambda row: row.middle})
+    assert "gain = true" not in references_text(apart)
+
+
+def references_text(made):
+    (alert,) = (one for one in alerts_of(made) if one.kind == "references")
+    return alert.text
+
+
+def with_prior(data, data_sd, prior, prior_sd):
+    """Give a run whose inertia has a told normal prior: two normals, multiplied."""
+    made = copy.deepcopy(loaded())
+    made["references"] = {}
+    row = made["parameters"][INERTIA]
+    weights = data_sd**-2 + prior_sd**-2
+    middle = (data * data_sd**-2 + prior * prior_sd**-2) / weights
+    row |= {"mean": middle, "median": middle, "sd": weights**-0.5, "prior_sd": prior_sd}
+    row |= {"prior_interval": [prior - 1.645 * prior_sd, prior + 1.645 * prior_sd]}
+    row |= {"prior_default": False, "verdict": "data", "prior": "norm"}
+    return made
+
+
+def test_a_prior_that_the_data_contradict_is_told_like_a_reference():
+    made = with_prior(0.37, 0.004, 0.304, 0.01)
+    found = references_off(Summary.read(made))
+    (one,) = found["off"]
+    assert one["by"] == "prior"
+    assert one["found"] == pytest.approx(0.37)
+    assert one["factor"] == pytest.approx(0.37 / 0.304)
+    assert one["times"] == pytest.approx((0.37 - 0.304) / np.hypot(0.004, 0.01))
+    text = references_text(made)
+    assert "by the data alone where the prior says 0.304" in text
+    assert "the torque may be told 1.22 times too large" in text
+    assert "gain = true under [mechanism], and leave its prior" in text
+    # near, known by default only, or hardly known
+    assert references_off(Summary.read(with_prior(0.33, 0.004, 0.304, 0.01))) is None
+    made["parameters"][INERTIA]["prior_default"] = True
+    assert references_off(Summary.read(made)) is None
+    assert references_off(Summary.read(with_prior(1.0, 0.004, 0.304, 0.1))) is None

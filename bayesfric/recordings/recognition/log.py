@@ -12,6 +12,7 @@ import numpy as np
 from bayesfric.errors import BadInput, nearest
 from bayesfric.recordings.measurement import Array
 from bayesfric.recordings.recognition import values as by_value
+from bayesfric.recordings.recognition.angle import angle_unit
 from bayesfric.recordings.recognition.names import Named, named, tells_use
 from bayesfric.recordings.tables.table import Table
 from bayesfric.recordings.units import GUESSED, scale
@@ -183,9 +184,10 @@ def _of_names(
     speeds = _same(speeds, chosen_joint)
     velocity = _best(speeds) if speeds else None
     told: list[Chosen] = [] if time is None else [time]
-    told += _motion(position, velocity, stamps, others, tuple(s.column for s in speeds))
     drive, unknown = _drive(signals, {position.column}, chosen_joint, position, stamps)
-    told += drive
+    effort = next((s.values for s in signals for one in drive if s.column == one.column), None)
+    more = tuple(s.column for s in speeds)
+    told += [*_motion(position, velocity, stamps, others, more, effort), *drive]
     warm = _same([s for s in signals if s.said.channel == "temperature"], chosen_joint)
     if warm and warm[0].said.unit:
         told.append(Chosen("temperature", warm[0].column, warm[0].said.unit, _NAME_SETTLES))
@@ -238,6 +240,7 @@ def _motion(
     stamps: Array,
     others: tuple[str | int, ...],
     speeds: tuple[str | int, ...],
+    effort: Array | None = None,
 ) -> Iterator[Chosen]:
     """Settle the units of position and velocity together: one is the other's derivative."""
     q = position.values
@@ -253,7 +256,7 @@ def _motion(
             reason = f"it is {factor:.4g} times the differentiated position, which no unit explains"
         else:
             sign = -1 if factor < 0.0 else 1
-            likely = by_value.angle_unit(q)[0]
+            likely = angle_unit(q, stamps, effort)[0]
             first = next((one for one in fit if one[0] == (angle or likely)), fit[0])
             alike = f"{abs(factor):.4g} times the differentiated position"
             if not angle and abs(abs(factor) - 1.0) > 0.5:
@@ -262,7 +265,7 @@ def _motion(
             if not speed:
                 speed, reason = first[1] + GUESSED, f"it is {alike}: {first[0]} and {first[1]}"
     if not angle:
-        angle, why = by_value.angle_unit(q)
+        angle, why = angle_unit(q, stamps, effort)
         angle += GUESSED
     yield Chosen("position", position.column, angle, why, others)
     if velocity is not None:

@@ -16,8 +16,6 @@ ANGLES, SPEEDS = ("rad", "deg", "turn"), ("rad/s", "deg/s", "rpm", "turn/s")
 # How well a velocity and a differentiated position must agree, and how well their factor is known.
 _ALIKE, _FACTOR = 0.95, 0.08
 _SAME = 0.999
-# An angle in rad beyond that is more than four turns either way.
-_MANY_TURNS = 8.0 * math.pi
 # A period above is no number of seconds that anyone records a motion with.
 _SLOWEST = 0.5
 _TIMES = ("s", "ms", "us", "ns")
@@ -58,10 +56,10 @@ def bits(values: Array) -> int | None:
 
 def speed_factor(position: Array, velocity: Array, time: Array) -> float | None:
     """Give the velocity over the differentiated position; ``None`` where they are not alike."""
-    part = _middle(position.size)
+    part = middle(position.size)
     q, v, t = position[part], velocity[part], time[part]
-    moving = _smooth(np.gradient(q, t))
-    seen = _smooth(v)
+    moving = smooth(np.gradient(q, t))
+    seen = smooth(v)
     size = float(np.sqrt((moving @ moving) * (seen @ seen)))
     if not size > 0.0 or not math.isfinite(size):
         return None
@@ -85,21 +83,10 @@ def pairs(factor: float, angle: str = "", speed: str = "") -> list[tuple[str, st
     return [(one, other) for off, one, other in found if off == nearest]
 
 
-def angle_unit(position: Array) -> tuple[str, str]:
-    """Give the likely unit of an angle by its values alone, and why."""
-    low, high = float(position.min()), float(position.max())
-    span = f"from {low:.4g} to {high:.4g}"
-    if whole(position):
-        return "turn/4096", f"whole numbers {span}: counts, of how many a turn is not in the log"
-    if max(abs(low), abs(high)) > _MANY_TURNS:
-        return "deg", f"{span}, many turns if it were rad"
-    return "rad", f"{span}; turns would look alike"
-
-
 def explained(effort: Array, position: Array, time: Array) -> float:
     """Share of a signal's variance that a motion explains: inertia, friction and gravity."""
-    part = _middle(position.size)
-    t, y, q = (_smooth(one[part]) for one in (time, effort, position))
+    part = middle(position.size)
+    t, y, q = (smooth(one[part]) for one in (time, effort, position))
     v = np.gradient(q, t)
     a = np.gradient(v, t)
     columns = [np.ones_like(q), q, np.sin(q), np.cos(q), v, np.tanh(v / (0.05 * v.std() + 1e-30))]
@@ -121,9 +108,9 @@ def alike(one: Array, other: Array) -> bool:
 
 def derivatives(signals: Sequence[Array], time: Array) -> list[tuple[int, int, float]]:
     """Find pairs of signals of which the second is the speed of the first, and their factor."""
-    part = _middle(time.size)
-    moves = [_unit(_smooth(np.gradient(s[part], time[part]))) for s in signals]
-    seen = [_unit(_smooth(s[part])) for s in signals]
+    part = middle(time.size)
+    moves = [_unit(smooth(np.gradient(s[part], time[part]))) for s in signals]
+    seen = [_unit(smooth(s[part])) for s in signals]
     alike = np.array(moves) @ np.array(seen).T if signals else np.zeros((0, 0))
     found = []
     for i, j in zip(*np.nonzero(alike > _ALIKE), strict=True):
@@ -138,12 +125,13 @@ def _unit(values: Array) -> Array:
     return values / size if size > 0.0 and math.isfinite(size) else np.zeros_like(values)
 
 
-def _middle(count: int) -> slice:
+def middle(count: int) -> slice:
+    """Give the part of a long recording that is looked at."""
     begin = max(0, (count - _MOST) // 2)
     return slice(begin, begin + _MOST)
 
 
-def _smooth(values: NDArray[np.float64]) -> Array:
+def smooth(values: NDArray[np.float64]) -> Array:
     """Average neighbours, against the steps of an encoder."""
     width = min(_SMOOTH, max(1, values.size // 20))
     return np.convolve(values, np.full(width, 1.0 / width), mode="valid")

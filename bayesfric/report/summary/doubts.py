@@ -15,16 +15,17 @@ import numpy as np
 from bayesfric.estimates.delay import Delay
 from bayesfric.estimates.disturbances import Disturbance
 from bayesfric.estimates.information import CORRELATED, lag_one
-from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.once_a_turn import OnceATurn
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import effort_words
+from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.quantities import QUANTITIES, TOTALS, Quantity, State
 from bayesfric.recordings.observation import LEAST_RATIO, Observation
 from bayesfric.report.summary.bounds import noise_cut
+from bayesfric.report.summary.position_unit import best_share, other_units
 from bayesfric.report.summary.record import Doubt, Summary, quantity_of
 from bayesfric.report.summary.rows import Spread
 
@@ -66,10 +67,13 @@ def find_doubts(
     memory = list(_memory(choice))
     error = summary.model_error
     lacking = bool(memory) or (error is not None and error.shown)
+    unexplained = _unexplained(fit, summary, delays)
+    if unexplained:
+        delays = ()  # what moves the torque is something else
     found = [
         # before what else may be wrong: it may all come of this
         *pushed_doubts(pushed, fit.estimates[0].residual_unit, lacking=lacking),
-        *_unexplained(summary),
+        *unexplained,
         *doubts_before(fit.estimates[0], fit.observations),
         *memory,
         *_noise(summary, told, white),
@@ -97,25 +101,47 @@ def put_doubts(summary: Summary, doubts: Sequence[Mapping[str, Any]]) -> Summary
     return summary.with_rows(changes, doubts=told, sampler=sampler)
 
 
-def _unexplained(summary: Summary) -> Iterator[dict[str, Any]]:
+def _unexplained(fit: Fit, summary: Summary, delays: Sequence[Delay]) -> list[dict[str, Any]]:
     share, lag = summary.fit.explained, summary.noise.residual_lag1
-    if share is not None and share < _EXPLAINED and lag is not None and lag > CORRELATED:
-        yield {"kind": "unexplained", "share": share, "quantity": summary.fit.quantity}
+    if share is None or share >= _EXPLAINED or lag is None or lag <= CORRELATED:
+        return []
+    told = {"kind": "unexplained", "share": share, "quantity": summary.fit.quantity}
+    return [told | _instead(fit.chain, fit.observations, delays)]
 
 
-def little_explained(chain: Joint, observations: Sequence[Observation]) -> list[dict[str, Any]]:
-    """Doubt a mechanism whose best totals leave much of the torque, before there is a fit."""
-    projection = TotalsProjection(chain, observations)
-    measured = np.concatenate([o.measured for o in observations])
-    left = measured - projection.regressors @ projection.solve(measured)
-    share = 1.0 - float(np.var(left) / np.var(measured))
+def little_explained(
+    chain: Joint, observations: Sequence[Observation], delays: Sequence[Delay] = ()
+) -> list[dict[str, Any]]:
+    """Doubt a mechanism whose best totals leave much of the torque, before there is a fit.
+
+    ``delays`` are those that the joint does not have for a parameter: they cannot be judged then.
+    """
+    share, left = best_share(chain, observations)
     if (
         share >= _EXPLAINED
         or not lag_one(left, np.ones(left.size - 1, dtype=np.bool_)) > CORRELATED
     ):
         return []
     quantity = effort_words("motor torque", chain.motor_motion)
-    return [{"kind": "unexplained", "share": share, "quantity": quantity}]
+    told = {"kind": "unexplained", "share": share, "quantity": quantity}
+    return [told | _instead(chain, observations, delays)]
+
+
+def _instead(
+    chain: Joint, observations: Sequence[Observation], delays: Sequence[Delay]
+) -> dict[str, Any]:
+    """Say what may be wrong where little is explained: never the mechanism that is in use."""
+    weighed = "first_moment" in chain.load.choices or chain.load.motion != "rotary"
+    known = {} if weighed else {name: preset.chain() for name, preset in PRESETS.items()}
+    presets = [
+        name
+        for name, other in known.items()
+        if "first_moment" in other.load.choices
+        and name != chain.made_from
+        and other.ratio == chain.ratio
+    ]
+    late = any(one.matters for one in delays)
+    return {"units": other_units(chain, observations), "presets": presets, "late": late}
 
 
 def doubts_before(

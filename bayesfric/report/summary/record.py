@@ -385,6 +385,12 @@ class Summary(Part):
         return any(doubt.kind in OF_MECHANISM for doubt in self.doubts)
 
     @property
+    def other_units(self) -> list[dict[str, Any]]:
+        """Units that the position more likely has, of a doubt that little is explained."""
+        extra = (doubt.model_extra or {} for doubt in self.doubts)
+        return [one for more in extra for one in more.get("units", ())]
+
+    @property
     def asked(self) -> Sequence[Term]:
         """Terms that the recordings ask for, the strongest first, as far as that was looked for."""
         return self.explanation.asked if self.explanation else self.asked_terms

@@ -1,4 +1,4 @@
-"""Whether references that a configuration gives fit what was found."""
+"""Whether references and priors that a configuration gives fit what was found."""
 
 from __future__ import annotations
 
@@ -8,47 +8,95 @@ from typing import Any
 import numpy as np
 
 from bayesfric.report.summary.record import Summary
+from bayesfric.report.summary.rows import PosteriorRow
 
 # Sds between a reference and what was found that are no chance.
 _FAR = 4.0
 # Units that a wrong scale of the torque multiplies; a loss per torque, an angle or a speed not.
 _SCALED = {"kg", "N"}
+# Sd over value of a told prior that is there because the value is known.
+_KNOWN = 0.2
+_GAIN = "drive.gain"
 
 
 def references_off(summary: Summary) -> Mapping[str, Any] | None:
     """Name references far from what was found, and the one factor of all, for its sentence.
 
-    Far counts the sd of the told interval and the reference's own. ``None`` where none is; what the
-    data leave open contradicts nothing.
+    So are priors that the data contradict. Far counts the sd of the told interval and the
+    reference's own. ``None`` where none is; what the data leave open contradicts nothing. Where a
+    gain that is not fitted would bring all into agreement, ``settle`` is what would give it its
+    scale.
     """
     compared = list(_compared(summary))
     off = [one for one in compared if one["times"] > _FAR]
     if not off:
         return None
     scaled = [one for one in compared if one["scaled"]]
-    return {"off": off, "factor": _common(scaled) if any(one in off for one in scaled) else None}
+    factor = _common(scaled) if any(one in off for one in scaled) else None
+    fitted = _GAIN in summary.parameters or _GAIN in summary.fixed
+    settle = min(
+        (one for one in scaled if one["name"] in summary.parameters),
+        key=lambda one: float(one["known"] or _KNOWN * abs(one["value"])) / abs(one["value"]),
+        default=None,
+    )
+    return {"off": off, "factor": factor, "settle": settle if factor and not fitted else None}
 
 
 def _compared(summary: Summary) -> Iterator[dict[str, Any]]:
     for name, reference in summary.references.items():
         row = summary.rows.get(name)
-        if row is None or row.verdict == "prior" or row.converged is False:
+        if row is not None and row.verdict != "prior" and row.converged is not False:
+            found = row.middle, row.told_sd
+            yield _beside("reference", name, row, reference.value, reference.sd, *found)
+    for name, row in summary.joint.items():
+        if name in summary.references or row.converged is False:
             continue
-        away = row.middle - reference.value
-        if row.period:
-            away -= row.period * round(away / row.period)
-        sd = float(np.hypot(row.told_sd, reference.sd or 0.0))
-        same = reference.value * row.middle > 0.0 and not row.period
-        yield {
-            "name": name,
-            "unit": row.unit,
-            "found": row.middle,
-            "value": reference.value,
-            "times": abs(away) / sd if sd > 0.0 else 0.0,
-            "factor": row.middle / reference.value if same else None,
-            "relative": sd / abs(row.middle) if row.middle else 0.0,
-            "scaled": bool(_SCALED & set(row.unit.replace("²", "").split())),
-        }
+        if told := _of_data(row):
+            yield _beside("prior", name, row, *told)
+
+
+def _of_data(row: PosteriorRow) -> tuple[float, float, float, float] | None:
+    """Give value and sd of a told prior that is narrow, and of what the data say without it.
+
+    As if both were normal: precisions add up, and means weighed by them. The sd is that were the
+    model right, as when the two were made one: a model error may be no more than that they differ.
+    """
+    if row.prior_default or row.prior_sd is None or row.prior_interval is None or row.period:
+        return None
+    value, sd = sum(row.prior_interval) / 2.0, row.prior_sd
+    if not 0.0 < row.sd < sd < _KNOWN * abs(value):
+        return None
+    share = 1.0 - (row.sd / sd) ** 2  # that the data have in the posterior
+    found = value + (row.middle - value) / share
+    return value, sd, found, row.sd / share**0.5
+
+
+def _beside(
+    by: str,
+    name: str,
+    row: PosteriorRow,
+    value: float,
+    known: float | None,
+    found: float,
+    found_sd: float,
+) -> dict[str, Any]:
+    """Put what was found beside what ``by`` says, ``known`` so well."""
+    away = found - value
+    if row.period:
+        away -= row.period * round(away / row.period)
+    sd = float(np.hypot(found_sd, known or 0.0))
+    return {
+        "name": name,
+        "by": by,
+        "unit": row.unit,
+        "found": found,
+        "value": value,
+        "known": known,
+        "times": abs(away) / sd if sd > 0.0 else 0.0,
+        "factor": found / value if value * found > 0.0 and not row.period else None,
+        "relative": sd / abs(found) if found else 0.0,
+        "scaled": bool(_SCALED & set(row.unit.replace("²", "").split())),
+    }
 
 
 def _common(scaled: list[dict[str, Any]]) -> float | None:

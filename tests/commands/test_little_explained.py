@@ -1,0 +1,111 @@
+"""What is said where a model explains little: units first, no mechanism in use, no delay."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import bayesfric as bf
+from bayesfric.estimates.delay import Delay
+from bayesfric.explain.explanation import _having
+from bayesfric.mechanism.presets import PRESETS
+from bayesfric.report.alerts import doubt_text
+from bayesfric.report.summary.doubts import little_explained
+from bayesfric.report.summary.position_unit import other_units
+from tests.recordings.samples import has
+
+T = 0.002 * np.arange(10000)
+
+
+def pendulum(times=1.0, preset="servo-pendulum", late=0, spins=True):
+    """A SIMULATED pendulum, its position told so many times too large, and samples late."""
+    q = -8.0 + 8.0 * np.cos(2 * np.pi * 0.1 * T) if spins else 0.2 * np.sin(2 * np.pi * 0.3 * T)
+    q = q + 0.4 * np.sin(2 * np.pi * 0.7 * T) * (1.0 if spins else 0.2)
+    v = np.gradient(q, T)
+    torque = 0.15 * np.gradient(v, T) + 0.05 * v + 0.1 * np.tanh(v / 0.02) + 3.0 * np.sin(q)
+    torque += 0.02 * np.random.default_rng(1).standard_normal(T.size)
+    q = np.roll(q, late)[100:]
+    recording = bf.Recording.from_arrays(T[100:], times * q, torque[100:], name="bench")
+    return bf.Model(bf.Joint.preset(preset), recording)
+
+
+@pytest.mark.parametrize(
+    ("times", "unit", "taken"),
+    [
+        (np.pi / 180.0, "rad", "deg"),
+        (180.0 / np.pi, "deg", "rad"),
+        (2.0 * np.pi, "rad", "turn"),
+        (0.5 / np.pi, "turn", "rad"),
+    ],
+)
+def test_the_right_unit_of_a_position_is_named_first(times, unit, taken):
+    """Numbers in one unit that are read in another; the mechanism is right."""
+    found = bf.check(pendulum(times))
+    (doubt,) = [one for one in found.as_json()["doubts"] if one["kind"] == "unexplained"]
+    best = doubt["units"][0]
+    assert (best["is"], best["taken"]) == (unit, taken)
+    assert best["share"] > 0.98
+    assert doubt["presets"] == []
+    text = next(one for one in found.warnings if "explains only" in one)
+    has(text, f"if it is in {unit}, not in {taken}", "unit of the position first")
+    assert "servo-pendulum" not in text
+    assert text.index("unit of the position") < text.index("hand on the joint")
+
+
+def test_nothing_is_said_of_units_that_change_nothing():
+    """A small swing of another scale has other numbers, not another torque."""
+    for model in (pendulum(spins=False), pendulum(np.pi / 180.0, spins=False)):
+        assert other_units(model.chain, model.observations) == []
+    assert other_units(pendulum().chain, pendulum().observations) == []
+
+
+def test_another_mechanism_is_one_that_is_not_in_use():
+    (doubt,) = (
+        one
+        for one in bf.check(pendulum(preset="motor-axis")).as_json()["doubts"]
+        if one["kind"] == "unexplained"
+    )
+    assert doubt["presets"] == ["servo-pendulum"]
+    assert doubt["units"] == []
+
+
+def test_terms_that_a_preset_in_use_lost_do_not_advise_it():
+    chain = PRESETS["servo-pendulum"].chain()
+    candidate = type("C", (), {"owner": "load", "chain": chain})
+    assert list(_having(candidate)) == []
+    candidate.chain = replace(chain, made_from="motor-axis")
+    assert list(_having(candidate)) == ["servo-pendulum"]
+
+
+@pytest.mark.parametrize(("times", "judged"), [(1.0, True), (np.pi / 180.0, False)])
+def test_no_delay_is_advised_while_little_is_explained(times, judged):
+    """A position 10 samples late, in its own unit and in a wrong one."""
+    found = bf.check(pendulum(times, late=10))
+    (delay,) = found.as_json()["delays"]
+    if judged:
+        assert delay["delay"] == pytest.approx(0.02, rel=0.1)
+    assert ("set delay = true" in " ".join(found.warnings)) == judged
+    assert ("not to be judged" in found.text()) == (not judged)
+
+
+@pytest.mark.parametrize("moves", [0.1, 4.0])
+def test_a_delay_that_cannot_be_judged_is_said_to_be_so(moves):
+    model = pendulum(np.pi / 180.0)
+    delay = Delay(("bench",), 0.02, 1e-4, 2e-3, {"motor.inertia": moves})
+    (doubt,) = little_explained(model.chain, model.observations, [delay])
+    assert ("no delay can be judged" in doubt_text(doubt)) == (moves > 1.0)
+
+
+@pytest.mark.parametrize(("unit", "named"), [("deg", True), ("rad", False)])
+def test_a_measured_pendulum_in_a_wrong_unit(real_data, unit, named):
+    columns = {"time": "s", "position": unit, "velocity": f"{unit}/s", "torque": "N m"}
+    keys = {name: {"column": name, "unit": text} for name, text in columns.items()}
+    recording = bf.Recording.from_file(real_data / "dfki-pendulum/sac.csv", **keys)
+    found = bf.check(bf.Model(bf.Joint.preset("servo-pendulum"), recording))
+    doubts = [one for one in found.as_json()["doubts"] if one["kind"] == "unexplained"]
+    assert bool(doubts) == named
+    if named:
+        (best,) = doubts[0]["units"]
+        assert (best["is"], best["taken"]) == ("rad", "deg")
+        assert best["share"] > 0.8 > 2 * doubts[0]["share"]
+    assert not any("delay = true" in one for one in found.warnings)
