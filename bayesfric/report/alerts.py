@@ -53,11 +53,11 @@ def doubt_text(doubt: Mapping[str, Any]) -> str:
 def first_step(summary: Summary) -> str:
     """Say what comes before any other step, where something else seems to have acted; else empty.
 
-    That is a push, or a torque that neither the model nor any term that it may lack explains.
+    That is a push, or a torque that no model, no term that it may lack and no other unit explains.
     """
     pushed = [doubt.model_dump() for doubt in summary.doubts if doubt.kind == "pushed"]
     unexplained = any(doubt.kind == "unexplained" for doubt in summary.doubts)
-    if not pushed and (summary.asked or not unexplained):
+    if not pushed and (summary.asked or summary.other_units or not unexplained):
         return ""
     return sentence("untouched", {"pushed": pushed})
 
