@@ -291,7 +291,7 @@ def _settle(recording: Measurement, processing: Processing) -> _Numbers:
             most = max(round(0.5 / WIDEST), longest // _FITTING)
             factor = int(np.clip(round(fs / (2.0 * resolution.band)), 1, most))
         else:
-            factor = decimation(band, fs)
+            factor = min(decimation(band, fs), len(recording.time))
         cutoff = lowpass_above(band or fs / (2 * factor), fs)
     else:
         cutoff = fs / 10 if cutoff is None else cutoff
@@ -299,9 +299,9 @@ def _settle(recording: Measurement, processing: Processing) -> _Numbers:
             factor = decimation(band, fs)
         elif factor is None:
             factor = max(1, round(fs / cutoff)) if cutoff else 1
+        factor = min(factor, len(recording.time))  # larger ones leave no output either
         half = fs / (2 * factor) if factor > 1 else cutoff or fs / 2
         resolution = resolve(recording, half if band is None else band)
-    factor = min(factor, len(recording.time))  # larger ones leave no output either
     if cutoff:
         check_cutoff(cutoff, fs, f"{where}, lowpass")
     reach = reach_of(processing.differentiation, cutoff, fs)
