@@ -291,12 +291,12 @@ def test_a_push_is_left_out_before_any_trajectory_is_proposed(tmp_path, told):
 
 def test_the_unit_of_the_position_comes_before_the_mechanism(tmp_path):
     told = of_wrong_mechanism(asked(knee()), "unexplained", asked_terms=[GRAVITY])
-    told["doubts"][0]["units"] = [{"is": "rad", "taken": "deg", "share": 0.82}]
+    told["doubts"][0]["units"] = [{"is": "rad", "taken": "deg", "share": 0.997}]
     page = read_page(run_page(tmp_path, told, "run"))
     (following,) = [d for d in page.all("div") if d.attrs.get("class") == "next"]
     assert next(iter(following.all("li"))).text.startswith("First look at the unit of the position")
     assert "in rad, not in deg" in following.text
-    assert "82 %" in following.text
+    assert "100 %" in following.text
     lines = "\n".join(fit_text(told))
     assert "  First look at the unit of the position" in lines
     for text in (following.text, lines):
