@@ -122,6 +122,10 @@ def fit_of(run: Path) -> tuple[Fit, Summary]:
     )
     held_out = predict_held_out(target, posterior, model.held_out) if model.held_out else ()
     found = Fit(target, posterior, (), tuple(held_out))
+    if "told" in groups:
+        # made in the coordinates that were sampled in, which are others here
+        held = np.stack([groups["told"][name].ravel() for name in rows], axis=1)
+        found = replace(found, told=held.astype(np.float64))
     return replace(found, model_error=model_error(target, posterior)), summary
 
 

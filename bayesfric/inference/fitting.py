@@ -57,6 +57,8 @@ class Fit:
     # nothing is linearised.
     linearisation: float | None = None
     model_error: ModelError | None = None  # what groups of the motion say of the model
+    # (n, d) draws with room for the model's error, as a finished run holds them; else they are made
+    told: Array | None = None
 
     @cached_property
     def wide(self) -> Fit:
@@ -64,6 +66,11 @@ class Fit:
         if self.model_error is None or not self.model_error.shown:
             return self
         posterior = self.posterior
+        if self.told is not None:
+            held = self.told[None, None]
+            unknown = np.full(held.shape[:-1], np.nan)
+            changed = replace(posterior, draws=held, log_density=unknown)
+            return replace(self, posterior=changed, model_error=None)
         rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(12,)))
         e, w, steps, d = posterior.draws.shape
         some = slice(None, None, -(-e * w * steps // _WIDE))

@@ -147,6 +147,8 @@ def _of_model(
         cite = to_cite(summary)
         if cite is not None:
             yield "corrected", cite, "self-check"
+    if error is not None and error.reason == "few":
+        yield "unparted", {}, "model-error"
     if contested:
         yield "methods", {"names": contested}, "methods"
 

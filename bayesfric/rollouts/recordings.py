@@ -77,4 +77,11 @@ def _new(
     made = Model.from_config(config, terms=posterior.joint.terms, recordings=recordings)
     parts = [*zip(made.recordings, made.observations, strict=True)]
     parts += [(one.recording, one.observation) for one in made.held_out]
-    return [Recorded(m, o, "new") for m, o in parts]
+    return [Recorded(m, o, _part(posterior, m)) for m, o in parts]
+
+
+def _part(posterior: Finished, m: Measurement) -> Part:
+    """Say whether any of it was fitted: a piece of a file that was is not new by another name."""
+    same = (one for one in posterior.model.recordings if one.sha256 == m.sha256)
+    within = any(one.time[0] <= m.time[-1] and m.time[0] <= one.time[-1] for one in same)
+    return "fitted" if within else "new"

@@ -38,6 +38,14 @@ def test_the_file_holds_both_and_reads_back(wrong):
     assert frame.loc[NAME, "low"] == row["interval"][0]
 
 
+def test_widened_draws_that_a_run_holds_are_not_made_again(wrong):
+    """In the coordinates of another session they came out twice as wide."""
+    wide = wrong.fit.wide.posterior.flat()
+    held = wide[::7]
+    again = replace(wrong.fit, told=held)
+    np.testing.assert_array_equal(again.wide.posterior.flat(), held)
+
+
 def test_noise_and_what_is_open_keep_their_intervals(wrong):
     assert wrong.summary.parameters["noise.sigma"].model_error_interval is None
 

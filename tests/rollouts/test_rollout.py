@@ -164,6 +164,18 @@ def test_other_recordings_are_played_by_their_targets_alone(bench, made):
     assert x.at_position.mae == pytest.approx(rows["three"]["position"]["mae"], rel=0.2)
 
 
+def test_a_piece_of_a_fitted_file_is_not_new_by_another_name(made):
+    folder, _ = made
+    frame = folder / "one.csv"
+    columns = {"time": "t", "position": "q", "torque": "tau", "name": "x"}
+    piece = bf.Recording.from_file(frame, **columns, stop="3 s")
+    (x,) = rollout(folder / "run", piece, draws=10).rolled
+    assert x.part == "fitted"
+    other = bf.Recording.from_file(folder / "three.csv", **columns, stop="3 s")
+    (x,) = rollout(folder / "run", other, draws=10).rolled
+    assert x.part == "new"
+
+
 def test_a_measured_torque_is_played_in_the_open_loop(made):
     folder, _ = made
     frame = pd.read_csv(folder / "three.csv")
