@@ -152,6 +152,7 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         "order": processing.order,
         "decimate": numbers.factor,
         "band": numbers.used_band,
+        "filter_cutoff": parallel_cutoff(numbers.factor, numbers.band, numbers.fs),
         "differentiation": processing.differentiation,
         "velocity": "differentiated" if recording.velocity is None else "measured",
         "reach": numbers.reach,

@@ -60,6 +60,15 @@ def test_defaults_follow_the_sampling_rate_where_position_and_torque_allow():
     json.dumps(used, allow_nan=False)
 
 
+@pytest.mark.parametrize("options", [{}, {"decimate": 7}, {"band": 8.0}])
+def test_the_filters_cut_off_is_where_it_passes_a_half(options):
+    o = observe(recording(), Processing(**options))
+    taps = o.filter.taps
+    turn = 2.0 * np.pi * o.settings["filter_cutoff"] / o.settings["sampling_rate"]
+    gain = taps @ np.cos(turn * (np.arange(taps.size) - taps.size // 2))
+    assert gain == pytest.approx(0.5, abs=0.01)
+
+
 def test_low_cutoff_lengthens_the_trim():
     seen = observe(recording(), Processing(lowpass=5))
     assert seen.settings["trim_samples"] == 100

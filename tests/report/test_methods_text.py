@@ -75,6 +75,18 @@ def test_what_was_left_out_by_hand_is_told_by_recording_and_in_all(many):
     assert "Not compared were 0.03 s more in which a recording's own column says" in text
 
 
+def test_a_measured_current_is_told(knee):
+    (o,) = knee.observations
+    summary = summarise(knee).as_dict()
+    assert "measured current" not in methods_text(knee, summary).plain
+    o.settings["torque_constant"] = 0.32
+    try:
+        text = methods_text(knee, summary).plain
+    finally:
+        del o.settings["torque_constant"]
+    assert "The torque is a measured current times 0.32 N m/A." in text
+
+
 def test_the_noise_model_is_the_summarys(knee):
     summary = summarise(knee).as_dict()
     summary["noise"]["model"] = "autoregressive of order 2, Student-t"

@@ -128,6 +128,7 @@ def _sentences(fit: Fit, summary: Summary) -> str:
         seconds_out=seconds_out,
         masses=list(dict.fromkeys(replace(i, recording="") for i in loaded)),
         carried=len(loaded),
+        constants=[x for o in seen if (x := o.settings.get("torque_constant")) is not None],
         joint=joint,
         by=counts([row for row in joint if row.cell.converged]),
         together=TOGETHER,
