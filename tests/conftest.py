@@ -1,6 +1,8 @@
 """What several folders of tests share: the real recordings, and made-up ones."""
 
+import importlib.util
 import os
+import sys
 from pathlib import Path
 
 WORKER = os.environ.get("PYTEST_XDIST_WORKER", "").removeprefix("gw")
@@ -31,6 +33,16 @@ settings.load_profile("untimed")
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 DATA = REPOSITORY.parent / "shared" / "data"
+
+
+def imported(path):
+    """Import a study's script, which is in no package."""
+    name = f"{path.parent.name}_{path.stem}".replace("-", "_")
+    spec = importlib.util.spec_from_file_location(name, path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses, and what is pickled, look it up
+    spec.loader.exec_module(module)
+    return module
 
 
 def made_recording(time, position, torque, period, **more):

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import stats
 
 from bayesfric.errors import BadInput
-from bayesfric.estimates.least_squares import TotalsProjection
+from bayesfric.estimates.least_squares import totals_regressors
 from bayesfric.estimates.torque_form import shortest
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.measurement import Measurement
@@ -99,7 +99,7 @@ def _narrower(
     chain: Joint, recording: Measurement, observation: Observation, processing: Processing
 ) -> Iterator[_Seen]:
     fs = 1.0 / recording.period
-    factor = round(float(observation.settings["decimate"]))
+    factor = int(observation.settings["decimate"])
     share = 1.0
     while True:
         share *= _NARROWER
@@ -122,17 +122,17 @@ def _narrower(
 
 
 def _seen(chain: Joint, recording: Measurement, o: Observation) -> _Seen | None:
-    projection = TotalsProjection(replace(chain, delay=False), [o])
-    free = o.measured.size - len(projection.names) - 1
-    if "inertia" not in projection.names or free < _FREE:
+    names, totals = totals_regressors(replace(chain, delay=False), [o])
+    free = o.measured.size - len(names) - 1
+    if "inertia" not in names or free < _FREE:
         return None
     # a delay leaves torque as well, and is another matter: what it would leave is taken off, too
     there = retimed(o, recording.segments, recording.period, 0.0, recording.back_emf)
     assert there.inputs.torque_rate is not None
     rate = o.filter.apply(there.inputs.torque_rate.values)
-    regressors = np.column_stack([projection.regressors, rate])
+    regressors = np.column_stack([totals, rate])
     _, shared, solution, _ = shortest(regressors)
-    i = projection.names.index("inertia")
+    i = names.index("inertia")
     if shared[i]:
         return None
     values = solution @ o.measured

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from bayesfric.estimates.huber import shares
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian
+from bayesfric.huber import shares
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.observation import Observation
 

@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.estimates.huber import HUBER, robust_sd, shares
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.torque_form import columns
+from bayesfric.huber import HUBER, robust_sd, shares
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.filters import lowpass
 from bayesfric.recordings.measurement import Measurement
@@ -151,13 +151,18 @@ def _averaged(values: Array, used: Flags, length: int) -> Array:
     return np.asarray(np.convolve(values * used, ones, "same") / np.maximum(count, 1.0))
 
 
+def _about(o: Observation, values: Array, length: float) -> tuple[Array, NDArray[np.intp]]:
+    """Average ``(M,)`` over ``length`` s about each output; and of how many outputs."""
+    first = np.searchsorted(o.time, o.time - 0.5 * length)
+    last = np.searchsorted(o.time, o.time + 0.5 * length, "right")
+    sums = np.concatenate([[0.0], np.cumsum(values)])
+    return (sums[last] - sums[first]) / (last - first), last - first
+
+
 def _gentle(o: Observation, residual: Array) -> list[Disturbance]:
     """Look at what is compared with the model, for as long as one push lasts."""
-    half = 0.5 * max(_WINDOW, _OUTPUTS * o.period)
-    first = np.searchsorted(o.time, o.time - half)
-    last = np.searchsorted(o.time, o.time + half, "right")
-    sums = np.concatenate([[0.0], np.cumsum(residual**2)])
-    local = np.sqrt((sums[last] - sums[first]) / (last - first))
+    length = max(_WINDOW, _OUTPUTS * o.period)
+    local = np.sqrt(_about(o, residual**2, length)[0])
     usual = float(np.median(local))
     # what a model explains to the last digit is no usual residual
     if not usual > 1e-9 * float(np.abs(o.measured).max(initial=0.0)):
@@ -173,18 +178,15 @@ def _gentle(o: Observation, residual: Array) -> list[Disturbance]:
             # the average has carried it to either side already
             start, stop = float(o.time[a]), float(o.time[b - 1])
             found.append(Disturbance(o.name, start, stop, most / usual, most))
-    joined = _joined(found, 2.0 * half)
+    joined = _joined(found, length)
     return joined if len(joined) <= _OFTEN else []
 
 
 def _slow(o: Observation, residual: Array) -> list[Disturbance]:
     """Look for averages with their sign, in which what goes to and fro cancels."""
-    half = 0.5 * max(_SLOW, _FEWEST * o.period)
-    first = np.searchsorted(o.time, o.time - half)
-    last = np.searchsorted(o.time, o.time + half, "right")
-    sums = np.concatenate([[0.0], np.cumsum(residual)])
-    whole = last - first >= _FEWEST
-    mean = np.where(whole, (sums[last] - sums[first]) / (last - first), 0.0)
+    mean, count = _about(o, residual, max(_SLOW, _FEWEST * o.period))
+    whole = count >= _FEWEST
+    mean = np.where(whole, mean, 0.0)
     if not whole.any() or not (usual := robust_sd(mean[whole])) > 0.0:
         return []
     size = np.abs(mean)

@@ -13,13 +13,13 @@ from bayesfric.errors import BadInput
 from bayesfric.estimates import assemble as fitted
 from bayesfric.estimates.descent import ROUNDING, Found, Terms, TorqueProblem, descend, few_threads
 from bayesfric.estimates.estimation import Estimation
-from bayesfric.estimates.huber import HUBER, robust_sd
 from bayesfric.estimates.information import CORRELATED, Information, Scatter, lag_one
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.estimates.torque import places
 from bayesfric.estimates.torque_form import scale_known, torque_form
 from bayesfric.estimates.variable_projection import VariableProjection
+from bayesfric.huber import HUBER, robust_sd
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.scaling import Scaling, scalings
 from bayesfric.recordings.observation import Observation

@@ -83,20 +83,20 @@ class TotalsProjection:
     def __init__(self, chain: Joint, observations: Sequence[Observation]) -> None:
         self._chain, self._observations = chain, observations
         # of the totals, such as inertia; (n_outputs, n_totals), filtered like the measured torque
-        self.names, self.regressors = _regressors(chain, observations)
+        self.names, self.regressors = totals_regressors(chain, observations)
         # the same as results show them: total.inertia, or motor.inertia where that is all of it
         self.labels = [total_label(chain, name) for name in self.names]
         # norm of each regressor, and which totals the motion cannot tell from others
-        self.scale, self.open, self.solution, _ = shortest(self.regressors)
+        self.scale, self.open, self._solution, _ = shortest(self.regressors)
 
     def solve(self, torque: NDArray[np.float64]) -> NDArray[np.float64]:
         """Totals of filtered torques, ``(n_outputs,)`` or ``(n_outputs, k)``."""
-        return np.asarray(self.solution @ torque)
+        return np.asarray(self._solution @ torque)
 
     def of_samples(self) -> list[NDArray[np.float64]]:
         """Give the same map of the samples of each recording's torque, ``(n_totals, n)``."""
         ends = np.cumsum([o.filter.n_outputs for o in self._observations])[:-1]
-        parts = np.split(self.solution, ends, axis=1)
+        parts = np.split(self._solution, ends, axis=1)
         pairs = zip(self._observations, parts, strict=True)
         return [o.filter.reached(part) for o, part in pairs]
 
@@ -207,9 +207,13 @@ def _part(owner: str, peers: set[str], motor: str, share: float) -> float:
     return share if owner == motor else (1.0 - share) / len(others)
 
 
-def _regressors(
+def totals_regressors(
     chain: Joint, observations: Sequence[Observation]
 ) -> tuple[list[str], NDArray[np.float64]]:
+    """Name the totals of eq. (11), and give their torques for a value of one, ``(n_outputs, k)``.
+
+    Filtered like the measured torque.
+    """
     found = {kind for p in chain.parameters for kind, _ in _regressed(chain, p)}
     loads = {o.inputs.load(chain.load.motion) for o in observations}
     pushed = any(o.inputs.load_torque is not None for o in observations)

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from bayesfric.errors import BadInput
 from bayesfric.estimates import assemble as fitted
 from bayesfric.estimates.estimation import Estimation
-from bayesfric.estimates.huber import HUBER, robust_sd
 from bayesfric.estimates.information import LEAST_GROUPS, Information, Scatter
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import least_squares, starting_values
@@ -28,6 +27,7 @@ from bayesfric.estimates.shooting_fit import (
     settle_states,
 )  # fmt: skip
 from bayesfric.estimates.torque import torque_jacobian
+from bayesfric.huber import HUBER, robust_sd
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.trajectory import Trajectory, divided

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.estimates.descent import bounded_step
-from bayesfric.estimates.huber import losses, shares
 from bayesfric.estimates.shooting import Shooting
+from bayesfric.huber import losses, shares
 from bayesfric.mechanism.scaling import Scaling
 
 Array = NDArray[np.float64]

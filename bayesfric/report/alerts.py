@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from bayesfric.report.comparison.comparison import comparison
+from bayesfric.report.numbers import in_tenths
 from bayesfric.report.summary.record import OutlyingRow, Readable, Summary
 from bayesfric.report.summary.reference_check import references_off
 from bayesfric.report.summary.rollout import RollOutPart
@@ -113,16 +113,11 @@ def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:
 
 def _apart(outlying: Sequence[OutlyingRow]) -> dict[str, list[list[float]]]:
     """Give the spans that leave outputs out, tenths of a second, recording by recording."""
-    spans: dict[str, list[list[float]]] = {}
+    spans: dict[str, list[tuple[float, float]]] = {}
     for one in sorted(outlying[:NAMED], key=lambda o: o.time):
-        low = math.floor(10.0 * (one.time - 0.5 * one.period)) / 10.0
-        high = math.ceil(10.0 * (one.time + 0.5 * one.period)) / 10.0
-        of = spans.setdefault(one.recording, [])
-        if of and low <= of[-1][1]:
-            of[-1][1] = max(high, of[-1][1])
-        else:
-            of.append([low, high])
-    return spans
+        half = 0.5 * one.period
+        spans.setdefault(one.recording, []).append((one.time - half, one.time + half))
+    return {name: in_tenths(of) for name, of in spans.items()}
 
 
 def _of_model(

@@ -6,7 +6,7 @@ An uncertainty has two digits, and sets the last digit of everything beside it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from decimal import ROUND_HALF_EVEN, Decimal
 
@@ -42,6 +42,18 @@ def last_digit(uncertainty: float) -> int:
     if round(uncertainty / 10.0**place) >= 10**_DIGITS:
         place += 1
     return place
+
+
+def in_tenths(spans: Iterable[tuple[float, float]]) -> list[list[float]]:
+    """Widen spans in s to tenths, and join those that then overlap, as ``exclude`` takes them."""
+    out: list[list[float]] = []
+    for start, stop in sorted(spans):
+        low, high = math.floor(10.0 * start) / 10.0, math.ceil(10.0 * stop) / 10.0
+        if out and low <= out[-1][1]:
+            out[-1][1] = max(out[-1][1], high)
+        else:
+            out.append([low, high])
+    return out
 
 
 def _rounded(value: float, last: int) -> Decimal:

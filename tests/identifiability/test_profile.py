@@ -1,6 +1,5 @@
 """Profile likelihoods, exact where the model is linear or the ridge is."""
 
-import importlib.util
 from dataclasses import replace
 
 import numpy as np
@@ -14,16 +13,12 @@ from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.report.figures.style import PAGE, save
-from tests.conftest import REPOSITORY
+from tests.conftest import REPOSITORY, imported
 
 
 def study_figure():
     """Import the figure from beside its study."""
-    path = REPOSITORY / "studies" / "scaling" / "profile_figure.py"
-    spec = importlib.util.spec_from_file_location("profile_figure", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.profile_figure
+    return imported(REPOSITORY / "studies" / "scaling" / "profile_figure.py").profile_figure
 
 
 AXIS, KNEE = PRESETS["motor-axis"], PRESETS["rabbit-knee"]

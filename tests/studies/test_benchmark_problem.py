@@ -8,24 +8,15 @@ import sys
 import numpy as np
 import pytest
 
-from tests.conftest import REPOSITORY
+from tests.conftest import REPOSITORY, imported
 
 FOLDER = REPOSITORY / "studies" / "benchmark"
 N = 3000
 
 
-def load(path):
-    name = f"benchmark_{path.stem}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture(scope="module")
 def problem():
-    return load(FOLDER / "problem.py")
+    return imported(FOLDER / "problem.py")
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +57,7 @@ def test_stored_densities_follow_from_the_equations(written):
 
 def test_the_rivals_densities_are_the_same_posterior(written):
     path, _ = written
-    rivals = load(FOLDER / "rivals" / "posterior.py").read(path)
+    rivals = imported(FOLDER / "rivals" / "posterior.py").read(path)
     assert rivals.check(rivals.log_density) < 1e-8
     assert rivals.check(lambda x: rivals.log_density_many(x[None])[0]) < 1e-8
     with pytest.raises(AssertionError, match="not the same posterior"):
@@ -75,7 +66,7 @@ def test_the_rivals_densities_are_the_same_posterior(written):
 
 def test_beyond_the_bound_nobody_finds_probability(written, problem):
     path, target = written
-    rivals = load(FOLDER / "rivals" / "posterior.py").read(path)
+    rivals = imported(FOLDER / "rivals" / "posterior.py").read(path)
     x = rivals.starts[:1].copy()
     x[0, problem.knee().names.index("gearbox.load_back")] = 1e-9
     assert rivals.log_density(x[0]) == -np.inf
@@ -144,7 +135,7 @@ def test_the_density_that_gradient_samplers_get_is_the_targets(written, problem,
 @pytest.mark.slow
 def test_a_rival_runs_and_reports(written):
     """Plain emcee is also in this environment; a second of it shows the way there and back."""
-    runner = load(FOLDER / "run_rivals.py")
+    runner = imported(FOLDER / "run_rivals.py")
     path, target = written
     budget = {"emcee_plain": runner.Budget(1.0, 0.2), "no_such_rival": runner.Budget(1.0, 1.0)}
     found = runner.run_rivals(path, sys.executable, budget)

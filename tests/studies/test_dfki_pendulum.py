@@ -1,21 +1,17 @@
 """A measured pendulum under six controllers, with the defaults: right, or not called data."""
 
-import importlib.util
 import json
 
 import pytest
 
-from tests.conftest import REPOSITORY
+from tests.conftest import REPOSITORY, imported
 
 FOLDER = REPOSITORY / "studies" / "dfki-pendulum"
 
 
 @pytest.fixture(scope="module")
 def study():
-    spec = importlib.util.spec_from_file_location("dfki_pendulum", FOLDER / "study.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return imported(FOLDER / "study.py")
 
 
 def right_or_not_data(row, cad):

@@ -1,24 +1,18 @@
 """The study of the knee: a smaller form of its Monte Carlo, and what its result claims."""
 
-import importlib.util
 import json
 import math
-import sys
 
 import pytest
 
-from tests.conftest import REPOSITORY
+from tests.conftest import REPOSITORY, imported
 
 FOLDER = REPOSITORY / "studies" / "rabbit_knee"
 
 
 @pytest.fixture(scope="module")
 def monte_carlo():
-    spec = importlib.util.spec_from_file_location("monte_carlo", FOLDER / "monte_carlo.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["monte_carlo"] = module
-    spec.loader.exec_module(module)
-    return module
+    return imported(FOLDER / "monte_carlo.py")
 
 
 @pytest.fixture(scope="module")

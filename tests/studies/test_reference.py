@@ -1,12 +1,11 @@
 """The committed reference says what the code says, and every error in it has a mend."""
 
-import importlib.util
 import re
 
 import pytest
 
 from bayesfric.report.alerts import DOUBTS
-from tests.conftest import REPOSITORY
+from tests.conftest import REPOSITORY, imported
 
 FOLDER = REPOSITORY / "studies" / "reference"
 AGAIN = "python studies/reference/reference.py"
@@ -14,10 +13,7 @@ AGAIN = "python studies/reference/reference.py"
 
 @pytest.fixture(scope="module")
 def reference():
-    spec = importlib.util.spec_from_file_location("reference_study", FOLDER / "reference.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return imported(FOLDER / "reference.py")
 
 
 @pytest.fixture(scope="module")

@@ -1,12 +1,9 @@
 """The simulator study's claims of accuracy, in small; its times are never tested."""
 
-import importlib.util
-import sys
-
 import numpy as np
 import pytest
 
-from tests.conftest import REPOSITORY
+from tests.conftest import REPOSITORY, imported
 
 pytestmark = pytest.mark.slow
 
@@ -15,13 +12,7 @@ NAMES = ["knee, square", "knee, slow sine", "Stribeck axis"]
 
 @pytest.fixture(scope="module")
 def study():
-    path = REPOSITORY / "studies" / "simulator" / "compare.py"
-    spec = importlib.util.spec_from_file_location("simulator_study", path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]
+    return imported(REPOSITORY / "studies" / "simulator" / "compare.py")
 
 
 @pytest.fixture(scope="module")

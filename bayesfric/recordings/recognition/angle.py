@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from bayesfric.huber import HUBER, robust_sd, shares
 from bayesfric.recordings import units
 from bayesfric.recordings.measurement import Array
 from bayesfric.recordings.recognition import values as by_value
@@ -24,7 +25,7 @@ _SLOW, _NEAR, _MOSTLY, _PLACES, _EACH = 0.02, 0.05, 0.8, 2, 0.01
 # s over which torque and motion are averaged; the share of the torque that a unit must explain, and
 # what it leaves at most over what the next best does.
 _AVERAGED, _EXPLAINS, _BETTER = 0.1, 0.8, 0.5
-_ROUNDS, _HUBER, _TINY = 20, 1.345, 1e-30
+_ROUNDS, _TINY = 20, 1e-30
 # An angle in rad beyond that is more than four turns either way.
 _MANY_TURNS = 8.0 * math.pi
 
@@ -147,7 +148,5 @@ def _left(q: Array, time: Array, effort: Array) -> float | None:
         except np.linalg.LinAlgError:
             return None
         rest = y - columns @ found
-        size = np.abs(rest)
-        most = max(_HUBER * 1.4826 * float(np.median(size)), _TINY)
-        weights = most / np.maximum(size, most)
+        weights = shares(rest, max(HUBER * robust_sd(rest), _TINY))
     return float(np.median(np.abs(rest)) / usual) ** 2

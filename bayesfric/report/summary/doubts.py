@@ -24,6 +24,7 @@ from bayesfric.mechanism.parameter import effort_words
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.quantities import QUANTITIES, TOTALS, Quantity, State
 from bayesfric.recordings.observation import LEAST_RATIO, Observation
+from bayesfric.report.numbers import in_tenths
 from bayesfric.report.summary.bounds import noise_cut
 from bayesfric.report.summary.position_unit import best_share, other_units
 from bayesfric.report.summary.record import Doubt, Summary, quantity_of
@@ -179,25 +180,12 @@ def pushed_doubts(
         yield {
             "kind": "pushed",
             "recording": name,
-            "exclude": _tenths(spans),
+            "exclude": in_tenths([(one.start, one.stop) for one in spans]),
             "times": max(one.times for one in spans),
             "torque": max(one.torque for one in spans),
             "unit": unit,
             "lacking": lacking,
         }
-
-
-def _tenths(spans: Sequence[Disturbance]) -> list[list[float]]:
-    """Widen spans to tenths of a second, and join those that then overlap."""
-    out: list[list[float]] = []
-    for one in sorted(spans, key=lambda one: one.start):
-        start = float(np.floor(10.0 * one.start) / 10.0)
-        stop = float(np.ceil(10.0 * one.stop) / 10.0)
-        if out and start <= out[-1][1]:
-            out[-1][1] = max(out[-1][1], stop)
-        else:
-            out.append([start, stop])
-    return out
 
 
 def _late(delays: Sequence[Delay], observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
