@@ -108,10 +108,10 @@ class TotalsProjection:
                 return p.unit, p.symbol, p.meaning
         kind, _, recording = name.partition(".")
         total, motion = TOTALS[kind], chain.motor_motion
-        unit = total.units[0 if motion == "rotary" else 1]
-        meaning = effort_words(total.meaning, motion)
+        unit, meaning = total.unit(motion), effort_words(total.meaning, motion)
         if not recording:
-            return unit, total.symbol, meaning
+            turned = any(p.circular for p in chain.parameters) and total.turned
+            return unit, turned or total.symbol, meaning
         symbol = rf"\Delta C_{{t,{chain.own_offsets.index(recording) + 1}}}"
         return unit, symbol, f"{meaning}, {recording}"
 

@@ -7,16 +7,15 @@ parameters behind them are not.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import Parameter, effort_words, parameter
-from bayesfric.mechanism.quantities import QUANTITIES
+from bayesfric.mechanism.quantities import QUANTITIES, TOTALS
 
 Array = NDArray[np.float64]
 
@@ -83,12 +82,15 @@ def derive(chain: Joint, values: Array, load_torque: float) -> tuple[Derived, ..
 def _totals(chain: Joint, at: dict[str, Array], n: int) -> Iterator[Derived]:
     """Sum up what the motor feels, Theta1 +- Theta2 of eq. (13) and their mean."""
     lossy = [element for element in chain.elements if element.load_loss != "none"]
+    if any(element.has("load_speed", "load_square") for element in lossy):
+        return  # what the motor feels of a term then depends on all the others
     owners: dict[str, set[str]] = {}
     for p in chain.parameters:
         for kind in _kinds(chain, p):
             owners.setdefault(kind, set()).add(p.owner)
     # what only the motor's own shaft makes up is that parameter, and says nothing new
     kinds = [kind for kind, names in owners.items() if names != {chain.elements[0].name}]
+    turned = [at[p.name] for p in chain.parameters if p.circular]
     for side, label in (("drive", "driving"), ("back", "back-driven"))[: 2 if lossy else 1]:
         # torque at an owner's input times this is torque at the motor; an element's own terms
         # act at its input side, before its load loss
@@ -105,17 +107,33 @@ def _totals(chain: Joint, at: dict[str, Array], n: int) -> Iterator[Derived]:
                     assert p.row.power is not None
                     speed = chain.reaches[p.owner] / chain.ratio
                     total = total + at[p.name] * reach[p.owner] * speed**p.row.power
-            described = _described(chain, kind)
-            name = f"total_{side}.{kind}" if lossy else f"total.{kind}"
+            before = f"total_{side}" if lossy else "total"
             mark = rf"^{{\mathrm{{{side}}}}}" if lossy else ""
-            yield Derived(
-                name,
-                described.unit,
-                described.symbol + mark,
-                f"{described.meaning}, all seen by the motor" + (f", {label}" if lossy else ""),
-                total * chain.load.gravity if kind == "gravity" else total,
-                gauge_free=True,
-            )
+            seen = ", all seen by the motor" + (f", {label}" if lossy else "")
+            if kind == "gravity":
+                yield from _gravity(chain, before, mark, seen, total, turned)
+                continue
+            told = parameter("total", QUANTITIES[kind], chain.motor_motion, "t")
+            name, symbol = f"{before}.{kind}", told.symbol + mark
+            yield Derived(name, told.unit, symbol, told.meaning + seen, total, gauge_free=True)
+
+
+def _gravity(
+    chain: Joint, before: str, mark: str, seen: str, moment: Array, turned: list[Array]
+) -> Iterator[Derived]:
+    """Gravity's parts, as least squares sees them: a sine, and a cosine where an angle turns it."""
+    size, symbol = moment * chain.load.gravity, f"G_{{t}}{mark}"
+    parts = {"gravity": ("", "gravity torque", size)}
+    if turned:
+        sine, cosine = size * np.cos(turned[0]), size * np.sin(turned[0])
+        parts = {
+            "gravity": (r"\cos q_g", "gravity torque, sine part", sine),
+            "gravity_cosine": (r"\sin q_g", "gravity torque, cosine part", cosine),
+        }
+    for kind, (part, meaning, values) in parts.items():
+        unit = TOTALS[kind].unit(chain.motor_motion)
+        meaning = effort_words(meaning + seen, chain.motor_motion)
+        yield Derived(f"{before}.{kind}", unit, symbol + part, meaning, values, gauge_free=True)
 
 
 def _kinds(chain: Joint, p: Parameter) -> tuple[str, ...]:
@@ -141,7 +159,10 @@ def _coefficients(chain: Joint, at: dict[str, Array], load_torque: float) -> Ite
         assert mu_drive is not None
         assert mu_back is not None
         two = element.load_loss == "two"
-        passed = "load torque over motor torque when the"
+        # a loss that grows with the torque, or with speed, is not yet there
+        slow = " at low speed" if element.has("load_speed") else ""
+        where = slow + (" under a small load" if element.has("load_square") else "")
+        passed = f"load torque over motor torque{where} when the"
         # eq. (6); an irreversible gearbox, mu_2 >= 1, passes nothing back
         back = np.where(mu_back < 1.0, 1.0 - mu_back, np.nan)
         yield Derived(
@@ -186,13 +207,19 @@ def _coefficients(chain: Joint, at: dict[str, Array], load_torque: float) -> Ite
             )
         constant = _constant_loss(chain, name, at)
         if load_torque > 0.0:
-            drive, back_driven = efficiencies(mu_drive, mu_back, constant, load_torque)
+            # of the torque at its input, as the loss itself
+            grown = at.get(f"{name}.load_square", 0.0) * (load_torque / chain.reaches[name])
+            drive, back_driven = efficiencies(
+                mu_drive + grown, mu_back + grown, constant, load_torque
+            )
             at_load = f"at {load_torque:.3g} {'N m' if chain.load.motion == 'rotary' else 'N'}"
+            load = f"{at_load} of load{' and' * bool(slow)}{slow}"
+            counted = f"eq. (4), {load}, viscous loss not counted"
             yield Derived(
                 f"{name}.efficiency_drive",
                 "",
                 r"\eta_m",
-                f"driving efficiency, eq. (4), {at_load} of load, viscous loss not counted",
+                f"driving efficiency, {counted}",
                 drive,
                 gauge_free=False,
             )
@@ -200,7 +227,7 @@ def _coefficients(chain: Joint, at: dict[str, Array], load_torque: float) -> Ite
                 f"{name}.efficiency_back",
                 "",
                 r"\eta_r",
-                f"back-driving efficiency, eq. (4), {at_load} of load, viscous loss not counted",
+                f"back-driving efficiency, {counted}",
                 back_driven,
                 gauge_free=False,
             )
@@ -229,10 +256,3 @@ def _transfer(name: str, loss: str, at: dict[str, Array], side: str) -> Array | 
         return 1.0
     key = f"{name}.load" if loss == "one" else f"{name}.load_{side}"
     return 1.0 + at[key] if side == "drive" else 1.0 - at[key]
-
-
-def _described(chain: Joint, kind: str) -> Parameter:
-    row = QUANTITIES["coulomb" if kind == "gravity" else kind]
-    if kind == "gravity":
-        row = replace(row, symbol="G_{{{}}}", meaning="gravity torque", lower=-math.inf)
-    return parameter("total", row, chain.motor_motion, "t")

@@ -191,6 +191,11 @@ class Total:
     positive: bool = False  # whether its coefficient is positive in any mechanism that loses energy
     # name of the regressor of eq. (11) that stands for it in plain least squares
     regressor: str = ""
+    turned: str = ""  # its symbol where an angle turns gravity
+
+    def unit(self, motion: Motion) -> str:
+        """Look up the unit for a motor that turns or slides."""
+        return self.units[0 if motion == "rotary" else 1]
 
 
 def _drives(state: State) -> Any:
@@ -567,7 +572,7 @@ TOTALS: dict[str, Total] = {
         Total(
             "gravity", _TORQUE, r"ml\,g/(\alpha_m N)",
             "gravity torque seen by the motor, sine part",
-            lambda m: m.gravity,
+            lambda m: m.gravity, turned=r"ml\,g\cos q_g/(\alpha_m N)",
         ),
         Total(
             "gravity_cosine", _TORQUE, r"ml\,g\sin q_g/(\alpha_m N)",

@@ -1,10 +1,10 @@
-"""Totals of the motor side are what steady speeds show."""
+"""Totals of the motor side are what steady speeds show, efficiencies what loads do."""
 
 import numpy as np
 import pytest
 
 from bayesfric.mechanism.derived import derive
-from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.element import STANDARD_GRAVITY, Element, Load
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 
@@ -68,3 +68,42 @@ def test_what_is_told_by_direction_makes_every_total_of_its_kind_so():
         torque = inverse_torque(chain, x, [0.0], [way * 2.0 / chain.ratio], [0.0])
         assert totals[f"total.viscous_{name}"] == pytest.approx(torque[0] / (way * 2.0), rel=1e-12)
     assert "total.viscous" not in totals
+
+
+@pytest.mark.parametrize("angle", [0.4, -1.5, 2.9])
+def test_gravity_s_total_is_its_sine_part_wherever_an_angle_turns_it(angle):
+    """As in least squares: the motor's torque at rest, split by the joint's angle."""
+    chain = Joint(
+        (Element("motor"), Element("gearbox", ratio=5.0)),
+        Load(first_moment=True, gravity_angle=True),
+    )
+    x = chain.vector({"load.first_moment": 3.0, "load.gravity_angle": angle})
+    found = {d.name: d for d in derive(chain, x[None], 1.0)}
+    still = np.zeros(2)
+    up, out = inverse_torque(chain, x, np.array([0.0, 0.5 * np.pi]), still, still)
+    assert found["total.gravity"].values[0] == pytest.approx(out, rel=1e-12)
+    assert found["total.gravity_cosine"].values[0] == pytest.approx(up, rel=1e-12)
+    assert "\\cos" in found["total.gravity"].symbol
+
+
+@pytest.mark.parametrize("loss", ["one", "two"])
+def test_an_efficiency_counts_what_grows_with_the_torque(loss):
+    """Torque that slowly lifts and lowers a weight, over the weight; eq. (4) with all losses."""
+    chain = Joint(
+        (Element("motor"), Element("gearbox", 6.0, load_loss=loss, load_square=True)),
+        Load(first_moment=True),
+    )
+    known = {"load": 0.1, "load_drive": 0.1, "load_back": 0.15, "load_square": 0.04}
+    values = {f"gearbox.{name}": value for name, value in known.items()}
+    values["load.first_moment"] = 2.0
+    x = chain.vector({name: values[name] for name in chain.names})
+    weight = 2.0 * STANDARD_GRAVITY
+    found = {d.name: d for d in derive(chain, x[None], weight)}
+    lifts, lowers = inverse_torque(
+        chain, x, np.array([0.5, 0.5]) * np.pi, np.array([1e-9, -1e-9]), np.zeros(2)
+    )
+    drive, back = (found[f"gearbox.efficiency_{side}"].values[0] for side in ("drive", "back"))
+    assert drive == pytest.approx(weight / (6.0 * lifts), rel=1e-9)
+    assert back == pytest.approx(6.0 * lowers / weight, rel=1e-9)
+    # one total there is not: what is felt of the inertia depends on the weight
+    assert not [name for name in found if name.startswith("total")]
