@@ -9,12 +9,14 @@ from dataclasses import dataclass, replace
 from bayesfric.config import Config, NoiseOptions
 from bayesfric.errors import BadInput
 from bayesfric.estimates.attenuation import Attenuated, attenuations
-from bayesfric.estimates.delay import find_delay
+from bayesfric.estimates.delay import own_delay
+from bayesfric.estimates.methods import Given
 from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.noise import NOISE_MODELS
 from bayesfric.inference.noise.autoregressive import MOST
 from bayesfric.inference.noise.residual_noise import ResidualNoise
+from bayesfric.inference.prior.as_knowledge import as_knowledge
 from bayesfric.inference.prior.priors import Prior
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
@@ -110,12 +112,10 @@ def prepare(
         priors = read_priors(chain, config.priors, observations, _noise_quantities(config))
         if chain.delay:
             prior = priors[chain.delay_name]
-            divided = _timed(
-                divided,
-                prior.value
-                if prior.fixed
-                else find_delay(chain, divided.recordings, observations)[0],
-            )
+            known = as_knowledge(chain, priors)
+            given = Given(chain, observations, known, tables.estimation, lambda: ())
+            late = prior.value if prior.fixed else own_delay(given, divided.recordings)
+            divided = _timed(divided, late)
     return Prepared(chain, divided.recordings, divided.observations, priors, divided.held_out)
 
 

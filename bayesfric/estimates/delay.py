@@ -84,6 +84,32 @@ def delays(
         return []
 
 
+def own_delay(given: Given, recordings: Sequence[Measurement]) -> float:
+    """Estimate the delay that a mechanism has as a parameter, s.
+
+    Least squares tells it where the torque is linear. Where load losses or a Stribeck rise bend
+    that, it is the input error's, from no delay on, whose recordings are timed anew by each.
+
+    Raises
+    ------
+    BadInput
+        If nothing can be estimated from these recordings.
+    """
+    chain, pairs = given.chain, list(zip(recordings, given.observations, strict=True))
+    if not bends(chain):
+        return find_delay(chain, recordings, given.observations)[0]
+    longest = min(longest_delay(o, r.period) for r, o in pairs)
+    delay = 0.0
+    for _ in range(_ROUNDS):
+        there = [retimed(o, r.segments, r.period, delay, r.back_emf) for r, o in pairs]
+        found = input_error(chain, there, given.knowledge, given.options)[chain.delay_name]
+        before, delay = delay, float(np.clip(found.value, -longest, longest))
+        # what has no sd, or is at the end, moves no more
+        if not abs(delay - before) > _STILL * larger(found.sd, found.sd_robust):
+            break
+    return delay
+
+
 def _delays(
     chain: Joint,
     pairs: Sequence[tuple[Measurement, Observation]],
@@ -126,7 +152,8 @@ def find_delay(
         In the same order.
     point
         Values near which the torque is taken for linear in the parameters. Without them it is
-        in the totals of least squares, which load losses and a Stribeck rise bend: about right.
+        in the totals of least squares, which load losses and a Stribeck rise bend: there it may
+        be four times the delay of the mechanism (measured, UR10e).
 
     Returns
     -------

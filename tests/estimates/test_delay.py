@@ -1,13 +1,17 @@
 """The delay that recordings show: right where there is one, nothing where there is none."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 
 import bayesfric as bf
 from bayesfric.errors import BadInput
+from bayesfric.estimates.delay import find_delay
 from bayesfric.mechanism.excitation import current_loop, multisine
 from bayesfric.mechanism.forward import simulate
+from bayesfric.mechanism.presets import PRESETS
 from tests.axis import AXIS, VALUES
 
 RATE, FINE = 500.0, 20
@@ -71,6 +75,46 @@ def test_every_estimate_finds_it_and_what_it_would_have_moved(late):
     ignored = bf.Model(AXIS, bench(late, 5)).estimates(["least-squares"])[0]
     # 0.05 N m of noise behind a filter that a tenth of it passes; a delay leaves more
     assert model.estimates(["least-squares"])[0].residual_rms < ignored.residual_rms
+
+
+@pytest.mark.parametrize("late", [0.0, 0.02])
+def test_load_losses_do_not_bend_the_delay_that_recordings_are_timed_by(late):
+    """SIMULATED: a heavy arm whose gears lose a quarter, which totals take for a delay in part."""
+    joint = replace(PRESETS["servo-pendulum"].chain(), delay=True)
+    values = {
+        "motor.inertia": 18.0,
+        "motor.viscous": 18.0,
+        "motor.coulomb": 11.0,
+        "gearbox.load": 0.25,
+        "load.first_moment": 11.5,
+        "load.gravity_angle": -1.57,
+        "drive.delay": late,
+    }
+    frame = joint.simulate(
+        values, rate=200, excitation="multisine", amplitude=120.0, seed=1, duration=30
+    )
+    columns = (frame[name].to_numpy() for name in ("time", "position", "torque"))
+    model = bf.Model(joint, bf.Recording.from_arrays(*columns, name="one"))
+    row = model.estimate("input-error").loc["drive.delay"]
+    sd = max(row["sd"], row["sd_robust"])
+    assert abs(model.observations[0].settings["delay"] - late) < 5.0 * sd
+    # what totals say lies outside: the case is one
+    plain, _ = find_delay(model.chain, model.recordings, model.observations)
+    assert abs(plain - late) > 5.0 * sd
+
+
+def test_a_delay_more_leaves_no_more_of_a_measured_torque(real_data):
+    """MEASURED: a load loss bends totals so that the delay was taken for 0.1 s."""
+    chain = PRESETS["servo-pendulum"].chain()
+    arm = bf.Recording.from_file(
+        real_data / "ur10e-joint2" / "joint_2.csv", time=1, position=3, velocity=9, current=15,
+        torque_constant="10.6956 N m/A", start="8 s", stop="60 s",
+    )  # fmt: skip
+    left = [
+        bf.Model(replace(chain, delay=late), arm).estimates(["input-error"])[0].residual_rms
+        for late in (False, True)
+    ]
+    assert left[1] < left[0]
 
 
 def test_the_output_error_finds_it():
