@@ -7,6 +7,7 @@ parameters behind them are not.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -15,9 +16,15 @@ from numpy.typing import NDArray
 
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import Parameter, effort_words, parameter
-from bayesfric.mechanism.quantities import QUANTITIES, TOTALS
+from bayesfric.mechanism.quantities import QUANTITIES, TOTALS, Quantity
 
 Array = NDArray[np.float64]
+
+# Gravity as the motor feels it. Where an angle turns it, least squares has a sine and a cosine
+# part, and the first goes by the name of the whole.
+_UNITS = TOTALS["gravity"].units
+_WEIGHT = Quantity("gravity", _UNITS, "G_{{{}}}", "gravity torque", lower=-math.inf)
+_WEIGHT_TURNED = Quantity("gravity_size", _UNITS, "G_{{{}}}", "size of the gravity torque")
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +97,9 @@ def _totals(chain: Joint, at: dict[str, Array], n: int) -> Iterator[Derived]:
             owners.setdefault(kind, set()).add(p.owner)
     # what only the motor's own shaft makes up is that parameter, and says nothing new
     kinds = [kind for kind, names in owners.items() if names != {chain.elements[0].name}]
-    turned = [at[p.name] for p in chain.parameters if p.circular]
+    turned = any(p.circular for p in chain.parameters)
+    weight = _WEIGHT_TURNED if turned else _WEIGHT
+    pull = abs(chain.load.gravity) if turned else chain.load.gravity
     for side, label in (("drive", "driving"), ("back", "back-driven"))[: 2 if lossy else 1]:
         # torque at an owner's input times this is torque at the motor; an element's own terms
         # act at its input side, before its load loss
@@ -110,30 +119,15 @@ def _totals(chain: Joint, at: dict[str, Array], n: int) -> Iterator[Derived]:
             before = f"total_{side}" if lossy else "total"
             mark = rf"^{{\mathrm{{{side}}}}}" if lossy else ""
             seen = ", all seen by the motor" + (f", {label}" if lossy else "")
-            if kind == "gravity":
-                yield from _gravity(chain, before, mark, seen, total, turned)
-                continue
-            told = parameter("total", QUANTITIES[kind], chain.motor_motion, "t")
-            name, symbol = f"{before}.{kind}", told.symbol + mark
-            yield Derived(name, told.unit, symbol, told.meaning + seen, total, gauge_free=True)
-
-
-def _gravity(
-    chain: Joint, before: str, mark: str, seen: str, moment: Array, turned: list[Array]
-) -> Iterator[Derived]:
-    """Gravity's parts, as least squares sees them: a sine, and a cosine where an angle turns it."""
-    size, symbol = moment * chain.load.gravity, f"G_{{t}}{mark}"
-    parts = {"gravity": ("", "gravity torque", size)}
-    if turned:
-        sine, cosine = size * np.cos(turned[0]), size * np.sin(turned[0])
-        parts = {
-            "gravity": (r"\cos q_g", "gravity torque, sine part", sine),
-            "gravity_cosine": (r"\sin q_g", "gravity torque, cosine part", cosine),
-        }
-    for kind, (part, meaning, values) in parts.items():
-        unit = TOTALS[kind].unit(chain.motor_motion)
-        meaning = effort_words(meaning + seen, chain.motor_motion)
-        yield Derived(f"{before}.{kind}", unit, symbol + part, meaning, values, gauge_free=True)
+            told = parameter("total", QUANTITIES.get(kind, weight), chain.motor_motion, "t")
+            yield Derived(
+                f"{before}.{told.quantity}",
+                told.unit,
+                told.symbol + mark,
+                told.meaning + seen,
+                total * pull if kind == "gravity" else total,
+                gauge_free=True,
+            )
 
 
 def _kinds(chain: Joint, p: Parameter) -> tuple[str, ...]:

@@ -230,7 +230,7 @@ def _turning(turn: OnceATurn | None) -> Iterator[dict[str, Any]]:
 
 def _turned(told: Sequence[str], moved: Mapping[str, float]) -> list[str]:
     """Name what makes up gravity, or one of the other totals that have moved."""
-    totals = {"gravity", *map(quantity_of, moved)}
+    totals = {"gravity", "gravity_size", *map(quantity_of, moved)}
     return [name for name in told if totals & _shares(quantity_of(name))]
 
 
