@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     from bayesfric.report.comparison.between_runs import PooledQuantity
 
 _GROUPS = {
-    "free": "What the motor feels, whatever the scale of leg and gearbox",
+    "free": "What the motor feels, whatever the scale of load and gearbox",
     "parameter": "Parameters",
-    "derived": "Derived, of the scale of leg and gearbox",
+    "derived": "Derived, of the scale of load and gearbox",
     "known": "Taken as known",
 }
 # By what settles a number, as on the page, in words that a column of a paper has room for.
@@ -180,7 +180,7 @@ class ParameterTable:
 def parameter_table(summary: Readable, run: str = "summary.json") -> ParameterTable:
     """Judge every number of a summary for the table of parameters.
 
-    What no scaling of leg and alpha changes comes first; ``run`` is what complaints call it.
+    What no scaling of load and alpha changes comes first; ``run`` is what complaints call it.
     """
     read = Summary.read(summary, run)
     groups = {
