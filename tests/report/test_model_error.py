@@ -46,6 +46,21 @@ def test_widened_draws_that_a_run_holds_are_not_made_again(wrong):
     np.testing.assert_array_equal(again.wide.posterior.flat(), held)
 
 
+def test_what_room_lets_reach_zero_is_a_limit(wrong):
+    """The narrow posterior is clear of the bound; the widened one leans on it."""
+    assert wrong.summary.parameters[NAME].at_bound is None
+    held = wrong.fit.wide.posterior.flat()[::7].copy()
+    j = wrong.fit.posterior.names.index(NAME)
+    held[:, j] = np.abs(np.random.default_rng(3).normal(size=len(held))) * held[:, j].mean()
+    row = add_model_error(
+        wrong.summary, replace(wrong.fit, told=held), groups(wrong.fit)
+    ).parameters[NAME]
+    assert (row.at_bound, row.bound, row.bound_physical) == ("lower", 0.0, True)
+    assert posterior_cells(wrong.summary)[NAME].status == "determined"
+    told = wrong.summary.with_rows({NAME: row.as_dict()})
+    assert posterior_cells(told)[NAME].limit == row.model_error_interval[1]
+
+
 def test_noise_and_what_is_open_keep_their_intervals(wrong):
     assert wrong.summary.parameters["noise.sigma"].model_error_interval is None
 
