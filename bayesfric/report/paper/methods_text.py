@@ -23,7 +23,7 @@ from bayesfric.report.paper import latex
 from bayesfric.report.paper.tables import counts, parameter_table
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Readable, Summary
-from bayesfric.report.summary.self_check import cite_sentence, to_cite
+from bayesfric.report.summary.self_check import biased, cite_sentence, to_cite
 from bayesfric.report.text_templates import filled
 
 _ENTRY = re.compile(r"^% ([^\n]+)\n(@\w+\{(\w+),\n.*?^\}\n)", re.MULTILINE | re.DOTALL)
@@ -133,7 +133,8 @@ def _sentences(fit: Fit, summary: Summary) -> str:
         by=counts([row for row in joint if row.cell.converged]),
         together=TOGETHER,
         correlated=correlation_warning(summary),
-        biased=(to_cite(summary) or {}).get("rows", {}),
+        biased=biased(summary),
+        corrected=(to_cite(summary) or {}).get("rows", {}),
         cite=cite_sentence(summary),
         rounded=text_rounded,
         python=platform.python_version(),
