@@ -94,7 +94,8 @@ class ParameterRow:
         """Value, ends of the interval and sd that are printed, which are those to cite."""
         if self.row is None:
             return None
-        return self.corrected or (self.row.middle, *self.row.told_interval, self.row.told_sd)
+        low, high = self.row.told_interval
+        return self.corrected or (self.row.middle, low, high, self.row.told_sd)
 
     @property
     def current(self) -> tuple[float, float, float] | None:
