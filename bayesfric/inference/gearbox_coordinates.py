@@ -114,7 +114,7 @@ class GearboxCoordinates:
         self._size = len(free)
         assert sum(sizes) == self._size
         self.description = (
-            "torques felt while the motor drives, the leg's shares of them, what is missing when "
+            "torques felt while the motor drives, the load's shares of them, what is missing when "
             f"the load drives, and {_SCALES[self._scale]}"
         )
 
@@ -260,10 +260,10 @@ class GearboxCoordinates:
 
 
 _SCALES: dict[Scale, str] = {
-    "place": "the alpha/leg scale between the bounds that a passive gearbox sets",
+    "place": "the scale of load and alpha between the bounds that a passive gearbox sets",
     "drive": "the scale by mu_1, which its prior tells",
     "moment": "the scale by ml, which its prior tells",
-    "known leg": "the scale known from the leg",
+    "known leg": "the scale known from the load",
     "known drive": "the scale known from mu_1",
     "known back": "the scale known from mu_2",
     "known": "known load losses",

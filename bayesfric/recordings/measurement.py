@@ -68,3 +68,5 @@ class Measurement:
     # what no file tells, as a simulated twin
     law: Law | None = None
     left_out: tuple[LeftOut, ...] = ()  # what the user left out, in the order of time
+    # number of samples as measured, where they were interpolated to even steps
+    interpolated_from: int | None = None

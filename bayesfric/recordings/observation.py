@@ -180,6 +180,8 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         "n_outputs": chosen.n_outputs,
         **made.dropped,
     }
+    if recording.interpolated_from is not None:
+        settings["interpolated_from"] = recording.interpolated_from
     borders = np.array([a for a, _ in segments], dtype=np.int64)
     passed = as_position(recording.torque, segments, period, settings)
     resting = None

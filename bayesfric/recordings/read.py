@@ -185,6 +185,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         law=law,
         ratio=drive.ratio,
         left_out=tuple(sorted(left_out, key=lambda one: one.start)),
+        interpolated_from=sum(b - a for a, b in grid.pieces) if grid.resampled else None,
     )
 
 

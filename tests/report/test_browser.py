@@ -1,6 +1,7 @@
 """The pages in a real browser: drawn, quiet, alone, usable by keyboard, on a phone, on paper."""
 
 import base64
+import copy
 import json
 import re
 import shutil
@@ -9,10 +10,11 @@ import xml.etree.ElementTree as ET
 import pytest
 
 from bayesfric.commands.compare import compare
+from bayesfric.report.page.run_page import run_page
 
 from .chromium import barriers, events, needs_axe, needs_browser, show, until
 from .made_fleet import COUNT, WORN, write_fleet
-from .made_summaries import knee, loaded, write_draws
+from .made_summaries import every_kind, knee, loaded, write_draws
 
 pytest.importorskip("selenium", reason="selenium is not installed")
 from selenium.webdriver.common.by import By
@@ -232,6 +234,28 @@ def test_a_phone_needs_no_sideways_scrolling(browser, pages, name):
     for box in browser.find_elements(By.CSS_SELECTOR, ".scroll, .card"):
         assert box.get_attribute("tabindex") == "0"
         assert box.rect["width"] <= 380
+
+
+@pytest.mark.parametrize("width", [390, 800, 1000, 1200, 1440])
+def test_no_table_of_parameters_is_cut(browser, tmp_path, width):
+    """With every column that there is; on a phone it scrolls by itself."""
+    told = copy.deepcopy(every_kind()) | {"model_error": {"shown": True, "axes": []}}
+    for row in told["parameters"].values():
+        low, high = row["interval"]
+        wider = {"model_error_interval": [low - 0.1, high + 0.1], "model_error_sd": row["sd"] + 0.1}
+        row |= wider | {"white_interval": [low, high], "white_sd": row["sd"], "prior_sd": 123.456}
+        row |= {"prior": "halfnorm(loc=0, scale=0.123)", "prior_default": True}
+    page = tmp_path / "run.html"
+    page.write_text(run_page(tmp_path, told, "run"), encoding="utf-8")
+    show(browser, page, width=width)
+    boxes = browser.execute_script(
+        "return [...document.querySelectorAll('#parameters .scroll')].map("
+        "one => [one.scrollWidth, one.clientWidth])"
+    )
+    assert len(boxes) >= 3
+    assert all(room <= width for _, room in boxes)
+    if width > 600:
+        assert [wide for wide, room in boxes if wide > room] == []
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from bayesfric.mechanism.own_term import Term
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.inputs import AT_ROOM, steady
+from bayesfric.report.answers import calculator
 from bayesfric.report.answers.answers import answers_json
 from bayesfric.report.answers.calculator import parameter_vectors, written
 from bayesfric.report.answers.record import FILE, Answers, Seen
@@ -272,6 +273,48 @@ def test_it_says_where_the_data_never_were(browser, made):
         (told,) = browser.execute_script(ALL, [inside | change])
         assert len(told["said"]) == len(words), told["said"]
         assert all(word in line for word, line in zip(words, told["said"], strict=True))
+
+
+@pytest.mark.parametrize("low", [-3.2909538424063376, -0.8, 1.2313087030248089])
+def test_it_begins_where_the_data_were(browser, made, folder, low):
+    """Of an arm that never is at zero, either end of the angles rounds to one beyond them."""
+    _, _, answers = made("servo-pendulum")
+    rng = np.random.default_rng(4)
+    q, qd, qdd = (x * rng.uniform(-1.0, 1.0, 500) for x in (1.0298225696907643, 0.6, 0.4))
+    q += low + 1.0298225696907643
+    typical = calculator._typical(q, qd, qdd)
+    for x, began, wide in zip((q, qd, qdd), typical, (0.2, 0.2, 0.2), strict=True):
+        assert x.min() <= began <= x.max()
+        assert abs(began - np.median(np.abs(qd) if x is qd else x)) < wide * np.ptp(x)
+    seen = answers.calculator.seen.model_copy(
+        update={
+            "position": [q.min(), q.max()],
+            "speed": [qd.min(), qd.max()],
+            "slowest": 0.06,
+            "acceleration": [qdd.min(), qdd.max()],
+            "typical": typical,
+        }
+    )
+    law = answers.calculator.model_copy(update={"seen": seen})
+    text = json.dumps(answers.model_copy(update={"calculator": law}).as_dict())
+    path = page_of(folder, f"begins{low:.0f}", text)
+    show(browser, path)
+    shown = {
+        k: float(browser.find_element(By.ID, f"ask-{k}").get_attribute("value"))
+        for k in ("position", "speed", "acceleration")
+    }
+    assert list(shown.values()) == typical
+    said = [one.text for one in browser.find_elements(By.CSS_SELECTOR, ".told li")]
+    assert not [line for line in said if "never were" in line and "load" not in line]
+
+
+def test_what_a_run_begins_with_is_one_of_its_outputs(made):
+    for name in PRESETS:
+        _, fit, answers = made(name)
+        (o,) = fit.observations
+        began = answers.calculator.seen.typical
+        apart = np.stack([o.q[o.filter.centres], o.speed, o.qdd[o.filter.centres]], axis=1) - began
+        assert (np.abs(apart) <= 5.1e-3 * np.abs(began)).all(axis=1).any()
 
 
 def test_a_term_it_does_not_know_gives_no_calculator(browser, made):

@@ -12,6 +12,7 @@ from bayesfric.report.answers.calculator import calculator
 from bayesfric.report.answers.record import Answers
 from bayesfric.report.answers.stretch import _gaps, stretch
 from bayesfric.report.comparison.comparison import comparison
+from bayesfric.report.numbers import TEXT
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.page.status import Glance, glance
 from bayesfric.report.page.stretch import stretch_drawing
@@ -59,6 +60,41 @@ def test_three_answers_are_those_of_the_data():
     look = looked(failed(knee()))
     assert (look.trusted, look.known, look.right) == ("no", "no", "unasked")
     assert set(look.settled) == {"lost"}
+
+
+def card_of(tmp_path, told):
+    page = read_page(run_page(tmp_path, told, "run"))
+    (card,) = [li for li in page.all("li") if "Known?" in li.text]
+    return card
+
+
+def test_what_could_be_zero_is_no_tick(tmp_path):
+    """An interval on both sides of zero: the data tell how large it can be, not that it is."""
+    told = asked(loaded())
+    assert looked(told).known == "yes"
+    row = told["parameters"]["load.first_moment"]
+    row |= {"median": 0.01, "mean": 0.01, "interval": [-0.02, 0.04]}
+    look = looked(told)
+    assert (look.known, look.named["zero"]) == ("partly", ("load.first_moment",))
+    assert "could be zero (load.first_moment)" in card_of(tmp_path, told).text
+    assert any("first_moment" in x and "could be zero" in x for x in fit_text(told))
+    row["interval"] = [0.001, 0.04]
+    assert looked(told).known == "yes"
+    # zero of an angle is a place like any other
+    row |= {"interval": [-0.02, 0.04], "period": 6.283}
+    assert looked(told).known == "yes"
+
+
+def test_what_leans_on_zero_is_a_limit_however_narrow(tmp_path):
+    told = asked(loaded())
+    row = told["parameters"]["load.first_moment"]
+    row |= {"median": 0.01, "mean": 0.01, "interval": [0.0002, 0.03]}
+    row |= {"verdict": "data", "at_bound": "lower", "bound": 0.0, "bound_physical": True}
+    look = looked(told)
+    assert (look.known, look.named["limit"]) == ("partly", ("load.first_moment",))
+    (told_row,) = [r for r in parameter_table(told).rows if r.name == "load.first_moment"]
+    assert told_row.shown(TEXT)[0] == "≤ 0.03"
+    assert "only as a limit (load.first_moment)" in card_of(tmp_path, told).text
 
 
 def checked(coverage, **more):

@@ -10,9 +10,11 @@ from bayesfric.inference.model_error import Axis, ModelError
 from bayesfric.inference.outlying import Outlying
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.comparison.cell import posterior_cells
+from bayesfric.report.figures.quantity import quantities
+from bayesfric.report.figures.registry import FinishedRun, run_figures
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.methods_text import methods_text
-from bayesfric.report.paper.tables import summary_texts
+from bayesfric.report.paper.tables import parameter_table, summary_texts
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.model_error import add_model_error
 from bayesfric.report.summary.record import Summary
@@ -44,6 +46,49 @@ def test_widened_draws_that_a_run_holds_are_not_made_again(wrong):
     held = wide[::7]
     again = replace(wrong.fit, told=held)
     np.testing.assert_array_equal(again.wide.posterior.flat(), held)
+
+
+def test_what_room_lets_reach_zero_is_a_limit(wrong):
+    """The narrow posterior is clear of the bound; the widened one leans on it."""
+    assert wrong.summary.parameters[NAME].at_bound is None
+    held = wrong.fit.wide.posterior.flat()[::7].copy()
+    j = wrong.fit.posterior.names.index(NAME)
+    held[:, j] = np.abs(np.random.default_rng(3).normal(size=len(held))) * held[:, j].mean()
+    row = add_model_error(
+        wrong.summary, replace(wrong.fit, told=held), groups(wrong.fit)
+    ).parameters[NAME]
+    assert (row.at_bound, row.bound, row.bound_physical) == ("lower", 0.0, True)
+    assert posterior_cells(wrong.summary)[NAME].status == "determined"
+    told = wrong.summary.with_rows({NAME: row.as_dict()})
+    assert posterior_cells(told)[NAME].limit == row.model_error_interval[1]
+
+
+@pytest.mark.parametrize("stem", ["prior_posterior", "corner"])
+def test_figures_show_what_the_tables_print(wrong, stem):
+    """Densities of the widened draws, their dotted ends the tables' intervals."""
+    run = FinishedRun(wrong.fit, wrong.summary)
+    figure = run_figures()[stem].figure(run)
+    row = wrong.summary.parameters[NAME]
+    table = {r.name: r for r in parameter_table(wrong.summary).rows}
+    (q,) = (q for q in quantities(wrong.fit.wide) if q.name == NAME)
+    found = []
+    for ax in figure.axes:
+        fills = [p for p in ax.patches if p.get_gid() == "posterior"]
+        ends = [x.get_xdata()[0] * q.factor for x in ax.lines if x.get_linewidth() == 0.7]
+        if (
+            fills
+            and len(ends) == 2
+            and np.allclose(sorted(ends), table[NAME].cited[1:3], rtol=1e-9)
+        ):
+            values, edges, _ = fills[0].get_data()
+            middles = 0.5 * (edges[1:] + edges[:-1]) * q.factor
+            mean = np.average(middles, weights=values)
+            found.append(np.sqrt(np.average((middles - mean) ** 2, weights=values)))
+    assert found, "no panel has the interval of the tables"
+    # of 40 bins, and a thousandth of the draws beyond either end
+    assert found[0] == pytest.approx(row.model_error_sd, rel=0.05)
+    assert row.model_error_sd > 1.2 * row.sd
+    assert "room for the model's error, as in the tables" in run_figures()[stem].caption_of(run)
 
 
 def test_noise_and_what_is_open_keep_their_intervals(wrong):

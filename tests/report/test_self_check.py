@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from bayesfric.report.alerts import alerts_of
-from bayesfric.report.numbers import text_rounded
+from bayesfric.report.numbers import HTML, LATEX, TEXT, text_rounded
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.methods_text import methods_text
-from bayesfric.report.paper.tables import parameter_table, parameters_csv
+from bayesfric.report.paper.tables import latex_texts, parameter_table, parameters_csv
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import put_doubts
 from bayesfric.report.summary.record import ModelError
@@ -21,6 +21,7 @@ from bayesfric.report.summary.self_check import (
     self_check_doubts,
     self_check_lines,
     self_check_part,
+    to_cite,
 )
 from bayesfric.report.terminal import fit_text
 from bayesfric.self_check.quick_fit import QuickFit
@@ -130,21 +131,21 @@ def test_the_methods_say_it_in_one_sentence(result):
     assert "In 40 recordings simulated at draws of the posterior" in said
     assert f"{NAME} was biased by more than 0.3 posterior sds" in said
     row = summary.self_check.rows[NAME]
-    value, low, high = (
-        text_rounded(x, summary.rows[NAME].sd) for x in (row.corrected, *row.corrected_interval)
+    before, after = (
+        text_rounded(x, summary.rows[NAME].sd) for x in (summary.rows[NAME].middle, row.corrected)
     )
-    assert f"{NAME} would be {value} [{low}, {high}]; such simulations" in said
+    assert f"{NAME} is {after} in place of {before}; such simulations" in said
     assert "simulated at draws" not in methods_text(result.fit, result.summary).plain
 
 
 @pytest.mark.parametrize(
     ("wide", "doubted", "rule"),
     [
-        (0.0, False, "the corrected ones where there are any, else those of the tables"),
+        (0.0, False, "the corrected ones where there are any: the tables print these"),
         (10.0, False, "those of the tables, uncorrected"),
         (10.0, True, "doubtful ones are not to be cited"),
         # a bias of two sds is large beside an interval five times as wide, too
-        (5.0, False, "each with an interval as wide as that of the tables"),
+        (5.0, False, "the tables print these, with intervals that have room"),
     ],
 )
 def test_one_rule_says_what_to_cite_everywhere(tmp_path, result, wide, doubted, rule):
@@ -165,16 +166,56 @@ def test_one_rule_says_what_to_cite_everywhere(tmp_path, result, wide, doubted, 
     texts = ["\n".join(table.notes), methods_text(result.fit, summary).plain, section.text, alert,
              "\n".join(self_check_lines(summary))]  # fmt: skip
     assert [rule in text for text in texts] == [True] * 5
-    by = {0.0: "this is the value to cite", 5.0: "as wide as above", 10.0: "is the one above"}
+    by = {0.0: "this is the value to cite", 10.0: "is the one above"}
+    by[5.0] = f"{by[0.0]}, with room for the model’s error"
     assert ("doubtful" if doubted else by[wide]) in beside
     # the corrected value stands in the tables where it is the one to cite
     row = summary.self_check.rows[NAME]
-    written = f"{NAME} {text_rounded(row.corrected, summary.rows[NAME].sd)} ["
-    assert any(written in note for note in table.notes) == (wide < 10.0)
+    (line,) = (r for r in table.rows if r.name == NAME)
+    right = row.corrected if wide < 10.0 else summary.rows[NAME].middle
+    assert line.cited[0] == right
+    for medium in (TEXT, HTML, LATEX):
+        value, interval = line.shown(medium)
+        assert medium.value(right, line.cited[3]) == value
+        assert medium.interval(*line.cited[1:]) in interval
+    if wide == 5.0:  # as wide as what has room for the model's error
+        low, high = summary.rows[NAME].told_interval
+        assert line.cited[2] - line.cited[1] == pytest.approx(high - low)
+    else:
+        assert list(line.cited[1:3]) == (
+            row.corrected_interval if wide < 10.0 else summary.rows[NAME].told_interval
+        )
+    before = text_rounded(summary.rows[NAME].middle, summary.rows[NAME].told_sd)
+    noted = [note for note in table.notes if f"{NAME}, uncorrected {before} [" in note]
+    assert len(noted) == (wide < 10.0)
+    compared = latex_texts(summary, "run")["tables/methods.tex"]
+    assert ("Not corrected for the bias" in compared) == (wide < 10.0)
     lines = csv.DictReader(io.StringIO(parameters_csv(table)))
     (line,) = (one for one in lines if one["name"] == NAME)
     found = [float(line[key]) for key in ("corrected", "corrected_low", "corrected_high")]
     assert found == [row.corrected, *row.corrected_interval]
+    cite = tuple(float(line[key]) for key in ("cite", "cite_low", "cite_high"))
+    assert cite == next(r.cited[:3] for r in table.rows if r.name == NAME)
+
+
+def test_a_correction_that_changes_no_digit_is_none(result, tmp_path):
+    """A bias of 0.35 sd is below the last digit where the model's error makes that a coarse one."""
+    summary = told(result, checked(result, [0.35]))
+    row = summary.rows[NAME]
+    assert to_cite(summary) is not None
+    wide = 100.0 * row.sd
+    low, high = row.median - 1.6 * wide, row.median + 1.6 * wide
+    wider = {"model_error_interval": [low, high], "model_error_sd": wide}
+    summary = summary.with_rows({NAME: wider}, model_error=ModelError(shown=True))
+    assert summary.self_check.rows[NAME].corrected_interval
+    assert cite_sentence(summary) == ""
+    assert not [a for a in alerts_of(summary) if a.kind == "corrected"]
+    assert "corrected" not in "\n".join(self_check_lines(summary))
+    said = methods_text(result.fit, summary).plain
+    assert f"{NAME} was biased by more than 0.3 posterior sds ({NAME} by less than shows" in said
+    page = run_page(tmp_path, summary, "run")
+    assert "by the self-check:" not in page
+    assert "changes no digit" in page
 
 
 def test_nothing_is_said_of_citing_where_nothing_is_corrected(result):

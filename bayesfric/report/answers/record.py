@@ -55,6 +55,8 @@ class Seen(Part):
     acceleration: Pair
     load: Pair
     outside: NotNegative  # load torque at the joint that is worth trying
+    # position, speed and acceleration of an output in their midst; of older runs none
+    typical: Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)] | None = None
 
 
 class Calculator(Part):

@@ -130,7 +130,7 @@ def posterior_cell(row: PosteriorRow, accounts: bool, status: str = "reliable") 
     if not has_converged(row, status):
         return Cell(row.middle, "undetermined", remark=NOT_CONVERGED, converged=False)
     # as in the words of ``bayesfric fit``: the data say how far from the bound it may be
-    if row.at_bound is not None and row.verdict != "data" and told_by_data(row):
+    if row.at_bound is not None and (row.verdict == "data" or told_by_data(row)):
         limit = high if row.at_bound == "lower" else low
         words = f"{'at most' if row.at_bound == 'lower' else 'at least'} {limit:.3g}"
         words += f"; {DOUBTFUL}" if row.doubted else ""

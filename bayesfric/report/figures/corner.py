@@ -14,7 +14,13 @@ from bayesfric.errors import BadInput, nearest
 from bayesfric.inference.fitting import Fit
 from bayesfric.report.comparison.cell import Cell, posterior_cells
 from bayesfric.report.figures.marginal import draw_marginal, marginal_handles, moves
-from bayesfric.report.figures.quantity import Quantity, combinations, not_shown, quantities
+from bayesfric.report.figures.quantity import (
+    Quantity,
+    combinations,
+    not_shown,
+    quantities,
+    which_posterior,
+)
 from bayesfric.report.figures.registry import RunFigure
 from bayesfric.report.figures.style import (
     PAGE,
@@ -61,9 +67,9 @@ def _parts(
 ) -> tuple[list[Quantity], list[Cell], list[Quantity]]:
     """Give what is shown, what is said of each, and what is left out."""
     cells = posterior_cells(summary)
-    sampled = quantities(fit)
+    sampled = quantities(fit.wide)
     # what fixed parameters make up is known, and has no posterior
-    combined = [q for q in combinations(fit) if q.name in cells]
+    combined = [q for q in combinations(fit.wide) if q.name in cells]
     if chosen is None:
         shown = _choice(sampled, combined, cells, fit.target.noise.names)
     else:
@@ -179,11 +185,12 @@ FIGURE = RunFigure(
     section="posterior",
     place=1,
     draw=lambda run: partial(_drawn, *_parts(run.fit, run.summary)),
-    caption=(
+    caption=lambda run: (
         f"Diagonal: posterior density with {100 * LEVEL:.0f} % interval, dashed the prior of "
         "parameters. Below: 50 % and 90 % of the draws. What the data leave open is hatched, has "
         "no interval and is not filled in its pairs: there prior and bounds are seen. So is "
         "everything where the sampling has not converged. A limit has one dotted end."
+        + which_posterior(run.summary)
     ),
     alternative=lambda judged: rows_in_words(
         row for row in judged.table.rows if row.group in ("free", "parameter")

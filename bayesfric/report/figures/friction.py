@@ -278,7 +278,7 @@ def friction_caption(fit: Fit) -> str:
     if CurveJudge(fit).open_scale:
         return start + (
             "Load is the mean of what the motor feels of it while driving and while driven: the "
-            "scale between leg and gearbox is open, and only this mean is the same for all "
+            "scale between load and gearbox is open, and only this mean is the same for all "
             "parameters that make the same torque."
         )
     return start + "Load is the torque at the joint over the ratio, positive against the motion."

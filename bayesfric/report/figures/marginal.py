@@ -69,6 +69,8 @@ def _ends(cell: Cell, draws: Array, factor: float) -> list[float]:
         return []
     if cell.limit is not None:
         return [cell.limit / factor]
+    if cell.interval is not None:  # that of the tables, to the digit
+        return [end / factor for end in cell.interval]
     return [float(end) for end in np.quantile(draws, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2])]
 
 

@@ -14,7 +14,7 @@ from bayesfric.inference.fitting import Fit
 from bayesfric.report.comparison.cell import Cell, posterior_cells
 from bayesfric.report.figures import style
 from bayesfric.report.figures.marginal import draw_marginal, marginal_handles
-from bayesfric.report.figures.quantity import Quantity, not_shown, quantities
+from bayesfric.report.figures.quantity import Quantity, not_shown, quantities, which_posterior
 from bayesfric.report.figures.registry import JudgedRun, RunFigure
 from bayesfric.report.figures.style import corner_words, panel_grid, paper_figure, remark_below
 from bayesfric.report.page.values import judgement
@@ -37,7 +37,7 @@ def prior_posterior_figure(fit: Fit, summary: Summary) -> Figure:
     some times as wide as the posterior, else the posterior with the prior passing through;
     the ratio of the two sds stands beside the verdict. At most twenty-four panels.
     """
-    return _drawn(quantities(fit), summary.parameters, posterior_cells(summary))
+    return _drawn(quantities(fit.wide), summary.parameters, posterior_cells(summary))
 
 
 def _drawn(
@@ -66,8 +66,9 @@ def _panel(ax: Axes, q: Quantity, row: PosteriorRow, cell: Cell) -> None:
     style.few_ticks(ax.xaxis, 3, inner=True)
     ax.set_xlabel(q.label())
     corner_words(ax, words, "verdict")
-    if (row.narrowing or 0.0) > _WIDEST:
-        corner_words(ax, f"1:{_two_digits(row.narrowing or 0.0)}", "ratio", "right")
+    narrowing = row.prior_sd / row.told_sd if row.prior_sd and row.told_sd else 0.0
+    if narrowing > _WIDEST:
+        corner_words(ax, f"1:{_two_digits(narrowing)}", "ratio", "right")
 
 
 def _two_digits(x: float) -> str:
@@ -100,13 +101,14 @@ FIGURE = RunFigure(
     title="Prior and posterior",
     section="posterior",
     draw=lambda run: partial(
-        _drawn, quantities(run.fit), run.summary.parameters, posterior_cells(run.summary)
+        _drawn, quantities(run.fit.wide), run.summary.parameters, posterior_cells(run.summary)
     ),
-    caption=(
+    caption=lambda run: (
         f"Prior (dashed) and posterior density of each parameter; dotted: {100 * LEVEL:.0f} % "
         "interval; hatched where the data leave the parameter open. 1:n compares the sds of "
         "posterior and prior. A posterior can be far narrower than its prior and open all the "
         "same: then priors and bounds of other parameters confine it."
+        + which_posterior(run.summary)
     ),
     alternative=_words,
 )

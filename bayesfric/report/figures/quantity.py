@@ -11,6 +11,8 @@ from bayesfric.inference.prior.priors import Prior
 from bayesfric.mechanism.derived import derive
 from bayesfric.report.figures.style import Array, mathtext, power_of_ten, scaled_unit
 from bayesfric.report.summary.noise import noise_unit
+from bayesfric.report.summary.record import Summary
+from bayesfric.report.summary.self_check import cited
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +79,16 @@ def combinations(fit: Fit) -> list[Quantity]:
         for d in derive(fit.chain, fit.chain_draws(), 0.0)
         if d.gauge_free and np.isfinite(d.values).all()
     ]
+
+
+def which_posterior(summary: Summary) -> str:
+    """Say of which posterior figures are whose intervals stand in the tables, where it matters."""
+    error, corrected = summary.model_error, cited(summary)
+    wide = error is not None and error.shown
+    words = " Densities and intervals have room for the model's error, as in the tables." * wide
+    if corrected:
+        words += f" Not corrected for bias, as the tables are: {', '.join(corrected)}."
+    return words
 
 
 def not_shown(left_out: list[Quantity]) -> str:

@@ -329,7 +329,7 @@ def _handles(found: Ridge) -> list[Artist]:
 def _words(judged: JudgedRun) -> str:
     meanings = "; ".join(one.meaning for one in judged.summary.identifiability.null_directions)
     if not meanings:
-        return "The data hold the scale between gearbox and leg; no null direction is left."
+        return "The data hold the scale between gearbox and load; no null direction is left."
     open_ = [
         r.name for r in judged.table.rows if r.cell.status == "undetermined" and r.cell.converged
     ]

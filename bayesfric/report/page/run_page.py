@@ -27,7 +27,7 @@ from bayesfric.report.page.strip import methods_of, strips
 from bayesfric.report.paper.tables import ParameterTable, parameter_table
 from bayesfric.report.summary.noise import white_wider
 from bayesfric.report.summary.record import Readable, Summary
-from bayesfric.report.summary.self_check import cite_sentence, to_cite
+from bayesfric.report.summary.self_check import biased, cite_sentence, to_cite
 from bayesfric.report.text_templates import sentence
 
 
@@ -75,6 +75,8 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         else "",
         cite=cite_sentence(read),
         which_to_cite=(to_cite(read) or {}).get("which"),
+        corrections=(to_cite(read) or {}).get("rows", {}),
+        biased=biased(read),
         white_wider=white_wider(read),
         methods_text=_text(folder / "text" / "methods.txt").strip(),
     )

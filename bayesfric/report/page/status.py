@@ -25,8 +25,8 @@ class Glance:
     trusted: Kind
     known: Kind
     right: Kind
-    # the joint's parameters by what settles them: `data`, `together`, `limit`, or not: `doubted`,
-    # `open`, `lost`
+    # the joint's parameters by what settles them: `data`, `zero` (data, but its interval holds
+    # zero), `together`, `limit`, or not: `doubted`, `open`, `lost`
     settled: tuple[str, ...]
     named: dict[str, tuple[str, ...]]  # those parameters, by the same words
     combined: int  # combinations of them that the data determine
@@ -53,13 +53,15 @@ def glance(table: ParameterTable, summary: Summary) -> Glance:
     )  # fmt: skip
 
 
-_ORDER = ("data", "together", "limit", *_UNKNOWN)
+_ORDER = ("data", "zero", "together", "limit", *_UNKNOWN)
 
 
 def _settled(row: ParameterRow) -> str:
     if not row.cell.converged:
         return "lost"
-    return "doubted" if row.cell.doubted else row.by
+    if row.cell.doubted:
+        return "doubted"
+    return "zero" if row.by == "data" and row.row and row.row.may_be_zero else row.by
 
 
 def _trusted(summary: Summary) -> Kind:

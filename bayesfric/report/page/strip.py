@@ -71,14 +71,14 @@ def methods_of(made: Iterable[Strip]) -> list[tuple[str, int]]:
 
 
 def _told(row: ParameterRow, columns: list[Column], cells: Mapping[str, Cell]) -> Iterator[_Told]:
-    if row.row is None:
+    if row.row is None or row.cited is None:
         return
     if row.row.prior_interval:
         low, high = row.row.prior_interval
         yield _Told("prior", "prior", low, high, None, 0)
     if row.cell.status == "determined":
-        low, high = row.row.told_interval
-        yield _Told("interval", "posterior", low, high, row.row.middle, 0)
+        middle, low, high, _ = row.cited
+        yield _Told("interval", "posterior", low, high, middle, 0)
     elif row.cell.limit is not None and row.row.bound is not None:
         low, high = sorted((row.row.bound, row.cell.limit))
         yield _Told("interval", "posterior", low, high, None, 0)

@@ -20,10 +20,11 @@ from bayesfric.mechanism.parameter import effort_words
 from bayesfric.report.comparison.cell import TOGETHER
 from bayesfric.report.numbers import text_rounded
 from bayesfric.report.paper import latex
+from bayesfric.report.paper.equation import latex_equations, of_eq_13, plain_equations
 from bayesfric.report.paper.tables import counts, parameter_table
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Readable, Summary
-from bayesfric.report.summary.self_check import cite_sentence, to_cite
+from bayesfric.report.summary.self_check import biased, cite_sentence, to_cite
 from bayesfric.report.text_templates import filled
 
 _ENTRY = re.compile(r"^% ([^\n]+)\n(@\w+\{(\w+),\n.*?^\}\n)", re.MULTILINE | re.DOTALL)
@@ -84,12 +85,25 @@ def methods_text(fit: Fit, summary: Readable) -> MethodsText:
         last = match.end()
     parts.append(latex.escaped(marked[last:]))
     typeset = _typeset("".join(parts))
-    return MethodsText(_CITED.sub(words, marked) + "\n", typeset + "\n", bibliography(keys), keys)
+    written = "\n".join(f"    {line}" for line in plain_equations(fit.chain))
+    said = _with_equation(_CITED.sub(words, marked), f"\n\n{written}\n\n")
+    typeset = _with_equation(typeset, f"\n{latex_equations(fit.chain)}\n")
+    return MethodsText(said + "\n", typeset + "\n", bibliography(keys), keys)
+
+
+def _with_equation(text: str, equation: str) -> str:
+    """Put the equation behind the paragraph that announces it, the first."""
+    first, _, rest = text.partition("\n\n")
+    return first + equation + rest
+
+
+_FORM = r"$\psi\Theta_1 + \operatorname{sign}(\dot q)\,|\psi\Theta_2|$"
 
 
 def _typeset(text: str) -> str:
     """Keep numbers and their units on one line, and set what has a symbol as one."""
     text = re.sub(r"(\d) (\\%|(?:Hz|rad/s|m/s|ms|s|kg|m|N)\b)", r"\1\\,\2", text)
+    text = text.replace("psi Theta1 + sign(qd)|psi Theta2|", _FORM)
     text = text.replace("\\,N m", r"\,N\,m").replace("R-hat", r"$\widehat{R}$")
     return re.sub(r"\bp (=|<) (\d\.?\d*)(?:e([+-]\d+))?", _p_value, text)
 
@@ -130,10 +144,12 @@ def _sentences(fit: Fit, summary: Summary) -> str:
         carried=len(loaded),
         constants=[x for o in seen if (x := o.settings.get("torque_constant")) is not None],
         joint=joint,
+        eq13=of_eq_13(fit.chain),
         by=counts([row for row in joint if row.cell.converged]),
         together=TOGETHER,
         correlated=correlation_warning(summary),
-        biased=(to_cite(summary) or {}).get("rows", {}),
+        biased=biased(summary),
+        corrected=(to_cite(summary) or {}).get("rows", {}),
         cite=cite_sentence(summary),
         rounded=text_rounded,
         python=platform.python_version(),

@@ -25,8 +25,8 @@ from bayesfric.report.paper import latex
 from bayesfric.report.summary.bounds import bound_mend
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Readable, Summary, of_noise
-from bayesfric.report.summary.rows import KnownRow, PosteriorRow
-from bayesfric.report.summary.self_check import cite_sentence, to_cite
+from bayesfric.report.summary.rows import KnownRow, PosteriorRow, amperes
+from bayesfric.report.summary.self_check import cite_sentence, cited, to_cite
 from bayesfric.report.summary.summary import summary_table
 from bayesfric.report.text_templates import filled
 
@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     from bayesfric.report.comparison.between_runs import PooledQuantity
 
 _GROUPS = {
-    "free": "What the motor feels, whatever the scale of leg and gearbox",
+    "free": "What the motor feels, whatever the scale of load and gearbox",
     "parameter": "Parameters",
-    "derived": "Derived, of the scale of leg and gearbox",
+    "derived": "Derived, of the scale of load and gearbox",
     "known": "Taken as known",
 }
 # By what settles a number, as on the page, in words that a column of a paper has room for.
@@ -53,6 +53,7 @@ COLUMNS = [
     "group", "name", "symbol", "meaning", "unit", "status", "verdict",
     "median", "mean", "sd", "low", "high", "level", "limit", "remark",
     "current", "current_low", "current_high", "corrected", "corrected_low", "corrected_high",
+    "cite", "cite_low", "cite_high",
 ]  # fmt: skip
 
 
@@ -65,6 +66,8 @@ class ParameterRow:
     name: str
     told: PosteriorRow | KnownRow
     cell: Cell  # what may be said of it, as in the comparison of methods
+    # value, ends of the interval and sd to cite in place of the posterior's, where it is corrected
+    corrected: tuple[float, float, float, float] | None = None
 
     @property
     def row(self) -> PosteriorRow | None:
@@ -87,11 +90,27 @@ class ParameterRow:
         return self.told.meaning
 
     @property
+    def cited(self) -> tuple[float, float, float, float] | None:
+        """Value, ends of the interval and sd that are printed, which are those to cite."""
+        if self.row is None:
+            return None
+        low, high = self.row.told_interval
+        return self.corrected or (self.row.middle, low, high, self.row.told_sd)
+
+    @property
+    def current(self) -> tuple[float, float, float] | None:
+        """What value and ends are in A, if of a current."""
+        if self.cited is None or self.row is None or not self.row.torque_constant:
+            return None
+        middle, low, high = (amperes(x, self.row.torque_constant) for x in self.cited[:3])
+        return middle, low, high
+
+    @property
     def skewed(self) -> bool:
         """Whether one sd would misname the interval's two sides."""
-        if self.row is None or self.row.median is None:
+        if self.cited is None or self.row is None or self.row.median is None:
             return False
-        return is_skewed(self.row.median, *self.row.told_interval)
+        return is_skewed(*self.cited[:3])
 
     @property
     def by(self) -> str:
@@ -120,7 +139,7 @@ class ParameterRow:
 
     def shown(self, medium: Medium) -> tuple[str, str]:
         """Write value and interval; an open one has neither."""
-        if self.row is None:
+        if self.cited is None or self.row is None:
             return medium.number(self.cell.value, 5), medium.none
         if self.cell.limit is not None:
             sign = medium.limits[self.cell.at_bound == "upper"]
@@ -129,11 +148,11 @@ class ParameterRow:
             return f"{medium.none} ({self.verdict})", medium.none
         if not self.row.sd:
             return medium.number(self.row.middle, 5), medium.none
-        (low, high), sd = self.row.told_interval, self.row.told_sd
+        middle, low, high, sd = self.cited
         ends = self.with_doubt(medium.interval(low, high, sd))
         if self.skewed:
-            return medium.ends(self.row.middle, low, high, sd), ends
-        return medium.value(self.row.middle, sd), ends
+            return medium.ends(middle, low, high, sd), ends
+        return medium.value(middle, sd), ends
 
 
 @dataclass(frozen=True)
@@ -155,7 +174,6 @@ class ParameterTable:
 
     def notes_where(self, *, marked: bool) -> tuple[str, ...]:
         """Say what to know besides; ``marked`` is whether open numbers are marked ``(prior)``."""
-        cite = to_cite(self.summary)
         text = filled(
             "parameter_notes.txt.j2",
             rows=self.rows,
@@ -165,8 +183,6 @@ class ParameterTable:
             correlated=correlation_warning(self.summary),
             marked=marked,
             cite=cite_sentence(self.summary),
-            biased=cite["rows"] if cite and cite["which"] != "tables" else {},
-            of={row.name: row.row for row in self.rows},
             rounded=text_rounded,
         )
         return tuple(text.splitlines())
@@ -180,7 +196,7 @@ class ParameterTable:
 def parameter_table(summary: Readable, run: str = "summary.json") -> ParameterTable:
     """Judge every number of a summary for the table of parameters.
 
-    What no scaling of leg and alpha changes comes first; ``run`` is what complaints call it.
+    What no scaling of load and alpha changes comes first; ``run`` is what complaints call it.
     """
     read = Summary.read(summary, run)
     groups = {
@@ -188,8 +204,15 @@ def parameter_table(summary: Readable, run: str = "summary.json") -> ParameterTa
         "parameter": read.parameters,
         "derived": {name: row for name, row in read.derived.items() if not row.gauge_free},
     }
+    corrected = cited(read)
     rows = [
-        ParameterRow(group, name, row, posterior_cell(row, read.accounts, read.sampler.status))
+        ParameterRow(
+            group,
+            name,
+            row,
+            posterior_cell(row, read.accounts, read.sampler.status),
+            corrected.get(name),
+        )
         for group, members in groups.items()
         for name, row in members.items()
     ]
@@ -225,7 +248,8 @@ def parameters_csv(table: ParameterTable) -> str:
             told |= {key: getattr(r.row, key) for key in ("median", "mean", "sd", "level")}
             told["low"], told["high"] = r.row.told_interval
             told["sd"] = r.row.told_sd
-            current = r.row.current or (None, None, None)
+            told |= dict(zip(("cite", "cite_low", "cite_high"), r.cited or (), strict=False))
+            current = r.current or (None, None, None)
             told["current"], told["current_low"], told["current_high"] = current
             if (right := corrected.get(r.name)) is not None:
                 told["corrected"] = right.corrected
@@ -300,8 +324,8 @@ def _table(
     return "\n".join(lines) + "\n"
 
 
-def methods_latex(found: Comparison) -> str:
-    """Lay a comparison of methods, or of runs, out as a ``table*``."""
+def methods_latex(found: Comparison, notes: Sequence[str] = ()) -> str:
+    """Lay a comparison of methods, or of runs, out as a ``table*``, with ``notes`` of one's own."""
     runs = len({column.run for column in found.columns} - {""})
     body: list[str] = []
     group = None
@@ -330,8 +354,11 @@ def methods_latex(found: Comparison) -> str:
         "m: of each run's own motion, another motion gives other values": runs > 1
         and any(row.of_motion for row in found.rows),
     }
-    notes = ["One standard deviation in parentheses, accounting for correlated residuals"]
-    notes += [note for note, applies in told.items() if applies]
+    notes = [
+        "One standard deviation in parentheses, accounting for correlated residuals",
+        *notes,
+        *(note for note, applies in told.items() if applies),
+    ]
     columns = "@{}ll" + "l" * len(found.columns) + "@{}"
     words = (
         ("Runs side by side", "tab:runs") if runs > 1 else ("Estimates by method", "tab:methods")
@@ -390,7 +417,10 @@ def summary_texts(summary: Readable, run: str) -> dict[str, str]:
 
 def latex_texts(summary: Readable, run: str) -> dict[str, str]:
     """Lay the same numbers out as LaTeX, by file name inside the run directory."""
+    table = parameter_table(summary, run)
+    corrected = any(row.corrected for row in table.rows)
+    notes = ["Not corrected for the bias of filters and encoder"] if corrected else []
     return {
-        "tables/parameters.tex": parameters_latex(parameter_table(summary, run)),
-        "tables/methods.tex": methods_latex(comparison({run: summary})),
+        "tables/parameters.tex": parameters_latex(table),
+        "tables/methods.tex": methods_latex(comparison({run: summary}), notes),
     }

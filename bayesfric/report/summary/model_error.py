@@ -9,6 +9,7 @@ import numpy as np
 
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.outlying import Outlying
+from bayesfric.report.summary.bounds import leaning
 from bayesfric.report.summary.derived_quantities import Groups, spread
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import ModelError as Told
@@ -43,6 +44,11 @@ def add_model_error(summary: Summary, fit: Fit, derived: Groups) -> Summary:
                 values = group.values(fit.target.chain_values(some))
             found |= {q.name: x for q, x in zip(group.found, values, strict=True)}
     changes = {name: _change(summary, name, x) for name, x in found.items()}
+    limits = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
+    for name, prior in zip(fit.posterior.names, fit.posterior.priors, strict=True):
+        if changes.get(name) and summary.rows[name].at_bound is None:
+            # what has more room may come to lean on a bound
+            changes[name] |= leaning(found[name], prior.limits, limits[name])
     after = summary.with_rows(changes, model_error=told)
     # of which intervals are too narrow it says something else now
     before = correlation_warning(summary)

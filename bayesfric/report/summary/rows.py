@@ -105,6 +105,16 @@ class PosteriorRow(Spread, Described):
         return self.sd if self.model_error_sd is None else self.model_error_sd
 
     @property
+    def may_be_zero(self) -> bool:
+        """Whether zero, which of an angle is a place like any other, is in :attr:`told_interval`.
+
+        A number that cannot be negative never has it inside; it leans on that bound.
+        """
+        low, high = self.told_interval
+        leans = self.at_bound == "lower" and self.bound == 0.0
+        return self.period is None and (low <= 0.0 <= high or leans)
+
+    @property
     def reaches(self) -> str:
         """Say that it reaches to an end of its range, if it does."""
         ends = {"lower": "down to the least", "upper": "up to the most"}
@@ -113,7 +123,7 @@ class PosteriorRow(Spread, Described):
     @property
     def beside(self) -> list[str]:
         """What to know of it besides its verdict."""
-        told = [self.reaches] if self.reaches else []
+        told = [self.reaches] if self.reaches else ["could be zero"] if self.may_be_zero else []
         if self.undefined_share:
             told.append(f"undefined in {100 * self.undefined_share:.0f} % of the draws")
         return told

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from bayesfric.inference.fitting import Fit
+from bayesfric.report.numbers import text_rounded
 from bayesfric.report.summary.derived_quantities import LEVEL, Groups
 from bayesfric.report.summary.record import SelfCheck, SelfCheckRow, Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow
@@ -100,8 +101,29 @@ def off_rows(summary: Summary) -> dict[str, SelfCheckRow]:
     return {
         name: row
         for name, row in (check.rows.items() if check else ())
-        if summary.rows[name].verdict != "prior" and (row.corrected_interval or row.coverage < LOW)
+        if summary.rows[name].verdict != "prior"
+        and (_corrects(summary.rows[name], row) or row.coverage < LOW)
     }
+
+
+def biased(summary: Summary) -> list[str]:
+    """Name what is biased enough to be corrected; not what is open anyway."""
+    rows = summary.self_check.rows if summary.self_check else {}
+    return [
+        n for n, r in rows.items() if r.corrected_interval and summary.rows[n].verdict != "prior"
+    ]
+
+
+def _corrects(row: PosteriorRow, checked: SelfCheckRow) -> bool:
+    """Whether it is corrected, and printed otherwise than it was; a limit is told as it is."""
+    if checked.corrected is None or checked.corrected_interval is None or row.at_bound is not None:
+        return False
+    before = row.middle, *row.interval
+    after = checked.corrected, *checked.corrected_interval
+    return any(
+        text_rounded(a, row.told_sd) != text_rounded(b, row.told_sd)
+        for a, b in zip(before, after, strict=True)
+    )
 
 
 def to_cite(summary: Summary) -> dict[str, Any] | None:
@@ -111,7 +133,8 @@ def to_cite(summary: Summary) -> dict[str, Any] | None:
     ``tables``; and ``both``, the one's values with the other's width, where a bias is large even
     beside that room.
     """
-    rows = {name: row for name, row in off_rows(summary).items() if row.corrected_interval}
+    off = off_rows(summary)
+    rows = {name: row for name, row in off.items() if _corrects(summary.rows[name], row)}
     if not rows:
         return None
     allowed = summary.model_error is not None and summary.model_error.shown
@@ -120,6 +143,27 @@ def to_cite(summary: Summary) -> dict[str, Any] | None:
     which = "corrected" if not allowed else "both" if moved > BIASED else "tables"
     doubted = any(told[name].doubted for name in rows)
     return {"rows": rows, "allowed": allowed, "which": which, "doubted": doubted}
+
+
+def cited(summary: Summary) -> dict[str, tuple[float, float, float, float]]:
+    """Give corrected values to cite: value, ends of the interval and sd, by name.
+
+    What is not among them is cited as the posterior has it.
+    """
+    told = to_cite(summary)
+    if told is None or told["which"] == "tables":
+        return {}
+    found = {}
+    for name, checked in told["rows"].items():
+        row = summary.rows[name]
+        low, high = checked.corrected_interval
+        sd = row.sd * (high - low) / ((row.interval[1] - row.interval[0]) or 1.0)
+        if told["which"] == "both":  # as wide as what has room for the model's error
+            low, high = (checked.corrected + end - row.middle for end in row.told_interval)
+            low = max(low, 0.0) if row.told_interval[0] >= 0.0 else low
+            sd = row.told_sd
+        found[name] = checked.corrected, low, high, sd
+    return found
 
 
 def _by_data(summary: Summary) -> dict[str, SelfCheckRow]:
@@ -153,6 +197,7 @@ def self_check_lines(summary: Summary) -> Iterator[str]:
         allowed = summary.model_error is not None and summary.model_error.shown
         told = {"check": check, "why": why, "off": off_rows(summary), "allowed": allowed}
         told["cite"] = cite_sentence(summary)
+        told["corrected"] = (to_cite(summary) or {}).get("rows", {})
         told["doubted"] = {name for name, row in summary.rows.items() if row.doubted}
         text = filled("self_check.txt.j2", **told)
         yield from text.splitlines()

@@ -22,7 +22,7 @@ from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.prior.priors import Prior
 from bayesfric.mechanism.parameter import TURN
 from bayesfric.report.summary import noise as noise_part
-from bayesfric.report.summary.bounds import bound_warning
+from bayesfric.report.summary.bounds import bound_warning, leaning
 from bayesfric.report.summary.derived_quantities import (
     LEVEL,
     Groups,
@@ -263,7 +263,7 @@ def _parameters(fit: Fit, local: LocalInformation) -> dict[str, Any]:
             "contraction": _number(1.0 - (sd / prior_sd) ** 2),
             "data_sd": _number(data_sd),
             "verdict": verdict(sd, prior_sd, data_sd),
-            **_at_bound(flat[:, j], prior.limits, possible[name]),
+            **leaning(flat[:, j], prior.limits, possible[name]),
             "prior_sensitivity": _number(moved_by[name].prior),
             "likelihood_sensitivity": _number(moved_by[name].likelihood),
             "diagnosis": moved_by[name].diagnosis,
@@ -277,22 +277,6 @@ def _prior_interval(prior: Prior) -> dict[str, Any]:
     # a whole turn has none: where it is cut means nothing
     known = np.isfinite(ends).all() and not prior.whole_turn
     return {"prior_interval": list(ends)} if known else {}
-
-
-def _at_bound(
-    x: Array, prior: tuple[float, float], possible: tuple[float, float]
-) -> dict[str, Any]:
-    """Say on which bound a posterior leans: 5 % of it within a fifth of an sd of the bound.
-
-    A bound of the prior is physical where the parameter can go no further.
-    """
-    low, high = np.quantile(x, [0.05, 0.95])
-    near = 0.2 * x.std()
-    if not (low - prior[0] < near or prior[1] - high < near):
-        return {"at_bound": None}
-    side = 0 if low - prior[0] < near else 1
-    bound = {"at_bound": ("lower", "upper")[side], "bound": prior[side]}
-    return bound | {"bound_physical": prior[side] == possible[side]}
 
 
 def _number(x: float) -> float | None:
