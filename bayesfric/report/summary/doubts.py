@@ -25,10 +25,10 @@ from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.quantities import QUANTITIES, TOTALS, Quantity, State
 from bayesfric.recordings.observation import LEAST_RATIO, Observation
 from bayesfric.report.numbers import in_tenths
-from bayesfric.report.summary.bounds import noise_cut
+from bayesfric.report.summary.bounds import held, noise_cut
 from bayesfric.report.summary.position_unit import best_share, other_units
 from bayesfric.report.summary.record import Doubt, Summary, quantity_of
-from bayesfric.report.summary.rows import Spread
+from bayesfric.report.summary.rows import PosteriorRow, Spread
 
 # Share of the torque's variance that a model of the joint should explain, where what it leaves
 # is no white noise.
@@ -65,6 +65,8 @@ def find_doubts(
         return []  # there is no posterior to doubt
     rows = {**summary.joint, **summary.derived}
     told = [name for name, row in rows.items() if row.verdict == "data"]
+    # what rests on the data at all: a limit, or what they settle with a prior's help, too
+    resting = [name for name, row in rows.items() if row.verdict != "prior" or held(row)]
     memory = list(_memory(choice))
     error = summary.model_error
     lacking = bool(memory) or (error is not None and error.shown)
@@ -80,14 +82,17 @@ def find_doubts(
         *_noise(summary, told, white),
         *_cut(summary),
         *_acceleration(fit, summary, told),
-        *({**one, "of": _of_motion(fit, told)} for one in _late(delays, fit.observations)),
-        *({**one, "of": of} for one in _turning(turn) if (of := _turned(told, one["moved"]))),
+        *({**one, "of": _of_motion(fit, resting)} for one in _late(delays, fit.observations)),
+        *({**one, "of": of} for one in _turning(turn) if (of := _turned(resting, one["moved"]))),
     ]
-    return [{"kind": one.pop("kind"), "parameters": one.pop("of", told), **one} for one in found]
+    return [{"kind": one.pop("kind"), "parameters": one.pop("of", resting), **one} for one in found]
 
 
 def put_doubts(summary: Summary, doubts: Sequence[Mapping[str, Any]]) -> Summary:
-    """Put doubts into a summary: what they are of is not ``data``, the run not ``reliable``."""
+    """Put doubts into a summary: what they are of is not ``data``, the run not ``reliable``.
+
+    ``undoubted`` keeps what else would be said of a number.
+    """
     told = [Doubt.model_validate(one) for one in doubts]
     if not told:
         return summary.model_copy(update={"doubts": told})
@@ -98,8 +103,13 @@ def put_doubts(summary: Summary, doubts: Sequence[Mapping[str, Any]]) -> Summary
     sampler = summary.sampler
     if sampler.status == "reliable":
         sampler = sampler.model_copy(update={"status": "tentative"})
-    changes = {name: {"doubted": of, "verdict": "weak"} for name, of in kinds.items()}
+    changes = {name: _doubted(summary.rows[name], of) for name, of in kinds.items()}
     return summary.with_rows(changes, doubts=told, sampler=sampler)
+
+
+def _doubted(row: PosteriorRow, kinds: list[str]) -> dict[str, Any]:
+    demoted = "weak" if row.verdict == "data" else row.verdict
+    return {"doubted": kinds, "verdict": demoted, "undoubted": row.undoubted or row.verdict}
 
 
 def _unexplained(fit: Fit, summary: Summary, delays: Sequence[Delay]) -> list[dict[str, Any]]:
