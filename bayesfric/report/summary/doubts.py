@@ -26,6 +26,7 @@ from bayesfric.mechanism.quantities import QUANTITIES, TOTALS, Quantity, State
 from bayesfric.recordings.observation import LEAST_RATIO, Observation
 from bayesfric.report.numbers import in_tenths
 from bayesfric.report.summary.bounds import held, noise_cut
+from bayesfric.report.summary.position_delay import other_time
 from bayesfric.report.summary.position_unit import best_share, other_units
 from bayesfric.report.summary.record import Doubt, Summary, quantity_of
 from bayesfric.report.summary.rows import PosteriorRow, Spread
@@ -117,7 +118,7 @@ def _unexplained(fit: Fit, summary: Summary, delays: Sequence[Delay]) -> list[di
     if share is None or share >= _EXPLAINED or lag is None or lag <= CORRELATED:
         return []
     told = {"kind": "unexplained", "share": share, "quantity": summary.fit.quantity}
-    return [told | _instead(fit.chain, fit.observations, delays)]
+    return [told | _instead(fit.chain, fit.observations, delays, None)]
 
 
 def little_explained(
@@ -135,13 +136,21 @@ def little_explained(
         return []
     quantity = effort_words("motor torque", chain.motor_motion)
     told = {"kind": "unexplained", "share": share, "quantity": quantity}
-    return [told | _instead(chain, observations, delays)]
+    return [told | _instead(chain, observations, delays, share)]
 
 
 def _instead(
-    chain: Joint, observations: Sequence[Observation], delays: Sequence[Delay]
+    chain: Joint,
+    observations: Sequence[Observation],
+    delays: Sequence[Delay],
+    share: float | None,
 ) -> dict[str, Any]:
-    """Say what may be wrong where little is explained: never the mechanism that is in use."""
+    """Say what may be wrong where little is explained: never the mechanism that is in use.
+
+    ``share`` is what the best totals explain, where it is known already.
+    """
+    if share is None:
+        share, _ = best_share(chain, observations)
     weighed = "first_moment" in chain.load.choices or chain.load.motion != "rotary"
     known = {} if weighed else {name: preset.chain() for name, preset in PRESETS.items()}
     presets = [
@@ -151,8 +160,12 @@ def _instead(
         and name != chain.made_from
         and other.ratio == chain.ratio
     ]
-    late = any(one.matters for one in delays)
-    return {"units": other_units(chain, observations), "presets": presets, "late": late}
+    return {
+        "units": other_units(chain, observations, share),
+        "presets": presets,
+        "late": any(one.matters for one in delays),
+        "delay": other_time(chain, observations, share, _EXPLAINED),
+    }
 
 
 def doubts_before(
