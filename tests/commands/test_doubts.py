@@ -365,7 +365,7 @@ def test_a_push_is_told_before_what_the_model_lacks(shown):
     assert found[0]["exclude"] == [[3.0, 3.4], [15.9, 16.3]]
     words = doubt_text(found[0])
     assert "exclude = [[3.0, 3.4], [15.9, 16.3]]" in words
-    assert "by up to 9 N m, 60 times as much as usual" in words
+    assert "by at least 9 N m at its worst, 60 times as much as usual" in words
     # as runs of before wrote it
     before = {key: value for key, value in found[0].items() if key not in ("torque", "unit")}
     assert "by up to 60 times as much as usual" in doubt_text(before)
