@@ -20,6 +20,7 @@ import bayesfric
 from bayesfric.errors import BadInput, Interrupted
 from bayesfric.estimates.methods import ESTIMATORS
 from bayesfric.progress import Spent, progress_shown
+from bayesfric.threads import LINEAR_ALGEBRA
 
 if TYPE_CHECKING:
     from bayesfric.config import Config
@@ -52,14 +53,6 @@ Paper = Annotated[
 RunOption = Annotated[Path | None, typer.Option("-o", "--output", help="run directory to make")]
 
 BAD_INPUT, NOT_CONVERGED, INTERRUPTED = 2, 3, 130
-
-# Our matrices are small. Threads that share one wait for each other, where another process has
-# the second core for hundreds of times as long as the work takes.
-_THREADS_OF_LINEAR_ALGEBRA = (
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-)
 
 
 @app.callback(invoke_without_command=True)
@@ -558,7 +551,7 @@ def main() -> None:
     if not sys.warnoptions:
         # libraries' remarks to programmers; python -W brings them back
         warnings.simplefilter("ignore")
-    for name in _THREADS_OF_LINEAR_ALGEBRA:
+    for name in LINEAR_ALGEBRA:
         os.environ.setdefault(name, "1")  # before NumPy is there to read it
     try:
         app(prog_name="bayesfric")

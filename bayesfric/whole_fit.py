@@ -14,6 +14,7 @@ from bayesfric.errors import BadInput
 from bayesfric.estimates.descent import few_threads
 from bayesfric.estimates.methods import ESTIMATORS, estimate_by
 from bayesfric.estimates.point_estimate import Estimate
+from bayesfric.estimates.torque_factor import torque_factor
 from bayesfric.explain.explanation import Explanation, Term, asked_for
 from bayesfric.identifiability.identification import identify
 from bayesfric.identifiability.plausible import Point
@@ -31,7 +32,7 @@ from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import White, find_doubts, put_doubts
 from bayesfric.report.summary.model_error import add_model_error
 from bayesfric.report.summary.noise import add_white_intervals, white_alternative
-from bayesfric.report.summary.record import Identifiability
+from bayesfric.report.summary.record import Identifiability, Summary, TorqueFactorPart
 from bayesfric.report.summary.self_check import self_check_doubts, self_check_part
 from bayesfric.report.summary.summary import rms, spreads, summarise
 from bayesfric.report.text_templates import sentence
@@ -92,6 +93,7 @@ def whole_fit(
     late = [] if model.chain.delay else model.delays(begun.estimates)
     turn = model.once_a_turn(begun.estimates)
     pushed = model.disturbances()
+    summary = _with_known(summary, model, begun)
     doubts = find_doubts(found, summary, begun.choice, compared, late, turn, pushed)
     if (checked := _self_check(model, found, progress)) is not None:
         part = self_check_part(found, summary, checked, derived)
@@ -194,6 +196,18 @@ def _with_white_noise(
     if white.posterior.diagnostics.status == "unusable":
         return None
     return spreads(white), rms(white)
+
+
+def _with_known(summary: Summary, model: Model, begun: Beginning) -> Summary:
+    """Put in by which factor of all torque it would agree with what is known, where it does not."""
+    point = next((dict(e.point) for e in begun.estimates if e.point), None)
+    factor = torque_factor(model.evidence, point) if point else None
+    if factor is None or not factor.matters:
+        return summary
+    told = {**vars(factor), "fixed": [*factor.fixed], "masses": [*factor.masses]}
+    part = TorqueFactorPart.model_validate({**told, "times": factor.times})
+    fit = summary.fit.model_copy(update={"torque_factor": part})
+    return summary.model_copy(update={"fit": fit})
 
 
 def _self_check(model: Model, found: Fit, progress: Callable[[Progress], None]) -> Checked | None:

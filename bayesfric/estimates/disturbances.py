@@ -64,7 +64,9 @@ class Disturbance:
     start: float
     stop: float
     times: float
-    torque: float  # by how much it is off at most, averaged over a moment, N m or N at the motor
+    # by how much it is off at the worst moment, N m or N at the motor: at least, for it is averaged
+    # over that moment, and what friction may be of it is taken off
+    torque: float
 
 
 def disturbances(
@@ -140,7 +142,8 @@ def _jolts(
             beyond = np.abs(lossless[a:b]) - losses[a:b]
             inner = a + np.flatnonzero(beyond > max(_FOOT * usual, _RISEN * float(beyond.max())))
             start, stop = o.stamps[inner[[0, -1]]].tolist()
-            most = float(lacking[a:b].max())
+            # losses of either direction may be part of it, and are not what acted
+            most = float((lacking - allowed)[a:b].max())
             yield Disturbance(o.name, start, stop, most / max(usual, _TINY), most)
 
 

@@ -18,21 +18,25 @@ from bayesfric.mechanism.quantities import SHAPES, TOTALS
 from bayesfric.recordings.observation import Observation
 
 
-def least_squares(chain: Joint, observations: Sequence[Observation]) -> Estimate:
+def least_squares(
+    chain: Joint,
+    observations: Sequence[Observation],
+    projection: TotalsProjection | None = None,
+) -> Estimate:
     """Estimate the motor-side totals of eq. (11).
 
     The gearbox is taken with one mean transfer coefficient ``alpha_m`` (eq. 10), so the torque is
     linear in the totals. Regressors and torque have passed the same parallel filter. A total that
     the motion cannot tell from others gets an infinite standard deviation. A known added mass is
     part of the totals unless recordings with different masses, or a load without parameters of its
-    own, set it apart.
+    own, set it apart. ``projection`` is theirs, where it is there already.
 
     Raises
     ------
     BadInput
         If there are fewer outputs than totals, or nothing of the model shows.
     """
-    projection = TotalsProjection(chain, observations)
+    projection = projection or TotalsProjection(chain, observations)
     names, regressors = projection.names, projection.regressors
     torque = np.concatenate([o.measured for o in observations])
     if torque.size <= len(names):

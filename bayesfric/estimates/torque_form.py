@@ -162,8 +162,10 @@ def _turning(chain: Joint) -> list[int]:
     return [i for i, p in enumerate(chain.parameters) if p.circular]
 
 
-def torque_form(chain: Joint, observations: Sequence[Observation] = ()) -> TorqueForm | None:
-    """Write a chain's torque in the form of eq. (13).
+def torque_form(
+    chain: Joint, observations: Sequence[Observation] = (), *, times_gain: bool = False
+) -> TorqueForm | None:
+    """Write a chain's torque in the form of eq. (13), or the measured one ``times_gain``.
 
     A known mass of the observations has a column of its own if the motion sets it apart. ``None``
     for a chain with several load losses, a Stribeck rise or an unknown gain, or with a known mass
@@ -172,7 +174,8 @@ def torque_form(chain: Joint, observations: Sequence[Observation] = ()) -> Torqu
     lossy = [i for i, e in enumerate(chain.elements) if e.load_loss != "none"]
     angled = bool(_turning(chain))
     masses = any(o.inputs.known_load for o in observations)
-    shaped = any(p.row.role == "form" and not p.circular for p in chain.parameters)
+    forms = [p for p in chain.parameters if p.row.role == "form" and not p.circular]
+    shaped = any(p.quantity != "gain" or not times_gain for p in forms)
     if len(lossy) > 1 or shaped or (angled and masses):
         return None
     last = lossy[0] if lossy else len(chain.elements)

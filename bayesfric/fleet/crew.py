@@ -21,6 +21,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
+from bayesfric import threads
 from bayesfric.errors import BadInput
 from bayesfric.fleet.plan import ClusterOptions
 from bayesfric.fleet.work import Done, Task, do_unit
@@ -37,9 +38,7 @@ _CONNECT = 10.0  # s
 # A worker is one thread; what it calls must not start more. And what was freed goes back to the
 # system: else a worker's memory grows with the number of its units.
 _ENVIRONMENT = {
-    **dict.fromkeys(
-        ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
-    ),
+    **dict.fromkeys(threads.ALL, "1"),
     "MALLOC_TRIM_THRESHOLD_": "65536",
     "MALLOC_ARENA_MAX": "2",
 }

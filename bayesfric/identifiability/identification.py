@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
 from bayesfric.estimates.torque import typical_load
+from bayesfric.identifiability.correlated import Correlated, widened
 from bayesfric.identifiability.coverage import BackDriving, Coverage, back_driving, coverage_of
 from bayesfric.identifiability.known_quantities import (
     Ripple,
@@ -59,7 +60,9 @@ class Prospect:
     unit: str
     meaning: str
     value: float  # at the estimate; it means nothing where data_sd is infinite
-    data_sd: float  # what the data alone would leave
+    # what the data alone would leave: the larger sd of those for independent residuals and for
+    # correlated ones
+    data_sd: float
     expected_sd: float  # data and prior together
     prior_sd: float = float("nan")  # and these two of parameters alone
     verdict: Verdict | None = None  # to be expected of the posterior
@@ -108,8 +111,12 @@ class Identification:
 
     @property
     def determined(self) -> list[Prospect]:
-        """Combinations that the data tell, whatever else they do not."""
-        return [one for one in self.combinations if one.data_sd < WEAK * abs(one.value)]
+        """Combinations that the data tell, whatever else they do not; limits and priors do not."""
+        return [
+            one
+            for one in self.combinations
+            if one.data_sd < WEAK * abs(one.value) and one.verdict == "data" and not one.on_bound
+        ]
 
     @property
     def ranges(self) -> list[tuple[float, float, float]]:
@@ -150,14 +157,13 @@ class Identification:
         values = dict(zip(("at_estimate", "least", "largest"), columns, strict=False))
         null = {"null": self.local.directions.tolerance}
         mass, voltage = self.known_mass, self.voltage
-        derived = ("name", "prior_sd", "verdict", "on_bound")
         found = {
             "method": self.method,
             "points": Counter(self.origins),
             "thresholds": {**null, "weak_log_sd": WEAK, "hardly_ever": HARDLY},
             "directions": self.directions,
             "singular_values": {**values, "null_at_each_point": self.null_counts},
-            "combinations": {p.name: _without(p, *derived) for p in self.combinations},
+            "combinations": {p.name: _without(p, "name", "prior_sd") for p in self.combinations},
             "parameters": {p.name: _without(p, "name") for p in self.parameters},
             "back_driving": {
                 one.element: _without(one, "element", "two") | {"meaning": self._seen(one)}
@@ -202,6 +208,9 @@ def identify(
     rare = any(one.plausible[0] < HARDLY for one in back)
     tried = trials(target, estimate, local, coverage, rare=rare)
     free = [p for p in chain.parameters if p.name in target.free]
+    correlated = Correlated(target, estimate, local)
+    parameters = _parameters(target, estimate, local, correlated)
+    load = typical_load(chain, observations, vectors[0])
     return Identification(
         target.likelihood.method,
         tuple(p.origin for p in points),
@@ -209,8 +218,8 @@ def identify(
         tuple(int(one.directions.null.sum()) for one in locals_),
         local,
         tuple(open_directions(locals_, free, coverage, back, tried)),
-        _parameters(target, estimate, local),
-        _combinations(target, estimate, local, typical_load(chain, observations, vectors[0])),
+        parameters,
+        _combinations(target, estimate, local, load, correlated, parameters),
         coverage,
         back,
         unknown_mass(target, estimate, local),
@@ -265,13 +274,18 @@ def moved_beside(local: LocalInformation, parameters: Array) -> tuple[Array, Arr
     return parameters + np.concatenate([beside, -beside]), 2.0 * steps
 
 
-def _parameters(target: Target, estimate: Array, local: LocalInformation) -> tuple[Prospect, ...]:
+def _parameters(
+    target: Target, estimate: Array, local: LocalInformation, correlated: Correlated
+) -> tuple[Prospect, ...]:
     described = {p.name: p for p in target.likelihood.chain.parameters}
     expected = np.sqrt(np.diag(expected_covariance(target, local))) * np.abs(local.units)
     rows = []
     for j, (name, prior) in enumerate(zip(target.free, target.priors, strict=False)):
         prior_sd, value = float(prior.sd()), float(estimate[j])
-        sds = float(expected[j]), prior_sd, float(local.data_sd[j])
+        data_sd = float(local.data_sd[j])
+        times = correlated.times(np.eye(len(target.free))[j])
+        both_sd = widened(float(expected[j]), data_sd, times)
+        sds = both_sd, prior_sd, times * data_sd
         width = _ON_BOUND * max(abs(value), prior_sd if np.isfinite(prior_sd) else 0.0)
         low, high = prior.limits
         bound = "lower" if value - low <= width else None
@@ -284,9 +298,15 @@ def _parameters(target: Target, estimate: Array, local: LocalInformation) -> tup
 
 
 def _combinations(
-    target: Target, estimate: Array, local: LocalInformation, load: float
+    target: Target,
+    estimate: Array,
+    local: LocalInformation,
+    load: float,
+    correlated: Correlated,
+    parameters: Sequence[Prospect],
 ) -> tuple[Prospect, ...]:
-    """Derive what the parameters amount to, best known first."""
+    """Derive what the parameters amount to, best known first; on a bound where all of them are."""
+    bounds = np.array([p.on_bound is not None for p in parameters])
     moved, widths = moved_beside(local, estimate)
     covariance = expected_covariance(target, local)
     found = []
@@ -300,8 +320,22 @@ def _combinations(
         used = scaled != 0.0
         expected = float(scaled[used] @ covariance[np.ix_(used, used)] @ scaled[used])
         expected_sd = float(np.sqrt(expected)) if expected >= 0.0 else float("inf")
-        data_sd = local.data_sd_of(gradient)
-        found.append(Prospect(q.name, q.unit, q.meaning, value, data_sd, expected_sd))
+        data_sd, times = local.data_sd_of(gradient), correlated.times(gradient)
+        expected_sd = widened(expected_sd, data_sd, times)
+        ends = [p.on_bound for p, some in zip(parameters, used, strict=True) if some]
+        found.append(
+            Prospect(
+                q.name,
+                q.unit,
+                q.meaning,
+                value,
+                times * data_sd,
+                expected_sd,
+                # its prior is not looked at here
+                verdict=verdict(expected_sd, float("inf"), times * data_sd),
+                on_bound=ends[0] if bounds[used].all() else None,
+            )
+        )
     return tuple(sorted(found, key=lambda one: one.data_sd / max(abs(one.value), 1e-300)))
 
 

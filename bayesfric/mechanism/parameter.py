@@ -85,6 +85,11 @@ def turned(value: Angle, towards: float) -> Angle:
     return out
 
 
+def scales_with_torque(unit: str) -> bool:
+    """Whether a wrong scale of the torque multiplies it; a loss per torque, or a speed, not."""
+    return bool({"kg", "N"} & set(unit.replace("²", "").split()))
+
+
 def effort_words(words: str, motion: Motion) -> str:
     """Say force in place of torque of what slides.
 

@@ -10,7 +10,7 @@ from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.numbers import in_tenths
 from bayesfric.report.summary.record import OutlyingRow, Readable, Summary
 from bayesfric.report.summary.reference_check import references_off
-from bayesfric.report.summary.rollout import RollOutPart
+from bayesfric.report.summary.rollout import FEWEST, RollOutPart
 from bayesfric.report.summary.self_check import to_cite
 from bayesfric.report.text_templates import sentence
 
@@ -63,17 +63,20 @@ def first_step(summary: Summary) -> str:
 
 
 def roll_out_doubt(found: RollOutPart) -> dict[str, Any] | None:
-    """Say in which recordings the motion leaves its bands too often, if in all together."""
-    if not found.pooled.narrow:
+    """Say in which recordings the motion leaves its bands too often, if in all that tell it."""
+    judged = {name: row for name, row in found.recordings.items() if not row.wide}
+    inside = [row.position.inside for row in judged.values()]
+    if not inside or (share := sum(inside) / len(inside)) >= FEWEST:
         return None
-    rows = {name: row.position for name, row in found.recordings.items() if row.narrow}
-    return {"level": found.level, "inside": found.pooled.position.inside, "narrow": rows}
+    rows = {name: row.position for name, row in judged.items() if row.narrow}
+    return {"level": found.level, "inside": share, "narrow": rows}
 
 
 def roll_out_wide(found: RollOutPart) -> dict[str, Any] | None:
     """Say of which recordings the bands are too wide to tell anything."""
     rows = {name: row for name, row in found.recordings.items() if row.wide}
-    return {"level": found.level, "unit": found.unit, "wide": rows} if rows else None
+    told = {"level": found.level, "unit": found.unit, "draws": found.draws, "wide": rows}
+    return told if rows else None
 
 
 def alerts_of(summary: Readable, where: str = "run") -> tuple[Alert, ...]:

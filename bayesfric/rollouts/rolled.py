@@ -19,6 +19,14 @@ Part = Literal["fitted", "held out", "new"]
 LEVEL = 0.9
 # Share of the time in which bands may be as wide as anything that moves, before they tell nothing.
 BLIND = 0.2
+# Share of the plays that may go another way over the top, as few as a band leaves out, before
+# nothing can be judged by the others.
+MOST_OVER = 1.0 - LEVEL
+
+
+def tells_nothing(blind: float, over: float) -> bool:
+    """Whether bands tell nothing, by the shares of :class:`Rolled`."""
+    return blind > BLIND or over > MOST_OVER
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,11 +61,14 @@ class Rolled:
     # where gravity acts; and the share of the time in which it is wider
     room: float
     blind: float
+    # share of the plays that came half a turn or more away where gravity acts: few are left out of
+    # bands and middle
+    over: float = 0.0
 
     @property
     def wide(self) -> bool:
         """Whether being inside the band says nothing."""
-        return self.blind > BLIND
+        return tells_nothing(self.blind, self.over)
 
 
 @dataclass(frozen=True, eq=False)

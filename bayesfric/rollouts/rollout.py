@@ -14,12 +14,13 @@ from bayesfric.errors import BadInput
 from bayesfric.finished import Finished, finished
 from bayesfric.inference.sampling.sampling import Progress
 from bayesfric.mechanism.closed_loop import follow
+from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.law import Law
 from bayesfric.recordings.observation import without_excluded
 from bayesfric.recordings.recording import Recording
 from bayesfric.rollouts.recordings import Recorded, of_config, of_recordings, own
-from bayesfric.rollouts.rolled import LEVEL, Error, Input, Rolled, RollOut
+from bayesfric.rollouts.rolled import LEVEL, MOST_OVER, Error, Input, Rolled, RollOut
 from bayesfric.rollouts.unexplained import played, unexplained
 
 Array = NDArray[np.float64]
@@ -135,7 +136,8 @@ def roll_out(
             posterior, one, few, played(series, len(few), m.time.size, m.period, rng), rng
         )
         rounding = _ROUNDED * one.observation.position_step
-        factors[m.name] = moving_share(m.position, alone[0], moved[0], rounding)
+        stays = ~_over(posterior.joint, m.position, alone[0], moved[0])
+        factors[m.name] = moving_share(m.position, alone[0][stays], moved[0][stays], rounding)
     # each as often as the others
     each = rng.permutation(np.resize(list(factors.values()), len(picked)))
     found = []
@@ -228,7 +230,7 @@ def moving_share(position: Array, alone: Array, moved: Array, rounding: float) -
         Standard deviation of the encoder's step.
     """
     fine = np.isfinite(alone).all(axis=0) & np.isfinite(moved).all(axis=0)
-    if not fine.any():
+    if not fine.any() or len(alone) < 2:
         return 1.0
     squares = (position - np.median(alone, axis=0))[fine] ** 2
     before = alone.var(axis=0)[fine] + rounding**2
@@ -237,6 +239,24 @@ def moving_share(position: Array, alone: Array, moved: Array, rounding: float) -
     with np.errstate(divide="ignore", invalid="ignore"):
         asked = np.where(squares > _WIDE * before, (squares / _WIDE - before) / more, 0.0)
     return float(min(np.sqrt(np.quantile(asked, LEVEL, method="inverted_cdf")), _MOST))
+
+
+def _over(joint: Joint, position: Array, *played: Array) -> NDArray[np.bool_]:
+    """Tell which plays ``(n, N)`` went another way than the joint over the top, ``(n,)``.
+
+    They came half a turn away from its position, where gravity acts: from there on each turn is
+    like the others, and one such play is as good as any other.
+    """
+    if not _weighed(joint):
+        return np.zeros(len(played[0]), dtype=np.bool_)
+    away = [np.nanmax(np.abs(one - position), axis=1, initial=0.0) for one in played]
+    return np.asarray(np.max(away, axis=0) >= np.pi)
+
+
+def _weighed(joint: Joint) -> bool:
+    """Whether gravity acts on what turns."""
+    moment = any(p.quantity == "first_moment" for p in joint.parameters)
+    return moment and joint.load.motion == "rotary"
 
 
 def _rolled(
@@ -255,8 +275,11 @@ def _rolled(
             "exclude what pushes the joint from outside, or record in a closed loop",
         )
     step = _ROUNDED * o.position_step
-    q_band, q_alone, q_middle = _bands(moved[0][~lost], alone[0][~lost], used, step)
-    v_band, v_alone, v_middle = _bands(moved[1][~lost], alone[1][~lost], used, 0.0)
+    over = _over(posterior.joint, m.position, alone[0], moved[0]) & ~lost
+    share = float(over.sum() / (~lost).sum())
+    kept = ~lost & ~over if share <= MOST_OVER else ~lost
+    q_band, q_alone, q_middle = _bands(moved[0][kept], alone[0][kept], used, step)
+    v_band, v_alone, v_middle = _bands(moved[1][kept], alone[1][kept], used, 0.0)
     speed = m.velocity if m.velocity is not None else o.qd
     law = m.law
     kind: Input = "torque"
@@ -264,7 +287,7 @@ def _rolled(
         kind = "target" if law.closed else "voltage"
     chain, room = posterior.joint, float(np.ptp(m.position[used]))
     turns = chain.load.motion == "rotary"
-    if turns and any(p.quantity == "first_moment" for p in chain.parameters):
+    if _weighed(chain):
         room = min(room, np.pi)
     return Rolled(
         name=m.name,
@@ -282,6 +305,7 @@ def _rolled(
         runaway=float(lost.mean()),
         room=room,
         blind=float(np.mean((q_band[1] - q_band[0])[used] > room)),
+        over=share,
     )
 
 

@@ -18,6 +18,7 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.model import Model
 from bayesfric.recordings.recording import Recording
 from bayesfric.report.alerts import doubt_text
+from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.summary.doubts import (
     doubts_before,
     find_doubts,
@@ -364,12 +365,33 @@ def test_a_push_is_told_before_what_the_model_lacks(shown):
     assert found[0]["exclude"] == [[3.0, 3.4], [15.9, 16.3]]
     words = doubt_text(found[0])
     assert "exclude = [[3.0, 3.4], [15.9, 16.3]]" in words
-    assert "by up to 9 N m, 60 times as much as usual" in words
+    assert "by at least 9 N m at its worst, 60 times as much as usual" in words
     # as runs of before wrote it
     before = {key: value for key, value in found[0].items() if key not in ("torque", "unit")}
     assert "by up to 60 times as much as usual" in doubt_text(before)
     assert ("before any term is added" in words) == shown
     assert put_doubts(summary, found).parameters["a.b"].doubted == ["pushed", "noise"]
+
+
+def test_a_push_is_a_doubt_of_all_that_rests_on_the_data():
+    """Also of what a prior helped to settle, and of a limit; not of what is the prior's alone."""
+    limit = row(0.01, 0.001, 0.02, "prior") | {"at_bound": "lower", "bound": 0.0}
+    limit |= {"data_sd": 0.01, "prior_sd": 0.3}
+    rows = {
+        "a.known": row(1.0, 0.9, 1.1),
+        "a.helped": row(1.0, 0.9, 1.1, "weak") | {"given_by": ["b.c"]},
+        "a.limit": limit,
+        "a.open": row(1.0, 0.9, 1.1, "prior"),
+    }
+    summary = summary_of(rows)
+    pushes = [Disturbance("run", 3.0, 3.4, 20.0, 3.0)]
+    found = put_doubts(summary, find_doubts(_Fit(), summary, pushed=pushes))
+    told = found.parameters
+    assert [name for name in rows if told[name].doubted] == ["a.known", "a.helped", "a.limit"]
+    verdicts = [(told[name].verdict, told[name].undoubted) for name in rows]
+    assert verdicts == [("weak", "data"), ("weak", "weak"), ("prior", "prior"), ("prior", None)]
+    cells = posterior_cells(found)
+    assert [cells[name].told_status for name in rows] == [*["doubtful"] * 3, "undetermined"]
 
 
 def test_pushes_that_overlap_in_tenths_of_a_second_are_one_span():

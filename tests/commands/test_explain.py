@@ -61,7 +61,7 @@ def test_a_push_comes_before_any_term(swing):
     table.loc[hand, "torque"] -= 5.0
     table.to_csv(path, index=False)
     text = swing.run("explain", "c.toml").out
-    assert text.startswith("WARNING: in small the torque is off for a while by up to ")
+    assert text.startswith("WARNING: in small the torque is off for a while by at least ")
     (span,) = bf.Model.from_config("c.toml").disturbances()
     assert (span.start, span.stop) == pytest.approx((6.0, 6.5), abs=0.05)
     (printed,) = json.loads(swing.run("explain", "c.toml", "--json").out)["pushed"]

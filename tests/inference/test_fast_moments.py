@@ -17,6 +17,7 @@ from bayesfric.inference.moments.sign_region import SignRegion
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.recordings.inputs import Signal
 
 from .test_residual_moments import with_gaps
 
@@ -75,7 +76,7 @@ class Case:
             # What rounding leaves of each residual is eps times the torques whose difference
             # it is. That is far below 1e-9 of the sum of squares unless residuals are 1e-5 of
             # the torques or less.
-            lost = 4 * 20 * np.finfo(float).eps * self.size(values)
+            lost = 4 * 20 * np.finfo(float).eps * np.nan_to_num(self.size(values), posinf=np.inf)
             bound = 1e-9 * squares + lost * (np.sqrt(squares) + lost)
         number = np.isfinite(squares)
         for a, b in ((found.lagged, expected.lagged), *zip(found.heads, expected.heads)):  # noqa: B905
@@ -138,6 +139,19 @@ def cases(make_observation):
     # no noise: the sum of squares itself is rounding at the truth
     o = make_observation(KNEE.chain(), KNEE.values, n=900, sigma=0.0)
     found["exact"] = Case(KNEE.chain(), KNEE.values, [o], 2)
+    # an unknown gain, with and without a load loss and a mass that is known
+    for name, chain, values, mass in (
+        ("gain", replace(KNEE.chain(), gain=True), KNEE.values, 0.0),
+        ("gain-single-mu-known-mass", replace(SINGLE, gain=True), SINGLE_VALUES, 1.0),
+        ("gain-no-load-loss", replace(axis, gain=True), AXIS.values, 3.0),
+    ):
+        values = {**values, "drive.gain": 0.8}
+        o = make_observation(chain, values, n=900, factor=3, added_mass=mass, radius=0.3)
+        found[name] = Case(chain, values, [o], 1)
+    # of a delay's torque, which is that of the recording, it is no factor
+    inputs = replace(o.inputs, torque_rate=Signal(o.stamps, np.gradient(o.torque, o.stamps)))
+    late, values = replace(axis, gain=True, delay=True), {**values, "drive.delay": 0.002}
+    found["gain-delay"] = Case(late, values, [replace(o, inputs=inputs)], 1)
     o = make_observation(KNEE.chain(), KNEE.values, n=3000, factor=3)
     found["narrow"] = Case(KNEE.chain(), KNEE.values, [o], 1, radius=1.5)
     return found
@@ -152,6 +166,10 @@ NAMES = [
     "angle",
     "rest",
     "exact",
+    "gain",
+    "gain-single-mu-known-mass",
+    "gain-no-load-loss",
+    "gain-delay",
     "narrow",
 ]
 

@@ -71,6 +71,10 @@ def test_what_is_doubted_is_pooled_and_said_to_be():
     runs["b"] = runs["b"].with_rows(changes)
     (viscous,) = (one for one in between_runs(runs) if one.name == "motor.viscous")
     assert viscous.doubted == 1
+    # what a prior helped to settle is not the data's because somebody pushed, too
+    changes["motor.viscous"] |= {"undoubted": "weak"}
+    runs["b"] = runs["b"].with_rows(changes)
+    assert "motor.viscous" not in {one.name for one in between_runs(runs)}
 
 
 def test_room_for_the_models_error_is_pooled_too():

@@ -15,12 +15,12 @@ from bayesfric.finished import finished
 from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.law import Law
-from bayesfric.report.alerts import roll_out_wide
+from bayesfric.report.alerts import roll_out_doubt, roll_out_wide
 from bayesfric.report.figures.rollout import rollout_figure
 from bayesfric.report.summary.rollout import rollout_part
 from bayesfric.result import result_of
 from bayesfric.rollouts.recordings import Recorded
-from bayesfric.rollouts.rollout import _rolled, rollout
+from bayesfric.rollouts.rollout import _over, _rolled, moving_share, rollout
 from tests.commands.bench import Bench, without_figures
 
 JOINT = '[mechanism]\npreset = "motor-axis"\n[mechanism.load]\nfirst_moment = true\n'
@@ -193,9 +193,6 @@ def test_a_joint_that_lacks_a_torque_is_said_to(made, joint, tmp_path):
     other = bf.Recording.from_dataframe(
         frame, time="t", position="q", target="goal", kp="4 N m/rad", kd="0.05 N m s/rad"
     )
-    from bayesfric.report.alerts import roll_out_doubt
-    from bayesfric.report.summary.rollout import rollout_part
-
     doubt = roll_out_doubt(rollout_part(rollout(found, other, draws=30)))
     assert doubt is not None
     assert doubt["inside"] < 0.5
@@ -241,6 +238,61 @@ def test_half_a_turn_is_all_there_is_where_gravity_acts(made, joint, gravity, tu
     assert x.room == pytest.approx(2.0 * np.pi * turns)
     # ends of nine tenths of five draws over 4 rad: wider than half a turn, not than four
     assert (x.blind, x.wide) == (float(gravity), gravity)
+
+
+@pytest.mark.parametrize("lost", [0, 3, 30])
+def test_plays_that_go_another_way_over_the_top_do_not_make_the_bands(made, joint, lost):
+    """Of 100 plays some leave for the next turn half way; without gravity that is no other way."""
+    _, found = made
+    run = finished(found)
+    m, o = run.model.recordings[0], run.model.observations[0]
+    near = m.position + np.random.default_rng(1).normal(0.0, 0.1, (100, 1))
+    near[:lost, m.time.size // 2 :] += 2.0 * np.pi
+    still = np.zeros_like(near)
+    for chain in (joint, CHAIN):
+        x = _rolled(SimpleNamespace(joint=chain), Recorded(m, o, "new"), *[(near, still)] * 2)
+        assert x.over == (lost / 100 if chain is joint else 0.0)
+        if chain is joint:
+            assert x.wide == (lost == 30)
+        if chain is joint and lost <= 3:
+            # 90 % of a normal is 3.3 sds wide; a quantile's own sd is 0.2 of them at 100 draws
+            assert x.at_position.width == pytest.approx(0.33, abs=4 * 0.03)
+            ends = (x.band[1] - x.band[0])[np.isfinite(x.band[0])]
+            assert np.ptp(ends) < 1e-9
+        played = replace(rollout(found, draws=30), rolled=(x,), draws=100)
+        text = "\n".join(rollout_text(rollout_part(played)))
+        said = f"{lost} of 100 plays went another way over the top" in text
+        assert said == (chain is joint and lost > 0)
+
+
+def test_recordings_that_tell_nothing_decide_nothing(made):
+    """One is inside bands that are too wide; the other leaves its own for a third of the time."""
+    _, found = made
+    played = rollout(found, draws=30)
+    (one,) = played.rolled
+    wide = replace(one, name="wide", over=0.5, at_position=replace(one.at_position, inside=1.0))
+    left = replace(one, name="left", at_position=replace(one.at_position, inside=0.67))
+    doubt = roll_out_doubt(rollout_part(replace(played, rolled=(wide, left))))
+    assert doubt["inside"] == pytest.approx(0.67)
+    assert list(doubt["narrow"]) == ["left"]
+    assert roll_out_doubt(rollout_part(replace(played, rolled=(wide,)))) is None
+
+
+def test_one_play_over_the_top_does_not_say_how_much_torque_moves_the_joint(made, joint):
+    """The whole torque makes 0.2 rad, of which half is measured; and one of 40 plays leaves."""
+    _, found = made
+    run = finished(found)
+    m = run.model.recordings[0]
+    rng = np.random.default_rng(2)
+    alone = m.position + np.zeros((40, 1)) * m.position
+    moved = alone + 0.2 * rng.standard_normal((40, m.time.size))
+    measured = m.position + 0.1 * rng.standard_normal(m.time.size)
+    alone[7, 100:] += 2.0 * np.pi
+    stays = ~_over(joint, measured, alone, moved)
+    assert np.flatnonzero(~stays).tolist() == [7]
+    # a quantile of 2000 squares, and variances of 39 draws
+    assert moving_share(measured, alone[stays], moved[stays], 0.0) == pytest.approx(0.5, rel=0.15)
+    assert not _over(CHAIN, measured, alone, moved).any()
 
 
 def test_a_fit_by_targets_is_that_by_the_torque(made, joint):

@@ -4,7 +4,7 @@ With the load's torque ``T = psi2 l`` at the gearbox (``l`` the leg's parameters
 the motor torque is ``psi1 Theta1 + sign(qd) sign(T) psi2 Theta2``, eq. (13): its sign is that of
 ``l``, whatever the sign of lambda_2, so this holds for negative load losses too. At exact rest
 the mechanism takes no loss while eq. (13) leaves ``lambda_1 T``; columns of their own for the
-samples at rest put that right.
+samples at rest put that right. An unknown gain divides all coefficients.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class LinearTorque:
     """
 
     def __init__(self, chain: Joint, observations: Sequence[Observation]) -> None:
-        form = torque_form(chain)
+        form = torque_form(chain, times_gain=True)
         if form is None:
             raise ValueError("the chain's torque is not of the form of eq. (13)")
         self.chain = chain
@@ -63,6 +63,9 @@ class LinearTorque:
         self._angle = -1
         if "gravity_cosine" in self.names1:
             self._angle = chain.names.index("load.gravity_angle")
+        self._gain = chain.names.index("drive.gain") if chain.gain else -1
+        # what is of the recorded torque itself no gain divides
+        self._joints = [i for i, n in enumerate(self.names1) if not n.startswith("drive.")]
         self._known = np.zeros((2, len(self.names1)))
         if loaded:
             self._known[1 if form.loss else 0, -1] = 1.0
@@ -97,7 +100,7 @@ class LinearTorque:
         found[:, 0] = 1.0
         if not self._losses:
             found[:, 1:] = -(motor + leg)
-            return Coefficients(found, np.zeros((n, 0)), np.zeros(n))
+            return self._measured(Coefficients(found, np.zeros((n, 0)), np.zeros(n)), values)
         drive, back = values[:, self._losses[0]], values[:, self._losses[1]]
         excess, lambda2 = 0.5 * (drive - back), 0.5 * (drive + back)
         found[:, 1 : 1 + k1] = -(motor + leg) - excess[:, None] * leg
@@ -105,7 +108,16 @@ class LinearTorque:
         found[:, 1 + k1 : 1 + k1 + n2] = -lambda2[:, None] * behind
         if self.rest:
             found[:, 1 + k1 + n2 :] = excess[:, None] * behind
-        return Coefficients(found, behind, lambda2)
+        return self._measured(Coefficients(found, behind, lambda2), values)
+
+    def _measured(self, joint: Coefficients, values: Array) -> Coefficients:
+        """Turn what multiplies columns of the joint's torque into that of the measured one."""
+        if self._gain < 0:
+            return joint
+        gain = values[:, self._gain]
+        behind = range(1 + len(self.names1), joint.all.shape[1])
+        joint.all[:, [*(1 + i for i in self._joints), *behind]] /= gain[:, None]
+        return replace(joint, lambda2=joint.lambda2 / gain)
 
     def columns(self, o: Observation, begin: int, end: int) -> tuple[Array, Array]:
         """Unfiltered ``psi1`` ``(n1, n)`` and ``psi2`` ``(n2, n)`` of samples ``begin:end``."""
@@ -128,11 +140,13 @@ def linear_torque(chain: Joint, observations: Sequence[Observation]) -> LinearTo
     Returns
     -------
     LinearTorque or None
-        ``None`` for a chain with several load losses, a Stribeck rise or an unknown gain, or
-        with a known mass at an unknown angle.
+        ``None`` for a chain with several load losses or a Stribeck rise, or with a known mass at an
+        unknown angle.
     """
     angled = "load.gravity_angle" in chain.names
-    if torque_form(chain) is None or (angled and any(o.inputs.known_load for o in observations)):
+    if torque_form(chain, times_gain=True) is None or (
+        angled and any(o.inputs.known_load for o in observations)
+    ):
         return None
     return LinearTorque(chain, observations)
 

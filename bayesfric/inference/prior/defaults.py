@@ -83,7 +83,7 @@ def _surely_taken(chain: Joint, observations: Sequence[Observation]) -> float:
     """Give the largest torque that least squares finds in one term, less two of its sds."""
     projection = TotalsProjection(chain, observations)
     with suppress(BadInput):
-        found = least_squares(chain, observations)
+        found = least_squares(chain, observations, projection)
         sizes = np.quantile(np.abs(projection.regressors), _NEARLY_ALL, axis=0)
         known = np.array([v.determined for v in found.values])
         sds = np.array([max(v.sd, np.nan_to_num(v.sd_robust)) for v in found.values])

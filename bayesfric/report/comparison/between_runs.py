@@ -107,7 +107,7 @@ def told_by_runs(
 
 def _told(row: PosteriorRow) -> bool:
     """Whether the data determine it: also what is doubted, for other reasons than its prior."""
-    return row.verdict == "data" or bool(row.doubted)
+    return "data" in (row.verdict, row.undoubted or ("data" if row.doubted else None))
 
 
 def _likelihood(

@@ -25,10 +25,11 @@ from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.quantities import QUANTITIES, TOTALS, Quantity, State
 from bayesfric.recordings.observation import LEAST_RATIO, Observation
 from bayesfric.report.numbers import in_tenths
-from bayesfric.report.summary.bounds import noise_cut
+from bayesfric.report.summary.bounds import held, noise_cut
+from bayesfric.report.summary.position_delay import other_time
 from bayesfric.report.summary.position_unit import best_share, other_units
 from bayesfric.report.summary.record import Doubt, Summary, quantity_of
-from bayesfric.report.summary.rows import Spread
+from bayesfric.report.summary.rows import PosteriorRow, Spread
 
 # Share of the torque's variance that a model of the joint should explain, where what it leaves
 # is no white noise.
@@ -65,6 +66,8 @@ def find_doubts(
         return []  # there is no posterior to doubt
     rows = {**summary.joint, **summary.derived}
     told = [name for name, row in rows.items() if row.verdict == "data"]
+    # what rests on the data at all: a limit, or what they settle with a prior's help, too
+    resting = [name for name, row in rows.items() if row.verdict != "prior" or held(row)]
     memory = list(_memory(choice))
     error = summary.model_error
     lacking = bool(memory) or (error is not None and error.shown)
@@ -80,14 +83,17 @@ def find_doubts(
         *_noise(summary, told, white),
         *_cut(summary),
         *_acceleration(fit, summary, told),
-        *({**one, "of": _of_motion(fit, told)} for one in _late(delays, fit.observations)),
-        *({**one, "of": of} for one in _turning(turn) if (of := _turned(told, one["moved"]))),
+        *({**one, "of": _of_motion(fit, resting)} for one in _late(delays, fit.observations)),
+        *({**one, "of": of} for one in _turning(turn) if (of := _turned(resting, one["moved"]))),
     ]
-    return [{"kind": one.pop("kind"), "parameters": one.pop("of", told), **one} for one in found]
+    return [{"kind": one.pop("kind"), "parameters": one.pop("of", resting), **one} for one in found]
 
 
 def put_doubts(summary: Summary, doubts: Sequence[Mapping[str, Any]]) -> Summary:
-    """Put doubts into a summary: what they are of is not ``data``, the run not ``reliable``."""
+    """Put doubts into a summary: what they are of is not ``data``, the run not ``reliable``.
+
+    ``undoubted`` keeps what else would be said of a number.
+    """
     told = [Doubt.model_validate(one) for one in doubts]
     if not told:
         return summary.model_copy(update={"doubts": told})
@@ -98,8 +104,13 @@ def put_doubts(summary: Summary, doubts: Sequence[Mapping[str, Any]]) -> Summary
     sampler = summary.sampler
     if sampler.status == "reliable":
         sampler = sampler.model_copy(update={"status": "tentative"})
-    changes = {name: {"doubted": of, "verdict": "weak"} for name, of in kinds.items()}
+    changes = {name: _doubted(summary.rows[name], of) for name, of in kinds.items()}
     return summary.with_rows(changes, doubts=told, sampler=sampler)
+
+
+def _doubted(row: PosteriorRow, kinds: list[str]) -> dict[str, Any]:
+    demoted = "weak" if row.verdict == "data" else row.verdict
+    return {"doubted": kinds, "verdict": demoted, "undoubted": row.undoubted or row.verdict}
 
 
 def _unexplained(fit: Fit, summary: Summary, delays: Sequence[Delay]) -> list[dict[str, Any]]:
@@ -107,7 +118,7 @@ def _unexplained(fit: Fit, summary: Summary, delays: Sequence[Delay]) -> list[di
     if share is None or share >= _EXPLAINED or lag is None or lag <= CORRELATED:
         return []
     told = {"kind": "unexplained", "share": share, "quantity": summary.fit.quantity}
-    return [told | _instead(fit.chain, fit.observations, delays)]
+    return [told | _instead(fit.chain, fit.observations, delays, None)]
 
 
 def little_explained(
@@ -125,13 +136,21 @@ def little_explained(
         return []
     quantity = effort_words("motor torque", chain.motor_motion)
     told = {"kind": "unexplained", "share": share, "quantity": quantity}
-    return [told | _instead(chain, observations, delays)]
+    return [told | _instead(chain, observations, delays, share)]
 
 
 def _instead(
-    chain: Joint, observations: Sequence[Observation], delays: Sequence[Delay]
+    chain: Joint,
+    observations: Sequence[Observation],
+    delays: Sequence[Delay],
+    share: float | None,
 ) -> dict[str, Any]:
-    """Say what may be wrong where little is explained: never the mechanism that is in use."""
+    """Say what may be wrong where little is explained: never the mechanism that is in use.
+
+    ``share`` is what the best totals explain, where it is known already.
+    """
+    if share is None:
+        share, _ = best_share(chain, observations)
     weighed = "first_moment" in chain.load.choices or chain.load.motion != "rotary"
     known = {} if weighed else {name: preset.chain() for name, preset in PRESETS.items()}
     presets = [
@@ -141,8 +160,12 @@ def _instead(
         and name != chain.made_from
         and other.ratio == chain.ratio
     ]
-    late = any(one.matters for one in delays)
-    return {"units": other_units(chain, observations), "presets": presets, "late": late}
+    return {
+        "units": other_units(chain, observations, share),
+        "presets": presets,
+        "late": any(one.matters for one in delays),
+        "delay": other_time(chain, observations, share, _EXPLAINED),
+    }
 
 
 def doubts_before(

@@ -16,9 +16,9 @@ from bayesfric.recordings.measurement import Array
 from bayesfric.recordings.observation import Observation
 
 _ANGLES = ("rad", "deg", "turn")
-# What a unit leaves of the torque at most, over what the one that was read leaves. Of the measured
-# pendulums that spin the right one leaves 0.03 to 0.4, and none leaves less than a right one does.
-_LEFT = 0.5
+# What another reading leaves of the torque at most, over what this one leaves. Of the measured
+# pendulums that spin the right unit leaves 0.03 to 0.4, and none leaves less than a right one does.
+FAR_LESS = 0.5
 
 
 def best_share(chain: Joint, observations: Sequence[Observation]) -> tuple[float, Array]:
@@ -29,16 +29,20 @@ def best_share(chain: Joint, observations: Sequence[Observation]) -> tuple[float
     return 1.0 - float(np.var(left) / np.var(measured)), left
 
 
-def other_units(chain: Joint, observations: Sequence[Observation]) -> list[dict[str, Any]]:
+def other_units(
+    chain: Joint, observations: Sequence[Observation], explained: float | None = None
+) -> list[dict[str, Any]]:
     """List units of the position that explain far more, the best first.
 
     Each ``is`` a unit that was ``taken`` for another, with the ``share`` of the torque that totals
-    then explain. Only what depends on the angle itself, such as gravity, tells: nothing else
-    changes with its scale.
+    then explain; ``explained`` is that as it was read, where it is known already. Only what
+    depends on the angle itself, such as gravity, tells: nothing else changes with its scale.
     """
     if chain.load.motion != "rotary":
         return []
-    least = 1.0 - _LEFT * (1.0 - best_share(chain, observations)[0])
+    if explained is None:
+        explained = best_share(chain, observations)[0]
+    least = 1.0 - FAR_LESS * (1.0 - explained)
     found = [one for one in _tried(chain, observations) if one["share"] > least]
     return sorted(found, key=lambda one: -float(one["share"]))
 

@@ -165,6 +165,16 @@ class RecordingRow(Open):
     dropped_dead_zone: int | None = None
 
 
+class TorqueFactorPart(Part):
+    """The measured torque over the one that agrees with ``fixed`` values and known ``masses``."""
+
+    value: Annotated[FiniteFloat, Field(gt=0.0)]
+    sd: NotNegative
+    times: NotNegative  # sds off
+    fixed: list[str] = Field(default_factory=list)
+    masses: list[NotNegative] = Field(default_factory=list)
+
+
 class Residual(Part):
     """What the posterior leaves unexplained, recording by recording."""
 
@@ -175,6 +185,8 @@ class Residual(Part):
     # N m/A or N/A, where all that is explained was measured as a current
     torque_constant: FiniteFloat | None = None
     lacks: list[Lack] = Field(default_factory=list)
+    # where what is taken as known contradicts the torque
+    torque_factor: TorqueFactorPart | None = None
     integration_steps: int | None = None
     discretisation_error: FiniteFloat | None = None
     recordings: dict[Name, RecordingRow] = Field(default_factory=dict)

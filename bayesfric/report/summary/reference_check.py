@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from bayesfric.mechanism.parameter import scales_with_torque
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.rows import PosteriorRow
 
 # Sds between a reference and what was found that are no chance.
 _FAR = 4.0
-# Units that a wrong scale of the torque multiplies; a loss per torque, an angle or a speed not.
-_SCALED = {"kg", "N"}
 # Sd over value of a told prior that is there because the value is known.
 _KNOWN = 0.2
 _GAIN = "drive.gain"
@@ -22,24 +21,29 @@ _GAIN = "drive.gain"
 def references_off(summary: Summary) -> Mapping[str, Any] | None:
     """Name references far from what was found, and the one factor of all, for its sentence.
 
-    So are priors that the data contradict. Far counts the sd of the told interval and the
+    So are priors that the data contradict, and ``known`` is what is taken as known and contradicts
+    them, values and masses together. Far counts the sd of the told interval and the
     reference's own. ``None`` where none is; what the data leave open contradicts nothing. Where a
     gain that is not fitted would bring all into agreement, ``settle`` is what would give it its
     scale.
     """
     compared = list(_compared(summary))
     off = [one for one in compared if one["times"] > _FAR]
-    if not off:
+    known = summary.fit.torque_factor
+    if not off and known is None:
         return None
     scaled = [one for one in compared if one["scaled"]]
     factor = _common(scaled) if any(one in off for one in scaled) else None
+    if known is not None:  # values that are known have gone into all others
+        return {"off": off, "known": known.model_dump(), "factor": known.value, "settle": None}
     fitted = _GAIN in summary.parameters or _GAIN in summary.fixed
     settle = min(
         (one for one in scaled if one["name"] in summary.parameters),
         key=lambda one: float(one["known"] or _KNOWN * abs(one["value"])) / abs(one["value"]),
         default=None,
     )
-    return {"off": off, "factor": factor, "settle": settle if factor and not fitted else None}
+    advised = settle if factor and not fitted else None
+    return {"off": off, "known": None, "factor": factor, "settle": advised}
 
 
 def _compared(summary: Summary) -> Iterator[dict[str, Any]]:
@@ -95,7 +99,7 @@ def _beside(
         "times": abs(away) / sd if sd > 0.0 else 0.0,
         "factor": found / value if value * found > 0.0 and not row.period else None,
         "relative": sd / abs(found) if found else 0.0,
-        "scaled": bool(_SCALED & set(row.unit.replace("²", "").split())),
+        "scaled": scales_with_torque(row.unit),
     }
 
 

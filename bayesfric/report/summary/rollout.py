@@ -7,12 +7,12 @@ from typing import Literal
 from pydantic import FiniteFloat
 
 from bayesfric.report.summary.part import Name, NotNegative, Part, Share
-from bayesfric.rollouts.rolled import BLIND, Input, RollOut
+from bayesfric.rollouts.rolled import Input, RollOut, tells_nothing
 from bayesfric.rollouts.rolled import Part as Which
 
 # Share inside 90 % bands below which they are called too narrow. Positions within a second of each
 # other are nearly one, so that few recordings may well leave their bands for a tenth of the time.
-_FEWEST = 0.8
+FEWEST = 0.8
 
 
 class MotionError(Part):
@@ -29,7 +29,7 @@ class RollOutRow(Part):
     """One recording, or all together.
 
     In a share ``blind`` of the time the position's band is wider than ``room``, beyond which it
-    tells nothing.
+    tells nothing; ``over`` is the share of the plays that went another way over the top.
     """
 
     part: Which | None = None
@@ -39,16 +39,17 @@ class RollOutRow(Part):
     runaway: Share = 0.0
     room: NotNegative | None = None
     blind: Share = 0.0
+    over: Share = 0.0
 
     @property
     def narrow(self) -> bool:
         """Whether the position leaves its bands far too often."""
-        return self.position.inside < _FEWEST
+        return self.position.inside < FEWEST
 
     @property
     def wide(self) -> bool:
         """Whether being inside the position's band says nothing."""
-        return self.blind > BLIND
+        return tells_nothing(self.blind, self.over)
 
 
 class RollOutPart(Part):
@@ -82,6 +83,7 @@ def rollout_part(found: RollOut) -> RollOutPart:
                     "runaway": one.runaway,
                     "room": one.room,
                     "blind": one.blind,
+                    "over": one.over,
                 }
                 for one in found.rolled
             },
@@ -89,6 +91,7 @@ def rollout_part(found: RollOut) -> RollOutPart:
                 "position": vars(found.pooled["at_position"]),
                 "speed": vars(found.pooled["at_speed"]),
                 "blind": sum(one.blind for one in found.rolled) / len(found.rolled),
+                "over": sum(one.over for one in found.rolled) / len(found.rolled),
             },
             "unexplained": found.unexplained,
             "left": found.left,

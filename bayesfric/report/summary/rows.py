@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field, FiniteFloat
 
 from bayesfric.estimates.point_estimate import Kind
+from bayesfric.identifiability.local import Verdict
 from bayesfric.report.summary.part import Bound, Described, NotNegative, Pair, Part, Share
 
 
@@ -48,7 +49,8 @@ class PosteriorRow(Spread, Described):
 
     ``interval`` and ``sd`` hold if the model is right, ``model_error_interval`` is there where the
     recordings show that it is not; ``prior_interval`` is of the same level. ``doubted`` are the
-    kinds of doubts there are of it, ``given_by`` parameters whose told priors give it its scale,
+    kinds of doubts there are of it, ``undoubted`` its verdict without them (``data`` in older
+    files, which do not tell), ``given_by`` parameters whose told priors give it its scale,
     ``white_interval`` what white noise would have given,
     ``torque_constant`` (N m/A or N/A) is of a torque of the motor that was measured as a current,
     ``period`` that of an angle, ``of_motion`` whether another motion of the same joint has another
@@ -65,7 +67,7 @@ class PosteriorRow(Spread, Described):
     prior_interval: Pair | None = None
     contraction: FiniteFloat | None = None
     data_sd: NotNegative | None = None
-    verdict: Literal["data", "weak", "prior"]
+    verdict: Verdict
     at_bound: Bound | None = None
     bound: FiniteFloat | None = None
     bound_physical: bool | None = None
@@ -77,6 +79,7 @@ class PosteriorRow(Spread, Described):
     undefined_share: Share | None = None
     gauge_free: bool | None = None
     doubted: list[str] = Field(default_factory=list)
+    undoubted: Verdict | None = None
     given_by: list[str] = Field(default_factory=list)
     white_interval: Pair | None = None
     white_sd: NotNegative | None = None

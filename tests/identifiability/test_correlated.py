@@ -1,0 +1,61 @@
+"""Identify goes by the larger of an estimate's sds where residuals are correlated."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+import bayesfric as bf
+from bayesfric.estimates.torque_near import larger
+
+AXIS = bf.Joint.preset("motor-axis")
+
+
+def model(memory, seed=1, joint=AXIS, **more):
+    """A SIMULATED axis or pendulum whose torque has noise that remembers, taken for white."""
+    made = replace(joint).simulate(
+        {}, rate=200, duration=20.0, excitation="multisine", amplitude=1.0, torque_noise=0.0
+    )
+    white = np.random.default_rng(seed).standard_normal(len(made))
+    noise = 0.03 * np.sqrt(1.0 - memory**2) * lfilter([1.0], [1.0, -memory], white)
+    t, q, torque = (made[name].to_numpy() for name in ("time", "position", "torque"))
+    recording = bf.Recording.from_arrays(t, q, torque + noise, name="run")
+    options = {"noise": {"model": "white"}, "processing": {"band": "10 Hz", "dead_zone": 0}}
+    return bf.Model(joint, recording, **(options | more))
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.97])
+def test_sds_from_the_data_are_the_larger_of_the_estimates(memory):
+    seen = model(memory)
+    found = {p.name: p for p in seen.identification().parameters}
+    (estimate,) = seen.estimates(["input-error"])
+    wider = 0
+    for name, one in found.items():
+        value = estimate[name]
+        # identify has no prior in its data's sd, and counts n for n - d
+        expected = larger(value.sd, value.sd_robust) if memory else value.sd
+        assert one.data_sd == pytest.approx(expected, rel=0.02), name
+        wider += one.data_sd > 1.2 * value.sd
+        # and both with the prior's are no wider than either
+        assert one.expected_sd <= min(one.data_sd, one.prior_sd) * (1.0 + 1e-9)
+    assert (wider > 0) == (memory > 0.0)
+
+
+def test_a_limit_is_not_called_determined():
+    """Without a load loss in the recording its alphas stand at one: what fit calls the bounds'."""
+    pendulum = bf.Joint.preset("servo-pendulum")
+    values = {"gearbox.load": 0.0, "motor.coulomb": 0.1}
+    made = pendulum.simulate(values, rate=200, duration=10.0, excitation="multisine",
+                             amplitude=1.0, torque_noise=0.05, seed=3)  # fmt: skip
+    t, q, torque = (made[name].to_numpy() for name in ("time", "position", "torque"))
+    # an efficiency above one, which is none, is asked for: the loss is held at zero
+    lifted = torque - 0.02 * np.abs(torque) * np.sign(np.gradient(q, t))
+    found = bf.Model(pendulum, bf.Recording.from_arrays(t, q, lifted)).identification()
+    (loss,) = (p for p in found.parameters if p.name == "gearbox.load")
+    assert loss.on_bound == "lower"
+    named = {one.name: one for one in found.combinations}
+    assert named["gearbox.alpha_drive"].on_bound == "lower"
+    determined = [one.name for one in found.determined]
+    assert "total_drive.gravity" in determined
+    assert not any("alpha" in name or "efficiency" in name for name in determined)
