@@ -27,6 +27,7 @@ DOUBTS = (
     "delay",
     "once-a-turn",
     "pushed",
+    "few",
     "self-check",
 )
 # Outlying outputs that are named, the farthest; of others there is the number.
