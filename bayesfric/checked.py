@@ -10,15 +10,18 @@ from typing import Any
 import numpy as np
 
 from bayesfric.config_text import toml_value
+from bayesfric.estimates.disturbances import unlooked
 from bayesfric.inference.noise import SCALES
 from bayesfric.model import Model
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.rest import resting_ends
 from bayesfric.report.alerts import doubt_text
-from bayesfric.report.summary.doubts import doubts_before, little_explained
+from bayesfric.report.summary.doubts import doubts_before, few_outputs, little_explained
 from bayesfric.report.summary.summary import estimate_summary
 
+# Share of a recording in which no push would be told that is worth saying.
+_BLIND = 0.02
 # What a key of a recording leaves out.
 _LEFT_OUT = {
     "start": "the joint rests until then",
@@ -69,6 +72,7 @@ def check(model: Model | Path | str) -> Checked:
 def _found(model: Model) -> dict[str, Any]:
     (totals,) = model.estimates(["least-squares"])
     delays = model.delays()
+    known = model.evidence.knowledge
     ignored = [] if model.chain.delay else delays
     unexplained = little_explained(model.chain, model.observations, ignored)
     doubts = [
@@ -80,6 +84,7 @@ def _found(model: Model) -> dict[str, Any]:
             model.once_a_turn(),
             model.disturbances(),
         ),
+        *few_outputs(model.observations, len(set(model.chain.names) - set(known.fixed))),
     ]
     unsettled = {f"noise.{scale.name}" for scale in SCALES.values() if scale.chosen}
     return {
@@ -122,6 +127,7 @@ def _found(model: Model) -> dict[str, Any]:
             for one in delays
         ],
         "doubts": doubts,
+        "no_push_told": unlooked(model.chain, model.recordings, model.observations),
         "leave_out": _leave_out(model, doubts),
         "least_squares": estimate_summary(totals),
     }
@@ -189,6 +195,18 @@ def _lines(found: Mapping[str, Any]) -> Iterator[str]:
         yield f"  {name:<28} {one['delay']:>12.3g} ± {one['sd']:<9.2g} s{samples}"
     for doubt in found["doubts"]:
         yield f"WARNING: {doubt_text(doubt)}"
+    lasts = {one["name"]: one["duration"] for one in found["recordings"]}
+    blind = [
+        f"{seconds:.3g} of {lasts[name]:.3g} s of {name}"
+        for name, seconds in found["no_push_told"].items()
+        if seconds >= _BLIND * lasts[name]
+    ]
+    if blind:
+        yield (
+            "A hand or a stop was not looked for where the joint rests or is nearly still, as held "
+            "upright, nor in what is left out, nor where too little moves to tell what is usual: "
+            f"{', '.join(blind)}"
+        )
     for number, (name, keys) in enumerate(found["leave_out"].items()):
         if number == 0:
             yield from ("", "What these keys under [[recordings]] leave out")

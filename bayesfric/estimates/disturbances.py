@@ -77,18 +77,46 @@ def disturbances(
     return [one for recording, o in pairs for one in _found(chain, recording, o)]
 
 
-def _found(chain: Joint, recording: Measurement, o: Observation) -> list[Disturbance]:
+def unlooked(
+    chain: Joint, recordings: Sequence[Measurement], observations: Sequence[Observation]
+) -> dict[str, float]:
+    """Give seconds of each recording in which nothing tells a push; all where none is usual."""
+    found = {}
+    for recording, o in zip(recordings, observations, strict=True):
+        judged = _judged(chain, o) is not None
+        share = float(np.mean(~_looked(recording, o))) if judged else 1.0
+        found[o.name] = share * recording.time.size * recording.period
+    return found
+
+
+def _judged(chain: Joint, o: Observation) -> tuple[TotalsProjection, Array] | None:
+    """Fit robust totals to a recording alone, where these are its joint's."""
     if o.time.size < _ENOUGH:
-        return []
+        return None
     projection = TotalsProjection(chain, [o])
     if not projection.names:
-        return []
+        return None
     try:
         totals = _robust(projection.regressors, o.measured)
     except np.linalg.LinAlgError:  # numbers that no joint has: nothing is usual there
+        return None
+    return None if _of_controller(projection, o.measured, totals) else (projection, totals)
+
+
+def _looked(recording: Measurement, o: Observation) -> Flags:
+    """Flag samples that are looked at: what friction takes at rest, no model tells."""
+    used = np.zeros(o.q.size, dtype=np.bool_)
+    for a, b in compared_parts(recording, int(o.settings["trim_samples"])):
+        used[a:b] = True
+    dead_zone, guard = float(o.settings["dead_zone"]), int(o.settings["guard"])
+    return used & ~resting(o.qd, recording.segments, dead_zone, guard)
+
+
+def _found(chain: Joint, recording: Measurement, o: Observation) -> list[Disturbance]:
+    judged = _judged(chain, o)
+    if judged is None:
         return []
-    if _of_controller(projection, o.measured, totals):
-        return []
+    projection, totals = judged
     jolts = list(_jolts(chain, recording, o, projection.names, totals))
     residual = o.measured - projection.regressors @ totals
     found = jolts
@@ -120,13 +148,8 @@ def _jolts(
     passed = lowpass(
         o.torque, segments, rate, float(o.settings["lowpass"]), int(o.settings["order"])
     )
-    used = np.zeros(o.q.size, dtype=np.bool_)
-    for a, b in compared_parts(recording, int(o.settings["trim_samples"])):
-        used[a:b] = True
-    # what friction takes at rest, no model tells
-    dead_zone, guard = float(o.settings["dead_zone"]), int(o.settings["guard"])
-    used &= ~resting(o.qd, segments, dead_zone, guard)
-    moving = used & (np.abs(o.qd) >= dead_zone)
+    used = _looked(recording, o)
+    moving = used & (np.abs(o.qd) >= float(o.settings["dead_zone"]))
     if np.count_nonzero(moving) < _ENOUGH:
         return
     length = max(round(_JOLT * rate), _SAMPLES)

@@ -193,7 +193,8 @@ def candidates(
 ) -> Iterator[Candidate]:
     """List everything that is worth trying; of a joint that was held, its recorded motion alone.
 
-    What known masses ask of the torque along that motion is of the chain's ``values``
+    The cheapest come first: what was recorded again, as it was, and with another known mass. What
+    these ask of the torque along that motion is of the chain's ``values``
     ``(n_parameters,)``. Whether one keeps the limits of speed and angle is known once it is played,
     see :func:`try_out`.
     """
@@ -204,6 +205,7 @@ def candidates(
     # noise of the measurement is no part of the torque there was
     again = np.clip(base.torque[stretch], -peak, peak)
     again[-1] = 0.0
+    start, first = stretch.start, float(base.q[stretch.start])
     yield Candidate(
         "longer",
         f"another recording just like {base.name!r}",
@@ -212,14 +214,21 @@ def candidates(
         period,
         0.0,  # measured torque is behind the current loop already
         replace(base.inputs, recording=""),
-        float(base.q[stretch.start]),
-        float(base.qd[stretch.start]),
+        first,
+        float(base.qd[start]),
         base,
     )
+    had = base.inputs.added_mass, base.inputs.radius
+    for bolted in limits.masses:
+        if (bolted.added_mass, bolted.radius) == had:
+            continue
+        # what costs least: the same program once more, with something bolted on or taken off
+        yield _carrying(chain, values, base, bolted, stretch)
+        if not limits.held and peak <= limits.torque:
+            form = f"the torque of {base.name!r} again"
+            signal = peak, again, period, 0.0
+            yield Candidate("known mass", form, *signal, bolted, first, float(base.qd[start]))
     if limits.held:
-        for bolted in limits.masses:
-            if bolted.added_mass:
-                yield _carrying(chain, values, base, bolted, stretch)
         return
     time = period * np.arange(max(round(limits.duration / period), 1), dtype=np.float64)
     bare = not any(o.inputs.added_mass for o in observations)

@@ -72,6 +72,11 @@ _LEAST = 2
 _ALL, _NOTHING = 0.98, 1e-3
 
 
+def wanted_outputs(parameters: int) -> int:
+    """Count outputs without which no kind of motion has parts large enough to ask."""
+    return _GROUPS * _LEAST * parameters
+
+
 @dataclass(frozen=True)
 class Axis:
     """One way to sort the outputs of all recordings into groups."""

@@ -34,6 +34,7 @@ from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.resolution import (
     ABOVE_GAPS,
     WIDEST,
+    Reason,
     Resolution,
     finest_step,
     lowpass_above,
@@ -49,6 +50,17 @@ _GUARD = 10
 _LEFT, _LEAST_LEFT = 0.2, 60
 # Windows and trims that should fit into the longest segment where the band is chosen.
 _FITTING = 20
+# What ends a band.
+_ENDED: dict[Reason, str] = {
+    "sampling": "as wide as the sampling rate allows",
+    "position": "beyond which the position does not resolve the acceleration",
+    "torque": "beyond which the torque has next to no power",
+    "length": "the narrowest that leaves enough outputs of so short a recording; its position or "
+    "torque asked for a narrower one",
+    "model": "as in a wider one the inertia comes out smaller and more torque is unexplained: "
+    "there is noise in the acceleration that grows with the motion, such as of time stamps",
+    "asked": "as set, or as the fitted part's",
+}
 # A gain that is off by less, in %, is not worth its digits.
 _NO_GAIN = 0.001
 # Root mean square of acceleration over its noise below which a user is warned: an inertia then
@@ -546,12 +558,7 @@ def _told(
             f"signal to noise in the band to {found.band:.3g} Hz (rms): {', '.join(ratios)}; noise "
             f"of a sample {found.noise:.2g}"
         )
-    if found.reason == "model":
-        yield (
-            f"band: ends at {found.band:.3g} Hz, as in a wider one the inertia comes out smaller "
-            "and more torque is unexplained: there is noise in the acceleration that grows with "
-            "the motion, such as of time stamps"
-        )
+    yield f"band: ends at {_end_of_band(numbers):.3g} Hz, {_ENDED[found.reason]}"
     cutoff = parallel_cutoff(numbers.factor, numbers.band, numbers.fs)
     yield f"trim: {numbers.trim_samples} samples off both ends of every segment"
     yield (

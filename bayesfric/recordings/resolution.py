@@ -15,7 +15,7 @@ import numpy as np
 
 from bayesfric.recordings.measurement import Array, Measurement
 
-Reason = Literal["sampling", "position", "torque", "length", "model"]
+Reason = Literal["sampling", "position", "torque", "length", "model", "asked"]
 
 # The motion's power over its noise's, up to the band's end at each frequency and over the whole
 # band: the first bounds what a noise model can do that weighs the end of the band most, the
@@ -55,9 +55,9 @@ class Resolution:
 
     ``reason`` is what ends the band: the ``sampling`` rate, the ``position``'s noise, that the
     ``torque`` has no power beyond, the ``length`` of the recording, below which there were too
-    few outputs, or what a ``model`` of the joint says of its acceleration
-    (:mod:`bayesfric.estimates.attenuation`). The ratios are root mean squares of the motion over
-    those of the noise, in the band; infinite where no noise is seen.
+    few outputs, what a ``model`` of the joint says of its acceleration
+    (:mod:`bayesfric.estimates.attenuation`), or that it was ``asked`` for. The ratios are root mean
+    squares of the motion over those of the noise, in the band; infinite where no noise is seen.
     """
 
     band: float  # Hz up to which measured and modelled torque can be compared
@@ -86,14 +86,14 @@ def resolve(recording: Measurement, band: float | None = None) -> Resolution:
     """Look at the spectra of a recording up to a band in Hz, which is chosen if left out."""
     fs = 1.0 / recording.period
     seen = _spectra(recording)
+    reason: Reason = "sampling" if band is None else "asked"
     if seen is None:
         chosen = WIDEST * fs if band is None else band
-        return Resolution(chosen, "sampling", 0.0, math.inf, math.inf)
+        return Resolution(chosen, reason, 0.0, math.inf, math.inf)
     # a position's noise is what it shows where no joint moves, or its rounding
     quiet = seen.frequency >= _QUIET * fs
     floor = float(np.median(seen.motion[quiet] / seen.noise[quiet])) if quiet.any() else 0.0
     variance = max(floor, _steps(recording))
-    reason: Reason = "sampling"
     if band is None:
         band, reason = _choose(recording, seen, variance)
     inside = seen.frequency <= band

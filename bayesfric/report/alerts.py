@@ -27,6 +27,7 @@ DOUBTS = (
     "delay",
     "once-a-turn",
     "pushed",
+    "few",
     "self-check",
 )
 # Outlying outputs that are named, the farthest; of others there is the number.
@@ -94,10 +95,6 @@ def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:
     for doubt in summary.doubts:
         found.append(Alert(doubt.kind, doubt_text(doubt.model_dump()), "noise", first=True))
     error = summary.model_error
-    if error is not None and error.outlying:
-        seen = {"outputs": error.outlying, "apart": _apart(error.outlying)}
-        text = sentence("outlying", seen | {"unit": summary.fit.unit})
-        found.append(Alert("outlying", text, "model-error", first=True))
     if error is not None and error.shown:
         aside = len(error.outlying) if error.set_aside else 0
         text = sentence("model error", {"found": error.found, "set_aside": aside})
@@ -107,7 +104,12 @@ def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:
         found.append(Alert("references", text, "parameters", first=True))
     if summary.sampler.status != "unusable":  # else there is no posterior to judge the model by
         for kind, values, section in _of_model(summary, contested):
-            found.append(Alert(kind, sentence(kind, values), section))
+            found.append(Alert(kind, sentence(kind, values), section, first=kind == "lacks"))
+    # a few outputs seldom move a number by as much as what is above
+    if error is not None and error.outlying:
+        seen = {"outputs": error.outlying, "apart": _apart(error.outlying)}
+        text = sentence("outlying", seen | {"unit": summary.fit.unit})
+        found.append(Alert("outlying", text, "model-error", first=True))
     found += (Alert("warning", text) for text in _gathered(summary))
     if summary.may_be_simulated:
         found.append(Alert("simulated", sentence("simulated")))

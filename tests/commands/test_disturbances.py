@@ -260,3 +260,33 @@ def test_no_span_in_recordings_that_nobody_touched(real_data):
         torque_constant="10.6956 N m/A",
     )  # fmt: skip
     assert bf.Model(knee, arm).disturbances() == []
+
+
+def test_check_says_where_it_did_not_look_for_a_push():
+    """Half of the recording at rest: what pushes there, static friction takes."""
+    held = np.clip(8.0 - T, 0.0, 1.0)
+    checked = bf.check(model(envelope=held))
+    (seconds,) = checked.found["no_push_told"].values()
+    # the rest, and what is slower than the dead zone beside it
+    assert 7.5 < seconds < 9.5
+    assert "not looked for where the joint rests or is nearly still" in checked.text()
+    assert f"{seconds:.3g} of 16 s of bench" in checked.text()
+    # a joint that moves all the time is looked at all the time, but for its ends and reversals
+    checked = bf.check(model())
+    assert checked.found["no_push_told"]["bench"] < 0.5
+
+
+@pytest.mark.parametrize(("factor", "few"), [(150, True), (25, False)])
+def test_few_outputs_are_told_with_how_long_would_do(factor, few):
+    (one,) = model().recordings
+    again = bf.Recording.from_arrays(one.time, one.position, one.torque, name="bench")
+    joint = bf.Joint.preset("servo-pendulum")
+    checked = bf.check(bf.Model(joint, again, processing={"decimate": factor}))
+    found = [one for one in checked.found["doubts"] if one["kind"] == "few"]
+    assert bool(found) is few
+    assert ("too few to look for the model's error" in checked.text()) is few
+    if found:
+        (one,) = found
+        (o,) = [r["settings"]["n_outputs"] for r in checked.found["recordings"]]
+        assert one["outputs"] == o < one["wanted"] == 8 * one["parameters_free"]
+        assert one["seconds"] == pytest.approx(16.0 * one["wanted"] / o, rel=0.01)

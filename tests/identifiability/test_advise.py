@@ -178,7 +178,8 @@ def test_every_limit_is_kept(square):
     assert found.advices
     # the recording there is was faster: one more like it would break the limits, too
     assert square.torque.max() > 0.7
-    assert [str(why) for one, why in found.dropped if one.made is not None] == ["the torque limit"]
+    dropped = [(one.kind, str(why)) for one, why in found.dropped if one.made is not None]
+    assert dropped == [("longer", "the torque limit"), ("known mass", "the torque limit")]
     for one in found.advices:
         assert np.abs(one.candidate.command).max() <= 0.7 * (1.0 + 1e-12)
         assert one.candidate.command[-1] == 0.0
@@ -359,6 +360,38 @@ def test_a_joint_that_was_held_is_asked_for_its_own_motion_only(square):
     assert found.advices[0].candidate.kind == "known mass"
     assert np.isfinite(found.advices[0].after.data_sd)
     assert np.isinf(found.now.data_sd)
+
+
+def test_what_was_recorded_is_tried_again_with_a_known_mass(square):
+    """The cheapest experiment that parts alpha from the leg: bolt it on, run the program again."""
+    limits = limits_of(AdviceOptions(), CHAIN, [square], VALUES)
+    assert not limits.held
+    (bolted,) = [one for one in limits.masses if one.added_mass]
+    again = {
+        one.form: one
+        for one in candidates(CHAIN, VALUES, [square], limits)
+        if one.kind == "known mass" and one.form.endswith(" again")
+    }
+    assert set(again) == {"the torque of 'made-up' again", "the motion of 'made-up' again"}
+    played = again["the torque of 'made-up' again"]
+    assert (played.inputs, played.lag, played.made) == (bolted, 0.0, None)
+    assert played.amplitude <= limits.torque
+    longer = next(iter(candidates(CHAIN, VALUES, [square], limits)))
+    np.testing.assert_array_equal(played.command, longer.command)
+    # it takes no torque that was not there, and determines what no mass leaves open
+    found = ranked("load.inertia", square)
+    (one,) = [a for a in found.advices if a.candidate.form == played.form]
+    assert np.isinf(found.now.data_sd)
+    assert np.isfinite(one.after.data_sd)
+    # with the mass on the recording already it is what there is, and without it is another
+    carried = replace(square, inputs=bolted)
+    limits = limits_of(AdviceOptions(), CHAIN, [carried], VALUES)
+    masses = {
+        one.inputs.added_mass
+        for one in candidates(CHAIN, VALUES, [carried], limits)
+        if one.form.endswith(" again")
+    }
+    assert masses == {0.0}
 
 
 def test_no_mass_is_guessed_for_a_load_that_is_far_heavier(square):

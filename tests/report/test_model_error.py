@@ -209,3 +209,14 @@ def test_one_way_more_is_no_ways(wrong, number, said):
     told["model_error"]["axes"] = [{"name": f"axis {k}"} | row for k in range(number)]
     (one,) = (a for a in alerts_of(told) if a.kind == "model error")
     assert said in one.text
+
+
+def test_what_moves_all_numbers_comes_before_a_few_outputs(wrong):
+    """A delay, the model's error and a missing term move numbers by more than outliers do."""
+    told = wrong.summary.as_dict()
+    row = {"recording": "swing", "time": 1.0, "period": 0.1, "times": 9.0}
+    told["model_error"] |= {"outlying": [row]}
+    told["doubts"] = [{"kind": "memory", "asked": 2, "taken": 0, "shift": 3.0, "rise": 1.5}]
+    told["fit"]["lacks"] = [{"on": "speed", "share": 0.3, "sure": True}]
+    first = [a.kind for a in alerts_of(told) if a.first]
+    assert first == ["memory", "model error", "lacks", "outlying"]

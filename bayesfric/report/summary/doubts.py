@@ -19,6 +19,7 @@ from bayesfric.estimates.once_a_turn import OnceATurn
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.noise_choice import Choice
+from bayesfric.inference.model_error import wanted_outputs
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import effort_words
 from bayesfric.mechanism.presets import PRESETS
@@ -209,6 +210,18 @@ def pushed_doubts(
             "unit": unit,
             "lacking": lacking,
         }
+
+
+def few_outputs(observations: Sequence[Observation], parameters: int) -> Iterator[dict[str, Any]]:
+    """Say that too few outputs are left to ask whether the model is right, and how long would do.
+
+    A run says so by itself (``unparted``), where it has asked.
+    """
+    outputs, wanted = sum(o.measured.size for o in observations), wanted_outputs(parameters)
+    if outputs < wanted:
+        lasted = sum(float(o.stamps[-1] - o.stamps[0]) for o in observations)
+        told = {"outputs": outputs, "parameters_free": parameters, "wanted": wanted}
+        yield {"kind": "few", **told, "seconds": lasted * wanted / outputs}
 
 
 def _late(delays: Sequence[Delay], observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
