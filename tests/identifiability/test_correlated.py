@@ -57,5 +57,5 @@ def test_a_limit_is_not_called_determined():
     named = {one.name: one for one in found.combinations}
     assert named["gearbox.alpha_drive"].on_bound == "lower"
     determined = [one.name for one in found.determined]
-    assert "total_drive.gravity" in determined
+    assert "total_drive.gravity_size" in determined
     assert not any("alpha" in name or "efficiency" in name for name in determined)
