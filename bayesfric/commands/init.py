@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, get_args
 
 from pydantic import BaseModel
@@ -26,6 +27,10 @@ def configuration(preset: str, recordings: Sequence[str] | None = None) -> str:
         raise BadInput(preset, "there is no such preset", nearest(preset, PRESETS))
     chosen = PRESETS[preset]
     chain = chosen.chain()
+    # of a recorded joint most of the inertia is what the gearbox moves
+    moved = () if recordings is None else chain.unseen_inertia
+    chain = _with_load_behind(chain, moved)
+    values = {"load.inertia" if n in moved else n: x for n, x in chosen.values.items()}
     name = "load.first_moment" if "load.first_moment" in chain.names else chain.names[0]
     tables = list(Tables.model_fields)
     first = tables.index("references") + 1
@@ -37,7 +42,7 @@ def configuration(preset: str, recordings: Sequence[str] | None = None) -> str:
             "# complete them: bayesfric init --schema -o keys.json, and as first line of this file",
             "# '#:schema ./keys.json'.",
             "",
-            *_mechanism(preset, chain),
+            *_mechanism(preset, chain, moved),
             "",
             *(_recordings(chain) if recordings is None else recordings),
             *_choices(),
@@ -51,13 +56,13 @@ def configuration(preset: str, recordings: Sequence[str] | None = None) -> str:
             *(line for key in tables[first:] for line in options(key)),
             f"# Parameters are those of {chosen.source}, unless given here:",
             "# [simulation.parameters]",
-            *(f'# "{name}" = {value:.6g}' for name, value in chosen.values.items()),
+            *(f'# "{name}" = {value:.6g}' for name, value in values.items()),
             "",
         ]
     )
 
 
-def _mechanism(preset: str, chain: Joint) -> Iterator[str]:
+def _mechanism(preset: str, chain: Joint, moved: Collection[str]) -> Iterator[str]:
     yield "[mechanism]"
     yield f'preset = "{preset}"  # for {PRESETS[preset].when}'
     for other in other_presets(preset):
@@ -72,15 +77,33 @@ def _mechanism(preset: str, chain: Joint) -> Iterator[str]:
         "comes after the torque"
     )
     for element in chain.elements:
-        yield f"# [mechanism.elements.{element.name}]"
+        active = f"{element.name}.inertia" in moved
+        yield f"{'' if active else '# '}[mechanism.elements.{element.name}]"
         yield f"# ratio = {element.ratio:g}  # input speed over output speed"
         for option, choices in CHOICES.items():
             plain = False if True in choices else "none"
             known = ", ".join(_toml(choice) for choice in (plain, *choices))
             chosen = _toml(element.choices.get(option, plain))
-            yield f"# {option} = {chosen}  # {OPTION_MEANINGS[option]}: {known}"
+            mark = "" if active and option == "inertia" else "# "
+            yield f"{mark}{option} = {chosen}  # {OPTION_MEANINGS[option]}: {known}"
         for option in CYCLES:
             yield f"# {option} = []  # {OPTION_MEANINGS[option]}, such as [1, 7, 42]"
+    if moved:
+        yield "[mechanism.load]"
+        yield "inertia = true  # the load loss sees it here; the motor's own is seldom told apart"
+
+
+def _with_load_behind(chain: Joint, moved: Collection[str]) -> Joint:
+    """Put inertia into the load, so that a load loss sees what accelerates it, too."""
+    if not moved:
+        return chain
+    without: dict[str, Any] = {"inertia": False}
+    elements = [
+        replace(e, **without) if f"{e.name}.inertia" in moved else e for e in chain.elements
+    ]
+    return replace(
+        chain, elements=elements, load=replace(chain.load, **{**without, "inertia": True})
+    )
 
 
 def other_presets(preset: str) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -104,12 +105,14 @@ class Joint:
         several = sum(element.load_loss != "none" for element in self.elements) > 1
         found: list[Parameter] = []
         bearers: list[Element | Load] = [*self.elements, self.load]
+        held = Counter(q.name for bearer in bearers for q in bearer.quantities)
         for bearer in bearers:
             subscript = bearer.subscript or bearer.name
             own = tuple(term.row for term in self.terms if term.owner == bearer.name)
             for q in (*bearer.quantities, *own):
                 bare = q.role == "loss" and not several
-                found.append(parameter(bearer.name, q, bearer.motion, "" if bare else subscript))
+                mark, alone = "" if bare else subscript, held[q.name] == 1
+                found.append(parameter(bearer.name, q, bearer.motion, mark, alone=alone))
         offset = parameter("", QUANTITIES["offset"], self.motor_motion, "")
         if self.offset and not self.own_offsets:
             found.append(offset)
@@ -180,6 +183,17 @@ class Joint:
             for i, p in enumerate(self.parameters)
             if p.owner in places and p.row.role == "own" and not _slots(p)
         )
+
+    @property
+    def unseen_inertia(self) -> tuple[str, ...]:
+        """Inertias that a load loss does not see, all of them standing before it; else empty."""
+        lossy = [k for k, e in enumerate(self.elements) if e.load_loss != "none"]
+        if not lossy or self.load.has("inertia"):
+            return ()
+        held = [k for k, e in enumerate(self.elements) if e.has("inertia")]
+        if any(k > lossy[-1] for k in held):
+            return ()
+        return tuple(f"{self.elements[k].name}.inertia" for k in held)
 
     def with_term(self, term: Term) -> Joint:
         """Add a term of one's own to an element or the load, in place of one of the same name.

@@ -55,7 +55,9 @@ class Parameter:
         return self.row.circular
 
 
-def parameter(owner: str, row: Quantity, motion: Motion, subscript: str) -> Parameter:
+def parameter(
+    owner: str, row: Quantity, motion: Motion, subscript: str, *, alone: bool = False
+) -> Parameter:
     """Describe one quantity of one element.
 
     Parameters
@@ -68,14 +70,17 @@ def parameter(owner: str, row: Quantity, motion: Motion, subscript: str) -> Para
         Whether the element's input turns or slides; it sets the unit.
     subscript
         LaTeX subscript that tells this element's symbols from another's.
+    alone
+        Whether no other element, and no load, has this quantity.
     """
+    meaning = row.alone.format(owner) if alone and row.alone else row.meaning
     return Parameter(
         name=f"{owner}.{row.name}" if owner else row.name,
         row=row,
         owner=owner,
         unit=row.unit(motion),
         symbol=row.symbol.format(subscript),
-        meaning=effort_words(row.meaning, motion),
+        meaning=effort_words(meaning, motion),
     )
 
 

@@ -130,6 +130,8 @@ class Quantity:
         Values at which what it shapes is tried, where nothing tells it yet.
     start
         Where a search starts that nothing has told anything; ``None`` for its share of a total.
+    alone
+        Its meaning where no other element has it, so that it stands for all; ``{}`` is its owner.
     """
 
     name: str
@@ -160,6 +162,7 @@ class Quantity:
     prior_upper: float = _INF
     tries: Callable[[Sizes], tuple[float, ...]] | None = None
     start: float | None = None
+    alone: str = ""
 
     def brought_by(self, choice: Any) -> bool:
         """Whether this choice of its option brings it."""
@@ -277,6 +280,7 @@ QUANTITIES: dict[str, Quantity] = {
         Quantity(
             "inertia", ("kg m²", "kg"), "J_{{{}}}", "inertia at the element's input",
             option="inertia", column=lambda m: m.acceleration, power=1, stores=True,
+            alone="inertia of everything that moves, seen by the {}",
         ),
         Quantity(
             "viscous", ("N m s", "N s/m"), "f_{{{}}}", "loss growing in proportion to speed",

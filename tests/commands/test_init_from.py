@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from bayesfric.config import read_config
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.recognition.log import recognise
 from bayesfric.recordings.recognition.names import named
@@ -335,6 +336,24 @@ def test_what_a_guess_could_be_instead_is_told(bench):
     named, said = written(bench, bench.folder / "log.csv", "servo-pendulum")
     has(named, 'preset = "servo-pendulum"')
     assert "motor-axis" not in said  # it was asked for
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_a_load_loss_sees_the_inertia_that_init_writes(bench, preset):
+    """Before a load loss it would see gravity only; without one it stays the motor's."""
+    pd.DataFrame({"t": T, "q": Q, "qd": V, "torque": TAU}).to_csv(
+        bench.folder / "log.csv", index=False
+    )
+    text, _ = written(bench, bench.folder / "log.csv", preset)
+    passes(bench, text)
+    joint = read_config(bench.folder / "settled.toml").tables.mechanism.joint()
+    assert joint.unseen_inertia == ()
+    chain = PRESETS[preset].chain()
+    assert ("motor.inertia" in joint.names) == (chain.unseen_inertia == ())
+    added = {"load.inertia"} if chain.unseen_inertia else set()
+    assert set(joint.names) - set(chain.names) == added
+    # a second header of a table that a user takes the '#' off would be refused
+    assert text.count("[mechanism.elements.motor]") == 1
 
 
 # -- real logs

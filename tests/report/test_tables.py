@@ -88,16 +88,20 @@ def test_latex_is_the_summary_to_its_last_digit(summary):
             continue
         *both, last = ends(interval)
         np.testing.assert_allclose(both, row["interval"], rtol=0, atol=0.5001 * last)
-        if r.skewed:
-            middle, up, down, last = skewed(value)
-            assert middle + up == pytest.approx(row["interval"][1], abs=1.001 * last)
-            assert middle - down == pytest.approx(row["interval"][0], abs=1.001 * last)
-        else:
-            middle, sd, last = num(value)
-            assert sd == pytest.approx(row["sd"], abs=0.5001 * last)
-            # two digits of the sd, whatever its size
-            assert 10 <= round(sd / last) <= 99 or last == 1.0
+        # intervals only, skewed or not: no sd stands among distances to their ends
+        middle, up, down, last = skewed(value)
+        assert middle + up == pytest.approx(row["interval"][1], abs=1.001 * last)
+        assert middle - down == pytest.approx(row["interval"][0], abs=1.001 * last)
+        # two digits of the sd, whatever its size
+        assert 10 <= round(row["sd"] / last) <= 99 or last == 1.0
         assert middle == pytest.approx(row["median"], abs=0.5001 * last)
+
+
+def test_notes_speak_of_intervals_and_of_their_level(summary):
+    (first, *others) = parameter_table(summary).notes
+    assert first.startswith("Values are medians; intervals, and distances from a value to their")
+    assert "hold 90 %" in first
+    assert not [note for note in (first, *others) if "standard deviation" in note]
 
 
 def test_markdown_is_the_summary(summary):

@@ -14,6 +14,7 @@ from bayesfric.report.comparison.cell import Cell, is_skewed, posterior_cell
 from bayesfric.report.comparison.comparison import Comparison, comparison
 from bayesfric.report.comparison.table import comparison_csv, comparison_markdown, markdown_table
 from bayesfric.report.numbers import (
+    HTML,
     LATEX,
     TEXT,
     Medium,
@@ -150,7 +151,8 @@ class ParameterRow:
             return medium.number(self.row.middle, 5), medium.none
         middle, low, high, sd = self.cited
         ends = self.with_doubt(medium.interval(low, high, sd))
-        if self.skewed:
+        # a paper's table has intervals only; the page has room for sds where they name both sides
+        if self.skewed or medium is not HTML:
             return medium.ends(middle, low, high, sd), ends
         return medium.value(middle, sd), ends
 

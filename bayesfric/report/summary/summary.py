@@ -37,6 +37,7 @@ from bayesfric.report.summary.record import Readable, Summary, of_noise
 from bayesfric.report.summary.residual_analysis import lacking
 from bayesfric.report.summary.rows import EstimatedRow, Spread
 from bayesfric.report.summary.validation import validation_record
+from bayesfric.report.text_templates import sentence
 
 __all__ = ["LEVEL", "estimate_summary", "rms", "spreads", "summarise", "summary_table"]
 
@@ -116,8 +117,10 @@ def summarise(
     }
     summary = _with_currents(tell_given_scales(Summary.model_validate(found)), fit)
     sound = {name: row for name, row in summary.parameters.items() if row.converged}
+    unseen = fit.chain.unseen_inertia
     warnings = [
         *posterior.diagnostics.warnings,
+        sentence("unseen inertia", {"names": unseen}) if unseen else "",
         *(bound_warning(name, row) for name, row in sound.items()),
         noise_part.correlation_warning(summary),
         noise_part.linearisation_warning(summary.likelihood),
