@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from bayesfric.estimates.agreement import TOO_SMALL, Agreement, agreement
 from bayesfric.estimates.methods import ESTIMATORS
-from bayesfric.estimates.point_estimate import Estimate
+from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
 from bayesfric.model import Model
 from bayesfric.report.summary.summary import estimate_summary
+from bayesfric.report.text_templates import sentence
 
 
 def estimate_record(found: Sequence[Estimate], model: Model) -> dict[str, Any]:
@@ -19,12 +21,15 @@ def estimate_record(found: Sequence[Estimate], model: Model) -> dict[str, Any]:
         "config": str(model.config.path),
         "estimates": {estimate.method: estimate_summary(estimate) for estimate in found},
         "references": model.references(),
+        **({"agreement": _told(seen)} if (seen := _seen(found, model)) else {}),
     }
 
 
 def estimate_text(found: Sequence[Estimate], model: Model) -> Iterator[str]:
     """Word estimates for a person, line by line."""
     references = model.references()
+    seen = _seen(found, model)
+    doubted = "output-error" if seen and not seen.agree and seen.believed == "input-error" else ""
     for estimate in found:
         yield ESTIMATORS[estimate.method].title
         yield (
@@ -33,10 +38,32 @@ def estimate_text(found: Sequence[Estimate], model: Model) -> Iterator[str]:
         )
         yield f"  {'':<30} {'value':>11}   {'sd':>9}   {'sd HAC':>9}   {'sd %':>6}"
         for v in estimate.values:
-            yield "  " + _row(v, references.get(v.name), estimate.converged)
+            row = _row(v, references.get(v.name), estimate.converged)
+            yield f"  {row}{_mark(v, estimate.method == doubted)}"
         for note in estimate.notes:
             yield f"  {note}"
         yield ""
+    if seen is not None:
+        yield sentence("methods apart", _told(seen))
+
+
+def _seen(found: Sequence[Estimate], model: Model) -> Agreement | None:
+    return agreement(found, model.chain, model.observations)
+
+
+def _told(seen: Agreement) -> dict[str, Any]:
+    ratio = seen.ratio if np.isfinite(seen.ratio) else None
+    told = {**vars(seen), "apart": [*seen.apart], "on_bound": [*seen.on_bound]}
+    return told | {"torque": [*seen.torque], "ratio": ratio, "believed": seen.believed}
+
+
+def _mark(v: EstimatedValue, doubted: bool) -> str:
+    """Mark a number whose sd is not to be trusted."""
+    if not v.determined or v.at_bound:
+        return ""
+    if doubted:
+        return "   ? another minimum than the torque's: its sds do not hold"
+    return "   ? sd too small, see sd HAC" if v.sd_robust > TOO_SMALL * v.sd else ""
 
 
 def _row(v: Any, reference: dict[str, Any] | None, converged: bool) -> str:

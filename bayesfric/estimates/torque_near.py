@@ -20,10 +20,7 @@ from bayesfric.recordings.observation import Observation
 
 def bends(chain: Joint) -> bool:
     """Whether load losses, or what shapes other terms, bend the totals of least squares."""
-    return any(
-        p.row.role == "loss" or (p.row.role == "form" and p.row.option and not p.circular)
-        for p in chain.parameters
-    )
+    return any(p.row.bends for p in chain.parameters)
 
 
 def torque_near(

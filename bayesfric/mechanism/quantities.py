@@ -173,6 +173,13 @@ class Quantity:
         return bool(choice == self.choice)
 
     @property
+    def bends(self) -> bool:
+        """Whether totals of least squares are another number where it is: a loss, or a shape."""
+        return self.role == "loss" or (
+            self.role == "form" and self.option != "" and not self.circular
+        )
+
+    @property
     def fills(self) -> tuple[tuple[str, float], ...]:
         """Columns of ``psi`` and weights."""
         return self.shares or ((self.name, 1.0),)

@@ -122,6 +122,24 @@ def test_an_estimate_outside_what_the_model_s_error_allows_is_named(sds, wide, d
     assert all("motor.inertia" in one.text for one in told)
 
 
+@pytest.mark.parametrize("bent", [True, False])
+def test_a_total_by_a_parameters_name_is_not_held_against_it_where_losses_bend_it(bent):
+    """Least squares has what a load loss adds in it; a UR10e's constant loss 15.5 for 10.6 N m."""
+    run = knee()
+    viscous = run["parameters"]["motor.viscous"]
+    total = {"unit": viscous["unit"], "value": 1.5 * viscous["median"], "sd": viscous["sd"]}
+    run["estimates"]["least-squares"]["parameters"]["motor.viscous"] = total
+    if not bent:
+        for group in ("parameters", "derived"):
+            run[group] = {k: row for k, row in run[group].items() if "gearbox" not in k}
+    found = comparison({"knee": run})
+    cell = found["motor.viscous"].cells["least-squares"]
+    assert cell.value == total["value"]
+    assert (cell.disagreement is None) == bent
+    assert ("load losses" in cell.remark) == bent
+    assert ("motor.viscous" in found.contested) != bent
+
+
 def test_estimates_of_another_run_saw_other_data():
     """The other run is another posterior's matter: its estimates are not told to be wrong."""
     other = loaded()

@@ -71,6 +71,9 @@ class Cell:
     # whether there is a posterior, or an estimate, at all; `undetermined` where not
     converged: bool = True
     doubted: bool = False  # whether its run says that it is doubtful, however narrow
+    # whether it is what a posterior has by that name: a total of least squares holds what bends
+    # the torque, such as a load loss, the parameter does not
+    alike: bool = True
 
     @property
     def told_status(self) -> str:

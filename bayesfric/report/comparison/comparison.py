@@ -15,8 +15,9 @@ from typing import Any, Literal
 from bayesfric.errors import BadInput
 from bayesfric.estimates.point_estimate import METHODS, Kind, Method
 from bayesfric.mechanism.parameter import turned
+from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.report.comparison.cell import Cell, estimate_cell, left_open, posterior_cell
-from bayesfric.report.summary.record import Readable, Summary, of_noise
+from bayesfric.report.summary.record import Readable, Summary, of_noise, quantity_of
 from bayesfric.report.summary.rows import PosteriorRow, ReferenceRow
 
 REFERENCE = "reference"
@@ -24,6 +25,8 @@ REFERENCE = "reference"
 _FAR = 3.0
 # And outside the interval shown: sds of both, the posterior's own, that are no chance either.
 _FAR_OF_BOTH = 4.0
+# What a total of least squares is that goes by a parameter's name.
+_OF_ALL = "with what load losses and changing friction add to it"
 
 
 @dataclass(frozen=True)
@@ -290,7 +293,17 @@ def _cells(column: Column, summary: Summary) -> Iterator[tuple[str, Cell]]:
     if column.method is not None:
         estimate = summary.estimates[column.method]
         for name, value in estimate.parameters.items():
-            yield name, estimate_cell(value, estimate.converged)
+            cell = estimate_cell(value, estimate.converged)
+            if column.method == "least-squares" and name in summary.parameters and _bent(summary):
+                cell = replace(cell, alike=False, remark=cell.remark or _OF_ALL)
+            yield name, cell
+
+
+def _bent(summary: Summary) -> bool:
+    """Whether a load loss, or what shapes other terms, bends the totals of least squares."""
+    known = {name for name, row in summary.fixed.items() if row.value != 0.0}
+    rows = (QUANTITIES.get(quantity_of(name)) for name in {*summary.parameters, *known})
+    return any(row is not None and row.bends for row in rows)
 
 
 def _withhold(cells: dict[str, Cell], labels: list[str], posteriors: list[str]) -> None:
@@ -412,7 +425,7 @@ def _measured(fact: _Facts, columns: list[Column], baseline: Column | None) -> d
         return ordered
     for column in columns:
         cell = ordered.get(column.label)
-        if cell is None or column is baseline:
+        if cell is None or column is baseline or not cell.alike:
             continue
         # two motions need not agree
         if fact.of_motion and column.run not in ("", baseline.run):
