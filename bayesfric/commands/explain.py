@@ -46,8 +46,7 @@ def write_figure(found: Explanation, path: Path) -> None:
 
 
 def explain_text(found: Explanation) -> list[str]:
-    """Word an explanation for a person: first the answer, then the tables."""
-    names = dict.fromkeys(name for m in found.models for name in m.numbers)
+    """Word an explanation for a person: first the answer and what to write, then the tables."""
     text = filled(
         "explain.txt.j2",
         found=found,
@@ -56,7 +55,6 @@ def explain_text(found: Explanation) -> list[str]:
             for one in pushed_doubts(found.pushed, found.unit, lacking=bool(found.asked))
         ],
         rungs=[m for m in found.models if not m.rival],
-        names=list(names),
         value=_value,
     )
     return text.splitlines()

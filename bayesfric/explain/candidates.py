@@ -29,6 +29,10 @@ _LEFT_OUT = frozenset({"inertia"})
 _ON_TOP = {"gravity_angle": "first_moment"}
 
 
+# Owner, option, choice.
+Key = tuple[str, str, str]
+
+
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """One change of a joint, at one value of what shapes it."""
@@ -42,9 +46,16 @@ class Candidate:
     new: tuple[str, ...]  # parameters that it brings
     sign: int  # of what it brings, where that can have one only; 0 where it can have both
     shape: tuple[str, float] | None = None  # what shapes it, and at which value it is tried
+    shapes: tuple[float, ...] = ()  # all values at which that is tried
+    instead: bool = False  # whether it takes the place of something
 
     @property
-    def key(self) -> tuple[str, str, str]:
+    def brings(self) -> tuple[str, ...]:
+        """Parameters that it brings, with what shapes it."""
+        return (*self.new, self.shape[0]) if self.shape else self.new
+
+    @property
+    def key(self) -> Key:
         """What it is, whatever shapes it and however often it repeats."""
         return self.owner, self.option, "" if self.option in CYCLES else str(self.choice)
 
@@ -176,7 +187,8 @@ def _changed(
         for value in tried:
             at = {**values, name: value}
             shape = (name, value)
-            yield _candidate(made, bearer.name, option, choice, phrase, point, at, shape)
+            one = _candidate(made, bearer.name, option, choice, phrase, point, at, shape)
+            yield replace(one, shapes=tried)
 
 
 def _candidate(
@@ -190,14 +202,12 @@ def _candidate(
     shape: tuple[str, float] | None = None,
 ) -> Candidate:
     new = [p for p in made.parameters if p.name not in point and p.row.tries is None]
-    sign = 1 if all(p.lower == 0.0 for p in new) and not _replaces(made, owner, point) else 0
+    instead = any(n not in made.names and n.partition(".")[0] == owner for n in point)
+    sign = 1 if all(p.lower == 0.0 for p in new) and not instead else 0
     # the same column as a rise has, the other way round
     if (option, choice) == ("stribeck", "either"):
         sign = -1
     names = tuple(p.name for p in new)
-    return Candidate(owner, option, choice, phrase, made, values, names, sign, shape)
-
-
-def _replaces(made: Joint, owner: str, point: Mapping[str, float]) -> bool:
-    """Whether a parameter that was there is no more."""
-    return any(n not in made.names and n.partition(".")[0] == owner for n in point)
+    return Candidate(
+        owner, option, choice, phrase, made, values, names, sign, shape, instead=instead
+    )

@@ -1,8 +1,10 @@
 """Outputs and columns after noise is made white, and all that moment matrices say of them.
 
 The noise is told from what is left when everything that any candidate could take is taken: a
-memory then cannot take what a term explains. One noise serves all models, so that their scores
-compare.
+memory then cannot take what a term explains. Where that leaves next to nothing, as of few outputs,
+it would be a noise beside which any term is sure; then it is what the model as it is leaves, which
+is too much where a term is missing: fewer are found, none too many. One noise serves all models,
+so that their scores compare.
 """
 
 from __future__ import annotations
@@ -29,18 +31,20 @@ _ORDER = 4
 _GAP = 6
 # Pieces of time between which scores are taken to be independent.
 _PIECES = 40
+# Outputs beyond what all terms together could take, or these tell no noise: its sd within a sixth.
+_FREE = 20
 # Fewer outputs are no fold.
 _LEAST = 20
-# What only a fold itself tells cannot be predicted from the others: it stays where all say, who
-# count this much.
+# What only a fold itself tells cannot be predicted from the others: there it stays where the model
+# as it is has it, who counts this much. A term that one fold alone tells then predicts nothing.
 _ANCHOR = 0.01
 # Singular values below this share of the largest are rounding.
 _OPEN = 1e-5
 # A term that is missing is taken to have this share of the torque, in root mean square.
 _SHARE = 0.1
 # With fewer kinds of motion, stretches of time are left out instead.
-_FEW, _STRETCHES = 4, 8
-_TIMES = tuple(f"eighth {k} of the time" for k in range(1, _STRETCHES + 1))
+_FEW, _EIGHTHS = 4, 8
+STRETCHES = tuple(f"eighth {k} of the time" for k in range(1, _EIGHTHS + 1))
 # Recordings from which on whole ones are left out.
 _RECORDINGS = 4
 
@@ -57,6 +61,7 @@ class Columns:
     folds: Index  # (n,) number of the fold of each output
     fold_names: tuple[str, ...]
     pieces: Index  # (n,) number of the piece of time
+    base: int  # columns of the model as it is, the first ones
 
     @cached_property
     def whole(self) -> Array:
@@ -90,7 +95,10 @@ def prepared(
     raw = np.column_stack([_basis(base), _unit(others), target])
     ends = np.cumsum([o.measured.size for o in observations])[:-1]
     runs = [follows(o) for o in observations]
-    whole = _basis(raw[:, :-1])
+    first = raw.shape[1] - 1 - others.shape[1]
+    taking, whole = raw.shape[1] - 1, _basis(raw[:, :-1])
+    if target.size - whole.shape[1] < _FREE:
+        taking, whole = first, _basis(raw[:, :first])
     left = target - whole @ (whole.T @ target)
     memory = _memory(np.split(left, ends), runs, target.size)
     white = np.concatenate(
@@ -99,7 +107,7 @@ def prepared(
             for part, f in zip(np.split(raw, ends), runs, strict=True)
         ]
     )
-    basis = _basis(white[:, :-1])
+    basis = _basis(white[:, :taking])
     rest = white[:, -1] - basis @ (basis.T @ white[:, -1])
     variance = float(rest @ rest) / max(target.size - basis.shape[1], 1)
     folds, names = _folds(observations)
@@ -112,7 +120,7 @@ def prepared(
     )
     torque = np.concatenate([o.measured for o in observations])
     rms = float(np.sqrt(np.mean(torque**2)))
-    return Columns(white, raw, rms, variance, memory, folds, names, pieces)
+    return Columns(white, raw, rms, variance, memory, folds, names, pieces, first)
 
 
 def _basis(matrix: Array) -> Array:
@@ -169,7 +177,7 @@ def _folds(observations: Sequence[Observation]) -> tuple[Index, tuple[str, ...]]
     counts = np.bincount(number, minlength=len(words))
     kept = np.flatnonzero(counts >= _LEAST)
     if kept.size < _FEW:
-        return np.arange(qd.size) * _STRETCHES // qd.size, _TIMES
+        return np.arange(qd.size) * _EIGHTHS // qd.size, STRETCHES
     place = np.full(len(words), -1)
     place[kept] = np.arange(kept.size)
     return place[number], tuple(words[k] for k in kept)
@@ -193,9 +201,12 @@ def score(columns: Columns, chosen: Sequence[int]) -> Score:
     left = columns.raw[:, y] - columns.raw[:, at] @ fitted
     density, power, outputs = [], [], 0
     whole = columns.whole[np.ix_(at, at)]
+    plain = np.arange(columns.base)
+    without = _solved(columns.whole[np.ix_(plain, plain)], columns.whole[plain, y])
+    anchor = _ANCHOR * (columns.whole[np.ix_(at, plain)] @ without)
     for white, raw, rest, size in columns.of_folds:
         moments = rest[np.ix_(at, at)] + _ANCHOR * whole
-        there = _solved(moments, rest[at, y] + _ANCHOR * (whole @ fitted))
+        there = _solved(moments, rest[at, y] + anchor)
         density.append(-0.5 * _power(white, at, y, there) / columns.variance)
         power.append(_power(raw, at, y, there))
         outputs += size

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -15,10 +14,12 @@ from bayesfric.estimates.disturbances import Disturbance
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.methods import Given
-from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
-from bayesfric.estimates.torque_near import larger
+from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.explain.candidates import Candidate
-from bayesfric.explain.ladder import Rung, Trial, climb, compared, stacked
+from bayesfric.explain.evidence import STRETCHES, Score
+from bayesfric.explain.ladder import Ladder, Trial, compared, searched, stacked
+from bayesfric.explain.told import Reason, sd_of, something, untold
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 
 if TYPE_CHECKING:
@@ -36,11 +37,26 @@ class Term:
     also: tuple[str, ...]  # settings that do the same to these motions
     rivals: tuple[Term, ...] = ()  # what it cannot be told from
     presets: tuple[str, ...] = ()  # those that have it, where the joint is another preset
+    parameters: tuple[str, ...] = ()  # that it brings
+    why: Reason | None = None  # it is not asked for though it fits better
+    # whether its numbers are surely not nothing; else it is asked for as left-out motion is
+    # predicted better by more than chance
+    sure: bool = True
 
     @property
     def name(self) -> str:
         """What it is called, with its element."""
         return f"{self.phrase} ({self.owner})" if self.owner else self.phrase
+
+    @property
+    def table(self) -> str:
+        """Table of a configuration that its line goes to."""
+        return self.setting.partition(" = ")[0].rpartition(".")[0]
+
+    @property
+    def line(self) -> str:
+        """Line to write under that table."""
+        return self.setting.removeprefix(f"{self.table}.")
 
 
 @dataclass(frozen=True)
@@ -86,6 +102,8 @@ class Explanation:
         Terms that the recordings ask for, the strongest first.
     fitted
         Terms that would fit better, and predict no better.
+    untold
+        Terms that would fit better, but whose values the recordings do not tell; each says why.
     against
         Terms that the recordings speak against.
     models
@@ -108,11 +126,17 @@ class Explanation:
     whole_recordings: bool  # whether that is recordings, or kinds of motion
     memory: tuple[float, ...]  # partial autocorrelations of the noise beside all terms
     pushed: tuple[Disturbance, ...] = ()
+    untold: tuple[Term, ...] = ()
 
     @property
     def last(self) -> Model:
         """The last rung."""
         return [m for m in self.models if not m.rival][-1]
+
+    @property
+    def of_times(self) -> bool:
+        """Whether stretches of time were left out, for want of motions of several kinds."""
+        return self.folds == STRETCHES
 
     @property
     def frame(self) -> pd.DataFrame:
@@ -137,22 +161,14 @@ class Explanation:
         return found
 
 
-# Outputs beyond two a parameter, or what is left out in turn is no motion to judge by: of 39
-# outputs of a measured arm it was foretold with any certainty at all.
+# Outputs beyond two a parameter, or what is left out in turn is no motion to judge by.
 _ENOUGH = 50
 
 
 def asked_for(given: Given, point: Mapping[str, float]) -> tuple[Term, ...]:
     """Look only for the terms that the recordings ask for; see :func:`explain`."""
-    if not _enough(given):
-        return ()
-    ladder = climb(given.chain, given.observations, point)
-    return tuple(_term(rung.added, rung.rivals) for rung in ladder.rungs if rung.added)
-
-
-def _enough(given: Given) -> bool:
-    outputs = sum(o.measured.size for o in given.observations)
-    return outputs >= 2 * len(given.chain.names) + _ENOUGH
+    found = _found(given, point)
+    return () if found is None else found.asked
 
 
 def explain(
@@ -168,33 +184,32 @@ def explain(
     BadInput
         If there are too few outputs.
     """
-    if not _enough(given):
+    found = _found(given, point, progress)
+    if found is None:
         outputs = sum(o.measured.size for o in given.observations)
         raise BadInput(
             ", ".join(f"recording {o.name!r}" for o in given.observations),
             f"{outputs} outputs are too few to tell what a model lacks",
-            "record longer, or decimate less",
+            "record longer, or with a wider band",
         )
-    ladder = climb(given.chain, given.observations, point, progress=progress)
     progress("values under every model")
-    found: list[tuple[tuple[Trial, ...], Rung, bool]] = []
-    trials: tuple[Trial, ...] = ()
-    for rung in ladder.rungs:
-        trials = (*trials, rung.added) if rung.added else ()
-        found.append((trials, rung, False))
-    for other in ladder.last.rivals:
-        assert other.score is not None
-        rung = replace(ladder.last, added=other, score=other.score)
-        found.append(((*trials[:-1], other), rung, True))
+    ladder, estimates = found.ladder, found.estimates
     first = ladder.rungs[0].score
-    weights = stacked([rung.score for _, rung, _ in found])
+    rungs = list(ladder.rungs)
+    terms = [tuple(r.added for r in rungs[1 : k + 1] if r.added) for k in range(len(rungs))]
+    for rival in found.rivals:
+        assert rival.score is not None
+        rungs.append(replace(ladder.last, added=rival, score=rival.score))
+        terms.append((*terms[len(ladder.rungs) - 1][:-1], rival))
+    weights = stacked([rung.score for rung in rungs])
     models = []
-    for (terms, rung, rival), weight in zip(found, weights.tolist(), strict=True):
-        estimate = _estimated(given, point, [t.candidate for t in terms])
-        better, error = compared(rung.score, first) if terms else (0.0, 0.0)
+    for k, (rung, added, weight) in enumerate(zip(rungs, terms, weights.tolist(), strict=True)):
+        known = estimates.get(_settings(added))
+        estimate = known or _estimated(given, point, [t.candidate for t in added])[1]
+        better, error = compared(rung.score, first) if added else (0.0, 0.0)
         models.append(
             Model(
-                tuple(_term(t) for t in terms),
+                tuple(_term(t) for t in added),
                 rung.score.rms,
                 1.0 - (rung.score.rms / first.rms) ** 2 if first.rms > 0.0 else 0.0,
                 rung.score.held_out,
@@ -202,15 +217,15 @@ def explain(
                 better,
                 error,
                 weight,
-                rival,
+                k >= len(ladder.rungs),
                 _numbers(estimate),
             )
         )
     alike = [m for m in models if m.rival] + [[m for m in models if not m.rival][-1]]
     return Explanation(
         "N m" if given.chain.motor_motion == "rotary" else "N",
-        tuple(_term(rung.added, rung.rivals) for rung in ladder.rungs if rung.added),
-        tuple(_term(t) for t in ladder.fitted),
+        found.asked,
+        tuple(_term(t) for t in ladder.fitted) + found.refused("worse"),
         tuple(_term(t) for t in ladder.against),
         tuple(models),
         _averaged(alike) if len(alike) > 1 else {},
@@ -218,7 +233,86 @@ def explain(
         ladder.folds,
         ladder.folds == tuple(o.name for o in given.observations),
         tuple(ladder.memory.tolist()),
+        untold=found.refused("zero", "shape", "negative"),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """A ladder of terms whose values the recordings tell."""
+
+    ladder: Ladder
+    rivals: tuple[Trial, ...]  # of the last, with values that the recordings tell
+    without: Sequence[tuple[Trial, Reason]]  # what they do not
+    estimates: Mapping[tuple[str, ...], Estimate]  # that were made for that
+
+    @property
+    def asked(self) -> tuple[Term, ...]:
+        rungs = self.ladder.rungs
+        others = [*(r.rivals for r in rungs[:-1]), self.rivals]
+        pairs = [(r.added, o) for r, o in zip(rungs, others, strict=True) if r.added]
+        last = self.estimates.get(_settings([t for t, _ in pairs]))
+        return tuple(
+            replace(_term(t, o), sure=last is not None and something(t.candidate, last))
+            for t, o in pairs
+        )
+
+    def refused(self, *reasons: Reason) -> tuple[Term, ...]:
+        """Give what is refused for these reasons."""
+        return tuple(replace(_term(t), why=why) for t, why in self.without if why in reasons)
+
+
+def _found(
+    given: Given,
+    point: Mapping[str, float],
+    progress: Callable[[str], None] = lambda _: None,
+) -> _Found | None:
+    """Climb, and climb anew without each term whose value is not told; None for too few outputs."""
+    outputs = sum(o.measured.size for o in given.observations)
+    if outputs < 2 * len(given.chain.names) + _ENOUGH:
+        return None
+    search = searched(given.chain, given.observations, point, progress=progress)
+    without: list[tuple[Trial, Reason]] = []
+    estimates: dict[tuple[str, ...], Estimate] = {}
+
+    def why_not(
+        added: Sequence[Trial], k: int, rivals: Sequence[Trial], after: Score, before: Score
+    ) -> Reason | None:
+        one = added[k].candidate
+        chain, estimate = _estimated(given, point, [t.candidate for t in added])
+        estimates[_settings(added)] = estimate
+        # a richer choice is there for what a simpler one cannot do as well
+        simpler = any(
+            (o.candidate.owner, o.candidate.option) == (one.owner, one.option)
+            and len(o.candidate.new) < len(one.new)
+            for o in rivals
+        )
+        if simpler and not something(one, estimate):
+            return "zero"
+        return untold(one, chain, estimate, given.observations, after, before)
+
+    while True:
+        alike = [one for t, _ in without for one in (t.candidate, *t.others)]
+        ladder = search.climbed({one.setting for one in alike})
+        rungs, added = ladder.rungs, [r.added for r in ladder.rungs if r.added]
+        # the weakest comes last, and may be what spoils another's value
+        for k in reversed(range(len(added))):
+            here, below = rungs[k + 1], rungs[k]
+            if why := why_not(added, k, here.rivals, here.score, below.score):
+                without.append((added[k], why))
+                break
+        else:
+            break
+    rivals = tuple(
+        t
+        for t in ladder.last.rivals
+        if t.score and not why_not([*added[:-1], t], -1, (), t.score, rungs[-2].score)
+    )
+    return _Found(ladder, rivals, without, estimates)
+
+
+def _settings(added: Sequence[Trial]) -> tuple[str, ...]:
+    return tuple(t.candidate.setting for t in added)
 
 
 def _term(t: Trial, rivals: Sequence[Trial] = ()) -> Term:
@@ -226,7 +320,7 @@ def _term(t: Trial, rivals: Sequence[Trial] = ()) -> Term:
     also = tuple(dict.fromkeys(other.setting for other in _simplest(one, t.others)))
     others = tuple(_term(other) for other in rivals)
     presets = tuple(_having(one))
-    return Term(one.phrase, one.owner, one.setting, t.evidence, also, others, presets)
+    return Term(one.phrase, one.owner, one.setting, t.evidence, also, others, presets, one.brings)
 
 
 def _having(one: Candidate) -> Iterator[str]:
@@ -255,7 +349,9 @@ def _simplest(one: Candidate, others: Sequence[Candidate]) -> Iterator[Candidate
             yield candidate
 
 
-def _estimated(given: Given, point: Mapping[str, float], added: Sequence[Candidate]) -> Estimate:
+def _estimated(
+    given: Given, point: Mapping[str, float], added: Sequence[Candidate]
+) -> tuple[Joint, Estimate]:
     """Fit a model with some terms more, from where it is without them."""
     chain, start = given.chain, dict(point)
     for one in added:
@@ -268,7 +364,7 @@ def _estimated(given: Given, point: Mapping[str, float], added: Sequence[Candida
         {name: x for name, x in known.bounds.items() if name in start},
         {name: x for name, x in known.told.items() if name in start},
     )
-    return input_error(chain, given.observations, knowledge, given.options, start)
+    return chain, input_error(chain, given.observations, knowledge, given.options, start)
 
 
 def _numbers(estimate: Estimate) -> dict[str, Number]:
@@ -276,13 +372,7 @@ def _numbers(estimate: Estimate) -> dict[str, Number]:
     values = [v for v in estimate.values if v.kind == "parameter"]
     if any(not v.determined for v in values):
         values += [v for v in estimate.values if v.kind == "derived" and v.gauge_free]
-    return {v.name: Number(v.value, _sd(v), v.unit, v.at_bound is not None) for v in values}
-
-
-def _sd(v: EstimatedValue) -> float | None:
-    """Give the larger sd; what stands on a limit, or is not determined, has none."""
-    sd = larger(v.sd, v.sd_robust)
-    return None if math.isnan(v.sd) or math.isinf(sd) else sd
+    return {v.name: Number(v.value, sd_of(v), v.unit, v.at_bound is not None) for v in values}
 
 
 def _averaged(models: Sequence[Model]) -> dict[str, Number]:

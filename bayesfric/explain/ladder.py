@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -13,7 +13,7 @@ from scipy.optimize import minimize
 from scipy.special import logsumexp
 
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian
-from bayesfric.explain.candidates import Candidate, candidates
+from bayesfric.explain.candidates import Candidate, Key, candidates
 from bayesfric.explain.evidence import Columns, Gain, Score, gain, prepared, score
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import CYCLES
@@ -95,7 +95,18 @@ def climb(
     *,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Ladder:
-    """Try every candidate beside a chain with these parameters, then the best with the others.
+    """Try every candidate beside a chain with these parameters, then the best with the others."""
+    return searched(chain, observations, point, progress=progress).climbed()
+
+
+def searched(
+    chain: Joint,
+    observations: Sequence[Observation],
+    point: Mapping[str, float],
+    *,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Search:
+    """Prepare a search among all candidates beside a chain with these parameters.
 
     Near the point the torque is taken as linear in all parameters.
     """
@@ -116,7 +127,7 @@ def climb(
     first = columns.white.shape[1] - 1 - others.shape[1]
     ends = first + np.cumsum([0] + [block.shape[1] for block in blocks])
     own = [tuple(range(a, b)) for a, b in pairwise(ends.tolist())]
-    return _climbed(_Search(columns, list(range(first)), found, own))
+    return Search(columns, list(range(first)), found, own)
 
 
 def _effects(
@@ -130,14 +141,20 @@ def _effects(
 
 
 @dataclass(frozen=True, eq=False)
-class _Search:
+class Search:
     """What candidates are searched with."""
 
     columns: Columns
     base: list[int]
     found: Sequence[Candidate]
     own: Sequence[tuple[int, ...]]
+    without: Collection[str] = ()
     weighed: dict[tuple[tuple[int, ...], ...], list[Trial]] = field(default_factory=dict)
+
+    def climbed(self, without: Collection[str] = ()) -> Ladder:
+        """Climb, and leave out candidates of these settings."""
+        among = len(self.beside([]))
+        return _climbed(replace(self, without=without, weighed={}), among)
 
     def at(self, chosen: Sequence[Trial]) -> list[int]:
         """Columns of the model with some terms."""
@@ -155,16 +172,16 @@ class _Search:
         return score(self.columns, self.at(chosen))
 
 
-def _climbed(search: _Search) -> Ladder:
-    first = trials = search.beside([])
+def _climbed(search: Search, among: int) -> Ladder:
+    trials = search.beside([])
     chosen: list[Trial] = []
-    fitted: dict[tuple[str, str, str], Trial] = {}
+    fitted: dict[Key, Trial] = {}
     seen = {frozenset[tuple[int, ...]]()}
     while len(chosen) < _MOST:
-        best = _best(search, chosen, trials, len(first), fitted)
+        best = _best(search, chosen, trials, among, fitted)
         if best is None:
             break
-        after = _settled(search, [*chosen, best], len(first))
+        after = _settled(search, [*chosen, best], among)
         state = frozenset(t.columns for t in after)
         if state in seen:
             break  # what was exchanged before comes back
@@ -180,7 +197,7 @@ def _climbed(search: _Search) -> Ladder:
     rest = [t for t in trials if t.candidate.key not in fitted]
     return Ladder(
         tuple(rungs),
-        len(first),
+        among,
         tuple(fitted.values()),
         tuple(t for t in rest if t.evidence < _AGAINST),
         search.columns.fold_names,
@@ -189,11 +206,11 @@ def _climbed(search: _Search) -> Ladder:
 
 
 def _best(
-    search: _Search,
+    search: Search,
     chosen: Sequence[Trial],
     trials: Sequence[Trial],
     among: int,
-    fitted: dict[tuple[str, str, str], Trial],
+    fitted: dict[Key, Trial],
 ) -> Trial | None:
     """Give the strongest candidate that also predicts better; note those that do not."""
     below = search.score(chosen)
@@ -207,7 +224,7 @@ def _best(
     return None
 
 
-def _settled(search: _Search, chosen: list[Trial], among: int) -> list[Trial]:
+def _settled(search: Search, chosen: list[Trial], among: int) -> list[Trial]:
     """Exchange terms for better ones, and drop those that others have made needless."""
     for _ in range(_EXCHANGES):
         for t in chosen:
@@ -237,7 +254,7 @@ def _of(trials: Sequence[Trial], t: Trial) -> Trial | None:
     return None
 
 
-def _in_order(search: _Search, chosen: Sequence[Trial]) -> list[Trial]:
+def _in_order(search: Search, chosen: Sequence[Trial]) -> list[Trial]:
     """Sort terms by what each brings beside those before it."""
     left, ordered = list(chosen), list[Trial]()
     while left:
@@ -249,7 +266,7 @@ def _in_order(search: _Search, chosen: Sequence[Trial]) -> list[Trial]:
     return ordered
 
 
-def _rivals(search: _Search, others: Sequence[Trial], t: Trial) -> tuple[Trial, ...]:
+def _rivals(search: Search, others: Sequence[Trial], t: Trial) -> tuple[Trial, ...]:
     """Give what could stand in the place of one term and is about as good."""
     trials = search.beside(others)
     mine = _of(trials, t)
@@ -260,17 +277,19 @@ def _rivals(search: _Search, others: Sequence[Trial], t: Trial) -> tuple[Trial, 
     )
 
 
-def _trials(search: _Search, taken: Sequence[Trial]) -> list[Trial]:
+def _trials(search: Search, taken: Sequence[Trial]) -> list[Trial]:
     """Weigh every candidate beside what is chosen, the best first; what is one is one."""
     # of cycles there may be several
     having = {
         (t.candidate.owner, t.candidate.option) for t in taken if t.candidate.option not in CYCLES
     }
     columns_of = {t.columns for t in taken}
-    weighed: dict[tuple[str, str, str], list[tuple[Candidate, Gain, tuple[int, ...]]]] = {}
+    weighed: dict[Key, list[tuple[Candidate, Gain, tuple[int, ...]]]] = {}
     beside = search.at(taken)
     for one, mine in zip(search.found, search.own, strict=True):
         if (one.owner, one.option) in having or mine in columns_of:
+            continue
+        if one.setting in search.without:
             continue
         g = gain(search.columns, beside, mine, one.sign)
         if g.dimensions:

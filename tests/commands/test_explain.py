@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 import bayesfric as bf
+from bayesfric.report.numbers import text_value
 
 from .bench import has, recorded
 
@@ -40,7 +41,9 @@ def swing(bench):
 def test_what_is_missing_is_named_first_with_what_to_write(swing):
     text = swing.run("explain", "c.toml").out
     assert text.startswith("These recordings ask for a term that the model lacks")
-    assert 'mechanism.elements.motor.viscous = "by-direction"' in text
+    first = text.splitlines()[:4]
+    assert '   Write under [mechanism.elements.motor]: viscous = "by-direction"' in first
+    assert len(text.splitlines()) < 30
     found = json.loads(swing.run("explain", "c.toml", "--json").out)
     (term,) = found["asked"]
     assert term["setting"] == 'mechanism.elements.motor.viscous = "by-direction"'
@@ -51,6 +54,11 @@ def test_what_is_missing_is_named_first_with_what_to_write(swing):
         number = after["numbers"][name]
         assert abs(number["value"] - value) < 4.0 * number["sd"]
         assert number["unit"] == "N m s"
+        # and beside the term, where they are looked for
+        printed = text_value(number["value"], number["sd"])
+        assert any(f"{name} = {printed} N m s" in line for line in first)
+    falls = f"from {before['held_out']:.3g} to {after['held_out']:.3g} N m"
+    assert falls in first[0]
 
 
 def test_a_push_comes_before_any_term(swing):
@@ -100,7 +108,7 @@ def test_a_place_that_cannot_be_is_refused_before_anything(swing, name):
 def test_too_short_is_refused_with_the_mend(swing):
     more = '[processing]\ndecimate = 100\nband = "2 Hz"\n'
     swing.config(JOINT + recorded() + more)
-    has(swing.refused("explain", "c.toml"), "too few to tell what a model lacks", "decimate less")
+    has(swing.refused("explain", "c.toml"), "too few to tell what a model lacks", "wider band")
     # before anything is sampled, which would be lost
     done = swing.refused("fit", "c.toml", "-o", "run", "--explain")
     has(done, "too few to tell what a model lacks")

@@ -1,11 +1,13 @@
 """Evidence and held-out scores against the sums they stand for, written out."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 from scipy import stats
 
 from bayesfric.explain.evidence import Columns, gain, prepared, score
-from bayesfric.explain.ladder import stacked
+from bayesfric.explain.ladder import compared, stacked
 from tests.axis import AXIS, VALUES
 
 N = 60
@@ -24,7 +26,8 @@ def columns():
     folds = np.arange(N) * 4 // N
     # one piece of time: its scatter says nothing of the noise
     pieces = np.zeros(N, dtype=np.int64)
-    return Columns(rows, rows, TORQUE, SIGMA**2, np.zeros(0), folds, ("a", "b", "c", "d"), pieces)
+    names = ("a", "b", "c", "d")
+    return Columns(rows, rows, TORQUE, SIGMA**2, np.zeros(0), folds, names, pieces, 2)
 
 
 def log_marginal(columns, own):
@@ -56,8 +59,8 @@ def test_what_the_model_can_do_adds_nothing(columns):
 
 
 def vars_of(columns):
-    names = ("torque", "variance", "memory", "folds", "fold_names", "pieces")
-    return {name: getattr(columns, name) for name in names}
+    left = {"white", "raw"}
+    return {f.name: getattr(columns, f.name) for f in fields(columns) if f.name not in left}
 
 
 def doubled(columns):
@@ -82,19 +85,35 @@ def test_held_out_folds_are_predicted_by_the_others(columns):
     found = score(columns, [0, 1, 2])
     x, y = columns.white[:, :3], columns.white[:, -1]
     whole = np.linalg.lstsq(x, y, rcond=None)[0]
+    # of the model as it is, which has the first two
+    plain = np.linalg.lstsq(x[:, :2], y, rcond=None)[0]
     assert found.rms == pytest.approx(np.sqrt(np.mean((y - x @ whole) ** 2)))
     power = 0.0
     for fold in range(4):
         inside = columns.folds == fold
         near = np.convolve(inside, np.ones(13), mode="same") > 0.5
         rest = x[~near].T @ x[~near]
-        # what only the fold tells stays where all say, a hundredth as strongly
+        # what only the fold tells stays where the model as it is has it, a hundredth as strongly
         anchored = rest + 0.01 * x.T @ x
-        there = np.linalg.solve(anchored, x[~near].T @ y[~near] + 0.01 * x.T @ x @ whole)
+        held = 0.01 * x.T @ x[:, :2] @ plain
+        there = np.linalg.solve(anchored, x[~near].T @ y[~near] + held)
         left = y[inside] - x[inside] @ there
         assert found.folds[fold] == pytest.approx(-0.5 * left @ left / SIGMA**2)
         power += left @ left
     assert found.held_out == pytest.approx(np.sqrt(power / N))
+
+
+def test_a_term_that_one_fold_alone_tells_predicts_nothing(columns):
+    """It fits that fold; from the others it cannot be known, and is no better there."""
+    rows = columns.white.copy()
+    inside = columns.folds == 0
+    rows[:, 2] = np.where(inside, rows[:, 2], 0.0)
+    rows[inside, -1] += 2.0 * rows[inside, 2]
+    made = Columns(**{**vars_of(columns), "white": rows, "raw": rows})
+    with_it, without = score(made, [0, 1, 2]), score(made, [0, 1])
+    fitted = 0.5 * N * (without.rms**2 - with_it.rms**2) / SIGMA**2
+    assert fitted > 50.0
+    assert abs(compared(with_it, without)[0]) < 0.05 * fitted
 
 
 def test_weights_prefer_what_predicts_and_share_where_two_are_as_good():
