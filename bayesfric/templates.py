@@ -7,10 +7,21 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 def environment(package: str, folder: str = "templates", *, escaped: bool = False) -> Environment:
     """Give the environment of a package's templates; ``escaped`` for those that make HTML."""
-    return Environment(
+    made = Environment(
         loader=PackageLoader(package, folder),
         autoescape=escaped,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    made.filters["placed"] = placed
+    return made
+
+
+def placed(setting: str) -> tuple[str, str]:
+    """Part a dotted setting, ``a.b.key = value``, into its table and the line to write there.
+
+    As one line it would go into whatever table a file has open.
+    """
+    table = setting.partition(" = ")[0].rpartition(".")[0]
+    return table, setting.removeprefix(f"{table}.")

@@ -21,6 +21,7 @@ from bayesfric.explain.ladder import Ladder, Trial, compared, searched, stacked
 from bayesfric.explain.told import Reason, sd_of, something, untold
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.templates import placed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -51,12 +52,12 @@ class Term:
     @property
     def table(self) -> str:
         """Table of a configuration that its line goes to."""
-        return self.setting.partition(" = ")[0].rpartition(".")[0]
+        return placed(self.setting)[0]
 
     @property
     def line(self) -> str:
         """Line to write under that table."""
-        return self.setting.removeprefix(f"{self.table}.")
+        return placed(self.setting)[1]
 
 
 @dataclass(frozen=True)

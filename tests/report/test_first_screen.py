@@ -282,7 +282,7 @@ def test_a_wrong_mechanism_comes_before_every_experiment(tmp_path, told, kind, a
     change = "Then change the mechanism" if hand else "First change the mechanism"
     (place,) = [k for k, x in enumerate(lines) if change in x]
     assert ("First make sure that nothing but the drive" in lines[place - 1]) == hand
-    assert (GRAVITY["setting"] in lines[place]) == bool(asked_terms)
+    assert ("first_moment = true under [mechanism.load]" in lines[place]) == bool(asked_terms)
     assert not any(x.startswith("  motor.inertia") for x in lines[:place])
     assert "First change the mechanism" not in "\n".join(fit_text(asked(told())))
     (*steps, _), (before, *_) = (
@@ -296,7 +296,7 @@ def test_a_wrong_mechanism_comes_before_every_experiment(tmp_path, told, kind, a
     assert steps[0].text.startswith("First make sure that nothing but the drive") == hand
     assert before is None or not before.text.startswith("First change the mechanism")
     assert "bayesfric explain" in step.text
-    assert (GRAVITY["setting"] in step.text) == bool(asked_terms)
+    assert ("first_moment = true under [mechanism.load]" in step.text) == bool(asked_terms)
     (following,) = [d for d in page.all("div") if d.attrs.get("class") == "next"]
     # neither a value to fix nor a recording to make: they would be for a wrong mechanism
     assert "--advise" not in following.text
