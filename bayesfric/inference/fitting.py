@@ -273,11 +273,15 @@ def _prepared(target: Target, start: Start, rng: np.random.Generator) -> Target:
 
 def _place_and_widths(target: Target, start: Start) -> tuple[Array, Array]:
     """Carry a normal in coordinates over to parameters: its centre and sds, ``(d,)`` each."""
-    sds = np.minimum(np.sqrt(np.diag(start.covariance)), 1.0 + np.abs(start.mode))
+    spread = np.sqrt(np.diag(start.covariance))
+    sds = np.minimum(spread, 1.0 + np.abs(start.mode))
     centre, _ = target.to_parameters(start.mode[None])
     shifted, _ = target.to_parameters(start.mode + np.concatenate([np.diag(sds), -np.diag(sds)]))
     d = start.mode.size
-    widths = np.abs(np.diag(shifted[:d]) - np.diag(shifted[d:])) / 2.0
+    # of every parameter with every coordinate: a gearbox' are not one for one
+    change = (shifted[:d] - shifted[d:]) / 2.0
+    together = start.covariance / np.outer(spread, spread)
+    widths = np.sqrt(np.einsum("ij,ik,kj->j", change, together, change).clip(0.0))
     widths = np.where(np.isfinite(widths), widths, np.abs(centre[0]))
     return centre[0], np.maximum(widths, 1e-12 * np.abs(centre[0]) + 1e-300)
 

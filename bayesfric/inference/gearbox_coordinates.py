@@ -155,6 +155,8 @@ class GearboxCoordinates:
         Shares give way to what is missing of the leg's torques when the load drives, and ``m`` to
         that of the first torque that is only behind the loss.
         """
+        if self._scale in ("one", "known"):  # straight as they are
+            return u, np.zeros(len(u))
         v = u.copy()
         felt, places, m_at = self._parts(u)
         m, whole = ndtr(u[:, m_at]), self._whole(u)
@@ -166,6 +168,8 @@ class GearboxCoordinates:
 
     def bend(self, v: Array) -> Array:
         """Undo :meth:`straighten`; not finite where there is nothing to go back to."""
+        if self._scale in ("one", "known"):
+            return v
         u = v.copy()
         felt, missing, m_at = self._parts(v)
         with np.errstate(all="ignore"):

@@ -119,6 +119,8 @@ class ModelError:
         for _ in range(_HALVINGS):
             moved, slope = target.to_parameters(target.bend(u[left] + step[left]))
             possible = np.isfinite(slope) & np.isfinite(moved).all(axis=1)
+            # not every coordinate ends where a prior does
+            possible[possible] = np.isfinite(target.log_prior(moved[possible]))
             worse = np.full(left.size, np.inf)
             if possible.any():
                 likely = target.log_likelihood(moved[possible])
@@ -182,12 +184,14 @@ def _of_groups(
         motion = likelihood.chain.motor_motion
         axes.append(Axis(effort_words(name, motion), int(groups.max()) + 1, found[1]))
         excess += found[0]
+    added = 0.0
     if any(axis.differs for axis in axes):
+        # in posterior variances, whatever the coordinates are in
         values, vectors = np.linalg.eigh(excess)
-        root[:k, :k] = vectors * np.sqrt(np.clip(values, 0.0, None))
-        misfit[:k, :k] = whole.misfit
-    added = np.linalg.solve(whole.root, root[:k, :k])
-    return ModelError(tuple(axes), root, misfit, None if axes else "few"), float(np.sum(added**2))
+        values = np.clip(values, 0.0, None)
+        root[:k, :k] = whole.root @ (vectors * np.sqrt(values))
+        misfit[:k, :k], added = whole.misfit, float(values.sum())
+    return ModelError(tuple(axes), root, misfit, None if axes else "few"), added
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,7 +282,7 @@ def _axes(predicted: Array, observations: Sequence[Observation]) -> Iterator[tup
 def _spread(whole: _Whitened, groups: Index) -> tuple[Array, float] | None:
     """Tell how far groups pull the fit beyond what noise does, and how often chance does that.
 
-    The first is a covariance ``(k, k)`` in straight coordinates, the second the p-value of the F
+    The first is a covariance ``(k, k)`` in unit posterior, the second the p-value of the F
     test that all groups have the same parameters: F is one where they do, and one more than model
     error over noise where they do not. ``None`` where there are no two groups.
     """
@@ -301,6 +305,6 @@ def _spread(whole: _Whitened, groups: Index) -> tuple[Array, float] | None:
         return None
     left = float(whole.residual @ whole.residual) - gained
     ratio = (gained / more) / max(left / (n - asked), 1e-300)
-    pulled = np.array(pulls) @ whole.root.T
+    pulled = np.array(pulls)
     beyond = max(1.0 - 1.0 / ratio, 0.0) if ratio > 0.0 else 0.0
     return beyond * (pulled.T @ pulled), float(stats.f.sf(ratio, more, n - asked))
