@@ -57,8 +57,7 @@ def first_step(summary: Summary) -> str:
     That is a push, or a torque that no model, no term that it may lack and no other unit explains.
     """
     pushed = [doubt.model_dump() for doubt in summary.doubts if doubt.kind == "pushed"]
-    unexplained = any(doubt.kind == "unexplained" for doubt in summary.doubts)
-    if not pushed and (summary.asked or summary.other_units or not unexplained):
+    if not pushed and (summary.asked or summary.other_units or not summary.unexplained):
         return ""
     return sentence("untouched", {"pushed": pushed})
 
@@ -93,7 +92,8 @@ def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:
     """
     found = [Alert("sampler", text, "sampling", first=True) for text in summary.sampler.problems]
     for doubt in summary.doubts:
-        found.append(Alert(doubt.kind, doubt_text(doubt.model_dump()), "noise", first=True))
+        told = doubt.model_dump() | {"none_asked": summary.none_asked}
+        found.append(Alert(doubt.kind, doubt_text(told), "noise", first=True))
     error = summary.model_error
     if error is not None and error.shown:
         aside = len(error.outlying) if error.set_aside else 0
@@ -133,10 +133,11 @@ def _of_model(
     allowed = error is not None and error.shown
     for kind, sure in (("lacks", True), ("may lack", False)):
         if lacks := [one for one in summary.fit.lacks if one.sure is sure]:
-            yield kind, {"lacks": lacks, "allowed": allowed}, "prediction"
+            told = {"lacks": lacks, "allowed": allowed, "none_asked": summary.none_asked}
+            yield kind, told, "prediction"
     test = summary.noise.innovation_whiteness
     if test is not None and not test.white:
-        yield "not white", test.model_dump(), "noise"
+        yield "not white", test.model_dump() | {"allowed": allowed}, "noise"
     if summary.validation is not None and not summary.validation.pooled.fine:
         yield "held out", summary.validation.pooled.model_dump(), "held-out"
     if summary.rollout is not None and (told := roll_out_doubt(summary.rollout)):

@@ -7,7 +7,7 @@ the run is not reliable.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,9 @@ _EXPLAINED = 0.8
 _RISE = 1.1
 # Robust standard deviations below zero that are no chance.
 _NEGATIVE = 3.0
+# Standard deviations with room for the model's error that a number may move by and not be doubted:
+# they stand for what another motion would give.
+_FURTHER = 1.0
 # Scatter of the delays of several recordings, over what is expected, that is no chance.
 _SCATTER = 3.0
 
@@ -69,9 +72,8 @@ def find_doubts(
     told = [name for name, row in rows.items() if row.verdict == "data"]
     # what rests on the data at all: a limit, or what they settle with a prior's help, too
     resting = [name for name, row in rows.items() if row.verdict != "prior" or held(row)]
-    memory = list(_memory(choice))
-    error = summary.model_error
-    lacking = bool(memory) or (error is not None and error.shown)
+    memory = list(_memory(choice, summary, resting))
+    lacking = bool(memory) or summary.widened
     unexplained = _unexplained(fit, summary, delays)
     if unexplained:
         delays = ()  # what moves the torque is something else
@@ -266,8 +268,13 @@ def _turning(turn: OnceATurn | None) -> Iterator[dict[str, Any]]:
 
 def _turned(told: Sequence[str], moved: Mapping[str, float]) -> list[str]:
     """Name what makes up gravity, or one of the other totals that have moved."""
-    totals = {"gravity", "gravity_size", *map(quantity_of, moved)}
-    return [name for name in told if totals & _shares(quantity_of(name))]
+    return _moved(told, ("gravity", "gravity_size", *moved))
+
+
+def _moved(told: Sequence[str], moved: Iterable[str]) -> list[str]:
+    """Name what has moved, and what has a share in a total that has."""
+    totals = {total for name in moved for total in _shares(quantity_of(name))}
+    return [name for name in told if name in {*moved} or totals & _shares(quantity_of(name))]
 
 
 def _shares(quantity: str) -> set[str]:
@@ -329,11 +336,31 @@ def _loses(row: Quantity | None) -> bool:
     return row is not None and row.role == "own" and row.lower == 0.0 and row.power in (0, 1)
 
 
-def _memory(choice: Choice | None) -> Iterator[dict[str, Any]]:
-    if choice is not None and choice.refused:
-        asked = choice.asked
-        told = {"asked": asked.order, "taken": choice.order}
-        yield {"kind": "memory", **told, "shift": asked.shift, "rise": asked.rise}
+def _memory(
+    choice: Choice | None, summary: Summary, resting: Sequence[str]
+) -> Iterator[dict[str, Any]]:
+    """Name noise that would move the estimates.
+
+    Intervals with room for the model's error may hold such a move: then only numbers that it takes
+    further are doubted, and where there is none, nothing is.
+    """
+    if choice is None or not choice.refused:
+        return
+    asked = choice.asked
+    told = {"asked": asked.order, "taken": choice.order, "shift": asked.shift, "rise": asked.rise}
+    if not summary.widened:
+        yield {"kind": "memory", **told}
+        return
+    times = {
+        name: abs(choice.moves[name]) / row.told_sd
+        for name, row in summary.joint.items()
+        if name in choice.moves and row.told_sd > 0.0
+    }
+    far = {name: by for name, by in times.items() if by > _FURTHER}
+    if far:
+        still = times.keys() - far.keys()
+        of = [name for name in _moved(resting, far) if name not in still]
+        yield {"kind": "memory", **told, "moved": far, "of": of}
 
 
 def _noise(
