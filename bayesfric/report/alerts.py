@@ -133,8 +133,8 @@ def _of_model(
     allowed = error is not None and error.shown
     for kind, sure in (("lacks", True), ("may lack", False)):
         if lacks := [one for one in summary.fit.lacks if one.sure is sure]:
-            told = {"lacks": lacks, "allowed": allowed, "none_asked": summary.none_asked}
-            yield kind, told, "prediction"
+            searched = {"none_asked": summary.none_asked}
+            yield kind, {"lacks": lacks, "allowed": allowed, **searched}, "prediction"
     test = summary.noise.innovation_whiteness
     if test is not None and not test.white:
         yield "not white", test.model_dump() | {"allowed": allowed}, "noise"

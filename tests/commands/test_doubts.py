@@ -424,6 +424,18 @@ def test_noise_that_moves_a_number_by_less_than_its_room_doubts_nothing(move, sh
     assert put_doubts(summary, found).sampler.status == ("tentative" if doubted else "reliable")
 
 
+def test_a_delay_makes_those_numbers_doubtful_that_it_moves():
+    moves = {"motor.coulomb": -2.7, "total.viscous": 1.7, "total.viscous_difference": -0.1}
+    late = Delay(("run",), 8e-4, 2e-5, 1e-3, moves | {"motor.inertia": -0.3, "offset": 0.1})
+    rows = ("motor.inertia", "motor.viscous_positive", "motor.coulomb", "offset")
+    (doubt,) = find_doubts(_Fit(), summary_of({n: row(1.0, 0.9, 1.1) for n in rows}), delays=[late])
+    assert doubt["parameters"] == ["motor.viscous_positive", "motor.coulomb"]
+    words = doubt_text(doubt)
+    assert (
+        "moves motor.coulomb by 2.7 of its sds (total.viscous by more than one of theirs)" in words
+    )
+
+
 def test_pushes_that_overlap_in_tenths_of_a_second_are_one_span():
     pushes = [
         Disturbance("run", 15.94, 16.21, 60.0, 9.0),

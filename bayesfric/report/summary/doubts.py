@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.estimates.delay import Delay
+from bayesfric.estimates.delay import MOVED, Delay
 from bayesfric.estimates.disturbances import Disturbance
 from bayesfric.estimates.information import CORRELATED, lag_one
 from bayesfric.estimates.once_a_turn import OnceATurn
@@ -86,7 +86,10 @@ def find_doubts(
         *_noise(summary, told, white),
         *_cut(summary),
         *_acceleration(fit, summary, told),
-        *({**one, "of": _of_motion(fit, resting)} for one in _late(delays, fit.observations)),
+        *(
+            {**one, "of": _moved(resting, (one["moved"], *one["others"]))}
+            for one in _late(delays, fit.observations)
+        ),
         *({**one, "of": of} for one in _turning(turn) if (of := _turned(resting, one["moved"]))),
     ]
     return [{"kind": one.pop("kind"), "parameters": one.pop("of", resting), **one} for one in found]
@@ -237,9 +240,11 @@ def _late(delays: Sequence[Delay], observations: Sequence[Observation]) -> Itera
     late = together or [one for one in delays if one.matters]
     if not late:
         return
-    name, moved = max(
-        (move for one in late for move in one.moves.items()), key=lambda move: abs(move[1])
-    )
+    moves: dict[str, float] = {}
+    for one in late:
+        for total, move in one.moves.items():
+            moves[total] = max(moves.get(total, 0.0), abs(move))
+    name = max(moves, key=moves.__getitem__)
     alone = [one for one in delays if len(one.recordings) == 1]
     yield {
         "kind": "delay",
@@ -252,7 +257,8 @@ def _late(delays: Sequence[Delay], observations: Sequence[Observation]) -> Itera
         ],
         # one bench has one delay: where recordings contradict each other it is something else
         "alike": _scatter(alone) < _SCATTER,
-        **{"moved": name, "moves": abs(moved)},
+        **{"moved": name, "moves": moves[name]},
+        "others": [one for one, by in moves.items() if by > MOVED and one != name],
     }
 
 
@@ -412,13 +418,6 @@ def _acceleration(fit: Fit, summary: Summary, told: list[str]) -> Iterator[dict[
     ]
     if names and lost > 1.0 / LEAST_RATIO**2:
         yield {"kind": "acceleration", "ratio": float(lost**-0.5), "of": names}
-
-
-def _of_motion(fit: Fit, told: Sequence[str]) -> list[str]:
-    """Name what grows with speed or acceleration: it is that which a delay moves."""
-    own = {p.name: p.row for p in fit.chain.parameters}
-    rows = {name: own.get(name) or QUANTITIES.get(quantity_of(name)) for name in told}
-    return [name for name, row in rows.items() if row is not None and row.power]
 
 
 def _accelerates(row: Quantity | None) -> bool:
