@@ -92,8 +92,8 @@ def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:
     """
     found = [Alert("sampler", text, "sampling", first=True) for text in summary.sampler.problems]
     for doubt in summary.doubts:
-        told = doubt.model_dump() | {"none_asked": summary.none_asked}
-        found.append(Alert(doubt.kind, doubt_text(told), "noise", first=True))
+        text = doubt_text(doubt.model_dump() | {"none_asked": summary.none_asked})
+        found.append(Alert(doubt.kind, text, "noise", first=True))
     error = summary.model_error
     if error is not None and error.shown:
         aside = len(error.outlying) if error.set_aside else 0
