@@ -21,6 +21,7 @@ from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.record import Summary, of_noise
 from bayesfric.report.summary.summary import summarise
 from bayesfric.report.terminal import fit_text
+from tests.conftest import REPOSITORY
 
 from .conftest import build
 from .made_summaries import LEG, MOTOR, every_kind, failed, knee, loaded
@@ -345,6 +346,17 @@ def test_where_no_term_is_found_nobody_is_sent_to_look_again(tmp_path):
     told["noise"] |= {"order_chosen_from": []}
     _, text = following(told)
     assert "tries every term" in text
+
+
+def test_of_another_motion_the_page_promises_what_was_measured(tmp_path):
+    told = asked(loaded(), model_error={"shown": True, "axes": []})
+    (first,) = read_page(run_page(tmp_path, told, "run")).all("section", id="findings")
+    assert "nine in ten should" not in first.text
+    assert "about eight in ten" in first.text
+    # as the README has it
+    readme = " ".join((REPOSITORY / "README.md").read_text(encoding="utf-8").split())
+    (measured,) = re.findall(r"90 % intervals of differences hold (\d+ %)", readme)
+    assert measured in first.text.replace("\u00a0", " ")
 
 
 def test_what_is_too_narrow_is_not_what_is_shown_first():
