@@ -107,9 +107,10 @@ def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:
             found.append(Alert(kind, sentence(kind, values), section, first=kind == "lacks"))
     # a few outputs seldom move a number by as much as what is above
     if error is not None and error.outlying:
-        seen = {"outputs": error.outlying, "apart": _apart(error.outlying)}
-        text = sentence("outlying", seen | {"unit": summary.fit.unit})
-        found.append(Alert("outlying", text, "model-error", first=True))
+        for kind, recurs in (("outlying", False), ("recurring", True)):
+            if seen := [one for one in error.outlying if one.recurs is recurs]:
+                told = {"outputs": seen, "apart": _apart(seen), "unit": summary.fit.unit}
+                found.append(Alert(kind, sentence(kind, told), "model-error", first=True))
     found += (Alert("warning", text) for text in _gathered(summary))
     if summary.may_be_simulated:
         found.append(Alert("simulated", sentence("simulated")))

@@ -300,13 +300,17 @@ class AxisRow(Part):
 
 
 class OutlyingRow(Part):
-    """One output that is too far off for the fitted noise; ``off`` is its residual's size."""
+    """One output that is too far off for the fitted noise; ``off`` is its residual's size.
+
+    ``recurs`` where another is off when the motion is at the same place again.
+    """
 
     recording: str
     time: FiniteFloat
     period: NotNegative
     times: NotNegative
     off: NotNegative | None = None
+    recurs: bool = False
 
 
 class ModelError(Part):
