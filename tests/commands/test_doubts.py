@@ -431,9 +431,9 @@ def test_a_delay_makes_those_numbers_doubtful_that_it_moves():
     (doubt,) = find_doubts(_Fit(), summary_of({n: row(1.0, 0.9, 1.1) for n in rows}), delays=[late])
     assert doubt["parameters"] == ["motor.viscous_positive", "motor.coulomb"]
     words = doubt_text(doubt)
-    assert (
-        "moves motor.coulomb by 2.7 of its sds (total.viscous by more than one of theirs)" in words
-    )
+    assert "motor.coulomb by 2.7 of its sds (total.viscous by more than one of theirs)" in words
+    assert "see first what bayesfric explain finds" in words
+    assert "explain" not in doubt_text(doubt | {"none_asked": True})
 
 
 def test_pushes_that_overlap_in_tenths_of_a_second_are_one_span():

@@ -335,6 +335,7 @@ def test_where_no_term_is_found_nobody_is_sent_to_look_again(tmp_path):
     assert "knows no term that it is" in text
     assert "tries every term" not in text
     assert "--advise" in text
+    assert "<code>" not in text
     lines = "\n".join(fit_text(told))
     assert "change the mechanism" not in lines
     assert "tries what it may" not in lines
@@ -343,6 +344,10 @@ def test_where_no_term_is_found_nobody_is_sent_to_look_again(tmp_path):
     # one that is found comes first, and so does the search where nobody has looked
     _, text = following(told | {"asked_terms": [GRAVITY]})
     assert "First change the mechanism: these recordings ask for gravity" in text
+    # also where that is no doubt of any number
+    _, text = following(told | {"asked_terms": [GRAVITY], "doubts": []})
+    assert "Add what these recordings ask for, and fit again: gravity" in text
+    assert "--advise" in text
     told["noise"] |= {"order_chosen_from": []}
     _, text = following(told)
     assert "tries every term" in text
