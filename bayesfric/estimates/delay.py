@@ -31,7 +31,7 @@ _FINEST = 0.025
 # in closed loop the torque answers to it, and its rate of change then is about that, not a delay.
 _OF_POSITION = -0.3
 # Standard deviations that are no chance, and by how many of its own it must move a number.
-_SURE, _MOVED = 3.0, 1.0
+_SURE, MOVED = 3.0, 1.0
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Delay:
     def matters(self) -> bool:
         """Whether it is no chance, and moves a number by more than its sd."""
         late = abs(self.value) > _SURE * math.hypot(self.sd, _FINEST * self.period)
-        return late and max(map(abs, self.moves.values()), default=0.0) > _MOVED
+        return late and max(map(abs, self.moves.values()), default=0.0) > MOVED
 
 
 def delays(

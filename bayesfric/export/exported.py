@@ -305,7 +305,7 @@ def _rows(
                 "unit": one.unit,
                 "meaning": NUMBERS[one.number].meaning,
                 "made_from": list(names),
-                "not_from_data": _not_from_data(found, names, told),
+                **_unsettled(found, names, told),
             }
         )
     return rows
@@ -315,21 +315,27 @@ def _status(found: Finished) -> str:
     return found.summary.sampler.status
 
 
-def _not_from_data(found: Finished, names: tuple[str, ...], told: Vectors) -> dict[str, str]:
-    """Name what a number is made of that the data do not determine, or only weakly."""
+def _unsettled(found: Finished, names: tuple[str, ...], told: Vectors) -> dict[str, Any]:
+    """Name what a number is made of that the data do not determine, or only weakly.
+
+    ``doubtful`` is what may not be what they determine, however much they say of it.
+    """
     summary = found.summary
     scaled = {name for one in told.scalings for name in one.names}
     rows = {p.name: p.row for p in found.joint.parameters}
-    verdicts = {}
+    verdicts, doubtful = {}, []
     for name in names:
         if name in scaled:
             # the scale is chosen, and then they are what the motor feels of them
             kinds = (*(rows[name].totals or (rows[name].name,)), *(rows[name].by_direction or ()))
             made = [f"total_{side}.{kind}" for side in ("drive", "back") for kind in kinds]
-            found_here = [summary.derived[x].verdict for x in made if x in summary.derived]
+            found_here = [summary.derived[x] for x in made if x in summary.derived]
         else:
-            found_here = [summary.parameters[name].verdict] if name in summary.parameters else []
-        worst = next((v for v in ("prior", "weak") if v in found_here), "data")
-        if worst != "data":
+            found_here = [summary.parameters[name]] if name in summary.parameters else []
+        said = {"doubtful" if row.doubtful else row.verdict for row in found_here}
+        worst = next((v for v in ("prior", "doubtful", "weak") if v in said), "data")
+        if worst == "doubtful":
+            doubtful.append(name)
+        elif worst != "data":
             verdicts[name] = worst
-    return verdicts
+    return {"not_from_data": verdicts, "doubtful": doubtful}

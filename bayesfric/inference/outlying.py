@@ -23,11 +23,15 @@ from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+Index = NDArray[np.intp]
 
 # Share of recordings of nothing but normal noise that have one; to look there costs little.
 _SELDOM = 0.05
 # Share of the outputs that are a few, or their number; more are no accident but the noise's form.
 _FEW, _FEW_OF = 0.01, 3
+# The same place in a motion: shares of the position's range and of the largest speed; and of how
+# many such places the motion must have left it in between.
+_PLACE, _SPEED, _LEFT = 0.02, 0.05, 3.0
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,9 @@ class Outlying:
     time: float  # s since the file's first stamp, at the middle of what it averages
     period: float  # s from one output to the next
     times: float  # by how many sds of the other outputs it is off
+    # whether another is off the same way when the motion is at the same place again: then it is
+    # the motion that makes it, not something that happened
+    recurs: bool = False
 
 
 def far_off(innovations: Array, spent: int = 0) -> Array:
@@ -63,6 +70,26 @@ def far_off(innovations: Array, spent: int = 0) -> Array:
     return np.zeros(n)
 
 
+def _recurring(o: Observation, far: Index, signs: Array) -> list[bool]:
+    """Tell which of the outputs ``far`` are off the same way at the same place in the motion."""
+    if far.size < 2:
+        return [False] * far.size
+    q, qd, qdd = (x[o.filter.centres] for x in (o.q, o.qd, o.qdd))
+    # no nearer than from one output to the next
+    near_q = _PLACE * np.ptp(q) + o.period * np.abs(qd)
+    near_qd = _SPEED * np.abs(qd).max() + o.period * np.abs(qdd)
+
+    def again(i: int, k: int) -> bool:
+        if np.sign(qd[i]) != np.sign(qd[k]) or signs[i] != signs[k]:
+            return False
+        apart = np.maximum(np.abs(q - q[i]) / near_q[i], np.abs(qd - qd[i]) / near_qd[i])
+        between = apart[min(i, k) : max(i, k)]
+        return bool(apart[k] <= 1.0 and between.max() > _LEFT)
+
+    places = far.tolist()
+    return [any(again(i, k) for k in places if k != i) for i in places]
+
+
 def outlying(
     innovations: Array, observations: Sequence[Observation], spent: int, memory: int
 ) -> tuple[tuple[Outlying, ...], Flags]:
@@ -78,8 +105,10 @@ def outlying(
     for o in observations:
         n = int(o.measured.size)
         times = far_off(innovations[begin : begin + n], spent)
-        for i in np.flatnonzero(times).tolist():
-            found.append(Outlying(o.name, float(o.time[i]), o.period, float(times[i])))
+        far = np.flatnonzero(times)
+        again = _recurring(o, far, np.sign(innovations[begin : begin + n]))
+        for i, recurs in zip(far.tolist(), again, strict=True):
+            found.append(Outlying(o.name, float(o.time[i]), o.period, float(times[i]), recurs))
             clean[begin + i : begin + min(i + memory + 1, n)] = False
         begin += n
     return tuple(sorted(found, key=lambda one: one.times, reverse=True)), clean

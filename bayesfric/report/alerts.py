@@ -57,8 +57,7 @@ def first_step(summary: Summary) -> str:
     That is a push, or a torque that no model, no term that it may lack and no other unit explains.
     """
     pushed = [doubt.model_dump() for doubt in summary.doubts if doubt.kind == "pushed"]
-    unexplained = any(doubt.kind == "unexplained" for doubt in summary.doubts)
-    if not pushed and (summary.asked or summary.other_units or not unexplained):
+    if not pushed and (summary.asked or summary.other_units or not summary.unexplained):
         return ""
     return sentence("untouched", {"pushed": pushed})
 
@@ -93,7 +92,8 @@ def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:
     """
     found = [Alert("sampler", text, "sampling", first=True) for text in summary.sampler.problems]
     for doubt in summary.doubts:
-        found.append(Alert(doubt.kind, doubt_text(doubt.model_dump()), "noise", first=True))
+        text = doubt_text(doubt.model_dump() | {"none_asked": summary.none_asked})
+        found.append(Alert(doubt.kind, text, "noise", first=True))
     error = summary.model_error
     if error is not None and error.shown:
         aside = len(error.outlying) if error.set_aside else 0
@@ -107,9 +107,10 @@ def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:
             found.append(Alert(kind, sentence(kind, values), section, first=kind == "lacks"))
     # a few outputs seldom move a number by as much as what is above
     if error is not None and error.outlying:
-        seen = {"outputs": error.outlying, "apart": _apart(error.outlying)}
-        text = sentence("outlying", seen | {"unit": summary.fit.unit})
-        found.append(Alert("outlying", text, "model-error", first=True))
+        for kind, recurs in (("outlying", False), ("recurring", True)):
+            if seen := [one for one in error.outlying if one.recurs is recurs]:
+                told = {"outputs": seen, "apart": _apart(seen), "unit": summary.fit.unit}
+                found.append(Alert(kind, sentence(kind, told), "model-error", first=True))
     found += (Alert("warning", text) for text in _gathered(summary))
     if summary.may_be_simulated:
         found.append(Alert("simulated", sentence("simulated")))
@@ -133,10 +134,11 @@ def _of_model(
     allowed = error is not None and error.shown
     for kind, sure in (("lacks", True), ("may lack", False)):
         if lacks := [one for one in summary.fit.lacks if one.sure is sure]:
-            yield kind, {"lacks": lacks, "allowed": allowed}, "prediction"
+            searched = {"none_asked": summary.none_asked}
+            yield kind, {"lacks": lacks, "allowed": allowed, **searched}, "prediction"
     test = summary.noise.innovation_whiteness
     if test is not None and not test.white:
-        yield "not white", test.model_dump(), "noise"
+        yield "not white", test.model_dump() | {"allowed": allowed}, "noise"
     if summary.validation is not None and not summary.validation.pooled.fine:
         yield "held out", summary.validation.pooled.model_dump(), "held-out"
     if summary.rollout is not None and (told := roll_out_doubt(summary.rollout)):

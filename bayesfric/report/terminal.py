@@ -31,7 +31,7 @@ def fit_text(summary: Readable) -> Iterator[str]:
         mends={
             name: bound_mend(name, row) for rows in parts.values() for name, row in rows.items()
         },
-        noise=list(noise_lines(read.noise)),
+        noise=list(noise_lines(read.noise, allowed=read.widened)),
         held_out=list(validation_lines(read.validation)) if read.validation else [],
         self_check=list(self_check_lines(read)),
         narrow=narrow(read),

@@ -34,9 +34,13 @@ def listed(parts: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(parts[:-1]), *parts[-1:]]))
 
 
-def white_words(white: bool) -> str:
-    """Say of innovations whether they are white noise by their test."""
-    return "pass as white" if white else "do NOT pass as white: intervals may be too narrow"
+def white_words(white: bool, allowed: bool = False) -> str:
+    """Say of innovations whether they are white noise by their test.
+
+    ``allowed`` tells whether intervals with room for the model's error are shown first.
+    """
+    narrow = "the narrower intervals, told as 'were the model right'," if allowed else "intervals"
+    return "pass as white" if white else f"do NOT pass as white: {narrow} may be too narrow"
 
 
 # What templates of text and of pages have in common.

@@ -14,6 +14,7 @@ from bayesfric.estimates.delay import Delay
 from bayesfric.estimates.disturbances import Disturbance
 from bayesfric.estimates.once_a_turn import OnceATurn
 from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
+from bayesfric.inference.likelihood.noise_choice import Choice, Evidence
 from bayesfric.mechanism.joint import Joint
 from bayesfric.model import Model
 from bayesfric.recordings.recording import Recording
@@ -392,6 +393,47 @@ def test_a_push_is_a_doubt_of_all_that_rests_on_the_data():
     assert verdicts == [("weak", "data"), ("weak", "weak"), ("prior", "prior"), ("prior", None)]
     cells = posterior_cells(found)
     assert [cells[name].told_status for name in rows] == [*["doubtful"] * 3, "undetermined"]
+
+
+@pytest.mark.parametrize(
+    ("move", "shown", "doubted"),
+    [
+        (
+            0.03,
+            True,
+            [],
+        ),  # within the sd with room for the model's error, not within the narrow one
+        (0.3, True, ["a.viscous", "total.viscous"]),
+        (0.03, False, ["a.viscous", "b.inertia", "total.viscous"]),
+    ],
+)
+def test_noise_that_moves_a_number_by_less_than_its_room_doubts_nothing(move, shown, doubted):
+    rows = {name: row(1.0, 0.99, 1.01) for name in ("a.viscous", "b.inertia")}
+    rows |= {"total.viscous": row(1.0, 0.99, 1.01)}
+    for one in rows.values():
+        one |= {"model_error_interval": [0.8, 1.2], "model_error_sd": 0.1} if shown else {}
+    summary = summary_of(rows)
+    derived = {"total.viscous": summary.parameters.pop("total.viscous")}
+    error = ModelError.model_validate({"shown": shown, "axes": []})
+    summary = summary.model_copy(update={"model_error": error, "derived": derived})
+    tried = (Evidence(0, 0.0, 1.0, 0.0), Evidence(1, -90.0, 0.9, 0.0, shift=5.0, rise=1.02))
+    choice = Choice(0, tried, {"a.viscous": -move, "b.inertia": 1e-3})
+    assert choice.refused
+    found = find_doubts(_Fit(), summary, choice)
+    assert [name for one in found for name in sorted(one["parameters"])] == doubted
+    assert put_doubts(summary, found).sampler.status == ("tentative" if doubted else "reliable")
+
+
+def test_a_delay_makes_those_numbers_doubtful_that_it_moves():
+    moves = {"motor.coulomb": -2.7, "total.viscous": 1.7, "total.viscous_difference": -0.1}
+    late = Delay(("run",), 8e-4, 2e-5, 1e-3, moves | {"motor.inertia": -0.3, "offset": 0.1})
+    rows = ("motor.inertia", "motor.viscous_positive", "motor.coulomb", "offset")
+    (doubt,) = find_doubts(_Fit(), summary_of({n: row(1.0, 0.9, 1.1) for n in rows}), delays=[late])
+    assert doubt["parameters"] == ["motor.viscous_positive", "motor.coulomb"]
+    words = doubt_text(doubt)
+    assert "motor.coulomb by 2.7 of its sds (total.viscous by more than one of theirs)" in words
+    assert "see first what bayesfric explain finds" in words
+    assert "explain" not in doubt_text(doubt | {"none_asked": True})
 
 
 def test_pushes_that_overlap_in_tenths_of_a_second_are_one_span():

@@ -279,6 +279,22 @@ def test_an_interval_of_what_the_data_leave_open_says_so():
     assert "motor.inertia (prior)" in exported.main
 
 
+@pytest.mark.parametrize("form", ["mujoco", "c"])
+def test_what_is_doubted_is_called_doubtful_and_not_the_priors(form):
+    joint, values = preset("motor-axis")
+    done = made(joint, values, 0.6)
+    doubted = {"verdict": "weak", "undoubted": "data", "doubted": ["delay"]}
+    summary = done.summary.with_rows({"motor.inertia": doubted})
+    exported = bf.export(replace(done, summary=summary), form)
+    rows = [x for x in exported.record["numbers"] if "motor.inertia" in x["made_from"]]
+    assert [(x["doubtful"], x["not_from_data"]) for x in rows] == [(["motor.inertia"], {})]
+    assert "DOUBTFUL, see what the run warns of: motor.inertia" in exported.text()
+    assert "weak" not in exported.text()
+    told = [x for x in exported.files.values() if "doubtful, see what the run warns" in x]
+    assert told
+    assert not any("(weak)" in x for x in exported.files.values())
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from bayesfric.inference.model_error import _asked, _of_groups, _Whitened
-from bayesfric.inference.outlying import far_off
+from bayesfric.inference.outlying import far_off, outlying
 
 
 def test_chance_has_one_no_oftener_than_it_says():
@@ -53,6 +53,47 @@ def test_one_output_does_not_hide_what_the_others_show():
     assert told.shown
     whole, likelihood = made(samples, place)
     assert not _of_groups(whole, np.ones(n, dtype=bool), likelihood, 1)[0].shown
+
+
+@pytest.mark.parametrize(
+    ("phases", "signs", "recurs"),
+    [
+        ((30, 30, 30), (1, 1, 1), [True, True, True]),
+        ((30, 31, 55), (1, 1, 1), [True, True, False]),  # one output apart, and elsewhere
+        ((30, 70, 170), (1, 1, 1), [False, False, False]),  # same position, going back; mirrored
+        ((30, 30, 130), (1, -1, 1), [False, False, False]),  # off the other way
+    ],
+)
+def test_what_is_off_at_the_same_place_of_a_motion_recurs(phases, signs, recurs):
+    n, period = 1000, 200
+    t = np.arange(n) / 100.0
+    turn = 2.0 * np.pi * 100.0 / period
+    innovations = np.random.default_rng(8).standard_normal(n)
+    places = [period * k + phase for k, phase in enumerate(phases)]
+    innovations[places] = 12.0 * np.array(signs)
+    seen = SimpleNamespace(
+        **{"name": "run", "q": np.sin(turn * t), "qd": turn * np.cos(turn * t)},
+        **{"qdd": -(turn**2) * np.sin(turn * t), "measured": innovations},
+        **{"time": t, "period": 0.01},
+        filter=SimpleNamespace(centres=np.arange(n)),
+    )
+    found, _ = outlying(innovations, [seen], 3, 0)
+    told = {round(100.0 * one.time): one.recurs for one in found}
+    assert [told[place] for place in places] == recurs
+
+
+def test_one_push_of_several_outputs_does_not_recur():
+    n = 400
+    t = np.arange(n) / 100.0
+    innovations = np.random.default_rng(8).standard_normal(n)
+    innovations[200:203] = 12.0
+    seen = SimpleNamespace(
+        **{"name": "run", "q": np.sin(t), "qd": np.cos(t), "qdd": -np.sin(t)},
+        **{"measured": innovations, "time": t, "period": 0.01},
+        filter=SimpleNamespace(centres=np.arange(n)),
+    )
+    found, _ = outlying(innovations, [seen], 3, 0)
+    assert [one.recurs for one in found] == [False] * 3
 
 
 def made(samples, place):

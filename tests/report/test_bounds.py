@@ -76,6 +76,23 @@ def test_a_physical_bound_is_explained_and_not_warned_of(summaries):
         assert not any(text.startswith("motor.coulomb") for text in summary["warnings"])
 
 
+@pytest.mark.parametrize(
+    ("name", "more"),
+    [
+        ("motor.coulomb", True),
+        ("motor.stribeck_velocity", False),
+        ("motor.stribeck_exponent", False),
+    ],
+)
+def test_of_a_shape_there_is_no_more_or_less(name, more):
+    told = {"at_bound": "lower", "bound": 0.0, "bound_physical": True, "data_sd": 0.01}
+    row = PosteriorRow.read(posterior_row("m", 0.01, 0.01) | told)
+    said = bound_mend(name, row)
+    assert said.startswith("these data cannot tell it from 0")
+    assert ("has more of it" in said) == more
+    assert ("another term" in said) == more
+
+
 HELD = {"at_bound": "upper", "bound": 0.05, "data_sd": 0.01, "prior_sd": 1.0}
 
 

@@ -9,6 +9,7 @@ import pytest
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.tables import latex_texts, methods_latex, summary_texts
+from bayesfric.report.summary.summary import summary_table
 from bayesfric.report.terminal import fit_text
 
 from .made_summaries import loaded
@@ -70,6 +71,13 @@ def test_a_table_that_is_filtered_by_status_does_not_pass_it(told, name):
               and row.get("column_kind", "posterior") == "posterior"}  # fmt: skip
     assert (status[NAME], status[LIMIT]) == ("doubtful", "doubtful")
     assert status[FINE] == "determined"
+
+
+def test_the_table_of_the_summary_has_the_same_word(told):
+    rows = {r["name"]: r for r in csv.DictReader(io.StringIO(summary_table(told)))}
+    assert (rows[NAME]["verdict"], rows[NAME]["doubted"]) == ("doubtful", "some")
+    assert rows[LIMIT]["verdict"] == "doubtful"
+    assert (rows[FINE]["verdict"], rows[FINE]["doubted"]) == ("data", "")
 
 
 def test_on_the_page_beside_each_interval(told, tmp_path):

@@ -21,6 +21,7 @@ from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.record import Summary, of_noise
 from bayesfric.report.summary.summary import summarise
 from bayesfric.report.terminal import fit_text
+from tests.conftest import REPOSITORY
 
 from .conftest import build
 from .made_summaries import LEG, MOTOR, every_kind, failed, knee, loaded
@@ -303,7 +304,75 @@ def test_a_wrong_mechanism_comes_before_every_experiment(tmp_path, told, kind, a
     assert "prior from a data sheet" not in following.text
     (left,) = page.all("div", id="left-open")
     assert "Nothing" not in left.text
-    assert "no number here is settled" in left.text
+    # what explains all but a thousandth is not said to explain nothing
+    assert ("no number here is settled" in left.text) == (kind == "unexplained")
+    assert ("does not explain what was measured" in left.text) == (kind == "unexplained")
+
+
+REMEMBERS = [{"order": 0, "bic": 0.0}, {"order": 2, "bic": -90.0}]
+
+
+def test_where_no_term_is_found_nobody_is_sent_to_look_again(tmp_path):
+    lacks = {"lacks": [{"on": "position", "share": 0.1, "sure": True}], "explained": 0.9996}
+    wide = {
+        "shown": True,
+        "axes": [{"name": "power", "groups": 4, "p_value": 0.0, "differs": True}],
+    }
+    told = of_wrong_mechanism(asked(loaded()), "memory", model_error=wide, asked_terms=[])
+    told["noise"] |= {"order_chosen_from": REMEMBERS}
+    told["fit"] |= lacks
+    told["doubts"][0]["moved"] = {"motor.inertia": 1.4}
+
+    def following(found):
+        page = read_page(run_page(tmp_path, found, "run"))
+        (left,) = page.all("div", id="left-open")
+        (div,) = page.all("div", **{"class": "next"})
+        return left.text, div.text
+
+    left, text = following(told)
+    assert "does not explain what was measured" not in left
+    assert "hand" not in text
+    assert "knows no term that it is" in text
+    assert "tries every term" not in text
+    assert "--advise" in text
+    assert "<code>" not in text
+    lines = "\n".join(fit_text(told))
+    assert "change the mechanism" not in lines
+    assert "tries what it may" not in lines
+    assert "no term that bayesfric explain tries is it" in lines
+    assert "would move motor.inertia by 1.4 of the sds shown" in lines
+    # one that is found comes first, and so does the search where nobody has looked
+    _, text = following(told | {"asked_terms": [GRAVITY]})
+    assert "First change the mechanism: these recordings ask for gravity" in text
+    # also where that is no doubt of any number
+    _, text = following(told | {"asked_terms": [GRAVITY], "doubts": []})
+    assert "Add what these recordings ask for, and fit again: gravity" in text
+    assert "--advise" in text
+    told["noise"] |= {"order_chosen_from": []}
+    _, text = following(told)
+    assert "tries every term" in text
+
+
+def test_of_another_motion_the_page_promises_what_was_measured(tmp_path):
+    told = asked(loaded(), model_error={"shown": True, "axes": []})
+    (first,) = read_page(run_page(tmp_path, told, "run")).all("section", id="findings")
+    assert "nine in ten should" not in first.text
+    assert "about eight in ten" in first.text
+    # as the README has it
+    readme = " ".join((REPOSITORY / "README.md").read_text(encoding="utf-8").split())
+    (measured,) = re.findall(r"90 % intervals of differences hold (\d+ %)", readme)
+    assert measured in first.text.replace("\u00a0", " ")
+
+
+def test_what_is_too_narrow_is_not_what_is_shown_first():
+    test = {"white": False, "p_value": 1e-9}
+    for shown in (True, False):
+        told = asked(loaded(), model_error={"shown": shown, "axes": []})
+        told["noise"] |= {"innovation_whiteness": test}
+        lines = "\n".join(fit_text(told))
+        assert ("white: intervals may be too narrow" in lines) is not shown
+        narrow = "'were the model right', may be too narrow"
+        assert lines.count(narrow) == 2 * shown
 
 
 @pytest.mark.parametrize("told", [knee, loaded])

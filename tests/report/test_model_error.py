@@ -202,6 +202,21 @@ def test_outlying_outputs_are_named_five_at_most_with_what_leaves_them_out(tmp_p
     assert Summary.read(told).as_dict() == told
 
 
+def test_what_recurs_with_the_motion_is_not_to_be_excluded(wrong):
+    told = wrong.summary.as_dict()
+    rows = [
+        {"recording": "swing", "time": time, "period": 0.1, "times": 9.0, "recurs": time != 5.0}
+        for time in (4.35, 10.59, 5.0)
+    ]
+    told["model_error"] |= {"outlying": rows}
+    once, again = (a for a in alerts_of(told) if a.kind in ("outlying", "recurring"))
+    assert "exclude = [[4.9, 5.1]]" in once.text
+    assert "10.59 s" not in once.text
+    assert "at 4.35 s (9 sds), 10.59 s (9 sds)" in again.text
+    assert "it recurs with the motion" in again.text
+    assert "exclude" not in again.text
+
+
 @pytest.mark.parametrize(("number", "said"), [(4, "in 1 way more"), (5, "in 2 ways more")])
 def test_one_way_more_is_no_ways(wrong, number, said):
     told = wrong.summary.as_dict()

@@ -36,6 +36,16 @@ def test_every_parameter_has_a_panel_and_its_verdict(drawn):
         assert words.startswith(starts[summary["parameters"][name]["verdict"]])
 
 
+def test_what_is_doubted_is_not_called_a_mixture_with_the_prior(drawn):
+    fit, summary, _ = drawn
+    read = Summary.read(summary)
+    name = next(n for n, row in read.parameters.items() if row.verdict == "data")
+    doubted = {"verdict": "weak", "undoubted": "data", "doubted": ["delay"]}
+    figure = prior_posterior_figure(fit, read.with_rows({name: doubted}))
+    (words,) = text(figure.axes[fit.posterior.names.index(name)], "verdict")
+    assert words == "doubtful"
+
+
 def test_densities_are_densities(drawn):
     fit, _, figure = drawn
     for q, ax in zip(quantities(fit), figure.axes, strict=True):

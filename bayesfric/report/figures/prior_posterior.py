@@ -58,7 +58,8 @@ def _drawn(
 
 
 def _panel(ax: Axes, q: Quantity, row: PosteriorRow, cell: Cell) -> None:
-    words = _WORDS[row.verdict] if cell.converged else "NOT converged"
+    words = "doubtful" if cell.doubted else _WORDS[row.verdict]
+    words = words if cell.converged else "NOT converged"
     # what the data push against a bound they do determine: from the other side
     words = cell.remark if cell.status == "limit" else words
     # room for the verdict

@@ -94,7 +94,7 @@ def _law(told: Calculator | None, table: ParameterTable) -> dict[str, Any] | Non
         "widened": error is not None and error.shown,
         "unsettled": any(row.by == "open" for row in table.joint),
         "doubted": "wrong"
-        if table.summary.mechanism_doubted
+        if table.summary.unexplained
         else "doubted"
         if table.summary.doubts
         else "",

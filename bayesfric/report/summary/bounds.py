@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.inference.noise import SCALES
-from bayesfric.report.summary.record import of_noise
+from bayesfric.mechanism.quantities import QUANTITIES
+from bayesfric.report.summary.record import of_noise, quantity_of
 from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.text_templates import sentence
 
@@ -51,7 +52,10 @@ def bound_mend(name: str, row: PosteriorRow) -> str:
     kind = "physical bound" if row.bound_physical else "set bound"
     if of_noise(name) and (scale := SCALES.get(name.split(".")[1])) and scale.at_bound:
         kind = scale.at_bound
-    return sentence(kind, {"name": name, "bound": bound, "side": row.at_bound})
+    quantity = QUANTITIES.get(quantity_of(name))
+    # of a velocity or an exponent there is no more and less: it shapes another term
+    shape = quantity is not None and quantity.role == "form"
+    return sentence(kind, {"name": name, "bound": bound, "side": row.at_bound, "shape": shape})
 
 
 def noise_cut(name: str, row: PosteriorRow) -> bool:

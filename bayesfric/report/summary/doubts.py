@@ -7,12 +7,12 @@ the run is not reliable.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from bayesfric.estimates.delay import Delay
+from bayesfric.estimates.delay import MOVED, Delay
 from bayesfric.estimates.disturbances import Disturbance
 from bayesfric.estimates.information import CORRELATED, lag_one
 from bayesfric.estimates.once_a_turn import OnceATurn
@@ -39,6 +39,9 @@ _EXPLAINED = 0.8
 _RISE = 1.1
 # Robust standard deviations below zero that are no chance.
 _NEGATIVE = 3.0
+# Standard deviations with room for the model's error that a number may move by and not be doubted:
+# they stand for what another motion would give.
+_FURTHER = 1.0
 # Scatter of the delays of several recordings, over what is expected, that is no chance.
 _SCATTER = 3.0
 
@@ -69,9 +72,8 @@ def find_doubts(
     told = [name for name, row in rows.items() if row.verdict == "data"]
     # what rests on the data at all: a limit, or what they settle with a prior's help, too
     resting = [name for name, row in rows.items() if row.verdict != "prior" or held(row)]
-    memory = list(_memory(choice))
-    error = summary.model_error
-    lacking = bool(memory) or (error is not None and error.shown)
+    memory = list(_memory(choice, summary, resting))
+    lacking = bool(memory) or summary.widened
     unexplained = _unexplained(fit, summary, delays)
     if unexplained:
         delays = ()  # what moves the torque is something else
@@ -84,7 +86,10 @@ def find_doubts(
         *_noise(summary, told, white),
         *_cut(summary),
         *_acceleration(fit, summary, told),
-        *({**one, "of": _of_motion(fit, resting)} for one in _late(delays, fit.observations)),
+        *(
+            {**one, "of": _moved(resting, (one["moved"], *one["others"]))}
+            for one in _late(delays, fit.observations)
+        ),
         *({**one, "of": of} for one in _turning(turn) if (of := _turned(resting, one["moved"]))),
     ]
     return [{"kind": one.pop("kind"), "parameters": one.pop("of", resting), **one} for one in found]
@@ -235,9 +240,11 @@ def _late(delays: Sequence[Delay], observations: Sequence[Observation]) -> Itera
     late = together or [one for one in delays if one.matters]
     if not late:
         return
-    name, moved = max(
-        (move for one in late for move in one.moves.items()), key=lambda move: abs(move[1])
-    )
+    moves: dict[str, float] = {}
+    for one in late:
+        for total, move in one.moves.items():
+            moves[total] = max(moves.get(total, 0.0), abs(move))
+    name = max(moves, key=moves.__getitem__)
     alone = [one for one in delays if len(one.recordings) == 1]
     yield {
         "kind": "delay",
@@ -250,7 +257,8 @@ def _late(delays: Sequence[Delay], observations: Sequence[Observation]) -> Itera
         ],
         # one bench has one delay: where recordings contradict each other it is something else
         "alike": _scatter(alone) < _SCATTER,
-        **{"moved": name, "moves": abs(moved)},
+        **{"moved": name, "moves": moves[name]},
+        "others": [one for one, by in moves.items() if by > MOVED and one != name],
     }
 
 
@@ -266,8 +274,13 @@ def _turning(turn: OnceATurn | None) -> Iterator[dict[str, Any]]:
 
 def _turned(told: Sequence[str], moved: Mapping[str, float]) -> list[str]:
     """Name what makes up gravity, or one of the other totals that have moved."""
-    totals = {"gravity", "gravity_size", *map(quantity_of, moved)}
-    return [name for name in told if totals & _shares(quantity_of(name))]
+    return _moved(told, ("gravity", "gravity_size", *moved))
+
+
+def _moved(told: Sequence[str], moved: Iterable[str]) -> list[str]:
+    """Name what has moved, and what has a share in a total that has."""
+    totals = {total for name in moved for total in _shares(quantity_of(name))}
+    return [name for name in told if name in {*moved} or totals & _shares(quantity_of(name))]
 
 
 def _shares(quantity: str) -> set[str]:
@@ -329,11 +342,31 @@ def _loses(row: Quantity | None) -> bool:
     return row is not None and row.role == "own" and row.lower == 0.0 and row.power in (0, 1)
 
 
-def _memory(choice: Choice | None) -> Iterator[dict[str, Any]]:
-    if choice is not None and choice.refused:
-        asked = choice.asked
-        told = {"asked": asked.order, "taken": choice.order}
-        yield {"kind": "memory", **told, "shift": asked.shift, "rise": asked.rise}
+def _memory(
+    choice: Choice | None, summary: Summary, resting: Sequence[str]
+) -> Iterator[dict[str, Any]]:
+    """Name noise that would move the estimates.
+
+    Intervals with room for the model's error may hold such a move: then only numbers that it takes
+    further are doubted, and where there is none, nothing is.
+    """
+    if choice is None or not choice.refused:
+        return
+    asked = choice.asked
+    told = {"asked": asked.order, "taken": choice.order, "shift": asked.shift, "rise": asked.rise}
+    if not summary.widened:
+        yield {"kind": "memory", **told}
+        return
+    times = {
+        name: abs(choice.moves[name]) / row.told_sd
+        for name, row in summary.joint.items()
+        if name in choice.moves and row.told_sd > 0.0
+    }
+    far = {name: by for name, by in times.items() if by > _FURTHER}
+    if far:
+        still = times.keys() - far.keys()
+        of = [name for name in _moved(resting, far) if name not in still]
+        yield {"kind": "memory", **told, "moved": far, "of": of}
 
 
 def _noise(
@@ -385,13 +418,6 @@ def _acceleration(fit: Fit, summary: Summary, told: list[str]) -> Iterator[dict[
     ]
     if names and lost > 1.0 / LEAST_RATIO**2:
         yield {"kind": "acceleration", "ratio": float(lost**-0.5), "of": names}
-
-
-def _of_motion(fit: Fit, told: Sequence[str]) -> list[str]:
-    """Name what grows with speed or acceleration: it is that which a delay moves."""
-    own = {p.name: p.row for p in fit.chain.parameters}
-    rows = {name: own.get(name) or QUANTITIES.get(quantity_of(name)) for name in told}
-    return [name for name, row in rows.items() if row is not None and row.power]
 
 
 def _accelerates(row: Quantity | None) -> bool:

@@ -100,9 +100,9 @@ def add_white_intervals(summary: Summary, white: Mapping[str, Spread] | None) ->
     )
 
 
-def noise_lines(noise: Noise | Mapping[str, Any]) -> Iterator[str]:
-    """Word the noise of a summary for a person."""
-    yield from filled("noise.txt.j2", noise=Noise.read(noise)).splitlines()
+def noise_lines(noise: Noise | Mapping[str, Any], *, allowed: bool = False) -> Iterator[str]:
+    """Word the noise of a summary for a person; ``allowed`` as of :func:`white_words`."""
+    yield from filled("noise.txt.j2", noise=Noise.read(noise), allowed=allowed).splitlines()
 
 
 # How many times wider intervals of white noise are worth a word.

@@ -42,7 +42,7 @@ ReadExplanation = Annotated[
     Explanation,
     BeforeValidator(lambda x: _EXPLANATION.validate_python(x) if isinstance(x, Mapping) else x),
 ]
-# Kinds of doubts that say of the mechanism that it is not the joint's.
+# Kinds of doubts of the mechanism: that it explains little, or that what it leaves is no noise.
 OF_MECHANISM = ("unexplained", "memory")
 _TERM = TypeAdapter(Term)
 ReadTerm = Annotated[
@@ -300,13 +300,17 @@ class AxisRow(Part):
 
 
 class OutlyingRow(Part):
-    """One output that is too far off for the fitted noise; ``off`` is its residual's size."""
+    """One output that is too far off for the fitted noise; ``off`` is its residual's size.
+
+    ``recurs`` where another is off when the motion is at the same place again.
+    """
 
     recording: str
     time: FiniteFloat
     period: NotNegative
     times: NotNegative
     off: NotNegative | None = None
+    recurs: bool = False
 
 
 class ModelError(Part):
@@ -392,9 +396,31 @@ class Summary(Part):
         )
 
     @property
+    def widened(self) -> bool:
+        """Whether the intervals to print first have room for the model's error."""
+        return self.model_error is not None and self.model_error.shown
+
+    @property
+    def unexplained(self) -> bool:
+        """Whether the model explains little of what was measured."""
+        return any(doubt.kind == "unexplained" for doubt in self.doubts)
+
+    @property
     def mechanism_doubted(self) -> bool:
-        """Whether what the model leaves is no noise: another mechanism has to be taken first."""
-        return any(doubt.kind in OF_MECHANISM for doubt in self.doubts)
+        """Whether another mechanism has to be taken first, as far as any is known that would do."""
+        kinds = {doubt.kind for doubt in self.doubts}
+        return self.unexplained or (bool(kinds & {*OF_MECHANISM}) and not self.none_asked)
+
+    @property
+    def none_asked(self) -> bool:
+        """Whether terms that the model may lack were looked for, and none was found."""
+        # looked for where what is left remembers
+        tried = self.noise.order_chosen_from
+        remembers = bool(tried) and min(tried, key=lambda one: one.bic).order > 0
+        looked = self.explanation is not None or (
+            remembers and "asked_terms" in self.model_fields_set
+        )
+        return looked and not self.asked
 
     @property
     def other_units(self) -> list[dict[str, Any]]:

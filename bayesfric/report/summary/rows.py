@@ -98,6 +98,11 @@ class PosteriorRow(Spread, Described):
         return middle, low, high
 
     @property
+    def doubtful(self) -> bool:
+        """Whether what the data say of it is doubted; of what they leave open they say nothing."""
+        return bool(self.doubted) and self.verdict != "prior"
+
+    @property
     def told_interval(self) -> list[float]:
         """The interval to print first."""
         return self.model_error_interval or self.interval

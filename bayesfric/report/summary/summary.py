@@ -44,8 +44,8 @@ __all__ = ["LEVEL", "estimate_summary", "rms", "spreads", "summarise", "summary_
 Array = NDArray[np.float64]
 
 _COLUMNS = ["name", "unit", "mean", "sd", "median", "low", "high", "level", "rhat", "ess",
-    "prior", "prior_sd", "contraction", "verdict", "at_bound", "converged", "undefined_share",
-    "prior_sensitivity", "likelihood_sensitivity", "white_low", "white_high",
+    "prior", "prior_sd", "contraction", "verdict", "doubted", "at_bound", "converged",
+    "undefined_share", "prior_sensitivity", "likelihood_sensitivity", "white_low", "white_high",
     "model_error_low", "model_error_high", "model_error_sd",
     "bias", "coverage", "corrected", "corrected_low", "corrected_high",
     "current", "current_low", "current_high"]  # fmt: skip
@@ -204,7 +204,12 @@ def spreads(fit: Fit) -> dict[str, Spread]:
 
 def summary_table(summary: Readable) -> str:
     """Lay the parameters and derived quantities of a summary out as CSV text."""
-    return str(Summary.read(summary).frame.to_csv(index=False, columns=_COLUMNS))
+    read = Summary.read(summary)
+    rows = read.rows
+    table = read.frame
+    # the word that every other table has for it
+    table.loc[[rows[name].doubtful for name in table["name"]], "verdict"] = "doubtful"
+    return str(table.to_csv(index=False, columns=_COLUMNS))
 
 
 def _discretisation(likelihood: Likelihood) -> dict[str, Any]:
