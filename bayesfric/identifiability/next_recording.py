@@ -52,6 +52,8 @@ Array = NDArray[np.float64]
 _ROUNDING = 1e-13
 # Anything that a candidate leaves of the sd above this share is not worth the effort.
 WORTH = 0.95
+# Share of what counts as a change of one that is next to zero, but is not.
+_OFF_ZERO = 1e-3
 # Candidates that the text lists; JSON has them all.
 _LISTED = 8
 
@@ -326,8 +328,22 @@ def _at(target: Target, point: Point, local: LocalInformation, name: str, load: 
             "is made of fixed values only, so no experiment changes it",
             "give them priors with a width, or ask for another quantity",
         )
-    values = target.chain_values(point.parameters[None])[0]
+    values = _movable(target, point.parameters, local)
     return _At(values, local, prior_rows(target, local), gradient)
+
+
+def _movable(target: Target, parameters: Array, local: LocalInformation) -> Array:
+    """Values of the chain ``(n_parameters,)`` that can be simulated, at sampled ones ``(d,)``.
+
+    What shapes others and is zero, as a Stribeck velocity on its bound, gives a term no one value
+    at rest: so little more that no sample shows it does.
+    """
+    chain, moved = target.likelihood.chain, parameters.copy()
+    for k, name in enumerate(target.free):
+        row = chain.parameters[chain.names.index(name)].row
+        if row.role == "form" and row.lower == 0.0 < row.default:
+            moved[k] = max(moved[k], _OFF_ZERO * abs(float(local.units[k])))
+    return target.chain_values(moved[None])[0]
 
 
 def _sds(

@@ -22,6 +22,7 @@ from bayesfric.mechanism import excitation
 from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings import Processing
 from bayesfric.recordings.inputs import Inputs
@@ -412,3 +413,21 @@ def test_a_mass_is_proposed_that_weighs_about_as_much_as_there_is():
     chain = AXIS.chain()
     inertia, _ = known_mass(chain, chain.vector(AXIS.values)).load("rotary")
     assert inertia == pytest.approx(AXIS.values["motor.inertia"], rel=0.06)
+
+
+def test_a_stribeck_velocity_on_its_bound_leaves_no_candidate_out():
+    """No simulation has a value for a rise at exactly zero; beside it there is one."""
+    chain = Joint([replace(AXIS.chain().elements[0], stribeck="either")], offset=True)
+    values = AXIS.values | {"motor.stribeck_change": 0.1, "motor.stribeck_velocity": 0.0}
+    preset = SimpleNamespace(values=values)
+    torque = lagged(amplitude=0.6)
+    truth = chain.vector(values | {"motor.stribeck_velocity": 1e-6})
+    motion = simulate(chain, truth, torque, PERIOD, substeps=4)
+    observed = observe(
+        made_recording(motion.time, motion.q, torque, PERIOD, name="slow"), Processing()
+    )
+    options = AdviceOptions(duration=0.5, masses=())
+    found = ranked("motor.viscous", observed, options=options, chain=chain, preset=preset)
+    assert not [str(why) for _, why in found.dropped if "greater than zero" in str(why)]
+    assert {one.candidate.kind for one in found.advices} == {"excitation", "longer"}
+    assert all(np.isfinite(one.after.sd) for one in found.advices)
