@@ -123,6 +123,11 @@ class Ranking:
         return best.sd < WORTH * self.now.sd or not np.isfinite(self.now.sd)
 
     @property
+    def assumption(self) -> Statement:
+        """What all standard deviations here take for granted."""
+        return stated("advice", "assumed")
+
+    @property
     def verdict(self) -> Statement:
         """Whether any candidate is worth making."""
         best = self.advices[0].after if self.advices else None
@@ -178,7 +183,7 @@ class Ranking:
         found = {name: getattr(self, name) for name in ("quantity", "unit", "meaning", "value")}
         found |= {"determined": bool(np.isfinite(self.now.data_sd)), "now": self.now}
         found |= {"points": self.points, "limits": {**vars(self.limits), "masses": masses}}
-        found |= {"verdict": self.verdict, "candidates": rows}
+        found |= {"assumption": self.assumption, "verdict": self.verdict, "candidates": rows}
         found["dropped"] = [{**self._described(one), "reason": why} for one, why in self.dropped]
         return {name: plain(value) for name, value in found.items()}
 
