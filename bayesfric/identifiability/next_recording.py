@@ -348,7 +348,7 @@ def _movable(target: Target, parameters: Array, local: LocalInformation) -> Arra
         row = chain.parameters[chain.names.index(name)].row
         if row.role == "form" and row.lower == 0.0 < row.default:
             moved[k] = max(moved[k], _OFF_ZERO * abs(float(local.units[k])))
-    return target.chain_values(moved[None])[0]
+    return np.asarray(target.chain_values(moved[None])[0])
 
 
 def _sds(
