@@ -126,6 +126,7 @@ def descend(
     *,
     lower: Array | None = None,
     upper: Array | None = None,
+    iterations: int = _ITERATIONS,
 ) -> Found:
     """Search downhill from ``x`` ``(d,)`` (Levenberg-Marquardt with exact limits).
 
@@ -138,7 +139,7 @@ def descend(
     residual = terms.residual(problem, x)
     height = terms.height(residual)
     damping, raised = 1e-3, 2.0
-    for _ in range(_ITERATIONS):
+    for _ in range(iterations):
         root = np.sqrt(terms.shares(residual))
         triangle, target, size = _packed(
             root[:, None] * terms.jacobian(problem, x), root * residual

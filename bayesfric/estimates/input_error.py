@@ -16,6 +16,7 @@ from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.information import CORRELATED, Information, Scatter, lag_one
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.point_estimate import Estimate
+from bayesfric.estimates.shape_starts import at_tried_shapes
 from bayesfric.estimates.torque import places
 from bayesfric.estimates.torque_form import scale_known, torque_form
 from bayesfric.estimates.variable_projection import VariableProjection
@@ -50,9 +51,9 @@ def input_error(
     """Estimate the chain's parameters from the error of the modelled torque, eq. (12).
 
     The search starts from the variable projection of eqs. (18) and (19) where the chain
-    has that form, from splits of the least-squares totals, and from random vectors;
-    limits are kept exactly. With a ``start`` it begins there alone. What the data leave open has
-    an infinite sd; what stands on a limit has none.
+    has that form, from splits of the least-squares totals, from random vectors, and at the shapes
+    that the table of quantities gives to try; limits are kept exactly. With a ``start`` it begins
+    there alone. What the data leave open has an infinite sd; what stands on a limit has none.
 
     Raises
     ------
@@ -71,7 +72,7 @@ def _estimate(
     chain, observations = problem.chain, problem.observations
     plain = Terms(np.ones(problem.measured.size))
     if start is None:
-        inside, projected, searched = _starts(problem, options)
+        inside, projected, searched = _starts(problem, plain, options)
     else:
         inside, projected, searched = [problem.inside(chain.vector(start))], [], ""
     found = sorted((descend(problem, plain, x) for x in inside), key=lambda one: one.height)
@@ -102,8 +103,10 @@ def _estimate(
     )
 
 
-def _starts(problem: TorqueProblem, options: Estimation) -> tuple[list[Array], list[Array], str]:
-    """Make starts of the variable projection, splits of the totals, and random vectors.
+def _starts(
+    problem: TorqueProblem, plain: Terms, options: Estimation
+) -> tuple[list[Array], list[Array], str]:
+    """Make starts of the variable projection, splits of the totals, random vectors, and shapes.
 
     Gives free parameters within the limits; as projected; and a note.
     """
@@ -131,6 +134,9 @@ def _starts(problem: TorqueProblem, options: Estimation) -> tuple[list[Array], l
         if found.theta2.size:
             searched = f"; of eqs. (18) and (19), {found.starts_agreeing} of {found.starts}"
     inside = [problem.inside(_toward_told(problem, vector)) for vector in vectors]
+    inside, tried = at_tried_shapes(problem, plain, inside, rng)
+    if tried:
+        searched = f", those that fitted best of {tried} with shapes held at values to try"
     return inside, projected, searched
 
 

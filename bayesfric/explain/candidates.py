@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from bayesfric.inference.prior.defaults import Scales, measured_scales, sizes_at
+from bayesfric.estimates.sizes import Scales, measured_scales, sizes_at
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import TURN

@@ -42,7 +42,7 @@ class AdviceOptions(BaseModel):
     angle_limits: tuple[Finite, Finite] | None = Field(
         None,
         description="[low, high] that the joint must stay between, rad or m; if left out, what was "
-        "recorded where a controller held the joint, else none",
+        "recorded, or none where a free joint went through a whole turn",
         json_schema_extra=in_unit("rad or m"),
     )
     duration: Positive | None = Field(

@@ -28,6 +28,7 @@ from bayesfric.mechanism import excitation
 from bayesfric.mechanism.forward import RunsAway
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.parameter import TURN
 from bayesfric.recordings.inputs import Inputs, steady
 from bayesfric.recordings.observation import Observation
 
@@ -156,7 +157,9 @@ def limits_of(
     # a joint that never was where gravity would hold it was held by something else
     held = not recorded[0] <= start <= recorded[1]
     held = held or any("feedback" in o.settings for o in observations)
-    angles = options.angle_limits or (recorded if held else None)
+    # a joint that has gone round has no stops; any other may have them where nothing was recorded
+    round_ = rotary and recorded[1] - recorded[0] >= TURN
+    angles = options.angle_limits or (recorded if held or not round_ else None)
     low, high = angles or (-np.inf, np.inf)
     if not low <= start <= high:
         start = first
@@ -340,4 +343,4 @@ def _hanging(chain: Joint, values: Array, near: float) -> float:
     if "first_moment" not in of:
         return near
     angle = of.get("gravity_angle", 0.0) + (np.pi if chain.load.gravity < 0.0 else 0.0)
-    return float(-angle + 2.0 * np.pi * np.round((near + angle) / (2.0 * np.pi)))
+    return float(-angle + TURN * np.round((near + angle) / TURN))

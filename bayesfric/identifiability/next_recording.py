@@ -52,6 +52,8 @@ Array = NDArray[np.float64]
 _ROUNDING = 1e-13
 # Anything that a candidate leaves of the sd above this share is not worth the effort.
 WORTH = 0.95
+# Share of what counts as a change of one that is next to zero, but is not.
+_OFF_ZERO = 1e-3
 # Candidates that the text lists; JSON has them all.
 _LISTED = 8
 
@@ -121,6 +123,11 @@ class Ranking:
         return best.sd < WORTH * self.now.sd or not np.isfinite(self.now.sd)
 
     @property
+    def assumption(self) -> Statement:
+        """What all standard deviations here take for granted."""
+        return stated("advice", "assumed")
+
+    @property
     def verdict(self) -> Statement:
         """Whether any candidate is worth making."""
         best = self.advices[0].after if self.advices else None
@@ -176,7 +183,7 @@ class Ranking:
         found = {name: getattr(self, name) for name in ("quantity", "unit", "meaning", "value")}
         found |= {"determined": bool(np.isfinite(self.now.data_sd)), "now": self.now}
         found |= {"points": self.points, "limits": {**vars(self.limits), "masses": masses}}
-        found |= {"verdict": self.verdict, "candidates": rows}
+        found |= {"assumption": self.assumption, "verdict": self.verdict, "candidates": rows}
         found["dropped"] = [{**self._described(one), "reason": why} for one, why in self.dropped]
         return {name: plain(value) for name, value in found.items()}
 
@@ -326,8 +333,22 @@ def _at(target: Target, point: Point, local: LocalInformation, name: str, load: 
             "is made of fixed values only, so no experiment changes it",
             "give them priors with a width, or ask for another quantity",
         )
-    values = target.chain_values(point.parameters[None])[0]
+    values = _movable(target, point.parameters, local)
     return _At(values, local, prior_rows(target, local), gradient)
+
+
+def _movable(target: Target, parameters: Array, local: LocalInformation) -> Array:
+    """Values of the chain ``(n_parameters,)`` that can be simulated, at sampled ones ``(d,)``.
+
+    What shapes others and is zero, as a Stribeck velocity on its bound, gives a term no one value
+    at rest: so little more that no sample shows it does.
+    """
+    chain, moved = target.likelihood.chain, parameters.copy()
+    for k, name in enumerate(target.free):
+        row = chain.parameters[chain.names.index(name)].row
+        if row.role == "form" and row.lower == 0.0 < row.default:
+            moved[k] = max(moved[k], _OFF_ZERO * abs(float(local.units[k])))
+    return np.asarray(target.chain_values(moved[None])[0])
 
 
 def _sds(

@@ -13,6 +13,7 @@ from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.estimates.methods import ESTIMATORS
 from bayesfric.estimates.point_estimate import Estimate
+from bayesfric.estimates.sizes import measured_scales
 from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.linearisation import linearisation_change
@@ -22,7 +23,7 @@ from bayesfric.inference.noise.residual_noise import ResidualNoise
 from bayesfric.inference.noise.scale import NoiseScale, noise_of
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.predictive import Prediction
-from bayesfric.inference.prior.defaults import default_prior, measured_scales
+from bayesfric.inference.prior.defaults import default_prior
 from bayesfric.inference.prior.priors import Prior, PriorText, read_prior
 from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Progress, Sampling, sample

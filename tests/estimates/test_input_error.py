@@ -138,6 +138,35 @@ def test_a_chain_without_the_form_comes_back(make_observation):
         assert value == pytest.approx(values[name], rel=1e-6), name
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_fall_at_low_speed_of_a_slow_axis_is_found(make_observation, seed):
+    """From one unit of speed a search goes to zero, where no rise or fall shows."""
+    chain = Joint(elements=(replace(AXIS.chain().elements[0], stribeck="either"),), offset=True)
+    values = AXIS.values | {"motor.stribeck_change": -0.3, "motor.stribeck_velocity": 0.012}
+    o = make_observation(chain, values, sigma=0.0, amplitude=0.03, seed=seed)
+    assert np.abs(o.qd).max() < 0.3
+    estimate = input_error(chain, [o], Knowledge(), Estimation(seed=seed))
+    for name, value in estimate.point:
+        assert value == pytest.approx(values[name], rel=1e-5), name
+        assert estimate[name].at_bound is None
+    reached, said = estimate.notes[0].split(" starts reached the minimum")
+    found, searched = map(int, reached.split(" of "))
+    assert 1 <= found <= searched
+    assert "shapes held" in said
+
+
+def test_a_shape_that_is_fixed_or_bounded_is_not_tried_elsewhere(make_observation):
+    chain = Joint(elements=(replace(AXIS.chain().elements[0], stribeck="either"),), offset=True)
+    values = AXIS.values | {"motor.stribeck_change": -0.3, "motor.stribeck_velocity": 0.012}
+    o = make_observation(chain, values, sigma=0.0, amplitude=0.03)
+    name = "motor.stribeck_velocity"
+    fixed = input_error(chain, [o], Knowledge(fixed={name: 0.02}), FEW)
+    assert dict(fixed.point)[name] == 0.02
+    assert "shapes" not in fixed.notes[0]
+    bounded = input_error(chain, [o], Knowledge(bounds={name: (0.02, 0.03)}), FEW)
+    assert dict(bounded.point)[name] == pytest.approx(0.02)
+
+
 def test_sds_are_those_of_repeated_noise(knee):
     chain = KNEE.chain()
     # so little noise that the model is linear over it

@@ -19,9 +19,11 @@ from bayesfric.identifiability.sentences import page
 from bayesfric.identifiability.virtual_recording import HEAVIEST, known_mass, played
 from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.mechanism import excitation
+from bayesfric.mechanism.element import Load
 from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings import Processing
 from bayesfric.recordings.inputs import Inputs
@@ -315,12 +317,39 @@ def test_bad_names_and_limits_are_refused(square):
         ranked("load.inertia", square, options=AdviceOptions(angle_limits=(0.5, 0.9)))
 
 
+def test_only_what_has_gone_round_has_no_stops(square):
+    """A joint that swung, and any slide, may have stops where nothing was recorded."""
+    far = replace(square, q=6.3 / np.ptp(square.q) * square.q)
+    assert limits_of(AdviceOptions(), CHAIN, [far], VALUES).angles is None
+    motor = replace(AXIS.chain().elements[0], motion="linear")
+    slide = Joint([motor], load=Load(motion="linear"), offset=True)
+    limits = limits_of(AdviceOptions(), slide, [far], slide.vector(AXIS.values))
+    assert not limits.held
+    assert limits.angles == (far.q.min(), far.q.max())
+    wider = AdviceOptions(angle_limits=(-9.0, 9.0))
+    assert limits_of(wider, slide, [far], slide.vector(AXIS.values)).angles == (-9.0, 9.0)
+
+
+def test_the_text_says_what_sds_and_default_limits_rest_on(knee):
+    told = {"written": None, "torque_unit": "N m", "position_unit": "rad"}
+    text = "\n".join(page("advise.txt", found=knee, **told))
+    assert "hold only if the model is right" in text
+    assert text.index("hold only") < text.index("Best: ")
+    assert knee.as_json()["assumption"] == str(knee.assumption)
+    assert "rad (all that was recorded; angle_limits widens it)" in text
+    low, high = knee.limits.recorded_angles
+    for one in knee.advices:
+        assert low <= one.angles[0] < one.angles[1] <= high
+    given = replace(knee, limits=replace(knee.limits, angles=(-1.0, 1.0)))
+    assert "widens it" not in "\n".join(page("advise.txt", found=given, **told))
+
+
 def test_limits_left_out_come_from_the_recordings(square):
     quick = replace(square, speed=2.0 * square.speed)
     limits = limits_of(AdviceOptions(), CHAIN, [square, quick], VALUES)
     assert limits.torque == np.abs(square.measured).max()
     assert limits.speed == pytest.approx(2.4 * np.abs(square.speed).max())
-    assert limits.angles is None
+    assert limits.angles == (square.q.min(), square.q.max())
     assert limits.start == 0.0
     # no longer than what was recorded; trimming takes a little off its ends
     assert 0.95 * N * PERIOD < limits.duration <= N * PERIOD
@@ -412,3 +441,21 @@ def test_a_mass_is_proposed_that_weighs_about_as_much_as_there_is():
     chain = AXIS.chain()
     inertia, _ = known_mass(chain, chain.vector(AXIS.values)).load("rotary")
     assert inertia == pytest.approx(AXIS.values["motor.inertia"], rel=0.06)
+
+
+def test_a_stribeck_velocity_on_its_bound_leaves_no_candidate_out():
+    """No simulation has a value for a rise at exactly zero; beside it there is one."""
+    chain = Joint([replace(AXIS.chain().elements[0], stribeck="either")], offset=True)
+    values = AXIS.values | {"motor.stribeck_change": 0.1, "motor.stribeck_velocity": 0.0}
+    preset = SimpleNamespace(values=values)
+    torque = lagged(amplitude=0.6)
+    truth = chain.vector(values | {"motor.stribeck_velocity": 1e-6})
+    motion = simulate(chain, truth, torque, PERIOD, substeps=4)
+    observed = observe(
+        made_recording(motion.time, motion.q, torque, PERIOD, name="slow"), Processing()
+    )
+    options = AdviceOptions(duration=0.5, masses=())
+    found = ranked("motor.viscous", observed, options=options, chain=chain, preset=preset)
+    assert not [str(why) for _, why in found.dropped if "greater than zero" in str(why)]
+    assert {one.candidate.kind for one in found.advices} == {"excitation", "longer"}
+    assert all(np.isfinite(one.after.sd) for one in found.advices)

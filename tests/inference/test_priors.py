@@ -11,8 +11,9 @@ from scipy import stats
 
 import bayesfric as bf
 from bayesfric.errors import BadInput
+from bayesfric.estimates.sizes import Scales, measured_scales
 from bayesfric.inference.noise import SCALES
-from bayesfric.inference.prior.defaults import Scales, default_prior, measured_scales
+from bayesfric.inference.prior.defaults import default_prior
 from bayesfric.inference.prior.priors import read_prior
 from bayesfric.mechanism.presets import PRESETS
 

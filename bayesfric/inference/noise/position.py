@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from bayesfric.estimates.sizes import Scales
 from bayesfric.inference.noise.scale import NoiseDescription, Scale, up_to
-from bayesfric.inference.prior.defaults import Scales
 from bayesfric.inference.prior.priors import PriorText
 
 # Rounding to steps is noise of step/sqrt(12), and no noise is less: the prior begins at a third of

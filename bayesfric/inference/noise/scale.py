@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.inference.prior.defaults import Scales
+from bayesfric.estimates.sizes import Scales
 from bayesfric.inference.prior.priors import Prior, PriorText, read_prior
 
 Array = NDArray[np.float64]
