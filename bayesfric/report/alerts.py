@@ -133,7 +133,8 @@ def _of_model(
     allowed = error is not None and error.shown
     for kind, sure in (("lacks", True), ("may lack", False)):
         if lacks := [one for one in summary.fit.lacks if one.sure is sure]:
-            yield kind, {"lacks": lacks, "allowed": allowed}, "prediction"
+            beside = any(one.sure for one in summary.fit.lacks) and not sure
+            yield kind, {"lacks": lacks, "allowed": allowed, "beside": beside}, "prediction"
     test = summary.noise.innovation_whiteness
     if test is not None and not test.white:
         yield "not white", test.model_dump(), "noise"

@@ -25,6 +25,7 @@ from bayesfric.report.paper.tables import (
 )
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.summary import summarise
+from bayesfric.report.terminal import fit_text
 
 from .made_summaries import LEG, every_kind, knee, loaded
 from .made_tables import ends, lines, num, skewed
@@ -147,7 +148,19 @@ def test_a_real_summary(real):
     for text in (parameters_latex(table), parameters_markdown(table), parameters_csv(table)):
         assert text.endswith("\n")
         assert "nan" not in text.lower().replace("determinan", "")
-    assert {r.name for r in table.rows} >= set(real["parameters"]) | set(real["derived"])
+    felt = {name for name, row in real["derived"].items() if not row.get("of_motion")}
+    assert {r.name for r in table.rows} == set(real["parameters"]) | felt
+
+
+def test_what_least_squares_makes_of_the_motion_is_not_what_the_motor_feels(real):
+    """Behind a load loss it may lie outside what is felt in either direction of power."""
+    of_motion = {name for name, row in real["derived"].items() if row.get("of_motion")}
+    assert "total.inertia" in of_motion
+    assert not of_motion & {r.name for r in parameter_table(real).rows}
+    assert not of_motion & {line.split()[0] for line in fit_text(real) if line.strip()}
+    # beside least squares, marked
+    assert "total.inertia" in {row.name for row in comparison({"run": real}).rows}
+    assert r"\textsuperscript{m}" in methods_latex(comparison({"run": real}))
 
 
 def test_correlated_residuals_are_confessed():
@@ -197,8 +210,7 @@ def test_a_table_of_runs_is_the_comparison_and_what_is_pooled():
     marked = [r.name for r, c in zip(found.rows, body, strict=True) if "superscript{m}" in c[0]]
     assert marked == ["total.inertia"]
     assert "another motion gives other values" in text
-    # of one run its methods have one motion
-    assert "superscript{m}" not in methods_latex(comparison({"b": runs["b"]}))
+    assert "along the run's own motion" in methods_latex(comparison({"b": runs["b"]}))
     pooled = between_runs(runs)
     together = lines(between_runs_latex(pooled))
     assert len(together) == len(pooled) > 3

@@ -198,11 +198,12 @@ class ParameterTable:
 def parameter_table(summary: Readable, run: str = "summary.json") -> ParameterTable:
     """Judge every number of a summary for the table of parameters.
 
-    What no scaling of load and alpha changes comes first; ``run`` is what complaints call it.
+    What no scaling of load and alpha changes comes first, without what is the motion's as much as
+    the joint's; ``run`` is what complaints call it.
     """
     read = Summary.read(summary, run)
     groups = {
-        "free": {name: row for name, row in read.derived.items() if row.gauge_free},
+        "free": read.felt,
         "parameter": read.parameters,
         "derived": {name: row for name, row in read.derived.items() if not row.gauge_free},
     }
@@ -337,11 +338,12 @@ def methods_latex(found: Comparison, notes: Sequence[str] = ()) -> str:
         group = (row.kind, row.gauge_free)
         cells = [_cell(row.cells.get(column.label)) for column in found.columns]
         name = latex.symbol(row.symbol, row.name)
-        name += r"\textsuperscript{m}" if row.of_motion and runs > 1 else ""
+        name += r"\textsuperscript{m}" if row.of_motion else ""
         body.append(" & ".join([name, latex.unit(row.unit), *cells]) + r" \\")
     head = " & ".join(["", "Unit", *(latex.escaped(c.label) for c in found.columns)]) + r" \\"
     every = [row.cells.get(column.label) for row in found.rows for column in found.columns]
     cells_ = [cell for cell in every if cell is not None]
+    wide = [column.run for column in found.columns if column.widened]
     told = {
         "†: residuals taken for uncorrelated, too small where they are correlated": any(
             c.status == "determined" and not c.accounts for c in cells_
@@ -353,8 +355,11 @@ def methods_latex(found: Comparison, notes: Sequence[str] = ()) -> str:
         "b: on its bound": any(c.status == "bound" for c in cells_),
         "d: doubtful, see what the run warns of": any(c.doubted for c in cells_),
         f"Empty: the {'run' if runs > 1 else 'method'} does not tell it": None in every,
-        "m: of each run's own motion, another motion gives other values": runs > 1
-        and any(row.of_motion for row in found.rows),
+        f"m: as a fit without load losses would find it along {'each' if runs > 1 else 'the'} "
+        "run's own motion, another motion gives other values": any(r.of_motion for r in found.rows),
+        f"Posterior of {', '.join(wide)}: widened for a model that is not exactly right"
+        if runs > 1
+        else "Posterior: widened for a model that is not exactly right": bool(wide),
     }
     notes = [
         "One standard deviation in parentheses, accounting for correlated residuals",
