@@ -14,6 +14,7 @@ from bayesfric.report.comparison.between_runs import between_runs
 from bayesfric.report.comparison.cell import is_skewed
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.page.run_page import run_page
+from bayesfric.report.page.values import text_of
 from bayesfric.report.paper import latex
 from bayesfric.report.paper.tables import (
     between_runs_latex,
@@ -303,3 +304,29 @@ def test_a_verdict_is_the_same_in_every_table_and_on_the_page(tmp_path):
         assert markdown[k].endswith(f"| {words} |")
         assert words in shown[name]
     assert "prior" not in shown["motor.coulomb_negative"]
+
+
+@pytest.mark.parametrize(
+    ("middle", "low", "high", "sd", "shown"),
+    [
+        # of runs: a tail of one side made the sd larger than all of the other
+        (11.1, 4.80, 11.54, 5.2, ("[4.80, 11.54]", r"$\num{11.10}^{+\num{0.44}}_{-\num{6.30}}$")),
+        (1.0056, 1.0003, 9.1, 6.0, ("[1.0003, 9.1000]", None)),
+        (0.9473, 0.512, 0.9502, 0.2, ("[0.5120, 0.9502]", None)),
+        # an end that is nearer than a thousandth of the other's distance sets no digits
+        (18.19, -11962.0, 18.2, 12000.0, ("[-1.1962e4, 18]", None)),
+        (4.1, 2.455, 5.745, 1.0, ("[2.5, 5.7]", r"$\num{4.1}^{+\num{1.6}}_{-\num{1.6}}$")),
+    ],
+)
+def test_a_skewed_interval_is_rounded_by_its_nearer_end(middle, low, high, sd, shown):
+    fine = numbers.finer(middle, low, high, sd)
+    interval, ends_ = shown
+    assert numbers.TEXT.interval(low, high, fine) == interval
+    if ends_ is not None:
+        assert numbers.latex_ends(middle, low, high, fine) == ends_
+
+
+def test_a_value_far_below_its_sd_takes_the_sds_power_of_ten():
+    assert text_of(numbers.html_value(1.35, 690.0)) == "(0.0 ± 6.9)\u00a0×\u00a010²"
+    assert numbers.latex_value(1.35, 690.0) == r"\num{0.0(69)e2}"
+    assert numbers.TEXT.interval(-1.2e4, 1.0, 6900.0) == "[-1.20e4, 0]"

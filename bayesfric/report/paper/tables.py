@@ -18,6 +18,7 @@ from bayesfric.report.numbers import (
     LATEX,
     TEXT,
     Medium,
+    finer,
     latex_interval,
     latex_number,
     text_rounded,
@@ -150,10 +151,11 @@ class ParameterRow:
         if not self.row.sd:
             return medium.number(self.row.middle, 5), medium.none
         middle, low, high, sd = self.cited
-        ends = self.with_doubt(medium.interval(low, high, sd))
+        fine = finer(middle, low, high, sd)
+        ends = self.with_doubt(medium.interval(low, high, fine))
         # a paper's table has intervals only; the page has room for sds where they name both sides
         if self.skewed or medium is not HTML:
-            return medium.ends(middle, low, high, sd), ends
+            return medium.ends(middle, low, high, fine), ends
         return medium.value(middle, sd), ends
 
 
