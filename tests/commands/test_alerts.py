@@ -121,7 +121,9 @@ def test_what_is_lacking_and_what_may_be_do_not_contradict():
     ]
     sure, unsure = (a.text for a in alerts_of(told) if a.kind in ("lacks", "may lack"))
     assert sure.startswith("the model lacks something: joint speed explains 43 %")
-    assert unsure == "whether load also does cannot be told: load may explain 14 % of what it leaves"
+    assert (
+        unsure == "whether load also does cannot be told: load may explain 14 % of what it leaves"
+    )
     del told["fit"]["lacks"][0]
     (alone,) = (a.text for a in alerts_of(told) if a.kind == "may lack")
     assert alone.startswith("whether the model lacks something cannot be told")

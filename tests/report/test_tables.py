@@ -330,3 +330,19 @@ def test_a_value_far_below_its_sd_takes_the_sds_power_of_ten():
     assert text_of(numbers.html_value(1.35, 690.0)) == "(0.0 ± 6.9)\u00a0×\u00a010²"
     assert numbers.latex_value(1.35, 690.0) == r"\num{0.0(69)e2}"
     assert numbers.TEXT.interval(-1.2e4, 1.0, 6900.0) == "[-1.20e4, 0]"
+
+
+def test_latex_notes_have_the_symbols_of_the_table():
+    """One name may begin another, and a text has no symbols."""
+    run = knee()
+    name, other = "motor.inertia", "motor.viscous"
+    for one in (name, other):
+        run["parameters"][one] |= {"torque_constant": 2.0}
+    table = parameter_table(run)
+    (note,) = [text for text in table.notes if "current was measured" in text]
+    assert f"{name} is " in note
+    below = parameters_latex(table).partition(r"\bottomrule")[2]
+    rows = {r.name: r for r in table.rows}
+    for one in (name, other):
+        assert f"{latex.symbol(rows[one].symbol, one)} is " in below
+        assert one not in below.replace(rf"\texttt{{{one}}}", "")

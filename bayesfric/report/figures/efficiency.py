@@ -259,7 +259,8 @@ FIGURE = RunFigure(
     caption=(
         f"Efficiency of eq. (4) of one element over the load at the joint: posterior median and "
         f"{100 * LEVEL:.0f} % band, constant losses in and behind the element counted, viscous "
-        "ones and all that stands before it, as the motor's own loss, not. Open markers: the measured torque less what the model, at its posterior median, "
+        "ones and all that stands before it, as the motor's own loss, not. "
+        "Open markers: the measured torque less what the model, at its posterior median, "
         "says of all but this element, in bins of the load (median and middle half of each). "
         "Dashed where no recording had such loads, hatched where the data do not "
         "determine it."

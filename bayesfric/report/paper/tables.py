@@ -6,8 +6,10 @@ of the prior and the bounds, and out of the table it would be quoted as a measur
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from bayesfric.report.comparison.cell import Cell, is_skewed, posterior_cell
@@ -296,13 +298,25 @@ def parameters_latex(table: ParameterTable) -> str:
     head = rf"Symbol & Quantity & Value & {share} interval & Unit & Determined by \\"
     columns = r"@{}l>{\raggedright\arraybackslash}Xllll@{}"
     words = ("Parameters of the joint", table.notes, "tab:parameters")
-    return _table(*words, columns, head, body[1:])
+    symbols = {r.name: latex.symbol(r.symbol, r.name) for r in table.rows}
+    return _table(*words, columns, head, body[1:], symbols)
 
 
 def _table(
-    caption: str, notes: Sequence[str], label: str, columns: str, head: str, body: list[str]
+    caption: str,
+    notes: Sequence[str],
+    label: str,
+    columns: str,
+    head: str,
+    body: list[str],
+    symbols: Mapping[str, str] = MappingProxyType({}),
 ) -> str:
+    """Lay out a table; notes have ``symbols`` in place of names, as its lines have."""
     below = latex.escaped(". ".join(notes)).replace(r" \%", r"\,\%") + "."
+    if symbols:
+        known = {latex.escaped(name): symbol for name, symbol in symbols.items()}
+        either = "|".join(re.escape(name) for name in sorted(known, key=len, reverse=True))
+        below = re.sub(rf"(?<![\w.])({either})(?![\w\\])", lambda m: known[m[1]], below)
     # IEEE sets captions of tables in small capitals: a title can be read so, notes cannot
     kind, width = ("tabularx", r"{\textwidth}") if "X" in columns else ("tabular", "")
     lines = [
