@@ -259,8 +259,9 @@ def _advise(config: Path, name: str, output: Path | None, force: bool, as_json: 
     path = advice_file(name, output, force=force)
     with progress_shown(sys.stderr.isatty()) as progress:
         found = model.advise(name, progress=progress)
-    written = path if write_advice(found, path, model, force=force) else None
-    _print(advice_record(found, model, written), as_json, advice_text(found, model, written))
+    written = write_advice(found, path, model, force=force)
+    record = advice_record(found, model, path if written else None)
+    _print(record, as_json, advice_text(found, model, path, written=written))
 
 
 @app.command()

@@ -47,12 +47,13 @@ def _warnings(model: Model) -> list[str]:
 def advice_file(name: str, output: Path | None, *, force: bool) -> Path:
     """Settle where the winning excitation goes, before anything is computed.
 
-    It is a CSV that is not there already, or is replaced by ``force``.
+    It is a CSV that is not there already, or is replaced by ``force``. One that nobody named may be
+    there: of a second answer nothing is lost but the file.
     """
     path = output or Path(f"advice-{name}.csv")
     if path.suffix.lower() != ".csv":
         raise BadInput(str(path), "is not named .csv", "name the excitation something.csv")
-    if path.exists() and not force:
+    if output and path.exists() and not force:
         raise BadInput(
             str(path), "exists already", "name another file with -o, or replace it with --force"
         )
@@ -62,9 +63,10 @@ def advice_file(name: str, output: Path | None, *, force: bool) -> Path:
 def write_advice(found: Ranking, path: Path, model: Model, *, force: bool) -> bool:
     """Write the winning excitation, and tell whether there was any that is worth it.
 
-    Columns are time and torque, their units in the second line.
+    Columns are time and torque, their units in the second line. A file that is there stays, but for
+    ``force``.
     """
-    if not found.worth:
+    if not found.worth or (path.exists() and not force):
         return False
     table = io.StringIO()
     np.savetxt(
@@ -87,11 +89,12 @@ def advice_record(found: Ranking, model: Model, written: Path | None) -> dict[st
     }
 
 
-def advice_text(found: Ranking, model: Model, written: Path | None) -> list[str]:
+def advice_text(found: Ranking, model: Model, path: Path, *, written: bool) -> list[str]:
     """Word a ranking for a person: what to do first, then the table."""
     told = page(
         "advise.txt",
         found=found,
+        path=path,
         written=written,
         torque_unit=_torque_unit(model),
         position_unit="rad" if model.chain.load.motion == "rotary" else "m",

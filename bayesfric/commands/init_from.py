@@ -64,6 +64,10 @@ def configuration_from(
     }
 
 
+# Other columns that are named, on the terminal as in the file.
+_MOST = 8
+
+
 def guesses_text(found: dict[str, Any]) -> Iterator[str]:
     """List for a person what to look at before anything else is done."""
     if len(found["joints"]) > 1:
@@ -72,9 +76,7 @@ def guesses_text(found: dict[str, Any]) -> Iterator[str]:
     if found["guesses"]:
         yield f"Guessed; look at each, and remove every '{GUESSED}':"
     for one in found["guesses"]:
-        others = " or ".join(map(toml_value, one["or"]))
-        instead = f"; or {others}" if others else ""
-        yield f"  {one['key']} = {toml_value(one['value'])}: {one['why']}{instead}"
+        yield f"  {one['key']} = {toml_value(one['value'])}: {one['why']}{_others(one['or'])}"
     for text in found["unknown"]:
         yield f"  not known: {text}"
     for one in found["presets"]:
@@ -87,7 +89,7 @@ def _guesses(log: Log) -> Iterator[dict[str, Any]]:
             units = list(alternatives(one.unit.removesuffix(GUESSED)))
             yield {"key": f"{one.channel}.unit", "value": one.unit, "why": one.why, "or": units}
         if one.others:
-            columns = list(one.others[:3])
+            columns = list(one.others[:_MOST])
             told = {"key": f"{one.channel}.column", "value": one.column, "why": one.why}
             yield told | {"or": columns}
         for key, value in _CONSTANTS.get(one.channel, {}).items():
@@ -135,6 +137,6 @@ def _channel(one: Chosen, geared: bool) -> Iterator[str]:
     yield f"{one.channel} = {{ {inside} }}"
 
 
-def _others(columns: Sequence[str | int]) -> str:
-    shown = ", ".join(toml_value(column) for column in columns[:8])
+def _others(instead: Sequence[str | int]) -> str:
+    shown = ", ".join(toml_value(one) for one in instead[:_MOST])
     return f"; or {shown}" if shown else ""

@@ -208,12 +208,12 @@ def _coefficients(chain: Joint, at: dict[str, Array], load_torque: float) -> Ite
             )
             at_load = f"at {load_torque:.3g} {'N m' if chain.load.motion == 'rotary' else 'N'}"
             load = f"{at_load} of load{' and' * bool(slow)}{slow}"
-            counted = f"eq. (4), {load}, viscous loss not counted"
+            counted = f"{_counted(chain, name)}, eq. (4), {load}, {_not_counted(chain, name)}"
             yield Derived(
                 f"{name}.efficiency_drive",
                 "",
                 r"\eta_m",
-                f"driving efficiency, {counted}",
+                f"driving efficiency of {counted}",
                 drive,
                 gauge_free=False,
             )
@@ -221,10 +221,29 @@ def _coefficients(chain: Joint, at: dict[str, Array], load_torque: float) -> Ite
                 f"{name}.efficiency_back",
                 "",
                 r"\eta_r",
-                f"back-driving efficiency, {counted}",
+                f"back-driving efficiency of {counted}",
                 back_driven,
                 gauge_free=False,
             )
+
+
+def _counted(chain: Joint, name: str) -> str:
+    """Name what an efficiency is of, as :func:`_constant_loss` sums it."""
+    at = [element.name for element in chain.elements].index(name)
+    behind = chain.elements[at + 1 :]
+    lossy = any(element.has(*_CONSTANT) for element in behind)
+    return f"{name} with the constant loss behind it" if lossy else f"{name} alone"
+
+
+def _not_counted(chain: Joint, name: str) -> str:
+    """Say which losses are outside an efficiency: what the motor feels is less efficient."""
+    names = [element.name for element in chain.elements]
+    before = names[: names.index(name)]
+    more = f" and all that stands before it ({', '.join(before)})" if before else ""
+    return f"viscous loss{more} not counted"
+
+
+_CONSTANT = {"coulomb": 1.0, "coulomb_positive": 0.5, "coulomb_negative": 0.5}
 
 
 def _constant_loss(chain: Joint, name: str, at: dict[str, Array]) -> Array:
@@ -239,7 +258,7 @@ def _constant_loss(chain: Joint, name: str, at: dict[str, Array]) -> Array:
         if not behind:
             continue
         speed = chain.reaches[element.name]
-        for key, weight in (("coulomb", 1.0), ("coulomb_positive", 0.5), ("coulomb_negative", 0.5)):
+        for key, weight in _CONSTANT.items():
             if f"{element.name}.{key}" in at:
                 total = total + weight * at[f"{element.name}.{key}"] * speed
     return total

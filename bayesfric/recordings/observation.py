@@ -442,6 +442,14 @@ def moving_samples(qd: Array, segments: Segments, dead_zone: float, guard: int) 
     return moving if not rests.any() else moving & ~_near(rests, guard)
 
 
+def too_slow(limit: str = "the dead zone") -> str:
+    """Say of outputs why their speed leaves them out, as :func:`moving_samples` and windows do."""
+    return (
+        f"at joint speeds below {limit}, as at rest or where it turns round, or filtered together "
+        "with such samples"
+    )
+
+
 def resting(qd: Array, segments: Segments, dead_zone: float, guard: int) -> Flags:
     """Flag samples below the dead zone, ``guard`` or more in a row."""
     flags = np.zeros(len(qd), dtype=np.bool_)
@@ -568,7 +576,7 @@ def _told(
         f"one output in {numbers.factor} samples"
     )
     yield (
-        f"dead zone: below {settings['dead_zone']:.3g} (joint speed), "
-        f"{settings['dropped_dead_zone']} outputs left out; {settings['n_outputs']} remain"
+        f"dead zone: {settings['dropped_dead_zone']} outputs left out, "
+        f"{too_slow(format(settings['dead_zone'], '.3g'))}; {settings['n_outputs']} remain"
         + (f"; {settings['rest_outputs']} at rest" if settings.get("rest_outputs") else "")
     )

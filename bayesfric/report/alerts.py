@@ -134,8 +134,9 @@ def _of_model(
     allowed = error is not None and error.shown
     for kind, sure in (("lacks", True), ("may lack", False)):
         if lacks := [one for one in summary.fit.lacks if one.sure is sure]:
-            searched = {"none_asked": summary.none_asked}
-            yield kind, {"lacks": lacks, "allowed": allowed, **searched}, "prediction"
+            beside = any(one.sure for one in summary.fit.lacks) and not sure
+            said = {"lacks": lacks, "allowed": allowed, "beside": beside}
+            yield kind, {**said, "none_asked": summary.none_asked}, "prediction"
     test = summary.noise.innovation_whiteness
     if test is not None and not test.white:
         yield "not white", test.model_dump() | {"allowed": allowed}, "noise"

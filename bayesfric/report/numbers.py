@@ -1,6 +1,7 @@
 r"""How numbers are written, as plain text, in LaTeX (siunitx 3) and in HTML.
 
-An uncertainty has two digits, and sets the last digit of everything beside it.
+An uncertainty has two digits, and sets the last digit of everything beside it; of a skewed
+posterior the nearer end of its interval does (:func:`finer`).
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ from markupsafe import Markup, escape
 
 # Two digits of an uncertainty; a third tells nothing.
 _DIGITS = 2
+# Of the distance to the farther end of an interval; finer than that a nearer one sets no digits.
+_FINEST = 1e-3
 # Beyond these powers of ten a number is written with an exponent.
 _PLAIN = (-3, 4)
 
@@ -42,6 +45,15 @@ def last_digit(uncertainty: float) -> int:
     if round(uncertainty / 10.0**place) >= 10**_DIGITS:
         place += 1
     return place
+
+
+def finer(middle: float, low: float, high: float, sd: float) -> float:
+    """Give what to round by: the sd, or if less the distance to the nearer end of the interval.
+
+    A long tail makes the sd larger than all that the other side of the median has.
+    """
+    near, far = sorted((abs(middle - low), abs(high - middle)))
+    return min(sd, max(near, _FINEST * far)) or sd
 
 
 def in_tenths(spans: Iterable[tuple[float, float]]) -> list[list[float]]:
@@ -76,14 +88,14 @@ def _digits(value: float, last: int, exponent: int) -> str:
 
 def _with_sd(value: float, sd: float) -> tuple[str, str, int]:
     last = last_digit(sd)
-    exponent = _shared_exponent(value, last)
+    exponent = _shared_exponent(max(abs(value), sd), last)
     return _digits(value, last, exponent), _digits(sd, last, exponent), exponent
 
 
 def _with_ends(value: float, low: float, high: float, sd: float) -> tuple[str, str, str, int]:
     """Digits of a value and of its distances up and down, and the exponent."""
     last = last_digit(sd)
-    exponent = _shared_exponent(value, last)
+    exponent = _shared_exponent(max(abs(value), sd), last)
     middle = _rounded(value, last)
     up, down = _rounded(high, last) - middle, middle - _rounded(low, last)
     above, below = (f"{x.scaleb(-exponent):f}" for x in (up, down))
@@ -121,8 +133,11 @@ def text_rounded(value: float, sd: float | None) -> str:
 
 def _text_digits(value: float, sd: float) -> str:
     """Print a value to the last digit that a standard deviation sets, exponent and all."""
-    shown, _, exponent = _with_sd(value, sd)
-    return shown + _power(exponent)
+    last = last_digit(sd)
+    if _rounded(value, last).is_zero():
+        return "0"
+    exponent = _shared_exponent(value, last)
+    return _digits(value, last, exponent) + _power(exponent)
 
 
 def p_text(p_value: float) -> str:

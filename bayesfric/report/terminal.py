@@ -18,8 +18,7 @@ def fit_text(summary: Readable) -> Iterator[str]:
     """Word a summary for a person, line by line."""
     read = Summary.read(summary)
     cells = posterior_cells(read)
-    combined = {name: row for name, row in read.derived.items() if row.gauge_free}
-    parts = {"What the motor feels, whatever the scale": combined, "Parameters": read.parameters}
+    parts = {"What the motor feels, whatever the scale": read.felt, "Parameters": read.parameters}
     yield from filled(
         "fit.txt.j2",
         summary=read,

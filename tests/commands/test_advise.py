@@ -90,6 +90,19 @@ def test_the_same_bytes_twice(axis):
     has(ended[0].out, "motor.inertia (", "Best: ", "Limits kept at ", "data alone")
 
 
+def test_a_second_answer_is_printed_where_its_file_is_there(axis):
+    """Nobody named that file: only it is at stake."""
+    path = axis.folder / "advice-motor.inertia.csv"
+    path.write_text("mine\n")
+    ended = axis.run("identify", "c.toml", "--advise", "motor.inertia")
+    assert ended.code == 0
+    has(ended.out, "Best: ", "not written", path.name, "--force")
+    assert path.read_text() == "mine\n"
+    axis.run("identify", "c.toml", "--advise", "motor.inertia", "--force")
+    assert path.read_text().startswith("time,torque")
+    path.unlink()
+
+
 def test_a_file_that_is_there_is_not_lost(axis):
     path = axis.folder / "kept.csv"
     path.write_text("mine\n")

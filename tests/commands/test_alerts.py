@@ -111,3 +111,19 @@ def test_what_makes_numbers_unsafe_comes_first(tmp_path, status):
     assert said[0] == "R-hat 1.3"
     assert said[1] == "of tomorrow: motor.inertia, motor.viscous"
     assert "coarse (2 of 2 recordings)" in said
+
+
+def test_what_is_lacking_and_what_may_be_do_not_contradict():
+    told = knee()
+    told["fit"]["lacks"] = [
+        {"on": "joint speed", "share": 0.43, "sure": True},
+        {"on": "load", "share": 0.14, "sure": False},
+    ]
+    sure, unsure = (a.text for a in alerts_of(told) if a.kind in ("lacks", "may lack"))
+    assert sure.startswith("the model lacks something: joint speed explains 43 %")
+    assert (
+        unsure == "whether load also does cannot be told: load may explain 14 % of what it leaves"
+    )
+    del told["fit"]["lacks"][0]
+    (alone,) = (a.text for a in alerts_of(told) if a.kind == "may lack")
+    assert alone.startswith("whether the model lacks something cannot be told")

@@ -331,7 +331,9 @@ def test_what_a_guess_could_be_instead_is_told(bench):
     for name in others:
         has(out, f'preset = "{name}" is for {PRESETS[name].when}')
         has(text, f'# preset = "{name}"  # for {PRESETS[name].when}')
-    has(out, 'time.unit = "s?"', '"ms" or "us"', 'position.column = "q"', 'or "q_target"')
+    has(out, 'time.unit = "s?"', 'or "ms", "us"', 'position.column = "q"', 'or "q_target"')
+    # as in the file: commas between them
+    assert '; or "q_target"' in text
     (bench.folder / "made.toml").unlink()
     named, said = written(bench, bench.folder / "log.csv", "servo-pendulum")
     has(named, 'preset = "servo-pendulum"')

@@ -17,6 +17,7 @@ from bayesfric.report.comparison.table import (
     comparison_dict,
     comparison_markdown,
     comparison_text,
+    explained,
 )
 from bayesfric.report.numbers import text_value
 from bayesfric.report.paper.tables import methods_latex, parameter_table
@@ -78,7 +79,36 @@ def test_totals_of_the_motion_are_not_measured_between_runs():
     # of one recording the methods have one motion
     alone = comparison({"b": b})
     assert alone["total.inertia"].cells["input-error"].disagreement is not None
-    assert not [note for note in alone.notes if "own motion" in note]
+    (note,) = [note for note in alone.notes if "own motion" in note]
+    assert "runs are not measured" not in note
+
+
+def test_white_noise_that_was_found_and_passes_is_not_called_assumed():
+    run = knee()
+    run["noise"] |= {"accounts_for_correlation": False, "order_chosen_from": []}
+    run["noise"]["innovation_whiteness"] = {"test": "Ljung-Box", "p_value": 0.16, "white": True}
+    told = "takes residuals for uncorrelated"
+    cells = comparison({"knee": run})["total.inertia"].cells
+    assert not cells["posterior"].accounts
+    tried = [{"order": k, "bic": 4.0 * k} for k in range(3)]
+    run["noise"]["order_chosen_from"] = tried
+    found = comparison({"knee": run})
+    assert found["total.inertia"].cells["posterior"].accounts
+    # as the estimates' sds are robust nothing is left to mark
+    assert not [line for line in explained(found) if told in line]
+    run["noise"]["innovation_whiteness"]["white"] = False
+    assert not comparison({"knee": run})["total.inertia"].cells["posterior"].accounts
+
+
+def test_a_widened_posterior_is_said_to_be_one():
+    run = knee()
+    said = "widened for a model that is not exactly right"
+    assert not [line for line in explained(comparison({"knee": run})) if said in line]
+    assert said not in methods_latex(comparison({"knee": run}))
+    run["model_error"] = {"shown": True}
+    (line,) = [line for line in explained(comparison({"knee": run})) if said in line]
+    assert line.startswith("posterior: ")
+    assert said in methods_latex(comparison({"knee": run}))
 
 
 def test_estimates_that_disagree_are_named():

@@ -235,6 +235,11 @@ def test_a_limit_and_what_needs_its_prior_are_counted_apart(tmp_path):
     assert "Four of six parameters by the data" in card.text
     assert re.search(r"one only as a limit \(motor\.inertia\)", card.text)
     assert re.search(r"one only together with prior and bounds \(load\.inertia\)", card.text)
+    # and neither list says that all is settled
+    said = "is known only together with prior and bounds and one is known only as a limit."
+    for kind in ("left-open", "next"):
+        (part,) = [div for div in page.all("div") if div.attrs.get("class") == kind]
+        assert "one " + said in part.text, kind
 
 
 @pytest.mark.parametrize(

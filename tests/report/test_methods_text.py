@@ -53,6 +53,20 @@ def test_a_velocity_that_was_not_measured_was_differentiated(knee):
     assert "measured, accel" not in text
 
 
+def test_outputs_filtered_together_with_slow_samples_are_not_called_slow(knee):
+    """A window that holds a reversal is left out whole, and most of it may be fast."""
+    (o,) = knee.observations
+    kept = {key: o.settings[key] for key in ("dropped_dead_zone", "dead_zone")}
+    o.settings.update(dropped_dead_zone=24, dead_zone=0.0064)
+    try:
+        text = methods_text(knee, summarise(knee).as_dict()).plain
+    finally:
+        o.settings.update(kept)
+    (said,) = [one for one in text.split(". ") if "24 were left out" in one]
+    assert "below 0.0064 rad/s" in said
+    assert "or filtered together with such samples" in said
+
+
 def test_the_model_is_written_down(knee, slide):
     said = methods_text(knee, summarise(knee).as_dict())
     for line in plain_equations(knee.chain):

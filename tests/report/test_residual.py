@@ -3,12 +3,14 @@
 import io
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.collections import LineCollection
 from scipy.signal import lfilter
+from scipy.stats import binom
 
 from bayesfric.inference.fitting import read_priors, target_of
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
@@ -20,12 +22,14 @@ from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.methods_text import methods_text
 from bayesfric.report.paper.tables import parameter_table, parameters_csv
 from bayesfric.report.summary.residual_analysis import (
+    _outside,
     lacking,
     residual_analysis,
     residual_words,
 )
 from bayesfric.report.summary.summary import summarise
 from bayesfric.report.terminal import fit_text
+from bayesfric.report.text_templates import filled
 
 from .conftest import SLIDE, draw_fast
 from .page_reader import read_page
@@ -77,6 +81,21 @@ def test_the_autocorrelation_is_that_of_the_noise(knee):
     words = residual_words(disturbed(knee, memory))
     assert outside > 5
     assert "as many as chance allows" not in words[0]
+
+
+@pytest.mark.parametrize(("outside", "words"), [(4, "as many as chance allows"), (6, "p = 0.014")])
+def test_lags_outside_the_band_are_judged_by_the_binomial(outside, words):
+    """Two of 40 are expected; four or more come by chance in 14 %, six or more in 1.4 %."""
+    correlation = np.full(40, 0.1)
+    correlation[:outside] = 0.25
+    found = _outside(correlation, np.full(40, 0.2))
+    assert found["by_chance"] == pytest.approx(binom.sf(outside - 1, 40, 0.05))
+    macro = filled(
+        "residual.txt.j2", found=SimpleNamespace(kurtosis=0.0, against=[]), residuals=found,
+        innovations=None, drifts=False, tails=1.0,
+    )  # fmt: skip
+    assert words in macro
+    assert ("more than chance has (2 are expected" in macro) == (outside == 6)
 
 
 def test_correlation_counts_no_pairs_across_gaps(knee):

@@ -14,6 +14,7 @@ from bayesfric.report.comparison.between_runs import between_runs
 from bayesfric.report.comparison.cell import is_skewed
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.page.run_page import run_page
+from bayesfric.report.page.values import text_of
 from bayesfric.report.paper import latex
 from bayesfric.report.paper.tables import (
     between_runs_latex,
@@ -25,6 +26,7 @@ from bayesfric.report.paper.tables import (
 )
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.summary import summarise
+from bayesfric.report.terminal import fit_text
 
 from .made_summaries import LEG, every_kind, knee, loaded
 from .made_tables import ends, lines, num, skewed
@@ -147,7 +149,19 @@ def test_a_real_summary(real):
     for text in (parameters_latex(table), parameters_markdown(table), parameters_csv(table)):
         assert text.endswith("\n")
         assert "nan" not in text.lower().replace("determinan", "")
-    assert {r.name for r in table.rows} >= set(real["parameters"]) | set(real["derived"])
+    felt = {name for name, row in real["derived"].items() if not row.get("of_motion")}
+    assert {r.name for r in table.rows} == set(real["parameters"]) | felt
+
+
+def test_what_least_squares_makes_of_the_motion_is_not_what_the_motor_feels(real):
+    """Behind a load loss it may lie outside what is felt in either direction of power."""
+    of_motion = {name for name, row in real["derived"].items() if row.get("of_motion")}
+    assert "total.inertia" in of_motion
+    assert not of_motion & {r.name for r in parameter_table(real).rows}
+    assert not of_motion & {line.split()[0] for line in fit_text(real) if line.strip()}
+    # beside least squares, marked
+    assert "total.inertia" in {row.name for row in comparison({"run": real}).rows}
+    assert r"\textsuperscript{m}" in methods_latex(comparison({"run": real}))
 
 
 def test_correlated_residuals_are_confessed():
@@ -197,8 +211,7 @@ def test_a_table_of_runs_is_the_comparison_and_what_is_pooled():
     marked = [r.name for r, c in zip(found.rows, body, strict=True) if "superscript{m}" in c[0]]
     assert marked == ["total.inertia"]
     assert "another motion gives other values" in text
-    # of one run its methods have one motion
-    assert "superscript{m}" not in methods_latex(comparison({"b": runs["b"]}))
+    assert "along the run's own motion" in methods_latex(comparison({"b": runs["b"]}))
     pooled = between_runs(runs)
     together = lines(between_runs_latex(pooled))
     assert len(together) == len(pooled) > 3
@@ -291,3 +304,45 @@ def test_a_verdict_is_the_same_in_every_table_and_on_the_page(tmp_path):
         assert markdown[k].endswith(f"| {words} |")
         assert words in shown[name]
     assert "prior" not in shown["motor.coulomb_negative"]
+
+
+@pytest.mark.parametrize(
+    ("middle", "low", "high", "sd", "shown"),
+    [
+        # of runs: a tail of one side made the sd larger than all of the other
+        (11.1, 4.80, 11.54, 5.2, ("[4.80, 11.54]", r"$\num{11.10}^{+\num{0.44}}_{-\num{6.30}}$")),
+        (1.0056, 1.0003, 9.1, 6.0, ("[1.0003, 9.1000]", None)),
+        (0.9473, 0.512, 0.9502, 0.2, ("[0.5120, 0.9502]", None)),
+        # an end that is nearer than a thousandth of the other's distance sets no digits
+        (18.19, -11962.0, 18.2, 12000.0, ("[-1.1962e4, 18]", None)),
+        (4.1, 2.455, 5.745, 1.0, ("[2.5, 5.7]", r"$\num{4.1}^{+\num{1.6}}_{-\num{1.6}}$")),
+    ],
+)
+def test_a_skewed_interval_is_rounded_by_its_nearer_end(middle, low, high, sd, shown):
+    fine = numbers.finer(middle, low, high, sd)
+    interval, ends_ = shown
+    assert numbers.TEXT.interval(low, high, fine) == interval
+    if ends_ is not None:
+        assert numbers.latex_ends(middle, low, high, fine) == ends_
+
+
+def test_a_value_far_below_its_sd_takes_the_sds_power_of_ten():
+    assert text_of(numbers.html_value(1.35, 690.0)) == "(0.0 ± 6.9)\u00a0×\u00a010²"
+    assert numbers.latex_value(1.35, 690.0) == r"\num{0.0(69)e2}"
+    assert numbers.TEXT.interval(-1.2e4, 1.0, 6900.0) == "[-1.20e4, 0]"
+
+
+def test_latex_notes_have_the_symbols_of_the_table():
+    """One name may begin another, and a text has no symbols."""
+    run = knee()
+    name, other = "motor.inertia", "motor.viscous"
+    for one in (name, other):
+        run["parameters"][one] |= {"torque_constant": 2.0}
+    table = parameter_table(run)
+    (note,) = [text for text in table.notes if "current was measured" in text]
+    assert f"{name} is " in note
+    below = parameters_latex(table).partition(r"\bottomrule")[2]
+    rows = {r.name: r for r in table.rows}
+    for one in (name, other):
+        assert f"{latex.symbol(rows[one].symbol, one)} is " in below
+        assert one not in below.replace(rf"\texttt{{{one}}}", "")

@@ -91,8 +91,9 @@ class Calculator(Part):
 class Gap(Part):
     """Where a recording has no outputs, and why.
 
-    ``missing``: it has no samples there; ``rest``: too slow for friction to have a direction;
-    ``left-out``: by the configuration, or by a column that says that they do not count.
+    ``missing``: it has no samples there; ``rest``: too slow for friction to have a direction,
+    or filtered together with what is; ``left-out``: by the configuration, or by a column that says
+    that they do not count.
     """
 
     span: Pair  # s

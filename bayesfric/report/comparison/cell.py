@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from bayesfric.report.numbers import Medium
+from bayesfric.report.numbers import Medium, finer
 from bayesfric.report.summary.bounds import told_by_data
 from bayesfric.report.summary.part import Bound
 from bayesfric.report.summary.record import Readable, Summary
@@ -85,8 +85,15 @@ class Cell:
         if not self.sd:
             return medium.number(self.value, 5)
         if self.interval is not None and is_skewed(self.value, *self.interval):
-            return medium.ends(self.value, *self.interval, self.sd)
+            return medium.ends(self.value, *self.interval, self.fine or self.sd)
         return medium.value(self.value, self.sd)
+
+    @property
+    def fine(self) -> float | None:
+        """What to round the interval by, where there is one."""
+        if self.interval is None or not self.sd:
+            return self.sd
+        return finer(self.value, *self.interval, self.sd)
 
 
 def estimate_cell(row: EstimatedRow, converged: bool = True) -> Cell:

@@ -41,6 +41,7 @@ class Column:
     # of measured minus modelled; `None` where it is not known
     residual_rms: float | None = None
     residual_unit: str = ""
+    widened: bool = False  # whether its sds and intervals have room for the model's error
 
 
 @dataclass(frozen=True)
@@ -280,6 +281,7 @@ def _columns(run: str, summary: Summary, *, alone: bool, estimates: bool) -> Ite
             + (f"; its residuals' lag-1 correlation is {lag:.2f}" if lag is not None else ""),
             summary.fit.residual_rms,
             summary.fit.unit,
+            summary.model_error is not None and summary.model_error.shown,
         )
 
 
@@ -355,11 +357,13 @@ def _meanings(facts: Mapping[str, _Facts]) -> Iterator[str]:
 
 def _of_motion(facts: Mapping[str, _Facts], runs: Mapping[str, Summary]) -> Iterator[str]:
     names = [name for name, fact in facts.items() if fact.of_motion]
-    if names and len(runs) > 1:
+    if names:
+        several = len(runs) > 1
         yield (
-            f"{', '.join(names)}: what a fit without load losses would find along each run's own "
-            "motion; another motion of the same joint gives other values, so runs are not measured "
-            "against each other by them."
+            f"{', '.join(names)}: what a fit without load losses would find along "
+            f"{'each' if several else 'the'} run's own motion; another motion of the same joint "
+            "gives other values"
+            + (", so runs are not measured against each other by them." if several else ".")
         )
 
 

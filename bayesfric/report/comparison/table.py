@@ -138,7 +138,7 @@ def _cell_parts(cell: Cell | None) -> list[str]:
         plain = cell.status == "determined" and not cell.accounts
         parts.append(cell.written(TEXT) + (_PLAIN if plain else ""))
     if cell.interval is not None:
-        low, high = (text_rounded(end, cell.sd) for end in cell.interval)
+        low, high = (text_rounded(end, cell.fine) for end in cell.interval)
         parts.append(f"[{low}, {high}]")
     if cell.disagreement is not None:
         # no -0.0

@@ -190,7 +190,7 @@ def efficiency_figure(fit: Fit, references: Mapping[str, ReferenceRow]) -> Figur
     with paper_figure(width, _HEIGHT) as figure:
         axes = figure.subplots(1, len(panels), squeeze=False)[0]
         for ax, panel in zip(axes, panels, strict=True):
-            _panel(ax, fit, panel, several=len(panels) > 1)
+            _panel(ax, fit, panel)
             for curve in panel:
                 if curve.name in references:
                     _reference(ax, curve, references[curve.name], stated)
@@ -198,14 +198,14 @@ def efficiency_figure(fit: Fit, references: Mapping[str, ReferenceRow]) -> Figur
     return figure
 
 
-def _panel(ax: Axes, fit: Fit, panel: Sequence[EfficiencyCurve], *, several: bool) -> None:
+def _panel(ax: Axes, fit: Fit, panel: Sequence[EfficiencyCurve]) -> None:
     for curve in panel:
         draw_curve(ax, curve.load, curve, _LOOKS[curve.side])
         if curve.measured is not None:
             _draw_measured(ax, curve.measured, _LOOKS[curve.side])
     kind, unit = ("torque", "N m") if fit.chain.load.motion == "rotary" else ("force", "N")
     ax.set_xlabel(rf"load {kind} at the joint $|\Gamma|$ ({unit})")
-    ax.set_ylabel(f"efficiency of {panel[0].element} (–)" if several else "efficiency (–)")
+    ax.set_ylabel(f"efficiency of {panel[0].element} (–)")
     ax.set_xlim(0.0, float(panel[0].load[-1]))
     ax.set_ylim(0.0, 1.0)
     few_ticks(ax.xaxis, 6)
@@ -257,9 +257,10 @@ FIGURE = RunFigure(
     section="efficiency",
     draw=lambda run: efficiency_figure(run.fit.wide, run.summary.references),
     caption=(
-        f"Efficiency of eq. (4) over the load at the joint: posterior median and "
+        f"Efficiency of eq. (4) of one element over the load at the joint: posterior median and "
         f"{100 * LEVEL:.0f} % band, constant losses in and behind the element counted, viscous "
-        "ones not. Open markers: the measured torque less what the model, at its posterior median, "
+        "ones and all that stands before it, as the motor's own loss, not. "
+        "Open markers: the measured torque less what the model, at its posterior median, "
         "says of all but this element, in bins of the load (median and middle half of each). "
         "Dashed where no recording had such loads, hatched where the data do not "
         "determine it."

@@ -322,7 +322,8 @@ def _cell_words(cell: Cell) -> str:
 
 _BARS = (
     f"Thick: {100 * LEVEL:.0f} %, accounting for correlated residuals; thin: taking them for "
-    "uncorrelated; open symbols: not determined, dotted what fits as well."
+    "uncorrelated; open symbols: not determined, dotted what fits as well. Posteriors have room "
+    "for the model's error where a run shows one."
 )
 METHODS = RunFigure(
     stem="methods",

@@ -11,7 +11,7 @@ from scipy.special import ndtri
 
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.likelihood import Outputs
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.observation import Observation, too_slow
 from bayesfric.report.figures import style
 from bayesfric.report.figures.over_time import as_pixels, broken, draw_band, draw_measured
 from bayesfric.report.figures.registry import JudgedRun, RunFigure
@@ -182,7 +182,7 @@ FIGURE = RunFigure(
     draw=lambda run: prediction_figure(run.fit),
     caption=(
         "What was measured and what the posterior predicts, noise included, with residuals below. "
-        "Gaps that are not hatched are too slow to be compared, or have no samples."
+        f"Gaps that are not hatched have no samples, or are not compared: {too_slow()}."
     ),
     alternative=residuals_in_words,
 )

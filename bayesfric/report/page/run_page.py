@@ -7,6 +7,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from bayesfric.recordings.observation import too_slow
 from bayesfric.report.alerts import alerts
 from bayesfric.report.answers.record import Calculator, read_answers
 from bayesfric.report.comparison.comparison import comparison
@@ -57,6 +58,7 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         look=glance(table, read),
         found=found,
         answers=answers,
+        too_slow=too_slow(),
         drawing=stretch_drawing(answers.stretch) if answers.stretch else None,
         strips=made,
         methods_shown=methods_of(made.values()),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
+from bayesfric.recordings.observation import too_slow
 from bayesfric.report.answers.record import Stretch
 
 # The drawing is stretched to its box; words stand beside it, in the page's own letters.
@@ -17,7 +18,7 @@ _FREE = 0.04
 # Why there is nothing to see, in words beside the drawing.
 GAPS = {
     "missing": "No samples here",
-    "rest": "Too slow to be compared: at rest or turning round, where friction has no direction",
+    "rest": f"Not compared: {too_slow()}; friction has no direction there",
     "left-out": "Left out: by exclude, valid or the like",
 }
 

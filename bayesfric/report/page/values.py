@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from markupsafe import Markup
 
 from bayesfric.report.comparison.cell import NOT_CONVERGED, Cell, settled_by
-from bayesfric.report.numbers import HTML, html_interval, html_number
+from bayesfric.report.numbers import HTML, finer, html_interval, html_number
 from bayesfric.report.paper.tables import ParameterRow
 
 NOT_DETERMINED = "not determined by the data"
@@ -59,7 +59,8 @@ def were_right_html(row: ParameterRow) -> Markup | None:
     if told is None or told.model_error_interval is None or row.cell.status != "determined":
         return None
     low, high = told.interval
-    return Markup(row.with_doubt(html_interval(low, high, told.sd))) if told.sd else None
+    fine = finer(told.middle, low, high, told.sd)
+    return Markup(row.with_doubt(html_interval(low, high, fine))) if told.sd else None
 
 
 def white_html(row: ParameterRow) -> Markup | None:
@@ -68,6 +69,7 @@ def white_html(row: ParameterRow) -> Markup | None:
     if told is None or not told.white_interval or row.cell.status != "determined":
         return None
     (low, high), sd = told.white_interval, told.white_sd or told.sd
+    sd = finer(told.middle, low, high, sd)
     return Markup(row.with_doubt(html_interval(low, high, sd))) if sd else None
 
 
@@ -81,8 +83,8 @@ def cell_html(cell: Cell | None) -> Markup:
         mark = Markup('<sup class="mark">†</sup>') if plain_sd else Markup()
         shown = Markup(cell.written(HTML))
         lines.append(shown + mark)
-    if cell.interval is not None and cell.sd:
-        lines.append(html_interval(*cell.interval, cell.sd))
+    if cell.interval is not None and cell.fine:
+        lines.append(html_interval(*cell.interval, cell.fine))
     if cell.disagreement is not None:
         away = html_number(f"{round(cell.disagreement, 1) + 0.0:+.1f}")
         lines.append(Markup('<span class="quiet">{} sd away</span>').format(away))

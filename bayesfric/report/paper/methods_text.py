@@ -17,6 +17,7 @@ import bayesfric
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.noise import SCALES
 from bayesfric.mechanism.parameter import effort_words
+from bayesfric.recordings.observation import too_slow
 from bayesfric.report.comparison.cell import TOGETHER
 from bayesfric.report.numbers import text_rounded
 from bayesfric.report.paper import latex
@@ -139,6 +140,7 @@ def _sentences(fit: Fit, summary: Summary) -> str:
         summary=summary,
         each=each,
         total=total,
+        too_slow=too_slow,
         seconds_out=seconds_out,
         masses=list(dict.fromkeys(replace(i, recording="") for i in loaded)),
         carried=len(loaded),

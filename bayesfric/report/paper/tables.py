@@ -6,8 +6,10 @@ of the prior and the bounds, and out of the table it would be quoted as a measur
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from bayesfric.report.comparison.cell import Cell, is_skewed, posterior_cell
@@ -18,6 +20,7 @@ from bayesfric.report.numbers import (
     LATEX,
     TEXT,
     Medium,
+    finer,
     latex_interval,
     latex_number,
     text_rounded,
@@ -150,10 +153,11 @@ class ParameterRow:
         if not self.row.sd:
             return medium.number(self.row.middle, 5), medium.none
         middle, low, high, sd = self.cited
-        ends = self.with_doubt(medium.interval(low, high, sd))
+        fine = finer(middle, low, high, sd)
+        ends = self.with_doubt(medium.interval(low, high, fine))
         # a paper's table has intervals only; the page has room for sds where they name both sides
         if self.skewed or medium is not HTML:
-            return medium.ends(middle, low, high, sd), ends
+            return medium.ends(middle, low, high, fine), ends
         return medium.value(middle, sd), ends
 
 
@@ -198,11 +202,12 @@ class ParameterTable:
 def parameter_table(summary: Readable, run: str = "summary.json") -> ParameterTable:
     """Judge every number of a summary for the table of parameters.
 
-    What no scaling of load and alpha changes comes first; ``run`` is what complaints call it.
+    What no scaling of load and alpha changes comes first, without what is the motion's as much as
+    the joint's; ``run`` is what complaints call it.
     """
     read = Summary.read(summary, run)
     groups = {
-        "free": {name: row for name, row in read.derived.items() if row.gauge_free},
+        "free": read.felt,
         "parameter": read.parameters,
         "derived": {name: row for name, row in read.derived.items() if not row.gauge_free},
     }
@@ -293,13 +298,25 @@ def parameters_latex(table: ParameterTable) -> str:
     head = rf"Symbol & Quantity & Value & {share} interval & Unit & Determined by \\"
     columns = r"@{}l>{\raggedright\arraybackslash}Xllll@{}"
     words = ("Parameters of the joint", table.notes, "tab:parameters")
-    return _table(*words, columns, head, body[1:])
+    symbols = {r.name: latex.symbol(r.symbol, r.name) for r in table.rows}
+    return _table(*words, columns, head, body[1:], symbols)
 
 
 def _table(
-    caption: str, notes: Sequence[str], label: str, columns: str, head: str, body: list[str]
+    caption: str,
+    notes: Sequence[str],
+    label: str,
+    columns: str,
+    head: str,
+    body: list[str],
+    symbols: Mapping[str, str] = MappingProxyType({}),
 ) -> str:
+    """Lay out a table; notes have ``symbols`` in place of names, as its lines have."""
     below = latex.escaped(". ".join(notes)).replace(r" \%", r"\,\%") + "."
+    if symbols:
+        known = {latex.escaped(name): symbol for name, symbol in symbols.items()}
+        either = "|".join(re.escape(name) for name in sorted(known, key=len, reverse=True))
+        below = re.sub(rf"(?<![\w.])({either})(?![\w\\])", lambda m: known[m[1]], below)
     # IEEE sets captions of tables in small capitals: a title can be read so, notes cannot
     kind, width = ("tabularx", r"{\textwidth}") if "X" in columns else ("tabular", "")
     lines = [
@@ -337,11 +354,12 @@ def methods_latex(found: Comparison, notes: Sequence[str] = ()) -> str:
         group = (row.kind, row.gauge_free)
         cells = [_cell(row.cells.get(column.label)) for column in found.columns]
         name = latex.symbol(row.symbol, row.name)
-        name += r"\textsuperscript{m}" if row.of_motion and runs > 1 else ""
+        name += r"\textsuperscript{m}" if row.of_motion else ""
         body.append(" & ".join([name, latex.unit(row.unit), *cells]) + r" \\")
     head = " & ".join(["", "Unit", *(latex.escaped(c.label) for c in found.columns)]) + r" \\"
     every = [row.cells.get(column.label) for row in found.rows for column in found.columns]
     cells_ = [cell for cell in every if cell is not None]
+    wide = [column.run for column in found.columns if column.widened]
     told = {
         "†: residuals taken for uncorrelated, too small where they are correlated": any(
             c.status == "determined" and not c.accounts for c in cells_
@@ -353,8 +371,11 @@ def methods_latex(found: Comparison, notes: Sequence[str] = ()) -> str:
         "b: on its bound": any(c.status == "bound" for c in cells_),
         "d: doubtful, see what the run warns of": any(c.doubted for c in cells_),
         f"Empty: the {'run' if runs > 1 else 'method'} does not tell it": None in every,
-        "m: of each run's own motion, another motion gives other values": runs > 1
-        and any(row.of_motion for row in found.rows),
+        f"m: as a fit without load losses would find it along {'each' if runs > 1 else 'the'} "
+        "run's own motion, another motion gives other values": any(r.of_motion for r in found.rows),
+        f"Posterior of {', '.join(wide)}: widened for a model that is not exactly right"
+        if runs > 1
+        else "Posterior: widened for a model that is not exactly right": bool(wide),
     }
     notes = [
         "One standard deviation in parentheses, accounting for correlated residuals",

@@ -383,10 +383,25 @@ class Summary(Part):
     @property
     def accounts(self) -> bool:
         """Whether the intervals account for correlated residuals."""
+        test = self.noise.innovation_whiteness
+        if len(self.noise.order_chosen_from) > 1 and test is not None and test.white:
+            # white noise that was found, not assumed, leaves nothing to account for
+            return True
         if self.noise.accounts_for_correlation is not None:
             return self.noise.accounts_for_correlation
         # version 0.1.0 told it by the coefficients only
         return bool(self.noise.autoregression) or self.likelihood.method == "output-error"
+
+    @property
+    def felt(self) -> dict[str, PosteriorRow]:
+        """What the motor feels, whatever the scale of load and gearbox.
+
+        Without what depends on the motion, too: behind a load loss that is what least squares makes
+        of the torque, which no motor feels.
+        """
+        return {
+            name: row for name, row in self.derived.items() if row.gauge_free and not row.of_motion
+        }
 
     @property
     def only_doubted(self) -> bool:

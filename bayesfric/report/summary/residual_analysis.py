@@ -287,8 +287,9 @@ def _outside(correlation: Array | None, white: Array) -> dict[str, Any] | None:
     outside = int((np.abs(correlation) > white).sum())
     # too many, or one that is too large for the largest of so many
     largest = float((np.abs(correlation) / white).max()) * _WHITE
-    some = bool(
-        stats.binom.sf(outside - 1, white.size, 0.05) < _BY_CHANCE
-        or 2.0 * white.size * stats.norm.sf(largest) < _BY_CHANCE
-    )
-    return {"first": correlation[0], "outside": outside, "lags": white.size, "some": some}
+    by_chance = float(stats.binom.sf(outside - 1, white.size, 0.05))
+    some = bool(by_chance < _BY_CHANCE or 2.0 * white.size * stats.norm.sf(largest) < _BY_CHANCE)
+    return {
+        "first": correlation[0], "outside": outside, "lags": white.size, "some": some,
+        "by_chance": by_chance,
+    }  # fmt: skip
