@@ -182,12 +182,19 @@ def test_a_second_load_loss_is_not_offered(make_observation):
 
 
 def test_of_terms_about_as_good_the_simpler_is_asked_for(make_observation):
-    """A pull towards an end that is far away: all but a constant torque, which any joint has."""
-    true = bf.Joint(AXIS.elements, load=bf.Load(first_moment=True, spring=True))
-    bare = replace(true, load=AXIS.load)
-    known = {name: (VALUES | {"load.spring": 0.01})[name] for name in true.names}
-    o = make_observation(true, known, sigma=0.02, n=4000, factor=5, amplitude=0.5)
-    # the joint's angle is read 6 rad from there
-    o = replace(o, measured=o.measured + 6.0 * 0.01)
+    """A small angle of gravity in a small motion is all but a constant torque, as any joint has."""
+    bare = replace(AXIS, offset=False)
+    true = replace(bare, load=bf.Load(first_moment=True, gravity_angle=True))
+    known = {name: (VALUES | {"load.gravity_angle": 0.003})[name] for name in true.names}
+    o = make_observation(true, known, sigma=0.03, n=4000, factor=5, amplitude=0.5, seed=3)
     (term,) = asked_for(given(bare, o), {name: known[name] for name in bare.names})
-    assert term.setting == "mechanism.offset = true"
+    assert (term.setting, term.table, term.line) == (
+        "mechanism.offset = true", "mechanism", "offset = true",
+    )  # fmt: skip
+    # which fits a little better
+    (rival,) = [one for one in term.rivals if "gravity_angle" in one.setting]
+    assert rival.evidence > term.evidence
+    # of fewer numbers before that
+    trials = searched(bare, [o], {name: known[name] for name in bare.names}).beside([])
+    one = {t.candidate.option: t.richness for t in trials}
+    assert one["offset"] < one["gravity_angle"] < one["cogging"]
