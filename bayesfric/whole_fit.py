@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from bayesfric.errors import BadInput
+from bayesfric.estimates.alike_losses import alike_losses
 from bayesfric.estimates.descent import few_threads
 from bayesfric.estimates.methods import ESTIMATORS, estimate_by
 from bayesfric.estimates.point_estimate import Estimate
@@ -72,6 +73,7 @@ def whole_fit(
     # before anything is estimated: a run of other settings is refused at once
     kept = checkpoint("posterior", sampling)
     begun = begin(model, output_error=output_error, progress=progress)
+    _refuse_alike_losses(model, begun)
     # refused, where it cannot be had, before anything is sampled
     lacks = model.explain(estimates=begun.estimates, progress=progress) if explain else None
     sample = partial(fit, estimates=begun.estimates, progress=progress)
@@ -116,6 +118,21 @@ def whole_fit(
             summary.identifiability.as_dict() | {"directions": plain(here.directions)}
         )
     return Result(model, found, summary.model_copy(update=update))
+
+
+def _refuse_alike_losses(model: Model, begun: Beginning) -> None:
+    """Refuse load losses of several elements that these recordings do not tell apart."""
+    known = [name for name, prior in model.priors.items() if not prior.default]
+    found = next(e for e in begun.estimates if e.point)
+    if names := alike_losses(model.chain, found, known):
+        first, *_, last = names
+        raise BadInput(
+            f"{model.config.path}: mechanism.elements.{last.partition('.')[0]}.load_loss",
+            f"these recordings cannot tell {', '.join(names)} apart, load losses one behind the "
+            "other",
+            f'set load_loss = "none" in all elements but one, or give {first} a number or a '
+            "narrow range under [priors]",
+        )
 
 
 def _may_be_simulated(model: Model) -> bool:

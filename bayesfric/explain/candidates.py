@@ -55,6 +55,16 @@ class Candidate:
         return (*self.new, self.shape[0]) if self.shape else self.new
 
     @property
+    def place(self) -> tuple[str, str]:
+        """What it fills: one element's option, or that of all elements.
+
+        Of two load losses one behind the other a motion hardly tells more than their product; and
+        were they free to be negative, which nothing in a linear search forbids, their difference
+        would pass for anything.
+        """
+        return ("" if self.option == "load_loss" else self.owner), self.option
+
+    @property
     def key(self) -> Key:
         """What it is, whatever shapes it and however often it repeats."""
         return self.owner, self.option, "" if self.option in CYCLES else str(self.choice)
@@ -92,13 +102,15 @@ def candidates(
     scales = measured_scales(chain, observations)
     found: list[Candidate] = []
     bearers: list[Element | Load] = [*chain.elements, chain.load]
+    lossy = [e.name for e in chain.elements if e.load_loss != "none"]
     warmth = all(o.inputs.temperature is not None for o in observations)
     for bearer in bearers:
         options = LOAD_CHOICES if isinstance(bearer, Load) else CHOICES
         for option, choices in options.items():
             for choice, phrase in choices.items():
                 shows = option not in _LEFT_OUT and (option != "temperature" or warmth)
-                if shows and _goes(bearer, option, choice):
+                second = option == "load_loss" and bearer.name not in lossy and lossy
+                if shows and not second and _goes(bearer, option, choice):
                     found += _changed(chain, bearer, option, choice, phrase, point, scales)
         turns = scales.position * chain.reaches[bearer.name] / TURN
         for option in CYCLES if bearer.motion == "rotary" else ():

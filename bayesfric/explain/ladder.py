@@ -57,6 +57,11 @@ class Trial:
         share = self.evidence / self.plain if 0.0 < self.evidence < self.plain else 1.0
         return (other.plain - self.plain) * share
 
+    @property
+    def richness(self) -> tuple[int, bool]:
+        """How much it says: its numbers; and of as many what every joint can have says least."""
+        return len(self.candidate.chain.names), bool(self.candidate.owner)
+
     def odds(self, among: int) -> float:
         """Logarithm of the odds that it is missing, when one of so many is."""
         return self.evidence - math.log(among)
@@ -194,7 +199,9 @@ def _climbed(search: Search, among: int) -> Ladder:
     for k, t in enumerate(ordered):
         others = [*ordered[:k], *ordered[k + 1 :]]
         rungs.append(Rung(t, search.score(ordered[: k + 1]), _rivals(search, others, t)))
-    rest = [t for t in trials if t.candidate.key not in fitted]
+    # what would do in the place of a term is not spoken against because that one is there
+    alike = {o.candidate.key for rung in rungs for o in rung.rivals}
+    rest = [t for t in trials if t.candidate.key not in {*fitted, *alike}]
     return Ladder(
         tuple(rungs),
         among,
@@ -219,9 +226,24 @@ def _best(
             continue
         found = search.score([*chosen, t])
         if compared(found, below)[0] > 0.0 and found.held_out < below.held_out:
-            return t
+            return _simplest(search, chosen, t, trials, among)
         fitted.setdefault(t.candidate.key, t)
     return None
+
+
+def _simplest(
+    search: Search, others: Sequence[Trial], best: Trial, trials: Sequence[Trial], among: int
+) -> Trial:
+    """Give the simplest of those that are about as good as the best, and predict better, too."""
+    below = search.score(others)
+    simplest = best
+    for t in trials:
+        if t.richness >= simplest.richness or t.odds(among) <= _ODDS:
+            continue
+        better, error = compared(search.score([*others, t]), below)
+        if t.beaten_by(best) < _AS_GOOD and better > error:
+            simplest = t
+    return simplest
 
 
 def _settled(search: Search, chosen: list[Trial], among: int) -> list[Trial]:
@@ -235,10 +257,14 @@ def _settled(search: Search, chosen: list[Trial], among: int) -> list[Trial]:
                 chosen = others
                 break
             # of what is one on these motions, the simplest
-            renamed = mine is trials[0] and mine.candidate.key != t.candidate.key
-            better = trials[0].odds(among) > _ODDS and mine.beaten_by(trials[0]) > _BETTER
-            if renamed or better:
-                chosen = [*others, trials[0]]
+            best = trials[0]
+            if best.odds(among) > _ODDS:
+                best = _simplest(search, others, best, trials, among)
+            renamed = mine is best and mine.candidate.key != t.candidate.key
+            simpler = best.richness < mine.richness and best.odds(among) > _ODDS
+            better = best.odds(among) > _ODDS and mine.beaten_by(best) > _BETTER
+            if renamed or simpler or better:
+                chosen = [*others, best]
                 break
         else:
             break
@@ -280,14 +306,12 @@ def _rivals(search: Search, others: Sequence[Trial], t: Trial) -> tuple[Trial, .
 def _trials(search: Search, taken: Sequence[Trial]) -> list[Trial]:
     """Weigh every candidate beside what is chosen, the best first; what is one is one."""
     # of cycles there may be several
-    having = {
-        (t.candidate.owner, t.candidate.option) for t in taken if t.candidate.option not in CYCLES
-    }
+    having = {t.candidate.place for t in taken if t.candidate.option not in CYCLES}
     columns_of = {t.columns for t in taken}
     weighed: dict[Key, list[tuple[Candidate, Gain, tuple[int, ...]]]] = {}
     beside = search.at(taken)
     for one, mine in zip(search.found, search.own, strict=True):
-        if (one.owner, one.option) in having or mine in columns_of:
+        if one.place in having or mine in columns_of:
             continue
         if one.setting in search.without:
             continue

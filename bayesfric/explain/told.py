@@ -28,6 +28,9 @@ from bayesfric.recordings.observation import Observation
 _SURE = 2.0
 # What shapes a term is told from the least to the most that is tried, and so far beyond.
 _BEYOND = 2.0
+# A change that was nearly over when the first output came is an extrapolation to what was before:
+# this much of it must be seen, or its size says nothing of the joint.
+_SEEN = 1.0 / 3.0
 # Losses that may change sign with what they depend on.
 _SIGNED = frozenset({"warming", "temperature"})
 
@@ -45,14 +48,15 @@ def untold(
     """Say why a term is not to be asked for, if it is not.
 
     ``chain`` has the term, ``estimate`` is of its parameters, ``after`` and ``before`` are scores
-    with the term and without. A value may be zero within its sds, as that of a power of speed which
-    goes with its exponent and a constant loss, where left-out motion is predicted better by more
-    than chance; see :func:`something`.
+    with the term and without: the gain must stand beyond its standard error, for each term by
+    itself, or a strong one would carry others along. A value may be zero within its sds, as that
+    of a power of speed which goes with its exponent and a constant loss, where left-out motion is
+    predicted better by more than chance; see :func:`something`.
     """
     better, error = compared(after, before)
-    if not (better > 0.0 and after.held_out < before.held_out):
+    if not (better > error and after.held_out < before.held_out):
         return "worse"
-    if one.shape and not _shaped(estimate[one.shape[0]], one.shapes):
+    if one.shape and not _shaped(estimate[one.shape[0]], one, observations):
         return "shape"
     if one.option in _SIGNED and _pushes(chain, dict(estimate.point), observations):
         return "negative"
@@ -65,9 +69,19 @@ def sd_of(v: EstimatedValue) -> float | None:
     return None if math.isnan(v.sd) or math.isinf(sd) else sd
 
 
-def _shaped(v: EstimatedValue, tried: Sequence[float]) -> bool:
+def _shaped(v: EstimatedValue, one: Candidate, observations: Sequence[Observation]) -> bool:
     """Whether a time constant, a speed or an exponent is one that this motion shows."""
-    return v.determined and min(tried) / _BEYOND <= v.value <= _BEYOND * max(tried)
+    least, most = min(one.shapes), _BEYOND * max(one.shapes)
+    if one.option != "warming":
+        least /= _BEYOND
+    if not (v.determined and least <= v.value <= most):
+        return False
+    if one.option != "warming":
+        return True
+    # the first outputs are as warm as the time since the recording began has made them
+    times = [o.stamps[o.filter.centres] for o in observations]
+    seen = [np.exp(-t.min() / v.value) - np.exp(-t.max() / v.value) for t in times if t.size]
+    return max(seen, default=0.0) >= _SEEN
 
 
 def something(one: Candidate, estimate: Estimate) -> bool:

@@ -11,7 +11,7 @@ from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.methods import Given
 from bayesfric.explain.candidates import Candidate, candidates
 from bayesfric.explain.explanation import asked_for
-from bayesfric.explain.ladder import climb
+from bayesfric.explain.ladder import climb, searched
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS
 from tests.axis import AXIS, VALUES
@@ -159,3 +159,42 @@ def test_a_richer_choice_that_only_repeats_the_simple_one_is_not_named_beside_it
         'mechanism.elements.gearbox.load_loss = "one"',
         'mechanism.elements.motor.load_loss = "one"',
     }
+
+
+def test_a_second_load_loss_is_not_offered(make_observation):
+    """One behind the other, they could be told apart only as a difference that no joint has."""
+    chain = bf.Joint.preset("servo-pendulum")
+    values = PRESETS["servo-pendulum"].values
+    o = make_observation(chain, values, n=400)
+    found = {(c.owner, c.option) for c in candidates(chain, [o], values)}
+    assert ("motor", "load_loss") not in found
+    # a richer one where one is
+    assert ("gearbox", "load_loss") in found
+    # of a joint without any, in either place, but not in both
+    bare = replace(chain, elements=tuple(replace(e, load_loss="none") for e in chain.elements))
+    without = {name: values[name] for name in bare.names}
+    search = searched(bare, [make_observation(chain, values, n=2000, factor=5)], without)
+    places = {"motor", "gearbox"}
+    both = [c.owner for c in search.found if c.option == "load_loss"]
+    assert set(both) == places
+    one = next(t for t in search.beside([]) if t.candidate.option == "load_loss")
+    assert not [t for t in search.beside([one]) if t.candidate.option == "load_loss"]
+
+
+def test_of_terms_about_as_good_the_simpler_is_asked_for(make_observation):
+    """A small angle of gravity in a small motion is all but a constant torque, as any joint has."""
+    bare = replace(AXIS, offset=False)
+    true = replace(bare, load=bf.Load(first_moment=True, gravity_angle=True))
+    known = {name: (VALUES | {"load.gravity_angle": 0.003})[name] for name in true.names}
+    o = make_observation(true, known, sigma=0.03, n=4000, factor=5, amplitude=0.5, seed=3)
+    (term,) = asked_for(given(bare, o), {name: known[name] for name in bare.names})
+    assert (term.setting, term.table, term.line) == (
+        "mechanism.offset = true", "mechanism", "offset = true",
+    )  # fmt: skip
+    # which fits a little better
+    (rival,) = [one for one in term.rivals if "gravity_angle" in one.setting]
+    assert rival.evidence > term.evidence
+    # of fewer numbers before that
+    trials = searched(bare, [o], {name: known[name] for name in bare.names}).beside([])
+    one = {t.candidate.option: t.richness for t in trials}
+    assert one["offset"] < one["gravity_angle"] < one["cogging"]
