@@ -88,7 +88,7 @@ def methods_text(fit: Fit, summary: Readable) -> MethodsText:
     written = "\n".join(f"    {line}" for line in plain_equations(fit.chain))
     said = _with_equation(_CITED.sub(words, marked), f"\n\n{written}\n\n")
     typeset = _with_equation(typeset, f"\n{latex_equations(fit.chain)}\n")
-    return MethodsText(said + "\n", typeset + "\n", bibliography(keys), keys)
+    return MethodsText(said + "\n", f"{latex.PACKAGES}\n{typeset}\n", bibliography(keys), keys)
 
 
 def _with_equation(text: str, equation: str) -> str:
@@ -102,9 +102,10 @@ _FORM = r"$\psi\Theta_1 + \operatorname{sign}(\dot q)\,|\psi\Theta_2|$"
 
 def _typeset(text: str) -> str:
     """Keep numbers and their units on one line, and set what has a symbol as one."""
-    text = re.sub(r"(\d) (\\%|(?:Hz|rad/s|m/s|ms|s|kg|m|N)\b)", r"\1\\,\2", text)
+    text = re.sub(r"(\d) (\\%|(?:Hz|dB|rad/s|m/s|ms|s|kg|m|N)\b)", r"\1\\,\2", text)
     text = text.replace("psi Theta1 + sign(qd)|psi Theta2|", _FORM)
     text = text.replace("\\,N m", r"\,N\,m").replace("R-hat", r"$\widehat{R}$")
+    text = text.replace("(1 - 1/F)", "($1 - 1/F$)").replace("; q is the", "; $q$ is the")
     return re.sub(r"\bp (=|<) (\d\.?\d*)(?:e([+-]\d+))?", _p_value, text)
 
 

@@ -303,7 +303,7 @@ def _table(
     # IEEE sets captions of tables in small capitals: a title can be read so, notes cannot
     kind, width = ("tabularx", r"{\textwidth}") if "X" in columns else ("tabular", "")
     lines = [
-        r"% needs \usepackage{array,booktabs,siunitx,tabularx}, siunitx version 3",
+        latex.PACKAGES,
         r"\begin{table*}",
         r"\centering",
         rf"\caption{{{caption}}}",
