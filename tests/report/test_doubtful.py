@@ -3,13 +3,16 @@
 import csv
 import io
 import re
+from pathlib import Path
 
 import pytest
 
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.tables import latex_texts, methods_latex, summary_texts
+from bayesfric.report.summary import doubts, self_check
 from bayesfric.report.terminal import fit_text
+from bayesfric.report.text_templates import text_environment
 
 from .made_summaries import loaded
 from .page_reader import read_page
@@ -61,6 +64,14 @@ def test_in_the_same_cell_of_every_table(told):
                 assert "doubtful" not in row, row
     assert r"\textsuperscript{d}" in methods_latex(comparison({"run": told}))
     assert "d: doubtful" in methods_latex(comparison({"run": told}))
+
+
+def test_every_kind_of_doubt_has_a_clause_for_print():
+    source = "".join(Path(one.__file__).read_text() for one in (doubts, self_check))
+    kinds = set(re.findall(r'"kind": "([a-z-]+)"', source)) - {"few"}  # of `check` alone
+    module = text_environment().get_template("reasons.txt.j2").module
+    assert len(kinds) > 8
+    assert {kind for kind in kinds if not hasattr(module, kind.replace("-", "_"))} == set()
 
 
 @pytest.mark.parametrize("name", ["tables/parameters.csv", "methods.csv"])

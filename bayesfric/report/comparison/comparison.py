@@ -73,6 +73,8 @@ class Comparison:
     notes: tuple[str, ...]  # what a reader must know besides, one sentence each
     # names of the rows in which an estimate of the first posterior's run is far from it
     contested: tuple[str, ...] = ()
+    # why numbers are doubtful, by run of which some are, a clause each
+    reasons: Mapping[str, list[str]] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> Row:
         for row in self.rows:
@@ -202,6 +204,7 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
         baseline.label if baseline else None,
         tuple(notes),
         tuple(row.name for row in rows if any(row.name in names for names in apart.values())),
+        {name: run.reasons for name, run in runs.items() if run.reasons},
     )
 
 

@@ -17,6 +17,7 @@ import bayesfric
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.noise import SCALES
 from bayesfric.mechanism.parameter import effort_words
+from bayesfric.recordings.observation import Observation
 from bayesfric.report.comparison.cell import TOGETHER
 from bayesfric.report.numbers import text_rounded
 from bayesfric.report.paper import latex
@@ -114,6 +115,21 @@ def _p_value(found: re.Match[str]) -> str:
     return f"$p {found[1]} {found[2]}{power}$"
 
 
+def _told(seen: Sequence[Observation], *keys: str) -> dict[tuple[str, ...], list[str]]:
+    """Group names of recordings by settings that not all have."""
+    found: dict[tuple[str, ...], list[str]] = {}
+    for o in seen:
+        if keys[0] in o.settings:
+            # digits that a script wrote are no precision
+            told = (re.sub(r"\d+\.\d{4,}", _shortened, str(o.settings[key])) for key in keys)
+            found.setdefault(tuple(told), []).append(o.name)
+    return found
+
+
+def _shortened(number: re.Match[str]) -> str:
+    return f"{float(number[0]):.6g}"
+
+
 def _sentences(fit: Fit, summary: Summary) -> str:
     """Fill the template; a line of it is a sentence, an empty line ends a paragraph."""
     seen = fit.observations
@@ -143,6 +159,8 @@ def _sentences(fit: Fit, summary: Summary) -> str:
         seconds_out=seconds_out,
         masses=list(dict.fromkeys(replace(i, recording="") for i in loaded)),
         carried=len(loaded),
+        signals=_told(seen, "signal_unit", "signal_constant"),
+        voltages=_told(seen, "motor_constant", "motor_resistance"),
         constants=[x for o in seen if (x := o.settings.get("torque_constant")) is not None],
         joint=joint,
         eq13=of_eq_13(fit.chain),

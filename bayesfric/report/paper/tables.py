@@ -179,6 +179,7 @@ class ParameterTable:
         text = filled(
             "parameter_notes.txt.j2",
             rows=self.rows,
+            reasons=self.summary.reasons,
             level=self.level,
             wide=self.summary.model_error is not None and self.summary.model_error.shown,
             sampler=self.summary.sampler,
@@ -351,7 +352,7 @@ def methods_latex(found: Comparison, notes: Sequence[str] = ()) -> str:
         ),
         "n.c.: not converged": any(not c.converged for c in cells_),
         "b: on its bound": any(c.status == "bound" for c in cells_),
-        "d: doubtful, see what the run warns of": any(c.doubted for c in cells_),
+        f"d: doubtful, {_why(found)}": any(c.doubted for c in cells_),
         f"Empty: the {'run' if runs > 1 else 'method'} does not tell it": None in every,
         "m: of each run's own motion, another motion gives other values": runs > 1
         and any(row.of_motion for row in found.rows),
@@ -366,6 +367,13 @@ def methods_latex(found: Comparison, notes: Sequence[str] = ()) -> str:
         ("Runs side by side", "tab:runs") if runs > 1 else ("Estimates by method", "tab:methods")
     )
     return _table(words[0], notes, words[1], columns, head, body)
+
+
+def _why(found: Comparison) -> str:
+    """Say why numbers are doubtful, of several runs run by run."""
+    several = len({column.run for column in found.columns} - {""}) > 1
+    told = ("; ".join(why) + f" (in {run})" * several for run, why in found.reasons.items())
+    return f"because {'; '.join(told)}"
 
 
 def between_runs_latex(found: Sequence[PooledQuantity]) -> str:

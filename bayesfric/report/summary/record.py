@@ -32,6 +32,7 @@ from bayesfric.report.summary.rows import (
     ReferenceRow,
     amperes,
 )
+from bayesfric.report.text_templates import reason
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -395,6 +396,12 @@ class Summary(Part):
     def mechanism_doubted(self) -> bool:
         """Whether what the model leaves is no noise: another mechanism has to be taken first."""
         return any(doubt.kind in OF_MECHANISM for doubt in self.doubts)
+
+    @property
+    def reasons(self) -> list[str]:
+        """Why numbers are doubtful, each in one clause, for print."""
+        told = (reason(one.kind, one.model_dump()) for one in self.doubts if one.parameters)
+        return list(dict.fromkeys(told))
 
     @property
     def other_units(self) -> list[dict[str, Any]]:
