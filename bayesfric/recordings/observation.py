@@ -569,7 +569,7 @@ def _told(
         f"one output in {numbers.factor} samples"
     )
     yield (
-        f"dead zone: below {settings['dead_zone']:.3g} (joint speed), "
+        f"dead zone: below {settings['dead_zone']:.3g} (joint speed in SI), "
         f"{settings['dropped_dead_zone']} outputs left out; {settings['n_outputs']} remain"
         + (f"; {settings['rest_outputs']} at rest" if settings.get("rest_outputs") else "")
     )

@@ -140,8 +140,8 @@ class Voltage(Effort):
         # what is misspelt is named first
         if missing and set(given) <= set(cls.model_fields) and {"column", "unit"} <= set(given):
             raise Unfit(
-                "them of the motor's own voltage, or of a signal that commands the torque in place "
-                'of voltage torque = { ..., constant = "... N m/V" } (N/V of what slides)',
+                "the motor's if this is its own voltage; in place of voltage, for a signal that "
+                'commands it, torque = { ..., constant = "... N m/V" } (N/V of what slides)',
                 f"{' and '.join(missing)} missing",
             )
         return given
