@@ -196,13 +196,14 @@ class Model:
         projection = TotalsProjection(self.chain, self.observations)
         for name, label in zip(projection.names, projection.labels, strict=True):
             units[label] = projection.describe(name)[0]
-        found = {}
-        for name, reference in self.config.references.items():
-            if name not in units:
+        found, aliases = {}, projection.aliases()
+        for told, reference in self.config.references.items():
+            name = told if told in units else aliases.get(told, told)
+            if name not in units or (name != told and name in self.config.references):
                 raise BadInput(
-                    f"{self.config.path}: references.{name}",
+                    f"{self.config.path}: references.{told}",
                     "no result of this mechanism has that name",
-                    nearest(name, units),
+                    nearest(told, units),
                 )
             found[name] = {**reference.model_dump(), "unit": units[name]}
         return found

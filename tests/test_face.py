@@ -247,6 +247,26 @@ def test_bad_keywords_are_named(keywords, told):
         bf.Model(axis(), arrays(), **keywords)
 
 
+@pytest.mark.parametrize(
+    ("viscous", "given", "name"),
+    [
+        ("by-direction", "motor.viscous", "total.viscous"),
+        ("by-direction", "total.viscous", "total.viscous"),
+        (True, "total.viscous", "motor.viscous"),
+        (True, "motor.viscous", "motor.viscous"),
+    ],
+)
+def test_a_reference_is_of_the_same_loss_by_direction_or_not(viscous, given, name):
+    """What ``explain`` advises to add does not break what a configuration compares with."""
+    motor = bf.Element("motor", inertia=True, coulomb="symmetric", viscous=viscous)
+    joint = bf.Joint([motor], bf.Load(), offset=True)
+    found = bf.Model(joint, arrays(), references={given: 0.05}).references()
+    assert set(found) == {name}
+    assert found[name]["value"] == 0.05
+    with pytest.raises(BadInput, match="no result of this mechanism"):
+        bf.Model(joint, arrays(), references={"total.viscous": 0.05, "motor.viscous": 0.05})
+
+
 def test_bad_recordings_and_joints_are_named():
     with pytest.raises(BadInput, match="names no recording"):
         bf.Model(axis(), [])

@@ -76,6 +76,8 @@ def _mechanism(preset: str, chain: Joint, moved: Collection[str]) -> Iterator[st
         f"# delay = {str(chain.delay).lower()}  # unknown time by which the recorded position "
         "comes after the torque"
     )
+    if may_slide(chain):
+        yield '# motion = "linear"  # if it slides: position in m or mm, force in N'
     for element in chain.elements:
         active = f"{element.name}.inertia" in moved
         yield f"{'' if active else '# '}[mechanism.elements.{element.name}]"
@@ -91,6 +93,11 @@ def _mechanism(preset: str, chain: Joint, moved: Collection[str]) -> Iterator[st
     if moved:
         yield "[mechanism.load]"
         yield "inertia = true  # the load loss sees it here; the motor's own is seldom told apart"
+
+
+def may_slide(chain: Joint) -> bool:
+    """Whether it may be an axis that slides as well: it has no gear, and gravity does not act."""
+    return chain.ratio == 1.0 and "first_moment" not in chain.load.choices
 
 
 def _with_load_behind(chain: Joint, moved: Collection[str]) -> Joint:
@@ -121,6 +128,9 @@ def _recordings(chain: Joint) -> Iterator[str]:
     side = ', side = "motor"' if chain.ratio != 1 else ""
     yield f'position = {{ column = "position", unit = "{"m" if linear else "rad"}"{side} }}'
     yield f'torque = {{ column = "torque", unit = "{"N" if linear else "N m"}" }}'
+    signal = "35 N/V" if linear else "0.5 N m/V"
+    yield "# or a signal in proportion to it, such as the command of a drive:"
+    yield f'# torque = {{ column = "command", unit = "V", constant = "{signal}" }}'
     yield "# or the current times a known constant:"
     yield '# current = { column = "current", unit = "A", torque_constant = "0.32 N m/A" }'
     yield "# or the voltage, with the back-EMF taken off:"

@@ -7,13 +7,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from bayesfric.commands.init import configuration, other_presets, target_line
+from bayesfric.commands.init import configuration, may_slide, other_presets, target_line
 from bayesfric.config_text import toml_value
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.recognition.log import Chosen, Log, recognise
 from bayesfric.recordings.tables import read_table
 from bayesfric.recordings.tables.reader import TableOptions
-from bayesfric.recordings.units import GUESSED, alternatives
+from bayesfric.recordings.units import GUESSED, alternatives, sliding
 
 _DEFAULT = "motor-axis"
 # What no log tells, as a configuration wants it.
@@ -47,6 +47,7 @@ def configuration_from(
     given = preset or _DEFAULT
     file = path if output is None else Path(os.path.relpath(path, output.parent))
     geared = given in PRESETS and PRESETS[given].chain().ratio != 1
+    slides = given in PRESETS and may_slide(PRESETS[given].chain())
     unknown = list(log.unknown)
     if preset is None:
         unknown.insert(0, f"the mechanism: {given} is taken, as no PRESET was named")
@@ -54,10 +55,10 @@ def configuration_from(
     if geared:
         unknown.append("whether position and velocity are those of the motor or of the joint")
     return {
-        "text": configuration(given, list(_recording(file, table, log, geared))),
+        "text": configuration(given, list(_recording(file, table, log, geared, slides))),
         "preset": given,
         "presets": [{"preset": name, "when": PRESETS[name].when} for name in others],
-        "guesses": list(_guesses(log)),
+        "guesses": list(_guesses(log, slides)),
         "unknown": unknown,
         "joint": log.joint,
         "joints": list(log.joints),
@@ -76,18 +77,27 @@ def guesses_text(found: dict[str, Any]) -> Iterator[str]:
     if found["guesses"]:
         yield f"Guessed; look at each, and remove every '{GUESSED}':"
     for one in found["guesses"]:
-        yield f"  {one['key']} = {toml_value(one['value'])}: {one['why']}{_others(one['or'])}"
+        instead = _others(one["or"])
+        if "if_it_slides" in one:
+            instead += f'; {_or(one["if_it_slides"])} if it slides (motion = "linear")'
+        yield f"  {one['key']} = {toml_value(one['value'])}: {one['why']}{instead}"
     for text in found["unknown"]:
         yield f"  not known: {text}"
     for one in found["presets"]:
         yield f"  preset = {toml_value(one['preset'])} is for {one['when']}"
 
 
-def _guesses(log: Log) -> Iterator[dict[str, Any]]:
+def _guesses(log: Log, slides: bool) -> Iterator[dict[str, Any]]:
     for one in log.chosen:
         if one.unit.endswith(GUESSED):
-            units = list(alternatives(one.unit.removesuffix(GUESSED)))
-            yield {"key": f"{one.channel}.unit", "value": one.unit, "why": one.why, "or": units}
+            plain = one.unit.removesuffix(GUESSED)
+            units = list(alternatives(plain))
+            sliding_too = (
+                {"if_it_slides": list(sliding(plain))} if slides and sliding(plain) else {}
+            )
+            told: dict[str, Any] = {"key": f"{one.channel}.unit", "value": one.unit}
+            told |= {"why": one.why, "or": units}
+            yield told | sliding_too
         if one.others:
             columns = list(one.others[:_MOST])
             told = {"key": f"{one.channel}.column", "value": one.column, "why": one.why}
@@ -98,7 +108,9 @@ def _guesses(log: Log) -> Iterator[dict[str, Any]]:
         yield {"key": "rate", "value": log.rate, "why": "no column tells time", "or": []}
 
 
-def _recording(file: Path, table: str | None, log: Log, geared: bool) -> Iterator[str]:
+def _recording(
+    file: Path, table: str | None, log: Log, geared: bool, slides: bool
+) -> Iterator[str]:
     yield f"# What ends with '{GUESSED}' was guessed: look at it, and remove the '{GUESSED}'."
     yield "[[recordings]]"
     yield f"file = {toml_value(file)}"
@@ -113,7 +125,7 @@ def _recording(file: Path, table: str | None, log: Log, geared: bool) -> Iterato
     if log.rate:
         yield f"rate = {toml_value(log.rate)}  # no column tells time"
     for one in log.chosen:
-        yield from _channel(one, geared)
+        yield from _channel(one, geared, slides)
     if not any(log.of(key) for key in ("torque", "current", "voltage")):
         yield "# no column can be torque, current or voltage: name it"
         yield f'torque = {{ column = "{GUESSED}", unit = "N m{GUESSED}" }}'
@@ -123,7 +135,7 @@ def _recording(file: Path, table: str | None, log: Log, geared: bool) -> Iterato
         yield f"# valid = {toml_value(log.valid)}  # is it 0 where the motor is off?"
 
 
-def _channel(one: Chosen, geared: bool) -> Iterator[str]:
+def _channel(one: Chosen, geared: bool, slides: bool) -> Iterator[str]:
     keys: dict[str, Any] = {"column": one.column, "unit": one.unit}
     if one.sign != 1:
         keys["sign"] = one.sign
@@ -135,6 +147,15 @@ def _channel(one: Chosen, geared: bool) -> Iterator[str]:
     inside = ", ".join(f"{key} = {toml_value(value)}" for key, value in keys.items())
     yield f"# {one.channel}: {one.why}{_others(one.others)}"
     yield f"{one.channel} = {{ {inside} }}"
+    plain = one.unit.removesuffix(GUESSED)
+    if slides and one.unit != plain and (others := sliding(plain)):
+        yield f'# if it slides, with motion = "linear" in [mechanism]: unit = {_or(others)}'
+    if one.channel == "torque" and one.unit != plain:
+        yield '# if it is a signal in V: unit = "V", constant = "... N m/V", or N/V if it slides'
+
+
+def _or(units: Sequence[str]) -> str:
+    return " or ".join(map(toml_value, units))
 
 
 def _others(instead: Sequence[str | int]) -> str:

@@ -104,6 +104,19 @@ class TotalsProjection:
         pairs = zip(self._observations, parts, strict=True)
         return [o.filter.reached(part) for o, part in pairs]
 
+    def aliases(self) -> dict[str, str]:
+        """Give labels by other names: ``total.<name>``, and the owner's where it has all of it.
+
+        So ``motor.viscous`` stays one where the motor's viscous loss is told by direction.
+        """
+        found: dict[str, str] = {}
+        for name, label in zip(self.names, self.labels, strict=True):
+            parts = (p for p in self._chain.parameters if name in dict(_regressed(self._chain, p)))
+            owners = {p.owner for p in parts}
+            names = [f"total.{name}", *(f"{one}.{name}" for one in owners if len(owners) == 1)]
+            found |= {other: label for other in names if other != label}
+        return found
+
     def describe(self, name: str) -> tuple[str, str, str]:
         """Give unit, LaTeX symbol and meaning of a total."""
         chain = self._chain

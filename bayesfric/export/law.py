@@ -102,11 +102,12 @@ class Statement:
 class Law:
     """Statements that work out ``torque`` and ``ideal`` from ``q``, ``v``, ``a`` and ``s``.
 
-    ``ideal`` is the torque without losses, cogging and offset: inertia, gravity and springs. ``s``
-    is the direction, a number from -1 to 1, and ``d`` its sign.
+    ``ideal`` is the torque without losses and cogging: inertia, gravity, springs and the offset,
+    which alone is ``offset``. ``s`` is the direction, a number from -1 to 1, and ``d`` its sign.
     """
 
     statements: tuple[Statement, ...]
+    offset: str = "0.0"  # as it is measured, in the language's own words
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -246,7 +247,8 @@ class _Writer:
         w, load = self.words, self.tables.load[0].tolist()
         self.put("", "as measured")
         if load[kernels.OFFSET]:
-            self.grow("torque", w.number(load[kernels.OFFSET]))
+            for name in ("torque", "ideal"):
+                self.grow(name, w.number(load[kernels.OFFSET]))
         if load[kernels.GAIN] != 1.0:
             for name in ("torque", "ideal"):
                 self.put(name, w.scaled(1.0 / load[kernels.GAIN], name))
@@ -286,7 +288,9 @@ def law(chain: Joint, vector: Array, language: Language) -> Law:
     for k in range(len(chain.elements) - 1, -1, -1):
         writer.element(k)
     writer.measured()
-    return Law(tuple(_used(writer.out)))
+    load = writer.tables.load[0].tolist()
+    offset = load[kernels.OFFSET] / load[kernels.GAIN]
+    return Law(tuple(_used(writer.out)), writer.words.number(offset))
 
 
 def _used(statements: list[Statement]) -> list[Statement]:

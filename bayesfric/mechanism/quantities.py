@@ -180,6 +180,12 @@ class Quantity:
         )
 
     @property
+    def bent_by(self) -> str:
+        """What that is, in words; empty where it does not bend them."""
+        of_load = self.role == "loss" or self.option.startswith("load_")
+        return ("load losses" if of_load else "changing friction") if self.bends else ""
+
+    @property
     def fills(self) -> tuple[tuple[str, float], ...]:
         """Columns of ``psi`` and weights."""
         return self.shares or ((self.name, 1.0),)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +13,7 @@ from bayesfric.errors import BadInput, Unfit
 from bayesfric.recordings import channels, units
 from bayesfric.recordings.channels import CONSTANT, POSITION, TORQUE, VELOCITY, Drive
 from bayesfric.recordings.measurement import Array, Flags
-from bayesfric.recordings.source import Columns, Effort, Target
+from bayesfric.recordings.source import SI, Columns, Effort, Target, Torque
 from bayesfric.recordings.tables.table import Table
 from bayesfric.recordings.timebase import Grid
 
@@ -87,6 +89,7 @@ class Told(NamedTuple):
     law: Law
     step: str  # how the torque comes about
     torque_constant: float | None = None  # torque per current, of a measured current
+    made_of: Mapping[str, str] = MappingProxyType({})  # as a measurement has it
 
 
 def measured_law(source: Columns, table: Table, drive: Drive) -> Told:
@@ -94,9 +97,15 @@ def measured_law(source: Columns, table: Table, drive: Drive) -> Told:
     kind = TORQUE[drive.motor_motion]
     constant_kind = CONSTANT[drive.motor_motion]
     if source.torque is not None:
+        _check_torque(source.torque, table, drive)
         constant = [] if source.torque.constant is None else [source.torque.constant]
         torque = channels.scaled(source.torque, table, kind, kind, *constant)
-        return Told(source.torque, kind, Law(torque, np.ones(torque.shape)), f"{kind}: as measured")
+        step, made_of = f"{kind}: as measured", dict[str, str]()
+        if source.torque.constant is not None:
+            made_of = {"signal_unit": source.torque.unit, "signal_constant": constant[0]}
+            step = f"{kind}: the signal in {source.torque.unit} times {constant[0]}"
+        law = Law(torque, np.ones(torque.shape))
+        return Told(source.torque, kind, law, step, made_of=made_of)
     if source.current is not None:
         current = channels.scaled(source.current, table, "current", "current")
         where = f"{table.label(source.current.column)}, torque_constant"
@@ -119,7 +128,27 @@ def measured_law(source: Columns, table: Table, drive: Drive) -> Told:
         f"{kind}: kt V/R - kt^2 (motor speed)/R with kt = {source.voltage.torque_constant}, "
         f"R = {source.voltage.resistance}"
     )
-    return Told(source.voltage, "voltage", law, step)
+    made_of = {
+        "motor_constant": source.voltage.torque_constant,
+        "motor_resistance": source.voltage.resistance,
+    }
+    return Told(source.voltage, "voltage", law, step, made_of=made_of)
+
+
+def _check_torque(torque: Torque, table: Table, drive: Drive) -> None:
+    """Name the key that a signal takes to become a torque, where it is a voltage or current."""
+    if torque.constant is not None or torque.times is not None or torque.unit == SI:
+        return
+    kind = TORQUE[drive.motor_motion]
+    for other in ("voltage", "current"):
+        if units.is_of(torque.unit, other):
+            wanted = f"{units.si(kind)}/{units.si(other)}"
+            raise BadInput(
+                f"{table.label(torque.column)}, unit of {kind}",
+                f"got '{torque.unit}', a {other}, and no constant that makes a {kind} of it",
+                f"give '{units.si(kind)}' if it is one, "
+                f'or add constant = "... {wanted}" to torque',
+            )
 
 
 def position_law(target: Target, table: Table, drive: Drive) -> Told:

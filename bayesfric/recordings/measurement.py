@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -62,6 +63,9 @@ class Measurement:
     drive: str = "torque"  # what the torque was measured as: torque, force, current or voltage
     doubted_units: tuple[str, ...] = ()  # channels of the motion whose unit a warning doubts
     torque_constant: float | None = None  # N m/A or N/A, where a current was measured
+    # how a torque came about that was not measured as one: `signal_unit` and `signal_constant` that
+    # it was multiplied by, or `motor_constant` and `motor_resistance` of a voltage, as given
+    made_of: Mapping[str, str] = field(default_factory=dict)
     # Hz beyond which an acceleration is not what the joint's is, where a model has told
     widest_band: float | None = None
     # how the drive makes its torque, in the closed loop where a target was recorded; None for

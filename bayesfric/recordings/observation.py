@@ -176,6 +176,7 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         **({} if law is None else {"feedback": law[0]}),
         **({"doubted_units": ", ".join(doubted)} if doubted else {}),
         **_constant(recording),
+        **recording.made_of,
         "dead_zone": made.dead_zone,
         "rest": processing.rest,
         "trim": numbers.trim_samples * period,

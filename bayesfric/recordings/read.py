@@ -182,6 +182,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         drive=kind,
         doubted_units=tuple(sorted(doubted)),
         torque_constant=told.torque_constant,
+        made_of=dict(told.made_of),
         law=law,
         ratio=drive.ratio,
         left_out=tuple(sorted(left_out, key=lambda one: one.start)),

@@ -167,10 +167,25 @@ def alternatives(text: str) -> tuple[str, ...]:
     return tuple(one for one in next(alike, ()) if one != text)[:3]
 
 
+def sliding(text: str) -> tuple[str, ...]:
+    """Name the units that logs have for it if the joint slides; none where it cannot be one."""
+    kinds = (other for kind, other in _SLIDING.items() if is_of(text, kind))
+    return tuple(one for kind in kinds for one in _COMMON[kind])
+
+
 def quantity(text: str, *kinds: Kind) -> float:
     """Read a scalar with its unit, of one of some kinds, in SI and Hz, or raise `Unfit`."""
     known(text)
     return _product([text], kinds)
+
+
+def is_of(text: str, kind: Kind) -> bool:
+    """Whether a unit is of a kind; not where it is a guess, or no unit."""
+    try:
+        quantity(text, kind)
+    except Unfit:
+        return False
+    return True
 
 
 def quantity_of(texts: Sequence[str], kind: Kind) -> float:

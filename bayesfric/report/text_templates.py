@@ -23,6 +23,13 @@ def sentence(kind: str, values: Mapping[str, Any] | None = None) -> str:
     return str(getattr(_sentences(), macro)(values or {})).strip()
 
 
+def reason(kind: str, values: Mapping[str, Any]) -> str:
+    """Say in one clause why numbers are doubtful, for print; in general of kinds not known."""
+    known = text_environment().get_template("reasons.txt.j2").module
+    macro = getattr(known, kind.replace("-", "_"), None) or known.other  # type: ignore[attr-defined]
+    return str(macro(values)).strip()
+
+
 def filled(template: str, **values: Any) -> str:
     """Fill a template of plain text; lines that only hold markup leave nothing."""
     return text_environment().get_template(template).render(**values)

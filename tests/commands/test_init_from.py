@@ -408,3 +408,23 @@ def test_odd_logs_are_one_line_or_a_configuration(bench, seed):
             assert re.fullmatch(r"bayesfric: [^\n]+: [^\n]+; [^\n]+\n", ended.err), ended.err
         else:
             assert "[[recordings]]" in ended.out
+
+
+def test_an_axis_that_slides_is_offered(bench):
+    """Metres cannot be told from radians by a short travel: both are said, with what they take."""
+    rows = {"t": T, "qm": 0.12 * Q / np.ptp(Q), "vir": 0.3 * TAU}
+    pd.DataFrame(rows).to_csv(bench.folder / "axis.csv", index=False)
+    text, told = written(bench, "axis.csv")
+    assert re.search(
+        r'position.unit = "rad\?".*120 mm if it slides.*"turn"; "m" or "mm" if it slides', told
+    )
+    assert re.search(r'torque.unit = "N m\?".*; "N" or "kN" if it slides', told)
+    assert '# motion = "linear"' in text
+    assert '# if it slides, with motion = "linear" in [mechanism]: unit = "m" or "mm"' in text
+    # and what is said is right
+    text = text.replace('# motion = "linear"', 'motion = "linear"')
+    text = text.replace('"rad?"', '"m"').replace('"N m?"', '"V", constant = "35 N/V"')
+    assert "motor.inertia" in passes(bench, text)
+    (bench.folder / "made.toml").unlink()
+    text, told = written(bench, "axis.csv", "servo-pendulum")
+    assert 'motion = "linear"' not in text + told

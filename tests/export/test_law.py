@@ -165,7 +165,7 @@ def test_friction_is_what_losses_add():
         name: 0.0 if "gravity" not in name and "stribeck_v" not in name else value
         for name, value in values.items()
     }
-    kept = ("inertia", "first_moment", "gravity_angle", "gain")
+    kept = ("inertia", "first_moment", "gravity_angle", "gain", "offset")
     lossless |= {k: v for k, v in values.items() if k.rpartition(".")[2] in kept}
     q, qd, qdd = motion(50)
     whole = inverse_torque(joint, joint.vector(values), q, qd, qdd)
@@ -175,6 +175,31 @@ def test_friction_is_what_losses_add():
     exec(filled("feedforward.py.j2", remarks=[], name="j", law=made), python)
     got = [python["friction"](*map(float, row)) for row in zip(q, qd, qdd, strict=True)]
     np.testing.assert_allclose(got, whole - ideal, rtol=1e-9, atol=1e-12)
+
+
+def test_an_offset_is_no_friction(compiler, tmp_path):
+    """At rest an axis has none: what is measured there is the offset, which stands by itself."""
+    motor = Element("motor", inertia=True, viscous=True, coulomb="symmetric")
+    joint = Joint(elements=(motor,), load=Load(), offset=True, gain=True)
+    values = {"motor.inertia": 0.1, "motor.viscous": 0.2, "motor.coulomb": 0.5}
+    vector = joint.vector(values | {"offset": -3.1, "drive.gain": 2.0})
+    files = c_files(joint, vector)
+    call = compiled(compiler, files, tmp_path)
+    for suffix, kind, scale in (
+        ("", ctypes.c_double, 1.0), ("_f", ctypes.c_float, 1.0), ("_q", ctypes.c_int32, 2**24),
+    ):  # fmt: skip
+        rest = kind(0).value
+        assert call(f"j_friction{suffix}", kind)(rest, rest, rest)[0] == 0.0
+        torque = call(f"j_torque{suffix}", kind)(rest, rest, rest)[0] / scale
+        assert torque == pytest.approx(-1.55, rel=1e-6)
+    (told,) = re.findall(r"#define J_OFFSET \((.*)\)", files["j_feedforward.h"])
+    assert float(told) == pytest.approx(-1.55)
+    python = {}
+    made = law(joint, vector, "python")
+    exec(filled("feedforward.py.j2", remarks=[], name="j", law=made), python)
+    assert python["friction"](0.0, 0.0, 0.0) == 0.0
+    assert python["OFFSET"] == pytest.approx(-1.55)
+    assert python["friction"](0.0, 1.0, 0.0) == pytest.approx((0.2 + 0.5) / 2.0)
 
 
 def test_nothing_but_numbers_comes_out_whatever_goes_in(compiler, tmp_path):

@@ -120,3 +120,33 @@ def test_what_makes_no_torque_is_refused(changes, said):
 def test_a_target_without_gains_is_refused():
     with pytest.raises(BadInput, match="kp"):
         recording(aims()[0])
+
+
+@pytest.mark.parametrize(
+    ("motion", "unit", "said"),
+    [
+        ("linear", "V", "got 'V', a voltage, and no constant that makes a force of it; "
+         "give 'N' if it is one, or "
+         'add constant = "... N/V" to torque'),
+        ("rotary", "mA", "no constant that makes a torque of it; give 'N m' if it is one, or "
+         'add constant = "... N m/A" to torque'),
+        ("linear", "kg", "a force like 'N'"),
+    ],
+)  # fmt: skip
+def test_a_signal_in_place_of_a_torque_is_told_its_constant(motion, unit, said):
+    t, q, _ = swing()
+    given = {"units": {"torque": unit, "position": "m" if motion == "linear" else "rad"}}
+    recording = bf.Recording.from_arrays(t, q, np.sin(t), **given)
+    with pytest.raises(BadInput) as caught:
+        read_recordings(
+            recording, ratio=1, motion=motion, motor_motion=motion, processing=Processing()
+        )
+    assert said in str(caught.value)
+
+
+def test_a_voltage_of_no_motor_is_told_the_other_key():
+    t, q, _ = swing()
+    with pytest.raises(BadInput) as caught:
+        bf.Recording.from_arrays(t, q, voltage=np.sin(t))
+    assert "torque_constant and resistance missing" in str(caught.value)
+    assert 'torque = { ..., constant = "... N m/V" }' in str(caught.value)

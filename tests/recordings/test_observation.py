@@ -210,7 +210,9 @@ def test_published_estimates_of_a_real_axis(data):
         motor_motion="linear",
         processing=processing,
     )
+    assert "force: the signal in V times 35.15065188 N/V" in found[0].steps
     seen = observe(found[0], processing)
+    assert seen.settings["signal_constant"] == "35.15065188 N/V"
     design = np.array([seen.qdd, seen.qd, np.sign(seen.qd), np.ones_like(seen.q)])
     estimate = np.linalg.lstsq(seen.filter.apply(design).T, seen.measured, rcond=None)[0]
     difference = np.abs(estimate - [95.12, 203.4, 20.40, -3.17])

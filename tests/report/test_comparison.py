@@ -9,6 +9,9 @@ from dataclasses import replace
 
 import pytest
 
+from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.comparison.comparison import comparison
@@ -21,6 +24,7 @@ from bayesfric.report.comparison.table import (
 )
 from bayesfric.report.numbers import text_value
 from bayesfric.report.paper.tables import methods_latex, parameter_table
+from bayesfric.report.summary.summary import summarise
 
 from .made_summaries import (
     DERIVED,
@@ -554,3 +558,23 @@ def test_csv_and_json_hold_the_same():
 )
 def test_numbers_are_rounded_by_their_sd(value, sd, printed):
     assert text_value(value, sd) == printed
+
+
+def test_what_bends_a_total_is_named_by_what_the_joint_has():
+    assert QUANTITIES["load"].bent_by == QUANTITIES["load_speed"].bent_by == "load losses"
+    assert QUANTITIES["stribeck_change"].bent_by == "changing friction"
+    assert QUANTITIES["viscous"].bent_by == ""
+
+
+def test_a_total_speaks_of_load_losses_only_where_there_are_some(make_fit):
+    def meaning(**options):
+        slide = Element("m", inertia=True, viscous="by-direction", motion="linear", **options)
+        joint = Joint(elements=(slide,), load=Load(motion="linear"))
+        summary = summarise(make_fit(joint, samples=600))
+        return summary.derived["total.viscous"].meaning
+
+    assert "would find it" not in meaning()
+    told = meaning(coulomb="symmetric", stribeck="either")
+    assert told.endswith(", as a fit without changing friction would find it")
+    told = meaning(coulomb="symmetric", load_loss="one")
+    assert told.endswith(", as a fit without load losses would find it")

@@ -7,11 +7,16 @@ import subprocess
 
 import pytest
 
+from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings import Processing
 from bayesfric.report.comparison.between_runs import between_runs
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.figures.friction import friction_figure
 from bayesfric.report.figures.residual import residual_figure
 from bayesfric.report.figures.style import save
+from bayesfric.report.paper import latex
+from bayesfric.report.paper.equation import latex_equations
 from bayesfric.report.paper.methods_text import methods_text
 from bayesfric.report.paper.tables import (
     between_runs_latex,
@@ -29,6 +34,10 @@ DOCUMENT = r"""\documentclass[journal]{IEEEtran}
 \usepackage[utf8]{inputenc}
 \usepackage{array,booktabs,siunitx,tabularx,graphicx,textcomp,amsmath}
 \begin{document}
+\section{An axis}
+\input{axis-methods}
+\input{axis-table-parameters}
+\input{axis-table-methods}
 \section{Method}
 \input{methods}
 \input{table-parameters}
@@ -51,6 +60,29 @@ def wanted(name):
     if found is None:
         pytest.skip(f"{name} is not installed")
     return found
+
+
+AXIS = Joint(
+    elements=(
+        Element(
+            "motor", inertia=True, coulomb="symmetric", viscous="by-direction",
+            stribeck="either", motion="linear", subscript="m",
+        ),
+    ),
+    load=Load(motion="linear"),
+    offset=True,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def axis(make_fit):
+    return make_fit(AXIS, samples=600, processing=Processing(lowpass=50.0, decimate=4))
+
+
+def axis_pieces(fit):
+    """Write files of a linear axis, with labels and names of its own."""
+    found = {f"axis-{name}": text for name, text in pieces(fit).items() if "bib" not in name}
+    return {name: text.replace(r"\label{", r"\label{axis-") for name, text in found.items()}
 
 
 def pieces(fit):
@@ -78,15 +110,15 @@ def invented_tables():
     return {name: text.replace(r"\label{", r"\label{invented-") for name, text in tables.items()}
 
 
-def test_braces_dollars_and_cells_are_balanced(knee):
+def test_braces_dollars_and_cells_are_balanced(knee, axis):
     """What a compiler would stumble over first, for where there is none."""
-    for name, text in (pieces(knee) | invented_tables()).items():
+    for name, text in (pieces(knee) | axis_pieces(axis) | invented_tables()).items():
         bare = re.sub(r"\\[{}$&%#_]", "", text)
         bare = re.sub(r"^%.*$", "", bare, flags=re.MULTILINE)
         assert bare.count("{") == bare.count("}"), name
         for line in bare.splitlines():
             assert line.count("$") % 2 == 0, line
-        if name.startswith("table"):
+        if "table-" in name:
             begin = r"\\begin\{tabularx?\}(?:\{\\textwidth\})?\{(.*)\}$"
             (columns,) = re.findall(begin, bare, re.MULTILINE)
             count = len(re.findall("[lX]", re.sub(r"@\{\}|>\{.*?\}(?=X)", "", columns)))
@@ -95,6 +127,31 @@ def test_braces_dollars_and_cells_are_balanced(knee):
         for environment in re.findall(r"\\begin\{(\S+?)\}", bare):
             assert rf"\end{{{environment}}}" in bare
         assert name == "references.bib" or text.isascii(), name
+
+
+def test_every_character_of_a_text_is_one_that_pdflatex_prints():
+    """Minus, signs, superscripts and Greek are commands, and so are those that it lacks."""
+    assert latex.escaped("−6 dB, 2 × 3 µm² · Δμ ≤ 1³ → 中").isascii()
+    assert latex.escaped("−6 dB") == r"\ensuremath{-}6 dB"
+    assert latex.escaped("grün_2") == r"grün\_2"
+
+
+def test_every_file_names_the_packages_that_it_takes(axis):
+    """``align*`` is of amsmath, ``X`` of tabularx, ``\\toprule`` of booktabs."""
+    for name, text in axis_pieces(axis).items():
+        first = text.splitlines()[0]
+        assert first.startswith("% needs"), name
+        for used, package in ((r"{align*}", "amsmath"), (r"\toprule", "booktabs")):
+            assert used not in text or package in first, name
+
+
+def test_the_equation_of_an_axis_fits_into_a_column():
+    rows = latex_equations(AXIS).splitlines()[1:-1]
+    left = max(latex.width(row.partition("&")[0] + "=") for row in rows)
+    for row in rows:
+        right = row.partition("&")[2].removesuffix(r" \\").replace("{}", "").removeprefix("= ")
+        assert left + latex.width(right) < 3.4 * 72, row
+    assert len(rows) > 3
 
 
 def compiled(folder, pdflatex, bibtex=None):
@@ -137,12 +194,12 @@ def complaints(log, blg):
 
 
 @pytest.mark.slow
-def test_a_two_column_paper_compiles(knee, tmp_path):
+def test_a_two_column_paper_compiles(knee, axis, tmp_path):
     pdflatex, bibtex = wanted("pdflatex"), wanted("bibtex")
     for name in ("IEEEtran.cls", "siunitx.sty"):
         if subprocess.run([wanted("kpsewhich"), name], capture_output=True, check=False).returncode:
             pytest.skip(f"{name} is not installed")
-    for name, text in pieces(knee).items():
+    for name, text in (pieces(knee) | axis_pieces(axis)).items():
         (tmp_path / name).write_text(text, encoding="utf-8")
     for name, text in invented_tables().items():
         (tmp_path / name).write_text(text, encoding="utf-8")

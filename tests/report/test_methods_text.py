@@ -11,7 +11,7 @@ import bayesfric
 from bayesfric.recordings.measurement import LeftOut
 from bayesfric.report.paper.equation import latex_equations, plain_equations
 from bayesfric.report.paper.methods_text import ENTRIES, methods_text
-from bayesfric.report.paper.tables import parameter_table
+from bayesfric.report.paper.tables import latex_texts, parameter_table
 from bayesfric.report.summary.summary import summarise
 
 
@@ -72,6 +72,7 @@ def test_the_model_is_written_down(knee, slide):
     for line in plain_equations(knee.chain):
         assert line in said.plain
     assert latex_equations(knee.chain) in said.latex
+    assert "is that at its element's input:\n\\begin{align*}" in said.latex
     assert "of the form psi Theta1 + sign(qd)|psi Theta2|" in said.plain
     assert r"$\psi\Theta_1 + \operatorname{sign}(\dot q)\,|\psi\Theta_2|$" in said.latex
     said = methods_text(slide, summarise(slide).as_dict())
@@ -125,6 +126,43 @@ def test_a_measured_current_is_told(knee):
     finally:
         del o.settings["torque_constant"]
     assert "The torque is a measured current times 0.32 N m/A." in text
+
+
+def test_what_a_torque_was_made_of_is_told(knee, slide):
+    """A commanded voltage times a constant, and a motor's voltage less its back-EMF."""
+    made = {"signal_unit": "V", "signal_constant": "35.15065188248547 N/V"}
+    motor = {"motor_constant": "0.3 N m/A", "motor_resistance": "2 ohm"}
+    for fit, settings, words in (
+        (slide, made, "The force is a recorded signal in V, times 35.1507 N/V."),
+        (knee, motor, "voltage, less its back-EMF (kt = 0.3 N m/A, R = 2 ohm)."),
+    ):
+        (o,) = fit.observations
+        summary = summarise(fit).as_dict()
+        assert words not in methods_text(fit, summary).plain
+        o.settings.update(settings)
+        try:
+            text = methods_text(fit, summary).plain
+        finally:
+            for key in settings:
+                del o.settings[key]
+        assert words in text
+
+
+def test_why_numbers_are_doubtful_is_said(knee):
+    summary = summarise(knee).as_dict()
+    name = "motor.inertia"
+    late = {"recordings": ["run 0"], "delay": 7.9e-4, "sd": 3e-5, "samples": 0.79}
+    summary["doubts"] = [
+        {"kind": "delay", "parameters": [name], "late": [late], "alike": True, "moved": name,
+         "moves": 2.7},
+    ]  # fmt: skip
+    row = summary["parameters"][name]
+    row |= {"verdict": "weak", "doubted": ["delay"], "converged": True}
+    words = "the position comes 0.79 samples (0.79 ms) late, and the model has no delay"
+    assert f"Doubtful they are because {words}." in methods_text(knee, summary).plain
+    texts = latex_texts(summary, "run")
+    assert f"Doubtful, because {words}" in texts["tables/parameters.tex"]
+    assert f"d: doubtful, because {words}" in texts["tables/methods.tex"]
 
 
 def test_the_noise_model_is_the_summarys(knee):
@@ -224,7 +262,7 @@ def test_latex_is_escaped(make_fit):
     text = methods_text(make_fit(samples=400), summary).latex
     assert r"norm(loc=50\%, my\_scale=1)" in text
     text = re.sub(r"\\begin\{align\*\}.*?\\end\{align\*\}", "", text, flags=re.DOTALL)
-    text = re.sub(r"\$[^$]*\$", "", text)
+    text = re.sub(r"\$[^$]*\$", "", text).partition("\n")[2]  # behind its comment
     assert not re.search(r"(?<!\\)[%&#_]", re.sub(r"\\cite\{[^}]+\}", "", text))
 
 

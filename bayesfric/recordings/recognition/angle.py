@@ -25,6 +25,8 @@ _SLOW, _NEAR, _MOSTLY, _PLACES, _EACH = 0.02, 0.05, 0.8, 2, 0.01
 # s over which torque and motion are averaged; the share of the torque that a unit must explain, and
 # what it leaves at most over what the next best does.
 _AVERAGED, _EXPLAINS, _BETTER = 0.1, 0.8, 0.5
+# Of what slides, a travel in m that most axes have.
+_SHORT = 1.0
 _ROUNDS, _TINY = 20, 1e-30
 # An angle in rad beyond that is more than four turns either way.
 _MANY_TURNS = 8.0 * math.pi
@@ -47,6 +49,8 @@ def angle_unit(
         f"{span}, {(high - low) / (2.0 * math.pi):.3g} turns if it were rad, "
         f"{high - low:.4g} degrees if it were deg"
     )
+    if high - low < _SHORT:
+        means += f", {1e3 * (high - low):.4g} mm if it slides and is in m"
     if told := next(_evidence(position, time, effort), None):
         return told[0], f"{told[1]}; {means}"
     likely = "deg" if max(abs(low), abs(high)) > _MANY_TURNS else "rad"

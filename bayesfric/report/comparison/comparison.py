@@ -19,6 +19,7 @@ from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.report.comparison.cell import Cell, estimate_cell, left_open, posterior_cell
 from bayesfric.report.summary.record import Readable, Summary, of_noise, quantity_of
 from bayesfric.report.summary.rows import PosteriorRow, ReferenceRow
+from bayesfric.report.text_templates import listed
 
 REFERENCE = "reference"
 # Standard deviations of the posterior beyond which an estimate is another one.
@@ -26,7 +27,7 @@ _FAR = 3.0
 # And outside the interval shown: sds of both, the posterior's own, that are no chance either.
 _FAR_OF_BOTH = 4.0
 # What a total of least squares is that goes by a parameter's name.
-_OF_ALL = "with what load losses and changing friction add to it"
+_OF_ALL = "with what %s add to it"
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,8 @@ class Comparison:
     notes: tuple[str, ...]  # what a reader must know besides, one sentence each
     # names of the rows in which an estimate of the first posterior's run is far from it
     contested: tuple[str, ...] = ()
+    # why numbers are doubtful, by run of which some are, a clause each
+    reasons: Mapping[str, list[str]] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> Row:
         for row in self.rows:
@@ -203,6 +206,7 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
         baseline.label if baseline else None,
         tuple(notes),
         tuple(row.name for row in rows if any(row.name in names for names in apart.values())),
+        {name: run.reasons for name, run in runs.items() if run.reasons},
     )
 
 
@@ -296,16 +300,17 @@ def _cells(column: Column, summary: Summary) -> Iterator[tuple[str, Cell]]:
         estimate = summary.estimates[column.method]
         for name, value in estimate.parameters.items():
             cell = estimate_cell(value, estimate.converged)
-            if column.method == "least-squares" and name in summary.parameters and _bent(summary):
-                cell = replace(cell, alike=False, remark=cell.remark or _OF_ALL)
+            bent = _bent(summary) if column.method == "least-squares" else []
+            if bent and name in summary.parameters:
+                cell = replace(cell, alike=False, remark=cell.remark or _OF_ALL % listed(bent))
             yield name, cell
 
 
-def _bent(summary: Summary) -> bool:
-    """Whether a load loss, or what shapes other terms, bends the totals of least squares."""
+def _bent(summary: Summary) -> list[str]:
+    """Name what bends the totals of least squares: load losses, or what shapes other terms."""
     known = {name for name, row in summary.fixed.items() if row.value != 0.0}
     rows = (QUANTITIES.get(quantity_of(name)) for name in {*summary.parameters, *known})
-    return any(row is not None and row.bends for row in rows)
+    return sorted({row.bent_by for row in rows if row is not None and row.bends}, reverse=True)
 
 
 def _withhold(cells: dict[str, Cell], labels: list[str], posteriors: list[str]) -> None:

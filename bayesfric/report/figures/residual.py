@@ -150,9 +150,9 @@ def _draw_binned(ax: Axes, b: Binned, factor: float) -> None:
 def _caption(run: FinishedRun) -> str:
     return (
         "What the posterior mean leaves unexplained: autocorrelation, quantiles against those of a "
-        "normal, and residuals against speed, load and angle (thin: one sd; thick: 95 % interval "
-        "of the bin's mean; the share of variance that the bins' means hold is written in each "
-        "panel). " + " ".join(residual_words(run.fit))
+        "normal, and residuals against motion and load, as far as they vary (thin: one sd; "
+        "thick: 95 % interval of the bin's mean; the share of variance that the bins' means hold "
+        "is written in each panel). " + " ".join(residual_words(run.fit))
     )
 
 

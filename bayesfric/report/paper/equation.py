@@ -14,6 +14,7 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import Parameter
 from bayesfric.mechanism.quantities import SHAPES
 from bayesfric.report.answers.formula import Formula, Unwritten, formula_of
+from bayesfric.report.paper.latex import width
 
 
 class Name(NamedTuple):
@@ -23,6 +24,8 @@ class Name(NamedTuple):
     plain: str
 
 
+# Points in a column of 3.4 inches, less some for what differs between TeX and Matplotlib.
+_COLUMN = 235.0
 Node = float | Name | list["str | Node"]
 _Q, _QD, _QDD = Name("q", "q"), Name(r"\dot q", "qd"), Name(r"\ddot q", "qdd")
 _SIGN: Node = ["sign", _QD]
@@ -58,9 +61,32 @@ def equations(joint: Joint) -> list[tuple[Name, Node]]:
 
 
 def latex_equations(joint: Joint) -> str:
-    """Set them as an ``align*``, which takes the package amsmath."""
-    rows = [rf"{left.latex} &= {latex(right)}" for left, right in equations(joint)]
+    """Set them as an ``align*``, which takes the package amsmath, broken for a narrow column."""
+    lines = equations(joint)
+    before = max(width(rf"{left.latex} = ") for left, _ in lines)
+    rows = [row for left, right in lines for row in _rows(left, right, _COLUMN - before)]
     return "\\begin{align*}\n" + " \\\\\n".join(rows) + "\n\\end{align*}"
+
+
+def _rows(left: Name, right: Node, room: float) -> Iterator[str]:
+    """Break a sum before a term, and a long term before a factor, where a row is full."""
+    begin, row = rf"{left.latex} &= ", ""
+    room -= width(r"\quad")  # by which what goes on is indented
+    terms = right[1:] if isinstance(right, list) and right[0] == "add" else [right]
+    for k, term in enumerate(terms):
+        parts = [f" + {latex(term)}" if k else latex(term)]
+        if width(parts[0]) > room and isinstance(term, list) and term[0] == "multiply":
+            first, *others = _factors(term)
+            parts = [f" + {first}" if k else first, *others]
+        for one in parts:
+            part = one
+            if row and width(row + part) > room:
+                yield begin + row
+                # without {} before it, a sign would be that of a number
+                begin, row = r"&\quad {}", ""
+                part = rf" \cdot {part[2:]}" if part.startswith(r"\,") else part
+            row += part
+    yield begin + row
 
 
 def plain_equations(joint: Joint) -> list[str]:
@@ -216,12 +242,7 @@ def latex(x: str | Node) -> str:
     if op == "subtract":
         return f"{parts[0]} - {tight[1]}"
     if op == "multiply":
-        # numbers first
-        ordered = sorted(tight, key=lambda text: not text[:1].isdigit())
-        return "".join(
-            text if not k else (r" \cdot " if text[:1].isdigit() else r"\,") + text
-            for k, text in enumerate(ordered)
-        )
+        return "".join(_factors(x))
     if op == "divide":
         return rf"\frac{{{parts[0]}}}{{{parts[1]}}}"
     if op == "power":
@@ -229,6 +250,16 @@ def latex(x: str | Node) -> str:
     known = {"negative": f"-{tight[0]}", "absolute": rf"\left|{parts[0]}\right|"}
     function = _FUNCTIONS.get(str(op), rf"\operatorname{{{op}}}")
     return known.get(str(op), f"{function}({', '.join(parts)})")
+
+
+def _factors(product: list[str | Node]) -> list[str]:
+    """Set the factors of a product, numbers first, each with what joins it to the one before."""
+    tight = [_bracketed(one, latex(one)) for one in product[1:]]
+    ordered = sorted(tight, key=lambda text: not text[:1].isdigit())
+    return [
+        text if not k else (r" \cdot " if text[:1].isdigit() else r"\,") + text
+        for k, text in enumerate(ordered)
+    ]
 
 
 def of_eq_13(joint: Joint) -> bool:

@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import re
+import unicodedata
+
+from matplotlib.font_manager import FontProperties
+from matplotlib.mathtext import MathTextParser
 
 from bayesfric.report.figures.style import mathtext
 
+# What every file says that goes into a paper.
+PACKAGES = r"% needs \usepackage{amsmath,array,booktabs,siunitx,tabularx}, siunitx version 3"
 _ESCAPED = {
     "\\": r"\textbackslash{}",
     "{": r"\{",
@@ -22,6 +28,11 @@ _TYPESET = {
     "²": r"\textsuperscript{2}",
     "µ": r"\textmu{}",
     "–": "--",
+    "−": r"\ensuremath{-}",
+    "×": r"\ensuremath{\times}",
+    "·": r"\ensuremath{\cdot}",
+    "³": r"\textsuperscript{3}",
+    "μ": r"\textmu{}",
     "±": r"\ensuremath{\pm}",
     "≤": r"\ensuremath{\leq}",
     "≥": r"\ensuremath{\geq}",
@@ -32,9 +43,24 @@ _TYPESET = {
 
 
 def escaped(text: str) -> str:
-    """Write plain text so that LaTeX prints it as it is."""
+    """Write plain text so that LaTeX prints it as it is; ``?`` for what pdflatex cannot print."""
     both = _ESCAPED | _TYPESET
-    return "".join(both.get(c, c) for c in text)
+    return "".join(both.get(c) or _printable(c) for c in text)
+
+
+def _printable(character: str) -> str:
+    # letters of western and central Europe, such as in a recording's name, pdflatex knows
+    if character < "\u017f" and (character.isascii() or character.isalpha()):
+        return character
+    plain = unicodedata.normalize("NFKD", character).encode("ascii", "ignore").decode()
+    return "".join(_ESCAPED.get(c, c) for c in plain) or "?"
+
+
+def width(formula: str) -> float:
+    """Measure a formula that stands by itself in 10 pt Computer Modern, in points."""
+    displayed = formula.replace(r"\frac", r"\dfrac")
+    parser, font = MathTextParser("path"), FontProperties(size=10, math_fontfamily="cm")
+    return float(parser.parse(f"${displayed}$", dpi=72, prop=font).width)
 
 
 def symbol(latex: str, name: str) -> str:

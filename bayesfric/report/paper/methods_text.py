@@ -17,7 +17,7 @@ import bayesfric
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.noise import SCALES
 from bayesfric.mechanism.parameter import effort_words
-from bayesfric.recordings.observation import too_slow
+from bayesfric.recordings.observation import Observation, too_slow
 from bayesfric.report.comparison.cell import TOGETHER
 from bayesfric.report.numbers import text_rounded
 from bayesfric.report.paper import latex
@@ -89,7 +89,7 @@ def methods_text(fit: Fit, summary: Readable) -> MethodsText:
     written = "\n".join(f"    {line}" for line in plain_equations(fit.chain))
     said = _with_equation(_CITED.sub(words, marked), f"\n\n{written}\n\n")
     typeset = _with_equation(typeset, f"\n{latex_equations(fit.chain)}\n")
-    return MethodsText(said + "\n", typeset + "\n", bibliography(keys), keys)
+    return MethodsText(said + "\n", f"{latex.PACKAGES}\n{typeset}\n", bibliography(keys), keys)
 
 
 def _with_equation(text: str, equation: str) -> str:
@@ -103,15 +103,31 @@ _FORM = r"$\psi\Theta_1 + \operatorname{sign}(\dot q)\,|\psi\Theta_2|$"
 
 def _typeset(text: str) -> str:
     """Keep numbers and their units on one line, and set what has a symbol as one."""
-    text = re.sub(r"(\d) (\\%|(?:Hz|rad/s|m/s|ms|s|kg|m|N)\b)", r"\1\\,\2", text)
+    text = re.sub(r"(\d) (\\%|(?:Hz|dB|rad/s|m/s|ms|s|kg|m|N)\b)", r"\1\\,\2", text)
     text = text.replace("psi Theta1 + sign(qd)|psi Theta2|", _FORM)
     text = text.replace("\\,N m", r"\,N\,m").replace("R-hat", r"$\widehat{R}$")
+    text = text.replace("(1 - 1/F)", "($1 - 1/F$)").replace("; q is the", "; $q$ is the")
     return re.sub(r"\bp (=|<) (\d\.?\d*)(?:e([+-]\d+))?", _p_value, text)
 
 
 def _p_value(found: re.Match[str]) -> str:
     power = rf"\times 10^{{{int(found[3])}}}" if found[3] else ""
     return f"$p {found[1]} {found[2]}{power}$"
+
+
+def _told(seen: Sequence[Observation], *keys: str) -> dict[tuple[str, ...], list[str]]:
+    """Group names of recordings by settings that not all have."""
+    found: dict[tuple[str, ...], list[str]] = {}
+    for o in seen:
+        if keys[0] in o.settings:
+            # digits that a script wrote are no precision
+            told = (re.sub(r"\d+\.\d{4,}", _shortened, str(o.settings[key])) for key in keys)
+            found.setdefault(tuple(told), []).append(o.name)
+    return found
+
+
+def _shortened(number: re.Match[str]) -> str:
+    return f"{float(number[0]):.6g}"
 
 
 def _sentences(fit: Fit, summary: Summary) -> str:
@@ -144,6 +160,8 @@ def _sentences(fit: Fit, summary: Summary) -> str:
         seconds_out=seconds_out,
         masses=list(dict.fromkeys(replace(i, recording="") for i in loaded)),
         carried=len(loaded),
+        signals=_told(seen, "signal_unit", "signal_constant"),
+        voltages=_told(seen, "motor_constant", "motor_resistance"),
         constants=[x for o in seen if (x := o.settings.get("torque_constant")) is not None],
         joint=joint,
         eq13=of_eq_13(fit.chain),

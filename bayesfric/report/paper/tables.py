@@ -183,6 +183,7 @@ class ParameterTable:
         text = filled(
             "parameter_notes.txt.j2",
             rows=self.rows,
+            reasons=self.summary.reasons,
             level=self.level,
             wide=self.summary.model_error is not None and self.summary.model_error.shown,
             sampler=self.summary.sampler,
@@ -320,7 +321,7 @@ def _table(
     # IEEE sets captions of tables in small capitals: a title can be read so, notes cannot
     kind, width = ("tabularx", r"{\textwidth}") if "X" in columns else ("tabular", "")
     lines = [
-        r"% needs \usepackage{array,booktabs,siunitx,tabularx}, siunitx version 3",
+        latex.PACKAGES,
         r"\begin{table*}",
         r"\centering",
         rf"\caption{{{caption}}}",
@@ -369,7 +370,7 @@ def methods_latex(found: Comparison, notes: Sequence[str] = ()) -> str:
         ),
         "n.c.: not converged": any(not c.converged for c in cells_),
         "b: on its bound": any(c.status == "bound" for c in cells_),
-        "d: doubtful, see what the run warns of": any(c.doubted for c in cells_),
+        f"d: doubtful, {_why(found)}": any(c.doubted for c in cells_),
         f"Empty: the {'run' if runs > 1 else 'method'} does not tell it": None in every,
         f"m: as a fit without load losses would find it along {'each' if runs > 1 else 'the'} "
         "run's own motion, another motion gives other values": any(r.of_motion for r in found.rows),
@@ -387,6 +388,13 @@ def methods_latex(found: Comparison, notes: Sequence[str] = ()) -> str:
         ("Runs side by side", "tab:runs") if runs > 1 else ("Estimates by method", "tab:methods")
     )
     return _table(words[0], notes, words[1], columns, head, body)
+
+
+def _why(found: Comparison) -> str:
+    """Say why numbers are doubtful, of several runs run by run."""
+    several = len({column.run for column in found.columns} - {""}) > 1
+    told = ("; ".join(why) + f" (in {run})" * several for run, why in found.reasons.items())
+    return f"because {'; '.join(told)}"
 
 
 def between_runs_latex(found: Sequence[PooledQuantity]) -> str:

@@ -16,6 +16,7 @@ from bayesfric.inference.fitting import Fit
 from bayesfric.inference.sampling import convergence
 from bayesfric.mechanism.derived import Derived, derive
 from bayesfric.report.summary.part import Described
+from bayesfric.report.text_templates import listed
 
 Array = NDArray[np.float64]
 
@@ -148,10 +149,12 @@ def _totals(fit: Fit) -> Group:
 
     # what a load loss adds is spread over the other terms, along each motion differently
     lossy = any(element.load_loss != "none" for element in fit.chain.elements)
+    bent = sorted({p.row.bent_by for p in fit.chain.parameters if p.row.bends}, reverse=True)
+    without = f", as a fit without {listed(bent)} would find it" if bent else ""
     found = []
     for i in wanted:
         unit, symbol, meaning = described[i]
-        meaning += ", as a fit without load losses would find it"
+        meaning += without
         told = {"gauge_free": True, "of_motion": lossy}
         found.append(Derived(names[i][1], unit, symbol, meaning, drawn[i], **told))
     return Group(found, values, most, (300, 3))

@@ -32,6 +32,7 @@ from bayesfric.report.summary.rows import (
     ReferenceRow,
     amperes,
 )
+from bayesfric.report.text_templates import reason
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -436,6 +437,12 @@ class Summary(Part):
             remembers and "asked_terms" in self.model_fields_set
         )
         return looked and not self.asked
+
+    @property
+    def reasons(self) -> list[str]:
+        """Why numbers are doubtful, each in one clause, for print."""
+        told = (reason(one.kind, one.model_dump()) for one in self.doubts if one.parameters)
+        return list(dict.fromkeys(told))
 
     @property
     def other_units(self) -> list[dict[str, Any]]:
