@@ -331,7 +331,7 @@ def test_only_what_has_gone_round_has_no_stops(square):
 
 
 def test_the_text_says_what_sds_and_default_limits_rest_on(knee):
-    told = {"written": None, "torque_unit": "N m", "position_unit": "rad"}
+    told = {"written": None, "path": "a.csv", "torque_unit": "N m", "position_unit": "rad"}
     text = "\n".join(page("advise.txt", found=knee, **told))
     assert "hold only if the model is right" in text
     assert text.index("hold only") < text.index("Best: ")
