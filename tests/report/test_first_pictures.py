@@ -12,7 +12,6 @@ from bayesfric.report.answers.record import Answers
 from bayesfric.report.answers.stretch import _gaps, stretch
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.page.run_page import run_page
-from bayesfric.report.page.status import glance
 from bayesfric.report.page.stretch import stretch_drawing
 from bayesfric.report.page.strip import strips
 from bayesfric.report.paper.tables import parameter_table
@@ -27,15 +26,6 @@ from .page_reader import read_page
 def made_strips(told):
     read = Summary.read(told)
     return strips(parameter_table(read).rows, comparison({"run": read}))
-
-
-def looked(told):
-    read = Summary.read(told)
-    return glance(parameter_table(read), read)
-
-
-def asked(found, **more):
-    return found | {"model_error": {"shown": False, "axes": []}} | more
 
 
 def test_strips_put_everything_on_one_axis():
