@@ -49,9 +49,9 @@ def untold(
 
     ``chain`` has the term, ``estimate`` is of its parameters, ``after`` and ``before`` are scores
     with the term and without: each must gain by itself, or a strong one would carry others along.
-    (By more than a standard error would lose one found term in thirty.) A value may be zero within its sds, as that
-    of a power of speed which goes with its exponent and a constant loss, where left-out motion is
-    predicted better by more than chance; see :func:`something`.
+    (By more than a standard error would lose one found term in thirty.) A value may be zero within
+    its sds, as that of a power of speed which goes with its exponent and a constant loss, where
+    left-out motion is predicted better by more than chance; see :func:`something`.
     """
     better, error = compared(after, before)
     if not (better > 0.0 and after.held_out < before.held_out):
