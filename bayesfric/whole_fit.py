@@ -53,6 +53,11 @@ class Beginning:
     choice: Choice | None  # how the order of the noise was chosen, where it was
     target: Target  # the log-posterior
 
+    @property
+    def searched(self) -> Estimate:
+        """The first estimate that tells every parameter; there always is one."""
+        return next(one for one in self.estimates if one.point)
+
 
 def whole_fit(
     model: Model,
@@ -123,8 +128,7 @@ def whole_fit(
 def _refuse_alike_losses(model: Model, begun: Beginning) -> None:
     """Refuse load losses of several elements that these recordings do not tell apart."""
     known = [name for name, prior in model.priors.items() if not prior.default]
-    found = next(e for e in begun.estimates if e.point)
-    if names := alike_losses(model.chain, found, known):
+    if names := alike_losses(model.chain, begun.searched, known):
         first, *_, last = names
         raise BadInput(
             f"{model.config.path}: mechanism.elements.{last.partition('.')[0]}.load_loss",
@@ -149,9 +153,8 @@ def _asked(model: Model, begun: Beginning, lacks: Explanation | None) -> Sequenc
         return lacks.asked
     if begun.choice is None or not begun.choice.asked.order:
         return ()
-    point = next(dict(e.point) for e in begun.estimates if e.point)
     with few_threads(model.observations):
-        return asked_for(model.evidence, point)
+        return asked_for(model.evidence, dict(begun.searched.point))
 
 
 def _structure(begun: Beginning, terms: Sequence[Term]) -> list[str]:
@@ -217,8 +220,7 @@ def _with_white_noise(
 
 def _with_known(summary: Summary, model: Model, begun: Beginning) -> Summary:
     """Put in by which factor of all torque it would agree with what is known, where it does not."""
-    point = next((dict(e.point) for e in begun.estimates if e.point), None)
-    factor = torque_factor(model.evidence, point) if point else None
+    factor = torque_factor(model.evidence, dict(begun.searched.point))
     if factor is None or not factor.matters:
         return summary
     told = {**vars(factor), "fixed": [*factor.fixed], "masses": [*factor.masses]}

@@ -16,6 +16,8 @@ from bayesfric.recordings.tables.reader import TableOptions
 from bayesfric.recordings.units import GUESSED, alternatives, sliding
 
 _DEFAULT = "motor-axis"
+# Other columns that are named, on the terminal as in the file.
+_MOST = 8
 # What no log tells, as a configuration wants it.
 _CONSTANTS = {
     "current": {"torque_constant": f"0.1 N m/A{GUESSED}"},
@@ -65,10 +67,6 @@ def configuration_from(
     }
 
 
-# Other columns that are named, on the terminal as in the file.
-_MOST = 8
-
-
 def guesses_text(found: dict[str, Any]) -> Iterator[str]:
     """List for a person what to look at before anything else is done."""
     if len(found["joints"]) > 1:
@@ -91,13 +89,11 @@ def _guesses(log: Log, slides: bool) -> Iterator[dict[str, Any]]:
     for one in log.chosen:
         if one.unit.endswith(GUESSED):
             plain = one.unit.removesuffix(GUESSED)
-            units = list(alternatives(plain))
-            sliding_too = (
-                {"if_it_slides": list(sliding(plain))} if slides and sliding(plain) else {}
-            )
             told: dict[str, Any] = {"key": f"{one.channel}.unit", "value": one.unit}
-            told |= {"why": one.why, "or": units}
-            yield told | sliding_too
+            told |= {"why": one.why, "or": list(alternatives(plain))}
+            if slides and (others := sliding(plain)):
+                told["if_it_slides"] = list(others)
+            yield told
         if one.others:
             columns = list(one.others[:_MOST])
             told = {"key": f"{one.channel}.column", "value": one.column, "why": one.why}

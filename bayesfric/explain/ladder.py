@@ -93,17 +93,6 @@ class Ladder:
         return self.rungs[-1]
 
 
-def climb(
-    chain: Joint,
-    observations: Sequence[Observation],
-    point: Mapping[str, float],
-    *,
-    progress: Callable[[str], None] = lambda _: None,
-) -> Ladder:
-    """Try every candidate beside a chain with these parameters, then the best with the others."""
-    return searched(chain, observations, point, progress=progress).climbed()
-
-
 def searched(
     chain: Joint,
     observations: Sequence[Observation],
@@ -157,9 +146,9 @@ class Search:
     weighed: dict[tuple[tuple[int, ...], ...], list[Trial]] = field(default_factory=dict)
 
     def climbed(self, without: Collection[str] = ()) -> Ladder:
-        """Climb, and leave out candidates of these settings."""
-        among = len(self.beside([]))
-        return _climbed(replace(self, without=without, weighed={}), among)
+        """Take the best, then the best with the others; candidates of some settings left out."""
+        search = replace(self, without=without, weighed={}) if without else self
+        return _climbed(search, len(self.beside([])))
 
     def at(self, chosen: Sequence[Trial]) -> list[int]:
         """Columns of the model with some terms."""
@@ -258,12 +247,11 @@ def _settled(search: Search, chosen: list[Trial], among: int) -> list[Trial]:
                 break
             # of what is one on these motions, the simplest
             best = trials[0]
-            if best.odds(among) > _ODDS:
+            if sure := best.odds(among) > _ODDS:
                 best = _simplest(search, others, best, trials, among)
             renamed = mine is best and mine.candidate.key != t.candidate.key
-            simpler = best.richness < mine.richness and best.odds(among) > _ODDS
-            better = best.odds(among) > _ODDS and mine.beaten_by(best) > _BETTER
-            if renamed or simpler or better:
+            better = best.richness < mine.richness or mine.beaten_by(best) > _BETTER
+            if renamed or (sure and better):
                 chosen = [*others, best]
                 break
         else:
@@ -311,9 +299,8 @@ def _trials(search: Search, taken: Sequence[Trial]) -> list[Trial]:
     weighed: dict[Key, list[tuple[Candidate, Gain, tuple[int, ...]]]] = {}
     beside = search.at(taken)
     for one, mine in zip(search.found, search.own, strict=True):
-        if one.place in having or mine in columns_of:
-            continue
-        if one.setting in search.without:
+        taken_up = one.place in having or mine in columns_of
+        if taken_up or one.setting in search.without:
             continue
         g = gain(search.columns, beside, mine, one.sign)
         if g.dimensions:

@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 # A prior with a sd below this share of its mean tells its parameter.
 _TELLING = 0.3
+# Where the losses are known, or sampled by themselves, coordinates are straight as they are.
+_STRAIGHT = ("one", "known")
 
 Scale = Literal[
     "place", "drive", "moment", "known leg", "known drive", "known back", "known", "single", "one"
@@ -155,7 +157,7 @@ class GearboxCoordinates:
         Shares give way to what is missing of the leg's torques when the load drives, and ``m`` to
         that of the first torque that is only behind the loss.
         """
-        if self._scale in ("one", "known"):  # straight as they are
+        if self._scale in _STRAIGHT:
             return u, np.zeros(len(u))
         v = u.copy()
         felt, places, m_at = self._parts(u)
@@ -168,7 +170,7 @@ class GearboxCoordinates:
 
     def bend(self, v: Array) -> Array:
         """Undo :meth:`straighten`; not finite where there is nothing to go back to."""
-        if self._scale in ("one", "known"):
+        if self._scale in _STRAIGHT:
             return v
         u = v.copy()
         felt, missing, m_at = self._parts(v)

@@ -25,6 +25,9 @@ Array = NDArray[np.float64]
 _UNITS = TOTALS["gravity"].units
 _WEIGHT = Quantity("gravity", _UNITS, "G_{{{}}}", "gravity torque", lower=-math.inf)
 _WEIGHT_TURNED = Quantity("gravity_size", _UNITS, "G_{{{}}}", "size of the gravity torque")
+WEIGHTS = (_WEIGHT.name, _WEIGHT_TURNED.name)
+# Constant losses that an efficiency counts, and the share of each in the mean of both directions.
+_CONSTANT = {"coulomb": 1.0, "coulomb_positive": 0.5, "coulomb_negative": 0.5}
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,9 +244,6 @@ def _not_counted(chain: Joint, name: str) -> str:
     before = names[: names.index(name)]
     more = f" and all that stands before it ({', '.join(before)})" if before else ""
     return f"viscous loss{more} not counted"
-
-
-_CONSTANT = {"coulomb": 1.0, "coulomb_positive": 0.5, "coulomb_negative": 0.5}
 
 
 def _constant_loss(chain: Joint, name: str, at: dict[str, Array]) -> Array:

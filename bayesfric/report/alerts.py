@@ -130,8 +130,7 @@ def _of_model(
     summary: Summary, contested: Sequence[str]
 ) -> Iterator[tuple[str, Mapping[str, Any], str]]:
     """Kind, values and section of what may be wrong with model and noise."""
-    error = summary.model_error
-    allowed = error is not None and error.shown
+    error, allowed = summary.model_error, summary.widened
     for kind, sure in (("lacks", True), ("may lack", False)):
         if lacks := [one for one in summary.fit.lacks if one.sure is sure]:
             beside = any(one.sure for one in summary.fit.lacks) and not sure

@@ -11,7 +11,7 @@ from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.methods import Given
 from bayesfric.explain.candidates import Candidate, candidates
 from bayesfric.explain.explanation import asked_for
-from bayesfric.explain.ladder import climb, searched
+from bayesfric.explain.ladder import searched
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS
 from tests.axis import AXIS, VALUES
@@ -25,7 +25,7 @@ def keys(ladder):
 def test_nothing_is_found_where_nothing_is_missing(make_observation, seed):
     """At most one of twenty by Markov's inequality; in practice far fewer."""
     o = make_observation(AXIS, VALUES, sigma=0.05, n=3000, factor=5, seed=seed)
-    assert keys(climb(AXIS, [o], VALUES)) == []
+    assert keys(searched(AXIS, [o], VALUES).climbed()) == []
 
 
 @pytest.mark.parametrize(
@@ -62,7 +62,7 @@ def test_what_is_missing_is_found_first(make_observation, key, options, values):
     true = bf.Joint([motor], load=AXIS.load, offset=True)
     known = {name: (VALUES | values)[name] for name in true.names}
     o = make_observation(true, known, sigma=0.02, n=6000, factor=5, amplitude=1.5)
-    found = climb(AXIS, [o], VALUES)
+    found = searched(AXIS, [o], VALUES).climbed()
     first = found.rungs[1].added
     same = [first.candidate, *first.others]
     assert key in [c.key for c in same] + [t.candidate.key for t in found.rungs[1].rivals]
@@ -99,7 +99,7 @@ def test_of_two_that_do_the_same_the_simpler_is_named(make_observation):
     true = bf.Joint(bare.elements, load=bf.Load(first_moment=True))
     values = {name: VALUES[name] for name in true.names}
     o = make_observation(true, values, sigma=0.02, n=4000, factor=5, amplitude=0.8)
-    found = climb(bare, [o], {name: VALUES[name] for name in bare.names})
+    found = searched(bare, [o], {name: VALUES[name] for name in bare.names}).climbed()
     assert keys(found)[0] == ("load", "first_moment", "True")
 
 

@@ -107,7 +107,8 @@ def told_by_runs(
 
 def _told(row: PosteriorRow) -> bool:
     """Whether the data determine it: also what is doubted, for other reasons than its prior."""
-    return "data" in (row.verdict, row.undoubted or ("data" if row.doubted else None))
+    # older files do not tell what else would be said of what is doubted
+    return (row.undoubted or ("data" if row.doubted else row.verdict)) == "data"
 
 
 def _likelihood(

@@ -285,7 +285,7 @@ def _columns(run: str, summary: Summary, *, alone: bool, estimates: bool) -> Ite
             + (f"; its residuals' lag-1 correlation is {lag:.2f}" if lag is not None else ""),
             summary.fit.residual_rms,
             summary.fit.unit,
-            summary.model_error is not None and summary.model_error.shown,
+            summary.widened,
         )
 
 
@@ -298,9 +298,9 @@ def _cells(column: Column, summary: Summary) -> Iterator[tuple[str, Cell]]:
         return
     if column.method is not None:
         estimate = summary.estimates[column.method]
+        bent = _bent(summary) if column.method == "least-squares" else []
         for name, value in estimate.parameters.items():
             cell = estimate_cell(value, estimate.converged)
-            bent = _bent(summary) if column.method == "least-squares" else []
             if bent and name in summary.parameters:
                 cell = replace(cell, alike=False, remark=cell.remark or _OF_ALL % listed(bent))
             yield name, cell

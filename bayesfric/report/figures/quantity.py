@@ -83,10 +83,9 @@ def combinations(fit: Fit) -> list[Quantity]:
 
 def which_posterior(summary: Summary) -> str:
     """Say of which posterior figures are whose intervals stand in the tables, where it matters."""
-    error, corrected = summary.model_error, cited(summary)
-    wide = error is not None and error.shown
-    words = " Densities and intervals have room for the model's error, as in the tables." * wide
-    if corrected:
+    wide = " Densities and intervals have room for the model's error, as in the tables."
+    words = wide if summary.widened else ""
+    if corrected := cited(summary):
         words += f" Not corrected for bias, as the tables are: {', '.join(corrected)}."
     return words
 

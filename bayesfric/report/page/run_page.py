@@ -48,6 +48,7 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
     judged = JudgedRun(read, table, methods)
     found, answers = findings(table, read), read_answers(folder)
     made = strips([*found["known"], *found["limits"]], methods)
+    cite = to_cite(read) or {}
     captions = read_captions(_text(folder / "text" / "captions.md"))
     return render(
         "run.html.j2",
@@ -76,8 +77,8 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         if read.self_check and read.self_check.reason
         else "",
         cite=cite_sentence(read),
-        which_to_cite=(to_cite(read) or {}).get("which"),
-        corrections=(to_cite(read) or {}).get("rows", {}),
+        which_to_cite=cite.get("which"),
+        corrections=cite.get("rows", {}),
         biased=biased(read),
         white_wider=white_wider(read),
         methods_text=_text(folder / "text" / "methods.txt").strip(),
@@ -88,12 +89,11 @@ def _law(told: Calculator | None, table: ParameterTable) -> dict[str, Any] | Non
     """Give what the calculator is worded from, and what its script reads."""
     if told is None:
         return None
-    error = table.summary.model_error
     return {
         **told.model_dump(),
         "text": json.dumps(told.as_dict(), allow_nan=False),
         "draws": max((len(x) for x in told.values if isinstance(x, list)), default=1),
-        "widened": error is not None and error.shown,
+        "widened": table.summary.widened,
         "unsettled": any(row.by == "open" for row in table.joint),
         "doubted": "wrong"
         if table.summary.unexplained

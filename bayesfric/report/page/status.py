@@ -81,7 +81,7 @@ def _known(settled: Sequence[str], combined: int) -> Kind:
 def _against(summary: Summary) -> list[str]:
     found = {
         **{kind: any(doubt.kind == kind for doubt in summary.doubts) for kind in OF_MECHANISM},
-        "error": summary.model_error is not None and summary.model_error.shown,
+        "error": summary.widened,
         "lacks": any(lack.sure for lack in summary.fit.lacks),
         "held-out": summary.validation is not None and not summary.validation.pooled.fine,
         "roll-out": summary.rollout is not None and roll_out_doubt(summary.rollout) is not None,

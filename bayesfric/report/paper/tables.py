@@ -185,7 +185,7 @@ class ParameterTable:
             rows=self.rows,
             reasons=self.summary.reasons,
             level=self.level,
-            wide=self.summary.model_error is not None and self.summary.model_error.shown,
+            wide=self.summary.widened,
             sampler=self.summary.sampler,
             correlated=correlation_warning(self.summary),
             marked=marked,

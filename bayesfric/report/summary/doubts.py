@@ -20,6 +20,7 @@ from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.inference.model_error import wanted_outputs
+from bayesfric.mechanism.derived import WEIGHTS
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import effort_words
 from bayesfric.mechanism.presets import PRESETS
@@ -274,7 +275,7 @@ def _turning(turn: OnceATurn | None) -> Iterator[dict[str, Any]]:
 
 def _turned(told: Sequence[str], moved: Mapping[str, float]) -> list[str]:
     """Name what makes up gravity, or one of the other totals that have moved."""
-    return _moved(told, ("gravity", "gravity_size", *moved))
+    return _moved(told, (*WEIGHTS, *moved))
 
 
 def _moved(told: Sequence[str], moved: Iterable[str]) -> list[str]:

@@ -137,9 +137,8 @@ def correlation_warning(summary: Summary) -> str | None:
     robust = max(ratios, default=0.0) > 1.0
     # the factor of a first-order autoregression
     times = max(ratios) if robust else np.sqrt((1.0 + lag) / (1.0 - min(lag, 0.99)))
-    error = summary.model_error
-    allowed = error is not None and error.shown
-    values = {"memory": memory, "lag": lag, "times": times, "robust": robust, "allowed": allowed}
+    values = {"memory": memory, "lag": lag, "times": times, "robust": robust}
+    values["allowed"] = summary.widened
     return sentence("independent", values)
 
 

@@ -137,8 +137,7 @@ def to_cite(summary: Summary) -> dict[str, Any] | None:
     rows = {name: row for name, row in off.items() if _corrects(summary.rows[name], row)}
     if not rows:
         return None
-    allowed = summary.model_error is not None and summary.model_error.shown
-    told = summary.rows
+    allowed, told = summary.widened, summary.rows
     moved = max(abs(r.bias) * told[n].sd / (told[n].told_sd or np.inf) for n, r in rows.items())
     which = "corrected" if not allowed else "both" if moved > BIASED else "tables"
     doubted = any(told[name].doubted for name in rows)
@@ -194,8 +193,7 @@ def self_check_lines(summary: Summary) -> Iterator[str]:
     """Word it for a terminal, line by line."""
     if (check := summary.self_check) is not None:
         why = sentence("no self-check", check.model_dump()) if check.reason else ""
-        allowed = summary.model_error is not None and summary.model_error.shown
-        told = {"check": check, "why": why, "off": off_rows(summary), "allowed": allowed}
+        told = {"check": check, "why": why, "off": off_rows(summary), "allowed": summary.widened}
         told["cite"] = cite_sentence(summary)
         told["corrected"] = (to_cite(summary) or {}).get("rows", {})
         told["doubted"] = {name for name, row in summary.rows.items() if row.doubted}
