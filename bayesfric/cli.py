@@ -20,7 +20,7 @@ import bayesfric
 from bayesfric.errors import BadInput, Interrupted
 from bayesfric.estimates.methods import ESTIMATORS
 from bayesfric.progress import Spent, progress_shown
-from bayesfric.threads import LINEAR_ALGEBRA
+from bayesfric.threads import QUIET
 
 if TYPE_CHECKING:
     from bayesfric.config import Config
@@ -552,8 +552,8 @@ def main() -> None:
     if not sys.warnoptions:
         # libraries' remarks to programmers; python -W brings them back
         warnings.simplefilter("ignore")
-    for name in LINEAR_ALGEBRA:
-        os.environ.setdefault(name, "1")  # before NumPy is there to read it
+    for name, value in QUIET.items():
+        os.environ.setdefault(name, value)  # before NumPy is there to read it
     try:
         app(prog_name="bayesfric")
     except BadInput as error:

@@ -10,6 +10,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
+from threadpoolctl import threadpool_limits
 
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import least_squares, starting_values
@@ -215,7 +216,7 @@ def bounded_step(
 
 @contextmanager
 def few_threads(observations: Sequence[Observation]) -> Iterator[None]:
-    """Keep the compiled kernels to one thread while recordings are short.
+    """Keep linear algebra to one thread, and compiled kernels while recordings are short.
 
     Between many short calls the threads of the kernels and those of linear algebra wait
     for each other: on two busy cores that was measured to cost thirty times the work.
@@ -224,6 +225,7 @@ def few_threads(observations: Sequence[Observation]) -> Iterator[None]:
     if sum(o.q.size for o in observations) < _SAMPLES:
         numba.set_num_threads(1)
     try:
-        yield
+        with threadpool_limits(1, "blas"):
+            yield
     finally:
         numba.set_num_threads(before)

@@ -38,8 +38,9 @@ Array = NDArray[np.float64]
 RADIUS = 12.0
 # Coefficients beyond this are left to the plain evaluation, which overflows where it does.
 _LARGEST = 1e100
-# Operations in one call below which starting threads costs more than it saves.
-_WORTH_THREADS = 300_000
+# Operations in one call, about as many ns, below which threads cost more than they save: where
+# another process has the second core, one that starts on it waits for some ms.
+_WORTH_THREADS = 10_000_000
 # Kept samples whose signs are looked at in one go.
 _LOOK = 128
 # Neighbouring kept outputs that are marked together.

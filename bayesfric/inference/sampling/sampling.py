@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from scipy import stats
+from threadpoolctl import threadpool_limits
 
 from bayesfric.inference.posterior import Diagnostics, Posterior, Status
 from bayesfric.inference.sampling import convergence
@@ -65,7 +66,7 @@ class Sampling(BaseModel):
         ge=8,
         le=10_000,
         description="walkers in each ensemble; default 3 for each parameter, at least 32, or "
-        "128 where the likelihood is cheap",
+        "64 where the likelihood is cheap",
     )
     min_ess: float = Field(
         4000.0,
@@ -132,7 +133,7 @@ def sample(
     began = time.perf_counter() - (checkpoint.seconds if checkpoint else 0.0)
     d = target.dimension
     # emcee refuses fewer than two walkers a dimension
-    least = 128 if target.likelihood.cheap else 32
+    least = 64 if target.likelihood.cheap else 32
     walkers = max(settings.walkers or max(least, 3 * d), 2 * d)
     walkers += walkers % 2
     for_emcee, for_starts = np.random.SeedSequence(settings.seed).spawn(2)
@@ -156,18 +157,20 @@ def sample(
         search = _straight(target, moves[1][0], positions)
         moves = [(learning, 0.25), (straight, 0.25), (moves[1][0], 0.25), (search, 0.25)]
     warm = _Ensembles(target, moves, positions, random, checkpoint, "warm-up")
-    half, settled = _warm_up(warm, learning, straight, settings, rng, progress)
-    # Where the posterior really lies, a likelihood can be prepared best.
-    states = half.reshape(-1, d)
-    target = target.prepared(states[:: max(1, len(states) // 500)])
-    frozen = _learned(target, half, warm, last=True)
-    search = DifferentialEvolutionMove(settings.ensembles)
-    moves = [(frozen, 1.0 - _OTHERWISE), (search, _OTHERWISE)]
-    if target.coordinates.bends and isinstance(frozen, IndependenceMove):
-        moves = [(move, share / 2.0) for move, share in moves]
-        moves += [(_straight(target, move, half), share) for move, share in moves]
-    main = _Ensembles(target, moves, warm.positions(), random, checkpoint, "sampling")
-    look = _walk(main, settings, settings.max_steps - warm.steps, progress)
+    # threads that share a small matrix wait for each other: on two busy cores seven times the work
+    with threadpool_limits(1, "blas"):
+        half, settled = _warm_up(warm, learning, straight, settings, rng, progress)
+        # Where the posterior really lies, a likelihood can be prepared best.
+        states = half.reshape(-1, d)
+        target = target.prepared(states[:: max(1, len(states) // 500)])
+        frozen = _learned(target, half, warm, last=True)
+        search = DifferentialEvolutionMove(settings.ensembles)
+        moves = [(frozen, 1.0 - _OTHERWISE), (search, _OTHERWISE)]
+        if target.coordinates.bends and isinstance(frozen, IndependenceMove):
+            moves = [(move, share / 2.0) for move, share in moves]
+            moves += [(_straight(target, move, half), share) for move, share in moves]
+        main = _Ensembles(target, moves, warm.positions(), random, checkpoint, "sampling")
+        look = _walk(main, settings, settings.max_steps - warm.steps, progress)
 
     wanted = max(_KEPT_DRAWS, 2 * int(settings.min_ess))
     thin = min(max(1, main.steps * walkers * settings.ensembles // wanted), main.steps)

@@ -59,6 +59,8 @@ def self_check_part(fit: Fit, summary: Summary, checked: Checked, derived: Group
     rows = {}
     for errors in _errors(fit, checked, derived):
         row = summary.rows[errors.name]
+        if row.of_motion:  # no table shows it
+            continue
         if row.sd > 0.0 and np.isfinite(errors.missed).sum() >= max(2.0, 0.5 * made):
             limits = support.get(errors.name, (-np.inf, np.inf))
             rows[errors.name] = _row(row, errors, unexplained, limits)
