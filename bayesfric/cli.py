@@ -236,7 +236,7 @@ def explain(
         found = model.explain(progress=progress)
     if path is not None:
         write_figure(found, path)
-    _print(explain_record(found, model), as_json, explain_text(found))
+    _print(explain_record(found, model), as_json, explain_text(found, model))
 
 
 @app.command()

@@ -16,7 +16,7 @@ from bayesfric.estimates.descent import few_threads
 from bayesfric.estimates.methods import ESTIMATORS, estimate_by
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.estimates.torque_factor import torque_factor
-from bayesfric.explain.explanation import Explanation, Term, asked_for
+from bayesfric.explain.explanation import Explanation, Term, asked_for, few_outputs
 from bayesfric.identifiability.identification import identify
 from bayesfric.identifiability.plausible import Point
 from bayesfric.identifiability.sentences import plain
@@ -108,10 +108,11 @@ def whole_fit(
         doubts += self_check_doubts(summary)
     summary = put_doubts(summary, doubts)
     progress(Progress("identifiability"))
-    terms = _asked(model, begun, lacks)
+    terms = _asked(model, begun, lacks, summary)
     update: dict[str, Any] = {
-        "warnings": [*summary.warnings, *begun.missing, *_structure(begun, terms)],
-        "asked_terms": list(terms),
+        "warnings": [*summary.warnings, *begun.missing, *_structure(begun, terms or ())],
+        "asked_terms": terms if terms is None else list(terms),
+        "too_few_to_ask": few_outputs(model.evidence),
         # nothing in a file of samples tells; the configuration may
         "may_be_simulated": _may_be_simulated(model),
     }
@@ -147,12 +148,15 @@ def _may_be_simulated(model: Model) -> bool:
     return there or (told is not None and bool(told.model_fields_set))
 
 
-def _asked(model: Model, begun: Beginning, lacks: Explanation | None) -> Sequence[Term]:
-    """Find terms that would explain what the model leaves, where what it leaves remembers."""
+def _asked(
+    model: Model, begun: Beginning, lacks: Explanation | None, summary: Summary
+) -> Sequence[Term] | None:
+    """Find terms that would explain what the model leaves, where that is no noise."""
     if lacks is not None:
         return lacks.asked
-    if begun.choice is None or not begun.choice.asked.order:
-        return ()
+    remembers = begun.choice is not None and begun.choice.asked.order
+    if few_outputs(model.evidence) or not (remembers or summary.fit.lacks or summary.unexplained):
+        return None
     with few_threads(model.observations):
         return asked_for(model.evidence, dict(begun.searched.point))
 

@@ -9,11 +9,12 @@ from typing import Any
 from bayesfric.errors import BadInput
 from bayesfric.explain.explanation import Explanation, Number
 from bayesfric.model import Model
+from bayesfric.report.alerts import doubt_text
 from bayesfric.report.figures.ladder import ladder_figure
 from bayesfric.report.figures.style import save
 from bayesfric.report.files import parents_made, unwritable
 from bayesfric.report.numbers import text_value
-from bayesfric.report.summary.doubts import pushed_doubts
+from bayesfric.report.summary.doubts import little_explained, pushed_doubts
 from bayesfric.report.text_templates import filled, sentence
 
 
@@ -45,14 +46,19 @@ def write_figure(found: Explanation, path: Path) -> None:
         raise unwritable(path, error, "file") from None
 
 
-def explain_text(found: Explanation) -> list[str]:
+def explain_text(found: Explanation, model: Model) -> list[str]:
     """Word an explanation for a person: first the answer and what to write, then the tables."""
+    # what would mend it comes first, where it was found
+    wrong = [] if found.asked else little_explained(model.chain, model.observations)
     text = filled(
         "explain.txt.j2",
         found=found,
-        pushed=[
-            sentence("pushed", one)
-            for one in pushed_doubts(found.pushed, found.unit, lacking=bool(found.asked))
+        warnings=[
+            *(
+                sentence("pushed", one)
+                for one in pushed_doubts(found.pushed, found.unit, lacking=bool(found.asked))
+            ),
+            *(doubt_text({**one, "none_asked": True}) for one in wrong),
         ],
         rungs=[m for m in found.models if not m.rival],
         value=_value,

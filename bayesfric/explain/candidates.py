@@ -25,6 +25,8 @@ _PERIODS = 2.0
 # An inertia elsewhere is one with that which is there; the unknown offset and delay of a whole
 # chain have their own checks.
 _LEFT_OUT = frozenset({"inertia"})
+# What most joints have: gravity, and the offset of a drive's current.
+_USUAL = frozenset({"first_moment", "gravity_angle", "offset"})
 # Options of a load that come with another one: a real arm does not hang at zero.
 _ON_TOP = {"gravity_angle": "first_moment"}
 
@@ -63,6 +65,11 @@ class Candidate:
         would pass for anything.
         """
         return ("" if self.option == "load_loss" else self.owner), self.option
+
+    @property
+    def usual(self) -> bool:
+        """Whether most joints have it."""
+        return self.option in _USUAL
 
     @property
     def key(self) -> Key:

@@ -2,9 +2,9 @@
 
 The noise is told from what is left when everything that any candidate could take is taken: a
 memory then cannot take what a term explains. Where that leaves next to nothing, as of few outputs,
-it would be a noise beside which any term is sure; then it is what the model as it is leaves, which
-is too much where a term is missing: fewer are found, none too many. One noise serves all models,
-so that their scores compare.
+it would be a noise beside which any term is sure; then it is what the model with the few terms that
+most joints have leaves, which is too much where another is missing: fewer are found, none too many.
+One noise serves all models, so that their scores compare.
 """
 
 from __future__ import annotations
@@ -89,16 +89,25 @@ class Columns:
 
 
 def prepared(
-    base: Array, others: Array, target: Array, observations: Sequence[Observation]
+    base: Array,
+    others: Array,
+    target: Array,
+    observations: Sequence[Observation],
+    usual: NDArray[np.bool_],
 ) -> Columns:
-    """Whiten ``base`` ``(n, d)``, ``others`` ``(n, m)`` and ``target`` ``(n,)`` by one noise."""
+    """Whiten ``base`` ``(n, d)``, ``others`` ``(n, m)`` and ``target`` ``(n,)`` by one noise.
+
+    ``usual`` ``(m,)``: those of ``others`` that most joints have.
+    """
     raw = np.column_stack([_basis(base), _unit(others), target])
     ends = np.cumsum([o.measured.size for o in observations])[:-1]
     runs = [follows(o) for o in observations]
     first = raw.shape[1] - 1 - others.shape[1]
-    taking, whole = raw.shape[1] - 1, _basis(raw[:, :-1])
-    if target.size - whole.shape[1] < _FREE:
-        taking, whole = first, _basis(raw[:, :first])
+    taking = np.arange(raw.shape[1] - 1)
+    for fewer in (np.append(taking[:first], first + np.flatnonzero(usual)), taking[:first]):
+        if target.size - _basis(raw[:, taking]).shape[1] < _FREE:
+            taking = fewer
+    whole = _basis(raw[:, taking])
     left = target - whole @ (whole.T @ target)
     memory = _memory(np.split(left, ends), runs, target.size)
     white = np.concatenate(
@@ -107,7 +116,7 @@ def prepared(
             for part, f in zip(np.split(raw, ends), runs, strict=True)
         ]
     )
-    basis = _basis(white[:, :taking])
+    basis = _basis(white[:, taking])
     rest = white[:, -1] - basis @ (basis.T @ white[:, -1])
     variance = float(rest @ rest) / max(target.size - basis.shape[1], 1)
     folds, names = _folds(observations)

@@ -166,10 +166,18 @@ class Explanation:
 _ENOUGH = 50
 
 
+def few_outputs(given: Given) -> bool:
+    """Whether there are too few outputs to look for anything."""
+    return sum(o.measured.size for o in given.observations) < _wanted(given)
+
+
+def _wanted(given: Given) -> int:
+    return 2 * len(given.chain.names) + _ENOUGH
+
+
 def asked_for(given: Given, point: Mapping[str, float]) -> tuple[Term, ...]:
     """Look only for the terms that the recordings ask for; see :func:`explain`."""
-    found = _found(given, point)
-    return () if found is None else found.asked
+    return _found(given, point).asked
 
 
 def explain(
@@ -185,14 +193,16 @@ def explain(
     BadInput
         If there are too few outputs.
     """
-    found = _found(given, point, progress)
-    if found is None:
+    if few_outputs(given):
         outputs = sum(o.measured.size for o in given.observations)
+        lasted = sum(float(o.stamps[-1] - o.stamps[0]) for o in given.observations)
+        wanted = _wanted(given)
         raise BadInput(
             ", ".join(f"recording {o.name!r}" for o in given.observations),
-            f"{outputs} outputs are too few to tell what a model lacks",
-            "record longer, or with a wider band",
+            f"{outputs} outputs are too few to tell what a model lacks, which takes {wanted}",
+            f"record {lasted * wanted / outputs:.2g} s of such motion, or give several recordings",
         )
+    found = _found(given, point, progress)
     progress("values under every model")
     ladder, estimates = found.ladder, found.estimates
     first = ladder.rungs[0].score
@@ -267,11 +277,8 @@ def _found(
     given: Given,
     point: Mapping[str, float],
     progress: Callable[[str], None] = lambda _: None,
-) -> _Found | None:
-    """Climb, and climb anew without each term whose value is not told; None for too few outputs."""
-    outputs = sum(o.measured.size for o in given.observations)
-    if outputs < 2 * len(given.chain.names) + _ENOUGH:
-        return None
+) -> _Found:
+    """Climb, and climb anew without each term whose value is not told."""
     search = searched(given.chain, given.observations, point, progress=progress)
     without: list[tuple[Trial, Reason]] = []
     estimates: dict[tuple[str, ...], Estimate] = {}

@@ -117,7 +117,8 @@ def searched(
     found, blocks = [found[k] for k in seen], [blocks[k] for k in seen]
     progress("held-out motion")
     others = np.concatenate(blocks, axis=1) if blocks else np.empty((target.size, 0))
-    columns = prepared(base, others, target, observations)
+    usual = np.repeat([one.usual for one in found], [block.shape[1] for block in blocks])
+    columns = prepared(base, others, target, observations, usual.astype(np.bool_))
     first = columns.white.shape[1] - 1 - others.shape[1]
     ends = first + np.cumsum([0] + [block.shape[1] for block in blocks])
     own = [tuple(range(a, b)) for a, b in pairwise(ends.tolist())]

@@ -92,7 +92,7 @@ def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:
     """
     found = [Alert("sampler", text, "sampling", first=True) for text in summary.sampler.problems]
     for doubt in summary.doubts:
-        text = doubt_text(doubt.model_dump() | {"none_asked": summary.none_asked})
+        text = doubt_text(doubt.model_dump() | summary.asking)
         found.append(Alert(doubt.kind, text, "noise", first=True))
     error = summary.model_error
     if error is not None and error.shown:
@@ -135,7 +135,7 @@ def _of_model(
         if lacks := [one for one in summary.fit.lacks if one.sure is sure]:
             beside = any(one.sure for one in summary.fit.lacks) and not sure
             said = {"lacks": lacks, "allowed": allowed, "beside": beside}
-            yield kind, {**said, "none_asked": summary.none_asked}, "prediction"
+            yield kind, {**said, **summary.asking}, "prediction"
     test = summary.noise.innovation_whiteness
     if test is not None and not test.white:
         yield "not white", test.model_dump() | {"allowed": allowed}, "noise"

@@ -137,6 +137,7 @@ def test_the_noise_of_all_models_is_what_every_candidate_leaves(make_observation
         noise[k] = 0.6 * noise[k - 1] + drawn[k]
     # the term that is missing is slow: a memory told before it would be longer
     slow = 20.0 * np.sin(np.arange(6000) / 300.0)
-    found = prepared(base, np.column_stack([others, slow]), slow + noise, [o])
+    usual = np.zeros(4, dtype=bool)
+    found = prepared(base, np.column_stack([others, slow]), slow + noise, [o], usual)
     assert found.memory[0] == pytest.approx(0.6, abs=0.04)
     assert found.variance == pytest.approx(1.0, abs=0.06)

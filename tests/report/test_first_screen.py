@@ -268,7 +268,7 @@ def of_wrong_mechanism(told, kind, **more):
 
 @pytest.mark.parametrize("told", [knee, loaded])
 @pytest.mark.parametrize("kind", ["unexplained", "memory"])
-@pytest.mark.parametrize("asked_terms", [[], [GRAVITY]])
+@pytest.mark.parametrize("asked_terms", [None, [GRAVITY]])
 def test_a_wrong_mechanism_comes_before_every_experiment(tmp_path, told, kind, asked_terms):
     right = read_page(run_page(tmp_path, asked(told()), "run"))
     page = read_page(
@@ -345,9 +345,15 @@ def test_where_no_term_is_found_nobody_is_sent_to_look_again(tmp_path):
     _, text = following(told | {"asked_terms": [GRAVITY], "doubts": []})
     assert "Add what these recordings ask for, and fit again: gravity" in text
     assert "--advise" in text
-    told["noise"] |= {"order_chosen_from": []}
-    _, text = following(told)
+    _, text = following(told | {"asked_terms": None})
     assert "tries every term" in text
+    # nor is anybody sent where nothing would be answered
+    few = told | {"asked_terms": None, "too_few_to_ask": True}
+    _, text = following(few | {"model_error": None, "doubts": []})
+    assert "wants more outputs" in text
+    lines = "\n".join(fit_text(few))
+    assert "these outputs are too few to tell" in lines
+    assert "tries what it may" not in lines
 
 
 def test_of_another_motion_the_page_promises_what_was_measured(tmp_path):

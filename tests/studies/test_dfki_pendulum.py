@@ -4,6 +4,8 @@ import json
 
 import pytest
 
+from bayesfric.config import read_config
+from bayesfric.model import Model
 from tests.conftest import REPOSITORY, imported
 
 FOLDER = REPOSITORY / "studies" / "dfki-pendulum"
@@ -46,3 +48,23 @@ def test_the_committed_result_says_so_of_every_recording(study):
     for name, found in result.items():
         row = found["parameters"]["load.first_moment"]
         assert right_or_not_data(row, study.CAD.get(name, 0.304)), name
+
+
+@pytest.mark.parametrize("file", ["es500", "sac"])
+def test_a_pendulum_fitted_as_a_plain_axis_lacks_gravity(real_data, tmp_path, file):
+    """Measured. Its weight is most of the torque, and slow: no noise with a memory."""
+    config = tmp_path / "axis.toml"
+    config.write_text(
+        f"""[mechanism]
+preset = "motor-axis"
+
+[[recordings]]
+file = "{real_data}/dfki-pendulum/{file}.csv"
+time = {{ column = "time", unit = "s" }}
+position = {{ column = "position", unit = "rad" }}
+velocity = {{ column = "velocity", unit = "rad/s" }}
+torque = {{ column = "torque", unit = "N m" }}
+"""
+    )
+    asked = Model.from_config(read_config(config)).explain().asked
+    assert "mechanism.load.first_moment = true" in (asked[0].setting, *asked[0].also)

@@ -61,7 +61,7 @@ def findings(table: ParameterTable, summary: Summary) -> dict[str, Any]:
         # whether another mechanism comes before anything else, and what the recordings ask for
         "wrong": summary.mechanism_doubted,
         "unexplained": summary.unexplained,
-        "none_asked": summary.none_asked,
+        **summary.asking,
         "units": summary.other_units,
         "asked": summary.asked,
         # where the order was chosen, auto itself found that no memory helps

@@ -375,7 +375,8 @@ class Summary(Part):
     self_check: SelfCheck | None = None
     model_error: ModelError | None = None
     explanation: ReadExplanation | None = None
-    asked_terms: list[ReadTerm] = Field(default_factory=list)
+    asked_terms: list[ReadTerm] | None = None  # none where nobody looked
+    too_few_to_ask: bool = False  # outputs, for a look
     rollout: RollOutPart | None = None
     doubts: list[Doubt] = Field(default_factory=list)
     may_be_simulated: bool | None = None
@@ -430,13 +431,13 @@ class Summary(Part):
     @property
     def none_asked(self) -> bool:
         """Whether terms that the model may lack were looked for, and none was found."""
-        # looked for where what is left remembers
-        tried = self.noise.order_chosen_from
-        remembers = bool(tried) and min(tried, key=lambda one: one.bic).order > 0
-        looked = self.explanation is not None or (
-            remembers and "asked_terms" in self.model_fields_set
-        )
+        looked = self.explanation is not None or self.asked_terms is not None
         return looked and not self.asked
+
+    @property
+    def asking(self) -> dict[str, bool]:
+        """What a sentence has to know that sends to ``bayesfric explain``."""
+        return {"none_asked": self.none_asked, "too_few": self.too_few_to_ask}
 
     @property
     def reasons(self) -> list[str]:
@@ -453,7 +454,7 @@ class Summary(Part):
     @property
     def asked(self) -> Sequence[Term]:
         """Terms that the recordings ask for, the strongest first, as far as that was looked for."""
-        return self.explanation.asked if self.explanation else self.asked_terms
+        return self.explanation.asked if self.explanation else self.asked_terms or ()
 
     @property
     def rows(self) -> dict[str, PosteriorRow]:
