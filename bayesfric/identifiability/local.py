@@ -202,16 +202,17 @@ def verdict(posterior_sd: float, prior_sd: float, data_sd: float) -> Verdict:
 
     ``data``: the posterior is about as wide as the data alone would leave it and
     at most half as wide as the prior. ``prior``: the data alone would leave it
-    more than twice as wide as the posterior is, or they left the prior as it was.
-    ``weak``: in between, or the posterior is much wider than the local picture
-    says, as where it is curved or has several peaks. An infinite or undefined prior sd
-    counts as very wide; ``data_sd`` is from :func:`local_information`.
+    more than twice as wide as the posterior is, and more than half as wide as the prior or five
+    times as wide as the posterior; or they left the prior as it was. ``weak``: in between, as where
+    bounds of others help, or the posterior is much wider than the local picture says, as where it
+    is curved or has several peaks. An infinite or undefined prior sd counts as very wide; ``data_sd`` is from
+    :func:`local_information`.
     """
     if not data_sd > 0.0 or not posterior_sd > 0.0:  # also where it is no number
         return "prior"
-    left = posterior_sd / prior_sd if np.isfinite(prior_sd) and prior_sd > 0 else 0.0
-    share = posterior_sd / data_sd
-    if share < 0.5 or left > 0.9:
+    width = prior_sd if np.isfinite(prior_sd) and prior_sd > 0 else np.inf
+    left, share = posterior_sd / width, posterior_sd / data_sd
+    if left > 0.9 or share < (0.5 if data_sd > 0.5 * width else 0.2):
         return "prior"
     return "data" if 0.85 < share < 1.5 and left < 0.5 else "weak"
 

@@ -88,6 +88,9 @@ def test_sds_of_a_linear_model_are_least_squares(make_observation):
         (0.95, 1.0, 3.0, "prior"),
         (0.1, 10.0, np.inf, "prior"),  # bounded by something else than data or prior width
         (0.7, 1.0, 1.0, "weak"),
+        (0.3, 10.0, 1.0, "weak"),  # the data alone tell it, bounds of others tell more
+        (0.3, 1.5, 1.0, "prior"),
+        (0.1, 10.0, 1.0, "prior"),  # a hundredth of what is known is the data's
         (0.95, 1.0, 0.96, "prior"),
         (0.1, 0.5, 0.02, "weak"),  # far wider than the local picture says
         (0.1, 0.5, np.nan, "prior"),

@@ -60,6 +60,8 @@ def test_eight_by_default_and_the_rest_named(knee, many):
 def test_what_the_data_tell_comes_first(knee):
     """Combinations that no scaling changes, then parameters; what is open has no interval."""
     summary = summarise(knee).as_dict()
+    for row in [*summary["parameters"].values()][1:]:
+        row |= {"verdict": "prior", "at_bound": None}
     figure = corner_figure(knee, Summary.read(summary))
     table = {row.name: row for row in parameter_table(summary).rows}
     symbols = [panels(figure)[7, j].get_xlabel().split("\n")[0] for j in range(8)]
