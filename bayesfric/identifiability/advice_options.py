@@ -48,8 +48,8 @@ class AdviceOptions(BaseModel):
     duration: Positive | None = Field(
         None,
         le=600,
-        description="s of a proposed recording; that of the longest recording, at most 30, if "
-        "left out",
+        description="s of a proposed recording; if left out that of the longest stretch of the "
+        "recordings without a gap that is compared, at most 30",
         json_schema_extra=in_unit("s"),
     )
     masses: tuple[Mass, ...] | None = Field(

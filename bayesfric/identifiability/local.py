@@ -205,8 +205,8 @@ def verdict(posterior_sd: float, prior_sd: float, data_sd: float) -> Verdict:
     more than twice as wide as the posterior is, and more than half as wide as the prior or five
     times as wide as the posterior; or they left the prior as it was. ``weak``: in between, as where
     bounds of others help, or the posterior is much wider than the local picture says, as where it
-    is curved or has several peaks. An infinite or undefined prior sd counts as very wide; ``data_sd`` is from
-    :func:`local_information`.
+    is curved or has several peaks. An infinite or undefined prior sd counts as very wide;
+    ``data_sd`` is from :func:`local_information`.
     """
     if not data_sd > 0.0 or not posterior_sd > 0.0:  # also where it is no number
         return "prior"

@@ -86,7 +86,8 @@ def scaled(channel: Channel, table: Table, kind: units.Kind, key: str, *more: st
     texts = [channel.unit, *more]
     if channel.times is not None:
         texts.insert(1, channel.times_unit)
-    where = f"{table.label(channel.column)}, unit of {key}"
+    both = " and times_unit" if channel.times is not None else ""
+    where = f"{table.label(channel.column)}, unit{both} of {key}"
     factor = 1.0 if texts == [SI] else units.scale(texts, kind, where)
     values = signed(channel, table)
     if channel.times is not None:

@@ -16,6 +16,9 @@ _NO_STEP, COARSE_STEP = 1e-6, 1e-3
 _RUN = 4
 _CLIPPED_SHARE = 0.01
 _HUGE = 1e15
+# Latest that a velocity is looked for, s, and share of its power that it then must be off by.
+_LATEST = 0.1
+_COUNTS_AS = 0.01
 # Correlation of a measured velocity with the differentiated position from which on they are
 # taken for the same, and below which for strangers; and by how much their factor may differ from 1.
 _ALIKE, _STRANGERS, _FACTOR = 0.9, 0.3, 0.1
@@ -149,6 +152,35 @@ def speed_mismatch(velocity: Array, differentiated: Array, usable: Flags) -> flo
     return factor if abs(factor - 1.0) > _FACTOR else None
 
 
+def speed_delay(
+    velocity: Array, differentiated: Array, usable: Flags, period: float
+) -> float | None:
+    """Tell by how many seconds a measured velocity comes after the differentiated position.
+
+    ``None`` where that is next to nothing, or no delay makes them alike: as much of the velocity
+    as counts is not the differentiated position's, and half of it is that of another time.
+    """
+    at = np.flatnonzero(usable)
+    most = min(round(_LATEST / period), at.size // 10)
+    power = float(velocity[at] @ velocity[at])
+    if most < 2 or not power > 0.0:
+        return None
+    at = at[(at >= most) & (at < velocity.size - most)]
+    lags = np.arange(-most, most + 1)
+    left = np.array([_not_alike(velocity[at], differentiated[at - lag]) for lag in lags])
+    k = int(left.argmin())
+    if not 0 < k < lags.size - 1 or left[most] < _COUNTS_AS or left[k] > 0.5 * left[most]:
+        return None
+    bend = left[k - 1] - 2.0 * left[k] + left[k + 1]
+    return float((lags[k] + 0.5 * (left[k - 1] - left[k + 1]) / bend) * period)
+
+
+def _not_alike(x: Array, y: Array) -> float:
+    """Give the share of one's power that no multiple of the other makes up."""
+    powers = float(x @ x) * float(y @ y)
+    return 1.0 - float(x @ y) ** 2 / powers if powers > 0.0 else 1.0
+
+
 def taken_for(factor: float, ratio: float) -> str:
     """Say what a velocity would be that is so many times the differentiated position."""
     size = abs(factor)
@@ -162,7 +194,10 @@ def taken_for(factor: float, ratio: float) -> str:
         return f"is it {' or '.join(words)}{', ' + turned if turned else ''}"
     if turned and abs(size - 1.0) < _FACTOR:
         return "is its sign turned around (sign = -1)"
-    return "are its unit, sign and side right"
+    return (
+        "are its unit, sign and side right, and does no drive filter it (then leave its line out, "
+        "and the position is differentiated)"
+    )
 
 
 def whole_numbers(values: Array) -> bool:

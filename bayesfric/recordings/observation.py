@@ -151,9 +151,10 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
     if recording.velocity is not None:
         speed = derivative(q, segments, period, numbers.reach)
         factor = checks.speed_mismatch(qd, speed, compared)
-        warnings += _velocity_warnings(factor, recording.ratio)
+        late = checks.speed_delay(qd, speed, compared, period)
+        warnings += _velocity_warnings(factor, late, recording.ratio)
         # a smaller one may come of filters
-        if factor is not None and not 0.5 < factor < 2.0:
+        if late is not None or (factor is not None and not 0.5 < factor < 2.0):
             doubted.append("velocity")
     law = checks.feedback(recording.torque, q, qd, compared)
     found = numbers.resolution
@@ -507,7 +508,14 @@ def _resolution_warnings(found: Resolution, recording: Measurement) -> Iterator[
         )
 
 
-def _velocity_warnings(factor: float | None, ratio: float) -> Iterator[str]:
+def _velocity_warnings(factor: float | None, late: float | None, ratio: float) -> Iterator[str]:
+    if late is not None:
+        yield (
+            f"velocity: comes {abs(late):.2g} s {'after' if late > 0.0 else 'before'} the "
+            "differentiated position, as where a drive filters it: leave its line out, so that the "
+            "position is differentiated"
+        )
+        return
     if factor is None:
         return
     said = f"is {factor:.3g} times the differentiated position: "

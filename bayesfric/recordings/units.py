@@ -202,7 +202,7 @@ def scale(units: Sequence[str], kind: Kind, where: str = "unit") -> float:
     try:
         factor = _product(units, [kind])
     except Unfit as error:
-        mend = f"give {error.wanted}"
+        mend = f"{'give' if len(units) == 1 else 'their product has to be'} {error.wanted}"
         with suppress(ValueError):
             if kind == "angle" and not any(_base(text)[1] for text in units):
                 mend = "an angle needs its unit: write 'turn/4096', not '1/4096'"

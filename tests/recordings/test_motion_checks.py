@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayesfric.recordings import Position, Processing, Torque, Velocity, observe
-from bayesfric.recordings.checks import feedback, unwrapped
+from bayesfric.recordings.checks import feedback, speed_delay, unwrapped
 from tests.conftest import made_recording
 from tests.recordings.samples import has, read, refused, source, write
 
@@ -137,3 +137,19 @@ def test_joints_that_lose_energy_are_no_controllers():
         a + 0.3 * v,
     ):
         assert feedback(torque, q, v, usable) is None
+
+
+@pytest.mark.parametrize("late", [0.02, -0.013])
+def test_a_velocity_that_a_drive_filters_is_told_by_its_delay(late):
+    time, rng = np.arange(3000) * 0.004, np.random.default_rng(3)
+    w = 2.0 * np.pi * np.array([0.7, 2.1])
+    velocity, differentiated = (
+        np.sum(np.sin(w * (time[:, None] - shift)), axis=1) + 0.02 * rng.standard_normal(3000)
+        for shift in (late, 0.0)
+    )
+    usable = np.abs(differentiated) > 0.1
+    found = speed_delay(0.9 * velocity, differentiated, usable, 0.004)
+    assert found == pytest.approx(late, abs=0.001)
+    assert speed_delay(0.9 * differentiated, differentiated, usable, 0.004) is None
+    noise = rng.standard_normal(3000)
+    assert speed_delay(noise, differentiated, usable, 0.004) is None

@@ -13,6 +13,8 @@ from bayesfric.report.summary.rows import PosteriorRow
 
 # Sds between a reference and what was found that are no chance.
 _FAR = 4.0
+# What data say of a posterior of which they have less than this share is hardly told by it.
+_LEAST_SHARE = 0.1
 # Sd over value of a told prior that is there because the value is known.
 _KNOWN = 0.2
 _GAIN = "drive.gain"
@@ -71,6 +73,8 @@ def _of_data(row: PosteriorRow) -> tuple[float, float, float, float] | None:
     if not 0.0 < row.sd < sd < _KNOWN * abs(value):
         return None
     share = 1.0 - (row.sd / sd) ** 2  # that the data have in the posterior
+    if share < _LEAST_SHARE:
+        return None
     found = value + (row.middle - value) / share
     return value, sd, found, row.sd / share**0.5
 
