@@ -77,6 +77,8 @@ class Comparison:
     contested: tuple[str, ...] = ()
     # why numbers are doubtful, by run of which some are, a clause each
     reasons: Mapping[str, list[str]] = field(default_factory=dict)
+    # the first notes: in what other runs are far from the first
+    runs_apart: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> Row:
         for row in self.rows:
@@ -190,6 +192,7 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
         if fact.found
     ]
     rows.sort(key=_order)  # keeps the order of the files within each group
+    between = tuple(_runs_apart(rows, columns, baseline))
     mine = [c for c in columns if baseline is not None and c.run == baseline.run]
     told = runs[baseline.run].rows if baseline is not None else {}
     apart = {c.label: _apart(rows, c, told) for c in mine if c.kind == "estimate"}
@@ -204,9 +207,10 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
         tuple(columns),
         tuple(rows),
         baseline.label if baseline else None,
-        tuple(notes),
+        (*between, *notes),
         tuple(row.name for row in rows if any(row.name in names for names in apart.values())),
         {name: run.reasons for name, run in runs.items() if run.reasons},
+        between,
     )
 
 
@@ -370,6 +374,22 @@ def _of_motion(facts: Mapping[str, _Facts], runs: Mapping[str, Summary]) -> Iter
             "gives other values"
             + (", so runs are not measured against each other by them." if several else ".")
         )
+
+
+def _runs_apart(rows: list[Row], columns: list[Column], baseline: Column | None) -> Iterator[str]:
+    """Say in what other runs' posteriors are too far from the first to be of one joint."""
+    for column in columns:
+        if baseline is None or column.kind != "posterior" or column.run == baseline.run:
+            continue
+        cells = {row.name: row.cells.get(column.label) for row in rows}
+        apart = {name: cell.disagreement or 0.0 for name, cell in cells.items() if cell}
+        far = [f"{name} ({x:+.1f} sd)" for name, x in apart.items() if abs(x) > _FAR]
+        if far:
+            yield (
+                f"{column.run} and {baseline.run} disagree in {', '.join(far)}: joint, motion or "
+                "what the model lacks is not the same in both, and the intervals of one do not "
+                "hold for the other."
+            )
 
 
 def _apart(rows: list[Row], column: Column, told: Mapping[str, PosteriorRow]) -> list[str]:
