@@ -75,7 +75,7 @@ def test_runs_that_are_far_apart_are_named():
     """Their table held -7.2 sd, and the first sentence said that nothing was pooled."""
     other = loaded()
     assert not comparison({"a": knee(), "b": other}).runs_apart
-    name = DERIVED[0]
+    name = next(iter(DERIVED))
     row = other["derived"][name]
     row["median"] = row["median"] + 10.0 * row["sd"]
     found = comparison({"a": knee(), "b": other})
