@@ -133,7 +133,7 @@ def to_cite(summary: Summary) -> dict[str, Any] | None:
 
     ``which`` are ``corrected`` ones; where intervals have room for the model's error, those of the
     ``tables``; and ``both``, the one's values with the other's width, where a bias is large even
-    beside that room.
+    beside that room. ``doubted`` is whether ``some`` or ``all`` of these rows are, or none (empty).
     """
     off = off_rows(summary)
     rows = {name: row for name, row in off.items() if _corrects(summary.rows[name], row)}
@@ -142,8 +142,9 @@ def to_cite(summary: Summary) -> dict[str, Any] | None:
     allowed, told = summary.widened, summary.rows
     moved = max(abs(r.bias) * told[n].sd / (told[n].told_sd or np.inf) for n, r in rows.items())
     which = "corrected" if not allowed else "both" if moved > BIASED else "tables"
-    doubted = any(told[name].doubted for name in rows)
-    return {"rows": rows, "allowed": allowed, "which": which, "doubted": doubted}
+    doubted = [bool(told[name].doubted) for name in rows]
+    how_many = "all" if all(doubted) else "some" if any(doubted) else ""
+    return {"rows": rows, "allowed": allowed, "which": which, "doubted": how_many}
 
 
 def cited(summary: Summary) -> dict[str, tuple[float, float, float, float]]:
