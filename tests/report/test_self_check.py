@@ -141,11 +141,15 @@ def test_the_methods_say_it_in_one_sentence(result):
 @pytest.mark.parametrize(
     ("wide", "doubted", "rule"),
     [
-        (0.0, False, "the corrected ones where there are any: the tables print these"),
-        (10.0, False, "those of the tables, uncorrected"),
+        (
+            0.0,
+            False,
+            "the corrected ones where there are any: the tables of parameters print these",
+        ),
+        (10.0, False, "those of the tables of parameters, uncorrected"),
         (10.0, True, "none of it is to be cited, corrected or not"),
         # a bias of two sds is large beside an interval five times as wide, too
-        (5.0, False, "the tables print these, with intervals that have room"),
+        (5.0, False, "the tables of parameters print these, with intervals that have room"),
     ],
 )
 def test_one_rule_says_what_to_cite_everywhere(tmp_path, result, wide, doubted, rule):
@@ -192,7 +196,7 @@ def test_one_rule_says_what_to_cite_everywhere(tmp_path, result, wide, doubted, 
     noted = [note for note in table.notes if f"{NAME}, uncorrected {before} [" in note]
     assert len(noted) == (wide < 10.0)
     compared = latex_texts(summary, "run")["tables/methods.tex"]
-    assert ("Not corrected for the bias" in compared) == (wide < 10.0)
+    assert ("not corrected for the bias" in compared) == (wide < 10.0)
     lines = csv.DictReader(io.StringIO(parameters_csv(table)))
     (line,) = (one for one in lines if one["name"] == NAME)
     found = [float(line[key]) for key in ("corrected", "corrected_low", "corrected_high")]

@@ -8,7 +8,7 @@ truth, so what is left is of second order, the bias times its relative change ov
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -190,6 +190,21 @@ def cite_sentence(summary: Summary) -> str:
     """Say which values to cite, where some are corrected; else empty."""
     told = to_cite(summary)
     return sentence("cite", told) if told else ""
+
+
+def uncorrected_sentence(summary: Summary, names: Collection[str] | None = None) -> str:
+    """Say beside numbers of the posterior as it is which ``names`` are cited otherwise; or empty.
+
+    All names if left out.
+    """
+    changes = []
+    for name, (value, *_) in cited(summary).items():
+        row = summary.rows[name]
+        if names is None or name in names:
+            before, after = (text_rounded(x, row.told_sd) for x in (row.middle, value))
+            told = {"name": name, "value": before, "corrected": after}
+            changes.append(told | {"doubted": bool(row.doubted)})
+    return sentence("uncorrected", {"changes": changes}) if changes else ""
 
 
 def self_check_lines(summary: Summary) -> Iterator[str]:
