@@ -227,6 +227,25 @@ def test_a_page_without_a_number_free_of_doubt_does_not_say_that_its_check_tells
     assert "tells of what the data determine free of doubt: here nothing" in page
 
 
+def test_the_first_card_parts_what_the_data_alone_tell_from_what_the_prior_helps_to(
+    result, tmp_path
+):
+    """And the row itself says that its interval holds too little."""
+    summary = told(result, checked(result, [3.0, -3.0]))  # no shift mends that
+    share = f"{100 * summary.self_check.rows[NAME].coverage:.0f} %"
+    summary = summary.with_rows({NAME: {"verdict": "weak"}})
+    page = read_page(run_page(tmp_path, summary, "run"))
+    (card,) = (p.text for p in page.all("p") if p.text.startswith("Self-check by simulation"))
+    alone, together = card.split("of what is known only together with prior and bounds")
+    assert "of what the data alone determine" in alone
+    assert NAME not in alone
+    assert share in together
+    assert NAME in together
+    said = [s.text for s in page.all("span") if "in simulation this interval" in s.text]
+    assert said == [f"in simulation this interval holds the truth in {share} only"]
+    assert "in simulation this interval" not in run_page(tmp_path, result.summary, "run")
+
+
 def test_a_correction_that_changes_no_digit_is_none(result, tmp_path):
     """A bias of 0.35 sd is below the last digit where the model's error makes that a coarse one."""
     summary = told(result, checked(result, [0.35]))

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
+from bayesfric.identifiability.local import Verdict
 from bayesfric.inference.fitting import Fit
 from bayesfric.report.numbers import text_rounded
 from bayesfric.report.summary.derived_quantities import LEVEL, Groups
@@ -168,21 +169,31 @@ def cited(summary: Summary) -> dict[str, tuple[float, float, float, float]]:
     return found
 
 
-def _by_data(summary: Summary) -> dict[str, SelfCheckRow]:
+def _judged(summary: Summary, verdict: Verdict) -> dict[str, SelfCheckRow]:
     # where a prior has a say, no interval holds nine of ten truths
     rows = summary.self_check.rows if summary.self_check is not None else {}
-    return {name: row for name, row in rows.items() if summary.rows[name].verdict == "data"}
+    return {name: row for name, row in rows.items() if summary.rows[name].verdict == verdict}
 
 
-def found_least(summary: Summary) -> tuple[str, float] | None:
-    """Name what the data determine whose intervals hold the truth least often."""
-    told = [(name, row.coverage) for name, row in _by_data(summary).items()]
+def found_least(summary: Summary, verdict: Verdict = "data") -> tuple[str, float] | None:
+    """Name what the data alone (or with the prior) determine that intervals hold least often."""
+    told = [(name, row.coverage) for name, row in _judged(summary, verdict).items()]
     return min(told, key=lambda one: one[1], default=None)
+
+
+def seldom_held(summary: Summary) -> dict[str, float]:
+    """Give how often intervals that are printed hold the truth, of those that do so too seldom."""
+    shown, found = cited(summary), {}
+    for name, row in off_rows(summary).items():
+        coverage = row.corrected_coverage if name in shown else row.coverage
+        if coverage is not None and coverage < LOW:
+            found[name] = coverage
+    return found
 
 
 def narrow(summary: Summary) -> bool:
     """Whether an interval holds too few truths, beyond chance, for a run to be called reliable."""
-    rows = _by_data(summary).values()
+    rows = _judged(summary, "data").values()
     return any(row.coverage + _SURE * row.coverage_error < LOW for row in rows)
 
 
