@@ -304,7 +304,7 @@ def _rows(
                 "attribute": one.name,
                 "value": value,
                 "interval": None if fixed else [float(low), float(high)],
-                "unit": one.unit,
+                "unit": NUMBERS["gain"].unit_of(found.joint) if one.number == "gain" else one.unit,
                 "meaning": NUMBERS[one.number].meaning,
                 "made_from": list(names),
                 **_unsettled(found, names, told),
