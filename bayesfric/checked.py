@@ -178,7 +178,8 @@ def _lines(found: Mapping[str, Any]) -> Iterator[str]:
             yield f"  {name:<28} {'-':>12} not determined by this motion; {v['meaning']}"
             continue
         yield f"  {name:<28} {v['value']:>12.5g} ± {v['sd']:<9.2g} {v['unit']:<8} {v['meaning']}"
-    yield f"  {'residual rms':<28} {totals['residual_rms']:>12.4g}"
+    left = f"{totals['residual_rms']:>12.4g} {'':<11} {totals['residual_unit']:<8}"
+    yield f"  {'residual rms':<28} {left} motor torque that these leave, filtered"
     yield ""
     unsure = any(one["kind"] == "unexplained" for one in found["doubts"])
     yield (

@@ -45,6 +45,12 @@ class Number:
         """Look up the unit of a joint that turns or slides."""
         return self.units[0 if motion == "rotary" else 1]
 
+    def unit_of(self, joint: Joint) -> str:
+        """Look up the same of a joint, whose motor may turn where the joint slides."""
+        if self.name == "gain" and joint.load.motion != joint.motor_motion:
+            return "N per N m"
+        return self.unit(joint.load.motion)
+
 
 NUMBERS: dict[str, Number] = {
     one.name: one
@@ -59,7 +65,7 @@ NUMBERS: dict[str, Number] = {
         Number("link_gravity_angle", ("rad", "rad"), "angle added to q in gravity"),
         Number("stiffness", ("N m/rad", "N/m"), "torque in proportion to position"),
         Number("stiffness_cubic", ("N m/rad³", "N/m³"), "torque with the cube of position"),
-        Number("gain", ("N m per N m", "N per N m or N"), "joint torque per measured motor torque"),
+        Number("gain", ("N m per N m", "N per N"), "joint torque per measured motor torque"),
         Number("torque_offset", ("N m", "N"), "constant in the measured torque, at the joint"),
     )
 }

@@ -14,7 +14,8 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import turned
 from bayesfric.mechanism.scaling import Scaling, scalings
 
-# Draws that medians are taken of: whatever is exported, the middle is the same.
+# Draws that tell the median torque, and medians along an open scaling: whatever is exported, the
+# middle is the same.
 _MANY = 1000
 # Share of the draws that count as near to the median torque.
 _NEAR = 0.1
@@ -55,7 +56,7 @@ def vectors(
         chosen = np.random.default_rng(seed).choice(len(found.draws), size, replace=False)
         picked = found.draws[chosen]
     many = _evened(found.values(found.picked(_MANY)), moved)
-    middle = _evened(_medians(chain, many)[None], moved)[0]
+    middle = _evened(_middle(found, _medians(chain, many), moved)[None], moved)[0]
     better = central(chain, many, middle, motions)
     draws = _evened(found.values(picked), moved)
     return Vectors(
@@ -89,6 +90,15 @@ def _evened(values: Array, moved: tuple[Scaling, ...]) -> Array:
         factor = 1.0 + 0.5 * (drive - back)
         values = np.stack([one.scaled(v, f) for v, f in zip(values, factor, strict=True)])
     return values
+
+
+def _middle(found: Finished, medians: Array, moved: Sequence[Scaling]) -> Array:
+    """Put the medians of the run's tables in place of those of some draws, where none is moved."""
+    out, scaled = medians.copy(), {name for one in moved for name in one.names}
+    for k, name in enumerate(found.joint.names):
+        if name in found.summary.parameters and name not in scaled:
+            out[k] = found.summary.parameters[name].middle
+    return out
 
 
 def _medians(chain: Joint, draws: Array) -> Array:

@@ -31,6 +31,7 @@ from bayesfric.export.pendulum import pendulum
 from bayesfric.finished import Finished, finished
 from bayesfric.report.figures.style import save
 from bayesfric.report.files import check_free, made_beside, parents_made, unwritable
+from bayesfric.report.summary.self_check import uncorrected_sentence
 from bayesfric.report.summary.summary import LEVEL
 
 # Draws that intervals are told from.
@@ -249,10 +250,11 @@ def _record(
         notes.append(sentence("notes.txt.j2", "no link", told_of))
     if any(o.inputs.known_load for o in found.model.observations):
         notes.insert(0, sentence("notes.txt.j2", "known load", {}))
-    status = _status(found)
+    status, doubted = _status(found), found.summary.only_doubted
     if status != "reliable":
-        notes.insert(0, sentence("notes.txt.j2", "status", {"status": status}))
-    notes.insert(0, sentence("notes.txt.j2", told.kind, {}))
+        notes.insert(0, sentence("notes.txt.j2", "status", {"status": status, "doubted": doubted}))
+    uncorrected = uncorrected_sentence(found.summary, found.joint.names)
+    notes.insert(0, sentence("notes.txt.j2", told.kind, {"uncorrected": uncorrected}))
     if told.scalings:
         notes.insert(0, sentence("notes.txt.j2", "open scale", {"names": open_names}))
     return {
@@ -302,7 +304,7 @@ def _rows(
                 "attribute": one.name,
                 "value": value,
                 "interval": None if fixed else [float(low), float(high)],
-                "unit": one.unit,
+                "unit": NUMBERS["gain"].unit_of(found.joint) if one.number == "gain" else one.unit,
                 "meaning": NUMBERS[one.number].meaning,
                 "made_from": list(names),
                 **_unsettled(found, names, told),

@@ -36,7 +36,7 @@ class AdviceOptions(BaseModel):
     speed_limit: Positive | None = Field(
         None,
         description="fastest that the joint may become, rad/s or m/s; 1.2 times the fastest of "
-        "the recordings if left out",
+        "what is used of the recordings if left out",
         json_schema_extra=in_unit("rad/s or m/s"),
     )
     angle_limits: tuple[Finite, Finite] | None = Field(

@@ -68,6 +68,8 @@ class Limits:
     recorded_angles: tuple[float, float]  # lowest and highest of the recordings, rad or m
     # whether a controller seems to have held the joint: then what can be played is its motion
     held: bool = False
+    # which of torque and speed are the recordings' own, as the configuration gives none
+    own: tuple[Literal["torque", "speed"], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +103,12 @@ class Candidate:
     def limit(self) -> Statement | None:
         """Limit that it took less torque to keep."""
         return stated("limit", self.because_of) if self.because_of else None
+
+    @property
+    def described(self) -> str:
+        """Its form; of a recorded motion, which asks another torque then, what is bolted on."""
+        mass = self.inputs.added_mass if self.made is not None else 0.0
+        return f"{self.form} with {mass:g} kg" if mass else self.form
 
     @property
     def duration(self) -> float:
@@ -171,9 +179,13 @@ def limits_of(
             f"recording {base.name!r} began",
             "give limits in the recordings' own angle",
         )
+    given: dict[Literal["torque", "speed"], float | None] = {
+        "torque": options.torque_limit,
+        "speed": options.speed_limit,
+    }
     return Limits(
         options.torque_limit or max(float(np.abs(o.measured).max()) for o in observations),
-        options.speed_limit or _FASTER * max(float(np.abs(o.speed).max()) for o in observations),
+        options.speed_limit or _FASTER * max(fastest(o) for o in observations),
         angles,
         duration,
         options.lag,
@@ -183,12 +195,25 @@ def limits_of(
         start,
         recorded,
         held,
+        tuple(name for name, limit in given.items() if limit is None),
     )
 
 
 def longest(observations: Sequence[Observation]) -> Observation:
     """Find the recording with most outputs, which sets rate, filter and noise."""
     return max(observations, key=lambda o: o.filter.n_outputs)
+
+
+def fastest(recording: Observation) -> float:
+    """Find the highest speed of what is used of a recording, rad/s or m/s.
+
+    What is not may be no motion of the joint's own, such as where a hand pushed.
+    """
+    taken = recording.filter
+    used = np.zeros(recording.qd.size, dtype=np.bool_)
+    for first in taken.starts.tolist():
+        used[first : first + len(taken.taps)] = True
+    return float(np.abs(recording.qd[used]).max())
 
 
 def candidates(
@@ -298,7 +323,7 @@ def try_out(
     """
     broken: Limit | None
     if candidate.made is not None:  # as it was made it would be made again, or not at all
-        broken = _broken(candidate.made, limits, chain)
+        broken = _broken(candidate.made, fastest(candidate.made), limits, chain)
         broken = "torque" if candidate.amplitude > limits.torque else broken
         return stated("limit", broken) if broken else (candidate, (candidate.made,) * len(vectors))
     limit: Limit | None = None
@@ -311,7 +336,7 @@ def try_out(
         for i in order:
             try:
                 found[i] = played(chain, vectors[i], base, torque, *told)
-                broken = _broken(found[i], limits, chain)
+                broken = _broken(found[i], float(np.abs(found[i].qd).max()), limits, chain)
             except RunsAway:
                 broken = "runs_away"
             except ValueError as error:
@@ -328,8 +353,8 @@ def try_out(
     return stated("limit", "always", limit=name, share=factor / _SMALLER)
 
 
-def _broken(recording: Observation, limits: Limits, chain: Joint) -> Limit | None:
-    if float(np.abs(recording.qd).max()) > limits.speed:
+def _broken(recording: Observation, speed: float, limits: Limits, chain: Joint) -> Limit | None:
+    if speed > limits.speed:
         return "speed"
     low, high = limits.angles or (-np.inf, np.inf)
     if low <= float(recording.q.min()) and float(recording.q.max()) <= high:

@@ -48,6 +48,11 @@ class Correlated:
             known_null=theory,
         )
 
+    @property
+    def found(self) -> bool:
+        """Whether there is any correlation left."""
+        return self._information is not None
+
     def times(self, gradient: Array) -> float:
         """By how much the sd of a function with a gradient ``(d,)`` is larger, at least one."""
         if self._information is None:

@@ -60,14 +60,13 @@ class Prospect:
     unit: str
     meaning: str
     value: float  # at the estimate; it means nothing where data_sd is infinite
-    # what the data alone would leave: the larger sd of those for independent residuals and for
-    # correlated ones
+    # what the data alone would leave, the noise being what fit takes it for; of what is then still
+    # correlated, the larger sd of those for independent and for correlated residuals
     data_sd: float
-    expected_sd: float  # data and prior together
+    expected_sd: float  # data and prior together, with bounds that the estimate stands on
     prior_sd: float = float("nan")  # and these two of parameters alone
     verdict: Verdict | None = None  # to be expected of the posterior
-    # lower or upper; there these sds, made for a normal posterior, are too wide
-    on_bound: str | None = None
+    on_bound: str | None = None  # lower or upper: a limit is what can be told
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +74,10 @@ class Identification:
     """Everything that the local picture says."""
 
     method: str  # of the likelihood
+    noise: str  # what it takes the noise for
+    # whether it may be correlated: estimates weigh all residuals alike, and have other sds then
+    memory: bool
+    still_correlated: bool  # whether what such a noise leaves goes together, and sds are widened
     origins: tuple[Origin, ...]  # where each point comes from; the estimate first
     singular_values: Array  # (n_points, d), largest first
     null_counts: tuple[int, ...]  # number of null directions at each point
@@ -111,11 +114,14 @@ class Identification:
 
     @property
     def determined(self) -> list[Prospect]:
-        """Combinations that the data tell, whatever else they do not; limits and priors do not."""
+        """Combinations that the data tell, whatever else they do not; limits and priors do not.
+
+        A bound may narrow them further, as it does what a value on it can be traded for.
+        """
         return [
             one
             for one in self.combinations
-            if one.data_sd < WEAK * abs(one.value) and one.verdict == "data" and not one.on_bound
+            if one.data_sd < WEAK * abs(one.value) and one.verdict != "prior" and not one.on_bound
         ]
 
     @property
@@ -159,6 +165,8 @@ class Identification:
         mass, voltage = self.known_mass, self.voltage
         found = {
             "method": self.method,
+            "noise": self.noise,
+            "still_correlated": self.still_correlated,
             "points": Counter(self.origins),
             "thresholds": {**null, "weak_log_sd": WEAK, "hardly_ever": HARDLY},
             "directions": self.directions,
@@ -209,17 +217,22 @@ def identify(
     tried = trials(target, estimate, local, coverage, rare=rare)
     free = [p for p in chain.parameters if p.name in target.free]
     correlated = Correlated(target, estimate, local)
-    parameters = _parameters(target, estimate, local, correlated)
+    bounds = _bounds_met(target, estimate)
+    covariance = _cut(expected_covariance(target, local), bounds)
+    parameters = _parameters(target, estimate, local, correlated, bounds, covariance)
     load = typical_load(chain, observations, vectors[0])
     return Identification(
         target.likelihood.method,
+        target.likelihood.noise.description,
+        target.likelihood.noise.accounts_for_correlation,
+        correlated.found,
         tuple(p.origin for p in points),
         np.abs([one.directions.singular_values for one in locals_]),
         tuple(int(one.directions.null.sum()) for one in locals_),
         local,
         tuple(open_directions(locals_, free, coverage, back, tried)),
         parameters,
-        _combinations(target, estimate, local, load, correlated, parameters),
+        _combinations(target, estimate, local, load, correlated, parameters, covariance),
         coverage,
         back,
         unknown_mass(target, estimate, local),
@@ -267,6 +280,29 @@ def expected_covariance(target: Target, local: LocalInformation) -> Array:
     return np.asarray(covariance)
 
 
+def _bounds_met(target: Target, estimate: Array) -> list[str | None]:
+    """Say of every free parameter on which end of its prior the estimate stands."""
+    found: list[str | None] = []
+    for value, prior in zip(estimate[: len(target.free)].tolist(), target.priors, strict=False):
+        sd, (low, high) = float(prior.sd()), prior.limits
+        width = _ON_BOUND * max(abs(value), sd if np.isfinite(sd) else 0.0)
+        bound = "lower" if value - low <= width else None
+        found.append("upper" if high - value <= width else bound)
+    return found
+
+
+def _cut(covariance: Array, bounds: Sequence[str | None]) -> Array:
+    """Halve a normal ``(k, k)`` at the bounds that its middle stands on, one after the other.
+
+    What half a normal has less variance than a whole one, ``2/pi`` of it, is missing from all that
+    goes along with the parameter.
+    """
+    for j in (j for j, bound in enumerate(bounds) if bound and 0.0 < covariance[j, j] < np.inf):
+        along = np.where(np.isfinite(covariance[j]), covariance[j], 0.0)
+        covariance = covariance - 2.0 / np.pi * np.outer(along, along) / covariance[j, j]
+    return covariance
+
+
 def moved_beside(local: LocalInformation, parameters: Array) -> tuple[Array, Array]:
     """Move each free parameter of ``(d,)`` up, then down: ``(2 k, d)``, and the widths ``(k,)``."""
     steps = 1e-5 * np.abs(local.units)
@@ -275,24 +311,29 @@ def moved_beside(local: LocalInformation, parameters: Array) -> tuple[Array, Arr
 
 
 def _parameters(
-    target: Target, estimate: Array, local: LocalInformation, correlated: Correlated
+    target: Target,
+    estimate: Array,
+    local: LocalInformation,
+    correlated: Correlated,
+    bounds: Sequence[str | None],
+    covariance: Array,
 ) -> tuple[Prospect, ...]:
     described = {p.name: p for p in target.likelihood.chain.parameters}
-    expected = np.sqrt(np.diag(expected_covariance(target, local))) * np.abs(local.units)
+    expected = np.sqrt(np.diag(covariance)) * np.abs(local.units)
+    whole = np.sqrt(np.diag(expected_covariance(target, local))) * np.abs(local.units)
     rows = []
-    for j, (name, prior) in enumerate(zip(target.free, target.priors, strict=False)):
-        prior_sd, value = float(prior.sd()), float(estimate[j])
-        data_sd = float(local.data_sd[j])
+    for j, (name, prior, bound) in enumerate(zip(target.free, target.priors, bounds, strict=False)):
+        prior_sd, data_sd = float(prior.sd()), float(local.data_sd[j])
         times = correlated.times(np.eye(len(target.free))[j])
         both_sd = widened(float(expected[j]), data_sd, times)
-        sds = both_sd, prior_sd, times * data_sd
-        width = _ON_BOUND * max(abs(value), prior_sd if np.isfinite(prior_sd) else 0.0)
-        low, high = prior.limits
-        bound = "lower" if value - low <= width else None
-        bound = "upper" if high - value <= width else bound
-        p = described[name]
+        # whether data or prior tell how far from its bound a value may be
+        judged = widened(float(whole[j]), data_sd, times) if bound else both_sd
+        found = verdict(judged, prior_sd, times * data_sd)
+        p, value = described[name], float(estimate[j])
         rows.append(
-            Prospect(name, p.unit, p.meaning, value, sds[2], sds[0], prior_sd, verdict(*sds), bound)
+            Prospect(
+                name, p.unit, p.meaning, value, times * data_sd, both_sd, prior_sd, found, bound
+            )
         )
     return tuple(rows)
 
@@ -304,11 +345,11 @@ def _combinations(
     load: float,
     correlated: Correlated,
     parameters: Sequence[Prospect],
+    covariance: Array,
 ) -> tuple[Prospect, ...]:
     """Derive what the parameters amount to, best known first; on a bound where all of them are."""
     bounds = np.array([p.on_bound is not None for p in parameters])
     moved, widths = moved_beside(local, estimate)
-    covariance = expected_covariance(target, local)
     found = []
     vectors = target.chain_values(np.concatenate([moved, estimate[None]]))
     for q in derive(target.likelihood.chain, vectors, load):

@@ -26,6 +26,7 @@ from bayesfric.identifiability.candidates import (
     Candidate,
     Limits,
     candidates,
+    fastest,
     limits_of,
     longest,
     try_out,
@@ -161,10 +162,10 @@ class Ranking:
 
     @property
     def left_out(self) -> Iterator[tuple[str, int, list[str]]]:
-        """Reasons why candidates are no use, with how many there are of each, and their forms."""
+        """Reasons why candidates are no use, with how many there are of each, and what they are."""
         reasons: dict[str, list[str]] = {}
         for one, why in self.dropped:
-            reasons.setdefault(str(why), []).append(one.form)
+            reasons.setdefault(str(why), []).append(one.described)
         for reason, forms in reasons.items():
             yield reason, len(forms), list(dict.fromkeys(forms))
 
@@ -275,10 +276,11 @@ def ranking(
             k: {"mean": float(np.mean(x)), "least": min(x), "most": max(x)}
             for k, x in ((k, [float(one[k][0]) for one in shares]) for k in shares[0])
         }
-        fastest = max(float(np.abs(o.qd).max()) for o in recordings)
+        peak = fastest(tried_one.made) if tried_one.made is not None else 0.0
+        peak = peak or max(float(np.abs(o.qd).max()) for o in recordings)
         q = np.concatenate([o.q for o in recordings])
         ends = float(q.min()), float(q.max())
-        advices.append(Advice(tried_one, sds, drives, fastest, ends))
+        advices.append(Advice(tried_one, sds, drives, peak, ends))
     advices.sort(key=lambda one: (one.after.sd, one.after.data_sd))
     now = _averaged([_sds(target, one) for one in there], value)
     return Ranking(

@@ -60,6 +60,7 @@ class Measurement:
     back_emf: Array | None = None
     hold: Hold = "linear"  # how the torque goes between samples
     ratio: float = 1.0  # of the gear, motor motion per joint motion
+    motion: Literal["rotary", "linear"] = "rotary"  # of the joint
     drive: str = "torque"  # what the torque was measured as: torque, force, current or voltage
     doubted_units: tuple[str, ...] = ()  # channels of the motion whose unit a warning doubts
     torque_constant: float | None = None  # N m/A or N/A, where a current was measured

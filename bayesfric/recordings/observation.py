@@ -570,10 +570,12 @@ def _told(
         for what in ("speed", "acceleration")
         if (key := f"{what}_ratio") in settings
     ]
+    length = "rad" if recording.motion == "rotary" else "m"
     if ratios:
+        of, unit = ("position", length) if recording.velocity is None else ("speed", f"{length}/s")
         yield (
             f"signal to noise in the band to {found.band:.3g} Hz (rms): {', '.join(ratios)}; noise "
-            f"of a sample {found.noise:.2g}"
+            f"of a sample of the {of} {found.noise:.2g} {unit}"
         )
     yield f"band: ends at {_end_of_band(numbers):.3g} Hz, {_ENDED[found.reason]}"
     cutoff = parallel_cutoff(numbers.factor, numbers.band, numbers.fs)
@@ -584,8 +586,9 @@ def _told(
         else f"parallel filter: {settings['taps']} taps, cut-off {cutoff:.4g} Hz, "
         f"one output in {numbers.factor} samples"
     )
+    slow = too_slow(f"{settings['dead_zone']:.3g} {length}/s")
     yield (
-        f"dead zone: {settings['dropped_dead_zone']} outputs left out, "
-        f"{too_slow(format(settings['dead_zone'], '.3g'))}; {settings['n_outputs']} remain"
+        f"dead zone: {settings['dropped_dead_zone']} outputs left out, {slow}; "
+        f"{settings['n_outputs']} remain"
         + (f"; {settings['rest_outputs']} at rest" if settings.get("rest_outputs") else "")
     )

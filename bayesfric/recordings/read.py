@@ -179,6 +179,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         steps=tuple(steps),
         warnings=tuple(warnings),
         hold=channel.hold,
+        motion=drive.motion,
         drive=kind,
         doubted_units=tuple(sorted(doubted)),
         torque_constant=told.torque_constant,

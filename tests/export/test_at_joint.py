@@ -13,6 +13,7 @@ import pytest
 import bayesfric as bf
 from bayesfric.errors import BadInput
 from bayesfric.export.at_joint import (
+    NUMBERS,
     Moved,
     at_joint,
     simulator_joint,
@@ -361,3 +362,19 @@ def test_a_run_of_any_name_ends_no_comment():
         assert "a- ->b* /c'''d/e" in text
     compile(bf.export(done, "python").main, "feedforward.py", "exec")
     assert bf.export(done, "c").files["joint_feedforward.h"].count("*/") == 1
+
+
+@pytest.mark.parametrize(
+    ("motor", "joint", "unit"),
+    [
+        ("rotary", "rotary", "N m per N m"),
+        ("rotary", "linear", "N per N m"),
+        ("linear", "linear", "N per N"),
+    ],
+)
+def test_the_gain_has_the_units_of_motor_and_joint(motor, joint, unit):
+    made = Joint(
+        elements=(Element("motor", motion=motor, viscous=True),),
+        load=Load(motion=joint, inertia=True),
+    )
+    assert NUMBERS["gain"].unit_of(made) == unit

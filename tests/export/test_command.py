@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
+from bayesfric.report.numbers import text_rounded
 
 from ..commands.bench import SAMPLED, Bench, simulated, without_figures
 
@@ -65,6 +66,32 @@ def test_python_returns_what_the_command_prints(bench):
     assert (bench.folder / "c-run-urdf" / "joint.urdf").read_text() == found.main
     ended = bench.run("export", "c-run", "--to", "urdf", "--force")
     assert ended.out.startswith(found.text())
+
+
+def test_the_numbers_are_the_tables_medians_and_say_what_is_to_be_cited(bench):
+    """The draws that intervals are of are fewer, and have other medians."""
+    record = json.loads((bench.folder / "c-run" / "summary.json").read_text())
+    row = record["parameters"]["motor.inertia"]
+    found = bf.export("c-run", "mujoco").as_json()
+    rows = {one["attribute"]: one["value"] for one in found["numbers"]}
+    assert rows["joint armature"] == pytest.approx(row["median"], rel=1e-9)
+    assert not any("corrected" in note for note in found["notes"])
+    # the same run, had its self-check found a bias of an sd
+    corrected = row["median"] + row["sd"]
+    ends = [end + row["sd"] for end in row["interval"]]
+    checked = {"bias": -1.0, "bias_error": 0.01, "coverage": 0.7, "coverage_error": 0.01}
+    checked |= {"corrected": corrected, "corrected_interval": ends, "corrected_coverage": 0.9}
+    check = {"asked": 40, "made": 40, "rows": {"motor.inertia": checked}, "unexplained": 0.0}
+    check |= {"seconds": 1.0, "cpu_seconds": 1.0}
+    record |= {"self_check": check, "doubts": []}
+    (bench.folder / "c-run" / "summary.json").write_text(json.dumps(record))
+    words = "uncorrected for the bias of filters and encoder; corrected, motor.inertia is"
+    notes = bf.export("c-run", "mujoco").as_json()["notes"]
+    told = [note for note in notes if words in note]
+    assert len(told) == 1
+    assert text_rounded(corrected, row["sd"]) in told[0]
+    ended = bench.run("compare", "c-run")
+    assert words in " ".join(ended.out.split())
 
 
 def test_a_file_is_written_with_the_others_beside(bench):

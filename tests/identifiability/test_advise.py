@@ -11,7 +11,13 @@ import pytest
 
 from bayesfric.errors import BadInput
 from bayesfric.identifiability.advice_options import AdviceOptions
-from bayesfric.identifiability.candidates import candidates, limits_of, longest, try_out
+from bayesfric.identifiability.candidates import (
+    candidates,
+    fastest,
+    limits_of,
+    longest,
+    try_out,
+)
 from bayesfric.identifiability.local import local_information
 from bayesfric.identifiability.next_recording import ranking
 from bayesfric.identifiability.plausible import Point, points_around
@@ -345,10 +351,12 @@ def test_the_text_says_what_sds_and_default_limits_rest_on(knee):
 
 
 def test_limits_left_out_come_from_the_recordings(square):
-    quick = replace(square, speed=2.0 * square.speed)
+    quick = replace(square, qd=2.0 * square.qd)
     limits = limits_of(AdviceOptions(), CHAIN, [square, quick], VALUES)
     assert limits.torque == np.abs(square.measured).max()
-    assert limits.speed == pytest.approx(2.4 * np.abs(square.speed).max())
+    assert limits.speed == pytest.approx(2.4 * fastest(square))
+    # reversals are not used, and what lies between outputs is
+    assert np.abs(square.speed).max() <= fastest(square) <= np.abs(square.qd).max()
     assert limits.angles == (square.q.min(), square.q.max())
     assert limits.start == 0.0
     # no longer than what was recorded; trimming takes a little off its ends
@@ -359,6 +367,40 @@ def test_limits_left_out_come_from_the_recordings(square):
         one.command.size for one in candidates(CHAIN, VALUES, [square], told) if one.made is None
     }
     assert lengths == {1000}
+
+
+def test_the_recording_itself_keeps_the_limits_that_are_taken_from_it(square):
+    """Also where a sample that is not used, a hand's push, was three times as fast."""
+    starts, length = square.filter.starts, len(square.filter.taps)
+    used = np.zeros(square.qd.size, dtype=bool)
+    for first in starts:
+        used[first : first + length] = True
+    (unused,) = np.nonzero(~used)
+    pushed = replace(square, qd=np.where(np.arange(used.size) == unused[0], 99.0, square.qd))
+    # and where no output is at the fastest sample
+    between = replace(pushed, speed=0.5 * pushed.speed)
+    for recording in (square, pushed, between):
+        limits = limits_of(AdviceOptions(), CHAIN, [recording], VALUES)
+        assert limits.own == ("torque", "speed")
+        first = next(iter(candidates(CHAIN, VALUES, [recording], limits)))
+        assert first.kind == "longer"
+        tried, _ = try_out(CHAIN, VALUES[None], recording, first, limits)
+        assert tried is first
+    told = limits_of(AdviceOptions(speed_limit=1.0), CHAIN, [square], VALUES)
+    assert told.own == ("torque",)
+
+
+def test_a_value_of_zero_has_no_share_and_no_dash(knee):
+    told = {"written": False, "path": "x.csv", "torque_unit": "N m", "position_unit": "rad"}
+    nothing = replace(
+        knee,
+        value=0.0,
+        now=replace(knee.now, relative_sd=None, data_sd=1.0, sd=1.0),
+        advices=tuple(replace(a, after=replace(a.after, relative_sd=None)) for a in knee.advices),
+    )
+    text = "\n".join(page("advise.txt", found=nothing, **told))
+    assert "(-)" not in text
+    assert " of 0 " in text
 
 
 def test_a_joint_that_was_held_is_asked_for_its_own_motion_only(square):

@@ -141,11 +141,15 @@ def test_the_methods_say_it_in_one_sentence(result):
 @pytest.mark.parametrize(
     ("wide", "doubted", "rule"),
     [
-        (0.0, False, "the corrected ones where there are any: the tables print these"),
-        (10.0, False, "those of the tables, uncorrected"),
-        (10.0, True, "doubtful ones are not to be cited"),
+        (
+            0.0,
+            False,
+            "the corrected ones where there are any: the tables of parameters print these",
+        ),
+        (10.0, False, "those of the tables of parameters, uncorrected"),
+        (10.0, True, "none of it is to be cited, corrected or not"),
         # a bias of two sds is large beside an interval five times as wide, too
-        (5.0, False, "the tables print these, with intervals that have room"),
+        (5.0, False, "the tables of parameters print these, with intervals that have room"),
     ],
 )
 def test_one_rule_says_what_to_cite_everywhere(tmp_path, result, wide, doubted, rule):
@@ -166,6 +170,8 @@ def test_one_rule_says_what_to_cite_everywhere(tmp_path, result, wide, doubted, 
     texts = ["\n".join(table.notes), methods_text(result.fit, summary).plain, section.text, alert,
              "\n".join(self_check_lines(summary))]  # fmt: skip
     assert [rule in text for text in texts] == [True] * 5
+    # what is doubtful is not called a value to cite in the same breath
+    assert not doubted or not any("values to cite" in text for text in texts)
     by = {0.0: "this is the value to cite", 10.0: "is the one above"}
     by[5.0] = f"{by[0.0]}, with room for the model’s error"
     assert ("doubtful" if doubted else by[wide]) in beside
@@ -190,13 +196,54 @@ def test_one_rule_says_what_to_cite_everywhere(tmp_path, result, wide, doubted, 
     noted = [note for note in table.notes if f"{NAME}, uncorrected {before} [" in note]
     assert len(noted) == (wide < 10.0)
     compared = latex_texts(summary, "run")["tables/methods.tex"]
-    assert ("Not corrected for the bias" in compared) == (wide < 10.0)
+    assert ("not corrected for the bias" in compared) == (wide < 10.0)
     lines = csv.DictReader(io.StringIO(parameters_csv(table)))
     (line,) = (one for one in lines if one["name"] == NAME)
     found = [float(line[key]) for key in ("corrected", "corrected_low", "corrected_high")]
     assert found == [row.corrected, *row.corrected_interval]
     cite = tuple(float(line[key]) for key in ("cite", "cite_low", "cite_high"))
     assert cite == next(r.cited[:3] for r in table.rows if r.name == NAME)
+
+
+def test_where_only_some_corrected_values_are_doubtful_the_others_are_to_be_cited(result):
+    summary = told(result, checked(result, [2.0]))
+    other = next(name for name, row in summary.parameters.items() if name != NAME)
+    rows = dict.fromkeys((NAME, other), summary.self_check.rows[NAME])
+    both = summary.self_check.model_copy(update={"rows": rows})
+    summary = summary.model_copy(update={"self_check": both})
+    assert set(to_cite(summary)["rows"]) == {NAME, other}
+    some = summary.with_rows({NAME: {"verdict": "weak", "doubted": ["delay"]}})
+    assert "corrected ones where there are any" in cite_sentence(some)
+    assert "doubtful ones are not to be cited" in cite_sentence(some)
+    assert "doubtful" not in cite_sentence(summary)
+
+
+def test_a_page_without_a_number_free_of_doubt_does_not_say_that_its_check_tells_nothing(
+    result, tmp_path
+):
+    summary = told(result, checked(result, [2.0]))
+    changes = {name: {"verdict": "weak", "doubted": ["delay"]} for name in summary.rows}
+    page = run_page(tmp_path, summary.with_rows(changes), "run")
+    assert "tells of what the data determine free of doubt: here nothing" in page
+
+
+def test_the_first_card_parts_what_the_data_alone_tell_from_what_the_prior_helps_to(
+    result, tmp_path
+):
+    """And the row itself says that its interval holds too little."""
+    summary = told(result, checked(result, [3.0, -3.0]))  # no shift mends that
+    share = f"{100 * summary.self_check.rows[NAME].coverage:.0f} %"
+    summary = summary.with_rows({NAME: {"verdict": "weak"}})
+    page = read_page(run_page(tmp_path, summary, "run"))
+    (card,) = (p.text for p in page.all("p") if p.text.startswith("Self-check by simulation"))
+    alone, together = card.split("of what is known only together with prior and bounds")
+    assert "of what the data alone determine" in alone
+    assert NAME not in alone
+    assert share in together
+    assert NAME in together
+    said = [s.text for s in page.all("span") if "in simulation this interval" in s.text]
+    assert said == [f"in simulation this interval holds the truth in {share} only"]
+    assert "in simulation this interval" not in run_page(tmp_path, result.summary, "run")
 
 
 def test_a_correction_that_changes_no_digit_is_none(result, tmp_path):

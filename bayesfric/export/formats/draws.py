@@ -29,8 +29,7 @@ def _table(content: Content) -> tuple[dict[str, Array], dict[str, str]]:
         has = f"is {wanted}, and the run has {len(content.vectors.draws)}"
         raise BadInput("--draws", has, "ask for fewer, or fit with more steps")
     columns = dict(content.draws)
-    motion: Motion = "rotary" if content.rotary else "linear"
-    units = {name: NUMBERS[name].unit(motion) for name in columns}
+    units = {name: NUMBERS[name].unit_of(content.found.joint) for name in columns}
     for p, values in zip(content.found.joint.parameters, content.vectors.draws.T, strict=True):
         columns[p.name], units[p.name] = values, p.unit
     return columns, units

@@ -28,7 +28,7 @@ from bayesfric.report.page.strip import methods_of, strips
 from bayesfric.report.paper.tables import ParameterTable, parameter_table
 from bayesfric.report.summary.noise import white_wider
 from bayesfric.report.summary.record import Readable, Summary
-from bayesfric.report.summary.self_check import biased, cite_sentence, to_cite
+from bayesfric.report.summary.self_check import biased, cite_sentence, seldom_held, to_cite
 from bayesfric.report.text_templates import sentence
 
 
@@ -80,6 +80,7 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         which_to_cite=cite.get("which"),
         corrections=cite.get("rows", {}),
         biased=biased(read),
+        seldom_held=seldom_held(read),
         white_wider=white_wider(read),
         methods_text=_text(folder / "text" / "methods.txt").strip(),
     )

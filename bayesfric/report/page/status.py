@@ -37,6 +37,8 @@ class Glance:
     undecided: tuple[str, ...]
     # of the self-check: what its intervals hold least often, and how often
     worst: tuple[str, float] | None = None
+    # the same of what only data, prior and bounds determine together, where that is worse
+    worst_together: tuple[str, float] | None = None
 
 
 def glance(table: ParameterTable, summary: Summary) -> Glance:
@@ -47,9 +49,11 @@ def glance(table: ParameterTable, summary: Summary) -> Glance:
     combined = counts([r for r in table.rows if r.group == "free"])["data"]
     against, undecided = tuple(_against(summary)), tuple(_undecided(summary))
     right = _right(summary, against, undecided)
+    worst, together = found_least(summary), found_least(summary, "weak")
+    worse = together if worst and together and together[1] < worst[1] else None
     return Glance(
         _trusted(summary), _known(settled, combined), right, settled, named, combined, against,
-        undecided, found_least(summary),
+        undecided, worst, worse,
     )  # fmt: skip
 
 

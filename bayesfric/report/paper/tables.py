@@ -32,7 +32,7 @@ from bayesfric.report.summary.record import Readable, Summary, of_noise
 from bayesfric.report.summary.rows import KnownRow, PosteriorRow, amperes
 from bayesfric.report.summary.self_check import cite_sentence, cited, to_cite
 from bayesfric.report.summary.summary import summary_table
-from bayesfric.report.text_templates import filled
+from bayesfric.report.text_templates import filled, listed
 
 # Of a normal's 90 % interval, by which its ends are rounded.
 _WIDTHS = 1.0 / 3.29
@@ -344,8 +344,8 @@ def _table(
     return "\n".join(lines) + "\n"
 
 
-def methods_latex(found: Comparison, notes: Sequence[str] = ()) -> str:
-    """Lay a comparison of methods, or of runs, out as a ``table*``, with ``notes`` of one's own."""
+def methods_latex(found: Comparison) -> str:
+    """Lay a comparison of methods, or of runs, out as a ``table*``."""
     runs = len({column.run for column in found.columns} - {""})
     body: list[str] = []
     group = None
@@ -361,7 +361,11 @@ def methods_latex(found: Comparison, notes: Sequence[str] = ()) -> str:
     every = [row.cells.get(column.label) for row in found.rows for column in found.columns]
     cells_ = [cell for cell in every if cell is not None]
     wide = [column.run for column in found.columns if column.widened]
+    bias = "corrected for the bias of filters and encoder, as tables of parameters are"
     told = {
+        f"Posterior{f' of {listed(found.uncorrected)}' if runs > 1 else ''}: not {bias}": bool(
+            found.uncorrected
+        ),
         "†: residuals taken for uncorrelated, too small where they are correlated": any(
             c.status == "determined" and not c.accounts for c in cells_
         ),
@@ -380,7 +384,6 @@ def methods_latex(found: Comparison, notes: Sequence[str] = ()) -> str:
     }
     notes = [
         "One standard deviation in parentheses, accounting for correlated residuals",
-        *notes,
         *(note for note, applies in told.items() if applies),
     ]
     columns = "@{}ll" + "l" * len(found.columns) + "@{}"
@@ -449,9 +452,7 @@ def summary_texts(summary: Readable, run: str) -> dict[str, str]:
 def latex_texts(summary: Readable, run: str) -> dict[str, str]:
     """Lay the same numbers out as LaTeX, by file name inside the run directory."""
     table = parameter_table(summary, run)
-    corrected = any(row.corrected for row in table.rows)
-    notes = ["Not corrected for the bias of filters and encoder"] if corrected else []
     return {
         "tables/parameters.tex": parameters_latex(table),
-        "tables/methods.tex": methods_latex(comparison({run: summary}), notes),
+        "tables/methods.tex": methods_latex(comparison({run: summary})),
     }

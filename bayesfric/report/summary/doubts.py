@@ -142,7 +142,7 @@ def little_explained(
     ):
         return []
     quantity = effort_words("motor torque", chain.motor_motion)
-    told = {"kind": "unexplained", "share": share, "quantity": quantity}
+    told = {"kind": "unexplained", "share": share, "quantity": quantity, "at_best": True}
     return [told | _instead(chain, observations, delays, share)]
 
 

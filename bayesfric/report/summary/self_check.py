@@ -8,7 +8,7 @@ truth, so what is left is of second order, the bias times its relative change ov
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
+from bayesfric.identifiability.local import Verdict
 from bayesfric.inference.fitting import Fit
 from bayesfric.report.numbers import text_rounded
 from bayesfric.report.summary.derived_quantities import LEVEL, Groups
@@ -133,7 +134,7 @@ def to_cite(summary: Summary) -> dict[str, Any] | None:
 
     ``which`` are ``corrected`` ones; where intervals have room for the model's error, those of the
     ``tables``; and ``both``, the one's values with the other's width, where a bias is large even
-    beside that room.
+    beside that room. ``doubted`` is whether ``some`` or ``all`` of these rows are, or none (empty).
     """
     off = off_rows(summary)
     rows = {name: row for name, row in off.items() if _corrects(summary.rows[name], row)}
@@ -142,8 +143,9 @@ def to_cite(summary: Summary) -> dict[str, Any] | None:
     allowed, told = summary.widened, summary.rows
     moved = max(abs(r.bias) * told[n].sd / (told[n].told_sd or np.inf) for n, r in rows.items())
     which = "corrected" if not allowed else "both" if moved > BIASED else "tables"
-    doubted = any(told[name].doubted for name in rows)
-    return {"rows": rows, "allowed": allowed, "which": which, "doubted": doubted}
+    doubted = [bool(told[name].doubted) for name in rows]
+    how_many = "all" if all(doubted) else "some" if any(doubted) else ""
+    return {"rows": rows, "allowed": allowed, "which": which, "doubted": how_many}
 
 
 def cited(summary: Summary) -> dict[str, tuple[float, float, float, float]]:
@@ -167,21 +169,31 @@ def cited(summary: Summary) -> dict[str, tuple[float, float, float, float]]:
     return found
 
 
-def _by_data(summary: Summary) -> dict[str, SelfCheckRow]:
+def _judged(summary: Summary, verdict: Verdict) -> dict[str, SelfCheckRow]:
     # where a prior has a say, no interval holds nine of ten truths
     rows = summary.self_check.rows if summary.self_check is not None else {}
-    return {name: row for name, row in rows.items() if summary.rows[name].verdict == "data"}
+    return {name: row for name, row in rows.items() if summary.rows[name].verdict == verdict}
 
 
-def found_least(summary: Summary) -> tuple[str, float] | None:
-    """Name what the data determine whose intervals hold the truth least often."""
-    told = [(name, row.coverage) for name, row in _by_data(summary).items()]
+def found_least(summary: Summary, verdict: Verdict = "data") -> tuple[str, float] | None:
+    """Name what the data alone (or with the prior) determine that intervals hold least often."""
+    told = [(name, row.coverage) for name, row in _judged(summary, verdict).items()]
     return min(told, key=lambda one: one[1], default=None)
+
+
+def seldom_held(summary: Summary) -> dict[str, float]:
+    """Give how often intervals that are printed hold the truth, of those that do so too seldom."""
+    shown, found = cited(summary), {}
+    for name, row in off_rows(summary).items():
+        coverage = row.corrected_coverage if name in shown else row.coverage
+        if coverage is not None and coverage < LOW:
+            found[name] = coverage
+    return found
 
 
 def narrow(summary: Summary) -> bool:
     """Whether an interval holds too few truths, beyond chance, for a run to be called reliable."""
-    rows = _by_data(summary).values()
+    rows = _judged(summary, "data").values()
     return any(row.coverage + _SURE * row.coverage_error < LOW for row in rows)
 
 
@@ -189,6 +201,21 @@ def cite_sentence(summary: Summary) -> str:
     """Say which values to cite, where some are corrected; else empty."""
     told = to_cite(summary)
     return sentence("cite", told) if told else ""
+
+
+def uncorrected_sentence(summary: Summary, names: Collection[str] | None = None) -> str:
+    """Say beside numbers of the posterior as it is which ``names`` are cited otherwise; or empty.
+
+    All names if left out.
+    """
+    changes = []
+    for name, (value, *_) in cited(summary).items():
+        row = summary.rows[name]
+        if names is None or name in names:
+            before, after = (text_rounded(x, row.told_sd) for x in (row.middle, value))
+            told = {"name": name, "value": before, "corrected": after}
+            changes.append(told | {"doubted": bool(row.doubted)})
+    return sentence("uncorrected", {"changes": changes}) if changes else ""
 
 
 def self_check_lines(summary: Summary) -> Iterator[str]:
