@@ -42,9 +42,7 @@ def noise_meaning(fit: Fit, quantity: str) -> str:
     return effort_words(scale.meaning, fit.chain.motor_motion)
 
 
-def noise_record(
-    fit: Fit, residuals: list[Array], choice: Choice | None
-) -> dict[str, Any]:
+def noise_record(fit: Fit, residuals: list[Array], choice: Choice | None) -> dict[str, Any]:
     """Put the noise of a fit into the form of ``summary.json``.
 
     ``residuals`` ``(M,)`` of every recording are measured minus posterior mean; ``choice`` is how
