@@ -204,9 +204,9 @@ def _map(figure: Figure, ax: Axes, fit: Fit, judge: CurveJudge, found: FrictionC
     told: Look = {"levels": 4, "colors": style.PALETTE[0], "linewidths": 0.7}
     lines = ax.contour(x, y, shown(band.median, near & band.determined), **told)
     _name_contours(ax, lines)
-    if any(path.vertices.size for path in lines.get_paths()):
+    if any(np.size(path.vertices) for path in lines.get_paths()):
         # few lines have room for their level
-        apart = f"{lines.levels[1] - lines.levels[0]:.2g} {_units(fit)[1]} apart"
+        apart = f"{np.diff(np.asarray(lines.levels))[0]:.2g} {_units(fit)[1]} apart"
         remark_below(figure, f"in the map: lines of equal median $F$, {apart}")
     open_ = near & ~band.determined
     if open_.any():
