@@ -43,4 +43,4 @@ def __getattr__(name: str) -> Callable[[Any], Figure]:
 
 
 def __dir__() -> list[str]:
-    return sorted([*run_figures(), "ladder", "rollout"])
+    return sorted({*run_figures(), "ladder", "rollout"})

@@ -199,6 +199,7 @@ def test_the_torque_that_a_motion_takes_is_the_sum_of_its_terms():
 def test_figures_and_summaries_are_of_what_was_sampled():
     posterior = bf.Model(axis(), arrays(), noise="white", sampling=QUICK).sample()
     assert "friction" in dir(PLOT)
+    assert len(dir(PLOT)) == len(set(dir(PLOT)))
     assert bf.plot.friction(posterior).axes
     assert "motor.inertia" in bf.summary(posterior)._repr_html_()
     said = str(bf.summary(posterior))

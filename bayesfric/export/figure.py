@@ -34,6 +34,9 @@ class ExportPicture:
 def export_figure(picture: ExportPicture) -> Figure:
     """Draw the torque of the fitted joint and a format's error along the longest recording.
 
+    That torque follows from the motion at the compared outputs as it is; a fit compares it after a
+    filter that measured and modelled torque pass alike, which takes its peaks.
+
     Below, friction of both in all recordings: over the load that resists the motion where the
     joint has a loss that depends on it, else over speed.
     """
@@ -77,7 +80,7 @@ def _over_time(ax: Axes, picture: ExportPicture) -> list[Line2D]:
     gaps = np.flatnonzero(np.diff(time) > _GAP * np.median(np.diff(time))) + 1
     lines = []
     for values, colour, words in (
-        (picture.wrong.whole, style.PALETTE[3], "fitted joint"),
+        (picture.wrong.whole, style.PALETTE[3], "fitted joint, unfiltered"),
         (picture.wrong.difference, style.PALETTE[0], f"error of {picture.name}"),
     ):
         x, y = np.insert(time, gaps, np.nan), np.insert(values[part], gaps, np.nan)

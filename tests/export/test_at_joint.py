@@ -22,6 +22,7 @@ from bayesfric.export.at_joint import (
 )
 from bayesfric.export.carried import carried, lost_terms
 from bayesfric.export.central import central
+from bayesfric.export.figure import export_figure
 from bayesfric.export.format import Options, formats
 from bayesfric.export.pendulum import pendulum
 from bayesfric.mechanism.element import Element, Load
@@ -378,3 +379,18 @@ def test_the_gain_has_the_units_of_motor_and_joint(motor, joint, unit):
         load=Load(motion=joint, inertia=True),
     )
     assert NUMBERS["gain"].unit_of(made) == unit
+
+
+def test_the_torque_beside_an_error_is_the_unfiltered_one_and_is_said_to_be():
+    """A fit compares torque after a filter; the simulator's joint is asked for all of it."""
+    joint, values = preset("servo-pendulum")
+    exported = bf.export(made(joint, values, 0.4, spread=0.0), "urdf")
+    picture = exported.picture
+    torque = torque_along(joint, joint.vector(values)[None], picture.motions)[0]
+    rms = exported.record["error"]["torque_rms"]
+    assert rms == pytest.approx(np.sqrt(np.mean(torque**2)))
+    assert f"the torque of the fitted joint itself is {rms:.3g} N m rms. Both are unfiltered" in (
+        exported.text()
+    )
+    (legend,) = export_figure(picture).legends
+    assert "fitted joint, unfiltered" in [text.get_text() for text in legend.get_texts()]

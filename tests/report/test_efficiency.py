@@ -8,6 +8,9 @@ import pytest
 from bayesfric.mechanism.derived import derive, efficiencies
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.figures.efficiency import (
+    Measured,
+    _bottom,
+    _caption,
     efficiency_curves,
     efficiency_figure,
     measured_efficiency,
@@ -83,6 +86,28 @@ def test_a_reference_stands_at_the_stated_load(knee):
     words = [t.get_text() for t in figure.legends[0].get_texts()]
     assert "data sheet, motor drives" in words
     assert figure.get_figwidth() == COLUMN
+
+
+def test_the_axis_holds_what_is_drawn_and_the_caption_only_names_that(knee, curves):
+    assert efficiency_figure(knee, {}).axes[0].get_ylim() == (0.0, 1.0)
+    high = replace(curves[0], band=replace(curves[0].band, **dict.fromkeys(
+        ("median", "low", "high"), np.full(curves[0].load.size, 0.96))))  # fmt: skip
+    bottom = _bottom([high], {})
+    assert 0.9 < bottom < 0.96
+    given = ReferenceRow(value=0.9, sd=0.05, unit="", source="data sheet")
+    assert _bottom([high], {high.name: given}) < 0.85
+    said = _caption(curves)
+    assert "Open markers" not in said
+    assert "Hatched where the data do not determine it" in said
+    told = replace(
+        high,
+        covered=np.ones_like(high.covered),
+        band=replace(high.band, determined=np.ones_like(high.covered)),
+        measured=Measured(np.ones(1), np.full((3, 1), 0.95)),
+    )
+    assert "Open markers" in _caption([told])
+    assert "Hatched" not in _caption([told])
+    assert "Dashed" not in _caption([told])
 
 
 def test_no_load_loss_no_figure(slide):

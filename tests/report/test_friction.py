@@ -172,6 +172,19 @@ def test_near_means_near():
     assert near.tolist() == [True, True, False]
 
 
+def test_a_fast_output_alone_is_not_near_and_legend_and_caption_say_why(knee):
+    """Two of 103 outputs are fast: recorded, yet too few to cover a place."""
+    place = Covered(np.r_[np.linspace(0, 4, 101), 9.0, 9.1], np.zeros(103))
+    assert place.near(np.array([2.0, 9.0]), None).tolist() == [True, False]
+    more = Covered(np.r_[place.speed, 9.05], np.zeros(104))
+    assert more.near(np.array([9.05]), None).tolist() == [True]
+    words = "fewer than 3"
+    assert f"{words} compared outputs are near" in friction_caption(knee)
+    said = [text.get_text() for text in friction_figure(knee).legends[0].get_texts()]
+    assert f"{words} outputs near" in said
+    assert "lines are of equal median friction" in friction_caption(knee)
+
+
 def test_what_never_drove_back_is_not_determined(knee):
     """Without power from the load mu_2 shows nowhere, and neither does the friction there."""
     judge = CurveJudge(knee)

@@ -9,6 +9,7 @@ import pytest
 
 import bayesfric
 from bayesfric.recordings.measurement import LeftOut
+from bayesfric.report.paper import latex
 from bayesfric.report.paper.equation import latex_equations, plain_equations
 from bayesfric.report.paper.methods_text import ENTRIES, methods_text
 from bayesfric.report.paper.tables import latex_texts, parameter_table
@@ -162,7 +163,7 @@ def test_why_numbers_are_doubtful_is_said(knee):
     assert f"Doubtful they are because {words}." in methods_text(knee, summary).plain
     texts = latex_texts(summary, "run")
     assert f"Doubtful, because {words}" in texts["tables/parameters.tex"]
-    assert f"d: doubtful, because {words}" in texts["tables/methods.tex"]
+    assert f"d: doubtful, because {words}" in texts["tables/estimates.tex"]
 
 
 def test_the_noise_model_is_the_summarys(knee):
@@ -247,6 +248,49 @@ _WANTED = {
 def test_an_entry_is_complete(key):
     kind = re.match(r"@(\w+)", ENTRIES[key].text)[1]
     assert set(re.findall(r"^  (\w+) = ", ENTRIES[key].text, re.MULTILINE)) >= _WANTED[kind]
+
+
+@pytest.mark.parametrize("key", ENTRIES)
+def test_an_entry_has_no_fields_that_bibtex_warns_of_together(key):
+    """Standard styles take one of volume and number, of a paper in proceedings."""
+    fields = set(re.findall(r"^  (\w+) = ", ENTRIES[key].text, re.MULTILINE))
+    if ENTRIES[key].text.startswith("@inproceedings"):
+        assert not fields >= {"volume", "number"}
+
+
+def test_signs_and_numbers_below_zero_are_math(knee):
+    """Text fonts print ``<``, ``>`` and ``|`` as other characters, and a hyphen for a minus."""
+    summary = summarise(knee).as_dict()
+    summary["noise"]["residual_lag1"] = -0.61
+    axis = {"name": "speed", "p_value": 0.5, "groups": 4, "differs": False}
+    summary["model_error"] = {"shown": False, "axes": [axis]}
+    row = next(iter(summary["parameters"].values()))
+    row["prior_default"], row["prior"] = False, "norm(loc=-1.5, scale=2e-05) cut to [-2, 3]"
+    said = methods_text(knee, summary)
+    assert "correlation is -0.61" in said.plain
+    assert "correlation is $-0.61$" in said.latex
+    assert "(F tests, p > 0.01)" in said.plain
+    assert "(F tests, $p > 0.01$)" in said.latex
+    assert r"norm(loc=$-1.5$, scale=$2\times 10^{-5}$) cut to [$-2$, 3]" in said.latex
+    words = re.sub(r"\\begin\{align\*\}.*?\\end\{align\*\}", "", said.latex, flags=re.DOTALL)
+    words = re.sub(r"\$[^$]*\$", "", words)
+    assert not re.search(r"[<>|]|(?<![\w-])-\d", words)
+
+
+def test_latex_has_the_symbols_of_the_tables_and_text_the_names(knee):
+    summary = summarise(knee).as_dict()
+    for row in summary["parameters"].values():
+        row["prior_default"] = False
+    said = methods_text(knee, summary)
+    table = {r.name: latex.symbol(r.symbol, r.name) for r in parameter_table(summary).rows}
+    for name in summary["parameters"]:
+        assert f" {name} " in said.plain
+        assert latex.escaped(name) not in said.latex
+        assert f" {table[name]} " in said.latex
+
+
+def test_the_package_is_not_named_twice(said):
+    assert f"bayesfric {bayesfric.__version__} (The bayesfric developers)" in said.plain
 
 
 def test_bibtex_is_balanced(said):

@@ -41,7 +41,7 @@ def test_the_record_says_whether_noise_has_a_memory(make_observation, noise, ord
 @pytest.mark.parametrize(("p_value", "white"), [(0.011, False), (0.038, False), (0.06, True)])
 def test_what_one_in_twenty_would_be_is_not_said_to_pass(knee, monkeypatch, p_value, white):
     monkeypatch.setattr(noise, "ljung_box", lambda *_: p_value)
-    record = noise.noise_record(knee, knee.residuals, [0.0], None)
+    record = noise.noise_record(knee, knee.residuals, None)
     assert record["innovation_whiteness"]["white"] == white
     tried = (Evidence(0, 0.0, 1.0, p_value),)
     assert Choice(0, tried).white == white

@@ -108,6 +108,9 @@ def test_two_sigma_lines(knee):
     ]
     (p,) = predictive(knee)
     assert levels == [2 * p.sigma[0], 2 * p.sigma[0]]
+    # a table's sigma is another number where the noise has a memory
+    said = [text.get_text() for text in prediction_figure(knee).legends[0].get_texts()]
+    assert "$\\pm 2$ sds of the noise" in said
 
 
 def test_units(knee, slide):

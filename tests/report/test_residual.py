@@ -341,3 +341,20 @@ def test_behind_an_unknown_gain_only_the_noise_is_a_current(make_fit):
 
 def children(figure):
     return [child for ax in figure.axes for child in ax.child_axes]
+
+
+def test_lag_1_is_one_number_in_caption_and_summary(many):
+    """About zero, though residuals have a mean and recordings differ in length and noise."""
+
+    rng = np.random.default_rng(5)
+
+    def moved(o, _):
+        noise = lfilter([1.0], [1.0, 0.6], rng.standard_normal(o.measured.size))
+        return o.measured.size * (0.5 + noise)
+
+    fit = disturbed(many, moved)
+    told = summarise(fit).noise.residual_lag1
+    assert residual_analysis(fit).correlation[0] == pytest.approx(told, rel=1e-12)
+    # a mean of 0.5 beside noise of variance 1/(1 - 0.6^2) and lag -0.6; four sds of a white lag
+    pairs = sum(int(o.follows.sum()) for o in fit.target.likelihood.outputs)
+    assert told == pytest.approx((0.25 - 0.6 / 0.64) / (0.25 + 1 / 0.64), abs=4 / np.sqrt(pairs))

@@ -133,7 +133,7 @@ def test_what_a_paper_takes_over(run):
         "tables/parameters.tex": parameters_latex(table),
         "tables/parameters.md": parameters_markdown(table),
         "tables/parameters.csv": parameters_csv(table),
-        "tables/methods.tex": methods_latex(comparison({"run": summary})),
+        "tables/estimates.tex": methods_latex(comparison({"run": summary})),
     }
     for name, text in written.items():
         assert (run / name).read_text(encoding="utf-8") == text, name
@@ -193,7 +193,7 @@ def test_what_a_paper_wants_can_be_had_later(run, tmp_path, monkeypatch):
     monkeypatch.setattr(run_directory, "FIGURES", some)
     again = shutil.copytree(run, tmp_path / "run")
     wanted = [f"figures/{stem}.{kind}" for stem in DRAWN for kind in ("pdf", "png")]
-    wanted += [f"tables/{name}.tex" for name in ("parameters", "methods")]
+    wanted += [f"tables/{name}.tex" for name in ("parameters", "estimates")]
     wanted += ["text/methods.tex", "text/references.bib"]
     for name in wanted:
         (again / name).unlink()

@@ -195,7 +195,7 @@ def test_one_rule_says_what_to_cite_everywhere(tmp_path, result, wide, doubted, 
     before = text_rounded(summary.rows[NAME].middle, summary.rows[NAME].told_sd)
     noted = [note for note in table.notes if f"{NAME}, uncorrected {before} [" in note]
     assert len(noted) == (wide < 10.0)
-    compared = latex_texts(summary, "run")["tables/methods.tex"]
+    compared = latex_texts(summary, "run")["tables/estimates.tex"]
     assert ("not corrected for the bias" in compared) == (wide < 10.0)
     lines = csv.DictReader(io.StringIO(parameters_csv(table)))
     (line,) = (one for one in lines if one["name"] == NAME)

@@ -22,6 +22,8 @@ Flags = NDArray[np.bool_]
 # Joint parameters (n, n_parameters) to the curve's points (n, N)
 Curve = Callable[[Array], Array]
 
+# Outputs that must be near a place for it to count as recorded.
+FEWEST = 3
 # A quantile of so many draws is known to a fortieth of the band's width.
 _DRAWS = 1000
 _PRIOR_DRAWS = 500
@@ -48,7 +50,7 @@ class CurveBand:
 
 @dataclass(frozen=True, eq=False)
 class LoadCurve:
-    """A band over, or at, loads ``(N,)``, and whether recordings were near ``(N,)``."""
+    """A band over, or at, loads ``(N,)``, and whether ``FEWEST`` outputs were near ``(N,)``."""
 
     load: Array  # loss-free, see :mod:`bayesfric.report.figures.friction_curve`
     band: CurveBand
@@ -62,13 +64,17 @@ class LoadCurve:
 
 @dataclass(frozen=True)
 class CurveLook:
-    """How a curve is told from others; ``every`` point so many has a marker, as of ``start``."""
+    """How a curve is told from others; ``every`` point so many has a marker, as of ``start``.
+
+    ``width`` is the line's, in points.
+    """
 
     colour: str
     marker: str
     hatch: str = OPEN_HATCH
     start: int = 0
     every: int = 6
+    width: float = 0.9
 
 
 class CurveJudge:
@@ -154,7 +160,7 @@ def draw_curve(
     ax.plot(x, band.median, color=look.colour, gid="outside", **_OUTSIDE)
     seen = np.where(_joined(shown, np.isfinite(band.median)), band.median, np.nan)
     marks: Look = {"marker": look.marker, "markersize": 2.6, "markevery": (look.start, look.every)}
-    ax.plot(x, seen, color=look.colour, label=label, gid="median", **marks)
+    ax.plot(x, seen, color=look.colour, linewidth=look.width, label=label, gid="median", **marks)
 
 
 def curve_handles(curves: Sequence[LoadCurve], band: str, other: str) -> list[Artist]:
@@ -163,7 +169,9 @@ def curve_handles(curves: Sequence[LoadCurve], band: str, other: str) -> list[Ar
     if any((c.shown & c.band.determined).any() for c in curves):
         handles.append(Patch(label=f"{100 * LEVEL:.0f} % band", **_area(band, None)))
     if any((~c.covered & np.isfinite(c.band.median)).any() for c in curves):
-        handles.append(Line2D([], [], color=other, label="not recorded there", **_OUTSIDE))
+        handles.append(
+            Line2D([], [], color=other, label=f"fewer than {FEWEST} outputs near", **_OUTSIDE)
+        )
     if any((c.shown & ~c.band.determined).any() for c in curves):
         handles.append(Patch(label="NOT determined by the data", **_area(other, OPEN_HATCH)))
     return handles

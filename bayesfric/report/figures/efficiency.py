@@ -17,6 +17,7 @@ from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.inverse import load_reach
 from bayesfric.report.figures import style
 from bayesfric.report.figures.curve_band import (
+    FEWEST,
     CurveBand,  # noqa: F401  (of an inherited field, for the reference)
     CurveJudge,
     CurveLook,
@@ -41,8 +42,9 @@ _WORDS = {"drive": "motor drives", "back": "load drives"}
 _SYMBOLS = {"drive": r"\eta_m", "back": r"\eta_r"}
 # hatched the other way round for the other direction of power
 _LOOKS = {
-    "drive": CurveLook(style.PALETTE[1], "o"),
-    "back": CurveLook(style.PALETTE[2], "s", hatch=style.OPEN_HATCH_BACK),
+    # wide below and thin above, so that both are seen where they agree
+    "drive": CurveLook(style.PALETTE[1], "o", width=2.4),
+    "back": CurveLook(style.PALETTE[2], "s", hatch=style.OPEN_HATCH_BACK, start=3),
 }
 _REFERENCE: Look = {
     "color": style.MEASURED, "markersize": 4.0, "markerfacecolor": "white", "linestyle": "none"
@@ -166,10 +168,10 @@ def measured_efficiency(
 
 
 def _near(load: Array, seen: Array) -> Flags:
-    """Tell which loads at least three outputs were near."""
+    """Tell which loads ``FEWEST`` outputs were near."""
     reach = 1.5 * (load[1] - load[0])
     count = np.searchsorted(seen, load + reach) - np.searchsorted(seen, load - reach)
-    return np.asarray(count >= 3)
+    return np.asarray(count >= FEWEST)
 
 
 def efficiency_figure(fit: Fit, references: Mapping[str, ReferenceRow]) -> Figure | None:
@@ -190,7 +192,7 @@ def efficiency_figure(fit: Fit, references: Mapping[str, ReferenceRow]) -> Figur
     with paper_figure(width, _HEIGHT) as figure:
         axes = figure.subplots(1, len(panels), squeeze=False)[0]
         for ax, panel in zip(axes, panels, strict=True):
-            _panel(ax, fit, panel)
+            _panel(ax, fit, panel, references)
             for curve in panel:
                 if curve.name in references:
                     _reference(ax, curve, references[curve.name], stated)
@@ -198,7 +200,12 @@ def efficiency_figure(fit: Fit, references: Mapping[str, ReferenceRow]) -> Figur
     return figure
 
 
-def _panel(ax: Axes, fit: Fit, panel: Sequence[EfficiencyCurve]) -> None:
+def _panel(
+    ax: Axes,
+    fit: Fit,
+    panel: Sequence[EfficiencyCurve],
+    references: Mapping[str, ReferenceRow],
+) -> None:
     for curve in panel:
         draw_curve(ax, curve.load, curve, _LOOKS[curve.side])
         if curve.measured is not None:
@@ -207,9 +214,23 @@ def _panel(ax: Axes, fit: Fit, panel: Sequence[EfficiencyCurve]) -> None:
     ax.set_xlabel(rf"load {kind} at the joint $|\Gamma|$ ({unit})")
     ax.set_ylabel(f"efficiency of {panel[0].element} (–)")
     ax.set_xlim(0.0, float(panel[0].load[-1]))
-    ax.set_ylim(0.0, 1.0)
+    ax.set_ylim(_bottom(panel, references), 1.0)
     few_ticks(ax.xaxis, 6)
     few_ticks(ax.yaxis, 6)
+
+
+def _bottom(panel: Sequence[EfficiencyCurve], references: Mapping[str, ReferenceRow]) -> float:
+    """Begin the axis at zero, or where all that is drawn lies in its upper half below that."""
+    drawn = [np.ones(1)]
+    for curve in panel:
+        drawn += [curve.band.median, curve.band.low[curve.shown]]
+        if curve.measured is not None:
+            drawn.append(curve.measured.quartiles[0])
+        if curve.name in references:
+            given = references[curve.name]
+            drawn.append(np.array([given.value - (given.sd or 0.0)]))
+    lost = 1.0 - float(np.nanmin(np.concatenate(drawn)))
+    return 0.0 if lost > 0.4 else 1.0 - max(1.25 * lost, 0.02)
 
 
 def _draw_measured(ax: Axes, found: Measured, look: CurveLook) -> None:
@@ -232,7 +253,7 @@ def _handles(
     marks: list[Artist] = []
     for side, look in _LOOKS.items():
         said = rf"{_WORDS[side]}, ${_SYMBOLS[side]}$"
-        mark: Look = {"marker": look.marker, "markersize": 2.6}
+        mark: Look = {"marker": look.marker, "markersize": 2.6, "linewidth": look.width}
         lines.append(Line2D([], [], color=look.colour, label=said, **mark))
     given = {(references[c.name].source, c.side): None for c in curves if c.name in references}
     for source, side in given:
@@ -243,6 +264,25 @@ def _handles(
         point: Look = {"marker": "o", "color": style.MEASURED, **_MEASURED}
         marks.append(Line2D([], [], label=words, **point))
     return [*lines, *curve_handles(curves, style.PALETTE[1], style.MEASURED), *marks]
+
+
+def _caption(curves: Sequence[EfficiencyCurve]) -> str:
+    """Say what the curves are, and only of what is drawn how it is drawn."""
+    said = [
+        "Efficiency of eq. (4) of one element over the load at the joint: posterior median and "
+        f"{100 * LEVEL:.0f} % band, constant losses in and behind the element counted, viscous "
+        "ones and all that stands before it, as the motor's own loss, not."
+    ]
+    if any(curve.measured is not None for curve in curves):
+        said.append(
+            "Open markers: the measured torque less what the model, at its posterior median, "
+            "says of all but this element, in bins of the load (median and middle half of each)."
+        )
+    if not all(curve.covered.all() for curve in curves):
+        said.append(f"Dashed where fewer than {FEWEST} compared outputs had about such loads.")
+    if any((curve.shown & ~curve.band.determined).any() for curve in curves):
+        said.append("Hatched where the data do not determine it.")
+    return " ".join(said)
 
 
 def _words(judged: JudgedRun) -> str:
@@ -256,14 +296,6 @@ FIGURE = RunFigure(
     title="Efficiency against load",
     section="efficiency",
     draw=lambda run: efficiency_figure(run.fit.wide, run.summary.references),
-    caption=(
-        f"Efficiency of eq. (4) of one element over the load at the joint: posterior median and "
-        f"{100 * LEVEL:.0f} % band, constant losses in and behind the element counted, viscous "
-        "ones and all that stands before it, as the motor's own loss, not. "
-        "Open markers: the measured torque less what the model, at its posterior median, "
-        "says of all but this element, in bins of the load (median and middle half of each). "
-        "Dashed where no recording had such loads, hatched where the data do not "
-        "determine it."
-    ),
+    caption=lambda run: _caption(efficiency_curves(run.fit.wide)),
     alternative=_words,
 )

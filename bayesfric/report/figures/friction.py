@@ -15,6 +15,7 @@ from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism.quantities import CHOICES, LOAD_CHOICES, QUANTITIES
 from bayesfric.report.figures import style
 from bayesfric.report.figures.curve_band import (
+    FEWEST,
     CurveBand,  # noqa: F401  (of an inherited field, for the reference)
     CurveJudge,
     CurveLook,
@@ -23,9 +24,16 @@ from bayesfric.report.figures.curve_band import (
     curve_handles,
     draw_curve,
 )
-from bayesfric.report.figures.friction_curve import Covered, covered, friction_torque
+from bayesfric.report.figures.friction_curve import NEAR, Covered, covered, friction_torque
 from bayesfric.report.figures.registry import JudgedRun, RunFigure
-from bayesfric.report.figures.style import Array, Look, few_ticks, legend_above, paper_figure
+from bayesfric.report.figures.style import (
+    Array,
+    Look,
+    few_ticks,
+    legend_above,
+    paper_figure,
+    remark_below,
+)
 from bayesfric.report.page.values import rows_in_words
 from bayesfric.report.paper.tables import ParameterRow
 from bayesfric.report.summary.summary import LEVEL
@@ -112,7 +120,7 @@ def friction_figure(fit: Fit) -> Figure:
     """Draw friction over speed, over load, and a map over both; only the first without load loss.
 
     All at the motor, with the posterior median and its 90 % band. Loads left of zero drive
-    the motor (back-driving). Beyond what the recordings covered the median goes on dashed,
+    the motor (back-driving). Where hardly any outputs are near the median goes on dashed,
     without a band; where the data do not determine the curve the band is hatched.
     """
     judge = CurveJudge(fit)
@@ -194,7 +202,12 @@ def _map(figure: Figure, ax: Axes, fit: Fit, judge: CurveJudge, found: FrictionC
     look: Look = {"cmap": "Blues", "vmin": 0.0, "shading": "nearest", "rasterized": True}
     shades = ax.pcolormesh(x, y, shown(half, near), **look)
     told: Look = {"levels": 4, "colors": style.PALETTE[0], "linewidths": 0.7}
-    _name_contours(ax, ax.contour(x, y, shown(band.median, near & band.determined), **told))
+    lines = ax.contour(x, y, shown(band.median, near & band.determined), **told)
+    _name_contours(ax, lines)
+    if any(np.size(path.vertices) for path in lines.get_paths()):
+        # few lines have room for their level
+        apart = f"{np.diff(np.asarray(lines.levels))[0]:.2g} {_units(fit)[1]} apart"
+        remark_below(figure, f"in the map: lines of equal median $F$, {apart}")
     open_ = near & ~band.determined
     if open_.any():
         hatched: Look = {"levels": [0.5, 1.5], "colors": "none", "hatches": [style.OPEN_HATCH]}
@@ -270,11 +283,15 @@ def friction_caption(fit: Fit) -> str:
     """Say what load means in the figure, which depends on what the run can tell."""
     start = (
         "Friction of the whole joint at the motor, at constant speed: posterior median and "
-        f"{100 * LEVEL:.0f} % band. Dashed where no recording ran, hatched where the data do not "
-        "tell. "
+        f"{100 * LEVEL:.0f} % band, hatched where the data do not tell. Dashed where fewer than "
+        f"{FEWEST} compared outputs are near: within {100 * NEAR:.0f} % of the range of speed"
     )
     if all(element.load_loss == "none" for element in fit.chain.elements):
-        return start + "No element has a loss that depends on load."
+        return start + ". No element has a loss that depends on load."
+    start += (
+        " and, at once, of load; the map is empty there. Its lines are of equal median friction, "
+        "its shades the half width of the band. "
+    )
     if CurveJudge(fit).open_scale:
         return start + (
             "Load is the mean of what the motor feels of it while driving and while driven: the "

@@ -28,12 +28,11 @@ from bayesfric.mechanism.inverse import load_reach, load_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import State
 from bayesfric.recordings.inputs import AT_ROOM
-from bayesfric.report.figures.curve_band import Flags
+from bayesfric.report.figures.curve_band import FEWEST, Flags
 from bayesfric.report.figures.style import Array
 
-# A place counts as covered by this many outputs within this share of the recorded span.
-_NEIGHBOURS = 3
-_NEAR = 0.08
+# Of the recorded range of speed, and of load: outputs so near to a place cover it.
+NEAR = 0.08
 
 
 def friction_torque(
@@ -81,7 +80,7 @@ class Covered:
     load: Array
 
     def near(self, speed: Array, load: Array | None) -> Flags:
-        """Tell which places ``(N,)`` some outputs are near; all loads count if ``None``."""
+        """Tell which places ``(N,)`` have ``FEWEST`` outputs near; all loads count if ``None``."""
         mine, places = [self.speed], [speed]
         if load is not None:
             mine.append(self.load)
@@ -92,9 +91,9 @@ class Covered:
         spans = np.where(inner > 0.0, inner / 0.9, spans)
         tree = cKDTree(np.stack(mine, axis=1) / spans)
         distance, _ = tree.query(
-            np.stack(places, axis=1) / spans, k=min(_NEIGHBOURS, self.speed.size), p=np.inf
+            np.stack(places, axis=1) / spans, k=min(FEWEST, self.speed.size), p=np.inf
         )
-        return np.asarray(np.reshape(distance, (speed.size, -1))[:, -1] <= _NEAR)
+        return np.asarray(np.reshape(distance, (speed.size, -1))[:, -1] <= NEAR)
 
 
 def covered(fit: Fit, median: Array, *, open_scale: bool) -> Covered:

@@ -149,7 +149,7 @@ def _residual(ax: Axes, o: Outputs, p: Predictive, most_dots: float) -> None:
         "gid": "sigma",
     }
     ax.plot(time, -2.0 * sigma, **look)
-    ax.plot(time, 2.0 * sigma, label=r"$\pm 2\sigma$", **look)
+    ax.plot(time, 2.0 * sigma, label="$\\pm 2$ sds of the noise", **look)
 
 
 def _dots(broken: Array, most: float) -> list[int]:
@@ -182,6 +182,8 @@ FIGURE = RunFigure(
     draw=lambda run: prediction_figure(run.fit),
     caption=(
         "What was measured and what the posterior predicts, noise included, with residuals below. "
+        "Dashed beside them: two sds of the noise, with what its memory adds where it has one; the "
+        "tables' scale is then that of its innovations, which is smaller. "
         f"Gaps that are not hatched have no samples, or are not compared: {too_slow()}."
     ),
     alternative=residuals_in_words,

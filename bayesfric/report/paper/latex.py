@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from collections.abc import Mapping
 
 from matplotlib.font_manager import FontProperties
 from matplotlib.mathtext import MathTextParser
@@ -39,6 +40,10 @@ _TYPESET = {
     "°": r"\textdegree{}",
     "…": r"\dots{}",
     "†": r"\dag{}",
+    # the standard fonts have other signs in their places
+    "<": r"\ensuremath{<}",
+    ">": r"\ensuremath{>}",
+    "|": r"\textbar{}",
 }
 
 
@@ -67,6 +72,15 @@ def symbol(latex: str, name: str) -> str:
     """Set a quantity's symbol; its name in typewriter where it has none that can be set."""
     shown = mathtext(latex, name) if latex else ""
     return shown if shown.startswith("$") else rf"\texttt{{{escaped(name)}}}"
+
+
+def with_symbols(text: str, symbols: Mapping[str, str]) -> str:
+    """Put symbols in place of quantities' names in escaped text; those without one stay."""
+    known = {escaped(name): symbol(one, name) for name, one in symbols.items()}
+    if not known:
+        return text
+    either = "|".join(re.escape(name) for name in sorted(known, key=len, reverse=True))
+    return re.sub(rf"(?<![\w.])({either})(?![\w\\])", lambda m: known[m[1]], text)
 
 
 def unit(text: str) -> str:

@@ -70,7 +70,8 @@ class MethodsText:
 
 def methods_text(fit: Fit, summary: Readable) -> MethodsText:
     """Write what was done in a run."""
-    marked = effort_words(_sentences(fit, Summary.read(summary)), fit.chain.motor_motion)
+    summary = Summary.read(summary)
+    marked = effort_words(_sentences(fit, summary), fit.chain.motor_motion)
     keys = tuple(
         dict.fromkeys(key for found in _CITED.findall(marked) for key in found.split(";@"))
     )
@@ -85,7 +86,9 @@ def methods_text(fit: Fit, summary: Readable) -> MethodsText:
         parts += [rf"~\cite{{{match[1].replace(';@', ',')}}}"]
         last = match.end()
     parts.append(latex.escaped(marked[last:]))
-    typeset = _typeset("".join(parts))
+    # of the tables, which have no names
+    symbols = {n: row.symbol for n, row in {**summary.rows, **summary.fixed}.items()}
+    typeset = latex.with_symbols(_typeset("".join(parts)), symbols)
     written = "\n".join(f"    {line}" for line in plain_equations(fit.chain))
     said = _with_equation(_CITED.sub(words, marked), f"\n\n{written}\n\n")
     typeset = _with_equation(typeset, f"\n{latex_equations(fit.chain)}\n")
@@ -104,15 +107,25 @@ _FORM = r"$\psi\Theta_1 + \operatorname{sign}(\dot q)\,|\psi\Theta_2|$"
 def _typeset(text: str) -> str:
     """Keep numbers and their units on one line, and set what has a symbol as one."""
     text = re.sub(r"(\d) (\\%|(?:Hz|dB|rad/s|m/s|ms|s|kg|m|N)\b)", r"\1\\,\2", text)
-    text = text.replace("psi Theta1 + sign(qd)|psi Theta2|", _FORM)
+    text = text.replace(latex.escaped("psi Theta1 + sign(qd)|psi Theta2|"), _FORM)
     text = text.replace("\\,N m", r"\,N\,m").replace("R-hat", r"$\widehat{R}$")
     text = text.replace("(1 - 1/F)", "($1 - 1/F$)").replace("; q is the", "; $q$ is the")
-    return re.sub(r"\bp (=|<) (\d\.?\d*)(?:e([+-]\d+))?", _p_value, text)
+    return _IN_MATH.sub(_in_math, text)
 
 
-def _p_value(found: re.Match[str]) -> str:
-    power = rf"\times 10^{{{int(found[3])}}}" if found[3] else ""
-    return f"$p {found[1]} {found[2]}{power}$"
+# A p-value with its sign, a number below zero, or one with a power of ten.
+_IN_MATH = re.compile(
+    r"(?:\bp (?:\\ensuremath\{)?(?P<sign>[=<>])\}? )?"
+    r"(?<![\w.-])(?P<digits>-?\d+(?:\.\d+)?)(?:e(?P<power>[+-]\d+))?(?![\w-])"
+)
+
+
+def _in_math(found: re.Match[str]) -> str:
+    if not (found["sign"] or found["power"] or found["digits"].startswith("-")):
+        return found[0]
+    p = f"p {found['sign']} " if found["sign"] else ""
+    power = rf"\times 10^{{{int(found['power'])}}}" if found["power"] else ""
+    return f"${p}{found['digits']}{power}$"
 
 
 def _told(seen: Sequence[Observation], *keys: str) -> dict[tuple[str, ...], list[str]]:

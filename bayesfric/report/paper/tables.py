@@ -6,7 +6,6 @@ of the prior and the bounds, and out of the table it would be quoted as a measur
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -299,7 +298,7 @@ def parameters_latex(table: ParameterTable) -> str:
     head = rf"Symbol & Quantity & Value & {share} interval & Unit & Determined by \\"
     columns = r"@{}l>{\raggedright\arraybackslash}Xllll@{}"
     words = ("Parameters of the joint", table.notes, "tab:parameters")
-    symbols = {r.name: latex.symbol(r.symbol, r.name) for r in table.rows}
+    symbols = {r.name: r.symbol for r in table.rows}
     return _table(*words, columns, head, body[1:], symbols)
 
 
@@ -314,10 +313,7 @@ def _table(
 ) -> str:
     """Lay out a table; notes have ``symbols`` in place of names, as its lines have."""
     below = latex.escaped(". ".join(notes)).replace(r" \%", r"\,\%") + "."
-    if symbols:
-        known = {latex.escaped(name): symbol for name, symbol in symbols.items()}
-        either = "|".join(re.escape(name) for name in sorted(known, key=len, reverse=True))
-        below = re.sub(rf"(?<![\w.])({either})(?![\w\\])", lambda m: known[m[1]], below)
+    below = latex.with_symbols(below, symbols)
     # IEEE sets captions of tables in small capitals: a title can be read so, notes cannot
     kind, width = ("tabularx", r"{\textwidth}") if "X" in columns else ("tabular", "")
     lines = [
@@ -454,5 +450,5 @@ def latex_texts(summary: Readable, run: str) -> dict[str, str]:
     table = parameter_table(summary, run)
     return {
         "tables/parameters.tex": parameters_latex(table),
-        "tables/methods.tex": methods_latex(comparison({run: summary})),
+        "tables/estimates.tex": methods_latex(comparison({run: summary})),
     }

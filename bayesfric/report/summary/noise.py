@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -16,11 +16,13 @@ from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.noise import SCALES
 from bayesfric.mechanism.parameter import effort_words
+from bayesfric.report.summary.derived_quantities import rms_of
 from bayesfric.report.summary.record import Likelihood, Noise, Summary, of_noise
 from bayesfric.report.summary.rows import Spread
 from bayesfric.report.text_templates import filled, sentence
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 # Correlations of the innovations that are tested together.
 _LAGS = 10
@@ -40,20 +42,19 @@ def noise_meaning(fit: Fit, quantity: str) -> str:
     return effort_words(scale.meaning, fit.chain.motor_motion)
 
 
-def noise_record(
-    fit: Fit, residuals: list[Array], lags: list[float], choice: Choice | None
-) -> dict[str, Any]:
+def noise_record(fit: Fit, residuals: list[Array], choice: Choice | None) -> dict[str, Any]:
     """Put the noise of a fit into the form of ``summary.json``.
 
-    ``residuals`` ``(M,)`` of every recording, measured minus posterior mean, have the lag-1
-    correlations ``lags``; ``choice`` is how the order was chosen, where it was.
+    ``residuals`` ``(M,)`` of every recording are measured minus posterior mean; ``choice`` is how
+    the order was chosen, where it was.
     """
     likelihood = fit.target.likelihood
+    runs = [o.follows for o in likelihood.outputs]
     record: dict[str, Any] = {
         "model": effort_words(likelihood.noise.description, fit.chain.motor_motion),
         "parameters": list(fit.target.noise.names),
         "accounts_for_correlation": likelihood.noise.accounts_for_correlation,
-        "residual_lag1": mean_lag(lags, residuals),
+        "residual_lag1": mean_lag(residuals, runs),
     }
     if not isinstance(likelihood, TorqueLikelihood):
         return record
@@ -61,11 +62,10 @@ def noise_record(
     median = fit.posterior.median
     scales = fit.target.noise.scales(median[None, len(fit.target.free) :])[0]
     left = likelihood.innovations(residuals, scales)
-    runs = [o.follows for o in likelihood.outputs]
     p = ljung_box(left, runs, _LAGS + noise.order, noise.order)
     record |= {
         "order": noise.order,
-        "innovation_lag1": mean_lag([lag_one(r, f) for r, f in zip(left, runs, strict=True)], left),
+        "innovation_lag1": mean_lag(left, runs),
         "innovation_whiteness": {
             "test": f"Ljung-Box, {_LAGS + noise.order} lags, all recordings together",
             "p_value": p,
@@ -163,7 +163,10 @@ def white_alternative(fit: Fit) -> bool:
     return isinstance(likelihood, TorqueLikelihood) and likelihood.noise.order > 0
 
 
-def mean_lag(lags: list[float], residuals: list[Array]) -> float | None:
-    """Average lag-1 correlations over recordings that have one, by their numbers of residuals."""
-    weights = [r.size if np.isfinite(lag) else 0 for lag, r in zip(lags, residuals, strict=True)]
-    return float(np.average(np.nan_to_num(lags), weights=weights)) if any(weights) else None
+def mean_lag(residuals: Sequence[Array], follows: Sequence[Flags]) -> float | None:
+    """Correlate residuals with the next, each recording's in its own rms, over all such pairs."""
+    scaled = [r / max(rms_of(r), 1e-300) for r in residuals]
+    # no pair reaches from one recording to the next
+    runs = [np.append(f, False)[: r.size] for r, f in zip(scaled, follows, strict=True)]
+    lag = lag_one(np.concatenate(scaled), np.concatenate(runs)[:-1])
+    return lag if np.isfinite(lag) else None

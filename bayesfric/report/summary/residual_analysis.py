@@ -135,7 +135,10 @@ def _columns(fit: Fit) -> Array:
 
 
 def _autocorrelation(outputs: tuple[Outputs, ...], left: list[Array]) -> tuple[Array, Array, Array]:
-    """Correlate residuals at even distances in time, gaps left out."""
+    """Correlate residuals at even distances in time about zero, gaps left out.
+
+    About zero, as noise is modelled, and as lag 1 is told elsewhere.
+    """
     longest = max(r.size for r in left)
     lags = np.arange(1, min(_LAGS, max(longest // 4, 1)) + 1)
     products, pairs = np.zeros(lags.size), np.zeros(lags.size)
@@ -144,7 +147,7 @@ def _autocorrelation(outputs: tuple[Outputs, ...], left: list[Array]) -> tuple[A
         rms = rms_of(r)
         if not rms > 0.0:
             continue
-        scaled = (r - r.mean()) / rms
+        scaled = r / rms
         power += float(scaled @ scaled)
         total += r.size
         for k, (here, there) in enumerate(_pairs(o, lags.size)):
@@ -216,7 +219,8 @@ def _binned(
     bin_of[order] = np.repeat(np.arange(bins), sizes)
     inside = r - mean[bin_of]
     ends = np.cumsum([one.size for one in left])[:-1]
-    lags, correlation, white = _autocorrelation(outputs, np.split(inside, ends))
+    centred = [one - one.mean() for one in np.split(inside, ends)]
+    lags, correlation, white = _autocorrelation(outputs, centred)
     # up to the first that chance explains
     few = int(np.argmin(np.append(correlation > white, False)))
     memory = dict(zip(lags[:few].astype(int).tolist(), correlation[:few].tolist(), strict=True))

@@ -91,7 +91,7 @@ def summarise(
             ],
             "singular_values": [float(x) for x in local.directions.singular_values],
         },
-        "noise": noise_part.noise_record(fit, residual, lags, choice),
+        "noise": noise_part.noise_record(fit, residual, choice),
         "fit": {
             "residual_rms": rms(fit),
             **_explained(fit),

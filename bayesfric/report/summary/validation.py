@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from bayesfric.estimates.information import lag_one, long_run_variance
+from bayesfric.estimates.information import long_run_variance
 from bayesfric.estimates.torque import places
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.likelihood import Outputs
@@ -101,7 +101,6 @@ def _numbers(predictions: Sequence[Prediction], outputs: Outputs) -> dict[str, A
     standard = residual / np.sqrt(variance) if finite else residual / rms_of(residual)
     centred = standard - standard.mean()
     shares = {level: share_of(covered(pit, level), at, centred) for level in LEVELS}
-    lags = [lag_one(r, follows(o)) for r, o in zip(residuals, observations, strict=True)]
     numbers: dict[str, Any] = {
         "outputs": residual.size,
         "coverage": {f"{level:g}": told.as_dict() for level, told in shares.items()},
@@ -111,7 +110,7 @@ def _numbers(predictions: Sequence[Prediction], outputs: Outputs) -> dict[str, A
         "mean_standardised_error": (
             math.sqrt(long_run_variance(centred, at)) / residual.size if finite else None
         ),
-        "residual_lag1": mean_lag(lags, residuals),
+        "residual_lag1": mean_lag(residuals, [follows(o) for o in observations]),
         "log_score": float(np.mean(np.concatenate([p.log_score for p in predictions]))),
         "discrepancy": _discrepancy(residual**2 - variance, at) if finite else None,
     }
