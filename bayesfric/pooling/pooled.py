@@ -69,6 +69,7 @@ class Pooled:
     level: float
     status: Status
     problems: tuple[str, ...]
+    warnings: tuple[str, ...]  # of :func:`bayesfric.check`; intervals take the model for right
     seconds: float  # of all that was sampled, by the clock
     cpu_seconds: float
 
@@ -91,7 +92,8 @@ def pooled(model: Model, seed: int | None, progress: Callable[[Progress], None])
     if seed is not None:
         settings = settings.model_copy(update={"seed": seed})
     _check(model, vary)
-    from bayesfric.whole_fit import begin  # asks the model
+    from bayesfric.checked import check  # both ask the model
+    from bayesfric.whole_fit import begin
 
     choice = begin(model, progress=progress).choice
     noise = residual_noise(tables.noise, choice.order if choice else 0)
@@ -129,6 +131,7 @@ def pooled(model: Model, seed: int | None, progress: Callable[[Progress], None])
         level=LEVEL,
         status=posterior.diagnostics.status,
         problems=posterior.diagnostics.problems,
+        warnings=check(model).warnings,
         seconds=spent.seconds,
         cpu_seconds=spent.cpu_seconds,
     )

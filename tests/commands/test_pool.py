@@ -33,6 +33,8 @@ def test_it_prints_what_python_returns(bench):
     found = json.loads(told.out)
     pooled = bf.Model.from_config(bench.folder / "c.toml").pool()
     again = json.loads(json.dumps(pooled.as_json()))
+    # nothing is kept silent that is known before
+    assert again["warnings"] == list(bf.check(bench.folder / "c.toml").warnings)
     took = {"seconds": 0, "cpu_seconds": 0}
     assert found | took == again | took
     # the system counts in ticks
