@@ -86,6 +86,8 @@ def _found(model: Model) -> dict[str, Any]:
         ),
         *few_outputs(model.observations, len(set(model.chain.names) - set(known.fixed))),
     ]
+    if model.chain.unseen_inertia:
+        doubts.append({"kind": "unseen-inertia", "names": list(model.chain.unseen_inertia)})
     unsettled = {f"noise.{scale.name}" for scale in SCALES.values() if scale.chosen}
     return {
         "config": str(model.config.path),

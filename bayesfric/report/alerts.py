@@ -28,6 +28,7 @@ DOUBTS = (
     "once-a-turn",
     "pushed",
     "few",
+    "unseen-inertia",
     "self-check",
 )
 # Outlying outputs that are named, the farthest; of others there is the number.
