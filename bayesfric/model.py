@@ -245,13 +245,21 @@ class Model:
     def estimate(self, *methods: Method) -> pd.DataFrame:
         """Tabulate what :meth:`estimates` finds, a row for each method and number.
 
-        Columns are those of ``estimates`` in ``summary.json``; what these recordings do not
-        determine has no value, but a ``span`` that fits as well.
+        Without names it is all methods. Columns are those of ``estimates`` in ``summary.json``;
+        what these recordings do not determine has no value, but a ``span`` that fits as well.
+
+        Raises
+        ------
+        BadInput
+            If there is no such method, or one cannot be used with these recordings.
         """
         import pandas as pd
 
         from bayesfric.report.summary.summary import estimate_summary
 
+        for name in methods:
+            if name not in METHODS:
+                raise BadInput(f"method {name!r}", "there is none", nearest(name, METHODS))
         rows = {
             (one.method, name): row
             for one in self.estimates(methods or METHODS)
@@ -585,7 +593,9 @@ class Model:
         -------
         InferenceData or DataTree
             What ``posterior.nc`` holds; :func:`bayesfric.summary`, :mod:`bayesfric.plot` and
-            :func:`bayesfric.report` take it.
+            :func:`bayesfric.report` take it. Its draws take the model for right. Where the
+            recordings show that it is not, the group ``told`` holds draws with room for that:
+            those to go on with, whose intervals pages and tables print.
         """
         with progress_shown(progress) as tell:
             found = self.fit(seed=seed, output_error=output_error, explain=explain, progress=tell)

@@ -93,6 +93,12 @@ torque = { column = "torque", unit = "N m" }
     assert inertia.attrs["verdict"] in ("data", "weak", "prior")
 
 
+def test_a_method_that_there_is_not_is_refused_with_those_that_there_are():
+    model = bf.Model(axis(), [arrays(1)], sampling=QUICK)
+    with pytest.raises(BadInput, match="input-error"):
+        model.estimate("inputerror")
+
+
 def test_arrays_and_tables_find_the_truth_and_make_a_run_of_their_own(bench):
     t, q, tau = measured(seed=2)
     table = pd.DataFrame({"stamp": 1e3 * t, "angle": np.degrees(q), "tau": tau})

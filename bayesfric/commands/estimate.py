@@ -54,7 +54,12 @@ def _seen(found: Sequence[Estimate], model: Model) -> Agreement | None:
 def _told(seen: Agreement) -> dict[str, Any]:
     ratio = seen.ratio if np.isfinite(seen.ratio) else None
     told = {**vars(seen), "apart": [*seen.apart], "on_bound": [*seen.on_bound]}
-    return told | {"torque": [*seen.torque], "ratio": ratio, "believed": seen.believed}
+    return told | {
+        "torque": [*seen.torque],
+        "ratio": ratio,
+        "agree": seen.agree,
+        "believed": seen.believed,
+    }
 
 
 def _mark(v: EstimatedValue, doubted: bool) -> str:

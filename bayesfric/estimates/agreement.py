@@ -19,6 +19,8 @@ from bayesfric.recordings.observation import LEAST_RATIO, Observation
 _FAR = 3.0
 # How many times as much torque another minimum leaves, where noise alone makes hardly a hundredth.
 _MORE = 1.2
+# And though its sds are so wide that numbers do not differ beyond them.
+_MUCH_MORE = 2.0
 # Robust sds over plain ones beyond which the plain one means nothing.
 TOO_SMALL = 2.0
 
@@ -40,7 +42,8 @@ class Agreement:
     @property
     def agree(self) -> bool:
         """Whether there is nothing to choose."""
-        return not self.apart and not self.on_bound
+        elsewhere = self.torque[1] > _MUCH_MORE * self.torque[0]
+        return not self.apart and not self.on_bound and not elsewhere
 
     @property
     def believed(self) -> Literal["input-error", "output-error"] | None:

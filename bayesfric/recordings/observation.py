@@ -523,7 +523,7 @@ def _velocity_warnings(factor: float | None, late: float | None, ratio: float) -
         said = "has nothing to do with the differentiated position: is it the right column"
     else:
         said += checks.taken_for(factor, ratio)
-    yield f"velocity: {said}? Inertia and speed losses come out wrong by such a factor"
+    yield f"velocity: {said}? Inertia and speed losses come out wrong by as much"
 
 
 def _end_of_band(numbers: _Numbers) -> float:

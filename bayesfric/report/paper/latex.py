@@ -75,8 +75,11 @@ def symbol(latex: str, name: str) -> str:
 
 
 def with_symbols(text: str, symbols: Mapping[str, str]) -> str:
-    """Put symbols in place of quantities' names in escaped text; those without one stay."""
-    known = {escaped(name): symbol(one, name) for name, one in symbols.items()}
+    """Put symbols in place of quantities' names in escaped text; those without one stay.
+
+    So do names of one word, such as offset: they may as well be that word.
+    """
+    known = {escaped(name): symbol(one, name) for name, one in symbols.items() if "." in name}
     if not known:
         return text
     either = "|".join(re.escape(name) for name in sorted(known, key=len, reverse=True))

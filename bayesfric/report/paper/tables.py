@@ -370,6 +370,10 @@ def methods_latex(found: Comparison) -> str:
         ),
         "n.c.: not converged": any(not c.converged for c in cells_),
         "b: on its bound": any(c.status == "bound" for c in cells_),
+        "super- and subscripts: distances to the ends of the 90 % interval, of what is skewed": any(
+            "^{+" in line for line in body
+        ),
+        "a limit, with ≤ or ≥: 5 % lie beyond": any(c.limit is not None for c in cells_),
         f"d: doubtful, {_why(found)}": any(c.doubted for c in cells_),
         f"Empty: the {'run' if runs > 1 else 'method'} does not tell it": None in every,
         f"m: as a fit without load losses would find it along {'each' if runs > 1 else 'the'} "
