@@ -148,6 +148,7 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
     warnings = [*recording.warnings, *_band_warnings(numbers)]
     warnings += _resolution_warnings(numbers.resolution, recording)
     doubted = [*recording.doubted_units]
+    mismatch: dict[str, float] = {}
     if recording.velocity is not None:
         speed = derivative(q, segments, period, numbers.reach)
         factor = checks.speed_mismatch(qd, speed, compared)
@@ -156,6 +157,8 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         # a smaller one may come of filters
         if late is not None or (factor is not None and not 0.5 < factor < 2.0):
             doubted.append("velocity")
+        if factor is not None and not 0.5 < factor < 2.0:
+            mismatch["velocity_factor"] = factor
     law = checks.feedback(recording.torque, q, qd, compared)
     found = numbers.resolution
     ratios = {"speed_ratio": found.speed_ratio, "acceleration_ratio": found.acceleration_ratio}
@@ -176,6 +179,7 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         **{key: ratio for key, ratio in ratios.items() if np.isfinite(ratio)},
         **({} if law is None else {"feedback": law[0]}),
         **({"doubted_units": ", ".join(doubted)} if doubted else {}),
+        **mismatch,
         **_constant(recording),
         **recording.made_of,
         "dead_zone": made.dead_zone,

@@ -27,6 +27,7 @@ DOUBTS = (
     "delay",
     "once-a-turn",
     "pushed",
+    "velocity",
     "few",
     "unseen-inertia",
     "self-check",

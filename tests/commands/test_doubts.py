@@ -264,6 +264,8 @@ def test_what_loses_energy_is_not_negative(name, doubted):
             },
             "once a turn of something that turns with the joint",
         ),
+        ({"kind": "velocity", "recording": "a", "factor": 57.3}, "velocity of a is 57.3 times"),
+        ({"kind": "velocity", "recording": "a", "factor": 0.0}, "has nothing to do with"),
         ({"kind": "noise", "rise": 1.0, "white": {"offset": -3.309}}, "offset -3.309"),
         ({"kind": "noise", "rise": 1.2, "white": {}}, "1.2 times smaller"),
         ({"kind": "acceleration", "ratio": 5.6, "parameters": ["motor.inertia"]}, "motor.inertia"),
@@ -322,6 +324,18 @@ def test_while_a_unit_is_doubted_no_delay_is(wrong, said):
     found = check(Model(Joint.preset("servo-pendulum"), one))
     assert any(text.startswith(said) for text in found.warnings), found.warnings
     assert ("delay" in {doubt["kind"] for doubt in found.as_json()["doubts"]}) is not bool(wrong)
+    # of a fit it is the first doubt, of all numbers
+    summary = summary_of({"a.b": row(1.0, 0.9, 1.1)})
+    fit = _Fit()
+    fit.chain = Joint.preset("servo-pendulum")
+    fit.observations = Model(fit.chain, one).observations
+    doubts = find_doubts(fit, summary)
+    if "velocity" in wrong:
+        assert doubts[0]["kind"] == "velocity"
+        assert doubts[0]["factor"] == pytest.approx(180.0 / np.pi, rel=0.01)
+        assert doubts[0]["parameters"] == ["a.b"]
+    else:
+        assert "velocity" not in {doubt["kind"] for doubt in doubts}
     # what it would be is told all the same
     assert found.as_json()["delays"]
 

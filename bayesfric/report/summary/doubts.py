@@ -80,6 +80,7 @@ def find_doubts(
         delays = ()  # what moves the torque is something else
     found = [
         # before what else may be wrong: it may all come of this
+        *_strange_velocity(fit.observations),
         *pushed_doubts(pushed, fit.estimates[0].residual_unit, lacking=lacking),
         *unexplained,
         *doubts_before(fit.estimates[0], fit.observations),
@@ -228,6 +229,13 @@ def few_outputs(observations: Sequence[Observation], parameters: int) -> Iterato
         lasted = sum(float(o.stamps[-1] - o.stamps[0]) for o in observations)
         told = {"outputs": outputs, "parameters_free": parameters, "wanted": wanted}
         yield {"kind": "few", **told, "seconds": lasted * wanted / outputs}
+
+
+def _strange_velocity(observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
+    """Name velocities that are not their positions': one of the two has another unit or column."""
+    for o in observations:
+        if (factor := o.settings.get("velocity_factor")) is not None:
+            yield {"kind": "velocity", "recording": o.name, "factor": factor}
 
 
 def _late(delays: Sequence[Delay], observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
