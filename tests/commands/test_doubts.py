@@ -330,9 +330,10 @@ def test_while_a_unit_is_doubted_no_delay_is(wrong, said):
     fit.chain = Joint.preset("servo-pendulum")
     fit.observations = Model(fit.chain, one).observations
     doubts = find_doubts(fit, summary)
-    if "velocity" in wrong:
+    if wrong:
+        factor = 180.0 / np.pi if "velocity" in wrong else 1e3
         assert doubts[0]["kind"] == "velocity"
-        assert doubts[0]["factor"] == pytest.approx(180.0 / np.pi, rel=0.01)
+        assert doubts[0]["factor"] == pytest.approx(factor, rel=0.01)
         assert doubts[0]["parameters"] == ["a.b"]
     else:
         assert "velocity" not in {doubt["kind"] for doubt in doubts}
