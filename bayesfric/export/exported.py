@@ -241,7 +241,7 @@ def _record(
 ) -> dict[str, Any]:
     rotary = found.joint.load.motion == "rotary"
     open_names = [name for one in told.scalings for name in one.names]
-    said = {**vars(options), "gravity": found.joint.load.gravity}
+    said = {**vars(options), "gravity": found.joint.load.gravity, "slides": not rotary}
     kinds = form.notes(options, found.joint)
     notes = [sentence("notes.txt.j2", kind, said) for kind in kinds]
     if "body" in kinds and "rotor in link" not in kinds and not middle.values["link_inertia"][0]:

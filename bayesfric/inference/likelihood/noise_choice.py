@@ -31,7 +31,7 @@ Flags = NDArray[np.bool_]
 # Correlations that the test of what is left looks at, beyond those fitted.
 _LAGS = 10
 # What a memory must gain over none: less is hardly evidence (Kass and Raftery, JASA 90, 1995).
-_EVIDENCE = 6.0
+EVIDENCE = 6.0
 # Shift of an estimate, in its sd, and rise of the residuals from which on a memory does harm.
 _SHIFT, _RISE = 3.0, 1.1
 # Singular value, in prior sds over residuals, above which data alone tell a direction.
@@ -79,7 +79,7 @@ class Choice:
     def refused(self) -> bool:
         """Whether that is another order, which would move the estimates."""
         asked = self.asked
-        return asked.order != self.order and not asked.harmless and asked.bic < -_EVIDENCE
+        return asked.order != self.order and not asked.harmless and asked.bic < -EVIDENCE
 
     @property
     def white(self) -> bool:
@@ -155,7 +155,7 @@ def choose_order(
         )
     tried[0] = replace(tried[0], bic=0.0)
     best = min((one for one in tried if one.harmless), key=lambda one: one.bic)
-    return Choice(best.order if best.bic < -_EVIDENCE else 0, tuple(tried))
+    return Choice(best.order if best.bic < -EVIDENCE else 0, tuple(tried))
 
 
 class _Plain:

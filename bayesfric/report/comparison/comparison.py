@@ -28,7 +28,7 @@ _FAR = 3.0
 # And outside the interval shown: sds of both, the posterior's own, that are no chance either.
 _FAR_OF_BOTH = 4.0
 # What a total of least squares is that goes by a parameter's name.
-_OF_ALL = "with what %s add to it"
+_OF_ALL = "with the share of %s in it"
 
 
 @dataclass(frozen=True)

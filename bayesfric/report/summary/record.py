@@ -16,6 +16,7 @@ from bayesfric.complaints import read_text
 from bayesfric.errors import BadInput
 from bayesfric.estimates.point_estimate import Method
 from bayesfric.explain.explanation import Explanation, Term
+from bayesfric.inference.likelihood.noise_choice import EVIDENCE
 from bayesfric.report.summary.part import (
     Name,
     NotNegative,
@@ -137,6 +138,14 @@ class Noise(Part):
     innovation_whiteness: Whiteness | None = None
     autoregression: dict[Name, list[FiniteFloat]] = Field(default_factory=dict)
     order_chosen_from: list[Tried] = Field(default_factory=list)
+
+    @property
+    def not_taken(self) -> dict[str, Any] | None:
+        """The order that BIC asks for, where another was taken, and whether it gains enough."""
+        best = min(self.order_chosen_from, key=lambda one: one.bic, default=None)
+        if best is None or best.order == self.order:
+            return None
+        return {"order": best.order, "moves": best.bic < -EVIDENCE}
 
 
 class Lack(Part):
