@@ -225,7 +225,7 @@ class Model:
         Raises
         ------
         BadInput
-            If a method cannot be used with these recordings.
+            If there is no such method, or one cannot be used with these recordings.
         """
         with self.config.named():
             found = estimate_by(methods, self.evidence, progress=by_method(progress))
@@ -257,9 +257,6 @@ class Model:
 
         from bayesfric.report.summary.summary import estimate_summary
 
-        for name in methods:
-            if name not in METHODS:
-                raise BadInput(f"method {name!r}", "there is none", nearest(name, METHODS))
         rows = {
             (one.method, name): row
             for one in self.estimates(methods or METHODS)

@@ -16,7 +16,7 @@ from bayesfric.estimates.descent import few_threads
 from bayesfric.estimates.methods import ESTIMATORS, estimate_by
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.estimates.torque_factor import torque_factor
-from bayesfric.explain.explanation import Explanation, Term, asked_for, few_outputs
+from bayesfric.explain.explanation import Explanation, Term, asked_for, too_few_outputs
 from bayesfric.identifiability.identification import identify
 from bayesfric.identifiability.plausible import Point
 from bayesfric.identifiability.sentences import plain
@@ -112,7 +112,7 @@ def whole_fit(
     update: dict[str, Any] = {
         "warnings": [*summary.warnings, *begun.missing, *_structure(begun, terms or ())],
         "asked_terms": terms if terms is None else list(terms),
-        "too_few_to_ask": few_outputs(model.evidence),
+        "too_few_to_ask": too_few_outputs(model.evidence),
         # nothing in a file of samples tells; the configuration may
         "may_be_simulated": _may_be_simulated(model),
     }
@@ -155,7 +155,9 @@ def _asked(
     if lacks is not None:
         return lacks.asked
     remembers = begun.choice is not None and begun.choice.asked.order
-    if few_outputs(model.evidence) or not (remembers or summary.fit.lacks or summary.unexplained):
+    if too_few_outputs(model.evidence) or not (
+        remembers or summary.fit.lacks or summary.unexplained
+    ):
         return None
     with few_threads(model.observations):
         return asked_for(model.evidence, dict(begun.searched.point))

@@ -97,6 +97,8 @@ def test_a_method_that_there_is_not_is_refused_with_those_that_there_are():
     model = bf.Model(axis(), [arrays(1)], sampling=QUICK)
     with pytest.raises(BadInput, match="input-error"):
         model.estimate("inputerror")
+    with pytest.raises(BadInput, match="input-error"):
+        model.estimates(["inputerror"])
 
 
 def test_arrays_and_tables_find_the_truth_and_make_a_run_of_their_own(bench):

@@ -15,7 +15,7 @@ from bayesfric.report.figures.style import save
 from bayesfric.report.files import parents_made, unwritable
 from bayesfric.report.numbers import text_value
 from bayesfric.report.summary.doubts import little_explained, pushed_doubts
-from bayesfric.report.text_templates import filled, sentence
+from bayesfric.report.text_templates import filled
 
 
 def explain_record(found: Explanation, model: Model) -> dict[str, Any]:
@@ -54,10 +54,7 @@ def explain_text(found: Explanation, model: Model) -> list[str]:
         "explain.txt.j2",
         found=found,
         warnings=[
-            *(
-                sentence("pushed", one)
-                for one in pushed_doubts(found.pushed, found.unit, lacking=bool(found.asked))
-            ),
+            *map(doubt_text, pushed_doubts(found.pushed, found.unit, lacking=bool(found.asked))),
             *(doubt_text({**one, "none_asked": True}) for one in wrong),
         ],
         rungs=[m for m in found.models if not m.rival],

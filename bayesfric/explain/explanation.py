@@ -166,7 +166,7 @@ class Explanation:
 _ENOUGH = 50
 
 
-def few_outputs(given: Given) -> bool:
+def too_few_outputs(given: Given) -> bool:
     """Whether there are too few outputs to look for anything."""
     return sum(o.measured.size for o in given.observations) < _wanted(given)
 
@@ -193,7 +193,7 @@ def explain(
     BadInput
         If there are too few outputs.
     """
-    if few_outputs(given):
+    if too_few_outputs(given):
         outputs = sum(o.measured.size for o in given.observations)
         lasted = sum(float(o.stamps[-1] - o.stamps[0]) for o in given.observations)
         wanted = _wanted(given)

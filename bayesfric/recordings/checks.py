@@ -166,10 +166,13 @@ def speed_delay(
     if most < 2 or not power > 0.0:
         return None
     at = at[(at >= most) & (at < velocity.size - most)]
+    # most velocities are alike as they are, and the others' lags cost a product each
+    if (now := _not_alike(velocity[at], differentiated[at])) < _COUNTS_AS:
+        return None
     lags = np.arange(-most, most + 1)
     left = np.array([_not_alike(velocity[at], differentiated[at - lag]) for lag in lags])
     k = int(left.argmin())
-    if not 0 < k < lags.size - 1 or left[most] < _COUNTS_AS or left[k] > 0.5 * left[most]:
+    if not 0 < k < lags.size - 1 or left[k] > 0.5 * now:
         return None
     bend = left[k - 1] - 2.0 * left[k] + left[k + 1]
     return float((lags[k] + 0.5 * (left[k - 1] - left[k + 1]) / bend) * period)

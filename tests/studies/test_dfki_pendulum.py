@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from bayesfric.config import read_config
+from bayesfric.config import parse_config
 from bayesfric.model import Model
 from tests.conftest import REPOSITORY, imported
 
@@ -51,20 +51,9 @@ def test_the_committed_result_says_so_of_every_recording(study):
 
 
 @pytest.mark.parametrize("file", ["es500", "sac"])
-def test_a_pendulum_fitted_as_a_plain_axis_lacks_gravity(real_data, tmp_path, file):
+def test_a_pendulum_fitted_as_a_plain_axis_lacks_gravity(real_data, study, file):  # noqa: ARG001
     """Measured. Its weight is most of the torque, and slow: no noise with a memory."""
-    config = tmp_path / "axis.toml"
-    config.write_text(
-        f"""[mechanism]
-preset = "motor-axis"
-
-[[recordings]]
-file = "{real_data}/dfki-pendulum/{file}.csv"
-time = {{ column = "time", unit = "s" }}
-position = {{ column = "position", unit = "rad" }}
-velocity = {{ column = "velocity", unit = "rad/s" }}
-torque = {{ column = "torque", unit = "N m" }}
-"""
-    )
-    asked = Model.from_config(read_config(config)).explain().asked
+    axis = study.configuration(file).replace("servo-pendulum", "motor-axis")
+    axis += 'velocity = { column = "velocity", unit = "rad/s" }\n'
+    asked = Model.from_config(parse_config(axis, FOLDER / "axis.toml")).explain().asked
     assert "mechanism.load.first_moment = true" in (asked[0].setting, *asked[0].also)

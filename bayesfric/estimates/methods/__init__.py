@@ -11,6 +11,8 @@ from importlib import import_module
 from pkgutil import iter_modules
 from typing import TYPE_CHECKING
 
+from bayesfric.errors import BadInput, nearest
+
 if TYPE_CHECKING:
     from bayesfric.estimates.estimation import Estimation
     from bayesfric.estimates.knowledge import Knowledge
@@ -65,8 +67,11 @@ def estimate_by(
     Raises
     ------
     BadInput
-        If a method cannot be used with these recordings.
+        If there is no such method, or one cannot be used with these recordings.
     """
+    for name in methods:
+        if name not in ESTIMATORS:
+            raise BadInput(f"method {name!r}", "there is none", nearest(name, ESTIMATORS))
     made = dict(found or {})
     wanted = {name for name in methods if name not in made}
     for one in reversed(ESTIMATORS.values()):
