@@ -51,11 +51,11 @@ def configuration(preset: str, recordings: Sequence[str] | None = None) -> str:
             *_priors(chain),
             "",
             "# Values to compare results with, from a data sheet or CAD; they enter no fit.",
-            "# [references]",
+            "[references]",
             f'# "{name}" = {{ value = 0.41, source = "CAD" }}',
             *(line for key in tables[first:] for line in options(key)),
             f"# Parameters are those of {chosen.source}, unless given here:",
-            "# [simulation.parameters]",
+            "[simulation.parameters]",
             *(f'# "{name}" = {value:.6g}' for name, value in values.items()),
             "",
         ]
@@ -80,7 +80,8 @@ def _mechanism(preset: str, chain: Joint, moved: Collection[str]) -> Iterator[st
         yield '# motion = "linear"  # if it slides: position in m or mm, force in N'
     for element in chain.elements:
         active = f"{element.name}.inertia" in moved
-        yield f"{'' if active else '# '}[mechanism.elements.{element.name}]"
+        # not behind a '#': a key below that loses its own would be another table's
+        yield f"[mechanism.elements.{element.name}]"
         yield f"# ratio = {element.ratio:g}  # input speed over output speed"
         for option, choices in CHOICES.items():
             plain = False if True in choices else "none"

@@ -7,12 +7,13 @@ unloaded to loaded, one end of the path to the other, ...), and each quarter ask
 common fit suits it. Noise lets quarters differ by a known amount; what they differ by beyond it is
 model error, and carries over to the parameters by the cluster-robust covariance [1]_ with residuals
 adjusted for what each quarter itself contributed to the fit [2]_, so that without model error it is
-the posterior's own. The share of it that noise does not explain, ``1 - 1/F`` of the F test that
-one fit suits all quarters, is model error. Where any axis' quarters differ by more than chance, the
-model error of all axes, summed, widens the draws, in coordinates where bounds hold [3]_. All this
-takes the torque for linear, and so it is done in straight coordinates (``Target.straighten``: in
-the sampled ones a knee's torque is bent within a fraction of a sd); a draw that is moved to where
-it fits far worse than it should is moved by less.
+the posterior's own. The share of it that noise does not explain, ``1 - 1/F`` of the F test that one
+fit suits all quarters, is model error. Where any axis' quarters differ by more than chance, the
+model error of all axes, summed, widens what the data say of the draws (priors stay as narrow as
+they are told), in coordinates where bounds hold [3]_. All this takes the torque for linear, and so
+it is done in straight coordinates (``Target.straighten``: in the sampled ones a knee's torque is
+bent within a fraction of a sd); a draw that is moved to where it fits far worse than it should is
+moved by less.
 
 A few outputs that no noise explains would hide all this, as what they leave passes for noise: where
 there are such (:mod:`bayesfric.inference.outlying`), it is asked anew without them, and the answer
@@ -187,7 +188,7 @@ def _of_groups(
     added = 0.0
     if any(axis.differs for axis in axes):
         # in posterior variances, whatever the coordinates are in
-        values, vectors = np.linalg.eigh(excess)
+        values, vectors = np.linalg.eigh(_beside(whole.prior, excess))
         values = np.clip(values, 0.0, None)
         root[:k, :k] = whole.root @ (vectors * np.sqrt(values))
         misfit[:k, :k], added = whole.misfit, float(values.sum())
@@ -203,6 +204,7 @@ class _Whitened:
     rank: int  # directions that the outputs tell anything of
     predicted: Array  # (n,) outputs there, as measured, N m or N
     root: Array  # (k, k) from those directions to straight coordinates
+    prior: Array  # (k, k) what the priors alone tell of those directions, of one posterior's
 
     @property
     def misfit(self) -> Array:
@@ -243,7 +245,31 @@ def _whitened(target: Target, likelihood: TorqueLikelihood, posterior: Posterior
         rank=rank,
         predicted=np.concatenate([p[-1] for p in predicted]),
         root=root,
+        prior=_of_priors(target, centre, steps[:k]),
     )
+
+
+def _of_priors(target: Target, centre: Array, steps: Array) -> Array:
+    """Tell what priors say of steps ``(k, d)`` from the centre: curvature, ``(k, k)``, 0 to 1."""
+    both = steps[:, None] + steps[None]
+    corners = np.stack([both, steps[:, None] - steps[None]])
+    at = centre + np.concatenate([corners, -corners])
+    parameters, slope = target.to_parameters(target.bend(at.reshape(-1, centre.size)))
+    told = np.full(slope.size, np.nan)
+    possible = np.isfinite(slope) & np.isfinite(parameters).all(axis=1)
+    told[possible] = target.log_prior(parameters[possible])
+    along, against, back, across = told.reshape(at.shape[:-1])
+    bend = -(along - against + back - across) / (4.0 * _STEP**2)
+    # a bound within a step says where a draw may not go, not how far the data may be off
+    values, vectors = np.linalg.eigh(np.where(np.isfinite(bend), bend, 0.0))
+    return np.asarray((vectors * np.clip(values, 0.0, 1.0)) @ vectors.T)
+
+
+def _beside(prior: Array, excess: Array) -> Array:
+    """Leave what priors tell as it is: model error is in what the data tell, ``(k, k)``."""
+    one = np.eye(len(prior))
+    data = one - prior
+    return np.asarray(np.linalg.inv(prior + data @ np.linalg.pinv(data + excess) @ data) - one)
 
 
 def _refitted(rows: Array, residual: Array) -> tuple[Array, int]:

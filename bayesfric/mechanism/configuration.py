@@ -153,8 +153,9 @@ class MechanismOptions(_Options):
                 )
             base = PRESETS[self.preset].chain()
             names = [element.name for element in base.elements]
-            for name in self.elements:
-                if name not in names:
+            for name, options in self.elements.items():
+                # an empty table, as of a template for another preset, says nothing
+                if name not in names and options.given():
                     raise BadInput(
                         f"mechanism.elements.{name}",
                         f"{self.preset} has no such element",

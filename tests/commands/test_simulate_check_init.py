@@ -12,7 +12,7 @@ import typer
 
 from bayesfric import cli
 from bayesfric.commands.simulate import simulate
-from bayesfric.config import read_config
+from bayesfric.config import parse_config, read_config
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings import Processing
 from tests.conftest import REPOSITORY
@@ -108,7 +108,9 @@ def test_init_simulate_check_is_one_way(bench, preset):
     ended = bench.run("init", preset)
     assert (ended.code, ended.err) == (0, "")
     text = ended.out.removesuffix("\n")
-    assert tomllib.loads(text)["mechanism"] == {"preset": preset}
+    said = tomllib.loads(text)["mechanism"]
+    elements = {element.name: {} for element in PRESETS[preset].chain().elements}
+    assert said == {"preset": preset, "elements": elements}
     (bench.folder / "c.toml").write_text(
         text.replace('file = "recording.csv"', 'file = "made.csv"'), encoding="utf-8"
     )
@@ -116,6 +118,23 @@ def test_init_simulate_check_is_one_way(bench, preset):
     ended = bench.run("check", "c.toml", "--json")
     assert ended.code == 0, ended
     assert set(json.loads(ended.out)["priors"]) == {*PRESETS[preset].values, "noise.sigma"}
+
+
+def test_a_line_without_its_mark_is_of_the_element_above_it(bench):
+    text = bench.run("init", "rabbit-knee").out
+    before, gearbox = text.split("[mechanism.elements.gearbox]")
+    said = tomllib.loads(before + "[mechanism.elements.gearbox]" + gearbox.replace("# cou", "cou"))
+    assert said["mechanism"]["elements"]["gearbox"] == {"coulomb": "none"}
+    assert said["mechanism"]["elements"]["motor"] == {}
+
+
+def test_a_template_stays_one_with_another_preset(bench):
+    """Tables of elements that the other has not are empty, and say nothing."""
+    text = bench.run("init", "rabbit-knee").out
+    told = parse_config(
+        text.replace('preset = "rabbit-knee"', 'preset = "motor-axis"', 1), bench.folder / "c.toml"
+    )
+    assert told.tables.mechanism.joint().names == PRESETS["motor-axis"].chain().names
 
 
 @pytest.mark.parametrize("preset", PRESETS)

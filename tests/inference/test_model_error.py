@@ -6,7 +6,14 @@ from scipy import stats
 
 import bayesfric as bf
 from bayesfric.commands.fit import demo_config
-from bayesfric.inference.model_error import ALLOWED, ModelError, _spread, _Whitened, model_error
+from bayesfric.inference.model_error import (
+    ALLOWED,
+    ModelError,
+    _beside,
+    _spread,
+    _Whitened,
+    model_error,
+)
 from tests.axis import AXIS, VALUES, swing
 
 QUICK = {"min_ess": 400, "ensembles": 2, "walkers": 24}
@@ -19,7 +26,7 @@ def mean_of(samples):
     n = samples.size
     rows = np.full((n, 1), 1.0 / np.sqrt(n))
     residual = samples - samples.mean()
-    return _Whitened(rows, residual, 1, residual, np.array([[1.0 / np.sqrt(n)]]))
+    return _Whitened(rows, residual, 1, residual, np.array([[1.0 / np.sqrt(n)]]), np.zeros((1, 1)))
 
 
 def test_groups_of_a_mean_are_the_analysis_of_variance():
@@ -102,6 +109,30 @@ def test_a_wrong_model_gets_wider_ones_and_keeps_its_posterior(wrong):
     assert row.told_sd > 3.0 * row.sd
     draws = wrong.fit.posterior.flat()[:, wrong.fit.posterior.names.index("motor.viscous")]
     assert row.interval == pytest.approx(np.quantile(draws, [0.05, 0.95]))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.9, 1.0])
+@pytest.mark.parametrize("excess", [0.0, 0.5, 1e6])
+def test_model_error_is_in_what_the_data_tell(share, excess):
+    """Precisions add: the prior's share of one as it is, the data's with its variance grown."""
+    data = 1.0 - share
+    with np.errstate(divide="ignore"):
+        variance = np.inf if data == 0.0 else 1.0 / data + excess / data**2
+    whole = 1.0 / (share + 1.0 / variance)
+    found = _beside(np.array([[share]]), np.array([[excess]]))[0, 0]
+    assert 1.0 + found == pytest.approx(whole)
+
+
+def test_what_is_told_stays_as_narrow_as_it_is_told(wrong):
+    """A loss told to 1 % was widened to 7 % by data that do not suit it."""
+    free = wrong.summary.parameters["motor.viscous"]
+    told = {"distribution": "norm", "loc": free.median, "scale": 0.5 * free.sd}
+    model = bf.Model(AXIS, recording(cubic=0.005), priors={"motor.viscous": told}, **UNCHECKED)
+    found = model.fit(seed=1).summary
+    assert found.model_error.shown
+    # draws: 400 independent ones at least, a standard deviation known to 3.5 %, three of them
+    assert found.parameters["motor.viscous"].told_sd < 1.1 * 0.5 * free.sd
+    assert found.parameters["motor.coulomb"].told_sd > 1.5 * found.parameters["motor.coulomb"].sd
 
 
 def test_another_motion_lies_within(wrong):
