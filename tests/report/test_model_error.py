@@ -36,8 +36,8 @@ def test_the_file_holds_both_and_reads_back(wrong):
     assert told["model_error"]["shown"] is True
     assert Summary.read(told).as_dict() == told
     frame = wrong.summary.frame.set_index("name")
-    assert frame.loc[NAME, "model_error_low"] == row["model_error_interval"][0]
-    assert frame.loc[NAME, "low"] == row["interval"][0]
+    assert frame.loc[NAME, "low"] == row["model_error_interval"][0]
+    assert frame.loc[NAME, "posterior_low"] == row["interval"][0]
 
 
 def test_widened_draws_that_a_run_holds_are_not_made_again(wrong):

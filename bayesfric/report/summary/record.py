@@ -497,7 +497,9 @@ class Summary(Part):
 
         It has ``name``, ``group`` and the keys of :class:`PosteriorRow`, ends of intervals in
         columns of their own, and ``current``, in A, what is a torque of the motor that was measured
-        as one; ``doubted`` are kinds of doubts, joined.
+        as one; ``doubted`` are kinds of doubts, joined. ``low``, ``high`` and ``sd`` are what tables
+        and page print, with room for the model's error; ``posterior_low`` and so on the posterior's
+        own.
         """
         import pandas as pd
 
@@ -506,11 +508,10 @@ class Summary(Part):
     def _lines(self) -> Iterator[dict[str, Any]]:
         for group in ("parameters", "derived"):
             for name, row in getattr(self, group).items():
-                low, high = row.interval
-                ends: dict[str, float | None] = {"low": low, "high": high}
-                for key in ("white", "model_error"):
-                    pair = getattr(row, f"{key}_interval") or (None, None)
-                    ends[f"{key}_low"], ends[f"{key}_high"] = pair
+                ends: dict[str, float | None] = {"sd": row.told_sd, "posterior_sd": row.sd}
+                ends["low"], ends["high"] = row.told_interval
+                ends["posterior_low"], ends["posterior_high"] = row.interval
+                ends["white_low"], ends["white_high"] = row.white_interval or (None, None)
                 current = row.current or (None, None, None)
                 ends["current"], ends["current_low"], ends["current_high"] = current
                 ends |= self._checked(name)
@@ -546,7 +547,7 @@ _FRAME = ("name", "group", "unit", "symbol", "meaning", "median", "low", "high",
     "doubted", "converged", "mean", "sd", "rhat", "ess", "prior", "prior_sd", "data_sd",
     "contraction", "at_bound", "undefined_share", "prior_sensitivity", "likelihood_sensitivity",
     "diagnosis", "gauge_free", "white_low", "white_high", "white_sd",
-    "model_error_low", "model_error_high", "model_error_sd",
+    "posterior_low", "posterior_high", "posterior_sd",
     "bias", "coverage", "corrected", "corrected_low", "corrected_high",
     "current", "current_low", "current_high")  # fmt: skip
 Readable = Summary | Mapping[str, Any]

@@ -46,7 +46,7 @@ Array = NDArray[np.float64]
 _COLUMNS = ["name", "unit", "mean", "sd", "median", "low", "high", "level", "rhat", "ess",
     "prior", "prior_sd", "contraction", "verdict", "doubted", "at_bound", "converged",
     "undefined_share", "prior_sensitivity", "likelihood_sensitivity", "white_low", "white_high",
-    "model_error_low", "model_error_high", "model_error_sd",
+    "posterior_low", "posterior_high", "posterior_sd",
     "bias", "coverage", "corrected", "corrected_low", "corrected_high",
     "current", "current_low", "current_high"]  # fmt: skip
 
