@@ -145,7 +145,7 @@ def _may_be_simulated(model: Model) -> bool:
     told = model.config.tables.simulation
     files = [one.path for one in model.recordings if one.path is not None]
     there = any(path.with_suffix(".truth.json").is_file() for path in files)
-    return there or (told is not None and bool(told.model_fields_set))
+    return there or (told is not None and any(told.model_dump(exclude_unset=True).values()))
 
 
 def _asked(

@@ -139,6 +139,12 @@ def _recordings(chain: Joint) -> Iterator[str]:
         '# voltage = { column = "voltage", unit = "V", torque_constant = "0.32 N m/A", '
         'resistance = "1.2 ohm" }'
     )
+    if not linear:
+        yield "# or a duty cycle times the supply, as of a servo that counts its PWM to 885:"
+        yield (
+            '# voltage = { column = "pwm", unit = "1/885", times = "supply", times_unit = "V", '
+            'torque_constant = "0.36 N m/A", resistance = "3.8 ohm" }'
+        )
     yield "# or, where only the position that the drive went for was recorded, its gains:"
     yield f"# {target_line(linear)}"
     yield "# from outside on the load, as a dynamometer measures it:"

@@ -197,10 +197,13 @@ def explain(
         outputs = sum(o.measured.size for o in given.observations)
         lasted = sum(float(o.stamps[-1] - o.stamps[0]) for o in given.observations)
         wanted = _wanted(given)
+        several = "" if len(given.observations) > 1 else ", or give several recordings"
+        still = sum(int(o.settings.get("dropped_dead_zone", 0)) for o in given.observations)
+        moving = f"; keep it moving: at {still} more it is at rest" if still > outputs else ""
         raise BadInput(
             ", ".join(f"recording {o.name!r}" for o in given.observations),
             f"{outputs} outputs are too few to tell what a model lacks, which takes {wanted}",
-            f"record {lasted * wanted / outputs:.2g} s of such motion, or give several recordings",
+            f"record {lasted * wanted / outputs:.2g} s of such motion{several}{moving}",
         )
     found = _found(given, point, progress)
     progress("values under every model")

@@ -13,6 +13,7 @@ from bayesfric.finished import Finished
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import turned
 from bayesfric.mechanism.scaling import Scaling, scalings
+from bayesfric.report.summary.given_scale import settled_by
 
 # Draws that tell the median torque, and medians along an open scaling: whatever is exported, the
 # middle is the same.
@@ -22,8 +23,9 @@ _NEAR = 0.1
 
 
 def open_scalings(found: Finished) -> tuple[Scaling, ...]:
-    """Scalings of link and load losses that the run's recordings leave open."""
-    named = {name for n in found.summary.identifiability.null_directions for name in n.parameters}
+    """Scalings of link and load losses that recordings and told priors of a run leave open."""
+    ways = [set(n.parameters) for n in found.summary.identifiability.null_directions]
+    named = {name for way in ways if settled_by(found.summary, way) is None for name in way}
     return tuple(
         one
         for one in scalings(found.joint)

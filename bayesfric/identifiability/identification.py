@@ -40,6 +40,7 @@ from bayesfric.identifiability.open_directions import OpenDirection, open_direct
 from bayesfric.identifiability.plausible import Origin, Point
 from bayesfric.identifiability.remedies import HARDLY, trials
 from bayesfric.identifiability.sentences import Statement, plain, stated
+from bayesfric.inference.prior.priors import KNOWN
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import derive
 
@@ -230,7 +231,7 @@ def identify(
         np.abs([one.directions.singular_values for one in locals_]),
         tuple(int(one.directions.null.sum()) for one in locals_),
         local,
-        tuple(open_directions(locals_, free, coverage, back, tried)),
+        tuple(open_directions(locals_, free, coverage, back, tried, _told(target, estimate))),
         parameters,
         _combinations(target, estimate, local, load, correlated, parameters, covariance),
         coverage,
@@ -336,6 +337,15 @@ def _parameters(
             )
         )
     return tuple(rows)
+
+
+def _told(target: Target, estimate: Array) -> set[str]:
+    """Name parameters that somebody knows, as their priors say."""
+    return {
+        name
+        for name, prior, value in zip(target.names, target.priors, estimate, strict=True)
+        if not prior.default and prior.sd() < KNOWN * abs(value)
+    }
 
 
 def _combinations(

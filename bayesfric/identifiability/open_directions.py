@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -51,10 +51,12 @@ def open_directions(
     coverage: Sequence[Coverage],
     back: Sequence[BackDriving],
     tried: Sequence[Trial],
+    told: Collection[str] = (),
 ) -> Iterator[OpenDirection]:
     """List null directions first, then weak ones, the weakest first.
 
-    ``locals_`` are of every point looked at, the estimate first, by ``free`` parameters.
+    ``locals_`` are of every point looked at, the estimate first, by ``free`` parameters; ``told``
+    names those whose prior tells them already.
     """
     local = locals_[0]
     rows = list(_open_rows(local))
@@ -87,7 +89,7 @@ def open_directions(
             log_sd,
             meaning,
             tuple(_reasons(free, row, null, theory, coverage, back)),
-            remedies(local, row, tried),
+            remedies(local, row, tried, told),
             sum(one for one, _ in at),
             sum(one for _, one in at),
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -127,11 +127,14 @@ def trials(
     return found
 
 
-def remedies(local: LocalInformation, row: Array, tried: Sequence[Trial]) -> tuple[Remedy, ...]:
+def remedies(
+    local: LocalInformation, row: Array, tried: Sequence[Trial], told: Collection[str] = ()
+) -> tuple[Remedy, ...]:
     """Find what lifts one direction ``(d,)`` in the local units, known values first.
 
-    A recording is only named if it leaves less than :data:`WEAK` along the direction and half of
-    what was left before.
+    Those ``told`` have a narrow prior already, and it is no step to give them one. A recording is
+    only named if it leaves less than :data:`WEAK` along the direction and half of what was left
+    before.
     """
     information = local.information
     before = left_along(information, row)
@@ -143,7 +146,7 @@ def remedies(local: LocalInformation, row: Array, tried: Sequence[Trial]) -> tup
     for j in members:
         rest = np.delete(np.delete(information, j, axis=0), j, axis=1)
         left = open_counts(rest)
-        if left[1] < opens or (null and left[0] < nulls):
+        if local.names[j] not in told and (left[1] < opens or (null and left[0] < nulls)):
             helping[int(j)] = left[1]
     if helping:
         names = tuple(local.names[j] for j in helping)

@@ -31,6 +31,7 @@ DOUBTS = (
     "few",
     "unseen-inertia",
     "self-check",
+    "unchecked",
 )
 # Outlying outputs that are named, the farthest; of others there is the number.
 NAMED = 5
@@ -151,7 +152,8 @@ def _of_model(
         cite = to_cite(summary)
         if cite is not None:
             yield "corrected", cite, "self-check"
-    if error is not None and error.reason == "few":
+    doubted = any(doubt.kind == "unchecked" for doubt in summary.doubts)
+    if error is not None and error.reason == "few" and not doubted:
         yield "unparted", {}, "model-error"
     if contested:
         yield "methods", {"names": contested}, "methods"

@@ -26,7 +26,7 @@ from bayesfric.report.summary.doubts import (
     pushed_doubts,
     put_doubts,
 )
-from bayesfric.report.summary.record import ModelError, Summary
+from bayesfric.report.summary.record import Lack, ModelError, Summary, Whiteness
 from bayesfric.report.summary.rows import Spread
 from tests.commands.bench import SMALL
 from tests.conftest import REPOSITORY
@@ -210,6 +210,35 @@ def test_a_number_that_moves_with_the_noise_model_is_named(verdict, ends, status
     verdicts = [one.verdict for one in summary.parameters.values()]
     assert verdicts == ["weak" if told else verdict, "data"]
     assert (summary.parameters["a.b"].doubted == ["noise"]) == told
+
+
+@pytest.mark.parametrize(
+    ("reason", "white", "lacks", "told"),
+    [
+        ("few", False, False, True),
+        ("few", True, True, True),
+        ("few", True, False, False),
+        (None, False, False, False),
+    ],
+)
+def test_a_model_that_nothing_could_ask_is_doubted_where_it_leaves_no_noise(
+    reason, white, lacks, told
+):
+    """Measured, XL330: 36 outputs, an inertia of a tenth of what its mass has, and no doubt."""
+    summary = summary_of({"a.b": row(1.0, 0.9, 1.1)})
+    lacking = [Lack(on="speed", sure=False, share=0.38)] if lacks else []
+    noise = summary.noise.model_copy(update={"innovation_whiteness": Whiteness(white=white)})
+    fit = summary.fit.model_copy(update={"lacks": lacking})
+    update = {"model_error": ModelError(shown=False, reason=reason), "noise": noise, "fit": fit}
+    found = find_doubts(_Fit(), summary.model_copy(update=update))
+    assert [one["kind"] for one in found] == ["unchecked"] * told
+    if told:
+        doubted = put_doubts(summary.model_copy(update=update), found)
+        assert doubted.sampler.status == "tentative"
+        assert doubted.parameters["a.b"].doubtful
+        text = "\n".join(fit_text(doubted))
+        assert "all numbers are tentative" in text
+        assert "too few outputs to be parted" not in text
 
 
 def test_residuals_that_rise_with_a_noise_model_make_all_of_it_doubtful():

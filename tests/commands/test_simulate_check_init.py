@@ -5,6 +5,7 @@ import re
 import shutil
 import tomllib
 from importlib.resources import files
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from bayesfric.commands.simulate import simulate
 from bayesfric.config import parse_config, read_config
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings import Processing
+from bayesfric.whole_fit import _may_be_simulated
 from tests.conftest import REPOSITORY
 
 from .bench import CONFIG
@@ -126,6 +128,15 @@ def test_a_line_without_its_mark_is_of_the_element_above_it(bench):
     said = tomllib.loads(before + "[mechanism.elements.gearbox]" + gearbox.replace("# cou", "cou"))
     assert said["mechanism"]["elements"]["gearbox"] == {"coulomb": "none"}
     assert said["mechanism"]["elements"]["motor"] == {}
+
+
+def test_a_template_does_not_say_that_recordings_are_simulated(bench):
+    (bench.folder / "c.toml").write_text(bench.run("init", "motor-axis").out, encoding="utf-8")
+    config = read_config(bench.folder / "c.toml")
+    assert not _may_be_simulated(SimpleNamespace(config=config, recordings=()))
+    text = config.text.replace("# amplitude =", "amplitude =")
+    config = parse_config(text, bench.folder / "c.toml")
+    assert _may_be_simulated(SimpleNamespace(config=config, recordings=()))
 
 
 def test_a_template_stays_one_with_another_preset(bench):

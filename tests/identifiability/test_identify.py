@@ -192,6 +192,14 @@ def test_what_is_proposed_does_it(lagged):
     assert all(np.isfinite(one.data_sd) for one in both.parameters)
 
 
+def test_what_is_told_already_is_not_asked_for():
+    told = {"distribution": "norm", "loc": 0.206, "scale": 0.01}
+    found = look(recorded(LAGGED), texts={"load.inertia": told}, others=False)
+    (fixed,) = [r for r in found.directions[0].remedies if r.kind == "known value"]
+    assert "load.inertia" not in fixed.parameters
+    assert "load.first_moment" in fixed.parameters
+
+
 def test_the_known_mass_is_what_the_scale_rests_on():
     found = look(
         recorded(LAGGED),

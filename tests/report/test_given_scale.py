@@ -1,9 +1,12 @@
 """A number that is data times somebody's told weight is neither open nor the prior's own."""
 
 import copy
+from types import SimpleNamespace
 
 import pytest
 
+from bayesfric.export.central import open_scalings
+from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.summary.given_scale import tell_given_scales
 from bayesfric.report.summary.record import Summary
@@ -44,6 +47,28 @@ def test_what_the_told_weight_settles_says_so(tmp_path):
     assert "NOT determined" not in lines["motor.inertia"]
     assert "your prior on load.first_moment" in run_page(tmp_path, read.as_dict(), "run")
     assert Summary.read(read.as_dict()) == read
+
+
+def test_a_told_scale_is_not_evened_out_in_an_export():
+    """A weight that was told stays; where none is, the losses of both ways are made one."""
+    chain = PRESETS["rabbit-knee"].chain()
+    names = ("load.inertia", "load.first_moment", "gearbox.load_drive", "gearbox.load_back")
+    told = copy.deepcopy(loaded())
+    told["parameters"] = {
+        name: posterior_row("", 0.2, 0.02, verdict="prior", prior_sd=0.5, prior_default=True)
+        for name in names
+    }
+    way = [n.replace("load_", "alpha_") for n in names]
+    told["identifiability"] = {
+        "null_directions": [{"parameters": dict.fromkeys(way, 1.0), "meaning": "one factor"}]
+    }
+    for known in (False, True):
+        row = {"prior_sd": 0.01 if known else 0.5, "prior_default": not known}
+        told["parameters"]["load.inertia"] |= row
+        read = tell_given_scales(Summary.read(told))
+        assert len(open_scalings(SimpleNamespace(joint=chain, summary=read))) == (not known)
+        # a loss is as known as the torque factor that it sets
+        assert (read.parameters["gearbox.load_drive"].given_by == ["load.inertia"]) == known
 
 
 @pytest.mark.parametrize(

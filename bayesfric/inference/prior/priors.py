@@ -24,6 +24,8 @@ PriorText = float | Sequence[float] | Mapping[str, Any]
 _TURN_TYPED = 0.02
 # Below this share of its mass inside the parameter's support a prior is taken for a mistake.
 _LEAST_MASS = 1e-6
+# Sd over value of a told prior that is there because the value is known.
+KNOWN = 0.2
 
 
 @dataclass(frozen=True)

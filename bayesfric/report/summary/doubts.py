@@ -93,6 +93,7 @@ def find_doubts(
             for one in _late(delays, fit.observations)
         ),
         *({**one, "of": of} for one in _turning(turn) if (of := _turned(resting, one["moved"]))),
+        *_unchecked(summary),
     ]
     return [{"kind": one.pop("kind"), "parameters": one.pop("of", resting), **one} for one in found]
 
@@ -127,6 +128,14 @@ def _unexplained(fit: Fit, summary: Summary, delays: Sequence[Delay]) -> list[di
         return []
     told = {"kind": "unexplained", "share": share, "quantity": summary.fit.quantity}
     return [told | _instead(fit.chain, fit.observations, delays, None)]
+
+
+def _unchecked(summary: Summary) -> Iterator[dict[str, Any]]:
+    """Doubt a model that too few outputs could not ask, where what it leaves is no plain noise."""
+    error, test = summary.model_error, summary.noise.innovation_whiteness
+    noise = (test is None or test.white) and not summary.fit.lacks
+    if error is not None and error.reason == "few" and not noise:
+        yield {"kind": "unchecked"}
 
 
 def little_explained(

@@ -6,6 +6,7 @@ prior on one, such as a weight that was put on scales, settles the factor, and w
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
 from bayesfric.report.summary.record import Summary
@@ -22,14 +23,14 @@ def tell_given_scales(summary: Summary) -> Summary:
     They are ``weak``: neither of the data nor of the prior alone.
     """
     ways = [{*one.parameters} for one in summary.identifiability.null_directions]
-    given = [_given(summary, way) for way in ways]
+    given = [settled_by(summary, way) for way in ways]
     changes: dict[str, dict[str, Any]] = {}
     for name, row in summary.rows.items():
         # a derived number may change along any of them
         along = [
             by
             for way, by in zip(ways, given, strict=True)
-            if name in way or name in summary.derived
+            if name in way or alpha_of(name) in way or name in summary.derived
         ]
         known = [by for by in along if by is not None and by != name]
         if row.verdict == "prior" and known and len(known) == len(along) and _narrowed(row):
@@ -37,7 +38,13 @@ def tell_given_scales(summary: Summary) -> Summary:
     return summary.with_rows(changes) if changes else summary
 
 
-def _given(summary: Summary, way: set[str]) -> str | None:
+def alpha_of(name: str) -> str:
+    """Name the torque factor that a load loss sets: mu is open where alpha is."""
+    element, _, quantity = name.partition(".")
+    return f"{element}.alpha_{quantity.removeprefix('load_')}" if "load_" in quantity else name
+
+
+def settled_by(summary: Summary, way: Collection[str]) -> str | None:
     """Name the parameter whose told prior settles a direction, if one does."""
     rows = {name: summary.parameters[name] for name in way if name in summary.parameters}
     known = {name: _relative(row) for name, row in rows.items()}

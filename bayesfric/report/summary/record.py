@@ -497,9 +497,9 @@ class Summary(Part):
 
         It has ``name``, ``group`` and the keys of :class:`PosteriorRow`, ends of intervals in
         columns of their own, and ``current``, in A, what is a torque of the motor that was measured
-        as one; ``doubted`` are kinds of doubts, joined. ``low``, ``high`` and ``sd`` are what tables
-        and page print, with room for the model's error; ``posterior_low`` and so on the posterior's
-        own.
+        as one; ``doubted`` are kinds of doubts, joined. ``low``, ``high`` and ``sd`` are what
+        tables and page print, with room for the model's error; ``posterior_low`` and so on the
+        posterior's own.
         """
         import pandas as pd
 

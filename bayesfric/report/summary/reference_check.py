@@ -7,16 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from bayesfric.inference.prior.priors import KNOWN
 from bayesfric.mechanism.parameter import scales_with_torque
-from bayesfric.report.summary.record import Summary
+from bayesfric.report.summary.record import Summary, quantity_of
 from bayesfric.report.summary.rows import PosteriorRow
 
 # Sds between a reference and what was found that are no chance.
-_FAR = 4.0
+_FAR = 3.0
 # What data say of a posterior of which they have less than this share is hardly told by it.
 _LEAST_SHARE = 0.1
-# Sd over value of a told prior that is there because the value is known.
-_KNOWN = 0.2
 _GAIN = "drive.gain"
 
 
@@ -27,7 +26,7 @@ def references_off(summary: Summary) -> Mapping[str, Any] | None:
     them, values and masses together. Far counts the sd of the told interval and the
     reference's own. ``None`` where none is; what the data leave open contradicts nothing. Where a
     gain that is not fitted would bring all into agreement, ``settle`` is what would give it its
-    scale.
+    scale; ``one_loss`` are elements whose load loss is the same both ways, which could be to blame.
     """
     compared = list(_compared(summary))
     off = [one for one in compared if one["times"] > _FAR]
@@ -36,16 +35,18 @@ def references_off(summary: Summary) -> Mapping[str, Any] | None:
         return None
     scaled = [one for one in compared if one["scaled"]]
     factor = _common(scaled) if any(one in off for one in scaled) else None
+    one_loss = [n.partition(".")[0] for n in summary.parameters if quantity_of(n) == "load"]
+    told = {"off": off, "factor": factor, "one_loss": one_loss}
     if known is not None:  # values that are known have gone into all others
-        return {"off": off, "known": known.model_dump(), "factor": known.value, "settle": None}
+        return {**told, "known": known.model_dump(), "factor": known.value, "settle": None}
     fitted = _GAIN in summary.parameters or _GAIN in summary.fixed
     settle = min(
         (one for one in scaled if one["name"] in summary.parameters),
-        key=lambda one: float(one["known"] or _KNOWN * abs(one["value"])) / abs(one["value"]),
+        key=lambda one: float(one["known"] or KNOWN * abs(one["value"])) / abs(one["value"]),
         default=None,
     )
     advised = settle if factor and not fitted else None
-    return {"off": off, "known": None, "factor": factor, "settle": advised}
+    return {**told, "known": None, "settle": advised}
 
 
 def _compared(summary: Summary) -> Iterator[dict[str, Any]]:
@@ -70,7 +71,7 @@ def _of_data(row: PosteriorRow) -> tuple[float, float, float, float] | None:
     if row.prior_default or row.prior_sd is None or row.prior_interval is None or row.period:
         return None
     value, sd = sum(row.prior_interval) / 2.0, row.prior_sd
-    if not 0.0 < row.sd < sd < _KNOWN * abs(value):
+    if not 0.0 < row.sd < sd < KNOWN * abs(value):
         return None
     share = 1.0 - (row.sd / sd) ** 2  # that the data have in the posterior
     if share < _LEAST_SHARE:
