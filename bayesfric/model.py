@@ -337,7 +337,9 @@ class Model:
             self.estimates(["input-error"], progress=progress)[0].point
         )
         with self.config.named(), few_threads(self.observations):
-            found = explain(self.evidence, point, progress=lambda stage: progress(Progress(stage)))
+            found = explain(
+                self.evidence, point, self.recordings, progress=lambda s: progress(Progress(s))
+            )
         return replace(found, pushed=tuple(self.disturbances()))
 
     def advise(self, name: str, *, progress: Shown = silent) -> Ranking:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesfric.errors import BadInput
+from bayesfric.estimates.delay import Delay, delays
 from bayesfric.estimates.disturbances import Disturbance
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.knowledge import Knowledge
@@ -19,8 +20,8 @@ from bayesfric.explain.candidates import Candidate
 from bayesfric.explain.evidence import STRETCHES, Score
 from bayesfric.explain.ladder import Ladder, Trial, compared, searched, stacked
 from bayesfric.explain.told import Reason, sd_of, something, untold
-from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.recordings.measurement import Measurement
 from bayesfric.templates import placed
 
 if TYPE_CHECKING:
@@ -114,6 +115,10 @@ class Explanation:
         Mean and sd of every number over the models that cannot be told apart.
     pushed
         Spans in which something else acted, to exclude before any term is added.
+    late
+        By how much positions come late, of all recordings together, with the model as it is; and
+        with the terms that are asked for, which may look late too. ``None`` where it does not
+        matter, or the model has the delay as a parameter.
     """
 
     unit: str  # of the torque
@@ -128,6 +133,7 @@ class Explanation:
     memory: tuple[float, ...]  # partial autocorrelations of the noise beside all terms
     pushed: tuple[Disturbance, ...] = ()
     untold: tuple[Term, ...] = ()
+    late: tuple[Delay | None, Delay | None] = (None, None)
 
     @property
     def last(self) -> Model:
@@ -183,10 +189,13 @@ def asked_for(given: Given, point: Mapping[str, float]) -> tuple[Term, ...]:
 def explain(
     given: Given,
     point: Mapping[str, float],
+    recordings: Sequence[Measurement] = (),
     *,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Explanation:
     """Look for what the model of ``given`` lacks; ``point`` is an estimate of its parameters.
+
+    ``recordings``, where they are given, are those of the observations, and timed.
 
     Raises
     ------
@@ -248,7 +257,27 @@ def explain(
         ladder.folds == tuple(o.name for o in given.observations),
         tuple(ladder.memory.tolist()),
         untold=found.refused("zero", "shape", "negative"),
+        late=_late(given, point, recordings, ladder),
     )
+
+
+def _late(
+    given: Given, point: Mapping[str, float], recordings: Sequence[Measurement], ladder: Ladder
+) -> tuple[Delay | None, Delay | None]:
+    """Tell the delay that matters without the ladder's terms, and with them."""
+    if not recordings or given.chain.delay:
+        return None, None
+
+    def matters(given: Given, point: Mapping[str, float]) -> Delay | None:
+        found = delays(given, recordings, point)
+        return found[-1] if found and found[-1].matters else None
+
+    before = matters(given, point)
+    added = [rung.added.candidate for rung in ladder.rungs if rung.added]
+    if before is None or not added:
+        return before, before
+    beside, estimate = _estimated(given, point, added)
+    return before, matters(beside, dict(estimate.point))
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,7 +319,7 @@ def _found(
         added: Sequence[Trial], k: int, rivals: Sequence[Trial], after: Score, before: Score
     ) -> Reason | None:
         one = added[k].candidate
-        chain, estimate = _estimated(given, point, [t.candidate for t in added])
+        beside, estimate = _estimated(given, point, [t.candidate for t in added])
         estimates[_settings(added)] = estimate
         # a richer choice is there for what a simpler one cannot do as well
         simpler = any(
@@ -300,7 +329,7 @@ def _found(
         )
         if simpler and not something(one, estimate):
             return "zero"
-        return untold(one, chain, estimate, given.observations, after, before)
+        return untold(one, beside.chain, estimate, given.observations, after, before)
 
     while True:
         alike = [one for t, _ in without for one in (t.candidate, *t.others)]
@@ -362,7 +391,7 @@ def _simplest(one: Candidate, others: Sequence[Candidate]) -> Iterator[Candidate
 
 def _estimated(
     given: Given, point: Mapping[str, float], added: Sequence[Candidate]
-) -> tuple[Joint, Estimate]:
+) -> tuple[Given, Estimate]:
     """Fit a model with some terms more, from where it is without them."""
     chain, start = given.chain, dict(point)
     for one in added:
@@ -375,7 +404,8 @@ def _estimated(
         {name: x for name, x in known.bounds.items() if name in start},
         {name: x for name, x in known.told.items() if name in start},
     )
-    return chain, input_error(chain, given.observations, knowledge, given.options, start)
+    beside = replace(given, chain=chain, knowledge=knowledge)
+    return beside, input_error(chain, given.observations, knowledge, given.options, start)
 
 
 def _numbers(estimate: Estimate) -> dict[str, Number]:

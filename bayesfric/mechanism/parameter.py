@@ -96,7 +96,7 @@ def scales_with_torque(unit: str) -> bool:
 
 
 def effort_words(words: str, motion: Motion) -> str:
-    """Say force in place of torque of what slides.
+    """Say force in place of torque of what slides, and 2π m in place of a turn.
 
     Parameters
     ----------
@@ -105,4 +105,6 @@ def effort_words(words: str, motion: Motion) -> str:
     motion
         Of what is spoken of.
     """
-    return words if motion == "rotary" else _TORQUE.sub(r"force\1", words)
+    if motion == "rotary":
+        return words
+    return _TORQUE.sub(r"force\1", words).replace("cycles a turn", "cycles in 2π m")

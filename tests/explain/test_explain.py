@@ -14,7 +14,7 @@ from bayesfric.explain.explanation import asked_for
 from bayesfric.explain.ladder import searched
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS
-from tests.axis import AXIS, VALUES
+from tests.axis import AXIS, VALUES, swing
 
 
 def keys(ladder):
@@ -159,6 +159,26 @@ def test_a_richer_choice_that_only_repeats_the_simple_one_is_not_named_beside_it
         'mechanism.elements.gearbox.load_loss = "one"',
         'mechanism.elements.motor.load_loss = "one"',
     }
+
+
+@pytest.mark.parametrize("late", [0.0, 0.008])
+def test_a_position_that_comes_late_with_and_without_terms_is_said(late):
+    """SIMULATED, a viscous loss by direction besides: with it the delay is still there."""
+    time = np.arange(0.0, 30.0, 0.005)
+    q, qd, qdd = swing(time, [(0.31, 0.9), (0.73, 0.5), (1.9, 0.15)])
+    ends = swing(time - late, [(0.31, 0.9), (0.73, 0.5), (1.9, 0.15)])[0]
+    of = VALUES
+    torque = of["motor.inertia"] * qdd + of["motor.coulomb"] * np.sign(qd) + of["offset"]
+    torque += np.where(qd > 0.0, 1.3, 0.7) * of["motor.viscous"] * qd
+    torque += 9.81 * of["load.first_moment"] * np.sin(q)
+    torque += 0.01 * np.random.default_rng(3).standard_normal(time.size)
+    found = bf.Model(AXIS, bf.Recording.from_arrays(time, ends, torque)).explain()
+    assert 'mechanism.elements.motor.viscous = "by-direction"' in {t.setting for t in found.asked}
+    _, after = found.late
+    if late:
+        assert after.value == pytest.approx(late, abs=4.0 * after.sd)
+    else:
+        assert after is None
 
 
 def test_a_second_load_loss_is_not_offered(make_observation):

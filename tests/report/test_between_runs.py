@@ -6,9 +6,10 @@ import io
 
 import numpy as np
 
+from bayesfric.report.alerts import alerts_of
 from bayesfric.report.comparison.between_runs import between_runs, between_runs_csv, each_run_csv
 from bayesfric.report.comparison.run_draws import RunDraws
-from bayesfric.report.page.compare_page import shared_recordings
+from bayesfric.report.page.compare_page import _counts, shared_recordings
 from bayesfric.report.page.provenance import Provenance
 from bayesfric.report.summary.record import Summary
 
@@ -86,6 +87,33 @@ def test_room_for_the_models_error_is_pooled_too():
     wide = {one.name: one for one in between_runs(runs)}["motor.viscous"]
     ends = [one.pool.runs[1] for one in (plain, wide)]
     assert ends[1].high - ends[1].low > 1.2 * (ends[0].high - ends[0].low)
+
+
+def test_a_limit_is_no_value_to_pool():
+    runs = checked(a=knee(), b=loaded())
+    limit = {"motor.viscous": {"at_bound": "lower", "bound": 0.0}}
+    runs["b"] = runs["b"].with_rows(limit)
+    assert "motor.viscous" not in {one.name for one in between_runs(runs)}
+
+
+def test_a_population_ends_where_its_quantity_does():
+    """Two runs far apart leave a normal population room below zero, where no loss is."""
+    runs = checked(a=knee(), b=loaded())
+    row = runs["b"].parameters["motor.viscous"]
+    far = {"mean": 9.0 * row.mean, "median": 9.0 * row.middle}
+    runs["b"] = runs["b"].with_rows({"motor.viscous": far})
+    (pooled,) = (one for one in between_runs(runs) if one.name == "motor.viscous")
+    assert (pooled.pool.mean.low, pooled.pool.following.low) == (0.0, 0.0)
+    assert pooled.pool.following.high > 9.0 * row.mean
+
+
+def test_a_page_counts_what_it_tells_a_limit_of_as_one():
+    run = checked(a=knee())["a"]
+    by_data, with_prior, other, warned = _counts(run)
+    assert by_data == sum(row.verdict == "data" for row in run.joint.values())
+    assert warned == len(alerts_of(run))
+    limit = run.with_rows({"motor.viscous": {"at_bound": "lower", "bound": 0.0}})
+    assert tuple(_counts(limit))[:3] == (by_data - 1, with_prior, other + 1)
 
 
 def test_a_run_whose_ensembles_disagree_is_not_averaged_in():

@@ -105,6 +105,19 @@ def test_derived_draws_have_the_medians_of_the_summary(written_run):
     assert set(alone.values) == set(summary.parameters)
 
 
+def test_draws_with_room_for_the_models_error_come_first(written_run, tmp_path):
+    text = (written_run / "summary.json").read_text(encoding="utf-8")
+    summary = Summary.read(json.loads(text), "run")
+    shutil.copytree(written_run, tmp_path / "run")
+    row = summary.parameters["motor.inertia"]
+    with h5py.File(tmp_path / "run" / "posterior.nc", "a") as file:
+        for name in summary.parameters:
+            draws = file["posterior"][name][()]
+            file[f"told/{name}"] = np.median(draws) + 3.0 * (draws - np.median(draws))
+    found = read_draws(tmp_path / "run", summary, lambda _: None)
+    assert found.values["motor.inertia"].std() == pytest.approx(3.0 * row.sd, rel=0.05)
+
+
 def test_what_is_fixed_takes_part(written_run):
     text = (written_run / "summary.json").read_text(encoding="utf-8")
     raw = json.loads(text)

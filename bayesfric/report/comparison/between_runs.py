@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
+from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.pooling.population import (
     Interval,
     Likelihood,
@@ -16,7 +17,7 @@ from bayesfric.pooling.population import (
 from bayesfric.report.comparison.cell import has_converged
 from bayesfric.report.comparison.comparison import on_one_turn
 from bayesfric.report.comparison.run_draws import RunDraws
-from bayesfric.report.summary.record import Summary, of_noise
+from bayesfric.report.summary.record import Summary, of_noise, quantity_of
 from bayesfric.report.summary.rows import PosteriorRow
 
 # Fewer runs whose data determine a quantity are no population.
@@ -63,11 +64,28 @@ def between_runs(
         PooledQuantity(
             one.name,
             one.runs,
-            population(list(one.likelihoods.values()), next(iter(one.runs.values())).level),
+            _possible(
+                one.name,
+                population(list(one.likelihoods.values()), next(iter(one.runs.values())).level),
+            ),
         )
         for one in told_by_runs(runs, draws)
         if not any(row.of_motion for row in one.runs.values())
     ]
+
+
+def _possible(name: str, pool: Population) -> Population:
+    """Cut ends that the normal model puts where a quantity cannot be; they hold the same."""
+    row = QUANTITIES.get(quantity_of(name))
+    if row is None:
+        return pool
+
+    def cut(one: Interval) -> Interval:
+        ends = (max(x, row.lower) for x in (one.median, one.low, one.high))
+        return Interval(*ends)
+
+    runs = tuple(map(cut, pool.runs))
+    return replace(pool, mean=cut(pool.mean), following=cut(pool.following), runs=runs)
 
 
 def told_by_runs(
@@ -106,7 +124,12 @@ def told_by_runs(
 
 
 def _told(row: PosteriorRow) -> bool:
-    """Whether the data determine it: also what is doubted, for other reasons than its prior."""
+    """Whether the data determine it: also what is doubted, for other reasons than its prior.
+
+    Of a number on its bound they tell a limit only, which is no value to pool.
+    """
+    if row.at_bound is not None:
+        return False
     # older files do not tell what else would be said of what is doubted
     return (row.undoubted or ("data" if row.doubted else row.verdict)) == "data"
 

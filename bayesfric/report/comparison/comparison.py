@@ -199,6 +199,7 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
     ]
     rows.sort(key=_order)  # keeps the order of the files within each group
     between = tuple(_runs_apart(rows, columns, baseline))
+    notes += _narrowly_apart(runs, rows, columns, baseline)
     mine = [c for c in columns if baseline is not None and c.run == baseline.run]
     told = runs[baseline.run].rows if baseline is not None else {}
     apart = {c.label: _apart(rows, c, told) for c in mine if c.kind == "estimate"}
@@ -396,6 +397,32 @@ def _runs_apart(rows: list[Row], columns: list[Column], baseline: Column | None)
                 f"{column.run} and {baseline.run} disagree in {', '.join(far)}: joint, motion or "
                 "what the model lacks is not the same in both, and the intervals of one do not "
                 "hold for the other."
+            )
+
+
+def _narrowly_apart(
+    runs: Mapping[str, Summary], rows: list[Row], columns: list[Column], baseline: Column | None
+) -> Iterator[str]:
+    """Say what only room for the models' errors, which runs may share, lets other runs agree in."""
+    for column in columns:
+        if baseline is None or column.kind != "posterior" or column.run == baseline.run:
+            continue
+        if not (column.widened or baseline.widened):
+            continue
+        far = []
+        for row in rows:
+            a, b = (runs[run].joint.get(row.name) for run in (baseline.run, column.run))
+            cell = row.cells.get(column.label)
+            if a is None or b is None or cell is None or a.period or not (a.sd and b.sd):
+                continue
+            told, own = cell.disagreement, (b.middle - a.middle) / math.hypot(a.sd, b.sd)
+            if told is not None and abs(told) <= _FAR < abs(own):
+                far.append(f"{row.name} ({own:+.1f} sd)")
+        if far:
+            yield (
+                f"{column.run} and {baseline.run} agree in {', '.join(far)} only by the room for "
+                "the model's error; in brackets what parts them without it. Where both motions are "
+                "alike they may share that error, and then this is a real difference."
             )
 
 

@@ -42,7 +42,8 @@ class RunDraws:
 def read_draws(run: Path, summary: Summary, rebuild: Callable[[str], Joint | None]) -> RunDraws:
     """Read the draws of what a run's checked summary tells.
 
-    Draws that do not have the summary's medians are not its own, and left out. Totals as
+    Those with room for the model's error where the run holds such, as its tables do. Draws that do
+    not have the summary's medians are not its own, and left out. Totals as
     least squares would see them need the recordings and are never among them. ``rebuild`` makes the
     chain from the text of the run's configuration; where it cannot, derived quantities are left
     out.
@@ -52,7 +53,7 @@ def read_draws(run: Path, summary: Summary, rebuild: Callable[[str], Joint | Non
         return RunDraws(missing="has no posterior.nc")
     try:
         with h5py.File(path) as file:
-            group = file["posterior"]
+            group = file["told" if "told" in file else "posterior"]
             known = {**summary.derived, **summary.parameters}
             found = {name: _flat(group[name]) for name in known if name in group}
             before = file.get("prior", {})
@@ -97,7 +98,7 @@ def _same(x: Array, row: PosteriorRow) -> bool:
     # the mean of a ratio may not settle, its median does
     told, found = (row.mean, x.mean()) if row.median is None else (row.median, np.median(x))
     near = max(_NEAR, _ERRORS * 1.25 / x.size**0.5)
-    return bool(abs(found - told) <= near * row.sd + 1e-9 * abs(told))
+    return bool(abs(found - told) <= near * row.told_sd + 1e-9 * abs(told))
 
 
 def _derived(

@@ -289,7 +289,9 @@ def _legend(figure: Figure, rows: list[Row], columns: list[Column]) -> None:
     open_["markerfacecolor"] = "white"
     handles: list[Line2D] = []
     if any(cell.accounts and cell.sd is not None for cell in cells):
-        handles.append(Line2D([], [], color=grey, label="90 %, correlated residuals", **_THICK))
+        room = " (posterior: model's error)" if any(c.widened for c in columns) else ""
+        words = f"90 %, correlated residuals{room}"
+        handles.append(Line2D([], [], color=grey, label=words, **_THICK))
     if any(cell.sd_plain is not None for cell in cells):
         handles.append(capped)
     if any(cell.status == "undetermined" and cell.converged for cell in cells):

@@ -298,7 +298,8 @@ def overlay_caption(shown: Overlay) -> str:
         "Marginal posterior density of every run, the area below each curve being one: filled "
         "where the data determine the quantity, not filled where the prior has a say or the data "
         "tell from one side only, hatched where they leave it open: then it is prior and bounds "
-        "that are seen. What the data of no run determine is left out."
+        "that are seen. Densities have room for the model's error where a run shows one. What the "
+        "data of no run determine is left out."
     )
     if shown.without_draws:
         names = ", ".join(shown.without_draws)
@@ -324,7 +325,7 @@ def _curve_words(curve: Curve) -> str:
         return f"{curve.run} not determined by the data"
     if curve.cell.status == "limit":
         return f"{curve.run} {curve.cell.remark}, as far as the data tell"
-    low, high = curve.row.interval
+    low, high = curve.row.told_interval
     by = "the data" if curve.told == "data" else TOGETHER
     ends = f"{100 * curve.row.level:g} % from {low:.4g} to {high:.4g}"
     return f"{curve.run} {curve.row.middle:.4g}, {ends}, determined by {by}"

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from itertools import combinations
 from pathlib import Path
 
+from bayesfric.report.alerts import alerts_of
+from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.comparison.table import explained
 from bayesfric.report.figures.registry import ComparedRuns, comparison_figures
 from bayesfric.report.page.figures import page_figures
 from bayesfric.report.page.provenance import Provenance
 from bayesfric.report.page.rendering import render
+from bayesfric.report.summary.record import Summary
 
 
 def shared_recordings(provenance: Mapping[str, Provenance | None]) -> list[tuple[str, str]]:
@@ -23,6 +26,15 @@ def _hashes(told: Provenance | None) -> set[str]:
     return set(told.recordings.values()) - {""} if told else set()
 
 
+def _counts(run: Summary) -> Iterator[int]:
+    """Count parameters by the data, with the prior, open or limits; then the warnings of a run."""
+    cells = posterior_cells(run)
+    joint = [(cells[name].status == "determined", row.verdict) for name, row in run.joint.items()]
+    by = [verdict if determined else "open" for determined, verdict in joint]
+    yield from (by.count(kind) for kind in ("data", "weak", "open"))
+    yield len(alerts_of(run))
+
+
 def compare_page(
     folder: Path, compared: ComparedRuns, provenance: Mapping[str, Provenance | None]
 ) -> str:
@@ -33,6 +45,7 @@ def compare_page(
         "compare.html.j2",
         title=" and ".join(runs) if len(runs) < 3 else f"{len(runs)} runs",
         runs=runs,
+        counts={name: tuple(_counts(run)) for name, run in runs.items()},
         pooled=pooled,
         same=shared_recordings(provenance),
         provenance=provenance,
