@@ -147,7 +147,11 @@ def _channel(one: Chosen, geared: bool, slides: bool) -> Iterator[str]:
     if slides and one.unit != plain and (others := sliding(plain)):
         yield f'# if it slides, with motion = "linear" in [mechanism]: unit = {_or(others)}'
     if one.channel == "torque" and one.unit != plain:
-        yield '# if it is a signal in V: unit = "V", constant = "... N m/V", or N/V if it slides'
+        yield '# if it is a signal in V: unit = "V", constant = "... N m/V", or N/V if it slides;'
+        yield (
+            f'# a current: current = {{ column = {toml_value(one.column)}, unit = "A", '
+            'torque_constant = "... N m/A" }'
+        )
 
 
 def _or(units: Sequence[str]) -> str:

@@ -77,7 +77,7 @@ class Exported:
             If something is there already, or cannot be written; nothing is left behind.
         """
         output = Path(output)
-        if not output.suffix:
+        if not _is_file(output):
             check_output(output, force=force)
             with made_beside(output) as beside:
                 names = self._fill(beside)
@@ -112,9 +112,14 @@ class Exported:
         return [*self.files, *more]
 
 
+def _is_file(output: Path) -> bool:
+    """Whether a path names a file; a folder's name may hold a dot, as of the run "knee.v2"."""
+    return output.suffix[1:].isalnum()
+
+
 def check_output(output: Path, *, force: bool) -> None:
     """Refuse what would be overwritten or cannot be made, before anything is computed."""
-    if not output.suffix:
+    if not _is_file(output):
         check_free(output, force=force, marked="export.json")
         return
     if output.is_dir():
@@ -250,6 +255,8 @@ def _record(
         notes.append(sentence("notes.txt.j2", "no link", told_of))
     if any(o.inputs.known_load for o in found.model.observations):
         notes.insert(0, sentence("notes.txt.j2", "known load", {}))
+    if found.summary.fit.residual_rms is not None:
+        notes.append(sentence("notes.txt.j2", "of fit", _of_fit(found)))
     status, doubted = _status(found), found.summary.only_doubted
     if status != "reliable":
         notes.insert(0, sentence("notes.txt.j2", "status", {"status": status, "doubted": doubted}))
@@ -276,6 +283,19 @@ def _record(
         "position_unit": "rad" if rotary else "m",
         "draws": len(told.draws),
         "central": told.kind,
+    }
+
+
+def _of_fit(found: Finished) -> dict[str, Any]:
+    """Give what the fitted joint leaves of the recordings, and how fast these are."""
+    fit, seen = found.summary.fit, found.model.observations
+    return {
+        "rms": fit.residual_rms,
+        "unit": fit.unit,
+        "quantity": f"measured {fit.quantity}",
+        "speed": max(float(np.abs(o.qd[o.filter.centres]).max()) for o in seen),
+        "of_speed": "rad/s" if found.joint.load.motion == "rotary" else "m/s",
+        "wrong": found.summary.widened,
     }
 
 

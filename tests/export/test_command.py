@@ -103,6 +103,20 @@ def test_a_file_is_written_with_the_others_beside(bench):
     assert table.shape == (30,)
 
 
+def test_a_run_with_a_dot_in_its_name_goes_into_a_folder(bench):
+    """Two such exports of runs "knee.v2" and "knee.v3" once took each other's files."""
+    for name in ("knee.v2-run", "knee.v3-run"):
+        shutil.copytree(bench.folder / "c-run", bench.folder / name)
+        ended = bench.run("export", name, "--to", "python", "--joint", "knee")
+        assert ended.code == 0, ended
+        assert (bench.folder / f"{name}-python" / "knee_feedforward.py").is_file()
+        # what was fitted is beside what the file says of itself, and no temperature nobody took
+        said = (bench.folder / f"{name}-python" / "knee_feedforward.py").read_text()
+        rms = json.loads((bench.folder / name / "summary.json").read_text())["fit"]["residual_rms"]
+        assert f"itself leaves {rms:.3g} N m rms of the measured motor torque" in said
+        assert "degC" not in said
+
+
 def test_what_is_there_is_kept(bench):
     (bench.folder / "out.xml").write_text("mine")
     (bench.folder / "folder").mkdir()

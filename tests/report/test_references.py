@@ -45,7 +45,7 @@ def test_one_factor_of_all_is_the_torques():
     (alert,) = (one for one in alerts_of(alike) if one.kind == "references")
     assert alert.first
     assert f"{INERTIA} is" in alert.text
-    assert "the torque may be told 2.5 times too large" in alert.text
+    assert "the torque may be told 2.5 times as large as it is" in alert.text
     apart = told(**{INERTIA: lambda row: row.middle / 2.5, VISCOUS: lambda row: row.middle})
     (alert,) = (one for one in alerts_of(apart) if one.kind == "references")
     assert "the torque may" not in alert.text
@@ -58,6 +58,14 @@ def test_one_loss_for_both_ways_looks_like_such_a_factor():
     assert "load_loss" not in references_text(made)
     made["parameters"]["gearbox.load"] = made["parameters"].pop(LOAD)
     assert 'load_loss = "two" in [mechanism.elements.gearbox]' in references_text(made)
+
+
+def test_a_law_without_load_losses_is_what_a_loss_may_be_of():
+    """Measured, UR10e: 13.3 N m published without load losses, 11.4 beside them."""
+    made = told(**{VISCOUS: lambda row: row.middle / 2.5, INERTIA: lambda row: row.middle / 2.5})
+    assert f"a law without load losses, which counts them as {VISCOUS}" in references_text(made)
+    del made["parameters"][LOAD]
+    assert "a law without" not in references_text(made)
 
 
 def test_a_loss_per_torque_says_nothing_of_its_scale():
@@ -112,7 +120,7 @@ def test_a_prior_that_the_data_contradict_is_told_like_a_reference():
     assert one["times"] == pytest.approx((0.37 - 0.304) / np.hypot(0.004, 0.01))
     text = references_text(made)
     assert "by the data alone where the prior says 0.304" in text
-    assert "the torque may be told 1.22 times too large" in text
+    assert "the torque may be told 1.22 times as large as it is" in text
     assert "gain = true under [mechanism], and leave its prior" in text
     # near, known by default only, or hardly known
     assert references_off(Summary.read(with_prior(0.33, 0.004, 0.304, 0.01))) is None
@@ -132,7 +140,7 @@ def test_what_is_taken_as_known_and_contradicts_the_torque_leads_to_the_gain():
     assert found["factor"] == 1.31
     text = references_text(made)
     assert f"({LOAD}, 0.49 kg on the load) 1.31 times as large (35 sds off)" in text
-    assert "the torque may be told 1.31 times too large" in text
+    assert "the torque may be told 1.31 times as large as it is" in text
     assert text.endswith("gain = true under [mechanism]")
     # and a reference that is off stands before it
     made["references"] = {INERTIA: {"value": 1.0, "unit": "kg m²"}}

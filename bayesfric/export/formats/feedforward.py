@@ -18,7 +18,10 @@ from bayesfric.mechanism.quantities import Motion
 # How many times larger than recorded a torque may be before its fixed-point form saturates.
 _ROOM = 8.0
 _TOLD = ("armature", "damping", "quadratic", "friction", "link_inertia", "link_moment", "gain")
-_NOTES = ("law rest", "law room")
+
+
+def _notes(_: Options, chain: Joint) -> Sequence[str]:
+    return ["law rest", *["law room"] * any(left_out(p.row) for p in chain.parameters)]
 
 
 def _attributes(_: Options, rotary: bool) -> Sequence[Attribute]:
@@ -71,7 +74,7 @@ FORMATS = tuple(
         supplied=frozenset(),
         attributes=_attributes,
         write=write,
-        notes=lambda *_: _NOTES,
+        notes=_notes,
         whole=True,
         torque=_torque,
     )

@@ -357,6 +357,8 @@ def methods_latex(found: Comparison) -> str:
     every = [row.cells.get(column.label) for row in found.rows for column in found.columns]
     cells_ = [cell for cell in every if cell is not None]
     wide = [column.run for column in found.columns if column.widened]
+    beside = {cell.remark for cell in cells_ if not cell.alike}
+    sources = [column.told for column in found.columns if column.kind == "reference"]
     bias = "corrected for the bias of filters and encoder, as tables of parameters are"
     told = {
         f"Posterior{f' of {listed(found.uncorrected)}' if runs > 1 else ''}: not {bias}": bool(
@@ -369,6 +371,8 @@ def methods_latex(found: Comparison) -> str:
             c.status == "undetermined" and c.converged for c in cells_
         ),
         "n.c.: not converged": any(not c.converged for c in cells_),
+        **{f"s: {words}": True for words in beside},
+        **{f"Reference: {words}": True for words in sources if words},
         "b: on its bound": any(c.status == "bound" for c in cells_),
         "super- and subscripts: distances to the ends of the 90 % interval, of what is skewed": any(
             "^{+" in line for line in body
@@ -429,6 +433,7 @@ def _cell(cell: Cell | None) -> str:
     if cell.status == "bound":
         return shown + r"\textsuperscript{b}"
     shown += r"\textsuperscript{d}" if cell.doubted else ""
+    shown += "" if cell.alike else r"\textsuperscript{s}"
     plain = cell.status == "determined" and not cell.accounts
     return shown + (r"\textsuperscript{\dag}" if plain else "")
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from bayesfric.inference.prior.priors import KNOWN
 from bayesfric.mechanism.parameter import scales_with_torque
+from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.report.summary.record import Summary, quantity_of
 from bayesfric.report.summary.rows import PosteriorRow
 
@@ -17,6 +18,8 @@ _FAR = 3.0
 # What data say of a posterior of which they have less than this share is hardly told by it.
 _LEAST_SHARE = 0.1
 _GAIN = "drive.gain"
+# Options of the losses that every published law has.
+_OF_LAW = ("coulomb", "viscous")
 
 
 def references_off(summary: Summary) -> Mapping[str, Any] | None:
@@ -26,7 +29,8 @@ def references_off(summary: Summary) -> Mapping[str, Any] | None:
     them, values and masses together. Far counts the sd of the told interval and the
     reference's own. ``None`` where none is; what the data leave open contradicts nothing. Where a
     gain that is not fitted would bring all into agreement, ``settle`` is what would give it its
-    scale; ``one_loss`` are elements whose load loss is the same both ways, which could be to blame.
+    scale; ``one_loss`` are elements whose load loss is the same both ways, which could be to blame,
+    and ``law`` losses of references whose law may have no load loss.
     """
     compared = list(_compared(summary))
     off = [one for one in compared if one["times"] > _FAR]
@@ -36,7 +40,7 @@ def references_off(summary: Summary) -> Mapping[str, Any] | None:
     scaled = [one for one in compared if one["scaled"]]
     factor = _common(scaled) if any(one in off for one in scaled) else None
     one_loss = [n.partition(".")[0] for n in summary.parameters if quantity_of(n) == "load"]
-    told = {"off": off, "factor": factor, "one_loss": one_loss}
+    told = {"off": off, "factor": factor, "one_loss": one_loss, "law": list(_of_law(summary, off))}
     if known is not None:  # values that are known have gone into all others
         return {**told, "known": known.model_dump(), "factor": known.value, "settle": None}
     fitted = _GAIN in summary.parameters or _GAIN in summary.fixed
@@ -47,6 +51,16 @@ def references_off(summary: Summary) -> Mapping[str, Any] | None:
     )
     advised = settle if factor and not fitted else None
     return {**told, "known": None, "settle": advised}
+
+
+def _of_law(summary: Summary, off: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Name losses that are off a reference whose law may have no load loss, as most have."""
+    rows = (QUANTITIES.get(quantity_of(name)) for name in summary.parameters)
+    if any(row is not None and row.role == "loss" for row in rows):
+        for one in off:
+            row = QUANTITIES.get(quantity_of(one["name"]))
+            if one["by"] == "reference" and row is not None and row.option in _OF_LAW:
+                yield one["name"]
 
 
 def _compared(summary: Summary) -> Iterator[dict[str, Any]]:
