@@ -148,6 +148,11 @@ def along(
             return np.asarray(factor)
     position, speed = reach * position, reach * speed
     shape = QUANTITIES[row.shape].start if row.shape else None
+    assert row.column is not None  # else it was a signal
+    if row.option:  # of the table, in operations that take arrays: nothing to compile for one look
+        at = State(position, speed, 0.0, np.sign(speed), time, 0.0, 0.0)
+        found = row.column(at) if shape is None else row.column(at, shape)
+        return np.asarray(factor * found)
     found = _along(_address(row), position, speed, np.sign(speed), time, shape or 0.0)
     return np.asarray(factor * found)
 

@@ -216,8 +216,7 @@ def test_a_number_that_moves_with_the_noise_model_is_named(verdict, ends, status
     ("reason", "white", "lacks", "told"),
     [
         ("few", False, False, True),
-        ("few", True, True, True),
-        ("few", True, False, False),
+        ("few", True, True, False),
         (None, False, False, False),
     ],
 )
