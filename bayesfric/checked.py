@@ -11,13 +11,19 @@ import numpy as np
 
 from bayesfric.config_text import toml_value
 from bayesfric.estimates.disturbances import unlooked
+from bayesfric.estimates.torque_near import larger
 from bayesfric.inference.noise import SCALES
 from bayesfric.model import Model
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.rest import resting_ends
 from bayesfric.report.alerts import doubt_text
-from bayesfric.report.summary.doubts import doubts_before, few_outputs, little_explained
+from bayesfric.report.summary.doubts import (
+    contradicting,
+    doubts_before,
+    few_outputs,
+    little_explained,
+)
 from bayesfric.report.summary.summary import estimate_summary
 
 # Share of a recording in which no push would be told that is worth saying.
@@ -73,7 +79,10 @@ def _found(model: Model) -> dict[str, Any]:
     (totals,) = model.estimates(["least-squares"])
     delays = model.delays()
     known = model.evidence.knowledge
-    ignored = [] if model.chain.delay else delays
+    ignored = delays
+    if model.chain.delay:
+        own = totals[model.chain.delay_name]
+        ignored = contradicting(delays, own.value, larger(own.sd, own.sd_robust))
     unexplained = little_explained(model.chain, model.observations, ignored)
     doubts = [
         *unexplained,

@@ -76,6 +76,8 @@ def complaint(
     if first["type"] == "extra_forbidden":
         return BadInput(where, "unknown key", nearest(words[-1], _known_keys(place, model)))
     what, mend = _worded([e for p, e in deeper if p == place])
+    if first["type"].startswith("model_") and (keys := _known_keys([*place, ""], model)):
+        mend += f": {', '.join(keys)}"
     if _guessed(first) and (more := [p for p, e in found if _guessed(e) and p != place]):
         others = (".".join(str(x + 1) if isinstance(x, int) else x for x in p) for p in more)
         what += f", as {', '.join(dict.fromkeys(others))} are"

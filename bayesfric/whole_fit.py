@@ -30,7 +30,7 @@ from bayesfric.inference.target import Target
 from bayesfric.model import Model
 from bayesfric.progress import by_method, silent
 from bayesfric.report.summary.derived_quantities import groups
-from bayesfric.report.summary.doubts import White, find_doubts, put_doubts
+from bayesfric.report.summary.doubts import White, contradicting, find_doubts, put_doubts
 from bayesfric.report.summary.model_error import add_model_error
 from bayesfric.report.summary.noise import add_white_intervals, white_alternative
 from bayesfric.report.summary.record import Identifiability, Summary, TorqueFactorPart
@@ -97,7 +97,11 @@ def whole_fit(
         summary = add_white_intervals(summary, compared[0] if compared else None)
     found = replace(found, model_error=model_error(found.target, found.posterior))
     summary = add_model_error(summary, found, derived)
-    late = [] if model.chain.delay else model.delays(begun.estimates)
+    late = model.delays(begun.estimates)
+    if model.chain.delay:
+        row = summary.parameters.get(model.chain.delay_name)
+        known = model.priors[model.chain.delay_name].value
+        late = contradicting(late, *((row.middle, row.told_sd) if row else (known, 0.0)))
     turn = model.once_a_turn(begun.estimates)
     pushed = model.disturbances()
     summary = _with_known(summary, model, begun)

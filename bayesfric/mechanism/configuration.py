@@ -6,7 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    create_model,
+    field_validator,
+)
 
 from bayesfric.errors import BadInput, Unfit, nearest
 from bayesfric.mechanism.element import STANDARD_GRAVITY, Element, Load
@@ -118,6 +126,16 @@ class MechanismOptions(_Options):
         (), description="names of terms of one's own: functions, which only Python can give"
     )
 
+    @field_validator("elements")
+    @classmethod
+    def _of_preset(
+        cls, elements: dict[str, ElementOptions], info: ValidationInfo
+    ) -> dict[str, ElementOptions]:
+        """Drop tables that change nothing, as templates have them, also of another preset."""
+        if info.data.get("preset") is None:
+            return elements
+        return {name: options for name, options in elements.items() if options.given()}
+
     def joint(self, terms: Sequence[Term] = ()) -> Joint:
         """Build the joint.
 
@@ -153,9 +171,8 @@ class MechanismOptions(_Options):
                 )
             base = PRESETS[self.preset].chain()
             names = [element.name for element in base.elements]
-            for name, options in self.elements.items():
-                # an empty table, as of a template for another preset, says nothing
-                if name not in names and options.given():
+            for name in self.elements:
+                if name not in names:
                     raise BadInput(
                         f"mechanism.elements.{name}",
                         f"{self.preset} has no such element",

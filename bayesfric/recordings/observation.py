@@ -502,13 +502,14 @@ def _band_warnings(numbers: _Numbers) -> Iterator[str]:
 
 
 def _resolution_warnings(found: Resolution, recording: Measurement) -> Iterator[str]:
+    mend = "" if recording.velocity is None else "leave its line out if the position is finer, "
     if found.acceleration_ratio < LEAST_RATIO:
         yield (
             f"{'position' if recording.velocity is None else 'velocity'}: its noise or steps "
             f"({found.noise:.2g}, one sd) make the acceleration in the band "
             f"to {found.band:.3g} Hz only {found.acceleration_ratio:.2g} times as large as its own "
-            f"noise, at least {LEAST_RATIO:g} are wanted: inertia comes out too small; lower band, "
-            "or record a faster motion or a finer position"
+            f"noise, at least {LEAST_RATIO:g} are wanted: inertia comes out too small; {mend}"
+            "lower band, or record a faster motion or a finer position"
         )
 
 

@@ -72,7 +72,8 @@ def roll_out_doubt(found: RollOutPart) -> dict[str, Any] | None:
     if not inside or (share := sum(inside) / len(inside)) >= FEWEST:
         return None
     rows = {name: row.position for name, row in judged.items() if row.narrow}
-    return {"level": found.level, "inside": share, "narrow": rows}
+    fitted = all(row.part == "fitted" for row in judged.values())
+    return {"fitted": fitted, "level": found.level, "inside": share, "narrow": rows}
 
 
 def roll_out_wide(found: RollOutPart) -> dict[str, Any] | None:

@@ -21,6 +21,7 @@ from bayesfric.recordings.recording import Recording
 from bayesfric.report.alerts import doubt_text
 from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.summary.doubts import (
+    contradicting,
     doubts_before,
     find_doubts,
     pushed_doubts,
@@ -503,6 +504,21 @@ def test_delays_that_contradict_each_other_are_no_delay():
     assert "set delay = true" not in doubt_text(doubt)
     assert "no torque comes after the motion" in doubt_text(doubt)
     assert doubts_before(totals, [], [one(2e-4, "a")]) == []
+
+
+def test_one_delay_of_the_joint_does_not_hold_what_another_recording_has():
+    """Measured, AK80-6: 12 ms late in one of two recordings, and zero with delay = true."""
+    totals = Estimate("least-squares", (), 1.0, 100, "")
+    moves = {"total.viscous": 1.7}
+    found = [Delay(("a",), 0.0, 1e-3, 2e-3, moves), Delay(("b",), 0.0116, 2e-3, 2e-3, moves)]
+    together = Delay(("a", "b"), 0.001, 1e-3, 2e-3, moves)
+    left = contradicting([*found, together], 0.0005, 1e-3)
+    (doubt,) = doubts_before(totals, [], left)
+    assert [late["recordings"] for late in doubt["late"]] == [["b"]]
+    assert "contradict each other" in doubt_text(doubt)
+    assert contradicting([*found, together], 0.005, 2.5e-3) == []
+    # one recording has the delay that it has
+    assert contradicting(found[1:], 0.0, 1e-3) == []
 
 
 def test_check_says_that_a_pendulum_is_no_axis(bench):

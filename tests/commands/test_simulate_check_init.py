@@ -130,6 +130,14 @@ def test_a_line_without_its_mark_is_of_the_element_above_it(bench):
     assert said["mechanism"]["elements"]["motor"] == {}
 
 
+def test_a_table_that_changes_nothing_is_no_other_mechanism(bench):
+    """A roll-out of other recordings was refused for a template's empty tables."""
+    text = bench.run("init", "motor-axis").out
+    told = parse_config(text, bench.folder / "c.toml").tables.mechanism
+    bare = parse_config(CONFIG, bench.folder / "d.toml")
+    assert told == bare.tables.mechanism
+
+
 def test_a_template_does_not_say_that_recordings_are_simulated(bench):
     (bench.folder / "c.toml").write_text(bench.run("init", "motor-axis").out, encoding="utf-8")
     config = read_config(bench.folder / "c.toml")

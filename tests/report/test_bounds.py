@@ -9,11 +9,12 @@ from bayesfric.inference.fitting import fit, make_target, read_priors
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.alerts import doubt_text
-from bayesfric.report.comparison.cell import posterior_cells
+from bayesfric.report.comparison.cell import posterior_cell, posterior_cells
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.bounds import bound_mend, bound_warning, noise_cut
 from bayesfric.report.summary.doubts import find_doubts, put_doubts
+from bayesfric.report.summary.loss_limits import limits_of_losses
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.summary.summary import summarise
@@ -94,6 +95,29 @@ def test_of_a_shape_there_is_no_more_or_less(name, more):
 
 
 HELD = {"at_bound": "upper", "bound": 0.05, "data_sd": 0.01, "prior_sd": 1.0}
+
+
+def test_what_a_loss_alone_makes_is_a_limit_where_the_loss_is():
+    """Measured, AK80-6: mu at most 0.056, and an efficiency of 0.927 to 0.977 was "to cite"."""
+    told = copy.deepcopy(knee())
+    rows = {
+        "gearbox.load": posterior_row("", 0.016, 0.01, at_bound="lower", bound=0.0),
+        "motor.inertia": told["parameters"]["motor.inertia"],
+    }
+    made = {
+        "gearbox.alpha_drive": posterior_row("", 1 / 1.016, 0.01),
+        "gearbox.alpha_back": posterior_row("", 1 / 0.984, 0.01),
+        "gearbox.efficiency_drive": posterior_row("", 1 / 1.016, 0.01),
+        "gearbox.efficiency_back": posterior_row("", 0.91, 0.01),  # counts a constant loss, too
+    }
+    told |= {"parameters": rows, "derived": made}
+    found = limits_of_losses(Summary.read(told)).derived
+    sides = {name: row.at_bound for name, row in found.items()}
+    assert list(sides.values()) == ["upper", "lower", "upper", None]
+    cell = posterior_cell(found["gearbox.alpha_drive"], True)
+    assert (cell.status, cell.remark) == ("limit", "at least 0.968")
+    told["parameters"]["gearbox.load"] |= {"at_bound": None}
+    assert not any(r.at_bound for r in limits_of_losses(Summary.read(told)).derived.values())
 
 
 def test_what_the_prior_alone_makes_needs_no_other_bound():

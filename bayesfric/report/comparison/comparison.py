@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from bayesfric.errors import BadInput
 from bayesfric.estimates.point_estimate import METHODS, Kind, Method
-from bayesfric.mechanism.parameter import turned
+from bayesfric.mechanism.parameter import scales_with_torque, turned
 from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.report.comparison.cell import Cell, estimate_cell, left_open, posterior_cell
 from bayesfric.report.summary.record import Readable, Summary, of_noise, quantity_of
@@ -29,6 +29,7 @@ _FAR = 3.0
 _FAR_OF_BOTH = 4.0
 # What a total of least squares is that goes by a parameter's name.
 _OF_ALL = "with the share of %s in it"
+_GAIN, _AS_TOLD = "drive.gain", "of the torque as told, without its gain"
 
 
 @dataclass(frozen=True)
@@ -310,12 +311,18 @@ def _cells(column: Column, summary: Summary) -> Iterator[tuple[str, Cell]]:
         return
     if column.method is not None:
         estimate = summary.estimates[column.method]
-        bent = _bent(summary) if column.method == "least-squares" else []
         for name, value in estimate.parameters.items():
             cell = estimate_cell(value, estimate.converged)
-            if bent and name in summary.parameters:
-                cell = replace(cell, alike=False, remark=cell.remark or _OF_ALL % listed(bent))
-            yield name, cell
+            why = _of_total(summary, name, value.unit) if column.method == "least-squares" else ""
+            yield name, replace(cell, alike=False, remark=cell.remark or why) if why else cell
+
+
+def _of_total(summary: Summary, name: str, unit: str) -> str:
+    """Say why a total of least squares is not what a posterior has by its name; else nothing."""
+    if _GAIN in summary.parameters and scales_with_torque(unit):
+        return _AS_TOLD
+    bent = _bent(summary) if name in summary.parameters else []
+    return _OF_ALL % listed(bent) if bent else ""
 
 
 def _bent(summary: Summary) -> list[str]:

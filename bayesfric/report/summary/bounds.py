@@ -53,8 +53,8 @@ def bound_mend(name: str, row: PosteriorRow) -> str:
     if of_noise(name) and (scale := SCALES.get(name.split(".")[1])) and scale.at_bound:
         kind = scale.at_bound
     quantity = QUANTITIES.get(quantity_of(name))
-    # of a velocity or an exponent there is no more and less: it shapes another term
-    shape = quantity is not None and quantity.role == "form"
+    # of a velocity, an exponent or a torque factor there is no more and less
+    shape = quantity is None or quantity.role == "form"
     return sentence(kind, {"name": name, "bound": bound, "side": row.at_bound, "shape": shape})
 
 

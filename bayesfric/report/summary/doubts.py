@@ -247,6 +247,14 @@ def _strange_velocity(observations: Sequence[Observation]) -> Iterator[dict[str,
             yield {"kind": "velocity", "recording": o.name, "factor": factor}
 
 
+def contradicting(delays: Sequence[Delay], value: float, sd: float) -> list[Delay]:
+    """Keep delays of single recordings that the joint's one delay is not, and that one last."""
+    alone = [one for one in delays if len(one.recordings) == 1 < len(delays)]
+    far = [one for one in alone if abs(one.value - value) > _SCATTER * np.hypot(one.sd, sd)]
+    # what is fixed is known exactly, which is no sd to weigh by
+    return [*far, Delay((), value, max(sd, 1e-6 * far[0].period), far[0].period, {})] if far else []
+
+
 def _late(delays: Sequence[Delay], observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
     """Name positions that come late: of all recordings together, or of those that do.
 
@@ -263,7 +271,7 @@ def _late(delays: Sequence[Delay], observations: Sequence[Observation]) -> Itera
         for total, move in one.moves.items():
             moves[total] = max(moves.get(total, 0.0), abs(move))
     name = max(moves, key=moves.__getitem__)
-    alone = [one for one in delays if len(one.recordings) == 1]
+    alone = [one for one in delays if len(one.recordings) < 2]
     yield {
         "kind": "delay",
         "late": [
