@@ -102,7 +102,7 @@ def made(samples, place):
     rows = np.full((n, 1), 1.0 / np.sqrt(n))
     residual = samples - samples.mean()
     root = np.array([[samples.std() / np.sqrt(n)]])
-    whole = _Whitened(rows, residual / samples.std(), 1, still, root)
+    whole = _Whitened(rows, residual / samples.std(), 1, still, root, np.zeros((1, 1)))
     seen = SimpleNamespace(
         **{"name": "run", "q": place, "qd": still, "qdd": still, "measured": samples},
         **{"time": np.arange(float(n)), "period": 1.0},
