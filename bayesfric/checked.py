@@ -12,6 +12,7 @@ import numpy as np
 from bayesfric.config_text import toml_value
 from bayesfric.estimates.disturbances import unlooked
 from bayesfric.estimates.torque_near import larger
+from bayesfric.explain.explanation import too_few_outputs
 from bayesfric.inference.noise import SCALES
 from bayesfric.model import Model
 from bayesfric.recordings.measurement import Measurement
@@ -95,6 +96,8 @@ def _found(model: Model) -> dict[str, Any]:
         ),
         *few_outputs(model.observations, len(set(model.chain.names) - set(known.fixed))),
     ]
+    few = too_few_outputs(model.evidence)
+    doubts = [{**one, "too_few": few} for one in doubts]
     if model.chain.unseen_inertia:
         doubts.append({"kind": "unseen-inertia", "names": list(model.chain.unseen_inertia)})
     unsettled = {f"noise.{scale.name}" for scale in SCALES.values() if scale.chosen}

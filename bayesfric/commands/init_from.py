@@ -149,6 +149,11 @@ def _channel(one: Chosen, geared: bool, slides: bool) -> Iterator[str]:
     if one.channel == "torque" and one.unit != plain:
         yield '# if it is a signal in V: unit = "V", constant = "... N m/V", or N/V if it slides;'
         yield (
+            f"# a voltage, or a duty cycle times the supply (its back-EMF is taken off): voltage = "
+            f'{{ column = {toml_value(one.column)}, unit = "V", torque_constant = "... N m/A", '
+            'resistance = "... ohm" }, or unit = "1/885", times = "...", times_unit = "V"'
+        )
+        yield (
             f'# a current: current = {{ column = {toml_value(one.column)}, unit = "A", '
             'torque_constant = "... N m/A" }'
         )

@@ -188,6 +188,16 @@ class MechanismOptions(_Options):
         if self.motion is not None:
             elements = [replace(element, motion=self.motion) for element in elements]
             load = replace(load, motion=self.motion)
+        for element in elements:
+            of_load = [option for option in element.choices if option.startswith("load_")]
+            if of_load and "load_loss" not in of_load:
+                # what is said of friction, drawn and exported hangs on the loss that these change
+                raise BadInput(
+                    f"mechanism.elements.{element.name}.{of_load[0]}",
+                    "changes a load loss, and there is none",
+                    'set load_loss = "one" beside it; where no part of the loss is in proportion '
+                    f'to the torque, "{element.name}.load" = 0 under [priors]',
+                )
         if load.motion == "linear" and load.has("first_moment", "gravity_angle"):
             raise BadInput(
                 "mechanism.load.first_moment",

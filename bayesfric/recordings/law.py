@@ -104,6 +104,9 @@ def measured_law(source: Columns, table: Table, drive: Drive) -> Told:
         if source.torque.constant is not None:
             made_of = {"signal_unit": source.torque.unit, "signal_constant": constant[0]}
             step = f"{kind}: the signal in {source.torque.unit} times {constant[0]}"
+            if constant[0].endswith("/V"):
+                step += "; if that is the motor's own voltage, its back-EMF counts as viscous "
+                step += "loss, and the key voltage takes it off"
         law = Law(torque, np.ones(torque.shape))
         return Told(source.torque, kind, law, step, made_of=made_of)
     if source.current is not None:

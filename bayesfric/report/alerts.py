@@ -134,7 +134,7 @@ def _of_model(
     summary: Summary, contested: Sequence[str]
 ) -> Iterator[tuple[str, Mapping[str, Any], str]]:
     """Kind, values and section of what may be wrong with model and noise."""
-    error, allowed = summary.model_error, summary.widened
+    allowed = summary.widened
     for kind, sure in (("lacks", True), ("may lack", False)):
         if lacks := [one for one in summary.fit.lacks if one.sure is sure]:
             beside = any(one.sure for one in summary.fit.lacks) and not sure
@@ -154,7 +154,7 @@ def _of_model(
         if cite is not None:
             yield "corrected", cite, "self-check"
     doubted = any(doubt.kind == "unchecked" for doubt in summary.doubts)
-    if error is not None and error.reason == "few" and not doubted:
+    if summary.unparted and not doubted:
         yield "unparted", {}, "model-error"
     if contested:
         yield "methods", {"names": contested}, "methods"

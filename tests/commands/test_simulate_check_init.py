@@ -14,6 +14,7 @@ import typer
 from bayesfric import cli
 from bayesfric.commands.simulate import simulate
 from bayesfric.config import parse_config, read_config
+from bayesfric.errors import BadInput
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings import Processing
 from bayesfric.whole_fit import _may_be_simulated
@@ -128,6 +129,20 @@ def test_a_line_without_its_mark_is_of_the_element_above_it(bench):
     said = tomllib.loads(before + "[mechanism.elements.gearbox]" + gearbox.replace("# cou", "cou"))
     assert said["mechanism"]["elements"]["gearbox"] == {"coulomb": "none"}
     assert said["mechanism"]["elements"]["motor"] == {}
+
+
+@pytest.mark.parametrize("option", ["load_square", "load_speed", "load_direction"])
+def test_what_changes_a_load_loss_needs_one(bench, option):
+    """A square of the load alone was fitted, and was in no equation, caption or export."""
+    text = CONFIG.replace(
+        'preset = "motor-axis"', f'preset = "servo-pendulum"\n[{{}}]\n{option} = true'
+    )
+    text = text.replace("{}", "mechanism.elements.gearbox")
+    config = parse_config(text, bench.folder / "c.toml").tables.mechanism
+    assert f"gearbox.{option}" in config.joint().names or option == "load_direction"
+    bare = text.replace(f"{option} = true", f'{option} = true\nload_loss = "none"')
+    with pytest.raises(BadInput, match=f"gearbox.{option}: changes a load loss, and there is none"):
+        parse_config(bare, bench.folder / "c.toml").tables.mechanism.joint()
 
 
 def test_a_table_that_changes_nothing_is_no_other_mechanism(bench):

@@ -210,7 +210,8 @@ def test_published_estimates_of_a_real_axis(data):
         motor_motion="linear",
         processing=processing,
     )
-    assert "force: the signal in V times 35.15065188 N/V" in found[0].steps
+    (step,) = (x for x in found[0].steps if x.startswith("force: the signal in V times 35.15"))
+    assert "back-EMF" in step
     seen = observe(found[0], processing)
     assert seen.settings["signal_constant"] == "35.15065188 N/V"
     design = np.array([seen.qdd, seen.qd, np.sign(seen.qd), np.ones_like(seen.q)])

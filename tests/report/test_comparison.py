@@ -183,9 +183,9 @@ def test_what_only_room_for_the_models_error_lets_agree_is_said(wide, said):
         ends = [row["median"] - 1.645 * sd, row["median"] + 1.645 * sd]
         row |= {"model_error_interval": ends, "model_error_sd": sd}
         run["model_error"] = {"shown": wide > 1.0, "axes": []}
-    notes = [text for text in comparison({"a": one, "b": other}).notes if "by the room" in text]
+    notes = [text for text in comparison({"a": one, "b": other}).notes if "than by noise" in text]
     assert len(notes) == said
-    assert all("motor.inertia (+4.2 sd)" in text for text in notes)
+    assert all("sd, +4.2 were the models right)" in text for text in notes)
 
 
 @pytest.mark.parametrize("bent", [True, False])

@@ -21,6 +21,8 @@ from bayesfric.report.summary.record import Summary
 from bayesfric.report.terminal import fit_text
 from tests.inference.test_model_error import fitted
 
+from .made_summaries import loaded
+
 NAME = "motor.viscous"
 
 
@@ -235,3 +237,11 @@ def test_what_moves_all_numbers_comes_before_a_few_outputs(wrong):
     told["fit"]["lacks"] = [{"on": "speed", "share": 0.3, "sure": True}]
     first = [a.kind for a in alerts_of(told) if a.first]
     assert first == ["memory", "model error", "lacks", "outlying"]
+
+
+def test_tables_and_methods_say_where_the_model_could_not_be_asked():
+    """What goes into a paper as it is; the terminal and the page have it, too."""
+    told = loaded() | {"model_error": {"shown": False, "axes": [], "reason": "few"}}
+    (note,) = [x for x in parameter_table(told).notes if "no room for a model" in x]
+    assert "too few outputs" in note
+    assert not [x for x in parameter_table(loaded()).notes if "no room for a model" in x]

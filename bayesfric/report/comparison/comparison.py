@@ -410,7 +410,7 @@ def _runs_apart(rows: list[Row], columns: list[Column], baseline: Column | None)
 def _narrowly_apart(
     runs: Mapping[str, Summary], rows: list[Row], columns: list[Column], baseline: Column | None
 ) -> Iterator[str]:
-    """Say what only room for the models' errors, which runs may share, lets other runs agree in."""
+    """Say in what runs differ beyond noise, and not beyond room for the models' errors."""
     for column in columns:
         if baseline is None or column.kind != "posterior" or column.run == baseline.run:
             continue
@@ -424,11 +424,11 @@ def _narrowly_apart(
                 continue
             told, own = cell.disagreement, (b.middle - a.middle) / math.hypot(a.sd, b.sd)
             if told is not None and abs(told) <= _FAR < abs(own):
-                far.append(f"{row.name} ({own:+.1f} sd)")
+                far.append(f"{row.name} ({told:+.1f} sd, {own:+.1f} were the models right)")
         if far:
             yield (
-                f"{column.run} and {baseline.run} agree in {', '.join(far)} only by the room for "
-                "the model's error; in brackets what parts them without it. Where both motions are "
+                f"{column.run} and {baseline.run} are further apart than by noise in "
+                f"{', '.join(far)}, which is put down to the model's error. Where both motions are "
                 "alike they may share that error, and then this is a real difference."
             )
 

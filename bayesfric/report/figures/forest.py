@@ -289,7 +289,9 @@ def _legend(figure: Figure, rows: list[Row], columns: list[Column]) -> None:
     open_["markerfacecolor"] = "white"
     handles: list[Line2D] = []
     if any(cell.accounts and cell.sd is not None for cell in cells):
-        room = " (posterior: model's error)" if any(c.widened for c in columns) else ""
+        posteriors = {c.widened for c in columns if c.kind == "posterior"}
+        room = {1: " (posterior: model's error)"}.get(len(posteriors), " (some: model's error)")
+        room = room if any(posteriors) else ""
         words = f"90 %, correlated residuals{room}"
         handles.append(Line2D([], [], color=grey, label=words, **_THICK))
     if any(cell.sd_plain is not None for cell in cells):

@@ -185,6 +185,7 @@ class ParameterTable:
             reasons=self.summary.reasons,
             level=self.level,
             wide=self.summary.widened,
+            unparted=self.summary.unparted,
             sampler=self.summary.sampler,
             correlated=correlation_warning(self.summary),
             marked=marked,

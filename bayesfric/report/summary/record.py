@@ -422,6 +422,11 @@ class Summary(Part):
         )
 
     @property
+    def unparted(self) -> bool:
+        """Whether too few outputs were left to look for the model's error."""
+        return self.model_error is not None and self.model_error.reason == "few"
+
+    @property
     def widened(self) -> bool:
         """Whether the intervals to print first have room for the model's error."""
         return self.model_error is not None and self.model_error.shown
