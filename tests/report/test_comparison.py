@@ -185,6 +185,8 @@ def test_what_only_room_for_the_models_error_lets_agree_is_said(wide, said):
         run["model_error"] = {"shown": wide > 1.0, "axes": []}
     notes = [text for text in comparison({"a": one, "b": other}).notes if "than by noise" in text]
     assert len(notes) == said
+    table = methods_latex(comparison({"a": one, "b": other}))
+    assert ("further apart than by noise" in table) == said
     assert all("sd, +4.2 were the models right)" in text for text in notes)
 
 

@@ -83,6 +83,8 @@ class Comparison:
     runs_apart: tuple[str, ...] = ()
     # runs of whose posterior other numbers are to be cited: corrected ones
     uncorrected: tuple[str, ...] = ()
+    # the next notes: in what they differ beyond noise, and not beyond room for the models' errors
+    beyond_noise: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> Row:
         for row in self.rows:
@@ -200,7 +202,7 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
     ]
     rows.sort(key=_order)  # keeps the order of the files within each group
     between = tuple(_runs_apart(rows, columns, baseline))
-    notes += _narrowly_apart(runs, rows, columns, baseline)
+    beyond = tuple(_narrowly_apart(runs, rows, columns, baseline))
     mine = [c for c in columns if baseline is not None and c.run == baseline.run]
     told = runs[baseline.run].rows if baseline is not None else {}
     apart = {c.label: _apart(rows, c, told) for c in mine if c.kind == "estimate"}
@@ -215,11 +217,12 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
         tuple(columns),
         tuple(rows),
         baseline.label if baseline else None,
-        (*between, *notes),
+        (*between, *beyond, *notes),
         tuple(row.name for row in rows if any(row.name in names for names in apart.values())),
         {name: run.reasons for name, run in runs.items() if run.reasons},
         between,
         tuple(uncorrected),
+        beyond,
     )
 
 

@@ -147,7 +147,8 @@ def _over_speed(ax: Axes, fit: Fit, found: FrictionCurves) -> None:
         for side in (-1.0, 1.0):
             mine = np.sign(curve.speed) == side
             if mine.any():
-                _draw(ax, curve, curve.speed, mine, k, side, label)
+                mark = _MARKS[k] if several else ""  # else it looks like a measured point
+                _draw(ax, curve, curve.speed, mine, k, side, label, mark)
                 label = None
     ax.axhline(0.0, color="0.6", linewidth=0.5, zorder=0.5)
     ax.set_xlabel(_speed_label(fit))
@@ -157,7 +158,8 @@ def _over_speed(ax: Axes, fit: Fit, found: FrictionCurves) -> None:
 def _over_load(ax: Axes, fit: Fit, found: FrictionCurves) -> None:
     for k, curve in enumerate(found.over_load):
         words = _signed(float(curve.speed[0]), _units(fit)[2])
-        _draw(ax, curve, curve.load, np.ones(curve.load.size, dtype=np.bool_), k, 1.0, words)
+        whole = np.ones(curve.load.size, dtype=np.bool_)
+        _draw(ax, curve, curve.load, whole, k, 1.0, words, _MARKS[k])
     ax.axvline(0.0, color="0.6", linewidth=0.5, zorder=0.5)
     low, high = ax.get_ylim()
     low = min(low, 0.0)
@@ -171,12 +173,19 @@ def _over_load(ax: Axes, fit: Fit, found: FrictionCurves) -> None:
 
 
 def _draw(
-    ax: Axes, curve: FrictionCurve, x: Array, mine: Flags, k: int, side: float, label: str | None
+    ax: Axes,
+    curve: FrictionCurve,
+    x: Array,
+    mine: Flags,
+    k: int,
+    side: float,
+    label: str | None,
+    mark: str,
 ) -> None:
     every = max(1, int(mine.sum()) // 6)
     start = max(0, every // 2 - k * every // 4)
     part = curve.band.part(mine, side)
-    look = CurveLook(style.PALETTE[k], _MARKS[k], start=start, every=every)
+    look = CurveLook(style.PALETTE[k], mark, start=start, every=every)
     draw_curve(ax, x[mine], LoadCurve(curve.load[mine], part, curve.covered[mine]), look, label)
 
 
@@ -288,6 +297,7 @@ def friction_caption(fit: Fit) -> str:
     )
     if all(element.load_loss == "none" for element in fit.chain.elements):
         return start + ". No element has a loss that depends on load."
+    start = f"Marks on lines tell them apart and are no measurements. {start}"
     start += (
         " and, at once, of load; the map is empty there. Its lines are of equal median friction, "
         "its shades the half width of the band. "

@@ -390,6 +390,7 @@ def methods_latex(found: Comparison) -> str:
     notes = [
         "One standard deviation in parentheses, accounting for correlated residuals",
         *(note for note, applies in told.items() if applies),
+        *(sentence.rstrip(".") for sentence in (*found.runs_apart, *found.beyond_noise)),
     ]
     columns = "@{}ll" + "l" * len(found.columns) + "@{}"
     words = (
@@ -419,6 +420,11 @@ def between_runs_latex(found: Sequence[PooledQuantity]) -> str:
     head = r"& Unit & Population mean & Next recording & Sd between runs & Runs & $p$ \\"
     notes = [f"Intervals hold {100 * found[0].told.level:g} %"]
     notes += ["p: how often chance alone would part runs of one truth so far (Cochran's Q)"]
+    if any(row.model_error_sd is not None for one in found for row in one.runs.values()):
+        notes += [
+            "Both count room for models that are not exactly right, which runs of like motions may "
+            "have in common, as chance"
+        ]
     return _table("Runs together", notes, "tab:between-runs", "@{}lllllll@{}", head, body)
 
 
