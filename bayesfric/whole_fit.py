@@ -31,6 +31,7 @@ from bayesfric.model import Model
 from bayesfric.progress import by_method, silent
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import White, contradicting, find_doubts, put_doubts
+from bayesfric.report.summary.loss_limits import limits_of_losses
 from bayesfric.report.summary.model_error import add_model_error
 from bayesfric.report.summary.noise import add_white_intervals, white_alternative
 from bayesfric.report.summary.record import Identifiability, Summary, TorqueFactorPart
@@ -96,7 +97,8 @@ def whole_fit(
         compared = _with_white_noise(model, sample, quick, checkpoint("white-noise", quick))
         summary = add_white_intervals(summary, compared[0] if compared else None)
     found = replace(found, model_error=model_error(found.target, found.posterior))
-    summary = add_model_error(summary, found, derived)
+    # room for the model's error, too, lets a loss reach zero
+    summary = limits_of_losses(add_model_error(summary, found, derived))
     late = model.delays(begun.estimates)
     if model.chain.delay:
         row = summary.parameters.get(model.chain.delay_name)

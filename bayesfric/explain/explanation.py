@@ -228,7 +228,7 @@ def explain(
     models = []
     for k, (rung, added, weight) in enumerate(zip(rungs, terms, weights.tolist(), strict=True)):
         known = estimates.get(_settings(added))
-        estimate = known or _estimated(given, point, [t.candidate for t in added])[1]
+        _, estimate = known or _estimated(given, point, [t.candidate for t in added])
         better, error = compared(rung.score, first) if added else (0.0, 0.0)
         models.append(
             Model(
@@ -257,26 +257,26 @@ def explain(
         ladder.folds == tuple(o.name for o in given.observations),
         tuple(ladder.memory.tolist()),
         untold=found.refused("zero", "shape", "negative"),
-        late=_late(given, point, recordings, ladder),
+        late=_late(given, point, recordings, found),
     )
 
 
 def _late(
-    given: Given, point: Mapping[str, float], recordings: Sequence[Measurement], ladder: Ladder
+    given: Given, point: Mapping[str, float], recordings: Sequence[Measurement], found: _Found
 ) -> tuple[Delay | None, Delay | None]:
     """Tell the delay that matters without the ladder's terms, and with them."""
     if not recordings or given.chain.delay:
         return None, None
 
     def matters(given: Given, point: Mapping[str, float]) -> Delay | None:
-        found = delays(given, recordings, point)
-        return found[-1] if found and found[-1].matters else None
+        every = delays(given, recordings, point)
+        return every[-1] if every and every[-1].matters else None
 
     before = matters(given, point)
-    added = [rung.added.candidate for rung in ladder.rungs if rung.added]
+    added = [rung.added for rung in found.ladder.rungs if rung.added]
     if before is None or not added:
         return before, before
-    beside, estimate = _estimated(given, point, added)
+    beside, estimate = found.estimates[_settings(added)]
     return before, matters(beside, dict(estimate.point))
 
 
@@ -287,7 +287,9 @@ class _Found:
     ladder: Ladder
     rivals: tuple[Trial, ...]  # of the last, with values that the recordings tell
     without: Sequence[tuple[Trial, Reason]]  # what they do not
-    estimates: Mapping[tuple[str, ...], Estimate]  # that were made for that
+    # models with so many terms more, and their estimates, that were made for that: the last rung's
+    # is among them
+    estimates: Mapping[tuple[str, ...], tuple[Given, Estimate]]
 
     @property
     def asked(self) -> tuple[Term, ...]:
@@ -296,7 +298,7 @@ class _Found:
         pairs = [(r.added, o) for r, o in zip(rungs, others, strict=True) if r.added]
         last = self.estimates.get(_settings([t for t, _ in pairs]))
         return tuple(
-            replace(_term(t, o), sure=last is not None and something(t.candidate, last))
+            replace(_term(t, o), sure=last is not None and something(t.candidate, last[1]))
             for t, o in pairs
         )
 
@@ -313,14 +315,16 @@ def _found(
     """Climb, and climb anew without each term whose value is not told."""
     search = searched(given.chain, given.observations, point, progress=progress)
     without: list[tuple[Trial, Reason]] = []
-    estimates: dict[tuple[str, ...], Estimate] = {}
+    estimates: dict[tuple[str, ...], tuple[Given, Estimate]] = {}
 
     def why_not(
         added: Sequence[Trial], k: int, rivals: Sequence[Trial], after: Score, before: Score
     ) -> Reason | None:
         one = added[k].candidate
-        beside, estimate = _estimated(given, point, [t.candidate for t in added])
-        estimates[_settings(added)] = estimate
+        key = _settings(added)
+        if key not in estimates:  # every rung of a ladder is asked of the same model
+            estimates[key] = _estimated(given, point, [t.candidate for t in added])
+        beside, estimate = estimates[key]
         # a richer choice is there for what a simpler one cannot do as well
         simpler = any(
             (o.candidate.owner, o.candidate.option) == (one.owner, one.option)

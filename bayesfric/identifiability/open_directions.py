@@ -51,7 +51,7 @@ def open_directions(
     coverage: Sequence[Coverage],
     back: Sequence[BackDriving],
     tried: Sequence[Trial],
-    told: Collection[str] = (),
+    told: Collection[str],
 ) -> Iterator[OpenDirection]:
     """List null directions first, then weak ones, the weakest first.
 

@@ -128,7 +128,7 @@ def trials(
 
 
 def remedies(
-    local: LocalInformation, row: Array, tried: Sequence[Trial], told: Collection[str] = ()
+    local: LocalInformation, row: Array, tried: Sequence[Trial], told: Collection[str]
 ) -> tuple[Remedy, ...]:
     """Find what lifts one direction ``(d,)`` in the local units, known values first.
 

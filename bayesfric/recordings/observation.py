@@ -155,10 +155,10 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         late = checks.speed_delay(qd, speed, compared, period)
         warnings += _velocity_warnings(factor, late, recording.ratio)
         # a smaller one may come of filters
-        if late is not None or (factor is not None and not 0.5 < factor < 2.0):
-            doubted.append("velocity")
         if factor is not None and not 0.5 < factor < 2.0:
             mismatch["velocity_factor"] = factor
+        if late is not None or mismatch:
+            doubted.append("velocity")
     law = checks.feedback(recording.torque, q, qd, compared)
     found = numbers.resolution
     ratios = {"speed_ratio": found.speed_ratio, "acceleration_ratio": found.acceleration_ratio}

@@ -251,6 +251,14 @@ def test_model_error_leaves_sizes_beside_a_load_loss_near_nothing(lossy):
         assert row.told_sd < 0.3 * OF_LOSSY[name]
 
 
+def test_a_loss_that_may_be_none_for_the_models_error_makes_limits(lossy):
+    """Measured, UR10e: mu at most 0.020, and alpha from 0.980 to 0.9996 beside it as data's."""
+    rows = lossy.summary.rows
+    assert rows["gearbox.load"].at_bound == "lower"
+    assert rows["gearbox.alpha_drive"].at_bound == "upper"
+    assert rows["gearbox.alpha_back"].at_bound == "lower"
+
+
 def test_a_known_load_loss_is_allowed_for(lossy_recording):
     """Fixing what the data cannot tell from nothing is the natural mend; it once crashed."""
     model = bf.Model(LOSSY, lossy_recording, priors={"gearbox.load": 0.0}, **UNCHECKED)

@@ -5,12 +5,15 @@ import csv
 import io
 
 import numpy as np
+import pytest
 
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.comparison.between_runs import between_runs, between_runs_csv, each_run_csv
+from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.comparison.run_draws import RunDraws
 from bayesfric.report.page.compare_page import _counts, shared_recordings
 from bayesfric.report.page.provenance import Provenance
+from bayesfric.report.paper.tables import methods_latex
 from bayesfric.report.summary.record import Summary
 
 from .made_summaries import LEG, knee, loaded
@@ -133,3 +136,22 @@ def test_runs_of_one_recording_are_found():
     other, unknown = Provenance(recordings={"z": "ef"}), Provenance(recordings={"q": ""})
     runs = {"a": one, "b": two, "c": other, "d": unknown, "e": None, "f": unknown}
     assert shared_recordings(runs) == [("a", "b")]
+
+
+@pytest.mark.parametrize(("wide", "said"), [(1.0, False), (4.0, True), (1.2, False)])
+def test_what_only_room_for_the_models_error_lets_agree_is_said(wide, said):
+    """Measured, EMPS twice: 6.6 sds were the models right, and the same reference to follow."""
+    one, other = knee(), knee()
+    row = other["parameters"]["motor.inertia"]
+    row |= {key: row[key] + 6.0 * row["sd"] for key in ("mean", "median")}
+    for run in (one, other):
+        row = run["parameters"]["motor.inertia"]
+        sd = wide * row["sd"]
+        ends = [row["median"] - 1.645 * sd, row["median"] + 1.645 * sd]
+        row |= {"model_error_interval": ends, "model_error_sd": sd}
+        run["model_error"] = {"shown": wide > 1.0, "axes": []}
+    notes = [text for text in comparison({"a": one, "b": other}).notes if "than by noise" in text]
+    assert len(notes) == said
+    table = methods_latex(comparison({"a": one, "b": other}))
+    assert ("further apart than by noise" in table) == said
+    assert all("sd, +4.2 were the models right)" in text for text in notes)

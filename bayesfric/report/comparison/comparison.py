@@ -201,8 +201,8 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
         if fact.found
     ]
     rows.sort(key=_order)  # keeps the order of the files within each group
-    between = tuple(_runs_apart(rows, columns, baseline))
-    beyond = tuple(_narrowly_apart(runs, rows, columns, baseline))
+    between = tuple(_runs_apart(rows, columns))
+    beyond = tuple(_narrowly_apart(runs, rows, columns))
     mine = [c for c in columns if baseline is not None and c.run == baseline.run]
     told = runs[baseline.run].rows if baseline is not None else {}
     apart = {c.label: _apart(rows, c, told) for c in mine if c.kind == "estimate"}
@@ -314,18 +314,18 @@ def _cells(column: Column, summary: Summary) -> Iterator[tuple[str, Cell]]:
         return
     if column.method is not None:
         estimate = summary.estimates[column.method]
+        bent = _bent(summary) if column.method == "least-squares" else None
         for name, value in estimate.parameters.items():
             cell = estimate_cell(value, estimate.converged)
-            why = _of_total(summary, name, value.unit) if column.method == "least-squares" else ""
+            why = "" if bent is None else _of_total(summary, name, value.unit, bent)
             yield name, replace(cell, alike=False, remark=cell.remark or why) if why else cell
 
 
-def _of_total(summary: Summary, name: str, unit: str) -> str:
+def _of_total(summary: Summary, name: str, unit: str, bent: list[str]) -> str:
     """Say why a total of least squares is not what a posterior has by its name; else nothing."""
     if _GAIN in summary.parameters and scales_with_torque(unit):
         return _AS_TOLD
-    bent = _bent(summary) if name in summary.parameters else []
-    return _OF_ALL % listed(bent) if bent else ""
+    return _OF_ALL % listed(bent) if bent and name in summary.parameters else ""
 
 
 def _bent(summary: Summary) -> list[str]:
@@ -394,11 +394,16 @@ def _of_motion(facts: Mapping[str, _Facts], runs: Mapping[str, Summary]) -> Iter
         )
 
 
-def _runs_apart(rows: list[Row], columns: list[Column], baseline: Column | None) -> Iterator[str]:
+def _pairs(columns: list[Column]) -> Iterator[tuple[Column, Column]]:
+    """Put every other run's posterior beside the first."""
+    posteriors = [c for c in columns if c.kind == "posterior"]
+    for other in posteriors[1:]:
+        yield posteriors[0], other
+
+
+def _runs_apart(rows: list[Row], columns: list[Column]) -> Iterator[str]:
     """Say in what other runs' posteriors are too far from the first to be of one joint."""
-    for column in columns:
-        if baseline is None or column.kind != "posterior" or column.run == baseline.run:
-            continue
+    for baseline, column in _pairs(columns):
         cells = {row.name: row.cells.get(column.label) for row in rows}
         apart = {name: cell.disagreement or 0.0 for name, cell in cells.items() if cell}
         far = [f"{name} ({x:+.1f} sd)" for name, x in apart.items() if abs(x) > _FAR]
@@ -411,12 +416,10 @@ def _runs_apart(rows: list[Row], columns: list[Column], baseline: Column | None)
 
 
 def _narrowly_apart(
-    runs: Mapping[str, Summary], rows: list[Row], columns: list[Column], baseline: Column | None
+    runs: Mapping[str, Summary], rows: list[Row], columns: list[Column]
 ) -> Iterator[str]:
     """Say in what runs differ beyond noise, and not beyond room for the models' errors."""
-    for column in columns:
-        if baseline is None or column.kind != "posterior" or column.run == baseline.run:
-            continue
+    for baseline, column in _pairs(columns):
         if not (column.widened or baseline.widened):
             continue
         far = []

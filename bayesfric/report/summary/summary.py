@@ -33,7 +33,6 @@ from bayesfric.report.summary.derived_quantities import (
     spread,
 )
 from bayesfric.report.summary.given_scale import tell_given_scales
-from bayesfric.report.summary.loss_limits import limits_of_losses
 from bayesfric.report.summary.record import Readable, Summary, of_noise
 from bayesfric.report.summary.residual_analysis import lacking
 from bayesfric.report.summary.rows import EstimatedRow, Spread
@@ -116,8 +115,7 @@ def summarise(
         **({"validation": validation_record(fit)} if fit.held_out else {}),
         "sampler": _sampler(posterior),
     }
-    summary = limits_of_losses(tell_given_scales(Summary.model_validate(found)))
-    summary = _with_currents(summary, fit)
+    summary = _with_currents(tell_given_scales(Summary.model_validate(found)), fit)
     sound = {name: row for name, row in summary.parameters.items() if row.converged}
     unseen = fit.chain.unseen_inertia
     warnings = [
