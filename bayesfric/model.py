@@ -308,8 +308,7 @@ class Model:
         target, point, local = self._local_picture(progress)
         with self.config.named(), few_threads(self.observations):
             others = points_around(target, point, local, self._stream(4))
-            from_voltage = [r.name for r in self.recordings if r.drive == "voltage"]
-            speed = speed_term(target, point.parameters, from_voltage)
+            speed = speed_term(target, point.parameters, self.recordings)
             return identify(target, [point, *others], speed=speed)
 
     def explain(

@@ -18,6 +18,7 @@ from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.estimates.torque_factor import torque_factor
 from bayesfric.explain.explanation import Explanation, Term, asked_for, too_few_outputs
 from bayesfric.identifiability.identification import identify
+from bayesfric.identifiability.known_quantities import speed_term
 from bayesfric.identifiability.plausible import Point
 from bayesfric.identifiability.sentences import plain
 from bayesfric.inference.fitting import Fit, fit
@@ -34,7 +35,12 @@ from bayesfric.report.summary.doubts import White, contradicting, find_doubts, p
 from bayesfric.report.summary.loss_limits import limits_of_losses
 from bayesfric.report.summary.model_error import add_model_error
 from bayesfric.report.summary.noise import add_white_intervals, white_alternative
-from bayesfric.report.summary.record import Identifiability, Summary, TorqueFactorPart
+from bayesfric.report.summary.record import (
+    BackEmfPart,
+    Identifiability,
+    Summary,
+    TorqueFactorPart,
+)
 from bayesfric.report.summary.self_check import self_check_doubts, self_check_part
 from bayesfric.report.summary.summary import rms, spreads, summarise
 from bayesfric.report.text_templates import sentence
@@ -99,6 +105,7 @@ def whole_fit(
     found = replace(found, model_error=model_error(found.target, found.posterior))
     # room for the model's error, too, lets a loss reach zero
     summary = limits_of_losses(add_model_error(summary, found, derived))
+    summary = _with_back_emf(summary, model, found)
     late = model.delays(begun.estimates)
     if model.chain.delay:
         row = summary.parameters.get(model.chain.delay_name)
@@ -239,6 +246,20 @@ def _with_known(summary: Summary, model: Model, begun: Beginning) -> Summary:
     part = TorqueFactorPart.model_validate({**told, "times": factor.times})
     fit = summary.fit.model_copy(update={"torque_factor": part})
     return summary.model_copy(update={"fit": fit})
+
+
+def _with_back_emf(summary: Summary, model: Model, found: Fit) -> Summary:
+    """Put in what the nominal back-EMF's error cannot be told from, where a voltage drives."""
+    term = speed_term(found.target, found.posterior.median, model.recordings)
+    if term is None:
+        return summary
+    part = BackEmfPart.model_validate(plain({**vars(term), "among": len(model.recordings)}))
+    changes = {
+        name: {"meaning": sentence("with back-emf", {"meaning": summary.parameters[name].meaning})}
+        for name in term.same_as_back_emf
+    }
+    fit = summary.fit.model_copy(update={"back_emf": part})
+    return summary.with_rows(changes, fit=fit)
 
 
 def _self_check(model: Model, found: Fit, progress: Callable[[Progress], None]) -> Checked | None:

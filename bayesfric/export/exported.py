@@ -255,6 +255,8 @@ def _record(
         notes.append(sentence("notes.txt.j2", "no link", told_of))
     if any(o.inputs.known_load for o in found.model.observations):
         notes.insert(0, sentence("notes.txt.j2", "known load", {}))
+    if (emf := found.summary.fit.back_emf) is not None:
+        notes.append(sentence("notes.txt.j2", "back emf", emf.model_dump()))
     if found.summary.fit.residual_rms is not None:
         notes.append(sentence("notes.txt.j2", "of fit", _of_fit(found)))
     status, doubted = _status(found), found.summary.only_doubted

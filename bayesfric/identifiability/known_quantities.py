@@ -16,6 +16,7 @@ from bayesfric.identifiability.sentences import Statement, stated
 from bayesfric.identifiability.virtual_recording import TorqueNoise, scaled_jacobian, torque_noise
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.scaling import scalings
+from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
@@ -54,7 +55,10 @@ class SpeedTerm:
     """What a torque proportional to speed, such as a back-EMF's, cannot be told from."""
 
     recordings: tuple[str, ...]  # those whose torque comes from a voltage
-    same_as_back_emf: tuple[str, ...]  # parameters whose effect has the same shape exactly
+    nominal: float  # kt²/R as given, the largest: what the speed takes off, at the motor
+    unit: str  # of that
+    # parameters whose effect, each's or all of them together, has the same shape exactly
+    same_as_back_emf: tuple[str, ...]
     explained: float  # share of the term's square that some change of parameters makes up for
 
     def meaning(self, among: int) -> Statement:
@@ -151,15 +155,18 @@ def unknown_mass(target: Target, parameters: Array, local: LocalInformation) -> 
     return UnknownMass(exponents, tuple(owed))
 
 
-def speed_term(target: Target, parameters: Array, recordings: Sequence[str]) -> SpeedTerm | None:
+def speed_term(
+    target: Target, parameters: Array, recordings: Sequence[Measurement]
+) -> SpeedTerm | None:
     """Compare a torque proportional to speed with what the parameters can do.
 
     The torque computed from a voltage is ``kt V/R - kt² (motor speed)/R``; an error of ``kt²/R``
     adds a term proportional to speed. At the estimate ``(d,)``, noise scales last; ``None`` where
-    none of the named ``recordings``, whose torque comes from a voltage, is there.
+    no recording's torque comes from a voltage.
     """
     observations = target.likelihood.observations
-    told = tuple(o.name for o in observations if o.name in recordings)
+    nominal = {r.name: r.nominal_back_emf for r in recordings if r.nominal_back_emf}
+    told = tuple(o.name for o in observations if o.name in nominal)
     if not told:
         return None
     jacobian, noise = _torque_jacobian(target, parameters)
@@ -174,8 +181,17 @@ def speed_term(target: Target, parameters: Array, recordings: Sequence[str]) -> 
     unit = jacobian / np.where(sizes > 0.0, sizes, 1.0)
     apart = np.linalg.norm(unit - np.outer(term, term @ unit), axis=0)
     same = np.flatnonzero((sizes > 0.0) & (apart < _SAME))
-    rest = term - unit @ np.linalg.lstsq(unit, term, rcond=1e-9)[0]
-    return SpeedTerm(told, tuple(target.free[j] for j in same), float(1.0 - rest @ rest))
+    parts = np.linalg.lstsq(unit, term, rcond=1e-9)[0]
+    rest = term - unit @ parts
+    if not same.size and np.linalg.norm(rest) < _SAME:  # as of a loss by direction
+        same = np.flatnonzero(np.abs(parts) > _SAME)
+    return SpeedTerm(
+        told,
+        max(nominal[name] for name in told),
+        "N m s" if target.likelihood.chain.motor_motion == "rotary" else "N s/m",
+        tuple(target.free[j] for j in same),
+        float(1.0 - rest @ rest),
+    )
 
 
 def _torque_jacobian(target: Target, parameters: Array) -> tuple[Array, list[TorqueNoise]]:

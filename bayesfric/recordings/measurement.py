@@ -75,3 +75,8 @@ class Measurement:
     left_out: tuple[LeftOut, ...] = ()  # what the user left out, in the order of time
     # number of samples as measured, where they were interpolated to even steps
     interpolated_from: int | None = None
+
+    @property
+    def nominal_back_emf(self) -> float:
+        """``kt²/R`` as given, N m s or N s/m at the motor; 0 of no torque from a voltage."""
+        return 0.0 if self.law is None else self.law.back_emf / self.ratio

@@ -255,6 +255,7 @@ def _torque(
     if not law.back_emf:
         return torque, None, step
     back_emf = law.back_emf * velocity
+    step += "; what that back-EMF is off by counts as viscous loss"
     return torque - back_emf, back_emf, step
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from bayesfric.identifiability.sentences import stated
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.numbers import in_tenths
 from bayesfric.report.summary.record import OutlyingRow, Readable, Summary
@@ -116,6 +117,9 @@ def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:
                 told = {"outputs": seen, "apart": _apart(seen), "unit": summary.fit.unit}
                 found.append(Alert(kind, sentence(kind, told), "model-error", first=True))
     found += (Alert("warning", text) for text in _gathered(summary))
+    if (emf := summary.fit.back_emf) is not None:
+        text = str(stated("voltage", "back_emf", **emf.model_dump()))
+        found.append(Alert("back-EMF", text, "parameters"))
     if summary.may_be_simulated:
         found.append(Alert("simulated", sentence("simulated")))
     return tuple(found)

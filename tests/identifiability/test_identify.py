@@ -21,7 +21,9 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.filters import lay_windows, parallel_taps
 from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.law import Law
 from bayesfric.recordings.observation import Observation
+from tests.conftest import made_recording
 
 KNEE, AXIS = PRESETS["rabbit-knee"], PRESETS["motor-axis"]
 CHAIN = KNEE.chain()
@@ -232,10 +234,13 @@ def test_the_same_mass_everywhere_counts_as_load():
 
 def test_a_back_emf_has_the_shape_of_viscous_loss():
     target, parameters = problem(recorded(LAGGED))
-    found = speed_term(target, parameters, ["made-up"])
+    played = made_recording(TIME, 0.0 * TIME, LAGGED, PERIOD, name="made-up")
+    law = Law(LAGGED, np.ones(N), back_emf=0.3)
+    found = speed_term(target, parameters, [replace(played, law=law, ratio=10.0)])
     assert found.same_as_back_emf == ("motor.viscous",)
+    assert found.nominal == pytest.approx(0.03)
     assert found.explained == pytest.approx(1.0, abs=1e-9)
-    assert speed_term(target, parameters, ["another"]) is None
+    assert speed_term(target, parameters, [played]) is None
 
 
 def test_a_ripple_once_a_turn_is_gravity_without_a_gear_and_not_behind_one(make_observation):

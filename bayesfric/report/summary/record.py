@@ -185,6 +185,17 @@ class TorqueFactorPart(Part):
     masses: list[NotNegative] = Field(default_factory=list)
 
 
+class BackEmfPart(Part):
+    """What a nominal back-EMF's error cannot be told from, as ``SpeedTerm`` has it."""
+
+    recordings: list[str]  # whose torque comes from a voltage
+    among: int
+    nominal: NotNegative
+    unit: str
+    same_as_back_emf: list[str] = Field(default_factory=list)
+    explained: FiniteFloat
+
+
 class Residual(Part):
     """What the posterior leaves unexplained, recording by recording."""
 
@@ -197,6 +208,8 @@ class Residual(Part):
     lacks: list[Lack] = Field(default_factory=list)
     # where what is taken as known contradicts the torque
     torque_factor: TorqueFactorPart | None = None
+    # where a torque comes from a voltage
+    back_emf: BackEmfPart | None = None
     integration_steps: int | None = None
     discretisation_error: FiniteFloat | None = None
     recordings: dict[Name, RecordingRow] = Field(default_factory=dict)

@@ -1,0 +1,79 @@
+"""A joint driven by a voltage: what the nominal back-EMF is off by stands with every number."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import bayesfric as bf
+from bayesfric.export.exported import export
+from bayesfric.report.alerts import alerts_of
+from bayesfric.report.paper.methods_text import methods_text
+from bayesfric.report.paper.tables import parameter_table
+from bayesfric.report.text_templates import listed
+
+T = 0.002 * np.arange(8000)
+KT, R, RATIO = 0.4, 4.0, 10.0
+INERTIA, COULOMB, VISCOUS = 0.002, 0.02, 0.03
+# the motor's true kt²/R over the nominal one, at a torque constant over R that is right
+MORE = 1.25
+
+
+def fitted(**options):
+    """Fit an axis whose voltage is the torque's, and the true back-EMF's: eq. (1) with a drive."""
+    joint = bf.Joint.preset("motor-axis")
+    elements = (replace(joint.elements[0], ratio=RATIO, **options),)
+    joint = replace(joint, elements=elements)
+    q = 0.9 * np.sin(2 * np.pi * 0.4 * T) + 0.3 * np.sin(2 * np.pi * 1.1 * T + 1)
+    speed = RATIO * np.gradient(q, T)
+    torque = INERTIA * np.gradient(speed, T) + COULOMB * np.sign(speed) + VISCOUS * speed
+    torque += 0.005 * np.random.default_rng(4).standard_normal(T.size)
+    volts = R / KT * (torque + MORE * KT**2 / R * speed)
+    recording = bf.Recording.from_arrays(
+        T,
+        q,
+        side="joint",
+        voltage=volts,
+        torque_constant=f"{KT} N m/A",
+        resistance=f"{R} ohm",
+        name="bench",
+    )
+    return bf.Model(joint, recording).fit()
+
+
+@pytest.fixture(scope="module")
+def one():
+    return fitted()
+
+
+def test_viscous_loss_takes_up_the_back_emfs_error(one):
+    row = one.summary.parameters["motor.viscous"]
+    # torque is kt V/R less the nominal back-EMF: the rest of the true one is left in it
+    low, high = row.told_interval
+    assert low < VISCOUS + (MORE - 1.0) * KT**2 / R < high
+    assert not low < VISCOUS < high
+
+
+@pytest.mark.parametrize("options", [{}, {"viscous": "by-direction"}])
+def test_every_place_says_what_the_number_holds(one, tmp_path, options):
+    found = fitted(**options) if options else one
+    found.write(tmp_path / "run")
+    told = found.summary.fit.back_emf
+    names = [n for n in found.summary.parameters if "viscous" in n]
+    assert told.same_as_back_emf == names
+    assert told.nominal == pytest.approx(KT**2 / R)
+    held = listed(names)
+    (alert,) = (a for a in alerts_of(found.summary) if a.kind == "back-EMF")
+    assert alert.text.count("viscous loss plus the error of the nominal kt²/R") == 1
+    rows = {r.name: r for r in parameter_table(found.summary).rows}
+    for name in names:
+        assert rows[name].meaning.endswith("and the error of the nominal back-EMF")
+    holds = "holds" if len(names) == 1 else "hold"
+    assert (
+        f"cannot be told from {held}, which {holds} it"
+        in methods_text(found.fit, found.summary).plain
+    )
+    for form in ("mujoco", "c"):
+        said = export(tmp_path / "run", form).text()
+        assert f"({KT**2 / R:.3g} N m s) times the motor's speed, which is not part" in said
+        assert all(name in said for name in names)
