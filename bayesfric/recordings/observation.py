@@ -592,8 +592,8 @@ def _told(
         f"one output in {numbers.factor} samples"
     )
     slow = too_slow(f"{settings['dead_zone']:.3g} {length}/s")
-    yield (
-        f"dead zone: {settings['dropped_dead_zone']} outputs left out, {slow}; "
-        f"{settings['n_outputs']} remain"
-        + (f"; {settings['rest_outputs']} at rest" if settings.get("rest_outputs") else "")
-    )
+    dropped, left = int(settings["dropped_dead_zone"]), int(settings["n_outputs"])
+    rest = f"; {n} at rest" if (n := settings.get("rest_outputs", 0)) else ""
+    if dropped > left and "rest_outputs" not in settings:
+        rest = "; rest = true under [processing] makes use of those at rest"
+    yield f"dead zone: {dropped} outputs left out, {slow}; {left} remain{rest}"

@@ -96,7 +96,18 @@ def test_rests_are_asked_for_and_leave_the_outputs_in_motion():
     # with no dead zone, too, rests are no motion
     none = observed(position, rest=True, dead_zone=0)
     assert (np.abs(none.speed) > 0.0).all()
-    assert any("at rest" in step for step in with_rests.steps)
+    told = f"remain; {with_rests.settings['rest_outputs']} at rest"
+    assert any(step.endswith(told) for step in with_rests.steps)
+
+
+def test_who_loses_most_outputs_to_the_dead_zone_hears_of_rests():
+    position = counts(stop_and_go()[1])
+    advice = "rest = true under [processing]"
+    for of, told in ((observed(position), True), (observed(position, rest=True), False)):
+        assert of.settings["dropped_dead_zone"] > of.settings["n_outputs"]
+        assert any(advice in step for step in of.steps) is told
+    moving = np.cumsum(2.0 + np.sin(2 * np.pi * stop_and_go()[0])) * 0.002
+    assert not any(advice in step for step in observed(counts(moving)).steps)
 
 
 def test_a_position_that_cannot_tell_rest_says_so():
