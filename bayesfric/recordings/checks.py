@@ -83,25 +83,30 @@ def check_size(values: Array, where: str, what: str) -> None:
 def clipped(values: Array, what: str) -> list[str]:
     """Warn of each limit of a raw signal at which 1 % of the samples lie, in runs of 4 and more."""
     warnings = []
-    if values.max() == -values.min():
-        # a limit to both sides alike
-        both = (_in_runs(values == values.max()) + _in_runs(values == values.min())) / len(values)
-        if both >= _CLIPPED_SHARE:
-            return [
-                f"{what}: stays at ±{values.max():.6g} (raw), its maximum and minimum in this "
-                f"recording, for {100 * both:.2g} % of the samples; does the drive "
-                "or sensor saturate there?"
-            ]
-    for word, limit in (("maximum", values.max()), ("minimum", values.min())):
-        if 2 * abs(limit) < np.abs(values).max():
-            continue  # an idle drive, not a limited one
-        share = _in_runs(values == limit) / len(values)
-        if share >= _CLIPPED_SHARE:
-            warnings.append(
-                f"{what}: stays at {limit:.6g} (raw), its {word} in this recording, for "
-                f"{100 * share:.2g} % of the samples; does the drive or sensor saturate there?"
-            )
+    for where, share in _limits(values):
+        warnings.append(
+            f"{what}: stays at {where} in this recording, for {100 * share:.2g} % of the samples; "
+            "does the drive or sensor saturate there? A drive that gives no more is measured "
+            "right; of a sensor that shows no more leave those seconds out (exclude)"
+        )
     return warnings
+
+
+def _limits(values: Array) -> list[tuple[str, float]]:
+    """Name limits of a raw signal, each with the share of the samples that lies there."""
+    most, least = values.max(), values.min()
+    if most == -least:
+        # a limit to both sides alike
+        both = (_in_runs(values == most) + _in_runs(values == least)) / len(values)
+        if both >= _CLIPPED_SHARE:
+            return [(f"±{most:.6g} (raw), its maximum and minimum", both)]
+    # nearer to zero than half of all it is an idle drive, not a limited one
+    found = []
+    for word, limit in (("maximum", most), ("minimum", least)):
+        if 2 * abs(limit) >= np.abs(values).max():
+            share = _in_runs(values == limit) / len(values)
+            found.append((f"{limit:.6g} (raw), its {word}", share))
+    return [(where, share) for where, share in found if share >= _CLIPPED_SHARE]
 
 
 def quantisation(values: Array) -> float | None:
