@@ -421,7 +421,7 @@ def test_on_a_bound():
     row = run["estimates"]["input-error"]["parameters"]["motor.viscous"]
     row |= {"value": 0.0, "sd": None, "sd_robust": None, "determined": False, "at_bound": "lower"}
     cell = comparison({"a": run})["motor.viscous"].cells["input-error"]
-    assert (cell.status, cell.sd, cell.remark) == ("bound", None, "at the lower end of its range")
+    assert (cell.status, cell.sd, cell.remark) == ("bound", None, "at its lower bound")
     assert cell.disagreement == pytest.approx((0.0 - 3.8e-3) / 4.4e-4, rel=1e-9)
 
 
@@ -431,7 +431,7 @@ def test_a_span_without_width_is_a_bound():
     row = run["estimates"]["input-error"]["parameters"]["joint.viscous"]
     row |= {"value": 0.0, "determined": False, "sd": None, "at_bound": "lower", "span": [0.0, 0.0]}
     cell = comparison({"a": run})["joint.viscous"].cells["input-error"]
-    assert (cell.status, cell.span, cell.remark) == ("bound", None, "at the lower end of its range")
+    assert (cell.status, cell.span, cell.remark) == ("bound", None, "at its lower bound")
 
 
 @pytest.mark.parametrize(("bound", "words", "limit"), [("lower", "at most", 1), ("upper", "at", 0)])

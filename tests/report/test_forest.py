@@ -125,6 +125,18 @@ def test_references_are_named_lines():
     assert "CAD" in [t.get_text() for t in ax.texts]
 
 
+def test_the_arrow_of_a_limit_ends_at_its_bound():
+    """Another method's bar may go below zero, where no loss is."""
+    run = knee()
+    row = run["parameters"]["motor.viscous"]
+    row |= {"at_bound": "lower", "bound": 0.0, "verdict": "weak", "data_sd": 1e-3, "prior_sd": 4e-3}
+    row = run["estimates"]["input-error"]["parameters"]["motor.viscous"]
+    row |= {"value": 0.0, "sd": 0.01, "sd_robust": 0.01}
+    ax = panels(forest_figure(comparison({"a": run})))["motor.viscous"]
+    assert ax.get_xlim()[0] < 0.0
+    assert min(float(x.min()) for x, _ in drawn(ax, "limit")) == 0.0
+
+
 def test_limits_and_bounds():
     run = knee()
     row = run["parameters"]["motor.viscous"]
@@ -135,7 +147,7 @@ def test_limits_and_bounds():
     ax = panels(forest_figure(found))["motor.viscous"]
     assert len(drawn(ax, "thick")) == 1  # output-error
     words = [t.get_text() for t in ax.texts]
-    assert "at the lower end of its range" in words
+    assert "at its lower bound" in words
     assert any(text.startswith("at most") for text in words)
     assert max(float(x.max()) for x, _ in drawn(ax, "limit")) == pytest.approx(
         found["motor.viscous"].cells["posterior"].limit

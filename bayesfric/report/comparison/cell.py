@@ -62,9 +62,11 @@ class Cell:
     level: float | None = None
     # what fits as well, where the number is open and that is known
     span: tuple[float, float] | None = None
-    # end of the interval away from the bound, and which bound that is, where `status` is `limit`
+    # end of the interval away from the bound, and which bound that is and where, if `status` is
+    # `limit`
     limit: float | None = None
     at_bound: Bound | None = None
+    bound: float | None = None
     remark: str = ""  # what else to know, in a few words
     # difference to the first posterior in standard deviations; see `comparison`
     disagreement: float | None = None
@@ -104,7 +106,7 @@ def estimate_cell(row: EstimatedRow, converged: bool = True) -> Cell:
         # a scaling does not move a zero away from its bound
         span = row.span if row.span is not None and row.span[0] < row.span[1] else None
         if row.at_bound is not None and span is None:
-            return Cell(row.value, "bound", remark=f"at the {row.at_bound} end of its range")
+            return Cell(row.value, "bound", remark=f"at its {row.at_bound} bound")
         return left_open(row.value, span)
     if row.sd_robust is None:
         return Cell(row.value, "determined", sd=row.sd, sd_plain=row.sd)
@@ -146,7 +148,7 @@ def posterior_cell(row: PosteriorRow, accounts: bool, status: str = "reliable") 
         words += f"; {DOUBTFUL}" if row.doubted else ""
         return Cell(
             row.middle, "limit", level=row.level, limit=limit, at_bound=row.at_bound,
-            remark=words, doubted=bool(row.doubted),
+            bound=row.bound, remark=words, doubted=bool(row.doubted),
         )  # fmt: skip
     if row.verdict == "prior":
         return left_open(row.middle, None, ": prior and bounds")

@@ -221,7 +221,9 @@ def _limit(ax: Axes, line: _Line, cell: Cell, factor: float) -> None:
     limit = cell.limit / factor
     left = cell.limit >= cell.value
     low, high = ax.get_xlim()
-    end = low + (0.03 if left else 0.97) * (high - low)
+    near, far = low + 0.03 * (high - low), low + 0.97 * (high - low)
+    bound = cell.bound if cell.bound is not None else -math.inf if left else math.inf
+    end = min(max(bound / factor, near), far)
     line.draw(ax, [limit, end], "limit", {"linewidth": 0.9})
     ax.plot(limit, line.y, color=line.colour, marker="|", markersize=6.0, gid="limit")
     ax.plot(end, line.y, gid="limit", **line.mark() | {"marker": "<" if left else ">"})
