@@ -82,14 +82,12 @@ def load_reach(
     """Factors ``(n,)`` from the load's torque at the joint to its loss-free torque at the motor.
 
     ``1/N``, or ``lambda_1/N`` where the scale between leg and alpha is open: the mean of what the
-    motor feels of the load while it drives and while it is driven, which no scaling changes; over
-    ``drive.gain`` where that is a parameter, as the torque itself is. ``values`` are
-    ``(n, n_parameters)``.
+    motor feels of the load while it drives and while it is driven, which no scaling changes. Of the
+    true torque: ``drive.gain`` has no part in it. ``values`` are ``(n, n_parameters)``.
     """
-    elements, load, _ = chain.tables(values)
-    gain = load[:, kernels.GAIN]
+    elements, _, _ = chain.tables(values)
     if not open_scale:
-        return np.asarray(1.0 / (chain.ratio * gain))
+        return np.full(len(values), 1.0 / chain.ratio)
     drive = np.prod(1.0 + elements[:, :, kernels.LOAD_DRIVE], axis=1)
     back = np.prod(1.0 - elements[:, :, kernels.LOAD_BACK], axis=1)
-    return np.asarray(0.5 * (drive + back) / (chain.ratio * gain))
+    return np.asarray(0.5 * (drive + back) / chain.ratio)

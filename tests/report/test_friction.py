@@ -110,18 +110,23 @@ def test_one_mu_needs_no_mean():
     np.testing.assert_allclose(reach[0], reach[1], rtol=1e-14)
 
 
-def test_an_unknown_gain_scales_torque_and_load_alike():
+def test_friction_is_of_the_true_torque_as_the_tables_are():
+    """Parameters are those of the joint; what the drive makes of its torque changes no friction."""
     chain = replace(PRESETS["servo-pendulum"].chain(), gain=True)
-    values = PRESETS["servo-pendulum"].values | {"drive.gain": 1.0}
-    one = chain.vector(values)[None]
-    twice = {
-        k: v * 2 if k.rpartition(".")[2] in ("inertia", "viscous", "coulomb", "first_moment") else v
-        for k, v in values.items()
-    }
-    two = chain.vector(twice | {"drive.gain": 2.0})[None]
+    values = PRESETS["servo-pendulum"].values
     load = np.linspace(-1, 1, 18)
-    found = [friction_torque(chain, x, SPEED, load, open_scale=False) for x in (one, two)]
-    np.testing.assert_allclose(found[1], found[0], rtol=1e-12)
+    one, two = (
+        friction_torque(
+            chain, chain.vector(values | {"drive.gain": gain})[None], SPEED, load, open_scale=False
+        )
+        for gain in (1.0, 0.7)
+    )
+    np.testing.assert_array_equal(two, one)
+    free = friction_torque(
+        chain, chain.vector(values | {"drive.gain": 0.7})[None], SPEED, 0 * load, open_scale=False
+    )[0]
+    of_tables = values["motor.coulomb"] + values["motor.viscous"] * np.abs(SPEED)
+    np.testing.assert_allclose(free, of_tables, rtol=1e-12)
 
 
 def test_the_stribeck_rise_shows():

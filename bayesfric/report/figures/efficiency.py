@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 
 from bayesfric.estimates.torque import filtered_torque, typical_load
 from bayesfric.inference.fitting import Fit
+from bayesfric.mechanism import kernels
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.inverse import load_reach
 from bayesfric.report.figures import style
@@ -122,12 +123,13 @@ def efficiency_curves(fit: Fit) -> tuple[EfficiencyCurve, ...]:
 
 def _beyond(fit: Fit, median: Array) -> Array:
     """Give what outputs ask of torque beyond the model, at the joint and against the motion."""
-    gain = float(load_reach(fit.chain, median[None], open_scale=False)[0])
+    _, table, _ = fit.chain.tables(median[None])
+    at_joint = table[0, kernels.GAIN] / load_reach(fit.chain, median[None], open_scale=False)[0]
     left = [
         (o.measured - filtered_torque(fit.chain, o, median[None])[0]) * np.sign(o.speed)
         for o in fit.observations
     ]
-    return np.concatenate(left) / gain
+    return np.concatenate(left) * at_joint
 
 
 def measured_efficiency(

@@ -295,20 +295,24 @@ def friction_caption(fit: Fit) -> str:
         f"{100 * LEVEL:.0f} % band, hatched where the data do not tell. Dashed where fewer than "
         f"{FEWEST} compared outputs are near: within {100 * NEAR:.0f} % of the range of speed"
     )
+    true = ""
+    if fit.chain.gain:
+        true = " Torque is the true one, as in the tables: what was recorded, times drive.gain."
     if all(element.load_loss == "none" for element in fit.chain.elements):
-        return start + ". No element has a loss that depends on load."
+        return start + ". No element has a loss that depends on load." + true
     start = f"Marks on lines tell them apart and are no measurements. {start}"
     start += (
         " and, at once, of load; the map is empty there. Its lines are of equal median friction, "
         "its shades the half width of the band. "
     )
+    load = "Load is the torque at the joint over the ratio, positive against the motion."
     if CurveJudge(fit).open_scale:
-        return start + (
+        load = (
             "Load is the mean of what the motor feels of it while driving and while driven: the "
             "scale between load and gearbox is open, and only this mean is the same for all "
             "parameters that make the same torque."
         )
-    return start + "Load is the torque at the joint over the ratio, positive against the motion."
+    return start + load + true
 
 
 def _words(judged: JudgedRun) -> str:

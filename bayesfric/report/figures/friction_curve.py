@@ -1,8 +1,8 @@
 """The joint's friction as the motor feels it, and where the recordings saw it.
 
-The joint runs at constant speed against a constant load. With ``T`` the measured motor
+The joint runs at constant speed against a constant load. With ``T`` the true motor
 torque (without its constant offset) and ``L`` the loss-free torque of the load, both at the
-motor, friction is ``F = T - L``.
+motor, friction is ``F = T - L``. What is recorded is ``T`` over ``drive.gain``, where that is one.
 
 ``L`` is where care is due. A recording tells ``Gamma/N``, the torque of the leg over the
 ratio, only up to the scaling of leg parameters and ``alpha_1, alpha_2`` that changes no
@@ -45,14 +45,13 @@ def friction_torque(
     it resists the motion. Given as ``(n, N)``, positive against the motion, at 20 degC and as a
     recording begins; at no load it is what
     the constant, viscous and quadratic ``total_drive.*`` of
-    :func:`bayesfric.mechanism.derived.derive` sum up.
+    :func:`bayesfric.mechanism.derived.derive` sum up, times ``drive.gain``.
     """
     sign = np.sign(speed)
     elements, table, carried = chain.tables(values)
-    gain = table[:, kernels.GAIN].copy()
     # a load that weighs what is asked for, and nothing else: the same kernel as everywhere
     table[:] = 0.0
-    table[:, kernels.GAIN] = gain
+    table[:, kernels.GAIN] = 1.0
     table[:, kernels.GRAVITY] = 1.0
     with np.errstate(divide="ignore"):
         table[:, kernels.FIRST_MOMENT] = 1.0 / load_reach(chain, values, open_scale=open_scale)

@@ -34,15 +34,15 @@
     const gain = form(model.load_forms, "gain", 1);
     // from torque at an element's input, or of the load, to torque at the motor, without load losses;
     // where their scale is open, the mean of driving and back-driving, which no scaling changes
-    const reaches = [1 / gain];
+    const reaches = [1];
     let ratio = 1, drive = 1, back = 1;
     model.elements.forEach((element, k) => {
       ratio *= element.ratio;
       drive *= 1 + losses[k].drive;
       back *= 1 - losses[k].back;
-      reaches.push((model.open_scale ? (drive + back) / 2 : 1) / (ratio * gain));
+      reaches.push((model.open_scale ? (drive + back) / 2 : 1) / ratio);
     });
-    reaches.push(1 / gain);
+    reaches.push(1);
     const parts = model.groups.map(() => 0);
     let weight = -asked.load;
     const own = (at, state, rise) => {
@@ -82,11 +82,11 @@
         form(forms, "load_square", 0) * torque * torque;
       torque += direction * lost + own(k, state, 1 + constant * share);
     }
-    torque = (torque + own(load + 1, moving(1, 0), 1)) / gain;
+    torque += own(load + 1, moving(1, 0), 1);
     const outside = -asked.load * reaches[load];
     const passed = torque - outside - parts.reduce((a, b) => a + b, 0);
     const friction = passed + parts.reduce((sum, part, k) => sum + (model.groups[k].loss ? part : 0), 0);
-    return { torque, friction, passed, outside, parts, weight: weight * reaches[load] };
+    return { torque, recorded: torque / gain, friction, passed, outside, parts, weight: weight * reaches[load] };
   };
 
   const quantile = (sorted, share) => {
