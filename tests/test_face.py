@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 
@@ -200,6 +201,10 @@ def test_the_torque_that_a_motion_takes_is_the_sum_of_its_terms():
     # draws of some, with others known
     draws = axis().torque(TRUTH | {"offset": np.array([0.02, 0.52])}, 0.3, speed, acceleration)
     np.testing.assert_allclose(draws, [expected, expected + 0.5], rtol=1e-12)
+    # as the drive would tell it; how late a position is read is nothing to a motion that is given
+    told = TRUTH | {"drive.gain": 0.8, "drive.delay": 0.01}
+    late = replace(axis(), gain=True, delay=True).torque(told, 0.3, speed, acceleration)
+    np.testing.assert_allclose(late, expected / 0.8, rtol=1e-12)
     with pytest.raises(KeyError, match=r"missing: \['offset'\]"):
         axis().torque({n: x for n, x in TRUTH.items() if n != "offset"}, 0.3, speed, acceleration)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -29,6 +29,7 @@ from bayesfric.export.format import (
 )
 from bayesfric.export.pendulum import pendulum
 from bayesfric.finished import Finished, finished
+from bayesfric.recordings.trajectory import trajectory
 from bayesfric.report.figures.style import save
 from bayesfric.report.files import check_free, made_beside, parents_made, unwritable
 from bayesfric.report.summary.self_check import uncorrected_sentence
@@ -206,7 +207,9 @@ def _exported(found: Finished, form: Format, options: Options) -> Exported:
     kept = carried(middle, carries, form.supplied, motions, motion)
     spread = carried(each, carries, form.supplied, motions, motion)
     if form.torque is None:
-        trajectories = found.model.trajectories(SPAN)
+        # both joints under one torque: that a delay moves a back-EMF makes no difference there
+        pairs = zip(found.model.recordings, found.model.observations, strict=True)
+        trajectories = [trajectory(replace(r, back_emf=None), o, SPAN) for r, o in pairs]
         error = wrong(chain, told.middle, kept.values, motions, trajectories)
     else:
         own = form.torque(chain, told.middle, motions)

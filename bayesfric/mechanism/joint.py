@@ -20,7 +20,7 @@ from bayesfric.mechanism.own_term import CarriedTerm, Term, along
 from bayesfric.mechanism.parameter import Parameter, parameter
 from bayesfric.mechanism.quantities import QUANTITIES, SHAPES, Motion
 from bayesfric.notebook import html_table
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.inputs import AT_ROOM, Inputs
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -273,7 +273,10 @@ class Joint:
         *,
         time: ArrayLike | None = None,
     ) -> NDArray[np.float64]:
-        """Give the motor torque that a motion of the joint takes.
+        """Give the motor torque that a motion of the joint takes, as it would be recorded.
+
+        Where ``drive.gain`` is a parameter, the true torque is that times it. A delay of recorded
+        positions has no part in a motion that is given, and losses are those at 20 degC.
 
         Parameters
         ----------
@@ -304,7 +307,7 @@ class Joint:
         vectors = self.vector(dict(zip(values, draws, strict=True)))
         motion = np.broadcast_arrays(*np.atleast_1d(position, speed, acceleration))
         stamps = None if time is None else np.asarray(time, dtype=np.float64)
-        return inverse_torque(self, vectors, *motion, time=stamps)
+        return inverse_torque(self, vectors, *motion, inputs=AT_ROOM, time=stamps)
 
     def vector(self, values: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
         """Put named values in the order of :attr:`names`, one each or ``(n,)``, a row each.

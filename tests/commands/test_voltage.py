@@ -19,11 +19,11 @@ INERTIA, COULOMB, VISCOUS = 0.002, 0.02, 0.03
 MORE = 1.25
 
 
-def fitted(**options):
+def fitted(delay=False, **options):
     """Fit an axis whose voltage is the torque's, and the true back-EMF's: eq. (1) with a drive."""
     joint = bf.Joint.preset("motor-axis")
     elements = (replace(joint.elements[0], ratio=RATIO, **options),)
-    joint = replace(joint, elements=elements)
+    joint = replace(joint, elements=elements, delay=delay)
     q = 0.9 * np.sin(2 * np.pi * 0.4 * T) + 0.3 * np.sin(2 * np.pi * 1.1 * T + 1)
     speed = RATIO * np.gradient(q, T)
     torque = INERTIA * np.gradient(speed, T) + COULOMB * np.sign(speed) + VISCOUS * speed
@@ -54,7 +54,7 @@ def test_viscous_loss_takes_up_the_back_emfs_error(one):
     assert not low < VISCOUS < high
 
 
-@pytest.mark.parametrize("options", [{}, {"viscous": "by-direction"}])
+@pytest.mark.parametrize("options", [{}, {"viscous": "by-direction", "delay": True}])
 def test_every_place_says_what_the_number_holds(one, tmp_path, options):
     found = fitted(**options) if options else one
     found.write(tmp_path / "run")

@@ -15,7 +15,6 @@ from bayesfric.estimates.torque import filtered_torque, typical_load
 from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.derived import derive
-from bayesfric.mechanism.inverse import load_reach
 from bayesfric.report.figures import style
 from bayesfric.report.figures.curve_band import (
     FEWEST,
@@ -96,7 +95,7 @@ def efficiency_curves(fit: Fit) -> tuple[EfficiencyCurve, ...]:
         return ()
     judge = CurveJudge(fit)
     place = covered(fit, judge.median, open_scale=False)
-    joint = place.load / float(load_reach(chain, judge.median[None], open_scale=False)[0])
+    joint = chain.ratio * place.load
     top = float(np.quantile(np.abs(joint), 0.995))
     if not top > 0.0:
         return ()
@@ -124,7 +123,7 @@ def efficiency_curves(fit: Fit) -> tuple[EfficiencyCurve, ...]:
 def _beyond(fit: Fit, median: Array) -> Array:
     """Give what outputs ask of torque beyond the model, at the joint and against the motion."""
     _, table, _ = fit.chain.tables(median[None])
-    at_joint = table[0, kernels.GAIN] / load_reach(fit.chain, median[None], open_scale=False)[0]
+    at_joint = float(fit.chain.ratio * table[0, kernels.GAIN])
     left = [
         (o.measured - filtered_torque(fit.chain, o, median[None])[0]) * np.sign(o.speed)
         for o in fit.observations
