@@ -7,7 +7,9 @@ import pytest
 
 from bayesfric.export.central import open_scalings
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.report.numbers import TEXT
 from bayesfric.report.page.run_page import run_page
+from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.given_scale import tell_given_scales
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.terminal import fit_text
@@ -47,6 +49,18 @@ def test_what_the_told_weight_settles_says_so(tmp_path):
     assert "NOT determined" not in lines["motor.inertia"]
     assert "your prior on load.first_moment" in run_page(tmp_path, read.as_dict(), "run")
     assert Summary.read(read.as_dict()) == read
+
+
+def test_at_its_bound_a_number_of_a_told_scale_is_a_limit_and_no_interval(tmp_path):
+    at_zero = {"at_bound": "lower", "bound": 0.0, "bound_physical": True, "interval": [0.0, 0.02]}
+    read = weighed(motor__inertia=at_zero)
+    assert read.parameters["motor.inertia"].given_by == ["load.first_moment"]
+    row = next(r for r in parameter_table(read).rows if r.name == "motor.inertia")
+    assert (row.cell.status, row.cell.limit) == ("limit", 0.02)
+    assert row.verdict == "data and prior, on one side"
+    assert row.shown(TEXT) == ("≤ 0.02", "–")
+    words = "your prior on load.first_moment, on one side only"
+    assert words in run_page(tmp_path, read.as_dict(), "run")
 
 
 def test_a_told_scale_is_not_evened_out_in_an_export():

@@ -24,8 +24,9 @@ def verdict_words(row: ParameterRow) -> str:
     """Say what determined a number, in words that stand in its line."""
     if not row.cell.converged:
         return NOT_CONVERGED
-    if row.row is not None and (row.by == "together" or row.cell.doubted):
-        return settled_by(row.row)
+    if row.row is not None and (row.by == "together" or row.cell.doubted or row.row.given_by):
+        one_side = row.by == "limit" and not row.cell.doubted
+        return settled_by(row.row) + (", on one side only" if one_side else "")
     return _VERDICTS[row.by]
 
 

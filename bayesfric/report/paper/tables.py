@@ -52,6 +52,8 @@ _VERDICTS = {
     "open": "prior",
     "known": "known",
 }
+# where a prior on another gives its scale
+_GIVEN_LIMIT = "data and prior, on one side"
 COLUMNS = [
     "group", "name", "symbol", "meaning", "unit", "status", "verdict",
     "median", "mean", "sd", "low", "high", "level", "limit", "remark",
@@ -129,7 +131,10 @@ class ParameterRow:
         """What determined it, in words."""
         if not self.cell.converged:
             return "not converged"
-        return "doubtful" if self.cell.doubted else _VERDICTS[self.by]
+        if self.cell.doubted:
+            return "doubtful"
+        given = self.by == "limit" and self.row is not None and self.row.given_by
+        return _GIVEN_LIMIT if given else _VERDICTS[self.by]
 
     def with_doubt(self, written: str) -> str:
         """Say beside a number or an interval that it is doubtful, if it is."""

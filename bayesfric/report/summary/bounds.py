@@ -32,8 +32,9 @@ def leaning(
 
 
 def told_by_data(row: PosteriorRow) -> bool:
-    """Whether the data alone say how far from its bound a number may be."""
-    return row.data_sd is not None and row.data_sd < 0.5 * (row.prior_sd or math.inf)
+    """Whether the data say how far from its bound a number may be, with a scale told if need be."""
+    known = row.data_sd is not None and row.data_sd < 0.5 * (row.prior_sd or math.inf)
+    return known or bool(row.given_by)
 
 
 def held(row: PosteriorRow) -> bool:
