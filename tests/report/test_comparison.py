@@ -71,21 +71,6 @@ def test_disagreement_of_references_and_runs_adds_their_variance():
         assert cell.disagreement == pytest.approx(0.7 / math.sqrt(2), rel=1e-6)
 
 
-def test_runs_that_are_far_apart_are_named():
-    """Their table held -7.2 sd, and the first sentence said that nothing was pooled."""
-    other = loaded()
-    assert not comparison({"a": knee(), "b": other}).runs_apart
-    name = next(iter(DERIVED))
-    row = other["derived"][name]
-    row["median"] = row["median"] + 10.0 * row["sd"]
-    found = comparison({"a": knee(), "b": other})
-    (said,) = found.runs_apart
-    far = found[name].cells["b: posterior"].disagreement
-    assert far == pytest.approx((10.0 + 0.7) / math.sqrt(2), rel=1e-6)
-    assert f"{name} ({far:+.1f} sd)" in said
-    assert found.notes[0] == said
-
-
 def test_totals_of_the_motion_are_not_measured_between_runs():
     a, b = knee(), loaded()
     assert not [note for note in comparison({"a": a, "b": b}).notes if "own motion" in note]

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from bayesfric.report import numbers
 from bayesfric.report.comparison.between_runs import between_runs
-from bayesfric.report.comparison.cell import is_skewed
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.page.values import text_of
@@ -25,6 +24,7 @@ from bayesfric.report.paper.tables import (
     parameters_markdown,
 )
 from bayesfric.report.summary.record import Summary
+from bayesfric.report.summary.rows import is_skewed
 from bayesfric.report.summary.summary import summarise
 from bayesfric.report.terminal import fit_text
 

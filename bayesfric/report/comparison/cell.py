@@ -9,7 +9,13 @@ from bayesfric.report.numbers import Medium, finer
 from bayesfric.report.summary.bounds import told_by_data
 from bayesfric.report.summary.part import Bound
 from bayesfric.report.summary.record import Readable, Summary
-from bayesfric.report.summary.rows import EstimatedRow, PosteriorRow
+from bayesfric.report.summary.rows import (
+    HALF,
+    EstimatedRow,
+    PosteriorRow,
+    is_skewed,
+    sd_towards,
+)
 
 Status = Literal["determined", "undetermined", "bound", "limit", "known"]
 _NOT_DETERMINED = "not determined"
@@ -17,18 +23,6 @@ DOUBTFUL = "doubtful: not what the data determine, see what the run warns of"
 TOGETHER = "data, prior and bounds together"
 NOT_CONVERGED = "the sampling has not converged"
 _LOST = "the search has not converged"
-
-
-# Ends of the interval whose distances from the median differ by more than this are skewed.
-_SKEWED = 0.2
-# Half width of a 90 % interval of a normal distribution, in standard deviations.
-HALF = 1.645
-
-
-def is_skewed(middle: float, low: float, high: float) -> bool:
-    """Whether one sd would misname an interval's two sides."""
-    down, up = middle - low, high - middle
-    return abs(up - down) > _SKEWED * (up + down)
 
 
 def settled_by(row: PosteriorRow) -> str:
@@ -76,6 +70,15 @@ class Cell:
     # whether it is what a posterior has by that name: a total of least squares holds what bends
     # the torque, such as a load loss, the parameter does not
     alike: bool = True
+
+    def sd_towards(self, other: float) -> float | None:
+        """Give the standard deviation that counts on the side of another value, if there is one."""
+        if self.limit is not None:
+            end = self.limit if (other > self.value) == (self.limit > self.value) else self.bound
+            return None if end is None else abs(end - self.value) / HALF
+        if self.interval is None or not self.sd:
+            return self.sd
+        return sd_towards(other, self.value, self.interval, self.sd)
 
     @property
     def told_status(self) -> str:

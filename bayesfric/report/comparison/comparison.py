@@ -146,7 +146,8 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
 
     Notes
     -----
-    Disagreement is ``(value - median)/sd`` with both of the first posterior. The
+    Disagreement is ``(value - median)/sd`` with both of the first posterior; of what is skewed
+    that sd is the one on the side of the other, and of a limit what its distance makes of one. The
     variance of another posterior, and of a reference that has one, is added to that
     of the first; runs on the same recording are not independent, and disagree more
     than that says. An estimate of the same run saw the same data, so variances do not
@@ -402,16 +403,29 @@ def _pairs(columns: list[Column]) -> Iterator[tuple[Column, Column]]:
 
 
 def _runs_apart(rows: list[Row], columns: list[Column]) -> Iterator[str]:
-    """Say in what other runs' posteriors are too far from the first to be of one joint."""
+    """Say in what other runs' posteriors are too far from the first to be of one joint.
+
+    What a run doubts itself, as of a delay or too wide a band, is no news of the joint.
+    """
     for baseline, column in _pairs(columns):
-        cells = {row.name: row.cells.get(column.label) for row in rows}
-        apart = {name: cell.disagreement or 0.0 for name, cell in cells.items() if cell}
-        far = [f"{name} ({x:+.1f} sd)" for name, x in apart.items() if abs(x) > _FAR]
+        far, doubted = list[str](), list[str]()
+        for row in rows:
+            cell, base = row.cells.get(column.label), row.cells.get(baseline.label)
+            if cell is None or base is None or abs(apart := cell.disagreement or 0.0) <= _FAR:
+                continue
+            told = doubted if cell.doubted or base.doubted else far
+            told.append(f"{row.name} ({apart:+.1f} sd)")
         if far:
             yield (
                 f"{column.run} and {baseline.run} disagree in {', '.join(far)}: joint, motion or "
                 "what the model lacks is not the same in both, and the intervals of one do not "
                 "hold for the other."
+            )
+        if doubted:
+            yield (
+                f"{column.run} and {baseline.run} are far apart in {', '.join(doubted)}, which one "
+                "of them doubts itself: until that is mended, as its own page says, it tells "
+                "nothing of whether the joint is the same."
             )
 
 
@@ -497,7 +511,7 @@ def _measured(fact: _Facts, columns: list[Column], baseline: Column | None) -> d
     """Put the cells into the columns' order and measure them against the first posterior."""
     ordered = {c.label: fact.cells[c.label] for c in columns if c.label in fact.cells}
     base = ordered.get(baseline.label) if baseline else None
-    if baseline is None or base is None or base.status != "determined" or not base.sd:
+    if baseline is None or base is None or base.status not in ("determined", "limit"):
         return ordered
     for column in columns:
         cell = ordered.get(column.label)
@@ -506,12 +520,16 @@ def _measured(fact: _Facts, columns: list[Column], baseline: Column | None) -> d
         # two motions need not agree
         if fact.of_motion and column.run not in ("", baseline.run):
             continue
+        # an estimate has other limits than a posterior
+        if column.kind == "estimate" and "limit" in (base.status, cell.status):
+            continue
+        sd = base.sd_towards(cell.value)
         # what a run took as known is no finding, and what is open agrees with anything
-        if cell.status in ("determined", "bound") or column.kind == "reference":
-            own = cell.sd or 0.0
+        if sd and (cell.status in ("determined", "bound", "limit") or column.kind == "reference"):
+            own = cell.sd_towards(base.value) or 0.0
             # two estimates from one recording share its noise: their variances do not add
             same = column.kind == "estimate" and column.run == baseline.run
-            scale = max(base.sd, own) if same else math.hypot(base.sd, own)
+            scale = max(sd, own) if same else math.hypot(sd, own)
             apart = (cell.value - base.value) / scale
             ordered[column.label] = replace(cell, disagreement=apart)
     return ordered

@@ -6,9 +6,10 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from bayesfric.report.comparison.cell import HALF, Cell
+from bayesfric.report.comparison.cell import Cell
 from bayesfric.report.comparison.comparison import Column, Comparison
 from bayesfric.report.paper.tables import ParameterRow
+from bayesfric.report.summary.rows import HALF
 
 MarkKind = Literal["prior", "interval", "estimate", "reference"]
 

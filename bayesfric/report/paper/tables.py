@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from bayesfric.report.comparison.cell import Cell, is_skewed, posterior_cell
+from bayesfric.report.comparison.cell import Cell, posterior_cell
 from bayesfric.report.comparison.comparison import Comparison, comparison
 from bayesfric.report.comparison.table import comparison_csv, comparison_markdown, markdown_table
 from bayesfric.report.numbers import (
@@ -28,7 +28,7 @@ from bayesfric.report.paper import latex
 from bayesfric.report.summary.bounds import bound_mend
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Readable, Summary, of_noise
-from bayesfric.report.summary.rows import KnownRow, PosteriorRow, amperes
+from bayesfric.report.summary.rows import KnownRow, PosteriorRow, amperes, is_skewed
 from bayesfric.report.summary.self_check import cite_sentence, cited, to_cite
 from bayesfric.report.summary.summary import summary_table
 from bayesfric.report.text_templates import filled, listed

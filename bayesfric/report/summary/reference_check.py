@@ -11,7 +11,7 @@ from bayesfric.inference.prior.priors import KNOWN
 from bayesfric.mechanism.parameter import scales_with_torque
 from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.report.summary.record import Summary, quantity_of
-from bayesfric.report.summary.rows import PosteriorRow
+from bayesfric.report.summary.rows import PosteriorRow, sd_towards
 
 # Sds between a reference and what was found that are no chance.
 _FAR = 3.0
@@ -67,7 +67,9 @@ def _compared(summary: Summary) -> Iterator[dict[str, Any]]:
     for name, reference in summary.references.items():
         row = summary.rows.get(name)
         if row is not None and row.verdict != "prior" and row.converged is not False:
-            found = row.middle, row.told_sd
+            interval = (*row.told_interval,)
+            sd = sd_towards(reference.value, row.middle, interval, row.told_sd)
+            found = row.middle, sd
             yield _beside("reference", name, row, reference.value, reference.sd, *found)
     for name, row in summary.joint.items():
         if name in summary.references or row.converged is False:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated
 
 from pydantic import Field, FiniteFloat
@@ -9,6 +10,25 @@ from pydantic import Field, FiniteFloat
 from bayesfric.estimates.point_estimate import Kind
 from bayesfric.identifiability.local import Verdict
 from bayesfric.report.summary.part import Bound, Described, NotNegative, Pair, Part, Share
+
+# Ends of the interval whose distances from the median differ by more than this are skewed.
+_SKEWED = 0.2
+# Half width of a 90 % interval of a normal distribution, in standard deviations.
+HALF = 1.645
+
+
+def is_skewed(middle: float, low: float, high: float) -> bool:
+    """Whether one sd would misname an interval's two sides."""
+    down, up = middle - low, high - middle
+    return abs(up - down) > _SKEWED * (up + down)
+
+
+def sd_towards(other: float, middle: float, interval: Sequence[float], sd: float) -> float:
+    """Give the sd that counts on the side of another value: a skewed number has one a side."""
+    low, high = interval
+    if not is_skewed(middle, low, high):
+        return sd
+    return abs((high if other > middle else low) - middle) / HALF
 
 
 def amperes(torque: float, constant: float) -> float:
