@@ -92,6 +92,19 @@ def test_what_no_shift_mends_is_doubtful_and_said_first(result):
     assert re.search(rf"{NAME} +bias \+0.00 sd, 90 % intervals hold 9 %", text)
 
 
+def test_what_is_seldom_held_stands_under_table_and_in_the_methods(result):
+    """A limit of 95 % that simulations hold in 61 % went to print without a word."""
+    seldom, often = (told(result, checked(result, missed)) for missed in ([3.0, -3.0], [0.1]))
+    words = "holds the truth in 9 % only, in place of 90 %"
+    for medium in (
+        lambda summary: "\n".join(parameter_table(summary).notes),
+        lambda summary: latex_texts(summary, "run")["tables/parameters.tex"].replace("\\%", "%"),
+        lambda summary: methods_text(result.fit, summary).plain,
+    ):
+        assert words in medium(seldom).replace("\\,", " ")
+        assert "holds the truth in" not in medium(often)
+
+
 def test_what_filters_leave_of_the_torque_is_no_noise(result):
     """The noise's scale holds it: of so wide intervals more hold the truth."""
     half = told(result, checked(result, [0.0], unexplained=0.5)).self_check

@@ -25,7 +25,12 @@ from bayesfric.report.paper.equation import latex_equations, of_eq_13, plain_equ
 from bayesfric.report.paper.tables import counts, parameter_table
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Readable, Summary
-from bayesfric.report.summary.self_check import biased, cite_sentence, to_cite
+from bayesfric.report.summary.self_check import (
+    biased,
+    cite_sentence,
+    seldom_held_sentence,
+    to_cite,
+)
 from bayesfric.report.text_templates import filled
 
 _ENTRY = re.compile(r"^% ([^\n]+)\n(@\w+\{(\w+),\n.*?^\}\n)", re.MULTILINE | re.DOTALL)
@@ -184,6 +189,7 @@ def _sentences(fit: Fit, summary: Summary) -> str:
         biased=biased(summary),
         corrected=(to_cite(summary) or {}).get("rows", {}),
         cite=cite_sentence(summary),
+        seldom_held=seldom_held_sentence(summary, list(summary.rows)),
         rounded=text_rounded,
         python=platform.python_version(),
         bayesfric=bayesfric.__version__,

@@ -29,7 +29,12 @@ from bayesfric.report.summary.bounds import bound_mend
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Readable, Summary, of_noise
 from bayesfric.report.summary.rows import KnownRow, PosteriorRow, amperes, is_skewed
-from bayesfric.report.summary.self_check import cite_sentence, cited, to_cite
+from bayesfric.report.summary.self_check import (
+    cite_sentence,
+    cited,
+    seldom_held_sentence,
+    to_cite,
+)
 from bayesfric.report.summary.summary import summary_table
 from bayesfric.report.text_templates import filled, listed
 
@@ -195,6 +200,7 @@ class ParameterTable:
             correlated=correlation_warning(self.summary),
             marked=marked,
             cite=cite_sentence(self.summary),
+            seldom_held=seldom_held_sentence(self.summary, [row.name for row in self.rows]),
             rounded=text_rounded,
         )
         return tuple(text.splitlines())

@@ -191,6 +191,13 @@ def seldom_held(summary: Summary) -> dict[str, float]:
     return found
 
 
+def seldom_held_sentence(summary: Summary, names: Collection[str]) -> str:
+    """Say of ``names`` whose intervals hold the truth too seldom that they do; or empty."""
+    held = {name: share for name, share in seldom_held(summary).items() if name in names}
+    told = {"held": held, "level": LEVEL, "allowed": summary.widened}
+    return sentence("seldom held", told) if held else ""
+
+
 def narrow(summary: Summary) -> bool:
     """Whether an interval holds too few truths, beyond chance, for a run to be called reliable."""
     rows = _judged(summary, "data").values()
