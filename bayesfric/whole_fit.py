@@ -25,6 +25,7 @@ from bayesfric.inference.fitting import Fit, fit
 from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.inference.model_error import model_error
 from bayesfric.inference.predictive import predict_held_out
+from bayesfric.inference.rests_beyond import rests_beyond
 from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Progress, Sampling
 from bayesfric.inference.target import Target
@@ -35,12 +36,8 @@ from bayesfric.report.summary.doubts import White, contradicting, find_doubts, p
 from bayesfric.report.summary.loss_limits import limits_of_losses
 from bayesfric.report.summary.model_error import add_model_error
 from bayesfric.report.summary.noise import add_white_intervals, white_alternative
-from bayesfric.report.summary.record import (
-    BackEmfPart,
-    Identifiability,
-    Summary,
-    TorqueFactorPart,
-)
+from bayesfric.report.summary.record import Identifiability, Summary
+from bayesfric.report.summary.residual import BackEmfPart, RestsPart, TorqueFactorPart
 from bayesfric.report.summary.self_check import self_check_doubts, self_check_part
 from bayesfric.report.summary.summary import rms, spreads, summarise
 from bayesfric.report.text_templates import sentence
@@ -106,6 +103,7 @@ def whole_fit(
     # room for the model's error, too, lets a loss reach zero
     summary = limits_of_losses(add_model_error(summary, found, derived))
     summary = _with_back_emf(summary, model, found)
+    summary = _with_rests(summary, model, found)
     late = model.delays(begun.estimates)
     if model.chain.delay:
         row = summary.parameters.get(model.chain.delay_name)
@@ -260,6 +258,15 @@ def _with_back_emf(summary: Summary, model: Model, found: Fit) -> Summary:
     }
     fit = summary.fit.model_copy(update={"back_emf": part})
     return summary.with_rows(changes, fit=fit)
+
+
+def _with_rests(summary: Summary, model: Model, found: Fit) -> Summary:
+    """Put in the rests at which the law would have moved, where the fit left them out."""
+    if summary.sampler.status == "unusable":
+        return summary
+    seen = rests_beyond(found, model.recordings, model.config.tables.processing)
+    rests = [RestsPart.model_validate(vars(one)) for one in seen]
+    return summary.model_copy(update={"fit": summary.fit.model_copy(update={"rests": rests})})
 
 
 def _self_check(model: Model, found: Fit, progress: Callable[[Progress], None]) -> Checked | None:

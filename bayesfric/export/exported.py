@@ -260,6 +260,9 @@ def _record(
         notes.insert(0, sentence("notes.txt.j2", "known load", {}))
     if (emf := found.summary.fit.back_emf) is not None:
         notes.append(sentence("notes.txt.j2", "back emf", emf.model_dump()))
+    if found.summary.fit.rests:
+        worst = max(found.summary.fit.rests, key=lambda one: one.beyond)
+        notes.append(sentence("notes.txt.j2", "rests", worst.model_dump()))
     if found.summary.fit.residual_rms is not None:
         notes.append(sentence("notes.txt.j2", "of fit", _of_fit(found)))
     status, doubted = _status(found), found.summary.only_doubted

@@ -144,6 +144,8 @@ def _of_model(
             beside = any(one.sure for one in summary.fit.lacks) and not sure
             said = {"lacks": lacks, "allowed": allowed, "beside": beside}
             yield kind, {**said, **summary.asking}, "prediction"
+    if summary.fit.rests:
+        yield "rests", {"rests": summary.fit.rests}, "parameters"
     test = summary.noise.innovation_whiteness
     if test is not None and not test.white:
         yield "not white", test.model_dump() | {"allowed": allowed}, "noise"

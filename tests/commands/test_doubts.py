@@ -27,7 +27,8 @@ from bayesfric.report.summary.doubts import (
     pushed_doubts,
     put_doubts,
 )
-from bayesfric.report.summary.record import Lack, ModelError, Summary, Whiteness
+from bayesfric.report.summary.record import ModelError, Summary, Whiteness
+from bayesfric.report.summary.residual import Lack
 from bayesfric.report.summary.rows import Spread
 from tests.commands.bench import SMALL
 from tests.conftest import REPOSITORY

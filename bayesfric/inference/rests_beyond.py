@@ -1,0 +1,67 @@
+"""Rests that a fit did not use, asked whether its law could hold the joint there.
+
+At rest the motor's torque lies between the two at which the joint would move. Where it lay beyond
+them, friction at standstill is more than the law says, which was learned in motion; unless
+something else held the joint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesfric.errors import BadInput
+from bayesfric.inference.fitting import Fit
+from bayesfric.inference.likelihood.static_friction import StaticFriction
+from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.observation import observe
+from bayesfric.recordings.processing import Processing
+
+# Draws whose law is asked; what nineteen in twenty of them do not hold is not held.
+_DRAWS, _SURE = 200, 0.05
+# Residuals, rms, by which a torque must lie beyond; share of the rests and number that must.
+_NOISE, _SHARE, _LEAST = 3.0, 0.1, 3
+
+
+@dataclass(frozen=True)
+class RestsBeyond:
+    """Rests of one recording at which the law would have moved."""
+
+    recording: str
+    share: float  # of all its rests
+    start: float  # s from the file's first stamp, of the first
+    stop: float  # and of the last
+    beyond: float  # how far the torque is out, the worst of them, N m or N at the motor
+    unit: str
+
+
+def rests_beyond(
+    fit: Fit, recordings: Sequence[Measurement], processing: Processing
+) -> Iterator[RestsBeyond]:
+    """Find them, recording by recording, at draws with room for the model's error.
+
+    Where the fit uses rests, or explains positions, there is nothing to ask.
+    """
+    if processing.rest or fit.target.likelihood.method != "input-error":
+        return
+    chain = fit.chain
+    values = fit.wide.target.chain_values(fit.wide.posterior.flat(_DRAWS))
+    each = zip(recordings, fit.observations, fit.residuals, strict=True)
+    for recording, fitted, residual in each:
+        try:
+            seen = observe(recording, processing.model_copy(update={"rest": True}))
+        except BadInput:  # with rests told apart too little moves
+            continue
+        if seen.rest is None:
+            continue
+        low, high = StaticFriction(chain, seen.rest, fitted.inputs).limits(values)
+        torque = seen.rest.torque
+        out = np.maximum(np.maximum(low - torque, torque - high), 0.0)
+        sure = np.quantile(out, _SURE, axis=0) > _NOISE * np.sqrt(np.mean(residual**2))
+        if sure.sum() >= _LEAST and sure.mean() >= _SHARE:
+            stamps, unit = seen.rest.stamps[sure], "N m" if chain.motor_motion == "rotary" else "N"
+            worst = float(np.median(out, axis=0)[sure].max())
+            span = float(stamps.min()), float(stamps.max())
+            yield RestsBeyond(recording.name, float(sure.mean()), *span, worst, unit)
