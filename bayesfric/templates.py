@@ -14,8 +14,14 @@ def environment(package: str, folder: str = "templates", *, escaped: bool = Fals
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.filters["placed"] = placed
+    made.filters |= {"placed": placed, "percent": percent}
     return made
+
+
+def percent(share: float) -> str:
+    """Write a share as per cent, without the sign: two digits, and never ``1e+02``."""
+    of_100 = 100.0 * share
+    return f"{of_100:.2g}" if abs(of_100) < 9.5 else f"{of_100:.0f}"
 
 
 def placed(setting: str) -> tuple[str, str]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment
 
-from bayesfric.templates import environment
+from bayesfric.templates import environment, percent
 
 # Sd of a logarithm from which on it is worded as a factor.
 _SHARE = 0.3
@@ -88,21 +88,17 @@ def relative(sd: float, value: float) -> str:
     return f"{100 * sd / abs(value):.2g} %" if sd < abs(value) else f"±{sd:.3g}"
 
 
-def _percent(share: float) -> str:
-    return f"{100 * share:.2g}"
-
-
 def _to(ends: tuple[float, float]) -> str:
     """Word two shares as per cent; whole numbers are counts, given once where they agree."""
     low, high = ends
     if isinstance(low, int):
         return f"{low}" if low == high else f"{low} to {high}"
-    return f"{_percent(low)} to {_percent(high)}"
+    return f"{percent(low)} to {percent(high)}"
 
 
 def _span(ends: tuple[float, float]) -> str:
     low, high = ends
-    return _percent(high) if high - low < 1e-4 else _to(ends)
+    return percent(high) if high - low < 1e-4 else _to(ends)
 
 
 @cache
@@ -112,7 +108,6 @@ def _environment() -> Environment:
         "capital": capital,
         "factor": factor,
         "left": left,
-        "percent": _percent,
         "sd": relative,
         "span": _span,
         "to": _to,

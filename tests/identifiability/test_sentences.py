@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from bayesfric.identifiability.sentences import left
+from bayesfric.templates import percent
 
 
 @pytest.mark.parametrize("share", [0.0003, 0.01, 0.2])
@@ -19,3 +20,11 @@ def test_a_wide_one_is_a_factor_and_none_is_nothing():
     assert left(0.5) == f"a factor {np.exp(2.0):.2g}"
     assert left(1e-7) == "nothing told"
     assert left(0.0) == "nothing told"
+
+
+@pytest.mark.parametrize(
+    ("share", "written"),
+    [(0.0, "0"), (0.0123, "1.2"), (0.094, "9.4"), (0.0996, "10"), (0.123, "12"), (0.9996, "100")],
+)
+def test_a_share_is_written_without_powers_of_ten(share, written):
+    assert percent(share) == written
