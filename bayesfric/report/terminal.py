@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from bayesfric.report.alerts import alerts_of, first_step
 from bayesfric.report.comparison.cell import posterior_cells, settled_by
+from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.bounds import bound_mend
 from bayesfric.report.summary.noise import noise_lines
 from bayesfric.report.summary.record import Readable, Summary
@@ -26,6 +27,7 @@ def fit_text(summary: Readable) -> Iterator[str]:
         first=first_step(read),
         parts=parts,
         cells=cells,
+        told={row.name: row for row in parameter_table(read).rows},
         lost=[name for rows in parts.values() for name in rows if not cells[name].converged],
         mends={
             name: bound_mend(name, row) for rows in parts.values() for name, row in rows.items()

@@ -193,6 +193,9 @@ def test_one_rule_says_what_to_cite_everywhere(tmp_path, result, wide, doubted, 
     (line,) = (r for r in table.rows if r.name == NAME)
     right = row.corrected if wide < 10.0 else summary.rows[NAME].middle
     assert line.cited[0] == right
+    printed = next(text for text in fit_text(summary) if text.startswith(f"  {NAME} "))
+    assert float(printed.split()[1]) == pytest.approx(right, rel=1e-4)
+    assert ("corrected for the bias" in printed) == (wide < 10.0)
     for medium in (TEXT, HTML, LATEX):
         value, interval = line.shown(medium)
         told_as = medium.value(right, line.cited[3]), medium.ends(*line.cited)
