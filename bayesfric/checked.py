@@ -31,8 +31,8 @@ from bayesfric.report.summary.summary import estimate_summary
 _BLIND = 0.02
 # What a key of a recording leaves out.
 _LEFT_OUT = {
-    "start": "the joint rests until then",
-    "stop": "the joint rests from then on",
+    "start": "the joint rests until then; not with rest = true, which makes use of it",
+    "stop": "the joint rests from then on; not with rest = true, which makes use of it",
     "exclude": "something else acted, as a hand; besides what is excluded already",
 }
 
@@ -224,6 +224,6 @@ def _lines(found: Mapping[str, Any]) -> Iterator[str]:
         )
     for number, (name, keys) in enumerate(found["leave_out"].items()):
         if number == 0:
-            yield from ("", "What these keys under [[recordings]] leave out")
+            yield from ("", "Keys for [[recordings]], to leave out what is no motion by the motor")
         for key, value in keys.items():
             yield f"  {name:<28} {key} = {toml_value(value)}  # {_LEFT_OUT[key]}"

@@ -13,6 +13,7 @@ import numpy as np
 from bayesfric.errors import BadInput
 from bayesfric.estimates.alike_losses import alike_losses
 from bayesfric.estimates.descent import few_threads
+from bayesfric.estimates.load_by_angle import load_by_angle
 from bayesfric.estimates.methods import ESTIMATORS, estimate_by
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.estimates.torque_factor import torque_factor
@@ -103,7 +104,7 @@ def whole_fit(
     # room for the model's error, too, lets a loss reach zero
     summary = limits_of_losses(add_model_error(summary, found, derived))
     summary = _with_back_emf(summary, model, found)
-    summary = _with_rests(summary, model, found)
+    summary = _with_rests_and_load(summary, model, found)
     late = model.delays(begun.estimates)
     if model.chain.delay:
         row = summary.parameters.get(model.chain.delay_name)
@@ -260,13 +261,17 @@ def _with_back_emf(summary: Summary, model: Model, found: Fit) -> Summary:
     return summary.with_rows(changes, fit=fit)
 
 
-def _with_rests(summary: Summary, model: Model, found: Fit) -> Summary:
-    """Put in the rests at which the law would have moved, where the fit left them out."""
+def _with_rests_and_load(summary: Summary, model: Model, found: Fit) -> Summary:
+    """Put in rests that the law contradicts, and how far the load goes with the angle."""
     if summary.sampler.status == "unusable":
         return summary
     seen = rests_beyond(found, model.recordings, model.config.tables.processing)
-    rests = [RestsPart.model_validate(vars(one)) for one in seen]
-    return summary.model_copy(update={"fit": summary.fit.model_copy(update={"rests": rests})})
+    middle = found.target.chain_values(found.posterior.median[None])[0]
+    update = {
+        "rests": [RestsPart.model_validate(vars(one)) for one in seen],
+        "load_by_angle": load_by_angle(found.chain, found.observations, middle),
+    }
+    return summary.model_copy(update={"fit": summary.fit.model_copy(update=update)})
 
 
 def _self_check(model: Model, found: Fit, progress: Callable[[Progress], None]) -> Checked | None:

@@ -303,6 +303,8 @@ def _of_fit(found: Finished) -> dict[str, Any]:
         "quantity": f"measured {fit.quantity}",
         "speed": max(float(np.abs(o.qd[o.filter.centres]).max()) for o in seen),
         "of_speed": "rad/s" if found.joint.load.motion == "rotary" else "m/s",
+        "of_position": "rad" if found.joint.load.motion == "rotary" else "m",
+        "position": [pick(pick(o.q[o.filter.centres]) for o in seen) for pick in (min, max)],
         "wrong": found.summary.widened,
     }
 

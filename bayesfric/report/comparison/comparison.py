@@ -29,6 +29,10 @@ _FAR = 3.0
 _FAR_OF_BOTH = 4.0
 # What a total of least squares is that goes by a parameter's name.
 _OF_ALL = "with the share of %s in it"
+_NOTHING_SHARED = (
+    "No quantity is told by two of these runs, or each doubts what it tells: whether they agree "
+    "cannot be said."
+)
 _GAIN, _AS_TOLD = "drive.gain", "of the torque as told, without its gain"
 
 
@@ -203,6 +207,8 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
     ]
     rows.sort(key=_order)  # keeps the order of the files within each group
     between = tuple(_runs_apart(rows, columns))
+    if len(runs) > 1 and not any(_told_twice(row, columns) for row in rows):
+        notes.insert(0, _NOTHING_SHARED)
     beyond = tuple(_narrowly_apart(runs, rows, columns))
     mine = [c for c in columns if baseline is not None and c.run == baseline.run]
     told = runs[baseline.run].rows if baseline is not None else {}
@@ -400,6 +406,13 @@ def _pairs(columns: list[Column]) -> Iterator[tuple[Column, Column]]:
     posteriors = [c for c in columns if c.kind == "posterior"]
     for other in posteriors[1:]:
         yield posteriors[0], other
+
+
+def _told_twice(row: Row, columns: list[Column]) -> bool:
+    """Whether two runs tell a quantity, or its limit, and do not doubt it themselves."""
+    cells = [row.cells.get(c.label) for c in columns if c.kind == "posterior"]
+    told = [c for c in cells if c and c.status in ("determined", "limit") and not c.doubted]
+    return len(told) > 1
 
 
 def _runs_apart(rows: list[Row], columns: list[Column]) -> Iterator[str]:

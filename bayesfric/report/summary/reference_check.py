@@ -38,18 +38,19 @@ def references_off(summary: Summary) -> Mapping[str, Any] | None:
     if not off and known is None:
         return None
     scaled = [one for one in compared if one["scaled"]]
-    factor = _common(scaled) if any(one in off for one in scaled) else None
+    fitted = _GAIN in summary.parameters or _GAIN in summary.fixed
+    # a gain that is fitted is that factor already
+    factor = _common(scaled) if not fitted and any(one in off for one in scaled) else None
     one_loss = [n.partition(".")[0] for n in summary.parameters if quantity_of(n) == "load"]
     told = {"off": off, "factor": factor, "one_loss": one_loss, "law": list(_of_law(summary, off))}
     if known is not None:  # values that are known have gone into all others
         return {**told, "known": known.model_dump(), "factor": known.value, "settle": None}
-    fitted = _GAIN in summary.parameters or _GAIN in summary.fixed
     settle = min(
         (one for one in scaled if one["name"] in summary.parameters),
         key=lambda one: float(one["known"] or KNOWN * abs(one["value"])) / abs(one["value"]),
         default=None,
     )
-    advised = settle if factor and not fitted else None
+    advised = settle if factor else None
     return {**told, "known": None, "settle": advised}
 
 

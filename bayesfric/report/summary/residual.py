@@ -85,6 +85,8 @@ class Residual(Part):
     back_emf: BackEmfPart | None = None
     # rests that were not used, and that the law contradicts
     rests: list[RestsPart] = Field(default_factory=list)
+    # of the load's variance, that is a smooth function of the angle; none without load losses
+    load_by_angle: FiniteFloat | None = None
     integration_steps: int | None = None
     discretisation_error: FiniteFloat | None = None
     recordings: dict[Name, RecordingRow] = Field(default_factory=dict)
