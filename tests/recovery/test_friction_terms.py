@@ -91,6 +91,9 @@ seed = 13
 """,
         ["motor.viscous", "motor.coulomb", "gearbox.load"],
     ),
+}
+# Sampled with every sample, half a minute of CPU each.
+SLOW = {
     "axis with every term": (
         """
 [mechanism]
@@ -121,9 +124,6 @@ seed = 14
 """,
         ["motor.viscous", "motor.quadratic", "motor.stribeck_ratio"],
     ),
-}
-# Sampled with every sample, half a minute of CPU each.
-SLOW = {
     "axis with a power of speed, springs and what repeats": (
         """
 [mechanism]
