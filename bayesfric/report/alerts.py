@@ -34,6 +34,7 @@ DOUBTS = (
     "unseen-inertia",
     "self-check",
     "unchecked",
+    "prior",
 )
 # Share of the load's variance by which it goes with the angle.
 _BY_ANGLE = 0.98

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import bayesfric as bf
 from bayesfric.checked import check
 from bayesfric.commands.fit import fit_text
 from bayesfric.estimates.delay import Delay
@@ -18,7 +19,7 @@ from bayesfric.inference.likelihood.noise_choice import Choice, Evidence
 from bayesfric.mechanism.joint import Joint
 from bayesfric.model import Model
 from bayesfric.recordings.recording import Recording
-from bayesfric.report.alerts import doubt_text
+from bayesfric.report.alerts import alerts_of, doubt_text
 from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.summary.doubts import (
     contradicting,
@@ -30,6 +31,7 @@ from bayesfric.report.summary.doubts import (
 from bayesfric.report.summary.record import ModelError, Summary, Whiteness
 from bayesfric.report.summary.residual import Lack
 from bayesfric.report.summary.rows import Spread
+from tests.axis import AXIS, VALUES, swing
 from tests.commands.bench import SMALL
 from tests.conftest import REPOSITORY
 
@@ -536,3 +538,25 @@ def test_check_says_that_a_pendulum_is_no_axis(bench):
     assert "unexplained" in kinds["wrong"]
     assert "unexplained" not in kinds["right"]
     assert "servo-pendulum" in bench.run("check", "wrong.toml").out
+
+
+@pytest.mark.parametrize("told", [0.15, 0.3])
+def test_a_compromise_of_data_and_a_prior_that_they_contradict_is_doubted(told):
+    """Measured, XL330: a weight 4.1 sds off, and an inertia a third of the bob's as data's."""
+    time = np.arange(0.0, 12.0, 0.004)
+    q, qd, qdd = swing(time, [(0.31, 0.9), (0.73, 0.5), (1.9, 0.1)])
+    torque = AXIS.torque(VALUES, q, qd, qdd)
+    torque += 0.2 * np.random.default_rng(8).standard_normal(time.size)
+    prior = {"load.first_moment": {"distribution": "norm", "loc": told, "scale": 0.01}}
+    model = bf.Model(AXIS, bf.Recording.from_arrays(time, q, torque), priors=prior,
+                     self_check={"recordings": 0}, sampling={"min_ess": 400})  # fmt: skip
+    summary = model.fit(seed=1).summary
+    kinds = [one.kind for one in summary.doubts]
+    if told == VALUES["load.first_moment"]:
+        assert "prior" not in kinds
+        return
+    assert kinds == ["prior"]
+    assert summary.sampler.status == "tentative"
+    assert all(row.doubted == ["prior"] for row in summary.joint.values())
+    first = [a.text for a in alerts_of(summary) if a.first]
+    assert first[0].startswith("the data contradict the prior given for load.first_moment")

@@ -31,6 +31,7 @@ from bayesfric.report.summary.bounds import held, noise_cut
 from bayesfric.report.summary.position_delay import other_time
 from bayesfric.report.summary.position_unit import best_share, other_units
 from bayesfric.report.summary.record import Doubt, Summary, quantity_of
+from bayesfric.report.summary.reference_check import references_off
 from bayesfric.report.summary.rows import PosteriorRow, Spread
 
 # Share of the torque's variance that a model of the joint should explain, where what it leaves
@@ -94,6 +95,7 @@ def find_doubts(
         ),
         *({**one, "of": of} for one in _turning(turn) if (of := _turned(resting, one["moved"]))),
         *_unchecked(summary),
+        *_against_prior(summary),
     ]
     return [{"kind": one.pop("kind"), "parameters": one.pop("of", resting), **one} for one in found]
 
@@ -136,6 +138,13 @@ def _unchecked(summary: Summary) -> Iterator[dict[str, Any]]:
     # a dependence that few outputs leave undecided is there by chance as often as not
     if error is not None and error.reason == "few" and test is not None and not test.white:
         yield {"kind": "unchecked"}
+
+
+def _against_prior(summary: Summary) -> Iterator[dict[str, Any]]:
+    """Doubt what a told prior makes of data that contradict it: neither supports the compromise."""
+    off = (references_off(summary) or {"off": ()})["off"]
+    if priors := {one["name"]: one["times"] for one in off if one["by"] == "prior"}:
+        yield {"kind": "prior", "priors": priors}
 
 
 def little_explained(
