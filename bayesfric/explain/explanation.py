@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,7 @@ from bayesfric.explain.evidence import STRETCHES, Score
 from bayesfric.explain.ladder import Ladder, Trial, compared, searched, stacked
 from bayesfric.explain.told import Reason, sd_of, something, untold
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.templates import placed
 
@@ -141,6 +142,11 @@ class Explanation:
         return [m for m in self.models if not m.rival][-1]
 
     @property
+    def opening(self) -> Term | None:
+        """What to write first of several terms, and then to ask again; see :func:`opening`."""
+        return opening(self.asked, self.models[0].numbers)
+
+    @property
     def of_times(self) -> bool:
         """Whether stretches of time were left out, for want of motions of several kinds."""
         return self.folds == STRETCHES
@@ -166,6 +172,22 @@ class Explanation:
         """Give all of it as JSON holds it, with lists for tuples."""
         found: dict[str, Any] = json.loads(json.dumps(asdict(self)))
         return found
+
+
+def opening(asked: Sequence[Term], known: Iterable[str]) -> Term | None:
+    """Pick the load loss among several terms, where a model with ``known`` parameters has none.
+
+    With one there are terms that cannot be tried without it, such as the square of the load: what
+    else is asked for may stand for them.
+    """
+    if len(asked) < 2 or any(map(_of_load, known)):
+        return None
+    return next((t for t in asked if any(map(_of_load, t.parameters))), None)
+
+
+def _of_load(name: str) -> bool:
+    row = QUANTITIES.get(name.rpartition(".")[2])
+    return row is not None and row.role == "loss"
 
 
 # Outputs beyond two a parameter, or what is left out in turn is no motion to judge by.

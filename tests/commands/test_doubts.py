@@ -17,11 +17,13 @@ from bayesfric.estimates.once_a_turn import OnceATurn
 from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
 from bayesfric.inference.likelihood.noise_choice import Choice, Evidence
 from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.model import Model
 from bayesfric.recordings.recording import Recording
 from bayesfric.report.alerts import alerts_of, doubt_text
 from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.summary.doubts import (
+    _accelerates,
     contradicting,
     doubts_before,
     find_doubts,
@@ -560,3 +562,9 @@ def test_a_compromise_of_data_and_a_prior_that_they_contradict_is_doubted(told):
     assert all(row.doubted == ["prior"] for row in summary.joint.values())
     first = [a.text for a in alerts_of(summary) if a.first]
     assert first[0].startswith("the data contradict the prior given for load.first_moment")
+
+
+def test_what_depends_on_the_acceleration_is_told_of_every_quantity():
+    """Of one that another parameter shapes, such as a loss that warms up, it ended a fit."""
+    moved = {name for name, row in QUANTITIES.items() if _accelerates(row)}
+    assert moved == {name for name, row in QUANTITIES.items() if row.option == "inertia"}

@@ -460,4 +460,7 @@ def _accelerates(row: Quantity | None) -> bool:
     if row is None or row.column is None:
         return False
     still = State(0.0, 0.0, 0.0, 0.0, 0.0)
-    return bool(row.column(still) != row.column(still._replace(acceleration=1.0)))
+    # of what another parameter shapes, at any value of that
+    shape = (1.0,) if row.shape else ()
+    faster = still._replace(acceleration=1.0)
+    return bool(row.column(still, *shape) != row.column(faster, *shape))

@@ -15,7 +15,7 @@ from pydantic import BeforeValidator, Field, FiniteFloat, TypeAdapter
 from bayesfric.complaints import read_text
 from bayesfric.errors import BadInput
 from bayesfric.estimates.point_estimate import Method
-from bayesfric.explain.explanation import Explanation, Term
+from bayesfric.explain.explanation import Explanation, Term, opening
 from bayesfric.inference.likelihood.noise_choice import EVIDENCE
 from bayesfric.report.summary.part import (
     Name,
@@ -406,8 +406,13 @@ class Summary(Part):
 
     @property
     def asked(self) -> Sequence[Term]:
-        """Terms that the recordings ask for, the strongest first, as far as that was looked for."""
-        return self.explanation.asked if self.explanation else self.asked_terms or ()
+        """Terms that the recordings ask for, the strongest first, as far as that was looked for.
+
+        Only the one that is to be written before any other, where there is one.
+        """
+        asked = self.explanation.asked if self.explanation else self.asked_terms or ()
+        first = opening(asked, [*self.parameters, *self.fixed])
+        return (first,) if first else asked
 
     @property
     def rows(self) -> dict[str, PosteriorRow]:
