@@ -325,6 +325,16 @@ def test_importing_it_imports_nothing_heavy():
     assert second == "False"
 
 
+def test_numbers_on_a_terminal_wait_for_no_library_of_figures_and_tables():
+    """Tables for print brought Matplotlib, 0.4 s of it, before the first number of a fit."""
+    code = (
+        "import sys, bayesfric.commands.fit, bayesfric.model; "
+        "print([m for m in ('matplotlib', 'pandas', 'arviz', 'xarray') if m in sys.modules])"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "[]"
+
+
 def test_an_element_that_does_nothing_stays_in_the_chain():
     """Others may be added to it, and what is written down is what was given."""
     joint = bf.Joint([bf.Element("motor", inertia=True), bf.Element("gearbox")])

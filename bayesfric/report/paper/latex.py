@@ -6,11 +6,6 @@ import re
 import unicodedata
 from collections.abc import Mapping
 
-from matplotlib.font_manager import FontProperties
-from matplotlib.mathtext import MathTextParser
-
-from bayesfric.report.figures.style import mathtext
-
 # What every file says that goes into a paper.
 PACKAGES = r"% needs \usepackage{amsmath,array,booktabs,siunitx,tabularx}, siunitx version 3"
 _ESCAPED = {
@@ -64,12 +59,18 @@ def _printable(character: str) -> str:
 def width(formula: str) -> float:
     """Measure a formula that stands by itself in 10 pt Computer Modern, in points."""
     displayed = formula.replace(r"\frac", r"\dfrac")
+    # brings Matplotlib with it, which numbers on a terminal do not wait for
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.mathtext import MathTextParser
+
     parser, font = MathTextParser("path"), FontProperties(size=10, math_fontfamily="cm")
     return float(parser.parse(f"${displayed}$", dpi=72, prop=font).width)
 
 
 def symbol(latex: str, name: str) -> str:
     """Set a quantity's symbol; its name in typewriter where it has none that can be set."""
+    from bayesfric.report.figures.style import mathtext  # with Matplotlib
+
     shown = mathtext(latex, name) if latex else ""
     return shown if shown.startswith("$") else rf"\texttt{{{escaped(name)}}}"
 
