@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -139,3 +140,10 @@ def make_observation():
         )
 
     return make
+
+
+def brought(by, *libraries):
+    """Say which libraries the import of modules brings, in a process of its own."""
+    code = f"import sys, {by}; print([m for m in {libraries!r} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return done.stdout.strip()

@@ -21,7 +21,7 @@ from bayesfric.errors import BadInput
 from bayesfric.inference.archive import read_archive
 from bayesfric.mechanism.presets import PRESETS
 from tests.commands.bench import Bench, without_figures
-from tests.conftest import REPOSITORY
+from tests.conftest import REPOSITORY, brought
 
 # imported before fixtures take the figures away
 PLOT = bf.plot
@@ -327,12 +327,8 @@ def test_importing_it_imports_nothing_heavy():
 
 def test_numbers_on_a_terminal_wait_for_no_library_of_figures_and_tables():
     """Tables for print brought Matplotlib, 0.4 s of it, before the first number of a fit."""
-    code = (
-        "import sys, bayesfric.commands.fit, bayesfric.model; "
-        "print([m for m in ('matplotlib', 'pandas', 'arviz', 'xarray') if m in sys.modules])"
-    )
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert out.stdout.strip() == "[]"
+    heavy = ("matplotlib", "pandas", "arviz", "xarray")
+    assert brought("bayesfric.commands.fit, bayesfric.model", *heavy) == "[]"
 
 
 def test_an_element_that_does_nothing_stays_in_the_chain():

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.mechanism.inverse import load_torque
+from bayesfric.estimates.torque import load_at_outputs
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.observation import Observation
 
@@ -25,14 +25,8 @@ def load_by_angle(chain: Joint, observations: Sequence[Observation], values: Arr
     """
     if all(element.load_loss == "none" for element in chain.elements):
         return None
-    at = [o.filter.centres for o in observations]
-    load = np.concatenate(
-        [
-            load_torque(chain, values, o.q[k], o.qdd[k], inputs=o.inputs, time=o.stamps[k])
-            for o, k in zip(observations, at, strict=True)
-        ]
-    )
-    angle = np.concatenate([o.q[k] for o, k in zip(observations, at, strict=True)])
+    load = np.concatenate([load_at_outputs(chain, o, values) for o in observations])
+    angle = np.concatenate([o.q[o.filter.centres] for o in observations])
     about = load - load.mean()
     if load.size <= 4 * _DEGREE or not np.ptp(angle) > 0.0 or not about @ about > 0.0:
         return None

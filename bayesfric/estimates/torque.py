@@ -86,22 +86,21 @@ def torque_jacobian(
     return np.concatenate(blocks)
 
 
+def load_at_outputs(chain: Joint, o: Observation, values: Array) -> Array:
+    """Torque ``(n_outputs,)`` that moves the load itself at the middles of the outputs, eq. (3).
+
+    ``values`` ``(n_parameters,)`` in the order of ``chain.names``; N m or N at the joint.
+    """
+    at = o.filter.centres
+    return load_torque(chain, values, o.q[at], o.qdd[at], inputs=o.inputs, time=o.stamps[at])
+
+
 def typical_load(chain: Joint, observations: Sequence[Observation], values: Array) -> float:
     """Joint torque at which efficiencies are stated: the 95th percentile of the recordings.
 
     ``values`` ``(n_parameters,)`` in the order of ``chain.names``; the result is in N m or N.
     """
-    loads = [
-        load_torque(
-            chain,
-            values,
-            o.q[o.filter.centres],
-            o.qdd[o.filter.centres],
-            inputs=o.inputs,
-            time=o.stamps[o.filter.centres],
-        )
-        for o in observations
-    ]
+    loads = [load_at_outputs(chain, o, values) for o in observations]
     return float(np.quantile(np.abs(np.concatenate(loads)), _LOAD_QUANTILE))
 
 

@@ -261,8 +261,9 @@ def _record(
     if (emf := found.summary.fit.back_emf) is not None:
         notes.append(sentence("notes.txt.j2", "back emf", emf.model_dump()))
     if found.summary.fit.rests:
-        worst = max(found.summary.fit.rests, key=lambda one: one.beyond)
-        notes.append(sentence("notes.txt.j2", "rests", worst.model_dump()))
+        beyond = max(one.beyond for one in found.summary.fit.rests)
+        worst = {"beyond": beyond, "unit": found.summary.fit.unit}
+        notes.append(sentence("notes.txt.j2", "rests", worst))
     if found.summary.fit.residual_rms is not None:
         notes.append(sentence("notes.txt.j2", "of fit", _of_fit(found)))
     status, doubted = _status(found), found.summary.only_doubted

@@ -34,7 +34,6 @@ class RestsBeyond:
     start: float  # s from the file's first stamp, of the first
     stop: float  # and of the last
     beyond: float  # how far the torque is out, the worst of them, N m or N at the motor
-    unit: str
 
 
 def rests_beyond(
@@ -61,7 +60,6 @@ def rests_beyond(
         out = np.maximum(np.maximum(low - torque, torque - high), 0.0)
         sure = np.quantile(out, _SURE, axis=0) > _NOISE * np.sqrt(np.mean(residual**2))
         if sure.sum() >= _LEAST and sure.mean() >= _SHARE:
-            stamps, unit = seen.rest.stamps[sure], "N m" if chain.motor_motion == "rotary" else "N"
-            worst = float(np.median(out, axis=0)[sure].max())
+            stamps, worst = seen.rest.stamps[sure], float(np.median(out, axis=0)[sure].max())
             span = float(stamps.min()), float(stamps.max())
-            yield RestsBeyond(recording.name, float(sure.mean()), *span, worst, unit)
+            yield RestsBeyond(recording.name, float(sure.mean()), *span, worst)

@@ -164,7 +164,7 @@ def _of_model(
     if (share := summary.fit.load_by_angle or 0.0) > _BY_ANGLE and (names := _of_load(summary)):
         yield "load by angle", {"share": share, "names": names}, "parameters"
     if summary.fit.rests:
-        yield "rests", {"rests": summary.fit.rests}, "parameters"
+        yield "rests", {"rests": summary.fit.rests, "unit": summary.fit.unit}, "parameters"
     test = summary.noise.innovation_whiteness
     if test is not None and not test.white:
         yield "not white", test.model_dump() | {"allowed": allowed}, "noise"

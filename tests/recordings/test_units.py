@@ -1,7 +1,5 @@
 """Units: known conversions, and what is refused."""
 
-import subprocess
-import sys
 from typing import get_args
 
 import numpy as np
@@ -11,6 +9,7 @@ from hypothesis import strategies as st
 
 from bayesfric.errors import BadInput
 from bayesfric.recordings import units
+from tests.conftest import brought
 
 KNOWN = [
     ("rad", "angle", 1.0),
@@ -151,12 +150,7 @@ def test_a_number_in_front_is_a_factor(number, unit):
 
 
 def test_heavy_libraries_are_loaded_only_when_needed():
-    code = (
-        "import sys, bayesfric.recordings;"
-        "print([m for m in ('pint', 'pandas', 'pyarrow', 'scipy.io') if m in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    assert brought("bayesfric.recordings", "pint", "pandas", "pyarrow", "scipy.io") == "[]"
 
 
 @pytest.mark.parametrize(

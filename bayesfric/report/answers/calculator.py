@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from bayesfric.estimates.assemble import open_scalings
 from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.torque import load_at_outputs
 from bayesfric.inference.fitting import Fit
-from bayesfric.mechanism.inverse import load_reach, load_torque
+from bayesfric.mechanism.inverse import load_reach
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import Parameter
 from bayesfric.mechanism.quantities import (
@@ -181,12 +182,10 @@ def _seen(fit: Fit, values: Array, *, open_scale: bool) -> Seen:
     """Say where the outputs were; loads are those of the draws' median."""
     chain, middle = fit.chain, np.median(values, axis=0)
     motion = [
-        (o.q[at], o.speed, o.qdd[at], load_torque(
-            chain, middle, o.q[at], o.qdd[at], inputs=o.inputs, time=o.stamps[at]
-        ))
+        (o.q[at], o.speed, o.qdd[at], load_at_outputs(chain, o, middle))
         for o in fit.observations
         for at in (o.filter.centres,)
-    ]  # fmt: skip
+    ]
     q, qd, qdd, load = (np.concatenate(x) for x in zip(*motion, strict=True))
     reach = float(load_reach(chain, middle[None], open_scale=open_scale)[0])
     # a joint without a load may still be asked for one

@@ -22,9 +22,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from bayesfric.estimates.torque import load_at_outputs
 from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism import kernels
-from bayesfric.mechanism.inverse import load_reach, load_torque
+from bayesfric.mechanism.inverse import load_reach
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import State
 from bayesfric.recordings.inputs import AT_ROOM
@@ -100,10 +101,7 @@ def covered(fit: Fit, median: Array, *, open_scale: bool) -> Covered:
     reach = float(load_reach(fit.chain, median[None], open_scale=open_scale)[0])
     speeds, loads = [], []
     for o in fit.observations:
-        at = o.filter.centres
-        gamma = load_torque(
-            fit.chain, median, o.q[at], o.qdd[at], inputs=o.inputs, time=o.stamps[at]
-        )
+        gamma = load_at_outputs(fit.chain, o, median)
         speeds.append(fit.chain.ratio * o.speed)
         loads.append(reach * gamma * np.sign(o.speed))
     return Covered(np.concatenate(speeds), np.concatenate(loads))

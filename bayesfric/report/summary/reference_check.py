@@ -68,8 +68,7 @@ def _compared(summary: Summary) -> Iterator[dict[str, Any]]:
     for name, reference in summary.references.items():
         row = summary.rows.get(name)
         if row is not None and row.verdict != "prior" and row.converged is not False:
-            interval = (*row.told_interval,)
-            sd = sd_towards(reference.value, row.middle, interval, row.told_sd)
+            sd = sd_towards(reference.value, row.middle, row.told_interval, row.told_sd)
             found = row.middle, sd
             yield _beside("reference", name, row, reference.value, reference.sd, *found)
     for name, row in summary.joint.items():

@@ -66,7 +66,6 @@ class RestsPart(Part):
     start: FiniteFloat
     stop: FiniteFloat
     beyond: NotNegative
-    unit: str
 
 
 class Residual(Part):

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from bayesfric.estimates.torque import load_at_outputs
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.likelihood import Outputs
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.mechanism.inverse import load_torque
 from bayesfric.report.summary.dependence import smooth_p_value
 from bayesfric.report.summary.derived_quantities import rms_of
 from bayesfric.report.text_templates import filled
@@ -180,9 +180,7 @@ def _abscissae(fit: Fit, outputs: tuple[Outputs, ...]) -> list[tuple[str, str, s
     load: list[Array] = []
     angle: list[Array] = []
     for o, seen in zip(outputs, fit.observations, strict=True):
-        q, qdd = seen.q[seen.filter.centres], seen.qdd[seen.filter.centres]
-        stamps = seen.stamps[seen.filter.centres]
-        gamma = load_torque(fit.chain, median, q, qdd, inputs=seen.inputs, time=stamps)
+        q, gamma = seen.q[seen.filter.centres], load_at_outputs(fit.chain, seen, median)
         # outputs of a simulation are at other times than those of the filter
         same = np.array_equal(seen.time, o.time)
         for kept, x in ((speed, seen.speed), (load, gamma), (angle, q)):
