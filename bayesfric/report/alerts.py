@@ -113,7 +113,8 @@ def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:
         found.append(Alert("references", text, "parameters", first=True))
     if summary.sampler.status != "unusable":  # else there is no posterior to judge the model by
         for kind, values, section in _of_model(summary, contested):
-            found.append(Alert(kind, sentence(kind, values), section, first=kind == "lacks"))
+            first = kind in ("lacks", "unparted")
+            found.append(Alert(kind, sentence(kind, values), section, first=first))
     # a few outputs seldom move a number by as much as what is above
     if error is not None and error.outlying:
         for kind, recurs in (("outlying", False), ("recurring", True)):

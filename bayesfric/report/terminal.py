@@ -10,6 +10,7 @@ from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.bounds import bound_mend
 from bayesfric.report.summary.noise import noise_lines
 from bayesfric.report.summary.record import Readable, Summary
+from bayesfric.report.summary.reference_check import constant_sentence
 from bayesfric.report.summary.self_check import narrow, self_check_lines
 from bayesfric.report.summary.validation import validation_lines
 from bayesfric.report.text_templates import filled
@@ -36,5 +37,6 @@ def fit_text(summary: Readable) -> Iterator[str]:
         held_out=list(validation_lines(read.validation)) if read.validation else [],
         self_check=list(self_check_lines(read)),
         narrow=narrow(read),
+        constant=constant_sentence(read),
         settled_by=settled_by,
     ).splitlines()

@@ -13,6 +13,8 @@ from bayesfric.report.paper import latex
 from bayesfric.report.paper.equation import latex_equations, plain_equations
 from bayesfric.report.paper.methods_text import ENTRIES, methods_text
 from bayesfric.report.paper.tables import latex_texts, parameter_table
+from bayesfric.report.summary.record import Summary
+from bayesfric.report.summary.reference_check import constant_sentence
 from bayesfric.report.summary.summary import summarise
 
 
@@ -126,7 +128,20 @@ def test_a_measured_current_is_told(knee):
         text = methods_text(knee, summary).plain
     finally:
         del o.settings["torque_constant"]
-    assert "The torque is a measured current times 0.32 N m/A." in text
+    assert "The torque is a measured current times 0.32 N m/A, taken as exact." in text
+
+
+def test_what_every_torque_rests_on_is_said_unless_its_factor_is_fitted(knee):
+    """0.32 N m/A were one number off, and every other would be."""
+    read = Summary.read(summarise(knee).as_dict())
+    assert constant_sentence(read) is None  # a torque as measured
+    measured = read.fit.model_copy(update={"torque_constant": 0.32})
+    current = read.model_copy(update={"fit": measured})
+    told = "All torque is a measured current times 0.32 N m/A, taken as exact"
+    assert any(told in note for note in parameter_table(current).notes)
+    row = read.parameters["motor.inertia"]
+    fitted = current.model_copy(update={"parameters": current.parameters | {"drive.gain": row}})
+    assert constant_sentence(fitted) is None
 
 
 def test_what_a_torque_was_made_of_is_told(knee, slide):

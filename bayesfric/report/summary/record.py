@@ -46,6 +46,7 @@ ReadExplanation = Annotated[
 ]
 # Kinds of doubts of the mechanism: that it explains little, or that what it leaves is no noise.
 OF_MECHANISM = ("unexplained", "memory")
+_GAIN = "drive.gain"
 _TERM = TypeAdapter(Term)
 ReadTerm = Annotated[
     Term, BeforeValidator(lambda x: _TERM.validate_python(x) if isinstance(x, Mapping) else x)
@@ -369,6 +370,11 @@ class Summary(Part):
     def widened(self) -> bool:
         """Whether the intervals to print first have room for the model's error."""
         return self.model_error is not None and self.model_error.shown
+
+    @property
+    def scaled(self) -> bool:
+        """Whether the torque's own factor is a parameter."""
+        return _GAIN in self.parameters or _GAIN in self.fixed
 
     @property
     def unexplained(self) -> bool:

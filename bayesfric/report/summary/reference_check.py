@@ -12,12 +12,12 @@ from bayesfric.mechanism.parameter import scales_with_torque
 from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.report.summary.record import Summary, quantity_of
 from bayesfric.report.summary.rows import PosteriorRow, sd_towards
+from bayesfric.report.text_templates import sentence
 
 # Sds between a reference and what was found that are no chance.
 _FAR = 3.0
 # What data say of a posterior of which they have less than this share is hardly told by it.
 _LEAST_SHARE = 0.1
-_GAIN = "drive.gain"
 # Options of the losses that every published law has.
 _OF_LAW = ("coulomb", "viscous")
 
@@ -38,9 +38,8 @@ def references_off(summary: Summary) -> Mapping[str, Any] | None:
     if not off and known is None:
         return None
     scaled = [one for one in compared if one["scaled"]]
-    fitted = _GAIN in summary.parameters or _GAIN in summary.fixed
     # a gain that is fitted is that factor already
-    factor = _common(scaled) if not fitted and any(one in off for one in scaled) else None
+    factor = _common(scaled) if not summary.scaled and any(one in off for one in scaled) else None
     one_loss = [n.partition(".")[0] for n in summary.parameters if quantity_of(n) == "load"]
     told = {"off": off, "factor": factor, "one_loss": one_loss, "law": list(_of_law(summary, off))}
     if known is not None:  # values that are known have gone into all others
@@ -52,6 +51,14 @@ def references_off(summary: Summary) -> Mapping[str, Any] | None:
     )
     advised = settle if factor else None
     return {**told, "known": None, "settle": advised}
+
+
+def constant_sentence(summary: Summary) -> str | None:
+    """Say what every torque rests on, where it was a current and its factor is not fitted."""
+    constant = summary.fit.torque_constant
+    if constant is None or summary.scaled:
+        return None
+    return sentence("constant", {"constant": constant, "unit": summary.fit.unit})
 
 
 def _of_law(summary: Summary, off: Sequence[Mapping[str, Any]]) -> Iterator[str]:
