@@ -84,8 +84,7 @@ def whole_fit(
     kept = checkpoint("posterior", sampling)
     begun = begin(model, output_error=output_error, progress=progress)
     _refuse_alike_losses(model, begun)
-    # refused, where it cannot be had, before anything is sampled
-    lacks = model.explain(estimates=begun.estimates, progress=progress) if explain else None
+    lacks, unasked = _lacks(model, begun, progress) if explain else (None, [])
     sample = partial(fit, estimates=begun.estimates, progress=progress)
     with model.config.named():
         found = sample(begun.target, sampling, checkpoint=kept)
@@ -122,7 +121,7 @@ def whole_fit(
     progress(Progress("identifiability"))
     terms = _asked(model, begun, lacks, summary)
     update: dict[str, Any] = {
-        "warnings": [*summary.warnings, *begun.missing, *_structure(begun, terms or ())],
+        "warnings": [*summary.warnings, *begun.missing, *unasked, *_structure(begun, terms or ())],
         "asked_terms": terms if terms is None else list(terms),
         "too_few_to_ask": too_few_outputs(model.evidence),
         # nothing in a file of samples tells; the configuration may
@@ -136,6 +135,18 @@ def whole_fit(
             summary.identifiability.as_dict() | {"directions": plain(here.directions)}
         )
     return Result(model, found, summary.model_copy(update=update))
+
+
+def _lacks(
+    model: Model, begun: Beginning, progress: Callable[[Progress], None]
+) -> tuple[Explanation | None, list[str]]:
+    """Ask what the model lacks; where there are too few outputs to, warn of that instead."""
+    try:
+        return model.explain(estimates=begun.estimates, progress=progress), []
+    except BadInput as error:
+        if not too_few_outputs(model.evidence):
+            raise
+        return None, [sentence("unasked", {"why": error.what, "mend": error.mend})]
 
 
 def _refuse_alike_losses(model: Model, begun: Beginning) -> None:

@@ -13,7 +13,6 @@ from bayesfric.finished import Finished
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import turned
 from bayesfric.mechanism.scaling import Scaling, scalings
-from bayesfric.report.summary.given_scale import settled_by
 
 # Draws that tell the median torque, and medians along an open scaling: whatever is exported, the
 # middle is the same.
@@ -24,8 +23,10 @@ _NEAR = 0.1
 
 def open_scalings(found: Finished) -> tuple[Scaling, ...]:
     """Scalings of link and load losses that recordings and told priors of a run leave open."""
+    rows = found.summary.rows
+    settled = {name for name, row in rows.items() if row.given_by}
     ways = [set(n.parameters) for n in found.summary.identifiability.null_directions]
-    named = {name for way in ways if settled_by(found.summary, way) is None for name in way}
+    named = {name for way in ways if not way & settled for name in way}
     return tuple(
         one
         for one in scalings(found.joint)

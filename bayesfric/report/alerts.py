@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from bayesfric.identifiability.sentences import stated
-from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.numbers import in_tenths
-from bayesfric.report.summary.record import OutlyingRow, Readable, Summary, quantity_of
+from bayesfric.report.summary.caveats import load_by_angle
+from bayesfric.report.summary.record import OutlyingRow, Readable, Summary
 from bayesfric.report.summary.reference_check import references_off
 from bayesfric.report.summary.rollout import FEWEST, RollOutPart
 from bayesfric.report.summary.self_check import to_cite
@@ -36,8 +36,6 @@ DOUBTS = (
     "unchecked",
     "prior",
 )
-# Share of the load's variance by which it goes with the angle.
-_BY_ANGLE = 0.98
 # Outlying outputs that are named, the farthest; of others there is the number.
 NAMED = 5
 
@@ -130,19 +128,6 @@ def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:
     return tuple(found)
 
 
-def _of_load(summary: Summary) -> list[str]:
-    """Name losses by the load that the data tell, alone or with the prior."""
-    rows = ((n, row, QUANTITIES.get(quantity_of(n))) for n, row in summary.joint.items())
-    return [
-        name
-        for name, row, quantity in rows
-        if quantity is not None
-        and (quantity.role == "loss" or quantity.option == "load_square")
-        and row.verdict != "prior"
-        and row.at_bound is None
-    ]
-
-
 def _apart(outlying: Sequence[OutlyingRow]) -> dict[str, list[list[float]]]:
     """Give the spans that leave outputs out, tenths of a second, recording by recording."""
     spans: dict[str, list[tuple[float, float]]] = {}
@@ -162,8 +147,8 @@ def _of_model(
             beside = any(one.sure for one in summary.fit.lacks) and not sure
             said = {"lacks": lacks, "allowed": allowed, "beside": beside}
             yield kind, {**said, **summary.asking}, "prediction"
-    if (share := summary.fit.load_by_angle or 0.0) > _BY_ANGLE and (names := _of_load(summary)):
-        yield "load by angle", {"share": share, "names": names}, "parameters"
+    if (by_angle := load_by_angle(summary)) is not None:
+        yield "load by angle", by_angle, "parameters"
     if summary.fit.rests:
         yield "rests", {"rests": summary.fit.rests, "unit": summary.fit.unit}, "parameters"
     test = summary.noise.innovation_whiteness

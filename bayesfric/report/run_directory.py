@@ -211,6 +211,7 @@ def _told_of_run(
         "seed": str(fit.posterior.seed),
         "config": config_text,
         "recordings": json.dumps({r.name: r.sha256 for r in recordings}),
+        "spans": json.dumps({o.name: [o.stamps[0], o.stamps[-1]] for o in fit.observations}),
         "noise": json.dumps(summary.noise.as_dict()),
         "fixed": json.dumps({name: row.as_dict() for name, row in summary.fixed.items()}),
         "status": summary.sampler.status,

@@ -8,9 +8,9 @@ from bayesfric.report.alerts import alerts_of, first_step
 from bayesfric.report.comparison.cell import posterior_cells, settled_by
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.bounds import bound_mend
+from bayesfric.report.summary.caveats import constant_sentence
 from bayesfric.report.summary.noise import noise_lines
 from bayesfric.report.summary.record import Readable, Summary
-from bayesfric.report.summary.reference_check import constant_sentence
 from bayesfric.report.summary.self_check import narrow, self_check_lines
 from bayesfric.report.summary.validation import validation_lines
 from bayesfric.report.text_templates import filled

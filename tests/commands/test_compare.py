@@ -262,5 +262,5 @@ def test_runs_of_one_recording_are_not_pooled(runs):
             file.attrs.update(versions="{}", seed="1", recordings='{"r": "ab12"}')
     assert runs.run("compare", "knee", "a/run", "-o", "out").code == 0
     page = read_page((runs.folder / "out" / "report.html").read_text(encoding="utf-8"))
-    assert "saw the same recording" in page.text
+    assert "saw the same seconds of a recording" in page.text
     assert not [t for t in page.all("table") if "pooled" in t.attrs["class"]]

@@ -113,9 +113,18 @@ def test_too_short_is_refused_with_the_mend(swing):
         "too few to tell what a model lacks",
         "of such motion",
     )
-    # before anything is sampled, which would be lost
-    done = swing.refused("fit", "c.toml", "-o", "run", "--explain")
-    has(done, "too few to tell what a model lacks")
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_a_fit_of_too_few_outputs_to_explain_is_made_and_says_so(swing):
+    more = '[processing]\ndecimate = 100\nband = "2 Hz"\n'
+    swing.config(JOINT + recorded() + more)
+    done = swing.run("fit", "c.toml", "-o", "run", "--explain")
+    assert done.code in (0, 3), done.err
+    summary = json.loads((swing.folder / "run" / "summary.json").read_text())
+    (told,) = (one for one in summary["warnings"] if "was not asked" in one)
+    assert "too few to tell what a model lacks" in told
+    assert summary.get("explanation") is None
 
 
 @pytest.mark.usefixtures("no_figures")

@@ -6,6 +6,7 @@ import pytest
 import bayesfric as bf
 from bayesfric.estimates.load_by_angle import load_by_angle
 from bayesfric.report.alerts import alerts_of
+from bayesfric.report.paper.tables import parameter_table
 from tests.report.made_summaries import knee, posterior_row
 
 ARM = bf.Joint(
@@ -75,3 +76,6 @@ def test_a_loss_by_the_load_that_is_told_says_so(by_angle, row, said):
     assert len(texts) == said
     assert all("makes up all of it but 0.1 %" in text for text in texts)
     assert all("much like gearbox.load;" in text for text in texts)
+    # a table and a methods section go without the page
+    notes = [note for note in parameter_table(run).notes if "all of it but 0.1 %" in note]
+    assert len(notes) == said

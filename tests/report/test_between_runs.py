@@ -3,6 +3,7 @@
 import copy
 import csv
 import io
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -136,6 +137,18 @@ def test_runs_of_one_recording_are_found():
     other, unknown = Provenance(recordings={"z": "ef"}), Provenance(recordings={"q": ""})
     runs = {"a": one, "b": two, "c": other, "d": unknown, "e": None, "f": unknown}
     assert shared_recordings(runs) == [("a", "b")]
+
+
+def test_parts_of_one_recording_that_do_not_overlap_are_two():
+    """Older runs do not tell which part they saw: then it may be the same."""
+    first, second, both, old = (
+        Provenance(recordings={"r": "ab"}, spans=spans)
+        for spans in ({"r": (8.0, 34.0)}, {"r": (34.1, 60.0)}, {"r": (8.0, 60.0)}, {})
+    )
+    runs = {"first": first, "second": second, "both": both, "old": old}
+    pairs = {frozenset(pair) for pair in shared_recordings(runs)}
+    apart = frozenset(("first", "second"))
+    assert pairs == {frozenset(pair) for pair in combinations(runs, 2)} - {apart}
 
 
 @pytest.mark.parametrize(("wide", "said"), [(1.0, False), (4.0, True), (1.2, False)])

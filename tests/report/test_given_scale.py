@@ -3,14 +3,11 @@
 import copy
 from types import SimpleNamespace
 
-import pytest
-
 from bayesfric.export.central import open_scalings
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.numbers import TEXT
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.tables import parameter_table
-from bayesfric.report.summary.given_scale import tell_given_scales
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.terminal import fit_text
 
@@ -23,19 +20,19 @@ def weighed(**changes):
     """A gain that nobody knows, and a load of which one told the weight within 7 %."""
     told = copy.deepcopy(loaded())
     told["derived"] = {}
-    default = {"prior_default": True, "verdict": "prior"}
+    given = {"prior_default": True, "verdict": "weak", "given_by": ["load.first_moment"]}
     told["parameters"] = {
-        "motor.inertia": posterior_row("kg m²", 0.14, 0.01, **default | {"prior_sd": 0.042}),
+        "motor.inertia": posterior_row("kg m²", 0.14, 0.01, **given | {"prior_sd": 0.042}),
         "load.first_moment": posterior_row(
             "kg m", 0.27, 0.0195, verdict="prior", prior_sd=0.02, prior_default=False
         ),
-        "drive.gain": posterior_row("", 0.77, 0.056, **default | {"prior_sd": 0.6}),
+        "drive.gain": posterior_row("", 0.77, 0.056, **given | {"prior_sd": 0.6}),
     }
     for name, row in changes.items():
         told["parameters"][name.replace("__", ".")] |= row
     way = {"parameters": dict.fromkeys(NAMES, 1.0), "meaning": "one factor"}
     told["identifiability"] = {"null_directions": [way]}
-    return tell_given_scales(Summary.read(told))
+    return Summary.read(told)
 
 
 def test_what_the_told_weight_settles_says_so(tmp_path):
@@ -77,28 +74,7 @@ def test_a_told_scale_is_not_evened_out_in_an_export():
         "null_directions": [{"parameters": dict.fromkeys(way, 1.0), "meaning": "one factor"}]
     }
     for known in (False, True):
-        row = {"prior_sd": 0.01 if known else 0.5, "prior_default": not known}
-        told["parameters"]["load.inertia"] |= row
-        read = tell_given_scales(Summary.read(told))
+        given = {"verdict": "weak", "given_by": ["load.inertia"]} if known else {}
+        told["parameters"]["load.first_moment"] |= given
+        read = Summary.read(told)
         assert len(open_scalings(SimpleNamespace(joint=chain, summary=read))) == (not known)
-        # a loss is as known as the torque factor that it sets
-        assert (read.parameters["gearbox.load_drive"].given_by == ["load.inertia"]) == known
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        # nobody told it
-        {"load__first_moment": {"prior_default": True}},
-        # another prior says nearly as much: who settles the factor cannot be told
-        {"motor__inertia": {"prior_sd": 0.014}},
-    ],
-)
-def test_where_no_told_prior_settles_the_factor_all_stays_open(changes):
-    assert {row.verdict for row in weighed(**changes).parameters.values()} == {"prior"}
-
-
-def test_what_is_as_wide_as_its_prior_is_the_priors():
-    read = weighed(motor__inertia={"sd": 0.03, "prior_sd": 0.042})
-    assert read.parameters["motor.inertia"].verdict == "prior"
-    assert read.parameters["drive.gain"].verdict == "weak"

@@ -13,8 +13,8 @@ from bayesfric.report.paper import latex
 from bayesfric.report.paper.equation import latex_equations, plain_equations
 from bayesfric.report.paper.methods_text import ENTRIES, methods_text
 from bayesfric.report.paper.tables import latex_texts, parameter_table
+from bayesfric.report.summary.caveats import constant_sentence
 from bayesfric.report.summary.record import Summary
-from bayesfric.report.summary.reference_check import constant_sentence
 from bayesfric.report.summary.summary import summarise
 
 

@@ -16,6 +16,8 @@ from bayesfric.mechanism.configuration import MechanismOptions
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.report.comparison.cell import posterior_cells
+from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.summary import summarise, summary_table
 
 KNEE, AXIS = PRESETS["rabbit-knee"], PRESETS["motor-axis"]
@@ -436,3 +438,28 @@ def test_a_total_that_is_nought_by_geometry_is_no_quantity(make_fit):
     draws[..., fit.posterior.names.index("load.gravity_angle")] = 0.0
     level = replace(fit, posterior=replace(fit.posterior, draws=draws))
     assert "total.gravity_cosine" not in summarise(level).derived
+
+
+def test_one_loss_for_both_ways_says_which_was_seen(make_fit, monkeypatch):
+    """Of a way of driving that hardly occurred, the other one says what it loses."""
+    gearbox = Element("gearbox", load_loss="one", ratio=10.0)
+    motor = Element("motor", inertia=True, coulomb="symmetric")
+    lossy = make_fit(Joint(elements=(motor, gearbox), load=Load(inertia=True)), ensembles=2)
+    sides = {side: f"gearbox.efficiency_{side}" for side in ("drive", "back")}
+    plain = summarise(lossy).derived
+    # a swing without gravity or friction behind the gear brakes as long as it speeds up
+    assert {plain[name].mirrored for name in sides.values()} == {None}
+    monkeypatch.setattr("bayesfric.report.summary.summary._SELDOM", 1.0)
+    found = summarise(lossy)
+    shares = [found.derived[name].mirrored for name in sides.values()]
+    assert shares == pytest.approx([0.5, 0.5], abs=0.1)
+    assert sum(shares) == pytest.approx(1.0)
+    verdicts = [found.derived[name].verdict for name in sides.values()]
+    assert "data" not in verdicts
+    # here nothing tells the scale of the load; where a known weight does, it is said beside it
+    found = found.with_rows({sides["back"]: {"verdict": "weak"}})
+    assert "taken to lose alike" in posterior_cells(found)[sides["back"]].remark
+    assert any("gearbox.efficiency_back follows" in one for one in parameter_table(found).notes)
+    # two losses speak for themselves
+    two = summarise(make_fit(samples=600, ensembles=2))
+    assert not any(row.mirrored for row in two.derived.values())

@@ -94,6 +94,17 @@ def test_bands_that_are_too_wide(knee):
     assert record["pooled"]["discrepancy"]["value"] == 0.0
 
 
+def test_errors_of_one_size_everywhere_are_no_bands_too_wide(knee):
+    """1.2 sds to either side: outside 0.674, what holds a half, and inside 1.645 everywhere."""
+    side = 1.2 * NOISE * np.where(np.arange(SAMPLES) % 200 < 100, 1.0, -1.0)
+    _, record = predicted(knee, lambda torque: torque - noise_of(10) + side)
+    pooled = record["pooled"]
+    assert pooled["coverage"]["0.9"]["share"] > 0.99
+    assert pooled["coverage"]["0.5"]["share"] < 0.05
+    assert pooled["verdict"] == "model discrepancy"
+    assert "scatters less" not in pooled["says"]
+
+
 def noise_of(seed):
     """The noise in the torque of :func:`recording`, whose phases are drawn before."""
     rng = np.random.default_rng(seed)

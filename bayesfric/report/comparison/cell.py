@@ -29,9 +29,12 @@ def settled_by(row: PosteriorRow) -> str:
     """Say what settles a number that the data alone do not."""
     if row.doubted:
         return DOUBTFUL
-    if row.given_by:
-        return f"determined by the data and your prior on {', '.join(row.given_by)}"
-    return TOGETHER
+    by = f"determined by the data and your prior on {', '.join(row.given_by)}"
+    if row.mirrored is not None:
+        seen = f"{100.0 * row.mirrored:.2g} % of the outputs"
+        told = f"the data of the other way of driving, taken to lose alike: {seen} see this one"
+        return f"{told}; {by}" if row.given_by else told
+    return by if row.given_by else TOGETHER
 
 
 @dataclass(frozen=True)

@@ -17,13 +17,9 @@ from bayesfric.report.summary.record import Summary
 
 
 def shared_recordings(provenance: Mapping[str, Provenance | None]) -> list[tuple[str, str]]:
-    """Name the pairs of runs that saw the same recording, by its SHA-256."""
-    seen = {run: _hashes(told) for run, told in provenance.items()}
-    return [(a, b) for a, b in combinations(seen, 2) if seen[a] & seen[b]]
-
-
-def _hashes(told: Provenance | None) -> set[str]:
-    return set(told.recordings.values()) - {""} if told else set()
+    """Name the pairs of runs that saw the same seconds of a recording."""
+    known = {run: told for run, told in provenance.items() if told}
+    return [(a, b) for a, b in combinations(known, 2) if known[a].saw_of(known[b])]
 
 
 def _counts(run: Summary) -> Iterator[int]:
@@ -49,7 +45,7 @@ def compare_page(
         pooled=pooled,
         same=shared_recordings(provenance),
         provenance=provenance,
-        unknown=[run for run, told in provenance.items() if not _hashes(told)],
+        unknown=[run for run, one in provenance.items() if not (one and one.known)],
         without_draws={run: one.missing for run, one in compared.draws.items() if one.missing},
         methods=found,
         explained=list(explained(found)),

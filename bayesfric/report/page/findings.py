@@ -13,7 +13,6 @@ from typing import Any, Literal
 
 from bayesfric.report.alerts import first_step
 from bayesfric.report.paper.tables import ParameterRow, ParameterTable
-from bayesfric.report.summary.given_scale import alpha_of
 from bayesfric.report.summary.record import OpenDirectionRow, RemedyRow, Summary
 
 # Lines of the list of what is known; the rest is in the table.
@@ -80,7 +79,7 @@ def _groups(rows: Sequence[ParameterRow], summary: Summary) -> Iterator[OpenGrou
         yield OpenGroup("lost", tuple(lost))
     left = [r.name for r in rows if r.by == "open" and r.cell.converged]
     for exponents, meaning, reasons in _directions(summary):
-        members = [name for name in left if name in exponents or alpha_of(name) in exponents]
+        members = [name for name in left if name in exponents or _alpha_of(name) in exponents]
         if members:
             left = [name for name in left if name not in members]
             others = [name for name in exponents if name not in members]
@@ -91,6 +90,12 @@ def _groups(rows: Sequence[ParameterRow], summary: Summary) -> Iterator[OpenGrou
             yield OpenGroup("direction", tuple(members), said, tuple(reasons))
     if left:
         yield OpenGroup("prior", tuple(left))
+
+
+def _alpha_of(name: str) -> str:
+    """Name the torque factor that a load loss sets: mu is open where alpha is."""
+    element, _, quantity = name.partition(".")
+    return f"{element}.alpha_{quantity.removeprefix('load_')}" if "load_" in quantity else name
 
 
 def _directions(summary: Summary) -> Iterator[tuple[dict[str, float], str, list[str]]]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.torque import typical_load, weighed_torque
 from bayesfric.identifiability.local import LocalInformation, verdict
+from bayesfric.identifiability.told_scale import given_by
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.sampling import convergence
 from bayesfric.mechanism.derived import Derived, derive
@@ -98,7 +99,10 @@ def _rows(fit: Fit, local: LocalInformation, group: Group) -> Iterator[tuple[str
     sound = sound_quantities(fit, group.values, len(group.found), group.most)
     for q, prior, gradient, converged in zip(group.found, in_prior, gradients, sound, strict=True):
         told = local.data_sd_of(gradient, gauge_free=q.gauge_free)
-        prior_sd = _robust_sd(prior)
+        prior_sd, sd = _robust_sd(prior), _robust_sd(q.values)
+        by: dict[str, Any] = {"verdict": verdict(sd, prior_sd, told)}
+        if by["verdict"] == "prior":
+            by |= weakly_given(given_by(local, fit.posterior.priors, gradient, sd, prior_sd))
         yield (
             q.name,
             {
@@ -107,12 +111,17 @@ def _rows(fit: Fit, local: LocalInformation, group: Group) -> Iterator[tuple[str
                 "converged": bool(converged),
                 **({"prior_sd": prior_sd} if np.isfinite(prior_sd) else {}),
                 **_prior_interval(prior),
-                "verdict": verdict(_robust_sd(q.values), prior_sd, told),
+                **by,
                 "undefined_share": 1.0 - float(np.isfinite(q.values).mean()),
                 "gauge_free": q.gauge_free,
                 **({"of_motion": True} if q.of_motion else {}),
             },
         )
+
+
+def weakly_given(names: list[str]) -> dict[str, Any]:
+    """Say that neither data nor a prior of its own settle a number, but told priors do."""
+    return {"verdict": "weak", "given_by": names} if names else {}
 
 
 def _prior_interval(drawn: Array) -> dict[str, Any]:

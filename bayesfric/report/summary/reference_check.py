@@ -12,7 +12,6 @@ from bayesfric.mechanism.parameter import scales_with_torque
 from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.report.summary.record import Summary, quantity_of
 from bayesfric.report.summary.rows import PosteriorRow, sd_towards
-from bayesfric.report.text_templates import sentence
 
 # Sds between a reference and what was found that are no chance.
 _FAR = 3.0
@@ -51,14 +50,6 @@ def references_off(summary: Summary) -> Mapping[str, Any] | None:
     )
     advised = settle if factor else None
     return {**told, "known": None, "settle": advised}
-
-
-def constant_sentence(summary: Summary) -> str | None:
-    """Say what every torque rests on, where it was a current and its factor is not fitted."""
-    constant = summary.fit.torque_constant
-    if constant is None or summary.scaled:
-        return None
-    return sentence("constant", {"constant": constant, "unit": summary.fit.unit})
 
 
 def _of_law(summary: Summary, off: Sequence[Mapping[str, Any]]) -> Iterator[str]:

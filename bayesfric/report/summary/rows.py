@@ -71,6 +71,8 @@ class PosteriorRow(Spread, Described):
     recordings show that it is not; ``prior_interval`` is of the same level. ``doubted`` are the
     kinds of doubts there are of it, ``undoubted`` its verdict without them (``data`` in older
     files, which do not tell), ``given_by`` parameters whose told priors give it its scale,
+    ``mirrored`` the share of outputs in which who drives as it says did drive, where that is too
+    few to see it and it follows from the other way,
     ``white_interval`` what white noise would have given,
     ``torque_constant`` (N m/A or N/A) is of a torque of the motor that was measured as a current,
     ``period`` that of an angle, ``of_motion`` whether another motion of the same joint has another
@@ -101,6 +103,7 @@ class PosteriorRow(Spread, Described):
     doubted: list[str] = Field(default_factory=list)
     undoubted: Verdict | None = None
     given_by: list[str] = Field(default_factory=list)
+    mirrored: Share | None = None
     white_interval: Pair | None = None
     white_sd: NotNegative | None = None
     model_error_interval: Pair | None = None

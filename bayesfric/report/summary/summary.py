@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 import bayesfric
 from bayesfric.estimates.information import lag_one
 from bayesfric.estimates.point_estimate import Estimate
+from bayesfric.identifiability.coverage import back_driven
 from bayesfric.identifiability.influence import influence
 from bayesfric.identifiability.local import LocalInformation, local_information, verdict
+from bayesfric.identifiability.told_scale import given_by
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.likelihood.noise_choice import Choice
@@ -31,8 +33,8 @@ from bayesfric.report.summary.derived_quantities import (
     groups,
     rms_of,
     spread,
+    weakly_given,
 )
-from bayesfric.report.summary.given_scale import tell_given_scales
 from bayesfric.report.summary.record import Readable, Summary, of_noise
 from bayesfric.report.summary.residual_analysis import lacking
 from bayesfric.report.summary.rows import EstimatedRow, Spread
@@ -43,6 +45,8 @@ __all__ = ["LEVEL", "estimate_summary", "rms", "spreads", "summarise", "summary_
 
 Array = NDArray[np.float64]
 
+# Of a way of driving that fewer of the outputs see, one load loss for both says what it loses.
+_SELDOM = 0.1
 _COLUMNS = ["name", "unit", "mean", "sd", "median", "low", "high", "level", "rhat", "ess",
     "prior", "prior_sd", "contraction", "verdict", "doubted", "at_bound", "converged",
     "undefined_share", "prior_sensitivity", "likelihood_sensitivity", "white_low", "white_high",
@@ -115,7 +119,7 @@ def summarise(
         **({"validation": validation_record(fit)} if fit.held_out else {}),
         "sampler": _sampler(posterior),
     }
-    summary = _with_currents(tell_given_scales(Summary.model_validate(found)), fit)
+    summary = _with_mirrored(_with_currents(Summary.model_validate(found), fit), fit)
     sound = {name: row for name, row in summary.parameters.items() if row.converged}
     unseen = fit.chain.unseen_inertia
     warnings = [
@@ -182,6 +186,20 @@ def _with_currents(summary: Summary, fit: Fit) -> Summary:
         and (of_noise(name) or (not chain.gain and (name in at_motor or name in summary.derived)))
     ]
     return summary.with_rows({name: {"torque_constant": constant} for name in names})
+
+
+def _with_mirrored(summary: Summary, fit: Fit) -> Summary:
+    """Mark what is said of a way of driving that hardly occurred: one load loss stands for both."""
+    values = fit.target.chain_values(fit.posterior.median[None])
+    changes: dict[str, dict[str, Any]] = {}
+    for name, back in back_driven(fit.chain, fit.observations, values).items():
+        for side, share in (("back", float(back[0])), ("drive", 1.0 - float(back[0]))):
+            if f"{name}.load" in fit.chain.names and share < _SELDOM:
+                for one in (f"{name}.alpha_{side}", f"{name}.efficiency_{side}"):
+                    if (row := summary.derived.get(one)) is not None:
+                        weak = {"verdict": "weak"} if row.verdict == "data" else {}
+                        changes[one] = {"mirrored": share, **weak}
+    return summary.with_rows(changes)
 
 
 def _explained(fit: Fit) -> dict[str, float]:
@@ -258,6 +276,10 @@ def _parameters(fit: Fit, local: LocalInformation) -> dict[str, Any]:
         sd, prior_sd = float(flat[:, j].std()), prior.sd()
         # the noise scale's own information: a variance estimated from n residuals
         data_sd = local.data_sd[j] if j < len(local.names) else sd
+        told: dict[str, Any] = {"verdict": verdict(sd, prior_sd, data_sd)}
+        if told["verdict"] == "prior" and j < len(local.names):
+            one = np.eye(len(local.names))[j]
+            told |= weakly_given(given_by(local, fit.posterior.priors, one, sd, prior_sd, j))
         rows[name] = {
             **described[name],
             **spread(flat[:, j]),
@@ -270,7 +292,7 @@ def _parameters(fit: Fit, local: LocalInformation) -> dict[str, Any]:
             **_prior_interval(prior),
             "contraction": _number(1.0 - (sd / prior_sd) ** 2),
             "data_sd": _number(data_sd),
-            "verdict": verdict(sd, prior_sd, data_sd),
+            **told,
             **leaning(flat[:, j], prior.limits, possible[name]),
             "prior_sensitivity": _number(moved_by[name].prior),
             "likelihood_sensitivity": _number(moved_by[name].likelihood),

@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 LEVELS = (0.5, 0.9, 0.99)
 # Coverage of the 90 % intervals that passes.
 _JUDGED, _PASSES = 0.9, (0.85, 0.95)
+# Where too many are inside, intervals of this level say whether they are too wide, too.
+_HALF = 0.5
 # Standard errors from the nominal share, outside those limits, that make a verdict.
 _SURE = 2.0
 # Level of the interval of the discrepancy.
@@ -114,8 +116,9 @@ def _numbers(predictions: Sequence[Prediction], outputs: Outputs) -> dict[str, A
         "log_score": float(np.mean(np.concatenate([p.log_score for p in predictions]))),
         "discrepancy": _discrepancy(residual**2 - variance, at) if finite else None,
     }
-    verdict = _verdict(shares[_JUDGED], numbers["discrepancy"])
+    verdict = _verdict(shares[_JUDGED], shares[_HALF], numbers["discrepancy"])
     judged = {"share": numbers["coverage"][f"{_JUDGED:g}"], "quantity": outputs.quantity}
+    judged["half"] = numbers["coverage"][f"{_HALF:g}"]
     says = sentence(verdict, numbers | judged | {"unit": outputs.unit})
     return numbers | {"verdict": verdict, "says": says}
 
@@ -129,7 +132,7 @@ def _discrepancy(excess: Array, at: NDArray[np.int64]) -> dict[str, Any]:
     return {"value": value, "interval": [low, high], "level": _LEVEL}
 
 
-def _verdict(share: Coverage, discrepancy: Mapping[str, Any] | None) -> str:
+def _verdict(share: Coverage, half: Coverage, discrepancy: Mapping[str, Any] | None) -> str:
     low, high = _PASSES
     if low <= share.share <= high:
         return "covered"
@@ -137,7 +140,9 @@ def _verdict(share: Coverage, discrepancy: Mapping[str, Any] | None) -> str:
     beyond = share.share < low and discrepancy is not None and discrepancy["interval"][0] > 0.0
     if not beyond and abs(share.share - _JUDGED) <= _SURE * share.standard_error:
         return "undecided"
-    return "too wide" if share.share > high else "model discrepancy"
+    # off by nearly the same everywhere leaves few in the middle, and few far out
+    hollow = half.share < _HALF - _SURE * half.standard_error
+    return "too wide" if share.share > high and not hollow else "model discrepancy"
 
 
 def validation_lines(record: Validation | Mapping[str, Any]) -> Iterator[str]:
