@@ -14,14 +14,18 @@ def environment(package: str, folder: str = "templates", *, escaped: bool = Fals
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.filters |= {"placed": placed, "percent": percent}
+    made.filters |= {"placed": placed, "percent": percent, "two": two}
     return made
 
 
 def percent(share: float) -> str:
     """Write a share as per cent, without the sign: two digits, and never ``1e+02``."""
-    of_100 = 100.0 * share
-    return f"{of_100:.2g}" if abs(of_100) < 9.5 else f"{of_100:.0f}"
+    return two(100.0 * share)
+
+
+def two(x: float) -> str:
+    """Write two digits, more of what is a hundred or larger: never ``1e+02``."""
+    return f"{x:.2g}" if abs(x) < 99.5 else f"{x:.0f}"
 
 
 def placed(setting: str) -> tuple[str, str]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesfric.identifiability.sentences import left
-from bayesfric.templates import percent
+from bayesfric.templates import percent, two
 
 
 @pytest.mark.parametrize("share", [0.0003, 0.01, 0.2])
@@ -28,3 +28,10 @@ def test_a_wide_one_is_a_factor_and_none_is_nothing():
 )
 def test_a_share_is_written_without_powers_of_ten(share, written):
     assert percent(share) == written
+
+
+@pytest.mark.parametrize(
+    ("x", "written"), [(0.1234, "0.12"), (99.4, "99"), (99.6, "100"), (-101.3, "-101"), (0.0, "0")]
+)
+def test_two_digits_never_become_a_power_of_ten(x, written):
+    assert two(x) == written
