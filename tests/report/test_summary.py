@@ -309,7 +309,10 @@ def test_a_loss_that_is_zero_leans_on_its_bound(lossless):
 
 def test_a_fixed_parameter_is_told_apart(lossless):
     _, summary = lossless
-    assert summary["fixed"] == {"offset": {"unit": "N m", "value": 0.02}}
+    (offset,) = summary["fixed"].values()
+    assert (offset["unit"], offset["value"]) == ("N m", 0.02)
+    assert offset["symbol"]
+    assert offset["meaning"]
     assert "offset" not in summary["parameters"]
 
 

@@ -76,7 +76,7 @@ def summarise(
         "bayesfric": bayesfric.__version__,
         "parameters": _parameters(fit, local),
         "fixed": {
-            p.name: {"unit": p.unit, "value": float(value)}
+            p.name: {**described_as(p), "value": float(value)}
             for p, value in zip(fit.chain.parameters, fit.chain_draws(1)[0], strict=True)
             if p.name not in fit.target.free
         },
@@ -267,6 +267,9 @@ def _parameters(fit: Fit, local: LocalInformation) -> dict[str, Any]:
             noise_part.noise_unit(fit, quantity),
             noise_part.noise_meaning(fit, quantity),
         )
+        # one scale a recording, by its name
+        _, _, recording = name.removeprefix("noise.").partition(".")
+        meaning += f", {recording}" if recording else ""
         described[name] = {"unit": unit, "symbol": symbol, "meaning": meaning}
         possible[name] = (SCALES[quantity].lower, SCALES[quantity].upper)
     rows = {}
