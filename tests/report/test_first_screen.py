@@ -310,7 +310,8 @@ REMEMBERS = [{"order": 0, "bic": 0.0}, {"order": 2, "bic": -90.0}]
 
 
 def test_where_no_term_is_found_nobody_is_sent_to_look_again(tmp_path):
-    lacks = {"lacks": [{"on": "position", "share": 0.1, "sure": True}], "explained": 0.9996}
+    lack = {"on": "position", "share": 0.1, "sure": True, "by_position": True}
+    lacks = {"lacks": [lack], "explained": 0.9996}
     wide = {
         "shown": True,
         "axes": [{"name": "power", "groups": 4, "p_value": 0.0, "differs": True}],
@@ -329,14 +330,16 @@ def test_where_no_term_is_found_nobody_is_sent_to_look_again(tmp_path):
     left, text = following(told)
     assert "does not explain what was measured" not in left
     assert "hand" not in text
-    assert "knows no term that it is" in text
+    assert "finds no term that it is" in text
+    # explain tries no ripple, whose period it would have to search
+    assert "cogging = [cycles a turn]" in text
     assert "tries every term" not in text
     assert "--advise" in text
     assert "<code>" not in text
     lines = "\n".join(fit_text(told))
     assert "change the mechanism" not in lines
     assert "tries what it may" not in lines
-    assert "no term that bayesfric explain tries is it" in lines
+    assert "no term that bayesfric explain tries is it, and for a ripple it does not look" in lines
     assert "would move motor.inertia by 1.4 of the sds shown" in lines
     # one that is found comes first, and so does the search where nobody has looked
     _, text = following(told | {"asked_terms": [GRAVITY]})

@@ -56,6 +56,7 @@ def findings(table: ParameterTable, summary: Summary) -> dict[str, Any]:
         "meanings": {r.name: r.meaning for r in [*joint, *combined]},
         # what the model leaves depends on these
         "lacks": [lack.on for lack in summary.fit.lacks if lack.sure],
+        "ripple": any(lack.by_position and lack.sure for lack in summary.fit.lacks),
         # what comes before anything else, where something but the drive seems to have acted
         "first": first_step(summary),
         # whether another mechanism comes before anything else, and what the recordings ask for

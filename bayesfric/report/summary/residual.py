@@ -18,6 +18,8 @@ class Lack(Part):
     chance: FiniteFloat | None = None
     p_value: FiniteFloat | None = None
     sure: bool = True
+    # whether it is where the joint stands: then a ripple may be what is lacking
+    by_position: bool = False
 
 
 class RecordingRow(Open):

@@ -21,6 +21,7 @@ from bayesfric.report.text_templates import filled
 Array = NDArray[np.float64]
 Places = NDArray[np.int64]
 
+_POSITION = "q"  # the symbol of where the joint stands
 _LAGS = 40
 _BINS = 16
 # Outputs a bin needs, or its mean says nothing.
@@ -189,7 +190,7 @@ def _abscissae(fit: Fit, outputs: tuple[Outputs, ...]) -> list[tuple[str, str, s
     return [
         ("joint speed", r"\dot q", "rad/s" if rotary else "m/s", speed),
         ("load", r"\Gamma", "N m" if rotary else "N", load),
-        ("joint angle" if rotary else "position", "q", "rad" if rotary else "m", angle),
+        ("joint angle" if rotary else "position", _POSITION, "rad" if rotary else "m", angle),
     ]
 
 
@@ -265,6 +266,7 @@ def lacking(fit: Fit) -> Iterator[dict[str, Any]]:
                 "chance": b.chance,
                 "p_value": b.p_value,
                 "sure": b.outcome == "depends",
+                "by_position": b.symbol == _POSITION,
             }
 
 
