@@ -13,7 +13,8 @@ from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.estimates.torque_near import larger
 from bayesfric.mechanism.joint import Joint
-from bayesfric.recordings.observation import LEAST_RATIO, Observation
+from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.resolution import LEAST_RATIO
 
 # Standard deviations of both, the larger ones, that are no chance.
 _FAR = 3.0

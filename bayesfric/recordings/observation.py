@@ -33,12 +33,14 @@ from bayesfric.recordings.measurement import Array, Flags, LeftOut, Measurement,
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.resolution import (
     ABOVE_GAPS,
+    LEAST_RATIO,
     WIDEST,
     Reason,
     Resolution,
     finest_step,
     lowpass_above,
     resolve,
+    too_coarse,
 )
 from bayesfric.recordings.rest import Rest, at_rest, rests
 
@@ -63,9 +65,6 @@ _ENDED: dict[Reason, str] = {
 }
 # A gain that is off by less, in %, is not worth its digits.
 _NO_GAIN = 0.001
-# Root mean square of acceleration over its noise below which a user is warned: an inertia then
-# comes out too small by about the inverse of its square.
-LEAST_RATIO = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +145,7 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
     segments, period = recording.segments, recording.period
     compared = made.compared & ~recording.excluded
     warnings = [*recording.warnings, *_band_warnings(numbers)]
-    warnings += _resolution_warnings(numbers.resolution, recording)
+    warnings += too_coarse(numbers.resolution, recording)
     doubted = [*recording.doubted_units]
     mismatch: dict[str, float] = {}
     if recording.velocity is not None:
@@ -498,18 +497,6 @@ def _band_warnings(numbers: _Numbers) -> Iterator[str]:
         yield (
             f"band: {band:.6g} Hz is below half the decimated rate ({half:.6g} Hz), so "
             f"neighbouring outputs share noise and intervals come out too narrow; {mend}"
-        )
-
-
-def _resolution_warnings(found: Resolution, recording: Measurement) -> Iterator[str]:
-    mend = "" if recording.velocity is None else "leave its line out if the position is finer, "
-    if found.acceleration_ratio < LEAST_RATIO:
-        yield (
-            f"{'position' if recording.velocity is None else 'velocity'}: its noise or steps "
-            f"({found.noise:.2g}, one sd) make the acceleration in the band "
-            f"to {found.band:.3g} Hz only {found.acceleration_ratio:.2g} times as large as its own "
-            f"noise, at least {LEAST_RATIO:g} are wanted: inertia comes out too small; {mend}"
-            "lower band, or record a faster motion or a finer position"
         )
 
 

@@ -25,7 +25,8 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import effort_words
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.quantities import QUANTITIES, TOTALS, Quantity, State
-from bayesfric.recordings.observation import LEAST_RATIO, Observation
+from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.resolution import LEAST_RATIO
 from bayesfric.report.numbers import in_tenths
 from bayesfric.report.summary.bounds import held, noise_cut
 from bayesfric.report.summary.position_delay import other_time
