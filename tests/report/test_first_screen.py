@@ -234,6 +234,9 @@ def test_a_limit_and_what_needs_its_prior_are_counted_apart(tmp_path):
         assert "one " + said in part.text, kind
 
 
+CONTRADICTED = {"value": 1.5, "sd": 0.11, "times": 4.4, "masses": [0.5]}
+
+
 @pytest.mark.parametrize(
     ("change", "right", "against"),
     [
@@ -243,6 +246,8 @@ def test_a_limit_and_what_needs_its_prior_are_counted_apart(tmp_path):
         ({"fit": {"lacks": [{"on": "speed", "share": 0.2, "sure": True}]}}, "partly", ("lacks",)),
         ({"fit": {"lacks": [{"on": "speed", "share": 0.2, "sure": False}]}}, "unasked", ()),
         ({"doubts": [{"kind": "unexplained"}]}, "no", ("unexplained",)),
+        # measured, a pendulum with another weight: 0.5 kg told, 1.5 times as much by the torque
+        ({"fit": {"torque_factor": CONTRADICTED}}, "partly", ("known",)),
         ({"doubts": [{"kind": "memory"}]}, "partly", ("memory",)),
     ],
 )
