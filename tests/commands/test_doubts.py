@@ -511,6 +511,19 @@ def test_delays_that_contradict_each_other_are_no_delay():
     assert doubts_before(totals, [], [one(2e-4, "a")]) == []
 
 
+@pytest.mark.parametrize(("together", "alike"), [(0.0259, False), (-0.0105, True)])
+def test_a_delay_of_all_that_none_of_them_has_is_none(together, alike):
+    """Measured, XL330: four recordings each some 10 ms early, and all together 26 ms late."""
+    sds = {"a": (-0.003, 0.012), "b": (-0.025, 0.012), "c": (-0.011, 0.0064), "d": (-0.0067, 0.009)}
+    alone = [Delay((name,), *one, 1e-3, {}) for name, one in sds.items()]
+    every = Delay((*sds,), together, 0.003, 1e-3, {"total.inertia": 4.0})
+    rows = ("motor.inertia", "motor.viscous", "offset")
+    summary = summary_of({n: row(1.0, 0.9, 1.1) for n in rows})
+    (doubt,) = find_doubts(_Fit(), summary, delays=[*alone, every])
+    assert doubt["alike"] is alike
+    assert ("delay = true" in doubt_text(doubt)) == (alike and together > 0)
+
+
 def test_one_delay_of_the_joint_does_not_hold_what_another_recording_has():
     """Measured, AK80-6: 12 ms late in one of two recordings, and zero with delay = true."""
     totals = Estimate("least-squares", (), 1.0, 100, "")

@@ -25,6 +25,7 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import effort_words
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.quantities import QUANTITIES, TOTALS, Quantity, State
+from bayesfric.recordings.measurement import Array
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.resolution import LEAST_RATIO
 from bayesfric.report.numbers import in_tenths
@@ -291,8 +292,9 @@ def _late(delays: Sequence[Delay], observations: Sequence[Observation]) -> Itera
             }
             for one in late
         ],
-        # one bench has one delay: where recordings contradict each other it is something else
-        "alike": _scatter(alone) < _SCATTER,
+        # one bench has one delay: where recordings contradict each other it is something else, and
+        # so it is where all together have one that none of them has
+        "alike": _scatter(alone) < _SCATTER and all(_is_of(one, alone) for one in together),
         **{"moved": name, "moves": moves[name]},
         "others": [one for one, by in moves.items() if by > MOVED and one != name],
     }
@@ -326,15 +328,28 @@ def _shares(quantity: str) -> set[str]:
     return {(TOTALS[kind].regressor if kind in TOTALS else "") or kind for kind in kinds}
 
 
+def _told(delays: Sequence[Delay]) -> tuple[Array, Array]:
+    """Give delays that are known, and the weights of their sds."""
+    told = [one for one in delays if np.isfinite(one.sd) and one.sd > 0.0]
+    return np.array([one.value for one in told]), np.array([one.sd for one in told]) ** -2.0
+
+
 def _scatter(delays: Sequence[Delay]) -> float:
     """Scatter of delays over what their sds allow."""
-    told = [one for one in delays if np.isfinite(one.sd) and one.sd > 0.0]
-    if len(told) < 2:
+    values, weights = _told(delays)
+    if values.size < 2:
         return 0.0
-    values = np.array([one.value for one in told])
-    weights = np.array([one.sd for one in told]) ** -2.0
     away = values - weights @ values / weights.sum()
-    return float(np.sqrt(weights @ away**2 / (len(told) - 1)))
+    return float(np.sqrt(weights @ away**2 / (values.size - 1)))
+
+
+def _is_of(together: Delay, alone: Sequence[Delay]) -> bool:
+    """Whether the delay of all recordings is about the mean of their own."""
+    values, weights = _told(alone)
+    if not values.size:
+        return True
+    away = abs(together.value - weights @ values / weights.sum())
+    return bool(away <= _SCATTER * np.hypot(together.sd, weights.sum() ** -0.5))
 
 
 def _feedback(observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
