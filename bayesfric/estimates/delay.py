@@ -32,6 +32,8 @@ _FINEST = 0.025
 _OF_POSITION = -0.3
 # Standard deviations that are no chance, and by how many of its own it must move a number.
 _SURE, MOVED = 3.0, 1.0
+# Scatter of the delays of several recordings, over what is expected, that is no chance.
+SCATTER = 3.0
 
 
 @dataclass(frozen=True)
@@ -210,3 +212,23 @@ def _moves(ignored: Estimate, known: Estimate) -> dict[str, float]:
         if np.isfinite(sd) and sd > 0.0:
             found[value.name] = (value.value - known[value.name].value) / sd
     return found
+
+
+def alike(found: Sequence[Delay]) -> bool:
+    """Whether delays can be one bench's: alone they agree, and all together have about their mean.
+
+    Where they do not, it is no delay but something else that the model lacks.
+    """
+    alone = [one for one in found if len(one.recordings) < 2]
+    told = [one for one in alone if np.isfinite(one.sd) and one.sd > 0.0]
+    if not told:
+        return True
+    values = np.array([one.value for one in told])
+    weights = np.array([one.sd for one in told]) ** -2.0
+    mean, sd = weights @ values / weights.sum(), weights.sum() ** -0.5
+    scatter = weights @ (values - mean) ** 2 / max(len(told) - 1, 1)
+    together = [one for one in found if len(one.recordings) > 1]
+    return bool(
+        scatter < SCATTER**2
+        and all(abs(one.value - mean) <= SCATTER * np.hypot(one.sd, sd) for one in together)
+    )

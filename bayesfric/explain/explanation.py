@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesfric.errors import BadInput
-from bayesfric.estimates.delay import Delay, delays
+from bayesfric.estimates.delay import Delay, alike, delays
 from bayesfric.estimates.disturbances import Disturbance
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.knowledge import Knowledge
@@ -119,7 +119,7 @@ class Explanation:
     late
         By how much positions come late, of all recordings together, with the model as it is; and
         with the terms that are asked for, which may look late too. ``None`` where it does not
-        matter, or the model has the delay as a parameter.
+        matter, recordings contradict it, or the model has the delay as a parameter.
     """
 
     unit: str  # of the torque
@@ -292,7 +292,7 @@ def _late(
 
     def matters(given: Given, point: Mapping[str, float]) -> Delay | None:
         every = delays(given, recordings, point)
-        return every[-1] if every and every[-1].matters else None
+        return every[-1] if every and every[-1].matters and alike(every) else None
 
     before = matters(given, point)
     added = [rung.added for rung in found.ladder.rungs if rung.added]

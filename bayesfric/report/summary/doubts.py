@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.estimates.delay import MOVED, Delay
+from bayesfric.estimates.delay import MOVED, SCATTER, Delay, alike
 from bayesfric.estimates.disturbances import Disturbance
 from bayesfric.estimates.information import CORRELATED, lag_one
 from bayesfric.estimates.once_a_turn import OnceATurn
@@ -25,7 +25,6 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import effort_words
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.quantities import QUANTITIES, TOTALS, Quantity, State
-from bayesfric.recordings.measurement import Array
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.resolution import LEAST_RATIO
 from bayesfric.report.numbers import in_tenths
@@ -46,8 +45,6 @@ _NEGATIVE = 3.0
 # Standard deviations with room for the model's error that a number may move by and not be doubted:
 # they stand for what another motion would give.
 _FURTHER = 1.0
-# Scatter of the delays of several recordings, over what is expected, that is no chance.
-_SCATTER = 3.0
 
 White = Mapping[str, Spread]
 
@@ -261,7 +258,7 @@ def _strange_velocity(observations: Sequence[Observation]) -> Iterator[dict[str,
 def contradicting(delays: Sequence[Delay], value: float, sd: float) -> list[Delay]:
     """Keep delays of single recordings that the joint's one delay is not, and that one last."""
     alone = [one for one in delays if len(one.recordings) == 1 < len(delays)]
-    far = [one for one in alone if abs(one.value - value) > _SCATTER * np.hypot(one.sd, sd)]
+    far = [one for one in alone if abs(one.value - value) > SCATTER * np.hypot(one.sd, sd)]
     # what is fixed is known exactly, which is no sd to weigh by
     return [*far, Delay((), value, max(sd, 1e-6 * far[0].period), far[0].period, {})] if far else []
 
@@ -282,7 +279,6 @@ def _late(delays: Sequence[Delay], observations: Sequence[Observation]) -> Itera
         for total, move in one.moves.items():
             moves[total] = max(moves.get(total, 0.0), abs(move))
     name = max(moves, key=moves.__getitem__)
-    alone = [one for one in delays if len(one.recordings) < 2]
     yield {
         "kind": "delay",
         "late": [
@@ -292,9 +288,7 @@ def _late(delays: Sequence[Delay], observations: Sequence[Observation]) -> Itera
             }
             for one in late
         ],
-        # one bench has one delay: where recordings contradict each other it is something else, and
-        # so it is where all together have one that none of them has
-        "alike": _scatter(alone) < _SCATTER and all(_is_of(one, alone) for one in together),
+        "alike": alike(delays),
         **{"moved": name, "moves": moves[name]},
         "others": [one for one, by in moves.items() if by > MOVED and one != name],
     }
@@ -326,30 +320,6 @@ def _shares(quantity: str) -> set[str]:
     row = QUANTITIES.get(quantity)
     kinds = {kind for kind, _ in row.fills} if row else {quantity}
     return {(TOTALS[kind].regressor if kind in TOTALS else "") or kind for kind in kinds}
-
-
-def _told(delays: Sequence[Delay]) -> tuple[Array, Array]:
-    """Give delays that are known, and the weights of their sds."""
-    told = [one for one in delays if np.isfinite(one.sd) and one.sd > 0.0]
-    return np.array([one.value for one in told]), np.array([one.sd for one in told]) ** -2.0
-
-
-def _scatter(delays: Sequence[Delay]) -> float:
-    """Scatter of delays over what their sds allow."""
-    values, weights = _told(delays)
-    if values.size < 2:
-        return 0.0
-    away = values - weights @ values / weights.sum()
-    return float(np.sqrt(weights @ away**2 / (values.size - 1)))
-
-
-def _is_of(together: Delay, alone: Sequence[Delay]) -> bool:
-    """Whether the delay of all recordings is about the mean of their own."""
-    values, weights = _told(alone)
-    if not values.size:
-        return True
-    away = abs(together.value - weights @ values / weights.sum())
-    return bool(away <= _SCATTER * np.hypot(together.sd, weights.sum() ** -0.5))
 
 
 def _feedback(observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
