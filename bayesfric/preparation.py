@@ -10,6 +10,9 @@ from bayesfric.config import Config, NoiseOptions
 from bayesfric.errors import BadInput
 from bayesfric.estimates.attenuation import Attenuated, attenuations
 from bayesfric.estimates.delay import own_delay
+from bayesfric.estimates.estimation import Estimation
+from bayesfric.estimates.fine_motion import fine_motion, with_fine_motion
+from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.methods import Given
 from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
@@ -116,6 +119,7 @@ def prepare(
             given = Given(chain, observations, known, tables.estimation, lambda: ())
             late = prior.value if prior.fixed else own_delay(given, divided.recordings)
             divided = _timed(divided, late)
+        divided = _refined(divided, chain, as_knowledge(chain, priors), tables.estimation)
     return Prepared(chain, divided.recordings, divided.observations, priors, divided.held_out)
 
 
@@ -150,6 +154,21 @@ def _timed(divided: Divided, delay: float) -> Divided:
             for one in divided.held_out
         ),
     )
+
+
+def _refined(
+    divided: Divided, chain: Joint, knowledge: Knowledge, options: Estimation
+) -> Divided:
+    """Take motions as fine as the model tells them; the model is fitted to what is not held out."""
+    fitted = divided.recordings, divided.observations
+    values, observations = with_fine_motion(chain, *fitted, knowledge, options)
+    if values is None:
+        return divided
+    held_out = tuple(
+        replace(one, observation=fine_motion(chain, values, one.recording, one.observation))
+        for one in divided.held_out
+    )
+    return replace(divided, observations=observations, held_out=held_out)
 
 
 def _check_recordings(config: Config, chain: Joint, found: Sequence[Measurement]) -> None:

@@ -58,7 +58,9 @@ class Measurement:
     # (n,) what the motor's speed has taken off a torque computed from a voltage, N m or N; None
     # where it was not
     back_emf: Array | None = None
-    hold: Hold = "linear"  # how the torque goes between samples
+    held: bool = False  # whether the drive holds the torque from its sample until the next
+    # whether the torque was sampled at instants, at which its slope may jump
+    instant: bool = True
     ratio: float = 1.0  # of the gear, motor motion per joint motion
     motion: Literal["rotary", "linear"] = "rotary"  # of the joint
     drive: str = "torque"  # what the torque was measured as: torque, force, current or voltage
@@ -75,6 +77,11 @@ class Measurement:
     left_out: tuple[LeftOut, ...] = ()  # what the user left out, in the order of time
     # number of samples as measured, where they were interpolated to even steps
     interpolated_from: int | None = None
+
+    @property
+    def hold(self) -> Hold:
+        """How the torque goes between samples in what simulates."""
+        return "zero" if self.held else "linear"
 
     @property
     def nominal_back_emf(self) -> float:

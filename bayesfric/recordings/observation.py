@@ -16,9 +16,11 @@ from bayesfric.recordings.filters import (
     SHARING,
     SMALL_SHARE,
     ParallelFilter,
+    averaged,
     check_cutoff,
     decimation,
     derivative,
+    later,
     lay_windows,
     lowpass,
     lowpass_gain,
@@ -27,6 +29,7 @@ from bayesfric.recordings.filters import (
     parallel_length,
     parallel_taps,
     reach_of,
+    unkinked,
 )
 from bayesfric.recordings.inputs import Inputs, Signal
 from bayesfric.recordings.measurement import Array, Flags, LeftOut, Measurement, Segments
@@ -79,10 +82,12 @@ class Observation:
     q: Array  # (N,) of the joint, rad or m; so are the next two
     qd: Array
     qdd: Array
-    torque: Array  # (N,) of the motor as measured, N m or N
+    torque: Array  # (N,) of the motor as it acts at the samples, N m or N; see acting
+    # (N,) what the model's torque is compared with, unfiltered: the same, put right for a delay
+    compared: Array
     filter: ParallelFilter  # takes N samples of any signal to M outputs
     time: Array  # (M,) s since the file's first stamp at the windows' centres
-    measured: Array  # (M,) filter.apply(as_position(torque, ...))
+    measured: Array  # (M,) filter.apply(as_position(compared, ...))
     speed: Array  # (M,) qd at the windows' centres
     period: float  # s from one output to the next of the same segment
     segment_of: NDArray[np.int64]  # (M,) segment of every output
@@ -115,10 +120,10 @@ class _Numbers:
     def alike(self) -> bool:
         """Whether the torque passes the position's low-pass, too.
 
-        So what that takes off at the end of the band it takes from both. Not where it would colour
-        the noise of what is compared, nor in what published analyses did.
+        So what that takes off at the end of the band it takes from both. Not where every sample is
+        an output, whose noise it would colour, nor in what published analyses did.
         """
-        return self.reach > 1 and self.cutoff > 0.0 and 0.0 < 2.0 * self.used_band <= self.cutoff
+        return self.reach > 1 and self.cutoff > 0.0 and self.used_band > 0.0
 
     @property
     def used_band(self) -> float:
@@ -186,6 +191,7 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         "trim": numbers.trim_samples * period,
         "trim_samples": numbers.trim_samples,
         "torque_lowpass": numbers.cutoff if numbers.alike else 0.0,
+        "motion": "encoder",
         "gain_left": _gain_left(numbers, recording, processing.order) - 1.0,
         "resample": processing.resample,
         "gap": processing.gap,
@@ -200,7 +206,8 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
     if recording.interpolated_from is not None:
         settings["interpolated_from"] = recording.interpolated_from
     borders = np.array([a for a, _ in segments], dtype=np.int64)
-    passed = as_position(recording.torque, segments, period, settings)
+    torque = acting(recording)
+    passed = as_position(torque, segments, period, settings)
     resting = None
     if processing.rest:
         still = (recording.position, passed, recording.time, chosen.taps, made.parts)
@@ -216,7 +223,8 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         q=q,
         qd=qd,
         qdd=derivative(qd, segments, period, numbers.reach),
-        torque=recording.torque,
+        torque=torque,
+        compared=torque,
         filter=chosen,
         time=recording.time[chosen.centres],
         measured=chosen.apply(passed),
@@ -255,6 +263,49 @@ def as_position(
     """Low-pass a measured torque ``(N,)`` where the position's filter is the torque's too."""
     cutoff, order = float(settings.get("torque_lowpass", 0.0)), int(settings.get("order", 1))
     return lowpass(torque, segments, 1.0 / period, cutoff, order)
+
+
+def acting(recording: Measurement) -> Array:
+    """Give the torque ``(n,)`` that moves the joint, at the samples, as far as a band shows it.
+
+    A command that is held until the next sample comes half a sample later, averaged over one;
+    see :func:`bayesfric.recordings.filters.unkinked` for one that was measured.
+    """
+    torque, segments = recording.torque, recording.segments
+    if not recording.held:
+        return unkinked(torque, segments) if recording.instant else torque
+    late = torque.copy()
+    for a, b in segments:
+        late[a:b] = later(torque[a:b], 0.5)
+    return averaged(late, segments, 1.0)
+
+
+def refinable(o: Observation) -> bool:
+    """Whether what is compared ends so far below the position's low-pass that a model may tell more.
+
+    See :mod:`bayesfric.estimates.fine_motion`. Not in what published analyses did.
+    """
+    told = o.settings
+    return told["differentiation"] == "exact" and 0.0 < 2.0 * float(told["band"]) <= float(
+        told["lowpass"]
+    )
+
+
+def with_motion(
+    o: Observation, recording: Measurement, q: Array, qd: Array, qdd: Array
+) -> Observation:
+    """Give an observation whose motion is known beyond the low-pass, which then filters nothing."""
+    settings = {**o.settings, "torque_lowpass": 0.0, "motion": "refined"}
+    return replace(
+        o,
+        q=q,
+        qd=qd,
+        qdd=qdd,
+        speed=qd[o.filter.centres],
+        measured=o.filter.apply(o.compared),
+        inputs=replace(o.inputs, load_torque=recording.inputs.load_torque),
+        settings=settings,
+    )
 
 
 def settled(recording: Measurement, processing: Processing) -> Processing:

@@ -109,10 +109,10 @@ class Effort(Channel):
         "sampling period, of which the stamp is the middle ('average'), the 'start' or the 'end'. "
         "The motion is then averaged alike.",
     )
-    hold: Literal["zero", "linear", "cubic"] = Field(
-        "linear",
-        description="How it goes between samples in what simulates (the output error): 'zero', "
-        "held until the next; 'linear', straight; 'cubic', a smooth curve.",
+    held: bool = Field(
+        False,
+        description="true: a command that the drive holds until the next sample, so that it acts "
+        "half a sample later; false: what was measured at the sample's instant.",
     )
 
 

@@ -65,10 +65,10 @@ def retimed(
         before[a:b] = later(given[a:b], delay / period)
         slope[a:b] = later(smooth[a:b], delay / period)
     rate = derivative(slope, segments, period, int(o.settings.get("reach", 1)))
+    compared = before - taken + delay * rate
     return replace(
         o,
-        measured=o.filter.apply(
-            as_position(before - taken + delay * rate, segments, period, o.settings)
-        ),
+        compared=compared,
+        measured=o.filter.apply(as_position(compared, segments, period, o.settings)),
         inputs=replace(o.inputs, torque_rate=Signal(o.stamps, rate)),
     )

@@ -237,7 +237,9 @@ def _observed(
     velocity = (
         None if recording.velocity is None else _sensed(recording.velocity, motion.qd, noise, rng)
     )
-    seen = replace(recording, position=position, velocity=velocity, torque=motion.torque)
+    # what it is driven by goes smoothly from sample to sample
+    smooth = {"torque": motion.torque, "held": False, "instant": False}
+    seen = replace(recording, position=position, velocity=velocity, **smooth)
     try:
         found = observe(seen, processing)
         late = observation.settings.get("delay")

@@ -74,8 +74,16 @@ def axis(*, ratio: float = 1.0) -> Joint:
     return Joint(elements=(motor,), load=Load(first_moment=True), offset=True)
 
 
-def recorded(bench: Bench, rng: np.random.Generator, folder: Path) -> tuple[Any, ...]:
-    """Make the files of one recording, and give them with the truth and how much it stuck."""
+def recorded(
+    bench: Bench,
+    rng: np.random.Generator,
+    folder: Path,
+    motions: list[tuple[Array, Array, Array]] | None = None,
+) -> tuple[Any, ...]:
+    """Make the files of one recording, and give them with the truth and how much it stuck.
+
+    To ``motions`` the exact position, speed and acceleration at every file's samples are added.
+    """
     truth = bench.truth(rng)
     made = []
     stuck = []
@@ -87,6 +95,8 @@ def recorded(bench: Bench, rng: np.random.Generator, folder: Path) -> tuple[Any,
         header = ",".join(columns)
         table = np.stack(list(columns.values()), axis=1)
         np.savetxt(path, table, fmt="%.9g", delimiter=",", header=header, comments="")
+        if motions is not None:
+            motions.append(exactly(bench, motion, time))
         made.append(told(bench, drive, path))
     return truth, made, float(np.mean(stuck))
 
@@ -118,11 +128,36 @@ def moved(
     return motion, time, torque
 
 
+def instants(bench: Bench) -> Array:
+    """Give the times of the samples; the simulation begins a little before."""
+    return np.arange(int(bench.duration * bench.rate)) / bench.rate + 0.1
+
+
+def exactly(bench: Bench, motion: Motion, time: Array) -> tuple[Array, Array, Array]:
+    """Sample the true motion as the position is; it averages where the torque does."""
+    samples = instants(bench) - bench.late / bench.rate
+    found = []
+    for x in (motion.q, motion.qd * ~motion.sticking, motion.qdd):
+        if bench.current:
+            found.append(_means(x, time, samples, bench.rate))
+        else:
+            found.append(x[np.round(samples / (time[1] - time[0])).astype(int)])
+    return found[0], found[1], found[2]
+
+
+def _means(x: Array, time: Array, samples: Array, rate: float) -> Array:
+    """Average over the sample about each of some instants what goes straight in between."""
+    steps = 0.5 * (x[1:] + x[:-1]) * (time[1] - time[0])
+    whole = np.concatenate([[0.0], np.cumsum(steps)])
+    ends = np.append(samples - 0.5 / rate, samples[-1] + 0.5 / rate)
+    return np.asarray(np.diff(np.interp(ends, time, whole)) * rate)
+
+
 def measured(
     bench: Bench, motion: Motion, time: Array, torque: Array, rng: np.random.Generator
 ) -> dict[str, Array]:
     """Sample position and torque as the bench's sensors do."""
-    samples = np.arange(int(bench.duration * bench.rate)) / bench.rate + 0.1
+    samples = instants(bench)
     position = np.interp(samples - bench.late / bench.rate, time, motion.q)
     position *= bench.joint.ratio if bench.side == "motor" else 1.0
     counts = np.round(position * bench.counts / (2.0 * np.pi))
@@ -137,12 +172,7 @@ def measured(
     if not bench.current:
         return columns | {"torque": np.interp(samples, time, torque) + noise}
     # mean over the sample about the stamp; the constant is 1 N m/A
-    # the torque goes straight from one fine step to the next
-    steps = 0.5 * (torque[1:] + torque[:-1]) * (time[1] - time[0])
-    whole = np.concatenate([[0.0], np.cumsum(steps)])
-    ends = np.append(samples - 0.5 / bench.rate, samples[-1] + 0.5 / bench.rate)
-    sums = np.interp(ends, time, whole)
-    current = np.diff(sums) * bench.rate + noise
+    current = _means(torque, time, samples, bench.rate) + noise
     step = 4.0 * peak / 2**bench.current
     return columns | {"current": np.round(current / step) * step}
 
@@ -196,6 +226,8 @@ _late = replace(_plain, joint=replace(_plain.joint, delay=True))
 _OLD = {"processing": {"lowpass": "50 Hz", "decimate": 10, "differentiation": "central"}}
 CASES: dict[str, Bench] = {
     "plain": _plain,
+    # friction takes a third of the torque, and the torque's noise is small beside the encoder's
+    "slow": replace(_plain, drives=(Drive(1.0),), noise=0.003),
     "geared": _geared,
     "plain, 100 Hz": replace(_plain, rate=100.0, duration=20.0),
     "plain, 1 kHz": replace(_plain, rate=1000.0),
