@@ -126,6 +126,7 @@ def make_observation():
             qd=qd,
             qdd=qdd,
             torque=torque,
+            compared=torque,
             filter=taken,
             time=taken.apply(time),
             measured=taken.apply(torque),

@@ -178,7 +178,8 @@ def played(
     told, whole = observation.settings, ((0, torque.size),)
     q, qd, qdd = motion.q, motion.qd, motion.qdd
     cutoff, order = float(told.get("lowpass", 0.0)), int(told.get("order", 0))
-    if cutoff and order:  # filtered and differentiated like the recording, so that it blurs as much
+    blurred = told.get("motion") != "refined"
+    if cutoff and order and blurred:  # filtered and differentiated like the recording, so that it blurs as much
         reach = int(told.get("reach", 1))
         q = lowpass(q, whole, 1.0 / period, cutoff, order)
         qd = derivative(q, whole, period, reach)

@@ -296,6 +296,10 @@ def with_motion(
 ) -> Observation:
     """Give an observation whose motion is known beyond the low-pass, which then filters nothing."""
     settings = {**o.settings, "torque_lowpass": 0.0, "motion": "refined"}
+    told = (
+        f"motion: above {float(settings['lowpass']):.4g} Hz the one with which the model takes the "
+        "measured torque, which is not low-passed"
+    )
     return replace(
         o,
         q=q,
@@ -304,6 +308,7 @@ def with_motion(
         speed=qd[o.filter.centres],
         measured=o.filter.apply(o.compared),
         inputs=replace(o.inputs, load_torque=recording.inputs.load_torque),
+        steps=o.steps if o.settings["motion"] == "refined" else (*o.steps, told),
         settings=settings,
     )
 
@@ -594,7 +599,7 @@ def _told(
     yield (
         f"low-pass: zero-phase Butterworth of order {settings['order']} at "
         f"{numbers.cutoff:.4g} Hz ({numbers.fs:.4g} Hz sampling)"
-        + (", of position and torque alike" if numbers.alike else "")
+        + (", of position and torque alike" if settings["torque_lowpass"] else "")
         if numbers.cutoff
         else "low-pass: none"
     )

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
+from bayesfric.estimates.fine_motion import fine_motion
 from bayesfric.identifiability.virtual_recording import pace
 from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.inverse import inverse_torque
@@ -115,9 +116,12 @@ def replays(
     alike = settled_as(processing, observation)
     rows = max(1, _AT_ONCE // (_FINE * recording.time.size))
     for first in range(0, len(values), rows):
-        motions = held.simulated(values[first : first + rows])
-        for motion, seed in zip(motions, seeds[first : first + rows], strict=True):
-            yield _observed(recording, observation, alike, motion, np.random.default_rng(seed))
+        part = slice(first, first + rows)
+        for one, motion, seed in zip(
+            values[part], held.simulated(values[part]), seeds[part], strict=True
+        ):
+            seen = _seen(recording, observation, motion, np.random.default_rng(seed))
+            yield seen and _observed(chain, one, seen, observation, alike)
 
 
 def settled_as(processing: Processing, observation: Observation) -> Processing:
@@ -221,14 +225,10 @@ def _finely(x: Array) -> Array:
     return np.asarray(spline(np.arange((x.size - 1) * _FINE + 1) / _FINE))
 
 
-def _observed(
-    recording: Measurement,
-    observation: Observation,
-    processing: Processing,
-    motion: _Motion,
-    rng: np.random.Generator,
-) -> Observation | None:
-    """Read a motion with the recording's sensor, and filter it as the recording was."""
+def _seen(
+    recording: Measurement, observation: Observation, motion: _Motion, rng: np.random.Generator
+) -> Measurement | None:
+    """Read a motion with the recording's sensors, without noise of the torque's."""
     if not np.isfinite(motion.q).all():
         return None
     noise = float(observation.settings["noise_seen"])
@@ -238,14 +238,33 @@ def _observed(
         None if recording.velocity is None else _sensed(recording.velocity, motion.qd, noise, rng)
     )
     # what it is driven by goes smoothly from sample to sample
-    smooth = {"torque": motion.torque, "held": False, "instant": False}
-    seen = replace(recording, position=position, velocity=velocity, **smooth)
+    return replace(
+        recording,
+        position=position,
+        velocity=velocity,
+        torque=motion.torque,
+        held=False,
+        instant=False,
+    )
+
+
+def _observed(
+    chain: Joint,
+    values: Array,
+    seen: Measurement,
+    observation: Observation,
+    processing: Processing,
+) -> Observation | None:
+    """Filter what was read, and refine its motion, as the recording's was."""
     try:
         found = observe(seen, processing)
         late = observation.settings.get("delay")
-        return found if late is None else timed(found, seen, float(late))
+        found = found if late is None else timed(found, seen, float(late))
     except BadInput:  # with these parameters the joint hardly moves
         return None
+    if observation.settings["motion"] != "refined":
+        return found
+    return fine_motion(chain, values, seen, found)
 
 
 def _sensed(

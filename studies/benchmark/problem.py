@@ -111,6 +111,7 @@ def observation(n_samples: int = SAMPLES, seed: int = SEED) -> Observation:
         qd=motion.qd[moving],
         qdd=motion.qdd[moving],
         torque=torque,
+        compared=torque,
         # no filter: every sample is an output
         filter=ParallelFilter.every_sample(n_samples),
         time=motion.time[moving],

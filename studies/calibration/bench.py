@@ -40,6 +40,7 @@ class Drive:
     lag: float = 0.003  # s of the current loop
     added_mass: float = 0.0
     radius: float = 0.0
+    in_step: bool = False  # whether the square wave switches at samples; else at any time
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,8 @@ def moved(
     time = np.arange(round((bench.duration + 0.2) / period)) * period
     sines = excitation.multisine(time, 1.0, LINES, seed=int(rng.integers(2**31)))
     sines *= (1.0 - drive.square) / np.sqrt(len(LINES) / 2.0)
-    command = sines + excitation.square(time + rng.uniform(0.0, 1.0), drive.square, drive.hertz)
+    phase = 0.0 if drive.in_step else rng.uniform(0.0, 1.0)
+    command = sines + excitation.square(time + phase, drive.square, drive.hertz)
     torque = excitation.current_loop(drive.amplitude * command, period, drive.lag)
     # the position comes late in being measured, see below
     joint = replace(bench.joint, delay=False)
@@ -237,6 +239,9 @@ CASES: dict[str, Bench] = {
     "knee": _knee,
     "knee, loaded pair": replace(
         _knee, drives=(_knee.drives[0], Drive(1.2, 0.5, lag=0.005, added_mass=2.0, radius=0.35))
+    ),
+    "knee, in step": replace(
+        _knee, noise=0.002, drives=(replace(_knee.drives[0], in_step=True),)
     ),
     "late by 0.3 samples": replace(_late, late=0.3),
     "late by 2 samples": replace(_late, late=2.0),

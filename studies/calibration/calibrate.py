@@ -103,6 +103,7 @@ def motions() -> tuple[Observation, Observation]:
                 qd=motion.qd[moving],
                 qdd=motion.qdd[moving],
                 torque=motion.torque[moving],
+                compared=motion.torque[moving],
                 filter=ParallelFilter.every_sample(moving.size),
                 time=motion.time[moving],
                 measured=motion.torque[moving],

@@ -109,6 +109,7 @@ def recording(rng: np.random.Generator) -> tuple[Target, Array]:
         qd=qd,
         qdd=qdd,
         torque=torque,
+        compared=torque,
         filter=ParallelFilter.every_sample(n),
         time=trajectory.time,
         measured=torque,

@@ -56,6 +56,7 @@ def recorded(torque, *, added_mass=0.0, radius=0.0, name="made-up"):
         qd=motion.qd,
         qdd=motion.qdd,
         torque=torque,
+        compared=torque,
         filter=taken,
         time=taken.apply(motion.time),
         measured=taken.apply(torque),

@@ -48,11 +48,11 @@ def test_an_instant_is_left_as_it_is(tmp_path):
     assert found.hold == "linear"
 
 
-def test_the_hold_goes_to_what_simulates(tmp_path):
-    assert read(tmp_path, None, np.cos(W * T), hold="cubic").hold == "cubic"
+def test_that_a_command_is_held_goes_to_what_simulates(tmp_path):
+    assert read(tmp_path, None, np.cos(W * T), held=True).hold == "zero"
 
 
-@pytest.mark.parametrize("key", ["sampled", "hold"])
+@pytest.mark.parametrize("key", ["sampled", "held"])
 def test_another_word_is_refused(key):
     with pytest.raises(ValueError, match=key):
         Torque(column="tau", unit="N m", **{key: "sometimes"})
