@@ -156,9 +156,7 @@ def _timed(divided: Divided, delay: float) -> Divided:
     )
 
 
-def _refined(
-    divided: Divided, chain: Joint, knowledge: Knowledge, options: Estimation
-) -> Divided:
+def _refined(divided: Divided, chain: Joint, knowledge: Knowledge, options: Estimation) -> Divided:
     """Take motions as fine as the model tells them; the model is fitted to what is not held out."""
     fitted = divided.recordings, divided.observations
     values, observations = with_fine_motion(chain, *fitted, knowledge, options)

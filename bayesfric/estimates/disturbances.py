@@ -21,7 +21,8 @@ from bayesfric.huber import HUBER, robust_sd, shares
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.filters import lowpass
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.recordings.observation import Observation, compared_parts, resting
+from bayesfric.recordings.moving import compared_parts, resting
+from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

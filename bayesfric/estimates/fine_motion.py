@@ -34,7 +34,8 @@ from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.filters import lowpass
 from bayesfric.recordings.measurement import Array, Measurement
-from bayesfric.recordings.observation import Observation, refinable, resting, with_motion
+from bayesfric.recordings.moving import resting
+from bayesfric.recordings.observation import Observation, refinable, with_motion
 
 # An estimate that the encoder's motion made is off by a sd or more; one that this made is not.
 _PASSES = 2

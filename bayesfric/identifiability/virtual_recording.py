@@ -19,7 +19,8 @@ from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.filters import derivative, lay_windows, lowpass
 from bayesfric.recordings.inputs import AT_ROOM, Inputs
-from bayesfric.recordings.observation import Observation, as_position, moving_samples
+from bayesfric.recordings.moving import moving_samples
+from bayesfric.recordings.observation import Observation, as_position
 from bayesfric.recordings.timing import retimed
 
 Array = NDArray[np.float64]
@@ -178,8 +179,8 @@ def played(
     told, whole = observation.settings, ((0, torque.size),)
     q, qd, qdd = motion.q, motion.qd, motion.qdd
     cutoff, order = float(told.get("lowpass", 0.0)), int(told.get("order", 0))
-    blurred = told.get("motion") != "refined"
-    if cutoff and order and blurred:  # filtered and differentiated like the recording, so that it blurs as much
+    # filtered and differentiated like the recording, so that it blurs as much
+    if cutoff and order and told.get("motion") != "refined":
         reach = int(told.get("reach", 1))
         q = lowpass(q, whole, 1.0 / period, cutoff, order)
         qd = derivative(q, whole, period, reach)

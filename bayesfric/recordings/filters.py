@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from statistics import NormalDist
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
-from bayesfric.huber import robust_sd
 from bayesfric.recordings.measurement import Array, Flags, Segments
 
 # A cut-off this small a share of the sampling rate leaves nothing but rounding.
@@ -31,8 +29,6 @@ _WHITE = 1.0983
 FOLDING, SHARING = _WHITE * 2.0 / 1.5, 0.8
 # Neighbours on either side that a derivative is made of: at least, and at most.
 _REACH = (4, 24)
-# Chance of one bend or more that is none, in a whole recording.
-_SELDOM = 0.05
 # Samples on either side that a value between two is made of.
 _BESIDE = 4
 
@@ -160,27 +156,6 @@ def averaged(values: Array, segments: Segments, length: float) -> Array:
     result = values.copy()
     for a, b in segments:
         result[a + 1 : b - 1] += length**2 / 24.0 * np.diff(values[a:b], 2)
-    return result
-
-
-def unkinked(values: Array, segments: Segments) -> Array:
-    """Make a sum over samples ``(n,)`` an integral where the slope jumps at samples.
-
-    What steps behind a current loop bends at the sample of its command. The trapezoid rule misses
-    a twelfth of what the slope jumps by there (Euler and Maclaurin), which is added. A bend is a
-    second difference that noise alone, as large as most are, would show once in twenty recordings.
-    """
-    result = values.copy()
-    for a, b in segments:
-        if b - a < 5:
-            continue
-        bend = np.zeros(b - a)
-        bend[1:-1] = np.diff(values[a:b], 2)
-        seldom = NormalDist().inv_cdf(1.0 - 0.5 * _SELDOM / bend.size) * robust_sd(bend)
-        beside = np.maximum(np.abs(np.roll(bend, 1)), np.abs(np.roll(bend, -1)))
-        kinks = (np.abs(bend) > seldom) & (np.abs(bend) >= beside) & (seldom > 0.0)
-        smooth = 0.5 * (np.roll(bend, 2) + np.roll(bend, -2))
-        result[a:b] += np.where(kinks, bend - smooth, 0.0) / 12.0
     return result
 
 

@@ -24,6 +24,14 @@ Segments = tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True)
+class Lag:
+    """The causal low-pass that a maker applied to a signal: first order, or second, Butterworth."""
+
+    cutoff: float  # Hz, -3 dB
+    order: int  # 1 or 2
+
+
+@dataclass(frozen=True)
 class LeftOut:
     """A span that is not compared with the model, s from the file's first stamp."""
 
@@ -61,6 +69,8 @@ class Measurement:
     held: bool = False  # whether the drive holds the torque from its sample until the next
     # whether the torque was sampled at instants, at which its slope may jump
     instant: bool = True
+    torque_lag: Lag | None = None  # that torque and velocity passed before they were recorded
+    velocity_lag: Lag | None = None
     ratio: float = 1.0  # of the gear, motor motion per joint motion
     motion: Literal["rotary", "linear"] = "rotary"  # of the joint
     drive: str = "torque"  # what the torque was measured as: torque, force, current or voltage

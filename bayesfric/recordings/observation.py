@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
@@ -10,17 +11,16 @@ from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
 from bayesfric.recordings import checks, units
+from bayesfric.recordings.acting import acting, unlagged
 from bayesfric.recordings.filters import (
     FOLDING,
     LARGE_SHARE,
     SHARING,
     SMALL_SHARE,
     ParallelFilter,
-    averaged,
     check_cutoff,
     decimation,
     derivative,
-    later,
     lay_windows,
     lowpass,
     lowpass_gain,
@@ -29,10 +29,10 @@ from bayesfric.recordings.filters import (
     parallel_length,
     parallel_taps,
     reach_of,
-    unkinked,
 )
 from bayesfric.recordings.inputs import Inputs, Signal
 from bayesfric.recordings.measurement import Array, Flags, LeftOut, Measurement, Segments
+from bayesfric.recordings.moving import compared_parts, moving_samples, near, too_slow
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.resolution import (
     ABOVE_GAPS,
@@ -185,6 +185,7 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         **({"doubted_units": ", ".join(doubted)} if doubted else {}),
         **mismatch,
         **_constant(recording),
+        **({"torque_lag": recording.torque_lag.cutoff} if recording.torque_lag else {}),
         **recording.made_of,
         "dead_zone": made.dead_zone,
         "rest": processing.rest,
@@ -206,7 +207,7 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
     if recording.interpolated_from is not None:
         settings["interpolated_from"] = recording.interpolated_from
     borders = np.array([a for a, _ in segments], dtype=np.int64)
-    torque = acting(recording)
+    torque = acting(recording, numbers.reach)
     passed = as_position(torque, segments, period, settings)
     resting = None
     if processing.rest:
@@ -265,23 +266,8 @@ def as_position(
     return lowpass(torque, segments, 1.0 / period, cutoff, order)
 
 
-def acting(recording: Measurement) -> Array:
-    """Give the torque ``(n,)`` that moves the joint, at the samples, as far as a band shows it.
-
-    A command that is held until the next sample comes half a sample later, averaged over one;
-    see :func:`bayesfric.recordings.filters.unkinked` for one that was measured.
-    """
-    torque, segments = recording.torque, recording.segments
-    if not recording.held:
-        return unkinked(torque, segments) if recording.instant else torque
-    late = torque.copy()
-    for a, b in segments:
-        late[a:b] = later(torque[a:b], 0.5)
-    return averaged(late, segments, 1.0)
-
-
 def refinable(o: Observation) -> bool:
-    """Whether what is compared ends so far below the position's low-pass that a model may tell more.
+    """Whether what is compared ends well below the position's low-pass: a model may tell the rest.
 
     See :mod:`bayesfric.estimates.fine_motion`. Not in what published analyses did.
     """
@@ -410,6 +396,8 @@ def _prepared(
         qd = derivative(q, segments, recording.period, numbers.reach)
     else:
         qd = lowpass(recording.velocity, segments, numbers.fs, numbers.cutoff, processing.order)
+        if recording.velocity_lag:
+            qd = unlagged(qd, segments, recording.period, recording.velocity_lag, numbers.reach)
     kept = tuple((a + trim, max(b - trim, a + trim)) for a, b in segments)
     inside = np.zeros(len(q), dtype=np.bool_)
     for a, b in kept:
@@ -424,10 +412,10 @@ def _prepared(
     still = np.zeros(len(q), dtype=np.bool_)
     if processing.rest:
         still = at_rest(recording.position, segments, 2 * numbers.guard)
-        moving &= ~_near(still, numbers.guard)
+        moving &= ~near(still, numbers.guard)
     if share > SMALL_SHARE and numbers.cutoff:
         # the low-pass smears the jolt of a reversal over a period on either side
-        moving &= ~_near(~moving, round(numbers.fs / numbers.cutoff))
+        moving &= ~near(~moving, round(numbers.fs / numbers.cutoff))
     parts = compared_parts(recording, trim)
     chosen, dropped = _windows(recording, numbers, kept, parts, moving, share)
     return _Prepared(q, qd, inside & moving, float(dead_zone), chosen, dropped, still, parts)
@@ -480,62 +468,6 @@ def _windows(
         "dropped_excluded": trimmed - included,
         "dropped_dead_zone": included - final.n_outputs,
     }
-
-
-def compared_parts(recording: Measurement, trim: int) -> Segments:
-    """Give the stretches that may be compared: segments without ``trim`` samples at either end.
-
-    Without what is excluded, too, and as many samples beside that: the low-pass carries it a little
-    way past its borders, as past a segment's.
-    """
-    kept = tuple((a + trim, max(b - trim, a + trim)) for a, b in recording.segments)
-    return without_excluded(kept, _near(recording.excluded, trim))
-
-
-def moving_samples(qd: Array, segments: Segments, dead_zone: float, guard: int) -> Flags:
-    """Flag the samples that may be used for their speed: those not below the dead zone.
-
-    ``guard`` samples beside a rest are not used either: the low-pass carries its torque and speed
-    a little way past its ends. As many slow samples in a row are a rest, fewer a reversal.
-    """
-    moving = np.abs(qd) >= dead_zone
-    rests = resting(qd, segments, dead_zone, guard)
-    return moving if not rests.any() else moving & ~_near(rests, guard)
-
-
-def too_slow(limit: str = "the dead zone") -> str:
-    """Say of outputs why their speed leaves them out, as :func:`moving_samples` and windows do."""
-    return (
-        f"at joint speeds below {limit}, as at rest or where it turns round, or filtered together "
-        "with such samples"
-    )
-
-
-def resting(qd: Array, segments: Segments, dead_zone: float, guard: int) -> Flags:
-    """Flag samples below the dead zone, ``guard`` or more in a row."""
-    flags = np.zeros(len(qd), dtype=np.bool_)
-    for a, b in without_excluded(segments, np.abs(qd) >= dead_zone):
-        flags[a:b] = b - a >= guard
-    return flags
-
-
-def _near(flags: Flags, reach: int) -> Flags:
-    """Flag what lies no more than ``reach`` samples from a flagged one."""
-    n = len(flags)
-    before = np.concatenate([[0], np.cumsum(flags)])
-    index = np.arange(n)
-    inside = before[np.minimum(index + reach + 1, n)] - before[np.maximum(index - reach, 0)]
-    return np.asarray(inside > 0)
-
-
-def without_excluded(segments: Segments, excluded: Flags) -> Segments:
-    """Split segments at excluded samples, so that no window touches one."""
-    parts: list[tuple[int, int]] = []
-    for a, b in segments:
-        change = np.diff(np.concatenate([[True], excluded[a:b], [True]]).astype(np.int8))
-        begins, ends = np.flatnonzero(change == -1), np.flatnonzero(change == 1)
-        parts.extend(zip((a + begins).tolist(), (a + ends).tolist(), strict=True))
-    return tuple(parts)
 
 
 def _band_warnings(numbers: _Numbers) -> Iterator[str]:
@@ -603,6 +535,13 @@ def _told(
         if numbers.cutoff
         else "low-pass: none"
     )
+    lags = ("torque", recording.torque_lag), ("velocity", recording.velocity_lag)
+    for what, lag in ((name, one) for name, one in lags if one):
+        times = math.hypot(1.0, (_end_of_band(numbers) / lag.cutoff) ** lag.order)
+        yield (
+            f"{what}: what a low-pass at {lag.cutoff:.4g} Hz took is given back; at the end of the "
+            f"band that makes it, and what noise came after the filter, {times:.2g} times as large"
+        )
     used = "differentiated position" if recording.velocity is None else "measured velocity"
     how = "central differences" if numbers.reach == 1 else f"{2 * numbers.reach + 1} points"
     yield f"velocity: {used}; acceleration: differentiated by {how}"

@@ -180,6 +180,8 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         warnings=tuple(warnings),
         held=channel.held,
         instant=channel.sampled == "instant",
+        torque_lag=channel.lag,
+        velocity_lag=source.velocity.lag if source.velocity else None,
         motion=drive.motion,
         drive=kind,
         doubted_units=tuple(sorted(doubted)),

@@ -8,6 +8,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from bayesfric.errors import Unfit
 from bayesfric.recordings import units
+from bayesfric.recordings.measurement import Lag
 from bayesfric.recordings.tables.reader import Options, TableOptions
 from bayesfric.recordings.units import Hertz, Kilograms, Metres, Seconds
 
@@ -87,7 +88,23 @@ class Position(Channel):
     )
 
 
-class Velocity(Position):
+class Lagged(Channel):
+    """A channel that its maker may have filtered."""
+
+    lowpass: Hertz | None = Field(
+        None,
+        description="Cut-off (-3 dB) of the causal low-pass that the drive applied before it was "
+        "recorded; what that took in the band is given back.",
+    )
+    lowpass_order: Literal[1, 2] = Field(1, description="Order of that filter; 2 is Butterworth.")
+
+    @property
+    def lag(self) -> Lag | None:
+        """The low-pass that it passed before it was recorded, where one is known."""
+        return None if self.lowpass is None else Lag(self.lowpass, self.lowpass_order)
+
+
+class Velocity(Lagged, Position):
     """The velocity channel, of the joint or of the motor."""
 
 
@@ -115,8 +132,13 @@ class Effort(Channel):
         "half a sample later; false: what was measured at the sample's instant.",
     )
 
+    @property
+    def lag(self) -> Lag | None:
+        """The low-pass that it passed before it was recorded, where one is known."""
+        return None
 
-class Torque(Effort):
+
+class Torque(Lagged, Effort):
     """The motor torque (or force) itself, or a signal proportional to it."""
 
     constant: str | None = Field(
@@ -124,7 +146,7 @@ class Torque(Effort):
     )
 
 
-class Current(Effort):
+class Current(Lagged, Effort):
     """The motor current."""
 
     torque_constant: TorqueConstant = Field(description="Torque per current, such as '0.32 N m/A'.")

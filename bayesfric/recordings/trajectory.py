@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from bayesfric.errors import BadInput
 from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.measurement import Array, Hold, Measurement
-from bayesfric.recordings.observation import Observation, without_excluded
+from bayesfric.recordings.moving import without_excluded
+from bayesfric.recordings.observation import Observation
 
 # Two initial states come off every segment; what is shorter would say next to nothing.
 _LEAST_SAMPLES = 20

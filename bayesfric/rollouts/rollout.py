@@ -17,7 +17,7 @@ from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.law import Law
-from bayesfric.recordings.observation import without_excluded
+from bayesfric.recordings.moving import without_excluded
 from bayesfric.recordings.recording import Recording
 from bayesfric.rollouts.recordings import Recorded, of_config, of_recordings, own
 from bayesfric.rollouts.rolled import LEVEL, MOST_OVER, Error, Input, Rolled, RollOut

@@ -121,7 +121,7 @@ def replays(
             values[part], held.simulated(values[part]), seeds[part], strict=True
         ):
             seen = _seen(recording, observation, motion, np.random.default_rng(seed))
-            yield seen and _observed(chain, one, seen, observation, alike)
+            yield None if seen is None else _observed(chain, one, seen, observation, alike)
 
 
 def settled_as(processing: Processing, observation: Observation) -> Processing:
@@ -158,7 +158,7 @@ class _Held:
         self._chain = replace(chain, terms=(*chain.terms, *terms), delay=False)
         told = observation.settings
         torque = lowpass(
-            recording.torque,
+            observation.torque,
             recording.segments,
             1.0 / recording.period,
             float(told["lowpass"]),
@@ -237,7 +237,7 @@ def _seen(
     velocity = (
         None if recording.velocity is None else _sensed(recording.velocity, motion.qd, noise, rng)
     )
-    # what it is driven by goes smoothly from sample to sample
+    # what it is driven by goes smoothly from sample to sample, and no maker has filtered it
     return replace(
         recording,
         position=position,
@@ -245,6 +245,8 @@ def _seen(
         torque=motion.torque,
         held=False,
         instant=False,
+        torque_lag=None,
+        velocity_lag=None,
     )
 
 

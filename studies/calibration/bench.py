@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
+from scipy.signal import butter, lfilter
 
 from bayesfric import Element, Joint, Load, Recording, Term
 from bayesfric.mechanism import excitation
@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 FINE, FINEST = 20, 10_000.0
 # Parameters differ from one recording to the next by up to this share.
 SPREAD = 0.3
+MAKER = 5.0  # Hz
 LINES = (0.31, 0.73, 1.37, 2.9, 5.3)  # Hz
 
 
@@ -58,6 +59,7 @@ class Bench:
     colour: float = 0.0  # s that half of the noise's variance remembers
     spread: float = SPREAD  # share by which parameters differ from one recording to the next
     late: float = 0.0  # samples by which the position comes late
+    maker: int = 0  # order of a causal low-pass at 5 Hz that sensed torque passes; 0 for none
     current: int = 0  # bits of a current sensor, 0 for a torque; it averages over the sample
     ripple: tuple[float, int] = (0.0, 0)  # share of the torque's rms, and times a turn
     tables: dict[str, Any] = field(default_factory=dict)  # of the configuration
@@ -172,7 +174,13 @@ def measured(
         noise = (noise + slow) / np.sqrt(2.0)
     columns = {"time": samples - 0.1, "counts": counts}
     if not bench.current:
-        return columns | {"torque": np.interp(samples, time, torque) + noise}
+        sensed = np.interp(samples, time, torque) + noise
+        if bench.maker:
+            # as fine as the drive's own clock, with the sensor's noise held
+            fine = np.interp(time, samples, noise, left=noise[0], right=noise[-1]) + torque
+            taps = butter(bench.maker, MAKER, fs=1.0 / (time[1] - time[0]))
+            sensed = np.interp(samples, time, lfilter(*taps, fine))
+        return columns | {"torque": sensed}
     # mean over the sample about the stamp; the constant is 1 N m/A
     current = _means(torque, time, samples, bench.rate) + noise
     step = 4.0 * peak / 2**bench.current
@@ -181,7 +189,8 @@ def measured(
 
 def told(bench: Bench, drive: Drive, path: Path) -> Recording:
     """Say what the columns are, as a user would."""
-    keys: dict[str, Any] = {"torque": {"column": "torque", "unit": "N m"}}
+    lag = {"lowpass": f"{MAKER} Hz", "lowpass_order": bench.maker} if bench.maker else {}
+    keys: dict[str, Any] = {"torque": {"column": "torque", "unit": "N m", **lag}}
     if bench.current:
         current = {"column": "current", "unit": "A", "sampled": "average"}
         keys = {"current": {**current, "torque_constant": "1 N m/A"}}
@@ -212,6 +221,8 @@ GEARED = {
 }
 KNEE = dict(PRESETS["rabbit-knee"].values)
 _plain = Bench(axis(), PLAIN, (Drive(3.0),))
+# friction takes a third of the torque, and the torque's noise is small beside the encoder's
+_slow = replace(_plain, drives=(Drive(1.0),), noise=0.003)
 _geared = replace(
     _plain, joint=axis(ratio=50.0), values=GEARED, drives=(Drive(0.06),), counts=8192, side="motor"
 )
@@ -228,8 +239,7 @@ _late = replace(_plain, joint=replace(_plain.joint, delay=True))
 _OLD = {"processing": {"lowpass": "50 Hz", "decimate": 10, "differentiation": "central"}}
 CASES: dict[str, Bench] = {
     "plain": _plain,
-    # friction takes a third of the torque, and the torque's noise is small beside the encoder's
-    "slow": replace(_plain, drives=(Drive(1.0),), noise=0.003),
+    "slow": _slow,
     "geared": _geared,
     "plain, 100 Hz": replace(_plain, rate=100.0, duration=20.0),
     "plain, 1 kHz": replace(_plain, rate=1000.0),
@@ -240,9 +250,11 @@ CASES: dict[str, Bench] = {
     "knee, loaded pair": replace(
         _knee, drives=(_knee.drives[0], Drive(1.2, 0.5, lag=0.005, added_mass=2.0, radius=0.35))
     ),
-    "knee, in step": replace(
-        _knee, noise=0.002, drives=(replace(_knee.drives[0], in_step=True),)
-    ),
+    "knee, in step": replace(_knee, noise=0.002, drives=(replace(_knee.drives[0], in_step=True),)),
+    "slow, filtered once": replace(_slow, maker=1),
+    "slow, filtered twice": replace(_slow, maker=2),
+    "knee, filtered once": replace(_knee, maker=1),
+    "knee, filtered twice": replace(_knee, maker=2),
     "late by 0.3 samples": replace(_late, late=0.3),
     "late by 2 samples": replace(_late, late=2.0),
     "ripple, 100 a turn": replace(_plain, ripple=(0.02, 100)),

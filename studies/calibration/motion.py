@@ -68,7 +68,8 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
         try:
             model = Model(bench.joint, recordings, **bench.tables)
         except BadInput as error:
-            return {"case": name, "refused": str(error), "seconds": 0.0} | dict.fromkeys(MOTIONS, {})
+            nothing: dict[str, Any] = {way: {} for way in MOTIONS}
+            return {"case": name, "refused": str(error), "seconds": 0.0} | nothing
         prepared = time.process_time() - begun
     seen = encoder(model)
     pairs = zip(model.recordings, seen, motions, strict=True)

@@ -11,7 +11,8 @@ from scipy.special import ndtri
 
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.likelihood import Outputs
-from bayesfric.recordings.observation import Observation, too_slow
+from bayesfric.recordings.moving import too_slow
+from bayesfric.recordings.observation import Observation
 from bayesfric.report.figures import style
 from bayesfric.report.figures.over_time import as_pixels, broken, draw_band, draw_measured
 from bayesfric.report.figures.registry import JudgedRun, RunFigure

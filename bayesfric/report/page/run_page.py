@@ -7,7 +7,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from bayesfric.recordings.observation import too_slow
+from bayesfric.recordings.moving import too_slow
 from bayesfric.report.alerts import alerts
 from bayesfric.report.answers.record import Calculator, read_answers
 from bayesfric.report.comparison.comparison import comparison

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
-from bayesfric.recordings.observation import too_slow
+from bayesfric.recordings.moving import too_slow
 from bayesfric.report.answers.record import Stretch
 
 # The drawing is stretched to its box; words stand beside it, in the page's own letters.

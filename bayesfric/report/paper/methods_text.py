@@ -17,7 +17,8 @@ import bayesfric
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.noise import SCALES
 from bayesfric.mechanism.parameter import effort_words
-from bayesfric.recordings.observation import Observation, too_slow
+from bayesfric.recordings.moving import too_slow
+from bayesfric.recordings.observation import Observation
 from bayesfric.report.comparison.cell import TOGETHER
 from bayesfric.report.numbers import text_rounded
 from bayesfric.report.paper import latex

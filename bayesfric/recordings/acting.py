@@ -1,0 +1,68 @@
+"""The torque that moves a joint, at its samples, made of the one that was recorded."""
+
+from __future__ import annotations
+
+import math
+from statistics import NormalDist
+
+import numpy as np
+
+from bayesfric.huber import robust_sd
+from bayesfric.recordings.filters import averaged, derivative, later
+from bayesfric.recordings.measurement import Array, Lag, Measurement, Segments
+
+# Chance of one bend or more that is none, in a whole recording.
+_SELDOM = 0.05
+
+
+def acting(recording: Measurement, reach: int) -> Array:
+    """Give the torque ``(n,)`` that moves the joint, at the samples, as far as a band shows it.
+
+    What its maker's low-pass took is given back, by derivatives of so many neighbours.
+
+    A command that is held until the next sample comes half a sample later, averaged over one;
+    see :func:`bayesfric.recordings.filters.unkinked` for one that was measured.
+    """
+    torque, segments = recording.torque, recording.segments
+    if recording.torque_lag:
+        return unlagged(torque, segments, recording.period, recording.torque_lag, reach)
+    if not recording.held:
+        return unkinked(torque, segments) if recording.instant else torque
+    late = torque.copy()
+    for a, b in segments:
+        late[a:b] = later(torque[a:b], 0.5)
+    return averaged(late, segments, 1.0)
+
+
+def unkinked(values: Array, segments: Segments) -> Array:
+    """Make a sum over samples ``(n,)`` an integral where the slope jumps at samples.
+
+    What steps behind a current loop bends at the sample of its command. The trapezoid rule misses
+    a twelfth of what the slope jumps by there (Euler and Maclaurin), which is added. A bend is a
+    second difference that noise alone, as large as most are, would show once in twenty recordings.
+    """
+    result = values.copy()
+    for a, b in segments:
+        if b - a < 5:
+            continue
+        bend = np.zeros(b - a)
+        bend[1:-1] = np.diff(values[a:b], 2)
+        seldom = NormalDist().inv_cdf(1.0 - 0.5 * _SELDOM / bend.size) * robust_sd(bend)
+        beside = np.maximum(np.abs(np.roll(bend, 1)), np.abs(np.roll(bend, -1)))
+        kinks = (np.abs(bend) > seldom) & (np.abs(bend) >= beside) & (seldom > 0.0)
+        smooth = 0.5 * (np.roll(bend, 2) + np.roll(bend, -2))
+        result[a:b] += np.where(kinks, bend - smooth, 0.0) / 12.0
+    return result
+
+
+def unlagged(values: Array, segments: Segments, period: float, lag: Lag, reach: int) -> Array:
+    """Give back to a signal ``(n,)`` what a causal low-pass took, as far as a band shows it.
+
+    Its inverse is ``1 + s/w`` or, of a Butterworth filter of second order, ``1 + sqrt(2) s/w +
+    (s/w)²``. What has passed it alike, as a sensor's noise, is as it was.
+    """
+    rate = derivative(values, segments, period, reach) / (2.0 * np.pi * lag.cutoff)
+    if lag.order == 1:
+        return values + rate
+    bent = derivative(rate, segments, period, reach) / (2.0 * np.pi * lag.cutoff)
+    return np.asarray(values + math.sqrt(2.0) * rate + bent)
