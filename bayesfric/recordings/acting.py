@@ -26,8 +26,10 @@ def acting(recording: Measurement, reach: int) -> Array:
     torque, segments = recording.torque, recording.segments
     if recording.torque_lag:
         return unlagged(torque, segments, recording.period, recording.torque_lag, reach)
+    if recording.held is None:
+        return torque
     if not recording.held:
-        return unkinked(torque, segments) if recording.instant else torque
+        return unkinked(torque, segments)
     late = torque.copy()
     for a, b in segments:
         late[a:b] = later(torque[a:b], 0.5)

@@ -66,9 +66,9 @@ class Measurement:
     # (n,) what the motor's speed has taken off a torque computed from a voltage, N m or N; None
     # where it was not
     back_emf: Array | None = None
-    held: bool = False  # whether the drive holds the torque from its sample until the next
-    # whether the torque was sampled at instants, at which its slope may jump
-    instant: bool = True
+    # whether the torque is a command that the drive holds until the next sample, or else was
+    # measured behind a loop that gets its commands at the samples; None where nobody says
+    held: bool | None = None
     torque_lag: Lag | None = None  # that torque and velocity passed before they were recorded
     velocity_lag: Lag | None = None
     ratio: float = 1.0  # of the gear, motor motion per joint motion

@@ -178,8 +178,8 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         inputs=Inputs(source.added_mass, source.radius, temperature=warmth, load_torque=pushed),
         steps=tuple(steps),
         warnings=tuple(warnings),
-        held=channel.held,
-        instant=channel.sampled == "instant",
+        # a mean over the sample has no bend to miss
+        held=channel.held if channel.held or channel.sampled == "instant" else None,
         torque_lag=channel.lag,
         velocity_lag=source.velocity.lag if source.velocity else None,
         motion=drive.motion,

@@ -126,10 +126,11 @@ class Effort(Channel):
         "sampling period, of which the stamp is the middle ('average'), the 'start' or the 'end'. "
         "The motion is then averaged alike.",
     )
-    held: bool = Field(
-        False,
+    held: bool | None = Field(
+        None,
         description="true: a command that the drive holds until the next sample, so that it acts "
-        "half a sample later; false: what was measured at the sample's instant.",
+        "half a sample later; false: measured behind a current loop that gets its commands at the "
+        "samples, so that it bends there; left out: neither is known.",
     )
 
     @property

@@ -243,8 +243,7 @@ def _seen(
         position=position,
         velocity=velocity,
         torque=motion.torque,
-        held=False,
-        instant=False,
+        held=None,
         torque_lag=None,
         velocity_lag=None,
     )

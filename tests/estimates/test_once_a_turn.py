@@ -7,6 +7,7 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.checked import check
+from bayesfric.estimates.least_squares import least_squares
 from bayesfric.estimates.once_a_turn import gravity_like
 from bayesfric.mechanism.excitation import current_loop, multisine
 from bayesfric.mechanism.forward import simulate
@@ -42,9 +43,9 @@ def test_the_cosine_of_a_ripple_is_found():
 
 def test_what_takes_the_cosine_up_is_named_with_what_an_angle_would_change():
     recording = bench(4, 0.04)
-    found = bf.Model(AXIS, recording).once_a_turn()
-    (plain,) = bf.Model(AXIS, recording).estimates(["least-squares"])
-    (angled,) = bf.Model(ANGLED, recording).estimates(["least-squares"])
+    model = bf.Model(AXIS, recording)
+    found = model.once_a_turn()
+    plain, angled = (least_squares(joint, model.observations) for joint in (AXIS, ANGLED))
     assert set(found.others) == {"motor.inertia", "motor.viscous", "motor.coulomb", "offset"}
     for name, by in found.others.items():
         sd = max(plain[name].sd, plain[name].sd_robust)
