@@ -141,7 +141,7 @@ def _found(model: Model) -> dict[str, Any]:
             for one in delays
         ],
         "doubts": doubts,
-        "no_push_told": unlooked(model.chain, model.recordings, model.observations),
+        "no_push_told": unlooked(model.chain, model.recordings, model.encoder),
         "leave_out": _leave_out(model, doubts),
         "least_squares": estimate_summary(totals),
     }

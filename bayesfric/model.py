@@ -103,6 +103,9 @@ class Model:
         The mechanism, with the offsets of the recordings.
     recordings, observations
         Those to be fitted, as read and as prepared, in the same order.
+    encoder
+        The same as ``observations`` with the motion that their encoders tell, in which a push shows
+        that is not the motor's.
     priors
         Of every parameter and noise scale.
     held_out
@@ -180,6 +183,7 @@ class Model:
         found = prepare(config, recordings, terms)
         self.chain, self.priors, self.held_out = found.chain, found.priors, found.held_out
         self.recordings, self.observations = found.recordings, found.observations
+        self.encoder = found.encoder
         self.references()  # refuses what they cannot be of
 
     def references(self) -> dict[str, dict[str, Any]]:
@@ -283,7 +287,7 @@ class Model:
 
     def disturbances(self) -> list[Disturbance]:
         """Find spans in which something else acted, as a hand that pushed, to ``exclude``."""
-        return disturbances(self.chain, self.recordings, self.observations)
+        return disturbances(self.chain, self.recordings, self.encoder)
 
     def once_a_turn(self, estimates: Sequence[Estimate] = ()) -> OnceATurn | None:
         """Estimate a torque once a turn that gravity does not explain, as :meth:`delays` does."""

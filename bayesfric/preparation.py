@@ -41,6 +41,7 @@ class Prepared:
     chain: Joint
     recordings: list[Measurement]
     observations: list[Observation]
+    encoder: list[Observation]
     priors: dict[str, Prior]
     held_out: tuple[HeldOut, ...]
 
@@ -119,8 +120,10 @@ def prepare(
             given = Given(chain, observations, known, tables.estimation, lambda: ())
             late = prior.value if prior.fixed else own_delay(given, divided.recordings)
             divided = _timed(divided, late)
+        encoder = divided.observations
         divided = _refined(divided, chain, as_knowledge(chain, priors), tables.estimation)
-    return Prepared(chain, divided.recordings, divided.observations, priors, divided.held_out)
+    observations = divided.observations
+    return Prepared(chain, divided.recordings, observations, encoder, priors, divided.held_out)
 
 
 def _doubted(divided: Divided, attenuated: Sequence[Attenuated]) -> Divided:

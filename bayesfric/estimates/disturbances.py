@@ -142,18 +142,13 @@ def _jolts(
     chain: Joint, recording: Measurement, o: Observation, names: Sequence[str], totals: Array
 ) -> Iterator[Disturbance]:
     """Look at every sample that moves, also where none is compared with the model."""
-    cutoff, order = float(o.settings["lowpass"]), int(o.settings["order"])
-
-    def smooth(x: Array) -> Array:
-        return lowpass(x, recording.segments, rate, cutoff, order)
-
-    rate = 1.0 / recording.period
+    segments, rate = recording.segments, 1.0 / recording.period
     forth, back = (columns(chain, one, names) for one in (o, replace(o, qd=-o.qd)))
-    if o.settings["motion"] == "refined":  # what the torque passes, its columns pass
-        forth, back = (np.stack([smooth(x) for x in some]) for some in (forth, back))
     # near a reversal friction may be anything up to that of either direction, from rest on more
     losses = np.abs(totals) @ np.abs(forth - back) / 2.0
-    passed = smooth(o.torque)
+    passed = lowpass(
+        o.torque, segments, rate, float(o.settings["lowpass"]), int(o.settings["order"])
+    )
     used = _looked(recording, o)
     moving = used & (np.abs(o.qd) >= float(o.settings["dead_zone"]))
     if np.count_nonzero(moving) < _ENOUGH:

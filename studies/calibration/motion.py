@@ -31,8 +31,7 @@ from bayesfric import Model
 from bayesfric.errors import BadInput
 from bayesfric.inference.fitting import fit
 from bayesfric.mechanism.derived import derive
-from bayesfric.recordings.observation import Observation, observe, with_motion
-from bayesfric.recordings.timing import timed
+from bayesfric.recordings.observation import with_motion
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.summary import summarise
 from bayesfric.whole_fit import begin
@@ -44,15 +43,6 @@ BENCHES = [
     "plain", "slow", "geared", "plain, 100 Hz", "plain, 1 kHz", "geared, encoder at the joint",
     "sticking", "current", "knee", "knee, loaded pair", "late by 0.3 samples",
 ]  # fmt: skip
-
-
-def encoder(model: Model) -> list[Observation]:
-    """Prepare a model's recordings with the motion that their encoders tell."""
-    found = []
-    for r, o in zip(model.recordings, model.observations, strict=True):
-        seen = observe(r, model.config.tables.processing)
-        found.append(timed(seen, r, float(o.settings["delay"])) if model.chain.delay else seen)
-    return found
 
 
 def one(task: tuple[str, int]) -> dict[str, Any]:
@@ -71,10 +61,9 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
             nothing: dict[str, Any] = {way: {} for way in MOTIONS}
             return {"case": name, "refused": str(error), "seconds": 0.0} | nothing
         prepared = time.process_time() - begun
-    seen = encoder(model)
-    pairs = zip(model.recordings, seen, motions, strict=True)
+    pairs = zip(model.recordings, model.encoder, motions, strict=True)
     known = [with_motion(o, r, *(x[: o.q.size] for x in m)) for r, o, m in pairs]
-    ways = dict(zip(MOTIONS, (seen, model.observations, known), strict=True))
+    ways = dict(zip(MOTIONS, (model.encoder, model.observations, known), strict=True))
     values = np.array([[truth[n] for n in bench.joint.names]])
     true = {**truth, **{q.name: float(q.values[0]) for q in derive(bench.joint, values, 1.0)}}
     found: dict[str, Any] = {"case": name, "number": number, "seconds": prepared}
