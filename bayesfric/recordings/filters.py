@@ -102,24 +102,6 @@ def exact_reach(cutoff: float, fs: float) -> int:
     return most if cutoff else least
 
 
-def motion_gain(frequency: float, fs: float, reach: int, times: int) -> float:
-    """Gain of a derivative taken ``times`` times, over that of an exact one, at a frequency in Hz.
-
-    Its weights are odd, so nothing is delayed.
-    """
-    w = 2.0 * np.pi * frequency / fs
-    one = 2.0 * differentiator(reach)[reach + 1 :] @ np.sin(w * np.arange(1, reach + 1)) / w
-    return float(one**times)
-
-
-def lowpass_gain(frequency: float, fs: float, cutoff: float, order: int) -> float:
-    """Gain of :func:`lowpass` at a frequency in Hz; nothing is delayed."""
-    if not cutoff:
-        return 1.0
-    share = math.tan(math.pi * frequency / fs) / math.tan(math.pi * cutoff / fs)
-    return 1.0 / (1.0 + share ** (2 * order))
-
-
 def reach_of(how: Literal["exact", "central"], cutoff: float, fs: float) -> int:
     """Neighbours of the differentiation that is asked for; see :func:`exact_reach`."""
     return 1 if how == "central" else exact_reach(cutoff, fs)

@@ -23,8 +23,6 @@ from bayesfric.recordings.filters import (
     derivative,
     lay_windows,
     lowpass,
-    lowpass_gain,
-    motion_gain,
     parallel_cutoff,
     parallel_length,
     parallel_taps,
@@ -66,8 +64,6 @@ _ENDED: dict[Reason, str] = {
     "there is noise in the acceleration that grows with the motion, such as of time stamps",
     "asked": "as set, or as the fitted part's",
 }
-# A gain that is off by less, in %, is not worth its digits.
-_NO_GAIN = 0.001
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +189,6 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         "trim_samples": numbers.trim_samples,
         "torque_lowpass": numbers.cutoff if numbers.alike else 0.0,
         "motion": "encoder",
-        "gain_left": _gain_left(numbers, recording, processing.order) - 1.0,
         "resample": processing.resample,
         "gap": processing.gap,
         "jitter": processing.jitter,
@@ -517,14 +512,6 @@ def _constant(recording: Measurement) -> dict[str, float]:
     return {} if constant is None else {"torque_constant": constant}
 
 
-def _gain_left(numbers: _Numbers, recording: Measurement, order: int) -> float:
-    """Gain of the acceleration over that of the torque at the end of the band."""
-    end = _end_of_band(numbers)
-    times = 2 if recording.velocity is None else 1
-    gain = motion_gain(end, numbers.fs, numbers.reach, times)
-    return gain if numbers.alike else gain * lowpass_gain(end, numbers.fs, numbers.cutoff, order)
-
-
 def _told(
     numbers: _Numbers, recording: Measurement, settings: dict[str, float | int | str]
 ) -> Iterator[str]:
@@ -545,12 +532,6 @@ def _told(
     used = "differentiated position" if recording.velocity is None else "measured velocity"
     how = "central differences" if numbers.reach == 1 else f"{2 * numbers.reach + 1} points"
     yield f"velocity: {used}; acceleration: differentiated by {how}"
-    left = 100.0 * float(settings["gain_left"])
-    yield (
-        f"gain: at {_end_of_band(numbers):.4g} Hz the acceleration's is "
-        + (f"{left:+.2g} %" if abs(left) > _NO_GAIN else f"less than {_NO_GAIN:g} %")
-        + " off the torque's; no filter delays"
-    )
     found = numbers.resolution
     ratios = [
         f"{what} {settings[key]:.3g}"

@@ -11,8 +11,6 @@ from bayesfric.recordings.filters import (
     exact_reach,
     lay_windows,
     lowpass,
-    lowpass_gain,
-    motion_gain,
     parallel_taps,
 )
 
@@ -185,16 +183,3 @@ def test_white_noise_comes_out_of_the_default_parallel_filter_white(factor):
     of_samples = np.correlate(taps, taps, "full")
     found = of_samples[len(taps) - 1 :: factor]
     assert np.abs(found[1:]).max() < 0.003 * found[0]
-
-
-@pytest.mark.parametrize("reach", [1, 4, 9])
-@pytest.mark.parametrize("cutoff", [0.0, 20.0])
-def test_the_gains_told_are_those_of_a_sine(reach, cutoff):
-    t = np.arange(4000) / FS
-    w = 2 * np.pi * 15.0
-    whole = [(0, t.size)]
-    q = lowpass(np.sin(w * t), whole, FS, cutoff, 4)
-    qdd = derivative(derivative(q, whole, 1 / FS, reach), whole, 1 / FS, reach)
-    told = lowpass_gain(15.0, FS, cutoff, 4) * motion_gain(15.0, FS, reach, 2)
-    inner = slice(500, -500)
-    np.testing.assert_allclose(qdd[inner], -told * w**2 * np.sin(w * t[inner]), atol=1e-5 * w**2)
