@@ -41,7 +41,7 @@ def measured_scales(chain: Joint, observations: Sequence[Observation]) -> Scales
     torque = np.concatenate([o.measured for o in observations])
     # only where outputs are: an excluded glitch must not set a scale
     speed = np.concatenate([o.qd[o.filter.centres] for o in observations])
-    acceleration = np.concatenate([o.qdd[o.filter.centres] for o in observations])
+    acceleration = np.concatenate([o.acceleration for o in observations])
     duration = sum(o.period * o.measured.size for o in observations)
     return Scales(
         torque=float(np.quantile(np.abs(torque), _NEARLY_ALL)),

@@ -92,7 +92,7 @@ def load_at_outputs(chain: Joint, o: Observation, values: Array) -> Array:
     ``values`` ``(n_parameters,)`` in the order of ``chain.names``; N m or N at the joint.
     """
     at = o.filter.centres
-    return load_torque(chain, values, o.q[at], o.qdd[at], inputs=o.inputs, time=o.stamps[at])
+    return load_torque(chain, values, o.q[at], o.acceleration, inputs=o.inputs, time=o.stamps[at])
 
 
 def typical_load(chain: Joint, observations: Sequence[Observation], values: Array) -> float:

@@ -173,7 +173,7 @@ def _folds(observations: Sequence[Observation]) -> tuple[Index, tuple[str, ...]]
     if len(observations) >= _RECORDINGS:
         return np.repeat(np.arange(len(sizes)), sizes), tuple(o.name for o in observations)
     qd = np.concatenate([o.qd[o.filter.centres] for o in observations])
-    qdd = np.concatenate([o.qdd[o.filter.centres] for o in observations])
+    qdd = np.concatenate([o.acceleration for o in observations])
     speed = np.abs(qd)
     third = np.searchsorted(np.quantile(speed, [1.0 / 3.0, 2.0 / 3.0]), speed)
     number = 6 * (qd < 0.0) + 2 * third + (qd * qdd < 0.0)

@@ -115,7 +115,8 @@ class Moved:
     def of(cls, observation: Observation) -> Moved:
         """Take what a posterior was compared with."""
         o, at = observation, observation.filter.centres
-        return cls(o.q[at], o.qd[at], o.qdd[at], o.stamps[at], replace(o.inputs, recording=""))
+        inputs = replace(o.inputs, recording="")
+        return cls(o.q[at], o.qd[at], o.acceleration, o.stamps[at], inputs)
 
 
 def torque_along(chain: Joint, values: Array, motions: Sequence[Moved]) -> Array:

@@ -89,10 +89,10 @@ def back_driven(
             continue
         back, moving = np.zeros(values.shape[0]), 0
         for o in observations:
-            at = o.filter.centres[o.qd[o.filter.centres] != 0.0]
-            passed = _behind(chain, i, o, at, values)
-            back += np.count_nonzero(passed * o.qd[at] < 0.0, axis=1)
-            moving += at.size
+            outputs = np.flatnonzero(o.speed)
+            passed = _behind(chain, i, o, outputs, values)
+            back += np.count_nonzero(passed * o.speed[outputs] < 0.0, axis=1)
+            moving += outputs.size
         found[element.name] = back / max(moving, 1)
     return found
 
@@ -115,9 +115,12 @@ def _ends(share: Array) -> tuple[float, float]:
     return float(share.min()), float(share.max())
 
 
-def _behind(chain: Joint, i: int, o: Observation, at: NDArray[np.int64], values: Array) -> Array:
-    """Torque at the output of element ``i``, ``(n, len(at))``."""
-    q, qd, qdd = o.q[at], o.qd[at], o.qdd[at]
+def _behind(
+    chain: Joint, i: int, o: Observation, outputs: NDArray[np.int64], values: Array
+) -> Array:
+    """Torque at the output of element ``i``, ``(n, len(outputs))``."""
+    at = o.filter.centres[outputs]
+    q, qd, qdd = o.q[at], o.qd[at], o.acceleration[outputs]
     if i + 1 == len(chain.elements):
         return np.stack(
             [load_torque(chain, v, q, qdd, inputs=o.inputs, time=o.stamps[at]) for v in values]

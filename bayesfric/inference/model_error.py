@@ -286,7 +286,7 @@ def _axes(predicted: Array, observations: Sequence[Observation]) -> Iterator[tup
     def seen(name: str) -> Array:
         return np.concatenate([getattr(o, name)[o.filter.centres] for o in observations])
 
-    velocity, acceleration = seen("qd"), seen("qdd")
+    velocity, acceleration = seen("qd"), np.concatenate([o.acceleration for o in observations])
     along = {
         "position": seen("q"),
         "velocity": velocity,

@@ -74,10 +74,10 @@ def _recurring(o: Observation, far: Index, signs: Array) -> list[bool]:
     """Tell which of the outputs ``far`` are off the same way at the same place in the motion."""
     if far.size < 2:
         return [False] * far.size
-    q, qd, qdd = (x[o.filter.centres] for x in (o.q, o.qd, o.qdd))
+    q, qd = o.q[o.filter.centres], o.qd[o.filter.centres]
     # no nearer than from one output to the next
     near_q = _PLACE * np.ptp(q) + o.period * np.abs(qd)
-    near_qd = _SPEED * np.abs(qd).max() + o.period * np.abs(qdd)
+    near_qd = _SPEED * np.abs(qd).max() + o.period * np.abs(o.acceleration)
 
     def again(i: int, k: int) -> bool:
         if np.sign(qd[i]) != np.sign(qd[k]) or signs[i] != signs[k]:

@@ -98,6 +98,11 @@ class Observation:
     rest: Rest | None = None
     left_out: tuple[LeftOut, ...] = ()  # what the user left out
 
+    @property
+    def acceleration(self) -> Array:
+        """Acceleration ``(M,)`` at the outputs, as smooth as what is compared, rad or m and s."""
+        return self.filter.apply(self.qdd)
+
 
 @dataclass(frozen=True)
 class _Numbers:
@@ -181,7 +186,7 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         **({"doubted_units": ", ".join(doubted)} if doubted else {}),
         **mismatch,
         **_constant(recording),
-        **({"torque_lag": recording.torque_lag.cutoff} if recording.torque_lag else {}),
+        "torque_lag": recording.torque_lag.cutoff if recording.torque_lag else 0.0,
         **recording.made_of,
         "dead_zone": made.dead_zone,
         "rest": processing.rest,

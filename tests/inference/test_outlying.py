@@ -73,7 +73,7 @@ def test_what_is_off_at_the_same_place_of_a_motion_recurs(phases, signs, recurs)
     innovations[places] = 12.0 * np.array(signs)
     seen = SimpleNamespace(
         **{"name": "run", "q": np.sin(turn * t), "qd": turn * np.cos(turn * t)},
-        **{"qdd": -(turn**2) * np.sin(turn * t), "measured": innovations},
+        **{"acceleration": -(turn**2) * np.sin(turn * t), "measured": innovations},
         **{"time": t, "period": 0.01},
         filter=SimpleNamespace(centres=np.arange(n)),
     )
@@ -88,7 +88,7 @@ def test_one_push_of_several_outputs_does_not_recur():
     innovations = np.random.default_rng(8).standard_normal(n)
     innovations[200:203] = 12.0
     seen = SimpleNamespace(
-        **{"name": "run", "q": np.sin(t), "qd": np.cos(t), "qdd": -np.sin(t)},
+        **{"name": "run", "q": np.sin(t), "qd": np.cos(t), "acceleration": -np.sin(t)},
         **{"measured": innovations, "time": t, "period": 0.01},
         filter=SimpleNamespace(centres=np.arange(n)),
     )
@@ -104,7 +104,7 @@ def made(samples, place):
     root = np.array([[samples.std() / np.sqrt(n)]])
     whole = _Whitened(rows, residual / samples.std(), 1, still, root, np.zeros((1, 1)))
     seen = SimpleNamespace(
-        **{"name": "run", "q": place, "qd": still, "qdd": still, "measured": samples},
+        **{"name": "run", "q": place, "qd": still, "acceleration": still, "measured": samples},
         **{"time": np.arange(float(n)), "period": 1.0},
         filter=SimpleNamespace(centres=np.arange(n)),
     )

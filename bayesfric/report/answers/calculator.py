@@ -182,7 +182,7 @@ def _seen(fit: Fit, values: Array, *, open_scale: bool) -> Seen:
     """Say where the outputs were; loads are those of the draws' median."""
     chain, middle = fit.chain, np.median(values, axis=0)
     motion = [
-        (o.q[at], o.speed, o.qdd[at], load_at_outputs(chain, o, middle))
+        (o.q[at], o.speed, o.acceleration, load_at_outputs(chain, o, middle))
         for o in fit.observations
         for at in (o.filter.centres,)
     ]
