@@ -74,7 +74,8 @@ def fine_motion(
 ) -> Observation:
     """Refine the motion of one recording, by the parameters ``(n_parameters,)`` of its joint.
 
-    It stays as it is where no acceleration, or more than one, goes with a torque.
+    It stays as it is where no acceleration, or more than one, goes with a torque, and where what
+    the model makes of it is further from what was recorded than the encoder's noise explains.
     """
     if not refinable(observation):
         return observation
@@ -105,7 +106,17 @@ def fine_motion(
         made = with_motion(
             o, recording, o.q + place + further, o.qd + speed + more, o.qdd + above(wanted, end)
         )
-    return made
+    return made if _near(o, made, recording) else observation
+
+
+def _near(o: Observation, made: Observation, recording: Measurement) -> bool:
+    """Whether a refined motion lies no further from the recorded one than noise puts it."""
+    if recording.velocity is None:
+        recorded, before, after = recording.position, o.q, made.q
+    else:
+        recorded, before, after = recording.velocity, o.qd, made.qd
+    noise = float(o.settings["noise_seen"]) ** 2
+    return bool(np.mean((recorded - after) ** 2) <= np.mean((recorded - before) ** 2) + noise)
 
 
 def _handover(o: Observation, recording: Measurement, left: Array, inertia: float) -> float:

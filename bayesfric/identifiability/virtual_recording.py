@@ -200,6 +200,7 @@ def played(
         q=q,
         qd=qd,
         qdd=qdd,
+        smooth=None,
         torque=torque,
         filter=chosen,
         time=motion.time[chosen.centres],

@@ -97,11 +97,13 @@ class Observation:
     # what samples at rest say, where they are asked and the position tells rest
     rest: Rest | None = None
     left_out: tuple[LeftOut, ...] = ()  # what the user left out
+    # (N,) acceleration that the encoder tells, where qdd is finer
+    smooth: Array | None = None
 
     @property
     def acceleration(self) -> Array:
-        """Acceleration ``(M,)`` at the outputs, as smooth as what is compared, rad or m and s."""
-        return self.filter.apply(self.qdd)
+        """Acceleration ``(M,)`` at the windows' centres, without the torque's noise."""
+        return (self.qdd if self.smooth is None else self.smooth)[self.filter.centres]
 
 
 @dataclass(frozen=True)
@@ -291,6 +293,7 @@ def with_motion(
         q=q,
         qd=qd,
         qdd=qdd,
+        smooth=o.qdd if o.smooth is None else o.smooth,
         speed=qd[o.filter.centres],
         measured=o.filter.apply(o.compared),
         inputs=replace(o.inputs, load_torque=recording.inputs.load_torque),

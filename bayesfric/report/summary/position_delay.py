@@ -48,4 +48,4 @@ def _earlier(o: Observation, delay: float) -> Observation:
     """Take the motion that is recorded so much later; the dead zone stays where it was."""
     samples = delay / float(np.median(np.diff(o.stamps)))
     q, qd, qdd = (later(one, -samples) for one in (o.q, o.qd, o.qdd))
-    return replace(o, q=q, qd=qd, qdd=qdd, speed=qd[o.filter.centres])
+    return replace(o, q=q, qd=qd, qdd=qdd, smooth=None, speed=qd[o.filter.centres])

@@ -51,7 +51,14 @@ def _tried(chain: Joint, observations: Sequence[Observation]) -> Iterator[dict[s
     for one, other in permutations(_ANGLES, 2):
         times = units.scale([one], "angle") / units.scale([other], "angle")
         scaled = [
-            replace(o, q=times * o.q, qd=times * o.qd, qdd=times * o.qdd, speed=times * o.speed)
+            replace(
+                o,
+                q=times * o.q,
+                qd=times * o.qd,
+                qdd=times * o.qdd,
+                smooth=None,
+                speed=times * o.speed,
+            )
             for o in observations
         ]
         yield {"is": one, "taken": other, "share": best_share(chain, scaled)[0]}
