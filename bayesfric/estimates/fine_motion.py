@@ -89,11 +89,11 @@ def fine_motion(
     end = float(told["lowpass"])
     speed, place = above(o.qd, end), above(o.q, end)
     step = float(np.std(o.qdd)) or 1.0
-    made, handover = with_motion(o, recording, o.q, o.qd, o.qdd), 0.0
+    inputs = with_motion(o, recording, o.q, o.qd, o.qdd).inputs
+    q, qd, qdd, handover = o.q, o.qd, o.qdd, 0.0
     for _ in range(_ROUNDS):
-        q, qd, qdd = made.q, made.qd, made.qdd
         low, torque, high = (
-            inverse_torque(chain, values, q, qd, qdd + d, inputs=made.inputs, time=o.stamps)
+            inverse_torque(chain, values, q, qd, qdd + d, inputs=inputs, time=o.stamps)
             for d in (-step, 0.0, step)
         )
         inertia, left = (high - low) / (2.0 * step), o.compared - torque
@@ -103,9 +103,8 @@ def fine_motion(
         wanted = np.where(unknown, o.qdd, qdd + left / inertia)
         more = above(_integral(wanted - o.qdd, qd, recording), handover)
         further = above(_integral(speed + more, None, recording), handover)
-        made = with_motion(
-            o, recording, o.q + place + further, o.qd + speed + more, o.qdd + above(wanted, end)
-        )
+        q, qd, qdd = o.q + place + further, o.qd + speed + more, o.qdd + above(wanted, end)
+    made = with_motion(o, recording, q, qd, qdd)
     return made if _near(o, made, recording) else observation
 
 

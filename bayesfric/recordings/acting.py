@@ -21,7 +21,7 @@ def acting(recording: Measurement, reach: int) -> Array:
     What its maker's low-pass took is given back, by derivatives of so many neighbours.
 
     A command that is held until the next sample comes half a sample later, averaged over one;
-    see :func:`bayesfric.recordings.filters.unkinked` for one that was measured.
+    see :func:`unkinked` for one that was measured.
     """
     torque, segments = recording.torque, recording.segments
     if recording.torque_lag:

@@ -282,7 +282,7 @@ def refinable(o: Observation) -> bool:
 def with_motion(
     o: Observation, recording: Measurement, q: Array, qd: Array, qdd: Array
 ) -> Observation:
-    """Give an observation whose motion is known beyond the low-pass, which then filters nothing."""
+    """Give an encoder's observation a motion beyond the low-pass, which then filters nothing."""
     settings = {**o.settings, "torque_lowpass": 0.0, "motion": "refined"}
     told = (
         f"motion: above {float(settings['lowpass']):.4g} Hz the one with which the model takes the "
@@ -293,11 +293,11 @@ def with_motion(
         q=q,
         qd=qd,
         qdd=qdd,
-        smooth=o.qdd if o.smooth is None else o.smooth,
+        smooth=o.qdd,
         speed=qd[o.filter.centres],
         measured=o.filter.apply(o.compared),
         inputs=replace(o.inputs, load_torque=recording.inputs.load_torque),
-        steps=o.steps if o.settings["motion"] == "refined" else (*o.steps, told),
+        steps=(*o.steps, told),
         settings=settings,
     )
 
