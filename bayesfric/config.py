@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from bayesfric.complaints import complaint, read_text
+from bayesfric.diagnostics.self_check import SelfCheckOptions
 from bayesfric.errors import BadInput
 from bayesfric.estimates.estimation import Estimation, Reference
 from bayesfric.identifiability.advice_options import AdviceOptions
@@ -34,7 +35,6 @@ from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.source import Source
 from bayesfric.recordings.tables.reader import Options
 from bayesfric.recordings.units import in_unit
-from bayesfric.self_check.self_check import SelfCheckOptions
 
 if TYPE_CHECKING:
     NoiseName = str

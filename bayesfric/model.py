@@ -20,6 +20,7 @@ from bayesfric.config_text import (
     recording_table,
     with_terms,
 )
+from bayesfric.diagnostics.missing import Missing, what_is_missing
 from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.delay import Delay, delays
 from bayesfric.estimates.descent import few_threads
@@ -284,6 +285,37 @@ class Model:
         Load losses and a Stribeck rise need an input-error estimate, made if none is given.
         """
         return delays(self.evidence, self.recordings, _first_point(estimates))
+
+    def missing(
+        self,
+        estimates: Sequence[Estimate] = (),
+        *,
+        seed: int | None = None,
+        progress: Shown = silent,
+    ) -> Missing:
+        """Ask what else explains the torque, judged by simulated twins of these recordings.
+
+        It begins at the first of the ``estimates`` that has all parameters, or at one of the input
+        error; ``seed`` replaces that of the table ``sampling``.
+
+        Raises
+        ------
+        BadInput
+            If nothing can be estimated from these recordings.
+        """
+        point = _first_point(estimates) or dict(
+            self.estimates(["input-error"], progress=progress)[0].point
+        )
+        progress(Progress("what else explains the torque"))
+        return what_is_missing(
+            self.chain,
+            self.recordings,
+            self.observations,
+            self.config.tables.processing,
+            point,
+            sorted(name for name, prior in self.priors.items() if prior.fixed),
+            self.config.tables.sampling.seed if seed is None else seed,
+        )
 
     def disturbances(self) -> list[Disturbance]:
         """Find spans in which something else acted, as a hand that pushed, to ``exclude``."""

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesfric.diagnostics.self_check import Checked, self_check
 from bayesfric.errors import BadInput
 from bayesfric.estimates.alike_losses import alike_losses
 from bayesfric.estimates.descent import few_threads
@@ -43,7 +44,6 @@ from bayesfric.report.summary.self_check import self_check_doubts, self_check_pa
 from bayesfric.report.summary.summary import rms, spreads, summarise
 from bayesfric.report.text_templates import sentence
 from bayesfric.result import Result
-from bayesfric.self_check.self_check import Checked, self_check
 
 # Independent draws that are enough for an interval that only stands beside another.
 _WHITE_ESS = 2000.0

@@ -76,7 +76,7 @@ def kernels(make_observation):
 def unchecked():
     """Let fits simulate no recordings that do not ask for them: it takes seconds each."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bayesfric.self_check.self_check._RECORDINGS", 0)
+        patch.setattr("bayesfric.diagnostics.self_check._RECORDINGS", 0)
         yield
 
 

@@ -61,7 +61,10 @@ class Bench:
     late: float = 0.0  # samples by which the position comes late
     maker: int = 0  # order of a causal low-pass at 5 Hz that sensed torque passes; 0 for none
     current: int = 0  # bits of a current sensor, 0 for a torque; it averages over the sample
+    memory: Literal["", "ar2", "1/f"] = ""  # of all the noise, in place of white
     ripple: tuple[float, int] = (0.0, 0)  # share of the torque's rms, and times a turn
+    true: Joint | None = None  # that moves, where the one that is fitted lacks something
+    sag: float = 0.0  # share of the torque constant that is gone at the largest torque
     tables: dict[str, Any] = field(default_factory=dict)  # of the configuration
 
     def truth(self, rng: np.random.Generator) -> dict[str, float]:
@@ -118,13 +121,13 @@ def moved(
     command = sines + excitation.square(time + phase, drive.square, drive.hertz)
     torque = excitation.current_loop(drive.amplitude * command, period, drive.lag)
     # the position comes late in being measured, see below
-    joint = replace(bench.joint, delay=False)
+    joint = replace(bench.true or bench.joint, delay=False)
     vector = [truth[name] for name in joint.names]
     share, times = bench.ripple
     if share:
         own = float(np.sqrt(2.0) * share * np.sqrt(np.mean(torque**2)))
         ripple = Term("motor.ripple", lambda m, k=float(times): np.sin(k * m.position + 1.0))
-        joint = replace(joint, terms=(ripple,))
+        joint = replace(joint, terms=(*joint.terms, ripple))
         at = truth | {"motor.ripple": own}
         vector = [at[name] for name in joint.names]
     inputs = Inputs(drive.added_mass, drive.radius)
@@ -172,7 +175,11 @@ def measured(
         drawn = bench.noise * peak * rng.standard_normal(samples.size)
         slow = lfilter([np.sqrt(1.0 - keeps**2)], [1.0, -keeps], drawn)
         noise = (noise + slow) / np.sqrt(2.0)
+    if bench.memory:
+        noise = bench.noise * peak * remembering(bench.memory, samples.size, rng)
     columns = {"time": samples - 0.1, "counts": counts}
+    if bench.sag:  # what is measured is more than what acts: a = m (1 - s m / peak)
+        torque = torque * (1.0 + bench.sag * np.abs(torque) / peak)
     if not bench.current:
         sensed = np.interp(samples, time, torque) + noise
         if bench.maker:
@@ -185,6 +192,17 @@ def measured(
     current = _means(torque, time, samples, bench.rate) + noise
     step = 4.0 * peak / 2**bench.current
     return columns | {"current": np.round(current / step) * step}
+
+
+def remembering(memory: str, n: int, rng: np.random.Generator) -> Array:
+    """Draw noise ``(n,)`` of sd one: a second-order one that lasts 20 samples, or 1/f."""
+    if memory == "ar2":
+        x = lfilter([1.0], [1.0, -1.6, 0.68], rng.standard_normal(n + 500))[500:]
+    else:
+        f = np.fft.rfftfreq(n)
+        f[0] = f[1]
+        x = np.fft.irfft(np.fft.rfft(rng.standard_normal(n)) / np.sqrt(f), n)
+    return np.asarray(x / np.std(x))
 
 
 def told(bench: Bench, drive: Drive, path: Path) -> Recording:

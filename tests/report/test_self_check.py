@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bayesfric.diagnostics.quick_fit import QuickFit
+from bayesfric.diagnostics.self_check import Checked
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.numbers import HTML, LATEX, TEXT, text_rounded
 from bayesfric.report.page.run_page import run_page
@@ -24,10 +26,8 @@ from bayesfric.report.summary.self_check import (
     to_cite,
 )
 from bayesfric.report.terminal import fit_text
-from bayesfric.self_check.quick_fit import QuickFit
-from bayesfric.self_check.self_check import Checked
+from tests.diagnostics.bench import model
 from tests.report.page_reader import read_page
-from tests.self_check.bench import model
 
 NAME = "motor.viscous"
 

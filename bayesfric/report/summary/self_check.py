@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
+from bayesfric.diagnostics.self_check import Checked
 from bayesfric.identifiability.local import Verdict
 from bayesfric.inference.fitting import Fit
 from bayesfric.report.numbers import text_rounded
@@ -23,7 +24,6 @@ from bayesfric.report.summary.derived_quantities import LEVEL, Groups
 from bayesfric.report.summary.record import SelfCheck, SelfCheckRow, Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.text_templates import filled, sentence
-from bayesfric.self_check.self_check import Checked
 
 Array = NDArray[np.float64]
 

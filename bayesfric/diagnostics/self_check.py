@@ -15,6 +15,8 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, field_validator
 
+from bayesfric.diagnostics.quick_fit import QuickFit, quick_fit
+from bayesfric.diagnostics.twins import NoTwin, twins
 from bayesfric.errors import Unfit
 from bayesfric.estimates.descent import few_threads
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
@@ -25,8 +27,6 @@ from bayesfric.recordings.measurement import Array, Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.tables.reader import Options
-from bayesfric.self_check.quick_fit import QuickFit, quick_fit
-from bayesfric.self_check.replay import NoReplay, replays
 
 # Recordings that are simulated where none are asked for, and samples in all: of long recordings
 # fewer are made, as the check should never take longer than the sampling.
@@ -111,7 +111,7 @@ def self_check(
     else:
         try:
             fits = _fits(target, truth, recordings, observations, processing, posterior.seed)
-        except NoReplay as error:
+        except NoTwin as error:
             reason, said = "simulation", str(error)
     made = np.array([fit is not None for fit in fits], dtype=np.bool_)
     if reason is None and made.sum() < _ENOUGH * number:
@@ -140,7 +140,7 @@ def _fits(
     chain, values = target.likelihood.chain, target.chain_values(truth)
     streams = np.random.SeedSequence(seed, spawn_key=(7,)).spawn(len(recordings))
     parts = [
-        replays(chain, values, recording, observation, processing, stream.spawn(len(truth)))
+        twins(chain, values, recording, observation, processing, stream.spawn(len(truth)))
         for recording, observation, stream in zip(recordings, observations, streams, strict=True)
     ]
     # a prior that is cut takes a quadrature

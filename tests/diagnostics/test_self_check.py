@@ -8,14 +8,14 @@ from numba import get_num_threads, set_num_threads
 
 import bayesfric as bf
 from bayesfric.config import Tables
+from bayesfric.diagnostics.self_check import SelfCheckOptions, self_check
 from bayesfric.errors import BadInput
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.model import Model
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.self_check import self_check_part
 from bayesfric.report.terminal import fit_text
-from bayesfric.self_check.self_check import SelfCheckOptions, self_check
-from tests.self_check.bench import CENTRAL, TRUTH, model, table
+from tests.diagnostics.bench import CENTRAL, TRUTH, model, table
 
 
 @pytest.fixture(scope="module")
@@ -137,7 +137,7 @@ def test_too_few_to_tell_a_spread_are_refused(wrong):
     ("samples", "number"), [(0, 40), (10_000, 40), (60_000, 25), (10_000_000, 10)]
 )
 def test_of_long_recordings_fewer_are_made(samples, number, monkeypatch):
-    monkeypatch.setattr("bayesfric.self_check.self_check._RECORDINGS", 40)
+    monkeypatch.setattr("bayesfric.diagnostics.self_check._RECORDINGS", 40)
     assert SelfCheckOptions().number(samples) == number
     assert SelfCheckOptions(recordings=100).number(samples) == 100
 

@@ -1,4 +1,9 @@
-"""The recording once more, simulated: the same torque, encoder, rate and filters, a known joint.
+"""Twins: the recording once more, simulated, with its encoder, rate and filters, a known joint.
+
+Twins are what a recording looks like where the model is right: by them estimates are tried, and
+what a check finds in a recording is held against what it finds in them. So a twin must differ from
+the recording as another one would. Its encoder has the same steps elsewhere, and its samples come
+at other instants between them: were all rounded alike, their error would be the same in each.
 
 A joint that is given a recorded torque alone drifts away from the recorded motion: what is
 integrated twice forgives nothing, least of all where the torque came out of a closed loop. So
@@ -39,11 +44,11 @@ _FINE = 5
 _FOLLOWING, _HIGHEST = 3.0, 0.2
 # Two instants at which only the acceleration differs.
 _NOW = np.zeros(2)
-# Numbers of a motion held at once.
-_AT_ONCE = 4_000_000
+# Where a modelled torque ends, as a multiple of the band, and at most as a share of the rate.
+_ABOVE, _HIGHEST_SHARE = 1.3, 0.4
 
 
-class NoReplay(Exception):
+class NoTwin(Exception):
     """A joint that no torque moves in one way only."""
 
 
@@ -76,7 +81,7 @@ def spring_of(chain: Joint, values: Array, observation: Observation) -> Spring:
 
     Raises
     ------
-    NoReplay
+    NoTwin
         If it feels none.
     """
     still = inverse_torque(
@@ -84,7 +89,7 @@ def spring_of(chain: Joint, values: Array, observation: Observation) -> Spring:
     )
     inertia = float(still[1] - still[0]) / chain.ratio
     if not inertia > 0.0:
-        raise NoReplay("the joint has no inertia, so a torque does not determine its motion")
+        raise NoTwin("the joint has no inertia, so a torque does not determine its motion")
     hertz = _FOLLOWING * pace(observation)
     if band := float(observation.settings["band"]):
         hertz = min(hertz, _HIGHEST * band)
@@ -92,40 +97,65 @@ def spring_of(chain: Joint, values: Array, observation: Observation) -> Spring:
     return Spring(hertz, inertia * omega**2, 2.0 * inertia * omega)
 
 
-def replays(
+def twins(
     chain: Joint,
     values: Array,
     recording: Measurement,
     observation: Observation,
     processing: Processing,
     seeds: Sequence[np.random.SeedSequence],
+    driver: Array | None = None,
 ) -> Iterator[Observation | None]:
     """Simulate a recording at parameter vectors ``(n, n_parameters)``, and look at each alike.
 
     Gives what was made of it, with the torque free of noise, or ``None`` where the joint cannot
     be simulated with these parameters or the filters leave nothing. ``seeds`` are of each
-    vector's noise in the position.
+    vector's sample phase, encoder grid and noise in the position; ``driver`` ``(N,)`` is the
+    torque that acts, the recorded one if left out, see :func:`modelled_driver`.
 
     Raises
     ------
-    NoReplay
+    NoTwin
         If the joint has no inertia.
     """
     spring = spring_of(chain, np.median(values, axis=0), observation)
-    held = _Held(chain, recording, observation, spring)
+    held = _Held(chain, recording, observation, spring, driver)
     alike = settled_as(processing, observation)
-    rows = max(1, _AT_ONCE // (_FINE * recording.time.size))
-    for first in range(0, len(values), rows):
-        part = slice(first, first + rows)
-        for one, motion, seed in zip(
-            values[part], held.simulated(values[part]), seeds[part], strict=True
-        ):
-            seen = _seen(recording, observation, motion, np.random.default_rng(seed))
-            yield None if seen is None else _observed(chain, one, seen, observation, alike)
+    for one, seed in zip(values, seeds, strict=True):
+        rng = np.random.default_rng(seed)
+        motion = held.simulated(one, rng.uniform(-0.5, 0.5))
+        seen = _seen(recording, observation, motion, rng)
+        yield None if seen is None else _observed(chain, one, seen, observation, alike)
+
+
+def modelled_driver(
+    chain: Joint, values: Array, recording: Measurement, observation: Observation
+) -> Array:
+    """Give the model's torque ``(N,)`` along the recorded motion, up to above the band.
+
+    It has the encoder's noise where the recorded one has the torque sensor's, which as a driver
+    would be true torque.
+    """
+    o, told = observation, observation.settings
+    taken = without_delay(chain, values)
+    torque = inverse_torque(*taken, o.q, o.qd, o.qdd, inputs=o.inputs, time=o.stamps)
+    fs = 1.0 / recording.period
+    cutoff = min(_ABOVE * float(told["band"] or told["lowpass"]), _HIGHEST_SHARE * fs)
+    torque = np.where(np.isfinite(torque), torque, o.compared)
+    return lowpass(torque, recording.segments, fs, cutoff, int(told["order"]))
+
+
+def without_delay(chain: Joint, values: Array) -> tuple[Joint, Array]:
+    """Give a joint whose position is not late, and its vector."""
+    if not chain.delay:
+        return chain, values
+    bare = replace(chain, delay=False)
+    found = dict(zip(chain.names, values, strict=True))
+    return bare, np.array([found[name] for name in bare.names])
 
 
 def settled_as(processing: Processing, observation: Observation) -> Processing:
-    """Write down the filters of a recording, so that its replays are treated alike."""
+    """Write down the filters of a recording, so that its twins are treated alike."""
     told = observation.settings
     numbers = {key: told[key] for key in ("lowpass", "decimate", "dead_zone", "trim")}
     return processing.model_copy(update=numbers)
@@ -144,7 +174,12 @@ class _Held:
     """The joint on its spring, and what drives the two."""
 
     def __init__(
-        self, chain: Joint, recording: Measurement, observation: Observation, spring: Spring
+        self,
+        chain: Joint,
+        recording: Measurement,
+        observation: Observation,
+        spring: Spring,
+        driver: Array | None,
     ) -> None:
         self._recording, self._observation, self._spring = recording, observation, spring
         motor = chain.elements[0].name
@@ -157,49 +192,52 @@ class _Held:
         # the torque that acts is taken when it does, and recorded earlier by a delay
         self._chain = replace(chain, terms=(*chain.terms, *terms), delay=False)
         told = observation.settings
-        torque = lowpass(
-            observation.torque,
-            recording.segments,
-            1.0 / recording.period,
-            float(told["lowpass"]),
-            int(told["order"]),
-        )
-        if chain.delay:
-            for a, b in recording.segments:
-                torque[a:b] = later(torque[a:b], float(told["delay"]) / recording.period)
-        self._driver = torque + self._pull(observation.q, observation.qd)
+        fs = 1.0 / recording.period
+        if driver is None:
+            cutoff, order = float(told["lowpass"]), int(told["order"])
+            driver = lowpass(observation.torque, recording.segments, fs, cutoff, order)
+            if chain.delay:
+                driver = self._shifted(driver, float(told["delay"]) * fs)
+        self._driver = driver + self._pull(observation.q, observation.qd)
+
+    def _shifted(self, x: Array, samples: float) -> Array:
+        """Give a signal some samples later."""
+        out = x.copy()
+        for a, b in self._recording.segments:
+            out[a:b] = later(x[a:b], samples)
+        return out
 
     def _pull(self, q: Array, qd: Array) -> Array:
         """Torque of spring and damper at a motion of the joint."""
         spring = self._spring
         return self._ratio * (spring.stiffness * q + spring.damping * qd)
 
-    def simulated(self, values: Array) -> list[_Motion]:
-        """Simulate vectors ``(n, n_parameters)``; NaN where that cannot be."""
+    def simulated(self, values: Array, phase: float) -> _Motion:
+        """Simulate a vector ``(n_parameters,)``, ``phase`` samples late; NaN if that cannot be."""
         recording, observation = self._recording, self._observation
-        vectors = self._with_spring(values)
-        q, qd, torque = (np.full((len(values), recording.time.size), np.nan) for _ in range(3))
+        vectors = self._with_spring(values[None])
+        driver = self._shifted(self._driver, phase)
+        q, qd, torque = (np.full(recording.time.size, np.nan) for _ in range(3))
         for a, b in recording.segments:
-            driver = _finely(self._driver[a:b])
+            finely = _finely(driver[a:b])
             fine_q, fine_qd = simulate_segments(
                 self._chain,
                 vectors,
-                driver,
+                finely,
                 recording.period / _FINE,
-                [(0, driver.size)],
+                [(0, finely.size)],
                 [observation.q[a]],
                 [observation.qd[a]],
                 inputs=observation.inputs,
                 begin=float(recording.time[a]),
                 substeps=1,
             )
-            q[:, a:b], qd[:, a:b] = fine_q[:, ::_FINE], fine_qd[:, ::_FINE]
-            torque[:, a:b] = self._driver[a:b] - self._pull(q[:, a:b], qd[:, a:b])
-            if self._given.delay:
-                delays = self._given.delays(values) / recording.period
-                for row, delay in zip(torque[:, a:b], delays.tolist(), strict=True):
-                    row[:] = later(row, -delay)
-        return [_Motion(*rows) for rows in zip(q, qd, torque, strict=True)]
+            q[a:b], qd[a:b] = fine_q[0, ::_FINE], fine_qd[0, ::_FINE]
+            torque[a:b] = driver[a:b] - self._pull(q[a:b], qd[a:b])
+        if self._given.delay:
+            late = float(self._given.delays(values[None])[0])
+            torque = self._shifted(torque, -late / recording.period)
+        return _Motion(q, qd, torque)
 
     def _with_spring(self, values: Array) -> Array:
         """Add spring and damper to vectors of the joint's own parameters."""
@@ -271,10 +309,14 @@ def _observed(
 def _sensed(
     recorded: Array, true: Array, noise: float, rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Read a signal as the recorded one was: in its steps, with what noise it has besides."""
+    """Read a signal as the recorded one was: in its steps, with what noise it has besides.
+
+    The steps lie anywhere.
+    """
     step = finest_step(recorded)
     besides = math.sqrt(max(noise**2 - step**2 / 12.0, 0.0))
     noisy = true + besides * rng.standard_normal(true.size)
     if not step:
         return noisy
-    return np.asarray(recorded[0] + step * np.round((noisy - recorded[0]) / step))
+    grid = recorded[0] + step * rng.uniform()
+    return np.asarray(grid + step * np.round((noisy - grid) / step))

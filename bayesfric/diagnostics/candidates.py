@@ -1,0 +1,419 @@
+"""What else could explain a torque: one table, a row each.
+
+A candidate is a kind and the columns that it adds beside the model's own, functions of the motion
+and of the model's torque along it. Where its shape is not known it has several sets of columns, one
+each value of a grid: no shape is searched for. Columns that only make up for a shape which lies
+between those of the grid are ``beside``: they are no candidates, and go in with one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.diagnostics.states import deflection, in_gap, resonating, since_reversal
+from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.quantities import QUANTITIES, Sizes, State
+from bayesfric.recordings.filters import derivative, lowpass
+from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.observation import Observation
+
+Array = NDArray[np.float64]
+Sets = Mapping[str, Sequence[Array]]
+
+# What a transmission carries: what the load itself takes, and no friction.
+_CARRIED = frozenset({"inertia", "first_moment", "gravity_angle", "spring", "spring_cubic", "gain"})
+# Shares of the inertia that lie behind the gearbox; which, a motion without losses does not tell.
+_BEHIND = (0.0, 0.33, 0.67, 1.0)
+# Turns of the cogging, and antiresonances in bands, and so on: grids of shapes.
+_CYCLES = (1, 2, 3, 4, 6, 8, 12, 18, 24, 36, 48)
+_ANTIRESONANCES = (0.5, 0.65, 0.8, 1.0, 1.3)
+_REACHES = (0.003, 0.01, 0.03, 0.1, 0.3)
+_FLIGHTS = (0.7, 1.4, 2.8)
+# Seconds of a push, at least, and the most that are looked for in a recording.
+_PUSH, _PUSHES = 0.25, 60
+# Speeds, and positions beside a step, that count as one.
+_FAST, _STEPS, _REVERSAL = 0.95, 3.0, 1e-3
+_FASTEST = 0.3
+
+
+@dataclass(frozen=True)
+class Scales:
+    """What shapes columns: of the recordings that were measured; twins have the same."""
+
+    speed: float  # nearly the largest
+    reach: float  # twice the typical distance from a reversal
+    carried: float  # rms of the torque that a transmission carries
+    torque: float  # rms of the measured
+    still_step: float  # that is no reversal
+    duration: float
+    cycles: tuple[tuple[str, float], ...]  # name, and radians a radian of the joint
+    pushes: tuple[tuple[str, float, float], ...]  # recording, centre and width in s
+    names: tuple[str, ...]  # of the recordings
+    inertia: float  # motor torque an acceleration of the joint
+    need: float  # rms of the load's acceleration by the motor
+    band: float  # Hz
+
+
+def scales_of(chain: Joint, values: Array, observations: Sequence[Observation]) -> Scales:
+    """Take them from recordings and an estimate ``(n_parameters,)``."""
+    speed = np.concatenate([np.abs(o.qd[o.filter.centres]) for o in observations])
+    carried = np.concatenate([carried_torque(chain, values, o) for o in observations])
+    moving = np.concatenate(
+        [carried_torque(chain, values, o) - weight(chain, values, o) for o in observations]
+    )
+    qdd = np.concatenate([o.qdd for o in observations])
+    inertia = max(float(moving @ qdd) / max(float(qdd @ qdd), 1e-300), 1e-300)
+    span = max(float(np.ptp(o.q)) for o in observations)
+    still = max(max(_STEPS * o.position_step for o in observations), _REVERSAL * span)
+    reach = [since_reversal(o.q, still)[o.filter.centres] for o in observations]
+    sides = {"motor": chain.ratio, "joint": 1.0} if chain.ratio != 1.0 else {"joint": 1.0}
+    cycles = tuple(
+        (f"{k} a turn of the {side}", k * ratio)
+        for k in _CYCLES
+        for side, ratio in sides.items()
+        if k * ratio * span >= 2.0 * np.pi and chain.motor_motion == "rotary"
+    )
+    pushes = []
+    for o in observations:
+        begin, end = float(o.stamps[0]), float(o.stamps[-1])
+        width = max(_PUSH, (end - begin) / (2 * _PUSHES))
+        pushes += [(o.name, float(c), width) for c in np.arange(begin + width, end, 2 * width)]
+    return Scales(
+        speed=float(np.quantile(speed, _FAST)),
+        reach=2.0 * float(np.median(np.concatenate(reach))),
+        carried=_rms(carried),
+        torque=_rms(np.concatenate([o.measured for o in observations])),
+        still_step=still,
+        duration=max(float(np.ptp(o.stamps)) for o in observations),
+        cycles=cycles,
+        pushes=tuple(pushes),
+        names=tuple(o.name for o in observations),
+        inertia=inertia,
+        need=_rms(carried) / inertia,
+        band=max(float(o.settings["band"]) for o in observations)
+        or _FASTEST / max(o.period for o in observations),
+    )
+
+
+def _rms(x: Array) -> float:
+    return float(np.sqrt(np.mean(x**2)))
+
+
+def carried_torque(chain: Joint, values: Array, o: Observation, *, still: bool = False) -> Array:
+    """Motor torque ``(N,)`` of inertia, weight and springs alone; at rest without inertia."""
+    kept = [name.rpartition(".")[2] in _CARRIED for name in chain.names]
+    qdd = np.zeros_like(o.q) if still else o.qdd
+    own = np.where(kept, values, 0.0)
+    return inverse_torque(chain, own, o.q, o.qd, qdd, inputs=o.inputs, time=o.stamps)
+
+
+def weight(chain: Joint, values: Array, o: Observation) -> Array:
+    """Motor torque ``(N,)`` of weight and springs alone."""
+    return carried_torque(chain, values, o, still=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Along:
+    """One recording's motion, and the model's torque along it; ``(N,)`` each."""
+
+    chain: Joint
+    values: Array  # (n_parameters,)
+    o: Observation
+    recording: Measurement
+    scales: Scales
+
+    @cached_property
+    def torque(self) -> Array:
+        """The model's."""
+        o = self.o
+        return inverse_torque(
+            self.chain, self.values, o.q, o.qd, o.qdd, inputs=o.inputs, time=o.stamps
+        )
+
+    @cached_property
+    def direction(self) -> Array:
+        """Sign of the speed."""
+        return np.sign(self.o.qd)
+
+    @cached_property
+    def carried(self) -> Array:
+        """What a transmission carries."""
+        return carried_torque(self.chain, self.values, self.o)
+
+    @cached_property
+    def weight(self) -> Array:
+        """What it carries at rest."""
+        return weight(self.chain, self.values, self.o)
+
+    @cached_property
+    def clock(self) -> Array:
+        """Time in durations, from -0.5 to 0.5 of the longest recording."""
+        return np.asarray((self.o.stamps - self.o.stamps.mean()) / self.scales.duration)
+
+    def smooth(self, x: Array) -> Array:
+        """Low-pass as the position is."""
+        told = self.o.settings
+        fs = 1.0 / self.recording.period
+        return np.asarray(
+            lowpass(x, self.recording.segments, fs, float(told["lowpass"]), int(told["order"]))
+        )
+
+    def rate(self, x: Array) -> Array:
+        """Differentiate."""
+        reach = int(self.o.settings["reach"])
+        return derivative(x, self.recording.segments, self.recording.period, reach)
+
+    def behind(self) -> Iterator[tuple[str, float, Array]]:
+        """Give what a gearbox carries with each share of the inertia behind it."""
+        told = float(np.ptp(self.weight)) > 1e-3 * self.scales.carried
+        for share in _BEHIND if told else (1.0,):
+            carried = self.weight + share * (self.carried - self.weight)
+            yield f"{share:.0%} of the inertia behind it", share, carried
+
+    def state(self, transmitted: Array) -> State:
+        """Give the state of one element that stands for all, at the joint's speed."""
+        o = self.o
+        still = np.zeros_like(o.q)
+        return State(o.q, o.qd, o.qdd, self.direction, o.stamps, transmitted, still)
+
+    @property
+    def sizes(self) -> Sizes:
+        """Sizes that grids of shapes are scaled by."""
+        one = self.scales
+        return Sizes(one.torque, one.speed, 1.0, 1.0, 1.0, one.duration)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A row of the table."""
+
+    name: str
+    columns: Callable[[Along], Sets]  # each shape's
+    beside: Callable[[Along], Sequence[Array]] = lambda _: ()  # see the module
+    option: str = ""  # of the mechanism that puts it in, with its choice
+    choice: str | bool = True
+    positive: bool = False  # whether that must be positive, in every column
+    last: bool = False  # whether it is asked only where nothing else explains
+
+
+def _late(a: Along) -> Sets:
+    rate = a.rate(a.smooth(a.torque))
+    if len(a.scales.names) == 1:
+        return {"": [rate]}
+    own = {f"in {name}": [rate * float(name == a.o.name)] for name in a.scales.names}
+    return {"": [rate], **own}
+
+
+def _one(column: Callable[[Along], Array]) -> Callable[[Along], Sets]:
+    return lambda a: {"": [column(a)]}
+
+
+def _term(*names: str) -> Callable[[Along], Sets]:
+    """Take columns from the table of quantities, at every value of what shapes them."""
+
+    def made(a: Along) -> Sets:
+        rows = [QUANTITIES[name] for name in names]
+        state = a.state(a.carried)
+        shape = QUANTITIES[rows[0].shape] if rows[0].shape else None
+        if shape is None or shape.tries is None:
+            return {"": [row.column(state) for row in rows if row.column]}
+        return {
+            f"{value:.3g}": [row.column(state, value) for row in rows if row.column]
+            for value in shape.tries(a.sizes)
+        }
+
+    return made
+
+
+def _stribeck(a: Along) -> Sets:
+    tries = QUANTITIES["stribeck_velocity"].tries
+    assert tries is not None
+    return {f"{v:.3g}": [a.direction * np.exp(-((a.o.qd / v) ** 2))] for v in tries(a.sizes)}
+
+
+def _concave(a: Along) -> Sequence[Array]:
+    v = np.abs(a.o.qd) / a.scales.speed
+    return [a.direction * v**0.25, a.direction * v**0.75]
+
+
+def _loads(column: Callable[[Along, Array], Sequence[Array]]) -> Callable[[Along], Sets]:
+    return lambda a: {label: column(a, carried) for label, _, carried in a.behind()}
+
+
+def _two(a: Along, carried: Array) -> Sequence[Array]:
+    state = a.state(carried)
+    rows = QUANTITIES["load_drive"], QUANTITIES["load_back"]
+    return [row.column(state) for row in rows if row.column]
+
+
+def _gap(a: Along) -> Sets:
+    begins = np.zeros(a.o.q.size, dtype=np.bool_)
+    begins[[begin for begin, _ in a.recording.segments]] = True
+    found = {}
+    for label, share, carried in a.behind():
+        if not share:
+            continue
+        need = a.smooth(carried) / (share * a.scales.inertia)
+        for times in _FLIGHTS:
+            half = 0.5 * a.scales.need * (times / (2.0 * np.pi * a.scales.band)) ** 2
+            place = in_gap(need, a.recording.period, half, begins)
+            found[f"{label}, {half:.2g}"] = [a.rate(a.rate(a.smooth(place)))]
+    return found
+
+
+def _elastic(a: Along) -> Sets:
+    found = {"far above the band": [a.rate(a.rate(a.smooth(a.carried)))]}
+    r = a.recording
+    for times in _ANTIRESONANCES:
+        hertz = times * a.scales.band
+        found[f"{hertz:.3g} Hz"] = [resonating(a.carried, r.segments, r.period, hertz)]
+    return found
+
+
+def _bristles(a: Along) -> Sets:
+    q, way = a.o.q, a.direction
+    return {f"{x:.0%}": [deflection(q, x * a.scales.reach) - way] for x in _REACHES}
+
+
+def _gravity(a: Along) -> Sets:
+    if a.chain.load.motion != "rotary":
+        return {}
+    return {"": [np.sin(a.o.q), np.cos(a.o.q)]}
+
+
+def _by_angle(column: Callable[[Along], Array]) -> Callable[[Along], Sets]:
+    def made(a: Along) -> Sets:
+        if a.chain.load.motion != "rotary":
+            return {"": [column(a) * a.o.q]}
+        return {"": [column(a) * np.sin(a.o.q), column(a) * np.cos(a.o.q)]}
+
+    return made
+
+
+def _inertia_by_angle(a: Along) -> Sets:
+    if a.chain.load.motion != "rotary":
+        return {}
+    sine, cosine, turning = np.sin(a.o.q), np.cos(a.o.q), 0.5 * a.o.qd**2
+    return {"": [cosine * a.o.qdd - sine * turning, sine * a.o.qdd + cosine * turning]}
+
+
+def _repeating(a: Along) -> Sets:
+    return {name: [np.sin(k * a.o.q), np.cos(k * a.o.q)] for name, k in a.scales.cycles}
+
+
+def _pushes(a: Along) -> Sets:
+    return {
+        f"{name} at {centre:.2f} s": [
+            np.exp(-0.5 * ((a.o.stamps - centre) / width) ** 2) * float(name == a.o.name)
+        ]
+        for name, centre, width in a.scales.pushes
+    }
+
+
+def _load_torque(a: Along) -> Sets:
+    signal = a.o.inputs.load_torque
+    return {} if signal is None else {"": [signal.at(a.o.stamps)]}
+
+
+def _temperature(a: Along) -> Sets:
+    if a.o.inputs.temperature is None:
+        return {}
+    warm = a.o.inputs.temperature.at(a.o.stamps)
+    return {"": [a.direction * warm, a.o.qd * warm]}
+
+
+KINDS: tuple[Kind, ...] = (
+    Kind(
+        "delay",
+        _late,
+        lambda a: [a.rate(a.rate(a.smooth(a.torque)))],
+        option="delay",
+    ),
+    Kind("torque_constant", _one(lambda a: a.torque)),
+    Kind("torque_by_sign", _one(lambda a: np.abs(a.torque)), lambda a: [a.torque**2]),
+    Kind(
+        "saturation",
+        _one(lambda a: a.torque * np.abs(a.torque)),
+        lambda a: [a.torque**3, a.torque**5],
+    ),
+    Kind("offset", _one(lambda a: np.ones_like(a.o.q)), option="offset"),
+    Kind("coulomb", _one(lambda a: a.direction), option="coulomb", choice="symmetric"),
+    Kind("viscous", _one(lambda a: a.o.qd), option="viscous"),
+    Kind(
+        "viscous_by_direction",
+        _one(lambda a: np.abs(a.o.qd)),
+        option="viscous",
+        choice="by-direction",
+    ),
+    Kind(
+        "quadratic",
+        _term("quadratic"),
+        lambda a: [a.o.qd * np.abs(a.o.qd) ** 0.5, a.o.qd**3],
+        option="quadratic",
+        positive=True,
+    ),
+    Kind("power", _term("power"), _concave, option="power", positive=True),
+    Kind("stribeck", _stribeck, option="stribeck", positive=True),
+    Kind(
+        "stribeck_by_direction",
+        _one(lambda a: np.exp(-np.abs(a.o.qd) / (0.1 * a.scales.speed))),
+    ),
+    Kind(
+        "load_loss",
+        _loads(lambda a, carried: [np.abs(carried) * a.direction]),
+        option="load_loss",
+        choice="one",
+        positive=True,
+    ),
+    Kind("load_loss_by_power", _loads(_two), option="load_loss", choice="two", positive=True),
+    Kind(
+        "load_square",
+        _loads(lambda a, carried: [carried**2 * a.direction]),
+        option="load_square",
+        positive=True,
+    ),
+    Kind(
+        "load_speed",
+        _loads(lambda a, carried: [np.abs(carried) * a.o.qd]),
+        option="load_speed",
+        positive=True,
+    ),
+    Kind("inertia", _one(lambda a: a.o.qdd), option="inertia"),
+    Kind("gravity", _gravity, option="gravity_angle"),
+    Kind("spring", _term("spring"), option="spring"),
+    Kind("friction_by_angle", _by_angle(lambda a: a.direction), option="periodic_friction"),
+    Kind("inertia_by_angle", _inertia_by_angle),
+    Kind("repeating", _repeating, option="cogging"),
+    Kind(
+        "elastic",
+        _elastic,
+        lambda a: [a.rate(column) for sets in _elastic(a).values() for column in sets],
+    ),
+    Kind("backlash", _gap),
+    Kind("presliding", _bristles),
+    Kind("drift", _one(lambda a: a.clock), lambda a: [a.clock**2, a.clock**3]),
+    Kind(
+        "coulomb_warming",
+        _term("coulomb_warming"),
+        lambda a: [a.clock * a.direction, a.clock**2 * a.direction],
+        option="warming",
+        choice="constant",
+    ),
+    Kind(
+        "viscous_warming",
+        _term("viscous_warming"),
+        lambda a: [a.clock * a.o.qd, a.clock**2 * a.o.qd],
+        option="warming",
+        choice="viscous",
+    ),
+    Kind("temperature", _temperature, option="temperature", choice="both"),
+    Kind("load_torque", _load_torque),
+    Kind("push", _pushes, last=True),
+)
+BY_NAME: Mapping[str, Kind] = {kind.name: kind for kind in KINDS}

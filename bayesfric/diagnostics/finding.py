@@ -1,0 +1,60 @@
+"""What may be wrong with a recording or a model, as every check says it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+Severity = Literal["note", "doubt"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that the recordings show and that recordings of a right model do not.
+
+    Attributes
+    ----------
+    kind
+        What it is, a key of the words.
+    severity
+        ``doubt`` where it moves a reported number by more than half its interval, else ``note``.
+    shape
+        Which of its kind it is, such as a speed or a frequency; empty where there is one.
+    recordings
+        In which it is; empty for all.
+    span
+        Seconds in which it is, where it is not all along.
+    statistic
+        How far beyond what its twins show, as a standard normal.
+    p
+        How often twins show as much of anything.
+    share
+        Root mean square of its torque over that of all torque.
+    rivals
+        Kinds that this motion does not tell it from.
+    moves
+        By name of a parameter, by how many of its standard deviations its value is off.
+    setting
+        Line of a configuration that would put it in; empty where none does.
+    physical
+        Whether the sign that it was found with is possible for what ``setting`` says.
+    """
+
+    kind: str
+    severity: Severity
+    statistic: float
+    p: float
+    shape: str = ""
+    recordings: tuple[str, ...] = ()
+    span: tuple[float, float] | None = None
+    share: float = 0.0
+    rivals: tuple[str, ...] = ()
+    moves: Mapping[str, float] = field(default_factory=dict)
+    setting: str = ""
+    physical: bool = True
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of what it moves, the most first."""
+        return tuple(sorted(self.moves, key=lambda name: -abs(self.moves[name])))

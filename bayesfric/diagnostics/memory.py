@@ -1,0 +1,221 @@
+"""Noise that remembers: autoregressive across gaps, on top of a slow wander.
+
+Outputs come in runs, with some missing between them. A memory that forgets at every gap has no room
+for what is slow, and then a drift or a push is found in any such noise: so what is missing a Kalman
+filter passes over (Jones, Technometrics 22, 1980), and a sum of cosines up to a hertz, sized as
+those of a random walk's or 1/f noise's, stands for what no few predecessors hold.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.linalg import toeplitz
+
+from bayesfric.inference.likelihood import autoregression as ar
+from bayesfric.inference.moments.residual_moments import follows
+from bayesfric.recordings.observation import Observation
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+# Most predecessors, and at least so many outputs for each.
+_ORDER, _OUTPUTS = 6, 20
+# Hz up to which the noise may wander; most cosines, and outputs a cosine.
+_SLOW, _WAVES, _EACH = 1.0, 60, 8
+# Sizes of the wander that are tried, in sds of the innovations.
+_SIZES = (0.0, 0.15, 0.45, 1.35, 4.0)
+# Outputs further apart know nothing of each other, in steps.
+_FORGOTTEN = 300
+# Parts of a covariance below these are rounding, or change nothing.
+_ROUNDING, _NOTHING = 1e-9, 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Where outputs lie in time, recording by recording."""
+
+    runs: tuple[NDArray[np.bool_], ...]  # (M - 1,) of each: which are followed by the next
+    at: tuple[Index, ...]  # (M,) of each: steps since its first output
+    stamps: tuple[Array, ...]  # (M,) of each, s
+
+    @classmethod
+    def of(cls, observations: Sequence[Observation]) -> Layout:
+        """Take it from what was observed."""
+        steps = [np.round((o.time - o.time[:1].sum()) / o.period) for o in observations]
+        return cls(
+            tuple(follows(o) for o in observations),
+            tuple(one.astype(np.int64) for one in steps),
+            tuple(o.time for o in observations),
+        )
+
+    def split(self, x: Array) -> list[Array]:
+        """Divide rows ``(n, ...)`` among the recordings."""
+        return np.split(x, np.cumsum([a.size for a in self.at])[:-1])
+
+    @cached_property
+    def outputs(self) -> int:
+        """How many there are."""
+        return sum(a.size for a in self.at)
+
+    @cached_property
+    def waves(self) -> Array:
+        """Cosines ``(n, K)`` of each recording's clock, falling as one over the frequency's root.
+
+        That is the spectrum of 1/f noise.
+        """
+        columns, first = [], 0
+        for t in self.stamps:
+            span = float(np.ptp(t)) or 1.0
+            many = int(min(max(2 * _SLOW * span, 4), t.size / _EACH, _WAVES))
+            x = np.zeros((self.outputs, many))
+            order = np.arange(1, many + 1)
+            phase = np.pi * order * (t - t[0])[:, None] / span
+            x[first : first + t.size] = np.cos(phase) / np.sqrt(order)
+            columns.append(x)
+            first += t.size
+        return np.concatenate(columns, axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Memory:
+    """Partial autocorrelations ``(p,)``, and the sd of the slowest cosine in the innovations'."""
+
+    partial: Array
+    slow: float = 0.0
+
+    def whitened(self, x: Array, layout: Layout) -> Array:
+        """Take from every row of ``(n, m)`` what the rows before it foretell, over its sd."""
+        x = _whitened(x, self.partial, layout)[0]
+        if not self.slow:
+            return x
+        wave = _whitened(layout.waves, self.partial, layout)[0] * self.slow
+        size, vectors = np.linalg.eigh(wave.T @ wave)
+        kept = size > _NOTHING
+        u, size = (wave @ vectors[:, kept]) / np.sqrt(size[kept]), size[kept]
+        return np.asarray(x - u @ ((1.0 - 1.0 / np.sqrt(1.0 + size))[:, None] * (u.T @ x)))
+
+    def drawn(self, layout: Layout, rng: np.random.Generator) -> Array:
+        """Draw one series ``(n,)`` whose innovations have sd one."""
+        parts = []
+        for at in layout.at:
+            joined = np.ones(int(at[-1]), dtype=np.bool_)
+            parts.append(ar.simulated(self.partial, joined, 1, rng)[0][at])
+        x = np.concatenate(parts)
+        if self.slow:
+            x = x + self.slow * (layout.waves @ rng.standard_normal(layout.waves.shape[1]))
+        return x
+
+    def variance(self, layout: Layout) -> float:
+        """Variance of an output, in the innovations'."""
+        found = float(ar.variances(self.partial[None])[0][0])
+        return found + self.slow**2 * float((layout.waves**2).sum()) / layout.outputs
+
+
+WHITE = Memory(np.zeros(0))
+
+
+def memory_of(left: Array, layout: Layout) -> tuple[Memory, float]:
+    """Choose the memory of what is left ``(n,)`` by the Bayesian information criterion, given too.
+
+    Order and wander are chosen together.
+    """
+    n, found, least = left.size, WHITE, math.inf
+    for size in _SIZES if n > 2 * _OUTPUTS else _SIZES[:1]:
+        rest = left
+        if size:  # what wanders, by the memory before, is none of the predecessors'
+            rest = left - _wandering(left, found.partial, size, layout)[0]
+        order = min(_ORDER, n // _OUTPUTS)
+        partial = ar.burg(layout.split(rest), layout.runs, order)
+        costs = n * np.cumsum(np.log1p(-(partial**2))) + np.arange(1, order + 1) * math.log(n)
+        partial = partial[: int(np.argmin(np.append(0.0, costs)))]
+        white, logs = _whitened(left[:, None], partial, layout)
+        power, cost = float((white**2).sum()), logs
+        if size:
+            _, taken, more = _wandering(left, partial, size, layout)
+            power, cost = power - taken, cost + more
+        bic = n * math.log(max(power, 1e-300) / n) + cost + partial.size * math.log(n)
+        if bic < least:
+            least, found = bic, Memory(partial, size)
+        elif found.slow:
+            break
+    return found, least
+
+
+def _wandering(
+    left: Array, partial: Array, size: float, layout: Layout
+) -> tuple[Array, float, float]:
+    """Give the expected wander ``(n,)``, the power it takes, and the log of its determinant."""
+    both = _whitened(np.column_stack([layout.waves * size, left]), partial, layout)[0]
+    wave, y = both[:, :-1], both[:, -1]
+    inner = wave.T @ wave + np.eye(wave.shape[1])
+    taken = wave.T @ y
+    shares = np.linalg.solve(inner, taken)
+    return (
+        size * (layout.waves @ shares),
+        float(taken @ shares),
+        float(np.linalg.slogdet(inner)[1]),
+    )
+
+
+def _whitened(x: Array, partial: Array, layout: Layout) -> tuple[Array, float]:
+    """Whiten rows ``(n, m)``; the second is the log of the determinant of what that divides by."""
+    if partial.size == 0:
+        return x, 0.0
+    phi = np.ascontiguousarray(ar.predictors(partial[None])[-1][0])
+    stationary = toeplitz(ar.autocovariance(partial)[:-1])
+    made = [
+        _innovations(np.ascontiguousarray(part), at, phi, stationary)
+        for part, at in zip(layout.split(x), layout.at, strict=True)
+    ]
+    return np.concatenate([one[0] for one in made]), sum(one[1] for one in made)
+
+
+@njit(cache=True, error_model="numpy")
+def _innovations(x, at, phi, stationary):  # type: ignore[no-untyped-def]
+    """Innovations of columns ``(n, m)`` over their sds, and the sum of the logs of their variances.
+
+    The state holds the last p values; ``at`` ``(n,)`` are whole steps, what lies between them is
+    foretold and not corrected.
+    """
+    n, m = x.shape
+    p = phi.size
+    out = np.empty((n, m))
+    state = np.zeros((p, m))
+    cov = stationary.copy()
+    logs = 0.0
+    for i in range(n):
+        if i:
+            gap = at[i] - at[i - 1]
+            if gap < 1 or gap > _FORGOTTEN:
+                state[:] = 0.0
+                cov[:] = stationary
+            else:
+                for _ in range(gap):
+                    first = phi @ state
+                    u = cov @ phi
+                    variance = phi @ u + 1.0
+                    for k in range(p - 1, 0, -1):
+                        state[k] = state[k - 1]
+                        for j in range(p - 1, 0, -1):
+                            cov[k, j] = cov[k - 1, j - 1]
+                    state[0] = first
+                    for k in range(1, p):
+                        cov[0, k] = u[k - 1]
+                        cov[k, 0] = u[k - 1]
+                    cov[0, 0] = variance
+        variance = cov[0, 0]
+        error = x[i] - state[0]
+        out[i] = error / math.sqrt(variance)
+        logs += math.log(variance)
+        gain = cov[:, 0] / variance
+        for k in range(p):
+            state[k] += gain[k] * error
+        cov -= np.outer(gain, gain) * variance
+    return out, logs

@@ -1,0 +1,127 @@
+"""What a model lacks, as findings: what is found, what it moves, and what would put it in."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from bayesfric.diagnostics.candidates import BY_NAME, Kind
+from bayesfric.diagnostics.finding import Finding
+from bayesfric.diagnostics.policy import MOVES
+from bayesfric.diagnostics.regression import Regression, Step
+from bayesfric.diagnostics.twins import NoTwin
+from bayesfric.estimates.descent import few_threads
+from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.quantities import CHOICES, CYCLES, LOAD_CHOICES
+from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.processing import Processing
+
+Reason = Literal["few", "simulation"]
+
+# Outputs beyond the model's parameters, or there is nothing to ask; and share of the twins that
+# must have come out.
+_FREE, _ENOUGH = 20, 0.5
+
+
+@dataclass(frozen=True)
+class Missing:
+    """What recordings show that the model lacks; where it was not asked ``reason`` says why.
+
+    There are too ``few`` outputs, or the ``simulation`` of twins is impossible.
+    """
+
+    findings: tuple[Finding, ...] = ()
+    twins: int = 0
+    cpu_seconds: float = 0.0
+    reason: Reason | None = None
+
+    @property
+    def asked(self) -> bool:
+        """Whether there is an answer."""
+        return self.reason is None
+
+    @property
+    def wrong(self) -> bool:
+        """Whether the model is not exactly right."""
+        return bool(self.findings)
+
+
+def what_is_missing(
+    chain: Joint,
+    recordings: Sequence[Measurement],
+    observations: Sequence[Observation],
+    processing: Processing,
+    point: Mapping[str, float],
+    known: Sequence[str],
+    seed: int,
+) -> Missing:
+    """Ask recordings what else explains their torque, at an input-error estimate ``point``.
+
+    ``known`` are names of parameters that are fixed.
+    """
+    begun = time.process_time()
+    outputs = sum(o.measured.size for o in observations)
+    if outputs < len(chain.names) + _FREE:
+        return Missing(reason="few")
+    try:
+        with few_threads(observations):
+            asked = Regression(
+                chain, recordings, observations, processing, chain.vector(point), known, seed
+            )
+            steps = [s for s in asked.steps() if s.sure]
+    except NoTwin:
+        return Missing(reason="simulation")
+    found = tuple(finding(chain, step) for step in steps)
+    return Missing(found, len(asked.twins), time.process_time() - begun)
+
+
+def finding(chain: Joint, step: Step) -> Finding:
+    """Say one step of the ranking as a finding."""
+    kind = BY_NAME.get(step.kind)
+    far = max((abs(x) for x in step.moves.values()), default=0.0)
+    return Finding(
+        kind=step.kind,
+        severity="doubt" if far > MOVES else "note",
+        statistic=step.z,
+        p=step.p,
+        shape=step.shape,
+        share=step.share,
+        rivals=step.alike,
+        moves={name: x for name, x in step.moves.items() if abs(x) > MOVES},
+        setting="" if kind is None else setting_of(chain, kind, step.shape),
+        physical=kind is None or not kind.positive or bool(np.all(step.coefficients >= 0.0)),
+    )
+
+
+def setting_of(chain: Joint, kind: Kind, shape: str) -> str:
+    """Give the line of a configuration that puts a candidate into a joint; empty if none does."""
+    option, value = kind.option, "true" if kind.choice is True else f'"{kind.choice}"'
+    if option in ("offset", "delay"):
+        return "" if getattr(chain, option) else f"mechanism.{option} = true"
+    if option in LOAD_CHOICES and option not in CHOICES:
+        if option in chain.load.choices:
+            return ""
+        if option == "gravity_angle" and "first_moment" not in chain.load.choices:
+            return "mechanism.load = { first_moment = true, gravity_angle = true }"
+        return f"mechanism.load.{option} = true"
+    elements = chain.elements
+    if option in CYCLES:
+        cycles, _, side = shape.partition(" a turn of the ")
+        reach = chain.ratio if side == "motor" else 1.0
+        elements = tuple(e for e in elements if chain.reaches[e.name] == reach)
+        value = f"[{cycles or 1}]"
+    elif option == "load_loss":
+        # of two, one behind the other, no motion tells more than their product
+        lossy = [e for e in elements if e.load_loss != "none"]
+        elements = tuple(lossy or elements[-1:])
+    elif option in ("load_speed", "load_square"):
+        elements = tuple(e for e in elements if e.load_loss != "none")
+    elif option not in CHOICES:
+        return ""
+    open_ = [e for e in elements if e.choices.get(option) != kind.choice]
+    return f"mechanism.elements.{open_[0].name}.{option} = {value}" if open_ else ""

@@ -1,0 +1,22 @@
+"""The few probabilities by which it is decided what is said of a recording.
+
+``studies/diagnostics`` sweeps them.
+"""
+
+# Of recordings whose model is right, the share in which anything is said to be missing.
+FALSE_ALARMS = 0.05
+# Twins that tell what chance does.
+TWINS = 60
+# The twins' own limit is known to 0.3 of a standard normal; below this nothing is a finding.
+LEAST_Z = 4.0
+# Share of a candidate's columns that must be left beside the model's own, or this motion does not
+# tell the one from the other.
+TESTABLE = 0.015
+# What a certain effect must move a reported number by, in half-widths of its 90 % interval, for
+# that number to be doubted.
+MOVES = 1.645
+# Most effects that are looked for one after the other.
+MOST = 4
+# Cosine from which two candidates are one group: this motion does not tell them apart; and the
+# gain by which one must be better, a factor of 150 in likelihood.
+ALIKE, BETTER = 0.95, 10.0

@@ -1,0 +1,440 @@
+"""What else explains the torque: one regression, judged by the recording's own twins.
+
+Beside the model's own columns, its torque's derivatives by its parameters at an estimate, stand
+those of :mod:`bayesfric.diagnostics.candidates`. All pass the parallel filter of the measured
+torque, are whitened by one noise, and are asked for what is left when the model's own are taken
+out. Of each candidate the twins tell mean and spread where the model is right; of the largest of
+all they tell what chance does (Rubin 1984; Gelman, Meng and Stern 1996; Westfall and Young 1993).
+What exceeds it goes in, the one that explains most first, and the others compete for what is left.
+
+The noise is told from what is left once everything that white noise would not do is taken: from
+the plain residual its memory would swallow the effect. Each twin's is told from itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.diagnostics.candidates import (
+    BY_NAME,
+    KINDS,
+    Along,
+    Scales,
+    scales_of,
+)
+from bayesfric.diagnostics.memory import WHITE, Layout, Memory, memory_of
+from bayesfric.diagnostics.policy import ALIKE, BETTER, FALSE_ALARMS, LEAST_Z, MOST, TWINS
+from bayesfric.diagnostics.statistics import (
+    Columns,
+    Key,
+    asked,
+    basis_of,
+    beside,
+    mean_square,
+    scored,
+    solved,
+    testable,
+    whitened,
+    without,
+)
+from bayesfric.diagnostics.twins import modelled_driver, twins
+from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical_load
+from bayesfric.mechanism.derived import derive
+from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.processing import Processing
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+# Step of a derivative, as a share of a parameter.
+_STEP = 1e-6
+# Singular values of an estimate below this share of the largest are open; of a tone, rounding.
+_OPEN, _ROUNDING = 1e-7, 1e-9
+# Share of a quantity's direction that must be determined.
+_TOLD = 0.999
+# Widest share of a parameter by which twins' truths differ.
+_WIDEST = 0.1
+# Twins that tell which torque drives the rest; and that stand for all while noise is chosen.
+_PROBES, _FEW = 6, 24
+# Share of the residual that the encoder makes, from which the recorded torque drives twins.
+_BY_ENCODER = 0.5
+# Most that is taken out while noise is chosen, and what each costs there: twice the log of how
+# many candidates there are.
+_PICKS, _DEAR = 8, 10.0
+# Hz below which a tone may be the noise's wander.
+_SLOW = 1.0
+# Steps to a tone's frequency, and the longest in periods of the recording.
+_TUNINGS, _FURTHEST = 4, 0.2
+TONE = "tone"
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One round of the ranking."""
+
+    kind: str
+    shape: str
+    z: float
+    limit: float
+    p: float
+    gain: float
+    share: float
+    sure: bool
+    coefficients: Array  # of its own columns
+    moves: dict[str, float]  # quantity: by how many of its sds it moves, where these are told
+    alike: tuple[str, ...]  # kinds that explain as much, or look alike here
+    ranks: tuple[tuple[str, str, float, float], ...]  # kind, shape, z, gain of the best
+
+
+@dataclass(eq=False)
+class Regression:
+    """Recordings, twins and everything that is computed once.
+
+    Parameters
+    ----------
+    chain, recordings, observations, processing
+        The joint, and what was measured of it.
+    values
+        ``(n_parameters,)`` an estimate by the input error.
+    known
+        Names of parameters that are fixed.
+    seed
+        Of the twins.
+    number
+        How many twins.
+
+    Raises
+    ------
+    NoTwin
+        If the joint has no inertia.
+    """
+
+    chain: Joint
+    recordings: Sequence[Measurement]
+    observations: Sequence[Observation]
+    processing: Processing
+    values: Array
+    known: Collection[str] = ()
+    seed: int = 0
+    number: int = TWINS
+    scales: Scales = field(init=False)
+    data: Columns = field(init=False)
+    twins: list[Columns] = field(init=False)
+
+    def __post_init__(self) -> None:
+        streams = np.random.SeedSequence(self.seed).spawn(4)
+        draws, probes, others, noise = streams
+        self.scales = scales_of(self.chain, self.values, self.observations)
+        self.data = self._columns(self.values, self.observations)
+        self._groups = testable(self.data)
+        vectors = self._near(np.random.default_rng(draws))
+        self.modelled = self._modelled(probes)
+        self.twins = list(self._twins(vectors, others))
+        self._clean = [twin.left for twin in self.twins]
+        self._choose_noise(noise)
+
+    # What is compared
+
+    def _columns(self, values: Array, observations: Sequence[Observation]) -> Columns:
+        """Make the columns of recordings, at parameters ``(n_parameters,)``."""
+        chain = self.chain
+        free = np.array([name not in self.known for name in chain.names])
+        steps = free * _STEP * np.maximum(np.abs(values), 1.0)
+        base = torque_jacobian(chain, observations, values, steps)
+        blocks = []
+        for o, r in zip(observations, self.recordings, strict=True):
+            made = dict(_made(Along(chain, values, o, r, self.scales)))
+            keys = tuple(made)
+            blocks.append(o.filter.apply(np.stack([made[key] for key in keys])).T)
+        left = [o.measured - filtered_torque(chain, o, values[None])[0] for o in observations]
+        layout = Layout.of(observations)
+        return Columns(base, np.concatenate(blocks), np.concatenate(left), layout, keys)
+
+    def _near(self, rng: np.random.Generator) -> Array:
+        """Draw vectors ``(number, n_parameters)`` that the recordings hold possible.
+
+        From the estimate's normal; its open directions are left out.
+        """
+        size = np.maximum(np.abs(self.values), 1e-12)
+        rows = self.data.base * size
+        variance = mean_square(without(basis_of(self.data.base), self.data.left), rows.shape[1])
+        power, vectors = np.linalg.eigh(rows.T @ rows)
+        told = power > _OPEN * power.max()
+        sds = np.minimum(np.sqrt(variance / power[told]), _WIDEST)
+        drawn = rng.standard_normal((self.number, int(told.sum()))) * sds
+        lower = np.array([p.lower for p in self.chain.parameters])
+        return np.asarray(np.maximum(self.values + (drawn @ vectors[:, told].T) * size, lower))
+
+    def _modelled(self, stream: np.random.SeedSequence) -> bool:
+        """Whether the model's torque is less noisy than the recorded one, and so drives twins."""
+        some = np.tile(self.values, (_PROBES, 1))
+        self.modelled = False
+        own = [mean_square(without(basis_of(t.base), t.left)) for t in self._twins(some, stream)]
+        mine = mean_square(without(basis_of(self.data.base), self.data.left))
+        return bool(own) and float(np.mean(own)) <= _BY_ENCODER * mine
+
+    def _twins(self, vectors: Array, stream: np.random.SeedSequence) -> Iterator[Columns]:
+        parts = []
+        for r, o, one in zip(
+            self.recordings, self.observations, stream.spawn(len(self.recordings)), strict=True
+        ):
+            driver = modelled_driver(self.chain, self.values, r, o) if self.modelled else None
+            seeds = one.spawn(len(vectors))
+            parts.append(twins(self.chain, vectors, r, o, self.processing, seeds, driver))
+        for values, seen in zip(vectors, zip(*parts, strict=True), strict=True):
+            made = [o for o in seen if o is not None]
+            if len(made) == len(seen):
+                yield self._columns(values, made)
+
+    # Noise
+
+    def _choose_noise(self, stream: np.random.SeedSequence) -> None:
+        """Give twins the noise of what is left when all is taken that is there by white noise."""
+        every, self.twins = self.twins, self.twins[:_FEW]
+        self.memory: Memory | None = WHITE
+        self._add_noise(WHITE, [], stream)
+        taken: list[list[int]] = [[]]
+        for step, extra in self._climbed(_PICKS, shapes=False, wander=False):
+            if not step.sure:
+                break
+            taken.append(extra)
+        best = math.inf
+        for picks, extra in enumerate(taken):
+            left = without(basis_of(beside(self.data, extra)), self.data.left)
+            memory, bic = memory_of(left, self.data.layout)
+            bic += len(extra) * math.log(left.size) + _DEAR * picks
+            if bic < best:
+                best, self.noise, chosen = bic, memory, extra
+        self.twins = every
+        tones = [key for key in self.data.keys if key.kind == TONE]
+        for twin in every[_FEW:]:
+            self._with_tones(twin, tones)
+        self.memory = None
+        self._add_noise(self.noise, chosen, stream)
+
+    def _add_noise(
+        self, memory: Memory, extra: Sequence[int], stream: np.random.SeedSequence
+    ) -> None:
+        """Add so much that twins leave as much as the recording does: their sensors make some."""
+        basis = basis_of(beside(self.data, extra))
+        total = mean_square(without(basis, self.data.left), basis.shape[1])
+        own = []
+        for twin, clean in zip(self.twins, self._clean, strict=False):
+            basis = basis_of(beside(twin, extra))
+            own.append(mean_square(without(basis, clean), basis.shape[1]))
+        beyond = max(1.0 - float(np.mean(own or [0.0])) / max(total, 1e-300), 0.1)
+        sd = math.sqrt(total * beyond / memory.variance(self.data.layout))
+        rng = np.random.default_rng(stream)
+        for twin, clean in zip(self.twins, self._clean, strict=False):
+            twin.left = clean + sd * memory.drawn(twin.layout, rng)
+
+    # Ranking
+
+    def steps(self, most: int = MOST) -> list[Step]:
+        """Rank what the model lacks: what no chance is, in order, and the first that may be."""
+        found = []
+        for step, _ in self._climbed(most + 1):
+            found.append(step)
+            if not step.sure:
+                break
+        return found
+
+    def _climbed(
+        self, most: int, *, shapes: bool = True, wander: bool = True
+    ) -> Iterator[tuple[Step, list[int]]]:
+        """Take in one candidate after the other; gives each step with all columns taken so far."""
+        extra: list[int] = []
+        for _ in range(most):
+            step, own = self._best(extra, wander=wander)
+            if step is None:
+                return
+            extra = [*extra, *own]
+            if shapes and step.kind not in (TONE, "push", "gravity", "repeating"):
+                family = [i for i, k in enumerate(self.data.keys) if k.kind == step.kind]
+                extra += [i for i in family if i not in extra]
+            yield step, extra
+
+    def _best(self, extra: list[int], *, wander: bool) -> tuple[Step | None, list[int]]:
+        mine = asked(self.data, self._groups, extra, self.memory)
+        others = [asked(twin, self._groups, extra, self.memory) for twin in self.twins]
+        z, null = scored(mine, others)
+        largest = null.max(axis=1)
+        limit = float(np.quantile(largest, 1.0 - FALSE_ALARMS, method="higher"))
+        limit = max(limit, LEAST_Z)
+        kinds = [key.kind for key, _ in self._groups] + [TONE]
+        count = np.array([len(own) for _, own in self._groups] + [3])
+        worth = np.append(mine.gains, mine.peak) - (count - 1) * math.log(self.data.left.size)
+        allowed = z > limit
+        if not wander:  # what the noise's wander can be is not to be taken before it is known
+            allowed &= np.array([k not in ("push", "drift") for k in kinds])
+            allowed[-1] &= mine.hertz > _SLOW
+            if not allowed.any():
+                return None, []
+        last = np.array([k in BY_NAME and BY_NAME[k].last for k in kinds])
+        if (allowed & ~last).any():
+            allowed &= ~last
+        sure = bool(allowed.any())
+        best = int(np.argmax(np.where(allowed, worth, -np.inf) if sure else z))
+        if best == len(self._groups):
+            own, shape = self._tone(mine.hertz, extra, mine.memory)
+        else:
+            (key, own), shape = self._groups[best], ""
+            shape = key.shape
+        order = np.argsort(-worth)
+        names = [(k.kind, k.shape) for k, _ in self._groups] + [(TONE, f"{mine.hertz:.3g} Hz")]
+        ranks, seen = [], set()
+        for i in order.tolist():
+            if names[i][0] not in seen and z[i] > 0.0:
+                ranks.append((*names[i], float(z[i]), float(worth[i])))
+                seen.add(names[i][0])
+        step = Step(
+            kind=kinds[best],
+            shape=shape,
+            z=float(z[best]),
+            limit=limit,
+            p=float((1 + (largest >= z[best]).sum()) / (len(largest) + 1)),
+            gain=float(worth[best]),
+            sure=sure,
+            alike=tuple(self._alike(own, kinds[best], worth, extra, mine.memory)) if sure else (),
+            ranks=tuple(ranks[:6]),
+            **self._moved(own, extra, mine.memory),
+        )
+        return step, list(own)
+
+    def _alike(
+        self,
+        own: Sequence[int],
+        kind: str,
+        worth: Array,
+        extra: Sequence[int],
+        memory: Memory,
+    ) -> Iterator[str]:
+        """Name other kinds that this motion does not tell from the best one."""
+        white, split = whitened(self.data, extra, memory)
+        basis = basis_of(white[:, :split])
+        z = without(basis, white[:, split:-1])
+        mine = basis_of(z[:, list(own)])
+        names = [key.kind for key, _ in self._groups]
+        best = max((w for k, w in zip(names, worth, strict=False) if k == kind), default=np.inf)
+        seen = {kind}
+        for (key, columns), gain in zip(self._groups, worth, strict=False):
+            if key.kind in seen:
+                continue
+            theirs = basis_of(z[:, list(columns)])
+            same = min(mine.shape[1], theirs.shape[1]) > 0 and (
+                float(np.linalg.svd(mine.T @ theirs, compute_uv=False).min()) > ALIKE
+            )
+            if gain > best - BETTER or (same and gain > 0.5 * best):
+                seen.add(key.kind)
+                yield key.kind
+
+    def _moved(self, own: Sequence[int], extra: Sequence[int], memory: Memory) -> dict[str, Any]:
+        """Fit the best candidate: its own coefficients, and what it moves the model's by."""
+        d = self.data.base.shape[1]
+        white, split = whitened(self.data, extra, memory)
+        y = white[:, -1]
+        size = np.ones(split + len(own))
+        size[:d] = np.maximum(np.abs(self.values), 1e-12)
+        before, *_ = solved(white[:, :split], y, size[:split])
+        both = np.column_stack([white[:, :split], white[:, [split + i for i in own]]])
+        after, covariance, told = solved(both, y, size)
+        coefficients = after[split:]
+        share = float(np.sqrt(np.mean((self.data.others[:, list(own)] @ coefficients) ** 2)))
+        return {
+            "share": share / self.scales.torque,
+            "coefficients": coefficients,
+            "moves": self._moves(after[:d] - before[:d], covariance[:d, :d], told[:d]),
+        }
+
+    def _moves(self, shift: Array, covariance: Array, told: Array) -> dict[str, float]:
+        """Give what a shift ``(d,)`` of parameters is for everything that a fit reports.
+
+        ``told`` ``(d, k)`` are directions that the recordings determine.
+        """
+        size = np.maximum(np.abs(self.values), 1e-12)
+        found = {}
+        for name, gradient in self._gradients.items():
+            scaled = gradient * size
+            inside = told.T @ scaled
+            variance = float(gradient @ covariance @ gradient)
+            if variance > 0.0 and inside @ inside > _TOLD * (scaled @ scaled):
+                found[name] = float(gradient @ shift) / math.sqrt(variance)
+        return found
+
+    @cached_property
+    def _gradients(self) -> dict[str, Array]:
+        """Derivatives ``(d,)`` of parameters and derived quantities by the parameters."""
+        chain, d = self.chain, self.values.size
+        load = typical_load(chain, self.observations, self.values)
+        steps = _STEP * np.maximum(np.abs(self.values), 1e-12)
+        moved = self.values + np.concatenate([np.diag(steps), -np.diag(steps)])
+        found = {name: np.eye(d)[i] for i, name in enumerate(chain.names)}
+        for one in derive(chain, moved, load):
+            found[one.name] = (one.values[:d] - one.values[d:]) / (2.0 * steps)
+        return {k: v for k, v in found.items() if k not in self.known and np.isfinite(v).all()}
+
+    def _tone(self, hertz: float, extra: Sequence[int], memory: Memory) -> tuple[list[int], str]:
+        """Add the columns of a tone to everything, its frequency tuned by Gauss and Newton."""
+        d = self.data
+        span = max(float(np.ptp(t)) for t in d.layout.stamps)
+        stamps = np.concatenate(d.layout.stamps)
+        middle, own = float(stamps.mean()), _each(d.layout)
+        basis = basis_of(memory.whitened(beside(d, extra), d.layout))
+        y = without(basis, memory.whitened(d.left[:, None], d.layout))[:, 0]
+        for _ in range(_TUNINGS):
+            above = below = 0.0
+            angle = 2.0 * np.pi * hertz * stamps
+            wave = np.stack([np.sin(angle), np.cos(angle)], axis=1)
+            turned = (stamps - middle)[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+            for here in own:
+                x = np.column_stack([wave, turned]) * here[:, None]
+                b = np.linalg.lstsq(
+                    without(basis, memory.whitened(x, d.layout)), y, rcond=_ROUNDING
+                )[0]
+                above += float(b[0] * b[2] - b[1] * b[3])
+                below += float(b[0] ** 2 + b[1] ** 2)
+            step = above / max(below, 1e-300) / (2.0 * np.pi)
+            hertz += float(np.clip(step, -_FURTHEST / span, _FURTHEST / span))
+        first, shape = d.others.shape[1], f"{hertz:.6g}"
+        keys = [Key(TONE, shape, i) for i in range(2 * len(own))]
+        for one in (d, *self.twins):
+            self._with_tones(one, keys)
+        return list(range(first, first + len(keys))), f"{hertz:.3g} Hz"
+
+    @staticmethod
+    def _with_tones(d: Columns, keys: Sequence[Key]) -> None:
+        """Add columns of tones, each recording with its own phase."""
+        stamps = np.concatenate(d.layout.stamps)
+        own = _each(d.layout)
+        made = []
+        for key in keys:
+            angle = 2.0 * np.pi * float(key.shape) * stamps
+            wave = np.cos(angle) if key.number % 2 else np.sin(angle)
+            made.append(wave * own[key.number // 2])
+        if made:
+            d.others = np.column_stack([d.others, *made])
+            d.keys = (*d.keys, *keys)
+
+
+def _each(layout: Layout) -> list[Array]:
+    """Ones where a recording's outputs are, ``(n,)`` for each recording."""
+    number = np.repeat(np.arange(len(layout.at)), [a.size for a in layout.at])
+    return [(number == k).astype(np.float64) for k in range(len(layout.at))]
+
+
+def _made(along: Along) -> Iterator[tuple[Key, Array]]:
+    for kind in KINDS:
+        for shape, columns in kind.columns(along).items():
+            for number, column in enumerate(columns):
+                yield Key(kind.name, shape, number), np.nan_to_num(column)
+        for number, column in enumerate(kind.beside(along)):
+            yield Key(kind.name, "", number, beside=True), np.nan_to_num(column)

@@ -1,0 +1,252 @@
+"""Statistics of candidates: joint t of each, and how unlikely it is among the twins'."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaincc, gammaln, ndtri_exp
+
+from bayesfric.diagnostics.memory import Layout, Memory, memory_of
+from bayesfric.diagnostics.policy import TESTABLE
+
+Array = NDArray[np.float64]
+
+# Singular values below these shares of the largest are rounding, or an open direction.
+_ROUNDING, _OPEN = 1e-9, 1e-7
+# What twins show as a mean is half known: the recording may share it or not.
+_HALF = 0.5
+# Correlation from which two columns are one, and eigenvalue below which several are.
+_SAME, _SINGULAR = 0.9999, 1e-4
+# Lower and upper end of a scan of tones, in periods of the recording and of the sampling.
+_PERIODS, _NYQUIST = 2.0, 0.45
+
+
+@dataclass(frozen=True)
+class Key:
+    """Which column of which candidate."""
+
+    kind: str
+    shape: str
+    number: int
+    beside: bool = False
+
+
+@dataclass(eq=False)
+class Columns:
+    """Filtered, not whitened: of one recording or twin, or of several together."""
+
+    base: Array  # (n, d) derivatives by the model's parameters
+    others: Array  # (n, m) candidates'
+    left: Array  # (n,) what the model leaves of the torque
+    layout: Layout
+    keys: tuple[Key, ...]  # (m,)
+
+
+def testable(d: Columns) -> list[tuple[Key, list[int]]]:
+    """Group columns to candidates; leave out what the model's own, or each other's, can do."""
+    groups: dict[tuple[str, str], list[int]] = {}
+    for i, key in enumerate(d.keys):
+        if not key.beside:
+            groups.setdefault((key.kind, key.shape), []).append(i)
+    base = basis_of(d.base)
+    found: list[tuple[Key, list[int]]] = []
+    singles: list[Array] = []
+    for own in groups.values():
+        kept, have = [], base
+        for i in own:
+            column = d.others[:, i]
+            rest = without(have, without(have, column))
+            if np.linalg.norm(rest) > TESTABLE * np.linalg.norm(column) > 0.0:
+                kept.append(i)
+                have = np.column_stack([have, rest / np.linalg.norm(rest)])
+        if not kept:
+            continue
+        if len(kept) == 1:
+            rest = without(base, d.others[:, kept[0]])
+            rest = rest / np.linalg.norm(rest)
+            # what is left of several may be another candidate
+            if len(own) > 1 and any(abs(rest @ x) > _SAME for x in singles):
+                continue
+            singles.append(rest)
+        found.append((d.keys[kept[0]], kept))
+    return found
+
+
+# Least squares
+
+
+def basis_of(x: Array) -> Array:
+    """Orthonormal basis ``(n, k)`` of what columns span."""
+    size = np.sqrt((x**2).sum(axis=0))
+    x = x[:, size > 0.0] / size[size > 0.0]
+    if not x.size:
+        return np.zeros((len(x), 0))
+    power, vectors = np.linalg.eigh(x.T @ x)
+    kept = power > _ROUNDING * power.max()
+    return np.asarray(x @ (vectors[:, kept] / np.sqrt(power[kept])))
+
+
+def without(basis: Array, x: Array) -> Array:
+    """Give what a basis ``(n, k)`` leaves of columns."""
+    return np.asarray(x - basis @ (basis.T @ x))
+
+
+def mean_square(x: Array, taken: int = 0) -> float:
+    """Give the variance of what is left of which so many parameters were taken."""
+    return float(x @ x) / max(x.size - taken, 1)
+
+
+def beside(d: Columns, extra: Sequence[int]) -> Array:
+    """Put columns of candidates beside the model's own."""
+    return np.column_stack([d.base, d.others[:, list(extra)]]) if len(extra) else d.base
+
+
+def whitened(d: Columns, extra: Sequence[int], memory: Memory) -> tuple[Array, int]:
+    """Whiten the model's own columns with ``extra``, candidates, and what is left, in a row.
+
+    The second is how many of the first there are.
+    """
+    taken = beside(d, extra)
+    white = memory.whitened(np.column_stack([taken, d.others, d.left]), d.layout)
+    return white, taken.shape[1]
+
+
+def solved(x: Array, y: Array, size: Array) -> tuple[Array, Array, Array]:
+    """Least squares ``(d,)``, its covariance, and directions ``(d, k)`` that are determined.
+
+    These are in units of ``size`` ``(d,)``; along the others nothing moves.
+    """
+    rows = x * size
+    unit = np.sqrt((rows**2).sum(axis=0))
+    unit[unit == 0.0] = 1.0
+    power, vectors = np.linalg.eigh((rows / unit).T @ (rows / unit))
+    kept = power > _OPEN * power.max()
+    inverse = (vectors[:, kept] / power[kept]) @ vectors[:, kept].T / np.outer(unit, unit)
+    found = inverse @ (rows.T @ y)
+    variance = mean_square(y - rows @ found, int(kept.sum()))
+    told = np.linalg.qr(vectors[:, kept] * unit[:, None])[0]
+    return found * size, variance * inverse * np.outer(size, size), told
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """Statistics of one recording or twin: of each candidate, and of the largest tone."""
+
+    t: list[Array]  # (k,) joint t of each group; NaN where nothing of it is left
+    gains: Array  # what each takes of chi squared
+    memory: Memory
+    peak: float
+    hertz: float
+
+
+def asked(
+    d: Columns,
+    groups: Sequence[tuple[Key, list[int]]],
+    extra: Sequence[int],
+    memory: Memory | None,
+) -> Asked:
+    """Ask every candidate beside the model's own columns and ``extra``."""
+    if memory is None:
+        memory, _ = memory_of(without(basis_of(beside(d, extra)), d.left), d.layout)
+    white, split = whitened(d, extra, memory)
+    basis = basis_of(white[:, :split])
+    z, y = white[:, split:-1], without(basis, white[:, -1])
+    size = np.sqrt((z**2).sum(axis=0))
+    z = without(basis, without(basis, z))
+    rest = np.sqrt((z**2).sum(axis=0))
+    told = (rest >= TESTABLE * np.maximum(size, 1e-300)) & (rest > 0.0)
+    z = z / np.where(rest > 0.0, rest, 1.0)
+    free = y.size - basis.shape[1]
+    power = float(y @ y)
+    slopes = z.T @ y
+    found, gains = [], np.zeros(len(groups))
+    for i, (_, own) in enumerate(groups):
+        gram = z[:, own].T @ z[:, own]
+        if not told[own].all() or np.linalg.eigvalsh(gram)[0] < _SINGULAR:
+            found.append(np.full(len(own), np.nan))
+            continue
+        inverse = np.linalg.inv(gram)
+        b = inverse @ slopes[own]
+        taken = float(b @ slopes[own])
+        variance = max(power - taken, 1e-12 * power) / max(free - len(own), 1)
+        found.append(b / np.sqrt(np.maximum(variance * np.diag(inverse), 1e-300)))
+        gains[i] = taken / variance
+    return Asked(found, gains, memory, *_peak(y, d.layout))
+
+
+def _peak(y: Array, layout: Layout) -> tuple[float, float]:
+    """Largest peak of a whitened residual's periodogram, over what it leaves, and where, Hz."""
+    steps = [float(np.median(np.diff(t))) for t in layout.stamps if t.size > 1]
+    step = float(np.median(steps))
+    span = max(float(np.ptp(t)) for t in layout.stamps)
+    size = 1 << math.ceil(math.log2(2.0 * span / step + 2.0))
+    power = np.zeros(size // 2 + 1)
+    for t, x in zip(layout.stamps, layout.split(y), strict=True):
+        row = np.zeros(size)
+        np.add.at(row, np.minimum(np.round((t - t[0]) / step).astype(int), size - 1), x)
+        power += np.abs(np.fft.rfft(row)) ** 2
+    f = np.fft.rfftfreq(size, step)
+    inside = (f >= _PERIODS / span) & (f <= _NYQUIST / step)
+    power = np.where(inside, power, 0.0) / (0.5 * float(y @ y))
+    power = power / np.maximum(1.0 - power / y.size, 1e-6)
+    i = int(np.argmax(power))
+    shift = 0.0
+    if 0 < i < power.size - 1:  # between the frequencies of the grid
+        low, mid, high = power[i - 1 : i + 2]
+        if low - 2.0 * mid + high < 0.0:
+            shift = 0.5 * (low - high) / (low - 2.0 * mid + high)
+    return float(power[i]), float(f[i] + shift * f[1])
+
+
+def scored(mine: Asked, others: Sequence[Asked]) -> tuple[Array, Array]:
+    """How unlikely each statistic is among the twins', as a standard normal; the tone's last.
+
+    Also of the twins ``(n, m)``, each among the others.
+    """
+    n, m = len(others), len(mine.t)
+    z, null = np.zeros(m + 1), np.zeros((n, m + 1))
+    for i, x in enumerate(mine.t):
+        t = np.array([one.t[i] for one in others])
+        if np.isnan(x).any() or np.isnan(t).any():
+            continue
+        mean, cov = t.mean(axis=0), np.atleast_2d(np.cov(t.T))
+        cov = 0.9 * cov + 0.1 * np.diag(np.diag(cov)) + 1e-9 * np.eye(x.size)
+        wide = cov + _HALF**2 * np.outer(mean, mean)
+        far = float((x - mean) @ np.linalg.solve(wide, x - mean))
+        z[i] = float(_normal(np.array(far * n / (n + 1)), x.size))
+        apart = t - mean
+        h = np.einsum("ij,jk,ik->i", apart, np.linalg.inv(cov), apart)
+        # without the twin itself in mean and covariance, by the formula of rank one
+        h *= (n / (n - 1)) ** 2 * (n - 2) / (n - 1)
+        h *= (n - 1) / n / np.maximum(1.0 - n * h / (n - 1) ** 2, 0.05)
+        null[:, i] = _normal(h, x.size)
+    peaks = np.array([one.peak for one in others])
+    mean = (peaks.sum() - peaks) / (n - 1)
+    sd = np.array([np.delete(peaks, i).std(ddof=1) for i in range(n)])
+    z[-1] = _extreme(np.array((mine.peak - peaks.mean()) / peaks.std(ddof=1)))
+    null[:, -1] = _extreme((peaks - mean) / sd)
+    return z, null
+
+
+def _normal(square: Array, k: int) -> Array:
+    """Give the standard normal as unlikely as chi squared of ``k`` degrees."""
+    square = np.maximum(square, 0.0)
+    if k == 1:
+        return np.asarray(np.sqrt(square))
+    p = gammaincc(0.5 * k, 0.5 * np.minimum(square, 1300.0))
+    half = np.maximum(0.5 * square, 1e-300)
+    tail = -half + (0.5 * k - 1.0) * np.log(half) - gammaln(0.5 * k)
+    logs = np.where(square < 1300.0, np.log(np.maximum(p, 1e-300)), tail)
+    return np.asarray(-ndtri_exp(np.minimum(logs - math.log(2.0), -1e-12)))
+
+
+def _extreme(u: Array) -> Array:
+    """Give the standard normal as unlikely as a standardised Gumbel's, the largest of many."""
+    g = u * math.pi / math.sqrt(6.0) + float(np.euler_gamma)
+    small = np.maximum(-np.expm1(-np.exp(-np.minimum(g, 20.0))), 1e-12)
+    logs = np.where(g > 20.0, -g, np.log(small))
+    return np.asarray(-ndtri_exp(logs - math.log(2.0)))

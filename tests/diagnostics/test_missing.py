@@ -1,0 +1,165 @@
+"""What else explains the torque: found under its name, and nothing where the model is right."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import bayesfric as bf
+from bayesfric.diagnostics.candidates import KINDS, Along, scales_of
+from bayesfric.diagnostics.finding import Finding
+from bayesfric.diagnostics.memory import WHITE
+from bayesfric.diagnostics.missing import setting_of
+from bayesfric.diagnostics.regression import Regression
+from bayesfric.diagnostics.statistics import Asked, basis_of, scored, solved, without
+from bayesfric.mechanism.presets import PRESETS
+from bayesfric.model import Model
+from bayesfric.templates import placed
+from tests.diagnostics.bench import axis, model, recording, table
+
+
+@pytest.fixture(scope="module")
+def right():
+    return model()
+
+
+def of_table(change):
+    made = table().copy()
+    change(made)
+    columns = (made[key].to_numpy() for key in ("time", "position", "torque"))
+    return Model(axis(), bf.Recording.from_arrays(*columns, side="motor"))
+
+
+def test_a_right_model_lacks_nothing(right):
+    found = right.missing()
+    assert found.asked
+    assert found.twins >= 50
+    assert not found.findings
+
+
+def test_a_torque_constant_that_sags_is_named_and_moves_what_it_moves():
+    def sags(made):
+        torque = made["torque"]
+        made["torque"] = torque * (1.0 + 0.1 * np.abs(torque) / np.abs(torque).max())
+
+    (first, *others) = of_table(sags).missing().findings
+    assert first.kind == "saturation"
+    assert first.severity == "doubt"
+    assert not others
+    # a torque that is told too large makes everything too large
+    assert first.moves["motor.inertia"] != 0.0
+    assert all(abs(x) > 1.0 for x in first.moves.values())
+
+
+def test_a_late_torque_is_a_delay_with_its_key():
+    def late(made):
+        made["torque"] = np.interp(made["time"] - 0.003, made["time"], made["torque"])
+
+    (first, *others) = of_table(late).missing().findings
+    assert first.kind == "delay"
+    assert first.setting == "mechanism.delay = true"
+    assert not others
+
+
+def test_the_same_seed_gives_the_same_answer(right):
+    values = right.chain.vector(dict(right.estimates(["input-error"])[0].point))
+    seen = right.recordings, right.observations, right.config.tables.processing
+
+    def asked(seed):
+        (step,) = Regression(right.chain, *seen, values, seed=seed, number=12).steps(0)
+        return step.kind, step.shape, step.z
+
+    assert asked(5) == asked(5)
+    assert asked(5) != asked(6)
+
+
+def test_a_joint_without_inertia_is_not_asked():
+    motor = bf.Element("motor", coulomb="symmetric", viscous=True, ratio=50.0)
+    bare = Model(bf.Joint([motor], bf.Load(first_moment=True)), recording())
+    found = bare.missing()
+    assert found.reason == "simulation"
+    assert not found.asked
+
+
+def test_few_outputs_are_not_asked():
+    made = table()[:400]
+    columns = (made[key].to_numpy() for key in ("time", "position", "torque"))
+    few = Model(axis(), bf.Recording.from_arrays(*columns, side="motor"))
+    assert few.missing().reason == "few"
+
+
+@pytest.mark.parametrize("preset", ["rabbit-knee", "motor-axis", "servo-pendulum"])
+def test_every_candidate_has_columns_and_a_setting_that_a_joint_takes(preset):
+    """A hint is a line of a configuration: written down, it must be one."""
+    chain = PRESETS[preset].chain()
+    for kind in KINDS:
+        line = setting_of(chain, kind, "12 a turn of the motor" if kind.name == "repeating" else "")
+        if line:
+            where, text = placed(line)
+            assert where.startswith("mechanism")
+            assert " = " in text
+
+
+def test_columns_are_finite_and_of_the_samples(right):
+    values = np.array([1.0] * len(right.chain.names))
+    scales = scales_of(right.chain, values, right.observations)
+    o = right.observations[0]
+    along = Along(right.chain, values, o, right.recordings[0], scales)
+    for kind in KINDS:
+        for columns in (*kind.columns(along).values(), kind.beside(along)):
+            for column in columns:
+                assert column.shape == o.q.shape
+                assert np.isfinite(column).all()
+
+
+# Statistics, against closed forms
+
+
+def test_solved_is_least_squares_and_leaves_out_what_is_open():
+    rng = np.random.default_rng(1)
+    x = rng.standard_normal((200, 3))
+    y = x @ [1.0, -2.0, 0.5] + 0.1 * rng.standard_normal(200)
+    found, covariance, told = solved(x, y, np.ones(3))
+    exact = np.linalg.lstsq(x, y)[0]
+    np.testing.assert_allclose(found, exact, rtol=1e-9)
+    left = y - x @ exact
+    np.testing.assert_allclose(covariance, (left @ left) / 197 * np.linalg.inv(x.T @ x), rtol=1e-9)
+    assert told.shape == (3, 3)
+    # the sum of two equal columns' coefficients is told, their difference is not
+    same = np.column_stack([x, x[:, 0]])
+    found, _, told = solved(same, y, np.ones(4))
+    assert told.shape == (4, 3)
+    assert found[0] + found[3] == pytest.approx(exact[0])
+    assert np.linalg.norm(told.T @ [1.0, 0.0, 0.0, -1.0]) < 1e-6
+
+
+def test_a_basis_leaves_nothing_of_its_columns():
+    x = np.random.default_rng(2).standard_normal((50, 4))
+    basis = basis_of(np.column_stack([x, x @ [1.0, 1.0, 0.0, 0.0]]))
+    assert basis.shape == (50, 4)
+    assert np.abs(without(basis, x)).max() < 1e-12
+
+
+def test_scores_of_twins_like_the_recording_are_standard_normal():
+    """Of many recordings drawn like their twins, squares of a score average to one."""
+    rng = np.random.default_rng(3)
+
+    def drawn():
+        t = rng.standard_normal(2) @ [[1.0, 0.3], [0.0, 0.8]] + [0.2, 0.0]
+        peak = float(rng.gumbel(5.0, 1.0))
+        return Asked([t[:1], t], np.zeros(2), WHITE, peak, 1.0)
+
+    scores, twins = [], []
+    for _ in range(200):
+        z, null = scored(drawn(), [drawn() for _ in range(60)])
+        scores.append(z)
+        twins.append(null)
+    # one degree: z² of a t-like score; the sd of a mean of 200 chi squares is 0.1
+    assert np.mean(np.square(scores)[:, 0]) == pytest.approx(1.0, abs=0.4)
+    assert np.mean(np.square(np.concatenate(twins))[:, 0]) == pytest.approx(1.0, abs=0.2)
+
+
+def test_a_finding_lists_what_it_moves_most_first():
+    one = Finding("delay", "doubt", 5.0, 0.02, moves={"a": 1.7, "b": -4.0})
+    assert one.parameters == ("b", "a")
+    assert replace(one, moves={}).parameters == ()
