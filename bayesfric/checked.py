@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from bayesfric.config_text import toml_value
-from bayesfric.estimates.disturbances import unlooked
-from bayesfric.estimates.torque_near import larger
+from bayesfric.diagnostics.finding import Finding
 from bayesfric.explain.explanation import too_few_outputs
 from bayesfric.inference.noise import SCALES
 from bayesfric.model import Model
@@ -19,16 +18,10 @@ from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.rest import resting_ends
 from bayesfric.report.alerts import doubt_text
-from bayesfric.report.summary.doubts import (
-    contradicting,
-    doubts_before,
-    few_outputs,
-    little_explained,
-)
+from bayesfric.report.numbers import in_tenths
+from bayesfric.report.summary.doubts import doubts_before, few_outputs, little_explained
 from bayesfric.report.summary.summary import estimate_summary
 
-# Share of a recording in which no push would be told that is worth saying.
-_BLIND = 0.02
 # What a key of a recording leaves out.
 _LEFT_OUT = {
     "start": "the joint rests until then; not with rest = true, which makes use of it",
@@ -78,22 +71,13 @@ def check(model: Model | Path | str) -> Checked:
 
 def _found(model: Model) -> dict[str, Any]:
     (totals,) = model.estimates(["least-squares"])
-    delays = model.delays()
+    delays, missing = model.delays(), model.missing()
     known = model.evidence.knowledge
-    ignored = delays
-    if model.chain.delay:
-        own = totals[model.chain.delay_name]
-        ignored = contradicting(delays, own.value, larger(own.sd, own.sd_robust))
-    unexplained = little_explained(model.chain, model.observations, ignored)
+    findings = [one.as_dict() for one in missing.findings]
     doubts = [
-        *unexplained,
-        *doubts_before(
-            totals,
-            model.observations,
-            [] if unexplained else ignored,
-            model.once_a_turn(),
-            model.disturbances(),
-        ),
+        *little_explained(model.chain, model.observations),
+        *doubts_before(totals, model.observations),
+        *({**one, "kind": "missing", "what": one["kind"]} for one in findings),
         *few_outputs(model.observations, len(set(model.chain.names) - set(known.fixed))),
     ]
     few = too_few_outputs(model.evidence)
@@ -141,8 +125,8 @@ def _found(model: Model) -> dict[str, Any]:
             for one in delays
         ],
         "doubts": doubts,
-        "no_push_told": unlooked(model.chain, model.recordings, model.encoder),
-        "leave_out": _leave_out(model, doubts),
+        "findings": findings,
+        "leave_out": _leave_out(model, missing.findings),
         "least_squares": estimate_summary(totals),
     }
 
@@ -155,15 +139,18 @@ def _parts(model: Model) -> Iterator[tuple[Measurement, Observation, str | None]
         yield one.recording, one.observation, one.part
 
 
-def _leave_out(model: Model, doubts: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+def _leave_out(model: Model, findings: Sequence[Finding]) -> dict[str, dict[str, Any]]:
     """Give the keys of recordings that leave out what is no motion of the joint by its motor."""
-    pushed = {one["recording"]: one["exclude"] for one in doubts if one["kind"] == "pushed"}
+    pushed: dict[str, list[tuple[float, float]]] = {}
+    for push in findings:
+        if push.span is not None:
+            pushed.setdefault(push.recording, []).append(push.span)
     divided = {one.observation.name for one in model.held_out}
     found: dict[str, dict[str, Any]] = {}
     for one in model.recordings:
         # of a recording whose end is held out the last motion is not here
         ends = {} if one.name in divided else resting_ends(one.time, one.position)
-        spans = {"exclude": pushed[one.name]} if one.name in pushed else {}
+        spans = {"exclude": in_tenths(sorted(pushed[one.name]))} if one.name in pushed else {}
         if ends or spans:
             found[one.name] = {**ends, **spans}
     return found
@@ -210,18 +197,6 @@ def _lines(found: Mapping[str, Any]) -> Iterator[str]:
         yield f"  {name:<28} {one['delay']:>12.3g} ± {one['sd']:<9.2g} s{samples}"
     for doubt in found["doubts"]:
         yield f"WARNING: {doubt_text(doubt)}"
-    lasts = {one["name"]: one["duration"] for one in found["recordings"]}
-    blind = [
-        f"{seconds:.3g} of {lasts[name]:.3g} s of {name}"
-        for name, seconds in found["no_push_told"].items()
-        if seconds >= _BLIND * lasts[name]
-    ]
-    if blind:
-        yield (
-            "A hand or a stop was not looked for where the joint rests or is nearly still, as held "
-            "upright, nor in what is left out, nor where too little moves to tell what is usual: "
-            f"{', '.join(blind)}"
-        )
     for number, (name, keys) in enumerate(found["leave_out"].items()):
         if number == 0:
             yield from ("", "Keys for [[recordings]], to leave out what is no motion by the motor")

@@ -126,7 +126,8 @@ def fit_of(run: Path) -> tuple[Fit, Summary]:
         # made in the coordinates that were sampled in, which are others here
         held = np.stack([groups["told"][name].ravel() for name in rows], axis=1)
         found = replace(found, told=held.astype(np.float64))
-    return replace(found, model_error=model_error(target, posterior)), summary
+    shown = None if summary.model_error is None else summary.model_error.shown
+    return replace(found, model_error=model_error(target, posterior, shown)), summary
 
 
 def _read(run: Path) -> tuple[Summary, Model, dict[str, dict[str, Array]]]:

@@ -24,10 +24,8 @@ from bayesfric.diagnostics.missing import Missing, what_is_missing
 from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.delay import Delay, delays
 from bayesfric.estimates.descent import few_threads
-from bayesfric.estimates.disturbances import Disturbance, disturbances
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.methods import Given, estimate_by
-from bayesfric.estimates.once_a_turn import OnceATurn, once_a_turn
 from bayesfric.estimates.point_estimate import METHODS, Estimate, Method
 from bayesfric.identifiability.identification import Identification, identify
 from bayesfric.identifiability.known_quantities import speed_term
@@ -105,8 +103,7 @@ class Model:
     recordings, observations
         Those to be fitted, as read and as prepared, in the same order.
     encoder
-        The same as ``observations`` with the motion that their encoders tell, in which a push shows
-        that is not the motor's.
+        The same as ``observations`` with the motion that their encoders tell.
     priors
         Of every parameter and noise scale.
     held_out
@@ -317,14 +314,6 @@ class Model:
             self.config.tables.sampling.seed if seed is None else seed,
         )
 
-    def disturbances(self) -> list[Disturbance]:
-        """Find spans in which something else acted, as a hand that pushed, to ``exclude``."""
-        return disturbances(self.chain, self.recordings, self.encoder)
-
-    def once_a_turn(self, estimates: Sequence[Estimate] = ()) -> OnceATurn | None:
-        """Estimate a torque once a turn that gravity does not explain, as :meth:`delays` does."""
-        return once_a_turn(self.evidence, _first_point(estimates))
-
     # What can be known
 
     def identify(self) -> pd.DataFrame:
@@ -372,10 +361,9 @@ class Model:
             self.estimates(["input-error"], progress=progress)[0].point
         )
         with self.config.named(), few_threads(self.observations):
-            found = explain(
+            return explain(
                 self.evidence, point, self.recordings, progress=lambda s: progress(Progress(s))
             )
-        return replace(found, pushed=tuple(self.disturbances()))
 
     def advise(self, name: str, *, progress: Shown = silent) -> Ranking:
         """Rank recordings to make next by what they would leave of one quantity.

@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
+from bayesfric.diagnostics.missing import Missing
 from bayesfric.diagnostics.self_check import Checked, self_check
 from bayesfric.errors import BadInput
 from bayesfric.estimates.alike_losses import alike_losses
-from bayesfric.estimates.descent import few_threads
 from bayesfric.estimates.load_by_angle import load_by_angle
 from bayesfric.estimates.methods import ESTIMATORS, estimate_by
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.estimates.torque_factor import torque_factor
-from bayesfric.explain.explanation import Explanation, Term, asked_for, too_few_outputs
+from bayesfric.explain.explanation import Explanation, too_few_outputs
 from bayesfric.identifiability.identification import identify
 from bayesfric.identifiability.known_quantities import speed_term
 from bayesfric.identifiability.plausible import Point
@@ -34,11 +34,11 @@ from bayesfric.inference.target import Target
 from bayesfric.model import Model
 from bayesfric.progress import by_method, silent
 from bayesfric.report.summary.derived_quantities import groups
-from bayesfric.report.summary.doubts import White, contradicting, find_doubts, put_doubts
+from bayesfric.report.summary.doubts import White, find_doubts, put_doubts
 from bayesfric.report.summary.loss_limits import limits_of_losses
 from bayesfric.report.summary.model_error import add_model_error
 from bayesfric.report.summary.noise import add_white_intervals, white_alternative
-from bayesfric.report.summary.record import Identifiability, Summary
+from bayesfric.report.summary.record import FindingRow, Identifiability, Regression, Summary
 from bayesfric.report.summary.residual import BackEmfPart, RestsPart, TorqueFactorPart
 from bayesfric.report.summary.self_check import self_check_doubts, self_check_part
 from bayesfric.report.summary.summary import rms, spreads, summarise
@@ -85,6 +85,7 @@ def whole_fit(
     begun = begin(model, output_error=output_error, progress=progress)
     _refuse_alike_losses(model, begun)
     lacks, unasked = _lacks(model, begun, progress) if explain else (None, [])
+    missing = model.missing(begun.estimates, progress=progress)
     sample = partial(fit, estimates=begun.estimates, progress=progress)
     with model.config.named():
         found = sample(begun.target, sampling, checkpoint=kept)
@@ -99,30 +100,21 @@ def whole_fit(
         quick = sampling.model_copy(update={"min_ess": min(sampling.min_ess, _WHITE_ESS)})
         compared = _with_white_noise(model, sample, quick, checkpoint("white-noise", quick))
         summary = add_white_intervals(summary, compared[0] if compared else None)
-    found = replace(found, model_error=model_error(found.target, found.posterior))
+    found = replace(found, model_error=model_error(found.target, found.posterior, missing.wrong))
     # room for the model's error, too, lets a loss reach zero
     summary = limits_of_losses(add_model_error(summary, found, derived))
     summary = _with_back_emf(summary, model, found)
     summary = _with_rests_and_load(summary, model, found)
-    late = model.delays(begun.estimates)
-    if model.chain.delay:
-        row = summary.parameters.get(model.chain.delay_name)
-        known = model.priors[model.chain.delay_name].value
-        late = contradicting(late, *((row.middle, row.told_sd) if row else (known, 0.0)))
-    turn = model.once_a_turn(begun.estimates)
-    pushed = model.disturbances()
-    summary = _with_known(summary, model, begun)
-    doubts = find_doubts(found, summary, begun.choice, compared, late, turn, pushed)
+    summary = _with_known(_with_findings(summary, missing), model, begun)
+    doubts = find_doubts(found, summary, begun.choice, compared)
     if (checked := _self_check(model, found, progress)) is not None:
         part = self_check_part(found, summary, checked, derived)
         summary = summary.model_copy(update={"self_check": part})
         doubts += self_check_doubts(summary)
     summary = put_doubts(summary, doubts)
     progress(Progress("identifiability"))
-    terms = _asked(model, begun, lacks, summary)
     update: dict[str, Any] = {
-        "warnings": [*summary.warnings, *begun.missing, *unasked, *_structure(begun, terms or ())],
-        "asked_terms": terms if terms is None else list(terms),
+        "warnings": [*summary.warnings, *begun.missing, *unasked],
         "too_few_to_ask": too_few_outputs(model.evidence),
         # nothing in a file of samples tells; the configuration may
         "may_be_simulated": _may_be_simulated(model),
@@ -169,28 +161,6 @@ def _may_be_simulated(model: Model) -> bool:
     files = [one.path for one in model.recordings if one.path is not None]
     there = any(path.with_suffix(".truth.json").is_file() for path in files)
     return there or (told is not None and any(told.model_dump(exclude_unset=True).values()))
-
-
-def _asked(
-    model: Model, begun: Beginning, lacks: Explanation | None, summary: Summary
-) -> Sequence[Term] | None:
-    """Find terms that would explain what the model leaves, where that is no noise."""
-    if lacks is not None:
-        return lacks.asked
-    remembers = begun.choice is not None and begun.choice.asked.order
-    if too_few_outputs(model.evidence) or not (
-        remembers or summary.fit.lacks or summary.unexplained
-    ):
-        return None
-    with few_threads(model.observations):
-        return asked_for(model.evidence, dict(begun.searched.point))
-
-
-def _structure(begun: Beginning, terms: Sequence[Term]) -> list[str]:
-    """Say which terms would explain what passes for noise that remembers."""
-    if begun.choice is None or not begun.choice.asked.order or not terms:
-        return []
-    return [sentence("structure", {"order": begun.choice.asked.order, "terms": terms})]
 
 
 def begin(
@@ -245,6 +215,18 @@ def _with_white_noise(
     if white.posterior.diagnostics.status == "unusable":
         return None
     return spreads(white), rms(white)
+
+
+def _with_findings(summary: Summary, missing: Missing) -> Summary:
+    """Put in what else explains the torque, and how that was asked."""
+    asked = {"twins": missing.twins}
+    update = {
+        "findings": [FindingRow.model_validate(one.as_dict()) for one in missing.findings],
+        "regression": Regression.model_validate(
+            asked if missing.reason is None else asked | {"reason": missing.reason}
+        ),
+    }
+    return summary.model_copy(update=update)
 
 
 def _with_known(summary: Summary, model: Model, begun: Beginning) -> Summary:

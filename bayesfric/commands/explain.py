@@ -14,7 +14,7 @@ from bayesfric.report.figures.ladder import ladder_figure
 from bayesfric.report.figures.style import save
 from bayesfric.report.files import parents_made, unwritable
 from bayesfric.report.numbers import text_value
-from bayesfric.report.summary.doubts import little_explained, pushed_doubts
+from bayesfric.report.summary.doubts import little_explained
 from bayesfric.report.text_templates import filled
 
 
@@ -53,10 +53,7 @@ def explain_text(found: Explanation, model: Model) -> list[str]:
     text = filled(
         "explain.txt.j2",
         found=found,
-        warnings=[
-            *map(doubt_text, pushed_doubts(found.pushed, found.unit, lacking=bool(found.asked))),
-            *(doubt_text({**one, "none_asked": True}) for one in wrong),
-        ],
+        warnings=[doubt_text({**one, "none_asked": True}) for one in wrong],
         rungs=[m for m in found.models if not m.rival],
         value=_value,
     )

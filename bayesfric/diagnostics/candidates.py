@@ -137,6 +137,16 @@ class Along:
         )
 
     @cached_property
+    def torque_rate(self) -> Array:
+        """How fast that changes."""
+        return self.rate(self.smooth(self.torque))
+
+    @cached_property
+    def elastic(self) -> Sets:
+        """What an elastic transmission adds, at each antiresonance."""
+        return _elastic(self)
+
+    @cached_property
     def direction(self) -> Array:
         """Sign of the speed."""
         return np.sign(self.o.qd)
@@ -203,7 +213,7 @@ class Kind:
 
 
 def _late(a: Along) -> Sets:
-    rate = a.rate(a.smooth(a.torque))
+    rate = a.torque_rate
     if len(a.scales.names) == 1:
         return {"": [rate]}
     own = {f"in {name}": [rate * float(name == a.o.name)] for name in a.scales.names}
@@ -257,7 +267,7 @@ def _gap(a: Along) -> Sets:
     begins[[begin for begin, _ in a.recording.segments]] = True
     found = {}
     for label, share, carried in a.behind():
-        if not share:
+        if not (share and a.scales.need):
             continue
         need = a.smooth(carried) / (share * a.scales.inertia)
         for times in _FLIGHTS:
@@ -332,7 +342,7 @@ KINDS: tuple[Kind, ...] = (
     Kind(
         "delay",
         _late,
-        lambda a: [a.rate(a.rate(a.smooth(a.torque)))],
+        lambda a: [a.rate(a.torque_rate)],
         option="delay",
     ),
     Kind("torque_constant", _one(lambda a: a.torque)),
@@ -392,8 +402,8 @@ KINDS: tuple[Kind, ...] = (
     Kind("repeating", _repeating, option="cogging"),
     Kind(
         "elastic",
-        _elastic,
-        lambda a: [a.rate(column) for sets in _elastic(a).values() for column in sets],
+        lambda a: a.elastic,
+        lambda a: [a.rate(column) for sets in a.elastic.values() for column in sets],
     ),
     Kind("backlash", _gap),
     Kind("presliding", _bristles),

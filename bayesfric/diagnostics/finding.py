@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 Severity = Literal["note", "doubt"]
 
@@ -21,7 +21,7 @@ class Finding:
         ``doubt`` where it moves a reported number by more than half its interval, else ``note``.
     shape
         Which of its kind it is, such as a speed or a frequency; empty where there is one.
-    recordings
+    recording
         In which it is; empty for all.
     span
         Seconds in which it is, where it is not all along.
@@ -34,7 +34,8 @@ class Finding:
     rivals
         Kinds that this motion does not tell it from.
     moves
-        By name of a parameter, by how many of its standard deviations its value is off.
+        By name of a parameter, by how many of its standard deviations its value is off; the most
+        first.
     setting
         Line of a configuration that would put it in; empty where none does.
     physical
@@ -46,7 +47,7 @@ class Finding:
     statistic: float
     p: float
     shape: str = ""
-    recordings: tuple[str, ...] = ()
+    recording: str = ""
     span: tuple[float, float] | None = None
     share: float = 0.0
     rivals: tuple[str, ...] = ()
@@ -57,4 +58,18 @@ class Finding:
     @property
     def parameters(self) -> tuple[str, ...]:
         """Names of what it moves, the most first."""
-        return tuple(sorted(self.moves, key=lambda name: -abs(self.moves[name])))
+        return tuple(self.moves)
+
+    @property
+    def hint(self) -> str:
+        """What to write, where it may be what ``setting`` says."""
+        return self.setting if self.physical else ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give it as ``summary.json`` has it, most important keys first."""
+        told: dict[str, Any] = {"kind": self.kind, "severity": self.severity}
+        told |= {"parameters": list(self.parameters)}
+        told |= {"p": self.p, "hint": self.hint, "statistic": self.statistic, "shape": self.shape}
+        told |= {"share": self.share, "rivals": list(self.rivals), "moves": dict(self.moves)}
+        told |= {"physical": self.physical, "recording": self.recording}
+        return told | {"span": None if self.span is None else list(self.span)}

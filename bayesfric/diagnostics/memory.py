@@ -189,6 +189,7 @@ def _innovations(x, at, phi, stationary):  # type: ignore[no-untyped-def]
     out = np.empty((n, m))
     state = np.zeros((p, m))
     cov = stationary.copy()
+    u = np.empty(p)
     logs = 0.0
     for i in range(n):
         if i:
@@ -198,24 +199,36 @@ def _innovations(x, at, phi, stationary):  # type: ignore[no-untyped-def]
                 cov[:] = stationary
             else:
                 for _ in range(gap):
-                    first = phi @ state
-                    u = cov @ phi
-                    variance = phi @ u + 1.0
+                    for j in range(m):
+                        first = 0.0
+                        for k in range(p - 1, -1, -1):
+                            first += phi[k] * state[k, j]
+                            state[k, j] = state[k - 1, j] if k else first
+                    for k in range(p):
+                        u[k] = 0.0
+                        for j in range(p):
+                            u[k] += cov[k, j] * phi[j]
+                    variance = 1.0
+                    for k in range(p):
+                        variance += phi[k] * u[k]
                     for k in range(p - 1, 0, -1):
-                        state[k] = state[k - 1]
                         for j in range(p - 1, 0, -1):
                             cov[k, j] = cov[k - 1, j - 1]
-                    state[0] = first
                     for k in range(1, p):
                         cov[0, k] = u[k - 1]
                         cov[k, 0] = u[k - 1]
                     cov[0, 0] = variance
         variance = cov[0, 0]
-        error = x[i] - state[0]
-        out[i] = error / math.sqrt(variance)
+        sd = math.sqrt(variance)
         logs += math.log(variance)
-        gain = cov[:, 0] / variance
         for k in range(p):
-            state[k] += gain[k] * error
-        cov -= np.outer(gain, gain) * variance
+            u[k] = cov[k, 0] / variance
+        for j in range(m):
+            error = x[i, j] - state[0, j]
+            out[i, j] = error / sd
+            for k in range(p):
+                state[k, j] += u[k] * error
+        for k in range(p):
+            for j in range(p):
+                cov[k, j] -= u[k] * u[j] * variance
     return out, logs

@@ -11,7 +11,7 @@ import numpy as np
 
 from bayesfric.diagnostics.candidates import BY_NAME, Kind
 from bayesfric.diagnostics.finding import Finding
-from bayesfric.diagnostics.policy import MOVES
+from bayesfric.diagnostics.policy import LEAST_OUTPUTS, MOST, MOVES
 from bayesfric.diagnostics.regression import Regression, Step
 from bayesfric.diagnostics.twins import NoTwin
 from bayesfric.estimates.descent import few_threads
@@ -22,10 +22,6 @@ from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.processing import Processing
 
 Reason = Literal["few", "simulation"]
-
-# Outputs beyond the model's parameters, or there is nothing to ask; and share of the twins that
-# must have come out.
-_FREE, _ENOUGH = 20, 0.5
 
 
 @dataclass(frozen=True)
@@ -46,9 +42,9 @@ class Missing:
         return self.reason is None
 
     @property
-    def wrong(self) -> bool:
-        """Whether the model is not exactly right."""
-        return bool(self.findings)
+    def wrong(self) -> bool | None:
+        """Whether the model is wrong by as much as matters; ``None`` where it was not asked."""
+        return any(one.severity == "doubt" for one in self.findings) if self.asked else None
 
 
 def what_is_missing(
@@ -66,14 +62,14 @@ def what_is_missing(
     """
     begun = time.process_time()
     outputs = sum(o.measured.size for o in observations)
-    if outputs < len(chain.names) + _FREE:
+    if outputs < len(chain.names) + LEAST_OUTPUTS:
         return Missing(reason="few")
     try:
         with few_threads(observations):
             asked = Regression(
                 chain, recordings, observations, processing, chain.vector(point), known, seed
             )
-            steps = [s for s in asked.steps() if s.sure]
+            steps = [s for s in asked.steps() if s.sure][:MOST]
     except NoTwin:
         return Missing(reason="simulation")
     found = tuple(finding(chain, step) for step in steps)
@@ -83,19 +79,31 @@ def what_is_missing(
 def finding(chain: Joint, step: Step) -> Finding:
     """Say one step of the ranking as a finding."""
     kind = BY_NAME.get(step.kind)
-    far = max((abs(x) for x in step.moves.values()), default=0.0)
+    recording, span = _where(step)
+    far = {name: x for name, x in step.moves.items() if abs(x) > MOVES}
     return Finding(
         kind=step.kind,
-        severity="doubt" if far > MOVES else "note",
+        severity="doubt" if far else "note",
         statistic=step.z,
         p=step.p,
         shape=step.shape,
         share=step.share,
         rivals=step.alike,
-        moves={name: x for name, x in step.moves.items() if abs(x) > MOVES},
+        moves=dict(sorted(far.items(), key=lambda one: -abs(one[1]))),
         setting="" if kind is None else setting_of(chain, kind, step.shape),
         physical=kind is None or not kind.positive or bool(np.all(step.coefficients >= 0.0)),
+        recording=recording,
+        span=span,
     )
+
+
+def _where(step: Step) -> tuple[str, tuple[float, float] | None]:
+    """Give the recording that a push is in, and its seconds; or that which is late alone."""
+    if step.kind == "push":
+        name, _, seconds = step.shape.rpartition(" at ")
+        centre = float(seconds.removesuffix(" s"))
+        return name, (centre - step.width, centre + step.width)
+    return step.shape.removeprefix("in ") if step.kind == "delay" else "", None
 
 
 def setting_of(chain: Joint, kind: Kind, shape: str) -> str:

@@ -9,6 +9,8 @@ FALSE_ALARMS = 0.05
 TWINS = 60
 # The twins' own limit is known to 0.3 of a standard normal; below this nothing is a finding.
 LEAST_Z = 4.0
+# Outputs beyond the model's parameters that a recording or twin must have to be asked.
+LEAST_OUTPUTS = 20
 # Share of a candidate's columns that must be left beside the model's own, or this motion does not
 # tell the one from the other.
 TESTABLE = 0.015

@@ -30,7 +30,15 @@ from bayesfric.diagnostics.candidates import (
     scales_of,
 )
 from bayesfric.diagnostics.memory import WHITE, Layout, Memory, memory_of
-from bayesfric.diagnostics.policy import ALIKE, BETTER, FALSE_ALARMS, LEAST_Z, MOST, TWINS
+from bayesfric.diagnostics.policy import (
+    ALIKE,
+    BETTER,
+    FALSE_ALARMS,
+    LEAST_OUTPUTS,
+    LEAST_Z,
+    MOST,
+    TWINS,
+)
 from bayesfric.diagnostics.statistics import (
     Columns,
     Key,
@@ -44,7 +52,7 @@ from bayesfric.diagnostics.statistics import (
     whitened,
     without,
 )
-from bayesfric.diagnostics.twins import modelled_driver, twins
+from bayesfric.diagnostics.twins import NoTwin, modelled_driver, twins
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical_load
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
@@ -63,6 +71,8 @@ _OPEN, _ROUNDING = 1e-7, 1e-9
 _TOLD = 0.999
 # Widest share of a parameter by which twins' truths differ.
 _WIDEST = 0.1
+# Share of the twins that must have come out.
+_ENOUGH = 0.5
 # Twins that tell which torque drives the rest; and that stand for all while noise is chosen.
 _PROBES, _FEW = 6, 24
 # Share of the residual that the encoder makes, from which the recorded torque drives twins.
@@ -89,6 +99,7 @@ class Step:
     gain: float
     share: float
     sure: bool
+    width: float  # of a push, s to either side of its centre
     coefficients: Array  # of its own columns
     moves: dict[str, float]  # quantity: by how many of its sds it moves, where these are told
     alike: tuple[str, ...]  # kinds that explain as much, or look alike here
@@ -115,7 +126,7 @@ class Regression:
     Raises
     ------
     NoTwin
-        If the joint has no inertia.
+        If the joint has no inertia, or cannot be simulated.
     """
 
     chain: Joint
@@ -139,6 +150,8 @@ class Regression:
         vectors = self._near(np.random.default_rng(draws))
         self.modelled = self._modelled(probes)
         self.twins = list(self._twins(vectors, others))
+        if len(self.twins) < _ENOUGH * self.number:
+            raise NoTwin("with parameters like these it hardly moves")
         self._clean = [twin.left for twin in self.twins]
         self._choose_noise(noise)
 
@@ -154,7 +167,7 @@ class Regression:
         for o, r in zip(observations, self.recordings, strict=True):
             made = dict(_made(Along(chain, values, o, r, self.scales)))
             keys = tuple(made)
-            blocks.append(o.filter.apply(np.stack([made[key] for key in keys])).T)
+            blocks.append(_filtered(o, list(made.values())))
         left = [o.measured - filtered_torque(chain, o, values[None])[0] for o in observations]
         layout = Layout.of(observations)
         return Columns(base, np.concatenate(blocks), np.concatenate(left), layout, keys)
@@ -192,7 +205,8 @@ class Regression:
             parts.append(twins(self.chain, vectors, r, o, self.processing, seeds, driver))
         for values, seen in zip(vectors, zip(*parts, strict=True), strict=True):
             made = [o for o in seen if o is not None]
-            if len(made) == len(seen):
+            least = len(self.chain.names) + LEAST_OUTPUTS
+            if len(made) == len(seen) and sum(o.measured.size for o in made) >= least:
                 yield self._columns(values, made)
 
     # Noise
@@ -304,6 +318,7 @@ class Regression:
             p=float((1 + (largest >= z[best]).sum()) / (len(largest) + 1)),
             gain=float(worth[best]),
             sure=sure,
+            width=2.0 * max((one[2] for one in self.scales.pushes), default=0.0),
             alike=tuple(self._alike(own, kinds[best], worth, extra, mine.memory)) if sure else (),
             ranks=tuple(ranks[:6]),
             **self._moved(own, extra, mine.memory),
@@ -435,6 +450,15 @@ def _made(along: Along) -> Iterator[tuple[Key, Array]]:
     for kind in KINDS:
         for shape, columns in kind.columns(along).items():
             for number, column in enumerate(columns):
-                yield Key(kind.name, shape, number), np.nan_to_num(column)
+                yield Key(kind.name, shape, number), column
         for number, column in enumerate(kind.beside(along)):
-            yield Key(kind.name, "", number, beside=True), np.nan_to_num(column)
+            yield Key(kind.name, "", number, beside=True), column
+
+
+def _filtered(o: Observation, columns: Sequence[Array]) -> Array:
+    """Filter columns ``(N,)``; those of other recordings, which are nothing here, are not asked."""
+    there = [i for i, column in enumerate(columns) if column.any()]
+    out = np.zeros((o.filter.n_outputs, len(columns)))
+    raw = np.stack([columns[i] for i in there])
+    out[:, there] = o.filter.apply(np.where(np.isfinite(raw), raw, 0.0)).T
+    return out

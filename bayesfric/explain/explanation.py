@@ -11,7 +11,6 @@ import numpy as np
 
 from bayesfric.errors import BadInput
 from bayesfric.estimates.delay import Delay, alike, delays
-from bayesfric.estimates.disturbances import Disturbance
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.methods import Given
@@ -114,8 +113,6 @@ class Explanation:
         one with each rival in its place.
     averaged
         Mean and sd of every number over the models that cannot be told apart.
-    pushed
-        Spans in which something else acted, to exclude before any term is added.
     late
         By how much positions come late, of all recordings together, with the model as it is; and
         with the terms that are asked for, which may look late too. ``None`` where it does not
@@ -132,7 +129,6 @@ class Explanation:
     folds: tuple[str, ...]  # what was left out in turn
     whole_recordings: bool  # whether that is recordings, or kinds of motion
     memory: tuple[float, ...]  # partial autocorrelations of the noise beside all terms
-    pushed: tuple[Disturbance, ...] = ()
     untold: tuple[Term, ...] = ()
     late: tuple[Delay | None, Delay | None] = (None, None)
 
@@ -201,11 +197,6 @@ def too_few_outputs(given: Given) -> bool:
 
 def _wanted(given: Given) -> int:
     return 2 * len(given.chain.names) + _ENOUGH
-
-
-def asked_for(given: Given, point: Mapping[str, float]) -> tuple[Term, ...]:
-    """Look only for the terms that the recordings ask for; see :func:`explain`."""
-    return _found(given, point).asked
 
 
 def explain(

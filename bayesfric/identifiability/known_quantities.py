@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.estimates.information import directions
-from bayesfric.estimates.once_a_turn import gravity_like
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.identifiability.local import LocalInformation, units_of
 from bayesfric.identifiability.sentences import Statement, stated
 from bayesfric.identifiability.virtual_recording import TorqueNoise, scaled_jacobian, torque_noise
 from bayesfric.inference.target import Target
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
@@ -27,8 +27,22 @@ _STEP = 1e-6
 _SAME = 1e-6
 # A parameter owes its value to the mass where its sd without it is this much larger.
 _OWES = 3.0
+# Ratios this close to a whole number are one, written with few digits.
+_WHOLE = 1e-3
 # Root mean square of a motor's ripple over that of its torque, as data sheets promise at best.
 _RIPPLE = 0.01
+
+
+def gravity_like(chain: Joint) -> int:
+    """Count how often a turn the motor's torque ripples at the pace of gravity; 0 if it cannot.
+
+    Once, where the motor turns as often as the joint; twice, where the joint turns twice as often.
+    Behind a gear that makes it slower, no ripple of the motor is slow enough.
+    """
+    if chain.motor_motion != "rotary" or chain.load.motion != "rotary":
+        return 0
+    times = round(1.0 / chain.ratio)
+    return times if abs(times * chain.ratio - 1.0) < _WHOLE else 0
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,13 @@ common fit suits it. Noise lets quarters differ by a known amount; what they dif
 model error, and carries over to the parameters by the cluster-robust covariance [1]_ with residuals
 adjusted for what each quarter itself contributed to the fit [2]_, so that without model error it is
 the posterior's own. The share of it that noise does not explain, ``1 - 1/F`` of the F test that one
-fit suits all quarters, is model error. Where any axis' quarters differ by more than chance, the
-model error of all axes, summed, widens what the data say of the draws (priors stay as narrow as
-they are told), in coordinates where bounds hold [3]_. All this takes the torque for linear, and so
-it is done in straight coordinates (``Target.straighten``: in the sampled ones a knee's torque is
-bent within a fraction of a sd); a draw that is moved to where it fits far worse than it should is
-moved by less.
+fit suits all quarters, is model error. Where the model is wrong, as what else explains the torque
+says (:mod:`bayesfric.diagnostics.missing`; where that could not be asked, quarters that differ by
+more than chance along any axis), the model error of all axes, summed, widens what the data say of
+the draws (priors stay as narrow as they are told), in coordinates where bounds hold [3]_. All this
+takes the torque for linear, and so it is done in straight coordinates (``Target.straighten``: in
+the sampled ones a knee's torque is bent within a fraction of a sd); a draw that is moved to where
+it fits far worse than it should is moved by less.
 
 A few outputs that no noise explains would hide all this, as what they leave passes for noise: where
 there are such (:mod:`bayesfric.inference.outlying`), it is asked anew without them, and the answer
@@ -103,11 +104,12 @@ class ModelError:
     reason: Reason | None = None
     outlying: tuple[Outlying, ...] = ()  # outputs that are too far off, the farthest first
     set_aside: bool = False  # whether they are left out of what ``axes`` and ``root`` say
+    wrong: bool | None = None  # whether the model is wrong, where something else has told
 
     @cached_property
     def shown(self) -> bool:
         """Whether the recordings show any."""
-        return any(axis.differs for axis in self.axes)
+        return self.reason is None and _shown(self.wrong, self.axes)
 
     def widened(self, target: Target, parameters: Array, rng: np.random.Generator) -> Array:
         """Move draws of the posterior ``(n, d)`` by as much as the model may be off."""
@@ -138,8 +140,15 @@ class ModelError:
         return found
 
 
-def model_error(target: Target, posterior: Posterior) -> ModelError:
-    """Ask groups of the motion whether the fit suits them; nothing is sampled."""
+def _shown(wrong: bool | None, axes: Sequence[Axis]) -> bool:
+    return any(axis.differs for axis in axes) if wrong is None else wrong
+
+
+def model_error(target: Target, posterior: Posterior, wrong: bool | None = None) -> ModelError:
+    """Ask groups of the motion how far the model may be off; nothing is sampled.
+
+    ``wrong`` says whether it is; left out, the groups tell.
+    """
     d = len(target.names)
     reason: Reason | None = None
     if not isinstance(target.likelihood, TorqueLikelihood):
@@ -148,11 +157,13 @@ def model_error(target: Target, posterior: Posterior) -> ModelError:
         reason = "sampling"
     else:
         whole = _whitened(target, target.likelihood, posterior)
-        return _asked(whole, target.likelihood, d)
+        return _asked(whole, target.likelihood, d, wrong)
     return ModelError((), np.zeros((d, d)), np.zeros((d, d)), reason)
 
 
-def _asked(whole: _Whitened, likelihood: TorqueLikelihood, d: int) -> ModelError:
+def _asked(
+    whole: _Whitened, likelihood: TorqueLikelihood, d: int, wrong: bool | None = None
+) -> ModelError:
     """Ask with all outputs, and without those that are too far off for noise."""
     found: tuple[Outlying, ...] = ()
     clean = np.ones(whole.residual.size, dtype=np.bool_)
@@ -161,17 +172,17 @@ def _asked(whole: _Whitened, likelihood: TorqueLikelihood, d: int) -> ModelError
         found, clean = outlying(
             *seen, whole.rank // len(likelihood.observations), likelihood.noise.order
         )
-    every, wide = _of_groups(whole, np.ones_like(clean), likelihood, d)
+    every, wide = _of_groups(whole, np.ones_like(clean), likelihood, d, wrong)
     if not found:
         return every
-    less, wider = _of_groups(whole, clean, likelihood, d)
+    less, wider = _of_groups(whole, clean, likelihood, d, wrong)
     # where neither widens, what few outputs cannot sway is the better answer
     aside = less.reason is None and wider >= wide
     return replace(less if aside else every, outlying=found, set_aside=aside)
 
 
 def _of_groups(
-    whole: _Whitened, kept: Flags, likelihood: TorqueLikelihood, d: int
+    whole: _Whitened, kept: Flags, likelihood: TorqueLikelihood, d: int, wrong: bool | None = None
 ) -> tuple[ModelError, float]:
     """Ask some of the outputs; the second is by how much that widens, in posterior variances."""
     k = len(whole.root)
@@ -186,13 +197,13 @@ def _of_groups(
         axes.append(Axis(effort_words(name, motion), int(groups.max()) + 1, found[1]))
         excess += found[0]
     added = 0.0
-    if any(axis.differs for axis in axes):
+    if _shown(wrong, axes):
         # in posterior variances, whatever the coordinates are in
         values, vectors = np.linalg.eigh(_beside(whole.prior, excess))
         values = np.clip(values, 0.0, None)
         root[:k, :k] = whole.root @ (vectors * np.sqrt(values))
         misfit[:k, :k], added = whole.misfit, float(values.sum())
-    return ModelError(tuple(axes), root, misfit, None if axes else "few"), added
+    return ModelError(tuple(axes), root, misfit, None if axes else "few", wrong=wrong), added
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -29,6 +30,8 @@ _WHITE = 1.0983
 FOLDING, SHARING = _WHITE * 2.0 / 1.5, 0.8
 # Neighbours on either side that a derivative is made of: at least, and at most.
 _REACH = (4, 24)
+# Numbers of windows held at once.
+_WINDOWED = 500_000
 # Samples on either side that a value between two is made of.
 _BESIDE = 4
 
@@ -50,6 +53,14 @@ def check_cutoff(cutoff: float, fs: float, where: str) -> None:
         )
 
 
+@lru_cache(maxsize=64)
+def _sections(order: int, cutoff: float, fs: float) -> Array:
+    """Design a Butterworth low-pass; a regression passes thousands of signals through one."""
+    from scipy.signal import butter
+
+    return np.asarray(butter(order, cutoff, fs=fs, output="sos"))
+
+
 def lowpass(values: Array, segments: Segments, fs: float, cutoff: float, order: int) -> Array:
     """Low-pass a signal (n,) forwards and backwards in every segment, without phase shift.
 
@@ -59,9 +70,9 @@ def lowpass(values: Array, segments: Segments, fs: float, cutoff: float, order: 
     if cutoff == 0:
         return values.copy()
     check_cutoff(cutoff, fs, "processing, lowpass")
-    from scipy.signal import butter, sosfiltfilt
+    from scipy.signal import sosfiltfilt
 
-    sections = np.asarray(butter(order, cutoff, fs=fs, output="sos"))
+    sections = _sections(order, cutoff, fs)
     # scipy's own padding is shorter than a low cut-off's transient
     padding = max(3 * (2 * len(sections) + 1), int(np.ceil(3 * fs / cutoff)))
     result = values.copy()
@@ -212,17 +223,20 @@ class ParallelFilter:
             return np.asarray(x[..., self.starts] * (self.taps[0] * self.gains))
         if self.n_outputs == 0:
             return np.empty((*x.shape[:-1], 0))
-        out = np.empty((*x.shape[:-1], self.n_outputs))
-        # one signal at a time: the windows of one are already len(taps)/factor times its size
-        for index in np.ndindex(x.shape[:-1]):
-            out[index] = _windowed(x[index] * self.used, self.taps, self.starts) * self.gains
-        return out
+        rows = (x * self.used).reshape(-1, x.shape[-1])
+        out = np.empty((len(rows), self.n_outputs))
+        # a few signals at a time: the windows of one are len(taps)/factor times its size
+        some = max(1, _WINDOWED // (self.n_outputs * len(self.taps)))
+        for first in range(0, len(rows), some):
+            part = slice(first, first + some)
+            out[part] = _windowed(rows[part], self.taps, self.starts) * self.gains
+        return out.reshape(*x.shape[:-1], self.n_outputs)
 
 
 def _windowed(x: Array, taps: Array, starts: NDArray[np.int64]) -> Array:
-    """Weigh the windows of a signal ``(N,)`` that begin at ``starts``."""
-    windows = np.lib.stride_tricks.sliding_window_view(x, len(taps))
-    return np.asarray(windows[starts] @ taps)
+    """Weigh the windows of signals ``(..., N)`` that begin at ``starts``."""
+    windows = np.lib.stride_tricks.sliding_window_view(x, len(taps), axis=-1)
+    return np.asarray(windows[..., starts, :] @ taps)
 
 
 def decimation(band: float, fs: float) -> int:

@@ -26,9 +26,7 @@ DOUBTS = (
     "noise",
     "noise-bound",
     "acceleration",
-    "delay",
-    "once-a-turn",
-    "pushed",
+    "missing",
     "velocity",
     "few",
     "unseen-inertia",
@@ -62,7 +60,7 @@ def first_step(summary: Summary) -> str:
 
     That is a push, or a torque that no model, no term that it may lack and no other unit explains.
     """
-    pushed = [doubt.model_dump() for doubt in summary.doubts if doubt.kind == "pushed"]
+    pushed = [one.model_dump() for one in summary.findings if one.span is not None]
     if not pushed and (summary.asked or summary.other_units or not summary.unexplained):
         return ""
     return sentence("untouched", {"pushed": pushed})
@@ -111,7 +109,7 @@ def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:
         found.append(Alert("references", text, "parameters", first=True))
     if summary.sampler.status != "unusable":  # else there is no posterior to judge the model by
         for kind, values, section in _of_model(summary, contested):
-            first = kind in ("lacks", "unparted")
+            first = kind == "unparted"
             found.append(Alert(kind, sentence(kind, values), section, first=first))
     # a few outputs seldom move a number by as much as what is above
     if error is not None and error.outlying:
@@ -142,11 +140,9 @@ def _of_model(
 ) -> Iterator[tuple[str, Mapping[str, Any], str]]:
     """Kind, values and section of what may be wrong with model and noise."""
     allowed = summary.widened
-    for kind, sure in (("lacks", True), ("may lack", False)):
-        if lacks := [one for one in summary.fit.lacks if one.sure is sure]:
-            beside = any(one.sure for one in summary.fit.lacks) and not sure
-            said = {"lacks": lacks, "allowed": allowed, "beside": beside}
-            yield kind, {**said, **summary.asking}, "prediction"
+    for one in summary.findings:
+        if one.severity == "note":  # else it is a doubt
+            yield "missing", one.model_dump() | {"what": one.kind}, "prediction"
     if (by_angle := load_by_angle(summary)) is not None:
         yield "load by angle", by_angle, "parameters"
     if summary.fit.rests:

@@ -10,9 +10,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "calibration"))
 
-from bench import CASES, PLAIN, Bench, Drive
+from bench import CASES, PLAIN, Bench, Drive, recorded
 
 from bayesfric import Element, Joint, Load, Term
+
+__all__ = ["BENCHES", "LACKING", "RIGHT", "recorded"]
 
 RIGHT = (
     "plain", "slow", "geared", "plain, 100 Hz", "plain, 1 kHz", "geared, encoder at the joint",

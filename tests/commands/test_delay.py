@@ -40,14 +40,15 @@ def test_check_finds_it_and_warns(late):
     assert delay["samples"] == pytest.approx(2.0, rel=0.1)
     assert 0.0 < delay["sd"] < 4e-4
     # the servo's only inertia stands before its load loss
-    assert [doubt["kind"] for doubt in found["doubts"]] == ["delay", "unseen-inertia"]
+    assert [doubt["kind"] for doubt in found["doubts"]] == ["missing", "unseen-inertia"]
+    assert [one["kind"] for one in found["findings"]] == ["delay"]
     text = late().run("check", "c.toml").out
-    assert "set delay = true in [mechanism]" in text
+    assert "delay = true under [mechanism]" in text
 
 
 def test_a_joint_that_has_it_is_not_warned_of(late):
     found = json.loads(late("delay = true").run("check", "c.toml", "--json").out)
-    assert "delay" not in [doubt["kind"] for doubt in found["doubts"]]
+    assert "delay" not in [one["kind"] for one in found["findings"]]
     assert found["delays"][0]["delay"] == pytest.approx(0.004, rel=0.1)
     assert found["priors"]["drive.delay"]["default"]
     row = found["least_squares"]["parameters"]["drive.delay"]

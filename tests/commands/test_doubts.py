@@ -11,27 +11,19 @@ import pytest
 import bayesfric as bf
 from bayesfric.checked import check
 from bayesfric.commands.fit import fit_text
-from bayesfric.estimates.delay import Delay
-from bayesfric.estimates.disturbances import Disturbance
-from bayesfric.estimates.once_a_turn import OnceATurn
 from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
 from bayesfric.inference.likelihood.noise_choice import Choice, Evidence
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.model import Model
-from bayesfric.recordings.recording import Recording
 from bayesfric.report.alerts import alerts_of, doubt_text
-from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.summary.doubts import (
     _accelerates,
-    contradicting,
     doubts_before,
     find_doubts,
-    pushed_doubts,
     put_doubts,
 )
-from bayesfric.report.summary.record import ModelError, Summary, Whiteness
-from bayesfric.report.summary.residual import Lack
+from bayesfric.report.summary.record import FindingRow, ModelError, Summary, Whiteness
 from bayesfric.report.summary.rows import Spread
 from tests.axis import AXIS, VALUES, swing
 from tests.commands.bench import SMALL
@@ -51,6 +43,13 @@ torque = {{ column = "tau", unit = "N m" }}
 min_ess = 500
 {more}
 """
+
+
+MISSING = {
+    **{"kind": "missing", "what": "delay", "shape": "", "share": 0.034, "p": 1 / 61, "rivals": []},
+    **{"parameters": ["motor.inertia", "offset"], "moves": {"motor.inertia": 3.1, "offset": -2.2}},
+    **{"hint": "mechanism.delay = true", "physical": True, "recording": "", "span": None},
+}
 
 
 @pytest.fixture(scope="module")
@@ -219,22 +218,14 @@ def test_a_number_that_moves_with_the_noise_model_is_named(verdict, ends, status
 
 
 @pytest.mark.parametrize(
-    ("reason", "white", "lacks", "told"),
-    [
-        ("few", False, False, True),
-        ("few", True, True, False),
-        (None, False, False, False),
-    ],
+    ("reason", "white", "told"),
+    [("few", False, True), ("few", True, False), (None, False, False)],
 )
-def test_a_model_that_nothing_could_ask_is_doubted_where_it_leaves_no_noise(
-    reason, white, lacks, told
-):
+def test_a_model_that_nothing_could_ask_is_doubted_where_it_leaves_no_noise(reason, white, told):
     """Measured, XL330: 36 outputs, an inertia of a tenth of what its mass has, and no doubt."""
     summary = summary_of({"a.b": row(1.0, 0.9, 1.1)})
-    lacking = [Lack(on="speed", sure=False, share=0.38)] if lacks else []
     noise = summary.noise.model_copy(update={"innovation_whiteness": Whiteness(white=white)})
-    fit = summary.fit.model_copy(update={"lacks": lacking})
-    update = {"model_error": ModelError(shown=False, reason=reason), "noise": noise, "fit": fit}
+    update = {"model_error": ModelError(shown=False, reason=reason), "noise": noise}
     found = find_doubts(_Fit(), summary.model_copy(update=update))
     assert [one["kind"] for one in found] == ["unchecked"] * told
     if told:
@@ -284,20 +275,11 @@ def test_what_loses_energy_is_not_negative(name, doubted):
         ({"kind": "negative", "values": {"total.viscous": -0.31}}, "total.viscous -0.31"),
         ({"kind": "memory", "asked": 4, "taken": 0, "shift": 7.8, "rise": 1.3}, "AR(4)"),
         ({"kind": "memory", "asked": 4, "taken": 1, "shift": 7.8, "rise": 1.3}, "AR(1) is taken"),
-        (
-            {
-                **{"kind": "once-a-turn", "cosine": 0.0341, "sd": 0.001, "moves": 7.0, "times": 1},
-                "moved": {"offset": -2.2},
-            },
-            "moves offset by 2.2 of its sds; a sine as large",
-        ),
-        (
-            {
-                **{"kind": "once-a-turn", "cosine": 0.0341, "sd": 0.001, "moves": 7.0, "times": 0},
-                "moved": {},
-            },
-            "once a turn of something that turns with the joint",
-        ),
+        (MISSING, "moves motor.inertia by 3.1, offset by 2.2 sds; write delay = true"),
+        (MISSING | {"physical": False}, "sign that it cannot have"),
+        (MISSING | {"hint": ""}, "look at the time stamps"),
+        (MISSING | {"rivals": ["spring"]}, "this motion hardly tells it from a spring"),
+        (MISSING | {"what": "push", "span": [3.0, 3.4]}, "exclude = [[3.0, 3.4]]"),
         ({"kind": "velocity", "recording": "a", "factor": 57.3}, "velocity of a is 57.3 times"),
         ({"kind": "velocity", "recording": "a", "factor": 0.0}, "has nothing to do with"),
         ({"kind": "noise", "rise": 1.0, "white": {"offset": -3.309}}, "offset -3.309"),
@@ -327,121 +309,26 @@ def test_a_late_position_is_warned_of_and_no_speed_term_called_data(fitted):
     made = late.simulate({"drive.delay": 0.004}, encoder_side="joint", **options)
     columns = (made[name].to_numpy() for name in ("time", "position", "torque"))
     summary, told = fitted(*columns, preset="servo-pendulum")
-    assert "delay" in kinds(summary)
+    (finding,) = summary["findings"]
+    assert finding["kind"] == "delay"
+    assert finding["hint"] == "mechanism.delay = true"
+    assert "missing" in kinds(summary)
     assert verdicts(summary)["motor.inertia"] != "data"
     assert verdicts(summary)["motor.viscous"] != "data"
     assert summary["sampler"]["status"] == "tentative"
-    (line,) = [line for line in told if "set delay = true in [mechanism]" in line]
-    assert line.startswith("WARNING: the position comes 0.004")
+    (line,) = [line for line in told if "write delay = true under [mechanism]" in line]
+    assert line.startswith("WARNING: the torque comes late or early")
 
 
-@pytest.mark.parametrize(
-    ("wrong", "said"),
-    [
-        ({}, "the position comes 0.00399"),
-        ({"velocity": "rad/s"}, "late: velocity: is 57.3 times"),
-        ({"time": "s"}, "late: time: all numbers are whole"),
-    ],
-)
-def test_while_a_unit_is_doubted_no_delay_is(wrong, said):
-    """What a wrong unit leaves of the torque may look late; it is to be mended first."""
-    late = replace(Joint.preset("servo-pendulum"), delay=True)
-    options = {"rate": 500, "excitation": "multisine", "amplitude": 1.0, "torque_noise": 0.01}
-    made = late.simulate({"drive.delay": 0.004}, encoder_side="joint", **options)
-    speed = np.degrees(np.gradient(made["position"], made["time"]))
-    made = made.assign(time=np.round(1e3 * made["time"]), velocity=speed)
-    units = {"time": "ms", "velocity": "deg/s"} | wrong
-    one = Recording.from_dataframe(
-        made, name="late", velocity="velocity", time="time", torque="torque", position="position",
-        units=units,
-    )  # fmt: skip
-    found = check(Model(Joint.preset("servo-pendulum"), one))
-    assert any(text.startswith(said) for text in found.warnings), found.warnings
-    assert ("delay" in {doubt["kind"] for doubt in found.as_json()["doubts"]}) is not bool(wrong)
-    # of a fit it is the first doubt, of all numbers
-    summary = summary_of({"a.b": row(1.0, 0.9, 1.1)})
-    fit = _Fit()
-    fit.chain = Joint.preset("servo-pendulum")
-    fit.observations = Model(fit.chain, one).observations
-    doubts = find_doubts(fit, summary)
-    if wrong:
-        factor = 180.0 / np.pi if "velocity" in wrong else 1e3
-        assert doubts[0]["kind"] == "velocity"
-        assert doubts[0]["factor"] == pytest.approx(factor, rel=0.01)
-        assert doubts[0]["parameters"] == ["a.b"]
-    else:
-        assert "velocity" not in {doubt["kind"] for doubt in doubts}
-    # what it would be is told all the same
-    assert found.as_json()["delays"]
-
-
-def test_a_zero_that_is_off_is_warned_of_and_gravity_not_called_data(fitted):
-    """The same as a ripple once a turn; speed and acceleration have nothing to do with it."""
-    text = "\n[mechanism.load]\ngravity_angle = false\n"
-    options = {"rate": 500, "excitation": "multisine", "amplitude": 1.0, "torque_noise": 0.01}
-    made = Joint.preset("servo-pendulum").simulate({"load.gravity_angle": 0.05}, **options)
-    columns = (made[name].to_numpy() for name in ("time", "position", "torque"))
-    summary, told = fitted(*columns, preset="servo-pendulum", more=text)
-    (doubt,) = (one for one in summary["doubts"] if one["kind"] == "once-a-turn")
-    assert "load.first_moment" in doubt["parameters"]
-    assert verdicts(summary)["load.first_moment"] == "weak"
-    assert summary["sampler"]["status"] == "tentative"
-    (line,) = [line for line in told if "gravity_angle = true mends" in line]
-    assert line.startswith("WARNING: the torque depends on the angle as gravity")
-
-
-def test_only_what_moves_is_doubted_beside_gravity():
-    turn = OnceATurn(0.03, 0.001, 6.0, {"offset.run": 2.0, "total.coulomb": 0.1}, 1)
-    rows = ("load.first_moment", "total_drive.gravity", "motor.inertia", "offset", "a.coulomb")
-    summary = summary_of({name: row(1.0, 0.9, 1.1) for name in rows})
-    (doubt,) = find_doubts(_Fit(), summary, turn=turn)
-    assert doubt["parameters"] == ["load.first_moment", "total_drive.gravity", "offset"]
-    assert find_doubts(_Fit(), summary, turn=replace(turn, value=0.002)) == []
-    assert find_doubts(_Fit(), summary_of({"a.b": row(1.0, 0.9, 1.1)}), turn=turn) == []
-    # half the difference of both directions is a constant
-    split = summary_of({"motor.coulomb_positive": row(1.0, 0.9, 1.1)})
-    assert find_doubts(_Fit(), split, turn=turn)[0]["parameters"] == ["motor.coulomb_positive"]
-
-
-@pytest.mark.parametrize("shown", [False, True])
-def test_a_push_is_told_before_what_the_model_lacks(shown):
-    summary = summary_of({"a.b": row(1.0, 0.9, 1.1)})
-    if shown:
-        error = {"shown": True, "axes": []}
-        summary = summary.model_copy(update={"model_error": ModelError.model_validate(error)})
-    pushes = [Disturbance("run", 15.94, 16.21, 60.0, 9.0), Disturbance("run", 3.0, 3.4, 20.0, 3.0)]
-    found = find_doubts(_Fit(), summary, white=(summary.parameters, 0.8), pushed=pushes)
-    assert [one["kind"] for one in found] == ["pushed", "noise"]
-    assert found[0]["exclude"] == [[3.0, 3.4], [15.9, 16.3]]
-    words = doubt_text(found[0])
-    assert "exclude = [[3.0, 3.4], [15.9, 16.3]]" in words
-    assert "by at least 9 N m at its worst, 60 times as much as usual" in words
-    # as runs of before wrote it
-    before = {key: value for key, value in found[0].items() if key not in ("torque", "unit")}
-    assert "by up to 60 times as much as usual" in doubt_text(before)
-    assert ("before any term is added" in words) == shown
-    assert put_doubts(summary, found).parameters["a.b"].doubted == ["pushed", "noise"]
-
-
-def test_a_push_is_a_doubt_of_all_that_rests_on_the_data():
-    """Also of what a prior helped to settle, and of a limit; not of what is the prior's alone."""
-    limit = row(0.01, 0.001, 0.02, "prior") | {"at_bound": "lower", "bound": 0.0}
-    limit |= {"data_sd": 0.01, "prior_sd": 0.3}
-    rows = {
-        "a.known": row(1.0, 0.9, 1.1),
-        "a.helped": row(1.0, 0.9, 1.1, "weak") | {"given_by": ["b.c"]},
-        "a.limit": limit,
-        "a.open": row(1.0, 0.9, 1.1, "prior"),
-    }
-    summary = summary_of(rows)
-    pushes = [Disturbance("run", 3.0, 3.4, 20.0, 3.0)]
-    found = put_doubts(summary, find_doubts(_Fit(), summary, pushed=pushes))
-    told = found.parameters
-    assert [name for name in rows if told[name].doubted] == ["a.known", "a.helped", "a.limit"]
-    verdicts = [(told[name].verdict, told[name].undoubted) for name in rows]
-    assert verdicts == [("weak", "data"), ("weak", "weak"), ("prior", "prior"), ("prior", None)]
-    cells = posterior_cells(found)
-    assert [cells[name].told_status for name in rows] == [*["doubtful"] * 3, "undetermined"]
+@pytest.mark.parametrize("severity", ["doubt", "note"])
+def test_what_a_finding_moves_is_doubted_and_a_note_doubts_nothing(severity):
+    told = {key: MISSING[key] for key in ("share", "p", "parameters", "hint", "shape")}
+    moves = {"a.b": 2.0}
+    one = FindingRow(kind="delay", severity=severity, statistic=9.0, moves=moves, **told)
+    rows = {"a.b": row(1.0, 0.9, 1.1), "a.c": row(1.0, 0.9, 1.1)}
+    summary = summary_of(rows).model_copy(update={"findings": [one]})
+    found = find_doubts(_Fit(), summary)
+    assert [doubt["parameters"] for doubt in found] == [["a.b"]] * (severity == "doubt")
 
 
 @pytest.mark.parametrize(
@@ -471,72 +358,6 @@ def test_noise_that_moves_a_number_by_less_than_its_room_doubts_nothing(move, sh
     found = find_doubts(_Fit(), summary, choice)
     assert [name for one in found for name in sorted(one["parameters"])] == doubted
     assert put_doubts(summary, found).sampler.status == ("tentative" if doubted else "reliable")
-
-
-def test_a_delay_makes_those_numbers_doubtful_that_it_moves():
-    moves = {"motor.coulomb": -2.7, "total.viscous": 1.7, "total.viscous_difference": -0.1}
-    late = Delay(("run",), 8e-4, 2e-5, 1e-3, moves | {"motor.inertia": -0.3, "offset": 0.1})
-    rows = ("motor.inertia", "motor.viscous_positive", "motor.coulomb", "offset")
-    (doubt,) = find_doubts(_Fit(), summary_of({n: row(1.0, 0.9, 1.1) for n in rows}), delays=[late])
-    assert doubt["parameters"] == ["motor.viscous_positive", "motor.coulomb"]
-    words = doubt_text(doubt)
-    assert "motor.coulomb by 2.7 of its sds (total.viscous by more than one of theirs)" in words
-    assert "see first what bayesfric explain finds" in words
-    assert "explain" not in doubt_text(doubt | {"none_asked": True})
-
-
-def test_pushes_that_overlap_in_tenths_of_a_second_are_one_span():
-    pushes = [
-        Disturbance("run", 15.94, 16.21, 60.0, 9.0),
-        Disturbance("run", 16.24, 17.16, 20.0, 3.0),
-    ]
-    (doubt,) = pushed_doubts(pushes, "N m")
-    assert doubt["exclude"] == [[15.9, 17.2]]
-
-
-def test_delays_that_contradict_each_other_are_no_delay():
-    def one(value, name):
-        return Delay((name,), value, 1e-4, 2e-3, {"motor.inertia": 4.0})
-
-    totals = Estimate("least-squares", (), 1.0, 100, "")
-    (doubt,) = doubts_before(totals, [], [one(0.01, "a"), one(-0.01, "b"), one(0.0, "c")])
-    assert [late["recordings"] for late in doubt["late"]] == [["a"], ["b"]]
-    assert "contradict each other" in doubt_text(doubt)
-    (doubt,) = doubts_before(totals, [], [one(0.01, "a"), one(0.0101, "b")])
-    assert "set delay = true" in doubt_text(doubt)
-    # a motor does not follow the motion that it makes
-    (doubt,) = doubts_before(totals, [], [one(-0.01, "a"), one(-0.0101, "b")])
-    assert "set delay = true" not in doubt_text(doubt)
-    assert "no torque comes after the motion" in doubt_text(doubt)
-    assert doubts_before(totals, [], [one(2e-4, "a")]) == []
-
-
-@pytest.mark.parametrize(("together", "alike"), [(0.0259, False), (-0.0105, True)])
-def test_a_delay_of_all_that_none_of_them_has_is_none(together, alike):
-    """Measured, XL330: four recordings each some 10 ms early, and all together 26 ms late."""
-    sds = {"a": (-0.003, 0.012), "b": (-0.025, 0.012), "c": (-0.011, 0.0064), "d": (-0.0067, 0.009)}
-    alone = [Delay((name,), *one, 1e-3, {}) for name, one in sds.items()]
-    every = Delay((*sds,), together, 0.003, 1e-3, {"total.inertia": 4.0})
-    rows = ("motor.inertia", "motor.viscous", "offset")
-    summary = summary_of({n: row(1.0, 0.9, 1.1) for n in rows})
-    (doubt,) = find_doubts(_Fit(), summary, delays=[*alone, every])
-    assert doubt["alike"] is alike
-    assert ("delay = true" in doubt_text(doubt)) == (alike and together > 0)
-
-
-def test_one_delay_of_the_joint_does_not_hold_what_another_recording_has():
-    """Measured, AK80-6: 12 ms late in one of two recordings, and zero with delay = true."""
-    totals = Estimate("least-squares", (), 1.0, 100, "")
-    moves = {"total.viscous": 1.7}
-    found = [Delay(("a",), 0.0, 1e-3, 2e-3, moves), Delay(("b",), 0.0116, 2e-3, 2e-3, moves)]
-    together = Delay(("a", "b"), 0.001, 1e-3, 2e-3, moves)
-    left = contradicting([*found, together], 0.0005, 1e-3)
-    (doubt,) = doubts_before(totals, [], left)
-    assert [late["recordings"] for late in doubt["late"]] == [["b"]]
-    assert "contradict each other" in doubt_text(doubt)
-    assert contradicting([*found, together], 0.005, 2.5e-3) == []
-    # one recording has the delay that it has
-    assert contradicting(found[1:], 0.0, 1e-3) == []
 
 
 def test_check_says_that_a_pendulum_is_no_axis(bench):

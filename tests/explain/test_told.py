@@ -12,7 +12,7 @@ from bayesfric.estimates.methods import Given
 from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
 from bayesfric.explain.candidates import candidates
 from bayesfric.explain.evidence import Score
-from bayesfric.explain.explanation import asked_for, explain
+from bayesfric.explain.explanation import explain
 from bayesfric.explain.ladder import searched
 from bayesfric.explain.told import untold
 from tests.axis import AXIS, VALUES
@@ -120,7 +120,7 @@ def test_outputs_that_the_terms_together_could_take_tell_no_noise(make_observati
     # the sum of white noise over a window has its variance; of n numbers it is known to 2/n
     expected = sigma**2 * float(np.sum(o.filter.taps**2))
     assert columns.variance == pytest.approx(expected, rel=4.0 * np.sqrt(2.0 / o.measured.size))
-    assert asked_for(Given(AXIS, [o], Knowledge({}, {}, {}), Estimation(), tuple), VALUES) == ()
+    assert explain(Given(AXIS, [o], Knowledge({}, {}, {}), Estimation(), tuple), VALUES).asked == ()
 
 
 def test_a_term_is_told_with_its_value_and_the_line_to_write(make_observation):

@@ -31,6 +31,12 @@ LEG = {
     "load.inertia": ("kg m²", "J_{c}", 0.24, (0.18, 0.34)),
     "load.first_moment": ("kg m", "ml", 0.42, (0.30, 0.57)),
 }
+# What else explains a torque, as a run tells it.
+FOUND = {
+    **{"kind": "spring", "severity": "doubt", "parameters": ["motor.viscous"], "p": 1 / 61},
+    **{"hint": "mechanism.load.spring = true", "statistic": 9.0, "share": 0.123},
+    "moves": {"motor.viscous": 2.0},
+}
 
 
 def posterior_row(unit, mean, sd, *, gauge_free=None, verdict="data", **more):

@@ -19,7 +19,7 @@ from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.summary import summarise
 
 from .conftest import build
-from .made_summaries import LEG, every_kind, knee
+from .made_summaries import FOUND, LEG, every_kind, knee
 from .page_reader import read_page
 
 
@@ -103,10 +103,10 @@ def test_words_come_before_raw_names(tmp_path):
 @pytest.mark.parametrize("number", [4, 5])
 def test_dozens_of_remarks_stand_behind_one_line(tmp_path, number):
     told = knee() | {"warnings": [f"remark {k}" for k in range(number)], "may_be_simulated": True}
-    told["fit"]["lacks"] = [{"on": "joint speed", "share": 0.1, "sure": True}]
+    told["findings"] = [FOUND | {"severity": "note"}]
     (first,) = read_page(run_page(tmp_path, told, "run")).all("section", id="findings")
     flags = [p.attrs["data-kind"] for p in first.all("p") if p.attrs.get("class") == "flag"]
-    assert flags == ["lacks", *["warning"] * number, "simulated"]
+    assert flags == ["missing", *["warning"] * number, "simulated"]
     behind = [p.attrs["data-kind"] for one in first.all("details") for p in one.all("p")]
     assert behind == (["warning"] * number if number > 4 else [])
 

@@ -15,7 +15,7 @@ from bayesfric.report.terminal import fit_text
 from tests.conftest import REPOSITORY
 
 from .conftest import build
-from .made_summaries import LEG, MOTOR, every_kind, failed, knee, loaded
+from .made_summaries import FOUND, LEG, MOTOR, every_kind, failed, knee, loaded
 from .page_reader import read_page
 from .test_first_pictures import made_strips
 
@@ -26,7 +26,8 @@ def looked(told):
 
 
 def asked(found, **more):
-    return found | {"model_error": {"shown": False, "axes": []}} | more
+    asked = {"model_error": {"shown": False, "axes": []}, "regression": {"twins": 60}}
+    return found | asked | more
 
 
 def test_three_answers_are_those_of_the_data():
@@ -193,21 +194,15 @@ def test_bands_that_tell_nothing_make_nothing_green(tmp_path, blind):
     assert any("bands that tell nothing: wider than 3.1 rad" in text for text in said) == wide
 
 
-@pytest.mark.parametrize("undecided", ["lacks", "held-out"])
-def test_what_is_undecided_is_not_green(tmp_path, undecided):
+def test_what_is_undecided_is_not_green(tmp_path):
     told = asked(knee())
-    if undecided == "lacks":
-        told["fit"]["lacks"] = [{"on": "joint speed", "share": 0.23, "sure": False}]
-    else:
-        held = {"outputs": 9, "coverage": {}, "residual_rms": 1.0, "says": "too few"}
-        told["validation"] = {"unit": "N m", "parts": {}, "pooled": held | {"verdict": "undecided"}}
+    held = {"outputs": 9, "coverage": {}, "residual_rms": 1.0, "says": "too few"}
+    told["validation"] = {"unit": "N m", "parts": {}, "pooled": held | {"verdict": "undecided"}}
     page = read_page(run_page(tmp_path, told, "run"))
     (card,) = [li for li in page.all("li") if "Model right?" in li.text]
     assert card.attrs["data-kind"] == "unasked"
     assert "Not decided" in card.text
-    assert ("joint speed may explain 23 %" in card.text) == (undecided == "lacks")
-    told["fit"]["lacks"] = []
-    told.pop("validation", None)
+    told.pop("validation")
     assert looked(told).right == "yes"
 
 
@@ -242,9 +237,10 @@ CONTRADICTED = {"value": 1.5, "sd": 0.11, "times": 4.4, "masses": [0.5]}
     [
         ({}, "yes", ()),
         ({"model_error": {"shown": True, "axes": []}}, "partly", ("error",)),
-        ({"model_error": {"shown": False, "axes": [], "reason": "few"}}, "unasked", ()),
-        ({"fit": {"lacks": [{"on": "speed", "share": 0.2, "sure": True}]}}, "partly", ("lacks",)),
-        ({"fit": {"lacks": [{"on": "speed", "share": 0.2, "sure": False}]}}, "unasked", ()),
+        ({"regression": {"reason": "few"}}, "unasked", ()),
+        ({"findings": [FOUND]}, "partly", ("missing",)),
+        # what moves no number by half its interval speaks against none
+        ({"findings": [FOUND | {"severity": "note"}]}, "yes", ()),
         ({"doubts": [{"kind": "unexplained"}]}, "no", ("unexplained",)),
         # measured, a pendulum with another weight: 0.5 kg told, 1.5 times as much by the torque
         ({"fit": {"torque_factor": CONTRADICTED}}, "partly", ("known",)),
@@ -315,15 +311,12 @@ REMEMBERS = [{"order": 0, "bic": 0.0}, {"order": 2, "bic": -90.0}]
 
 
 def test_where_no_term_is_found_nobody_is_sent_to_look_again(tmp_path):
-    lack = {"on": "position", "share": 0.1, "sure": True, "by_position": True}
-    lacks = {"lacks": [lack], "explained": 0.9996}
     wide = {
         "shown": True,
         "axes": [{"name": "power", "groups": 4, "p_value": 0.0, "differs": True}],
     }
     told = of_wrong_mechanism(asked(loaded()), "memory", model_error=wide, asked_terms=[])
     told["noise"] |= {"order_chosen_from": REMEMBERS}
-    told["fit"] |= lacks
     told["doubts"][0]["moved"] = {"motor.inertia": 1.4}
 
     def following(found):
@@ -335,16 +328,12 @@ def test_where_no_term_is_found_nobody_is_sent_to_look_again(tmp_path):
     left, text = following(told)
     assert "does not explain what was measured" not in left
     assert "hand" not in text
-    assert "finds no term that it is" in text
-    # explain tries no ripple, whose period it would have to search
-    assert "cogging = [cycles a turn]" in text
     assert "tries every term" not in text
     assert "--advise" in text
     assert "<code>" not in text
     lines = "\n".join(fit_text(told))
     assert "change the mechanism" not in lines
     assert "tries what it may" not in lines
-    assert "no term that bayesfric explain tries is it, and for a ripple it does not look" in lines
     assert "would move motor.inertia by 1.4 of the sds shown" in lines
     # one that is found comes first, and so does the search where nobody has looked
     _, text = following(told | {"asked_terms": [GRAVITY]})
@@ -388,10 +377,9 @@ def test_what_is_too_narrow_is_not_what_is_shown_first():
 
 @pytest.mark.parametrize("told", [knee, loaded])
 def test_a_push_is_left_out_before_any_trajectory_is_proposed(tmp_path, told):
-    pushed = {"kind": "pushed", "parameters": [], "recording": "sac", "times": 66.0,
-              "lacking": False, "exclude": [[17.9, 18.3], [21.9, 22.2]]}  # fmt: skip
-    found = asked(told(), doubts=[pushed])
-    first = "First leave out what was pushed (of sac exclude = [[17.9, 18.3], [21.9, 22.2]])"
+    pushed = FOUND | {"kind": "push", "hint": "", "recording": "sac", "span": [17.9, 18.3]}
+    found = asked(told(), findings=[pushed])
+    first = "First leave out what was pushed (of sac exclude = [[17.9, 18.3]])"
     (following,) = read_page(run_page(tmp_path, found, "run")).all("div", **{"class": "next"})
     step, *_ = following.all("li")
     assert step.text.startswith(first)
@@ -426,8 +414,8 @@ def test_nothing_is_open_only_where_nothing_speaks_against_the_model(tmp_path):
         return [one.text for one in (*page.all("div", id="left-open"), *following)]
 
     assert ["Nothing" in text for text in said()] == [True, True]
-    unsure = said(fit={"lacks": [{"on": "speed", "share": 0.2, "sure": False}]})
-    assert ["Nothing" in text for text in unsure] == [False, False]
+    found = said(findings=[FOUND])
+    assert ["Nothing" in text for text in found] == [False, False]
     wrong = said(model_error={"shown": True, "axes": []})
     assert ["Nothing" in text for text in wrong] == [False, False]
 

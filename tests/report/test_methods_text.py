@@ -167,16 +167,15 @@ def test_what_a_torque_was_made_of_is_told(knee, slide):
 def test_why_numbers_are_doubtful_is_said(knee):
     summary = summarise(knee).as_dict()
     name = "motor.inertia"
-    late = {"recordings": ["run 0"], "delay": 7.9e-4, "sd": 3e-5, "samples": 0.79}
     summary["doubts"] = [
-        {"kind": "delay", "parameters": [name], "late": [late], "alike": True, "moved": name,
-         "moves": 2.7},
-    ]  # fmt: skip
+        {"kind": "missing", "what": "torque_constant", "parameters": [name], "share": 0.123}
+    ]
     row = summary["parameters"][name]
-    row |= {"verdict": "weak", "doubted": ["delay"], "converged": True}
-    words = "the position comes 0.79 samples (0.79 ms) late, and the model has no delay"
+    row |= {"verdict": "weak", "doubted": ["missing"], "converged": True}
+    words = "something else explains 12 % of the torque (torque constant)"
     assert f"Doubtful they are because {words}." in methods_text(knee, summary).plain
     texts = latex_texts(summary, "run")
+    words = words.replace(" %", "\\,\\%")
     assert f"Doubtful, because {words}" in texts["tables/parameters.tex"]
     assert f"d: doubtful, because {words}" in texts["tables/estimates.tex"]
 

@@ -27,7 +27,7 @@ from bayesfric.report.paper.tables import (
 from bayesfric.report.summary.record import Summary
 
 from . import made_tables
-from .made_summaries import LEG, knee, loaded, old
+from .made_summaries import FOUND, LEG, knee, loaded, old
 from .page_reader import number, read_page
 
 
@@ -235,11 +235,13 @@ def test_remedies_come_first_where_they_are_known(tmp_path):
 
 def test_what_the_model_lacks_stands_on_the_first_screen(tmp_path):
     told = knee()
-    told["fit"]["lacks"] = [{"on": "joint speed", "share": 0.123, "p_value": 1e-9}]
+    told["findings"] = [FOUND | {"severity": "note"}]
     (first,) = read_page(run_page(tmp_path, told, "knee")).all("section", id="findings")
-    assert "joint speed explains 12 % of what it leaves" in first.text
+    assert "spring explains a torque of 12 %" in first.text.lower()
     (steps,) = first.all("ol")
-    assert next(steps.all("li")).text.startswith("Look for what the model lacks")
+    step = next(steps.all("li")).text
+    assert "spring = true" in step
+    assert "[mechanism.load]" in step
 
 
 def test_methods_that_disagree_stand_on_the_first_screen(tmp_path):
@@ -282,7 +284,7 @@ def test_a_bad_run_says_so_first(tmp_path, status, words):
 def test_what_ensembles_make_that_disagree_is_nowhere_shown_as_a_result(tmp_path):
     """Every number of an unusable run is one that the same run shows when it is reliable."""
     told = knee()
-    told["fit"]["lacks"] = [{"on": "joint speed", "share": 0.4, "p_value": 1e-9}]
+    told["findings"] = [FOUND | {"severity": "note"}]
     told["noise"]["innovation_whiteness"] = {"white": False}
     sound = read_page(run_page(tmp_path, told, "knee"))
     told["sampler"] = {"status": "unusable", "problems": ["R-hat 1.3: raise max_steps"]}
@@ -291,7 +293,7 @@ def test_what_ensembles_make_that_disagree_is_nowhere_shown_as_a_result(tmp_path
     assert "says nothing of the parameters" in first.text
     assert "raise max_steps" in first.text
     assert "before the sampling agrees" in first.text
-    for wrong in ("--advise", "lacks something", "pass as white"):
+    for wrong in ("--advise", "explains a torque", "pass as white"):
         assert wrong not in first.text
     assert "determine" not in first.text.partition("The next experiment")[0].partition("What")[0]
     was = lines(sound)

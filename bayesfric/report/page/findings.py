@@ -54,9 +54,8 @@ def findings(table: ParameterTable, summary: Summary) -> dict[str, Any]:
         "limits": [r for r in [*joint, *combined] if r.by == "limit"],
         "open": list(_groups([*joint, *combined], summary)),
         "meanings": {r.name: r.meaning for r in [*joint, *combined]},
-        # what the model leaves depends on these
-        "lacks": [lack.on for lack in summary.fit.lacks if lack.sure],
-        "ripple": any(lack.by_position and lack.sure for lack in summary.fit.lacks),
+        # what would put in what else explains the torque
+        "lacks": [one for one in summary.findings if one.hint],
         # what comes before anything else, where something but the drive seems to have acted
         "first": first_step(summary),
         # whether another mechanism comes before anything else, and what the recordings ask for

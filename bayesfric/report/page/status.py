@@ -32,9 +32,9 @@ class Glance:
     combined: int  # combinations of them that the data determine
     # what speaks against the model: `unexplained`, `memory` (what it leaves is no noise), `known`
     # (what is taken as known contradicts the torque), `error`,
-    # `lacks`, `held-out`, `roll-out`
+    # `missing` (something else explains the torque), `held-out`, `roll-out`
     against: tuple[str, ...]
-    # what may speak against it and cannot be told: `lacks`, `held-out`
+    # what may speak against it and cannot be told: `held-out`
     undecided: tuple[str, ...]
     # of the self-check: what its intervals hold least often, and how often
     worst: tuple[str, float] | None = None
@@ -88,7 +88,7 @@ def _against(summary: Summary) -> list[str]:
         **{kind: any(doubt.kind == kind for doubt in summary.doubts) for kind in OF_MECHANISM},
         "known": summary.fit.torque_factor is not None,
         "error": summary.widened,
-        "lacks": any(lack.sure for lack in summary.fit.lacks),
+        "missing": any(one.severity == "doubt" for one in summary.findings),
         "held-out": summary.validation is not None and not summary.validation.pooled.fine,
         "roll-out": summary.rollout is not None and roll_out_doubt(summary.rollout) is not None,
     }
@@ -97,7 +97,6 @@ def _against(summary: Summary) -> list[str]:
 
 def _undecided(summary: Summary) -> list[str]:
     found = {
-        "lacks": any(not lack.sure for lack in summary.fit.lacks),
         "held-out": summary.validation is not None
         and summary.validation.pooled.verdict == "undecided",
     }
@@ -111,8 +110,7 @@ def _right(summary: Summary, against: Sequence[str], undecided: Sequence[str]) -
         return "no" if "unexplained" in against else "partly"
     if undecided:
         return "unasked"
-    error = summary.model_error
-    asked = error is not None and error.reason is None
+    asked = summary.regression is not None and summary.regression.reason is None
     # bands that are wider than any motion say nothing for it
     rolled = summary.rollout is not None and not summary.rollout.pooled.wide
     return "yes" if asked or summary.validation or rolled else "unasked"

@@ -12,22 +12,17 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.estimates.delay import MOVED, SCATTER, Delay, alike
-from bayesfric.estimates.disturbances import Disturbance
 from bayesfric.estimates.information import CORRELATED, lag_one
-from bayesfric.estimates.once_a_turn import OnceATurn
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.inference.model_error import wanted_outputs
-from bayesfric.mechanism.derived import WEIGHTS
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import effort_words
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.quantities import QUANTITIES, TOTALS, Quantity, State
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.resolution import LEAST_RATIO
-from bayesfric.report.numbers import in_tenths
 from bayesfric.report.summary.bounds import held, noise_cut
 from bayesfric.report.summary.position_delay import other_time
 from bayesfric.report.summary.position_unit import best_share, other_units
@@ -54,18 +49,13 @@ def find_doubts(
     summary: Summary,
     choice: Choice | None = None,
     white: tuple[White, float] | None = None,
-    delays: Sequence[Delay] = (),
-    turn: OnceATurn | None = None,
-    pushed: Sequence[Disturbance] = (),
 ) -> list[dict[str, Any]]:
     """Look for what makes the numbers of a fit doubtful, for ``summary["doubts"]``.
 
     ``choice`` is how the order of the noise was chosen, where it was; ``white`` what the same
     recordings say with white noise, where that was sampled:
-    :func:`bayesfric.report.summary.summary.spreads`, and the residuals' root mean square;
-    ``delays`` those that the joint does not have for a parameter; ``turn`` the torque once a turn
-    that gravity does not explain; ``pushed`` spans in which something else acted. Gives ``kind``,
-    ``parameters`` and what else tells of each.
+    :func:`bayesfric.report.summary.summary.spreads`, and the residuals' root mean square. Gives
+    ``kind``, ``parameters`` and what else tells of each.
     """
     if summary.sampler.status == "unusable":
         return []  # there is no posterior to doubt
@@ -74,25 +64,16 @@ def find_doubts(
     # what rests on the data at all: a limit, or what they settle with a prior's help, too
     resting = [name for name, row in rows.items() if row.verdict != "prior" or held(row)]
     memory = list(_memory(choice, summary, resting))
-    lacking = bool(memory) or summary.widened
-    unexplained = _unexplained(fit, summary, delays)
-    if unexplained:
-        delays = ()  # what moves the torque is something else
     found = [
         # before what else may be wrong: it may all come of this
         *_strange_velocity(fit.observations),
-        *pushed_doubts(pushed, fit.estimates[0].residual_unit, lacking=lacking),
-        *unexplained,
+        *_missing(summary, resting),
+        *_unexplained(fit, summary),
         *doubts_before(fit.estimates[0], fit.observations),
         *memory,
         *_noise(summary, told, white),
         *_cut(summary),
         *_acceleration(fit, summary, told),
-        *(
-            {**one, "of": _moved(resting, (one["moved"], *one["others"]))}
-            for one in _late(delays, fit.observations)
-        ),
-        *({**one, "of": of} for one in _turning(turn) if (of := _turned(resting, one["moved"]))),
         *_unchecked(summary),
         *_against_prior(summary),
     ]
@@ -123,12 +104,22 @@ def _doubted(row: PosteriorRow, kinds: list[str]) -> dict[str, Any]:
     return {"doubted": kinds, "verdict": demoted, "undoubted": row.undoubted or row.verdict}
 
 
-def _unexplained(fit: Fit, summary: Summary, delays: Sequence[Delay]) -> list[dict[str, Any]]:
+def _missing(summary: Summary, resting: Sequence[str]) -> Iterator[dict[str, Any]]:
+    """Doubt what something moves that the model lacks; where any number may be it, all."""
+    for one in summary.findings:
+        if one.severity == "doubt":
+            of = [name for name in resting if name in one.moves]
+            told = one.model_dump() | {"kind": "missing", "what": one.kind}
+            told["of"] = of or list(resting)
+            yield {key: x for key, x in told.items() if key != "parameters"}
+
+
+def _unexplained(fit: Fit, summary: Summary) -> list[dict[str, Any]]:
     share, lag = summary.fit.explained, summary.noise.residual_lag1
     if share is None or share >= _EXPLAINED or lag is None or lag <= CORRELATED:
         return []
     told = {"kind": "unexplained", "share": share, "quantity": summary.fit.quantity}
-    return [told | _instead(fit.chain, fit.observations, delays, None)]
+    return [told | _instead(fit.chain, fit.observations, None)]
 
 
 def _unchecked(summary: Summary) -> Iterator[dict[str, Any]]:
@@ -146,13 +137,8 @@ def _against_prior(summary: Summary) -> Iterator[dict[str, Any]]:
         yield {"kind": "prior", "priors": priors}
 
 
-def little_explained(
-    chain: Joint, observations: Sequence[Observation], delays: Sequence[Delay] = ()
-) -> list[dict[str, Any]]:
-    """Doubt a mechanism whose best totals leave much of the torque, before there is a fit.
-
-    ``delays`` are those that the joint does not have for a parameter: they cannot be judged then.
-    """
+def little_explained(chain: Joint, observations: Sequence[Observation]) -> list[dict[str, Any]]:
+    """Doubt a mechanism whose best totals leave much of the torque, before there is a fit."""
     share, left = best_share(chain, observations)
     if (
         share >= _EXPLAINED
@@ -161,13 +147,12 @@ def little_explained(
         return []
     quantity = effort_words("motor torque", chain.motor_motion)
     told = {"kind": "unexplained", "share": share, "quantity": quantity, "at_best": True}
-    return [told | _instead(chain, observations, delays, share)]
+    return [told | _instead(chain, observations, share)]
 
 
 def _instead(
     chain: Joint,
     observations: Sequence[Observation],
-    delays: Sequence[Delay],
     share: float | None,
 ) -> dict[str, Any]:
     """Say what may be wrong where little is explained: never the mechanism that is in use.
@@ -188,7 +173,6 @@ def _instead(
     return {
         "units": other_units(chain, observations, share),
         "presets": presets,
-        "late": any(one.matters for one in delays),
         "delay": other_time(chain, observations, share, _EXPLAINED),
     }
 
@@ -196,44 +180,13 @@ def _instead(
 def doubts_before(
     totals: Estimate,
     observations: Sequence[Observation],
-    delays: Sequence[Delay] = (),
-    turn: OnceATurn | None = None,
-    pushed: Sequence[Disturbance] = (),
 ) -> list[dict[str, Any]]:
     """Look for what makes any fit doubtful, before there is one, as :func:`find_doubts` does.
 
     ``totals`` are of :func:`bayesfric.estimates.least_squares.least_squares`; no ``parameters`` are
     named: all are doubtful.
     """
-    found = [
-        *_feedback(observations),
-        *_attenuated(observations),
-        *_negative(totals),
-        *_late(delays, observations),
-        *_turning(turn),
-    ]
-    return [*found, *pushed_doubts(pushed, totals.residual_unit)]
-
-
-def pushed_doubts(
-    pushed: Sequence[Disturbance], unit: str, *, lacking: bool = False
-) -> Iterator[dict[str, Any]]:
-    """Name spans in which something else acted, recording by recording.
-
-    ``unit`` is that of the torque; ``lacking`` tells whether the model seems to lack something,
-    too.
-    """
-    for name in dict.fromkeys(one.recording for one in pushed):
-        spans = [one for one in pushed if one.recording == name]
-        yield {
-            "kind": "pushed",
-            "recording": name,
-            "exclude": in_tenths([(one.start, one.stop) for one in spans]),
-            "times": max(one.times for one in spans),
-            "torque": max(one.torque for one in spans),
-            "unit": unit,
-            "lacking": lacking,
-        }
+    return [*_feedback(observations), *_attenuated(observations), *_negative(totals)]
 
 
 def few_outputs(observations: Sequence[Observation], parameters: int) -> Iterator[dict[str, Any]]:
@@ -253,60 +206,6 @@ def _strange_velocity(observations: Sequence[Observation]) -> Iterator[dict[str,
     for o in observations:
         if (factor := o.settings.get("velocity_factor")) is not None:
             yield {"kind": "velocity", "recording": o.name, "factor": factor}
-
-
-def contradicting(delays: Sequence[Delay], value: float, sd: float) -> list[Delay]:
-    """Keep delays of single recordings that the joint's one delay is not, and that one last."""
-    alone = [one for one in delays if len(one.recordings) == 1 < len(delays)]
-    far = [one for one in alone if abs(one.value - value) > SCATTER * np.hypot(one.sd, sd)]
-    # what is fixed is known exactly, which is no sd to weigh by
-    return [*far, Delay((), value, max(sd, 1e-6 * far[0].period), far[0].period, {})] if far else []
-
-
-def _late(delays: Sequence[Delay], observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
-    """Name positions that come late: of all recordings together, or of those that do.
-
-    Where a unit of the motion is doubted, what is off need not be time: mend that first.
-    """
-    doubted = {o.name for o in observations if "doubted_units" in o.settings}
-    delays = [one for one in delays if not doubted & set(one.recordings)]
-    together = [one for one in delays if one.matters and len(one.recordings) > 1]
-    late = together or [one for one in delays if one.matters]
-    if not late:
-        return
-    moves: dict[str, float] = {}
-    for one in late:
-        for total, move in one.moves.items():
-            moves[total] = max(moves.get(total, 0.0), abs(move))
-    name = max(moves, key=moves.__getitem__)
-    yield {
-        "kind": "delay",
-        "late": [
-            {
-                "recordings": list(one.recordings),
-                **{"delay": one.value, "sd": one.sd, "samples": one.samples},
-            }
-            for one in late
-        ],
-        "alike": alike(delays),
-        **{"moved": name, "moves": moves[name]},
-        "others": [one for one, by in moves.items() if by > MOVED and one != name],
-    }
-
-
-def _turning(turn: OnceATurn | None) -> Iterator[dict[str, Any]]:
-    """Name a torque that depends on the angle as gravity with its known zero does not."""
-    if turn is not None and turn.matters:
-        yield {
-            "kind": "once-a-turn",
-            **{"cosine": turn.value, "sd": turn.sd, "moves": turn.moves},
-            **{"moved": turn.moved, "times": turn.times},
-        }
-
-
-def _turned(told: Sequence[str], moved: Mapping[str, float]) -> list[str]:
-    """Name what makes up gravity, or one of the other totals that have moved."""
-    return _moved(told, (*WEIGHTS, *moved))
 
 
 def _moved(told: Sequence[str], moved: Iterable[str]) -> list[str]:

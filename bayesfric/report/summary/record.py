@@ -206,6 +206,31 @@ class Doubt(Open):
     parameters: list[str] = Field(default_factory=list)
 
 
+class FindingRow(Part):
+    """What may be wrong, as :class:`bayesfric.diagnostics.finding.Finding` has it."""
+
+    kind: str
+    severity: Literal["note", "doubt"]
+    parameters: list[str] = Field(default_factory=list)
+    p: Share
+    hint: str = ""  # line of a configuration that would put it in
+    statistic: FiniteFloat
+    shape: str = ""
+    share: NotNegative = 0.0
+    rivals: list[str] = Field(default_factory=list)
+    moves: dict[Name, FiniteFloat] = Field(default_factory=dict)
+    physical: bool = True
+    recording: str = ""
+    span: Pair | None = None
+
+
+class Regression(Part):
+    """How it was asked what else explains the torque; ``reason`` is why it was not."""
+
+    twins: int = 0
+    reason: Literal["few", "simulation", "likelihood"] | None = None
+
+
 class SelfCheckRow(Part):
     """What fits of simulated recordings make of one quantity.
 
@@ -328,6 +353,8 @@ class Summary(Part):
     too_few_to_ask: bool = False  # outputs, for a look
     rollout: RollOutPart | None = None
     doubts: list[Doubt] = Field(default_factory=list)
+    findings: list[FindingRow] = Field(default_factory=list)
+    regression: Regression | None = None
     may_be_simulated: bool | None = None
     source: dict[str, Any] | None = None
 

@@ -10,18 +10,6 @@ from bayesfric.report.summary.part import Name, NotNegative, Open, Part, Share
 from bayesfric.report.summary.rows import amperes
 
 
-class Lack(Part):
-    """What the residuals' mean depends on, or may depend on."""
-
-    on: str
-    share: NotNegative
-    chance: FiniteFloat | None = None
-    p_value: FiniteFloat | None = None
-    sure: bool = True
-    # whether it is where the joint stands: then a ripple may be what is lacking
-    by_position: bool = False
-
-
 class RecordingRow(Open):
     """How one recording was processed, and what is left of it."""
 
@@ -79,7 +67,6 @@ class Residual(Part):
     quantity: str = "output"
     # N m/A or N/A, where all that is explained was measured as a current
     torque_constant: FiniteFloat | None = None
-    lacks: list[Lack] = Field(default_factory=list)
     # where what is taken as known contradicts the torque
     torque_factor: TorqueFactorPart | None = None
     # where a torque comes from a voltage

@@ -256,20 +256,6 @@ def _binned(
     )
 
 
-def lacking(fit: Fit) -> Iterator[dict[str, Any]]:
-    """Name what the residuals' mean depends on, or may depend on: the model lacks it."""
-    for b in residual_analysis(fit).against:
-        if b.outcome != "none":
-            yield {
-                "on": b.name,
-                "share": b.explained,
-                "chance": b.chance,
-                "p_value": b.p_value,
-                "sure": b.outcome == "depends",
-                "by_position": b.symbol == _POSITION,
-            }
-
-
 def residual_words(fit: Fit) -> tuple[str, ...]:
     """Say what the residual figure shows, one sentence each."""
     found = residual_analysis(fit)

@@ -36,7 +36,6 @@ from bayesfric.report.summary.derived_quantities import (
     weakly_given,
 )
 from bayesfric.report.summary.record import Readable, Summary, of_noise
-from bayesfric.report.summary.residual_analysis import lacking
 from bayesfric.report.summary.rows import EstimatedRow, Spread
 from bayesfric.report.summary.validation import validation_record
 from bayesfric.report.text_templates import sentence
@@ -102,7 +101,6 @@ def summarise(
             "torque_constant": torque_constant(fit),
             "unit": outputs[0].unit,
             "quantity": outputs[0].quantity,
-            "lacks": list(lacking(fit)),
             **_discretisation(fit.target.likelihood),
             "recordings": {
                 o.name: {
