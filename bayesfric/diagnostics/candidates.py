@@ -35,7 +35,7 @@ _CYCLES = (1, 2, 3, 4, 6, 8, 12, 18, 24, 36, 48)
 _ANTIRESONANCES = (0.5, 0.65, 0.8, 1.0, 1.3)
 _REACHES = (0.003, 0.01, 0.03, 0.1, 0.3)
 _FLIGHTS = (0.7, 1.4, 2.8)
-# Seconds of a push, at least, and the most that are looked for in a recording.
+# Width of a push in s, at least, and how many of them a recording has at most.
 _PUSH, _PUSHES = 0.25, 60
 # Speeds, and positions beside a step, that count as one.
 _FAST, _STEPS, _REVERSAL = 0.95, 3.0, 1e-3
@@ -53,7 +53,7 @@ class Scales:
     still_step: float  # that is no reversal
     duration: float
     cycles: tuple[tuple[str, float], ...]  # name, and radians a radian of the joint
-    pushes: tuple[tuple[str, float, float], ...]  # recording, centre and width in s
+    push: float  # width of one, s
     names: tuple[str, ...]  # of the recordings
     inertia: float  # motor torque an acceleration of the joint
     need: float  # rms of the load's acceleration by the motor
@@ -79,11 +79,6 @@ def scales_of(chain: Joint, values: Array, observations: Sequence[Observation]) 
         for side, ratio in sides.items()
         if k * ratio * span >= 2.0 * np.pi and chain.motor_motion == "rotary"
     )
-    pushes = []
-    for o in observations:
-        begin, end = float(o.stamps[0]), float(o.stamps[-1])
-        width = max(_PUSH, (end - begin) / (2 * _PUSHES))
-        pushes += [(o.name, float(c), width) for c in np.arange(begin + width, end, 2 * width)]
     return Scales(
         speed=float(np.quantile(speed, _FAST)),
         reach=2.0 * float(np.median(np.concatenate(reach))),
@@ -92,7 +87,7 @@ def scales_of(chain: Joint, values: Array, observations: Sequence[Observation]) 
         still_step=still,
         duration=max(float(np.ptp(o.stamps)) for o in observations),
         cycles=cycles,
-        pushes=tuple(pushes),
+        push=max(_PUSH, max(float(np.ptp(o.stamps)) for o in observations) / (2 * _PUSHES)),
         names=tuple(o.name for o in observations),
         inertia=inertia,
         need=_rms(carried) / inertia,
@@ -209,7 +204,6 @@ class Kind:
     option: str = ""  # of the mechanism that puts it in, with its choice
     choice: str | bool = True
     positive: bool = False  # whether that must be positive, in every column
-    last: bool = False  # whether it is asked only where nothing else explains
 
 
 def _late(a: Along) -> Sets:
@@ -317,15 +311,6 @@ def _repeating(a: Along) -> Sets:
     return {name: [np.sin(k * a.o.q), np.cos(k * a.o.q)] for name, k in a.scales.cycles}
 
 
-def _pushes(a: Along) -> Sets:
-    return {
-        f"{name} at {centre:.2f} s": [
-            np.exp(-0.5 * ((a.o.stamps - centre) / width) ** 2) * float(name == a.o.name)
-        ]
-        for name, centre, width in a.scales.pushes
-    }
-
-
 def _load_torque(a: Along) -> Sets:
     signal = a.o.inputs.load_torque
     return {} if signal is None else {"": [signal.at(a.o.stamps)]}
@@ -424,6 +409,5 @@ KINDS: tuple[Kind, ...] = (
     ),
     Kind("temperature", _temperature, option="temperature", choice="both"),
     Kind("load_torque", _load_torque),
-    Kind("push", _pushes, last=True),
 )
 BY_NAME: Mapping[str, Kind] = {kind.name: kind for kind in KINDS}

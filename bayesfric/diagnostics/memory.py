@@ -65,6 +65,12 @@ class Layout:
         return sum(a.size for a in self.at)
 
     @cached_property
+    def members(self) -> list[Array]:
+        """Ones where a recording's outputs are, ``(n,)`` for each recording."""
+        number = np.repeat(np.arange(len(self.at)), [a.size for a in self.at])
+        return [(number == k).astype(np.float64) for k in range(len(self.at))]
+
+    @cached_property
     def waves(self) -> Array:
         """Cosines ``(n, K)`` of each recording's clock, falling as one over the frequency's root.
 

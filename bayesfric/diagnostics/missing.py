@@ -123,13 +123,15 @@ def setting_of(chain: Joint, kind: Kind, shape: str) -> str:
         reach = chain.ratio if side == "motor" else 1.0
         elements = tuple(e for e in elements if chain.reaches[e.name] == reach)
         value = f"[{cycles or 1}]"
-    elif option == "load_loss":
+    elif option.startswith("load_"):
         # of two, one behind the other, no motion tells more than their product
         lossy = [e for e in elements if e.load_loss != "none"]
         elements = tuple(lossy or elements[-1:])
-    elif option in ("load_speed", "load_square"):
-        elements = tuple(e for e in elements if e.load_loss != "none")
+        if not lossy and option != "load_loss":  # which shapes one
+            option, value = "load_loss", '"one"'
     elif option not in CHOICES:
         return ""
-    open_ = [e for e in elements if e.choices.get(option) != kind.choice]
-    return f"mechanism.elements.{open_[0].name}.{option} = {value}" if open_ else ""
+    for element in elements:
+        if element.choices.get(option) != kind.choice:
+            return f"mechanism.elements.{element.name}.{option} = {value}"
+    return ""

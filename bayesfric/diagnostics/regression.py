@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -23,7 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.diagnostics.candidates import (
-    BY_NAME,
     KINDS,
     Along,
     Scales,
@@ -39,6 +38,7 @@ from bayesfric.diagnostics.policy import (
     MOST,
     TWINS,
 )
+from bayesfric.diagnostics.scans import PUSH, TONE, Scan, bump, tuned, waves
 from bayesfric.diagnostics.statistics import (
     Columns,
     Key,
@@ -82,9 +82,6 @@ _BY_ENCODER = 0.5
 _PICKS, _DEAR = 8, 10.0
 # Hz below which a tone may be the noise's wander.
 _SLOW = 1.0
-# Steps to a tone's frequency, and the longest in periods of the recording.
-_TUNINGS, _FURTHEST = 4, 0.2
-TONE = "tone"
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,6 +140,7 @@ class Regression:
 
     def __post_init__(self) -> None:
         streams = np.random.SeedSequence(self.seed).spawn(4)
+        self._scanned: list[Scan] = []
         draws, probes, others, noise = streams
         self.scales = scales_of(self.chain, self.values, self.observations)
         self.data = self._columns(self.values, self.observations)
@@ -229,9 +227,9 @@ class Regression:
             if bic < best:
                 best, self.noise, chosen = bic, memory, extra
         self.twins = every
-        tones = [key for key in self.data.keys if key.kind == TONE]
-        for twin in every[_FEW:]:
-            self._with_tones(twin, tones)
+        for scan in self._scanned:
+            for twin in every[_FEW:]:
+                self._with_scan(twin, scan)
         self.memory = None
         self._add_noise(self.noise, chosen, stream)
 
@@ -272,54 +270,57 @@ class Regression:
             if step is None:
                 return
             extra = [*extra, *own]
-            if shapes and step.kind not in (TONE, "push", "gravity", "repeating"):
+            if shapes and step.kind not in (TONE, PUSH, "gravity", "repeating"):
                 family = [i for i, k in enumerate(self.data.keys) if k.kind == step.kind]
                 extra += [i for i in family if i not in extra]
             yield step, extra
 
     def _best(self, extra: list[int], *, wander: bool) -> tuple[Step | None, list[int]]:
-        mine = asked(self.data, self._groups, extra, self.memory)
-        others = [asked(twin, self._groups, extra, self.memory) for twin in self.twins]
+        given = self._groups, extra, self.memory, self.scales.push
+        mine = asked(self.data, *given)
+        others = [asked(twin, *given) for twin in self.twins]
         z, null = scored(mine, others)
         largest = null.max(axis=1)
         limit = float(np.quantile(largest, 1.0 - FALSE_ALARMS, method="higher"))
         limit = max(limit, LEAST_Z)
-        kinds = [key.kind for key, _ in self._groups] + [TONE]
-        count = np.array([len(own) for _, own in self._groups] + [3])
-        worth = np.append(mine.gains, mine.peak) - (count - 1) * math.log(self.data.left.size)
+        scans = [(one.kind, self._shape(one)) for one in mine.scans]
+        names = [*((key.kind, key.shape) for key, _ in self._groups), *scans]
+        # the place of a scan is one more number
+        count = np.array([len(own) for _, own in self._groups] + [3, 2])
+        gains = np.append(mine.gains, [one.peak for one in mine.scans])
+        worth = gains - (count - 1) * math.log(self.data.left.size)
         allowed = z > limit
         if not wander:  # what the noise's wander can be is not to be taken before it is known
-            allowed &= np.array([k not in ("push", "drift") for k in kinds])
-            allowed[-1] &= mine.hertz > _SLOW
+            slow = mine.scans[0].place < _SLOW
+            allowed &= [k not in (PUSH, "drift") and not (k == TONE and slow) for k, _ in names]
             if not allowed.any():
                 return None, []
-        last = np.array([k in BY_NAME and BY_NAME[k].last for k in kinds])
+        last = np.array([k == PUSH for k, _ in names])
         if (allowed & ~last).any():
             allowed &= ~last
         sure = bool(allowed.any())
         best = int(np.argmax(np.where(allowed, worth, -np.inf) if sure else z))
-        if best == len(self._groups):
-            own, shape = self._tone(mine.hertz, extra, mine.memory)
+        kind, shape = names[best]
+        if best >= len(self._groups):
+            scan = mine.scans[best - len(self._groups)]
+            own, shape = self._found_by(scan, extra, mine.memory)
         else:
-            (key, own), shape = self._groups[best], ""
-            shape = key.shape
-        order = np.argsort(-worth)
-        names = [(k.kind, k.shape) for k, _ in self._groups] + [(TONE, f"{mine.hertz:.3g} Hz")]
+            own = self._groups[best][1]
         ranks, seen = [], set()
-        for i in order.tolist():
+        for i in np.argsort(-worth).tolist():
             if names[i][0] not in seen and z[i] > 0.0:
                 ranks.append((*names[i], float(z[i]), float(worth[i])))
                 seen.add(names[i][0])
         step = Step(
-            kind=kinds[best],
+            kind=kind,
             shape=shape,
             z=float(z[best]),
             limit=limit,
             p=float((1 + (largest >= z[best]).sum()) / (len(largest) + 1)),
             gain=float(worth[best]),
             sure=sure,
-            width=2.0 * max((one[2] for one in self.scales.pushes), default=0.0),
-            alike=tuple(self._alike(own, kinds[best], worth, extra, mine.memory)) if sure else (),
+            width=2.0 * self.scales.push,
+            alike=tuple(self._alike(own, kind, worth, extra, mine.memory)) if sure else (),
             ranks=tuple(ranks[:6]),
             **self._moved(own, extra, mine.memory),
         )
@@ -397,53 +398,33 @@ class Regression:
             found[one.name] = (one.values[:d] - one.values[d:]) / (2.0 * steps)
         return {k: v for k, v in found.items() if k not in self.known and np.isfinite(v).all()}
 
-    def _tone(self, hertz: float, extra: Sequence[int], memory: Memory) -> tuple[list[int], str]:
-        """Add the columns of a tone to everything, its frequency tuned by Gauss and Newton."""
+    def _found_by(self, scan: Scan, extra: Sequence[int], memory: Memory) -> tuple[list[int], str]:
+        """Add the columns of what a scan has found to everything."""
         d = self.data
-        span = max(float(np.ptp(t)) for t in d.layout.stamps)
-        stamps = np.concatenate(d.layout.stamps)
-        middle, own = float(stamps.mean()), _each(d.layout)
-        basis = basis_of(memory.whitened(beside(d, extra), d.layout))
-        y = without(basis, memory.whitened(d.left[:, None], d.layout))[:, 0]
-        for _ in range(_TUNINGS):
-            above = below = 0.0
-            angle = 2.0 * np.pi * hertz * stamps
-            wave = np.stack([np.sin(angle), np.cos(angle)], axis=1)
-            turned = (stamps - middle)[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-            for here in own:
-                x = np.column_stack([wave, turned]) * here[:, None]
-                b = np.linalg.lstsq(
-                    without(basis, memory.whitened(x, d.layout)), y, rcond=_ROUNDING
-                )[0]
-                above += float(b[0] * b[2] - b[1] * b[3])
-                below += float(b[0] ** 2 + b[1] ** 2)
-            step = above / max(below, 1e-300) / (2.0 * np.pi)
-            hertz += float(np.clip(step, -_FURTHEST / span, _FURTHEST / span))
-        first, shape = d.others.shape[1], f"{hertz:.6g}"
-        keys = [Key(TONE, shape, i) for i in range(2 * len(own))]
+        if scan.kind == TONE:
+            basis = basis_of(memory.whitened(beside(d, extra), d.layout))
+
+            def left(x: Array) -> Array:
+                return without(basis, memory.whitened(x, d.layout))
+
+            hertz = tuned(left(d.left[:, None])[:, 0], d.layout, scan.place, left)
+            scan = replace(scan, place=hertz)
+        first = d.others.shape[1]
         for one in (d, *self.twins):
-            self._with_tones(one, keys)
-        return list(range(first, first + len(keys))), f"{hertz:.3g} Hz"
+            self._with_scan(one, scan)
+        self._scanned.append(scan)
+        return list(range(first, d.others.shape[1])), self._shape(scan)
 
-    @staticmethod
-    def _with_tones(d: Columns, keys: Sequence[Key]) -> None:
-        """Add columns of tones, each recording with its own phase."""
-        stamps = np.concatenate(d.layout.stamps)
-        own = _each(d.layout)
-        made = []
-        for key in keys:
-            angle = 2.0 * np.pi * float(key.shape) * stamps
-            wave = np.cos(angle) if key.number % 2 else np.sin(angle)
-            made.append(wave * own[key.number // 2])
-        if made:
-            d.others = np.column_stack([d.others, *made])
-            d.keys = (*d.keys, *keys)
+    def _shape(self, scan: Scan) -> str:
+        if scan.kind == TONE:
+            return f"{scan.place:.3g} Hz"
+        return f"{self.observations[scan.recording].name} at {scan.place:.2f} s"
 
-
-def _each(layout: Layout) -> list[Array]:
-    """Ones where a recording's outputs are, ``(n,)`` for each recording."""
-    number = np.repeat(np.arange(len(layout.at)), [a.size for a in layout.at])
-    return [(number == k).astype(np.float64) for k in range(len(layout.at))]
+    def _with_scan(self, d: Columns, scan: Scan) -> None:
+        made = waves(d.layout, scan.place) if scan.kind == TONE else None
+        more = bump(d.layout, scan, self.scales.push) if made is None else made
+        keys = tuple(Key(scan.kind, self._shape(scan), i) for i in range(more.shape[1]))
+        d.others, d.keys = np.column_stack([d.others, more]), (*d.keys, *keys)
 
 
 def _made(along: Along) -> Iterator[tuple[Key, Array]]:

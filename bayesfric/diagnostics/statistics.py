@@ -12,6 +12,7 @@ from scipy.special import gammaincc, gammaln, ndtri_exp
 
 from bayesfric.diagnostics.memory import Layout, Memory, memory_of
 from bayesfric.diagnostics.policy import TESTABLE
+from bayesfric.diagnostics.scans import Scan, push, tone
 
 Array = NDArray[np.float64]
 
@@ -21,8 +22,6 @@ _ROUNDING, _OPEN = 1e-9, 1e-7
 _HALF = 0.5
 # Correlation from which two columns are one, and eigenvalue below which several are.
 _SAME, _SINGULAR = 0.9999, 1e-4
-# Lower and upper end of a scan of tones, in periods of the recording and of the sampling.
-_PERIODS, _NYQUIST = 2.0, 0.45
 
 
 @dataclass(frozen=True)
@@ -139,8 +138,7 @@ class Asked:
     t: list[Array]  # (k,) joint t of each group; NaN where nothing of it is left
     gains: Array  # what each takes of chi squared
     memory: Memory
-    peak: float
-    hertz: float
+    scans: tuple[Scan, ...]  # the largest of each kind that is looked for at any place
 
 
 def asked(
@@ -148,8 +146,12 @@ def asked(
     groups: Sequence[tuple[Key, list[int]]],
     extra: Sequence[int],
     memory: Memory | None,
+    width: float,
 ) -> Asked:
-    """Ask every candidate beside the model's own columns and ``extra``."""
+    """Ask every candidate beside the model's own columns and ``extra``.
+
+    ``width`` is that of a push, see :func:`bayesfric.diagnostics.scans.push`.
+    """
     if memory is None:
         memory, _ = memory_of(without(basis_of(beside(d, extra)), d.left), d.layout)
     white, split = whitened(d, extra, memory)
@@ -163,10 +165,20 @@ def asked(
     free = y.size - basis.shape[1]
     power = float(y @ y)
     slopes = z.T @ y
+    # most groups are single columns: all at once
+    single = np.maximum(power - slopes**2, 1e-12 * power) / max(free - 1, 1)
+    t_single, gain_single = slopes / np.sqrt(single), slopes**2 / single
     found, gains = [], np.zeros(len(groups))
     for i, (_, own) in enumerate(groups):
+        if not told[own].all():
+            found.append(np.full(len(own), np.nan))
+            continue
+        if len(own) == 1:
+            found.append(t_single[own])
+            gains[i] = gain_single[own[0]]
+            continue
         gram = z[:, own].T @ z[:, own]
-        if not told[own].all() or np.linalg.eigvalsh(gram)[0] < _SINGULAR:
+        if np.linalg.eigvalsh(gram)[0] < _SINGULAR:
             found.append(np.full(len(own), np.nan))
             continue
         inverse = np.linalg.inv(gram)
@@ -175,40 +187,17 @@ def asked(
         variance = max(power - taken, 1e-12 * power) / max(free - len(own), 1)
         found.append(b / np.sqrt(np.maximum(variance * np.diag(inverse), 1e-300)))
         gains[i] = taken / variance
-    return Asked(found, gains, memory, *_peak(y, d.layout))
-
-
-def _peak(y: Array, layout: Layout) -> tuple[float, float]:
-    """Largest peak of a whitened residual's periodogram, over what it leaves, and where, Hz."""
-    steps = [float(np.median(np.diff(t))) for t in layout.stamps if t.size > 1]
-    step = float(np.median(steps))
-    span = max(float(np.ptp(t)) for t in layout.stamps)
-    size = 1 << math.ceil(math.log2(2.0 * span / step + 2.0))
-    power = np.zeros(size // 2 + 1)
-    for t, x in zip(layout.stamps, layout.split(y), strict=True):
-        row = np.zeros(size)
-        np.add.at(row, np.minimum(np.round((t - t[0]) / step).astype(int), size - 1), x)
-        power += np.abs(np.fft.rfft(row)) ** 2
-    f = np.fft.rfftfreq(size, step)
-    inside = (f >= _PERIODS / span) & (f <= _NYQUIST / step)
-    power = np.where(inside, power, 0.0) / (0.5 * float(y @ y))
-    power = power / np.maximum(1.0 - power / y.size, 1e-6)
-    i = int(np.argmax(power))
-    shift = 0.0
-    if 0 < i < power.size - 1:  # between the frequencies of the grid
-        low, mid, high = power[i - 1 : i + 2]
-        if low - 2.0 * mid + high < 0.0:
-            shift = 0.5 * (low - high) / (low - 2.0 * mid + high)
-    return float(power[i]), float(f[i] + shift * f[1])
+    return Asked(found, gains, memory, (tone(y, d.layout), push(y, d.layout, width)))
 
 
 def scored(mine: Asked, others: Sequence[Asked]) -> tuple[Array, Array]:
-    """How unlikely each statistic is among the twins', as a standard normal; the tone's last.
+    """How unlikely each statistic is among the twins', as a standard normal; scans last.
 
     Also of the twins ``(n, m)``, each among the others.
     """
     n, m = len(others), len(mine.t)
-    z, null = np.zeros(m + 1), np.zeros((n, m + 1))
+    more = len(mine.scans)
+    z, null = np.zeros(m + more), np.zeros((n, m + more))
     for i, x in enumerate(mine.t):
         t = np.array([one.t[i] for one in others])
         if np.isnan(x).any() or np.isnan(t).any():
@@ -224,11 +213,12 @@ def scored(mine: Asked, others: Sequence[Asked]) -> tuple[Array, Array]:
         h *= (n / (n - 1)) ** 2 * (n - 2) / (n - 1)
         h *= (n - 1) / n / np.maximum(1.0 - n * h / (n - 1) ** 2, 0.05)
         null[:, i] = _normal(h, x.size)
-    peaks = np.array([one.peak for one in others])
-    mean = (peaks.sum() - peaks) / (n - 1)
-    sd = np.array([np.delete(peaks, i).std(ddof=1) for i in range(n)])
-    z[-1] = _extreme(np.array((mine.peak - peaks.mean()) / peaks.std(ddof=1)))
-    null[:, -1] = _extreme((peaks - mean) / sd)
+    for i, scan in enumerate(mine.scans):
+        peaks = np.array([one.scans[i].peak for one in others])
+        mean = (peaks.sum() - peaks) / (n - 1)
+        sd = np.array([np.delete(peaks, k).std(ddof=1) for k in range(n)])
+        z[m + i] = _extreme(np.array((scan.peak - peaks.mean()) / peaks.std(ddof=1)))
+        null[:, m + i] = _extreme((peaks - mean) / sd)
     return z, null
 
 

@@ -11,6 +11,7 @@ from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.memory import WHITE
 from bayesfric.diagnostics.missing import setting_of
 from bayesfric.diagnostics.regression import Regression
+from bayesfric.diagnostics.scans import TONE, Scan
 from bayesfric.diagnostics.statistics import Asked, basis_of, scored, solved, without
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.model import Model
@@ -147,7 +148,7 @@ def test_scores_of_twins_like_the_recording_are_standard_normal():
     def drawn():
         t = rng.standard_normal(2) @ [[1.0, 0.3], [0.0, 0.8]] + [0.2, 0.0]
         peak = float(rng.gumbel(5.0, 1.0))
-        return Asked([t[:1], t], np.zeros(2), WHITE, peak, 1.0)
+        return Asked([t[:1], t], np.zeros(2), WHITE, (Scan(TONE, peak, 1.0),))
 
     scores, twins = [], []
     for _ in range(200):
