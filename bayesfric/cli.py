@@ -222,7 +222,10 @@ def explain(
     output: Annotated[
         Path | None,
         typer.Option(
-            "-o", "--output", help="figure of the models; .pdf, with .png and .svg beside it"
+            "-o",
+            "--output",
+            help="BETTER.toml, the configuration with what explains the torque put in; or a figure "
+            "of the models, .pdf, with .png and .svg beside it",
         ),
     ] = None,
     as_json: AsJson = False,
@@ -230,6 +233,9 @@ def explain(
     """Tell which terms the joint lacks, judged by motion that was not fitted."""
     from bayesfric.commands.explain import explain_record, explain_text, figure_file, write_figure
 
+    if output is not None and output.suffix == ".toml":
+        _complete(config, output, as_json)
+        return
     path = None if output is None else figure_file(output)
     model = _model(config)
     with progress_shown(sys.stderr.isatty()) as progress:
@@ -237,6 +243,22 @@ def explain(
     if path is not None:
         write_figure(found, path)
     _print(explain_record(found, model), as_json, explain_text(found, model))
+
+
+def _complete(config: Path, output: Path, as_json: bool) -> None:
+    from bayesfric.commands.complete import (
+        completed_file,
+        completed_record,
+        completed_text,
+        write_completed,
+    )
+
+    model = _model(config)
+    path = completed_file(output, model)
+    with progress_shown(sys.stderr.isatty()) as progress:
+        found = model.completed(progress=progress)
+    write_completed(found[0], path)
+    _print(completed_record(*found, output), as_json, completed_text(*found, output))
 
 
 @app.command()

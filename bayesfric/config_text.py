@@ -49,6 +49,29 @@ def with_terms(config: Config, names: Sequence[str]) -> Config:
     return found.model_copy(update={"origin": config.origin})
 
 
+def with_settings(config: Config, settings: Sequence[str]) -> Config:
+    """Give a configuration with settings, lines of dotted keys, put in; comments are lost.
+
+    Of a list, such as cycles a turn, what is there stays.
+    """
+    document = tomllib.loads(config.text)
+    for line in settings:
+        _put(document, tomllib.loads(line))
+    found = parse_config(document_text(document), config.path)
+    return found.model_copy(update={"origin": config.origin})
+
+
+def _put(table: dict[str, Any], more: Mapping[str, Any]) -> None:
+    for key, value in more.items():
+        there = table.get(key)
+        if isinstance(value, Mapping):
+            _put(table.setdefault(key, {}), value)
+        elif isinstance(value, list) and isinstance(there, list):
+            table[key] = [*there, *(x for x in value if x not in there)]
+        else:
+            table[key] = value
+
+
 def mechanism_table(joint: Joint) -> dict[str, Any]:
     """Write a joint as the ``[mechanism]`` table that makes it."""
     offset = "per-recording" if joint.own_offsets else joint.offset

@@ -18,9 +18,12 @@ from bayesfric.config_text import (
     mechanism_table,
     prior_value,
     recording_table,
+    with_settings,
     with_terms,
 )
+from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.missing import Missing, what_is_missing
+from bayesfric.diagnostics.policy import MOST
 from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.delay import Delay, delays
 from bayesfric.estimates.descent import few_threads
@@ -313,6 +316,40 @@ class Model:
             sorted(name for name, prior in self.priors.items() if prior.fixed),
             self.config.tables.sampling.seed if seed is None else seed,
         )
+
+    def completed(
+        self, *, progress: Shown = silent
+    ) -> tuple[Self, tuple[Finding, ...], tuple[Finding, ...]]:
+        """Put in what else explains the torque, one term after the other, until nothing is left.
+
+        Returns
+        -------
+        model
+            With all that was put in; its ``config`` says so.
+        taken
+            What was put in, in the order of the ranking.
+        left
+            What else explains the torque of that model, and no key puts in.
+
+        Raises
+        ------
+        BadInput
+            If nothing can be estimated from these recordings.
+        """
+        model, taken = self, list[Finding]()
+        for _ in range(MOST + 1):
+            left = model.missing(progress=progress).findings
+            kinds = {one.kind for one in taken}
+            wanted = [one for one in left if one.hint and one.kind not in kinds]
+            if not wanted or len(taken) == MOST:
+                break
+            taken.append(wanted[0])
+            model = type(self).from_config(
+                with_settings(model.config, [wanted[0].hint]),
+                terms=self.chain.terms,
+                recordings=self.given or None,
+            )
+        return model, tuple(taken), left
 
     # What can be known
 
