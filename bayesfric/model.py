@@ -22,7 +22,7 @@ from bayesfric.config_text import (
     with_terms,
 )
 from bayesfric.diagnostics.finding import Finding
-from bayesfric.diagnostics.missing import Missing, what_is_missing
+from bayesfric.diagnostics.missing import Missing, unasked, what_is_missing
 from bayesfric.diagnostics.policy import MOST
 from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.delay import Delay, delays
@@ -303,6 +303,8 @@ class Model:
         BadInput
             If nothing can be estimated from these recordings.
         """
+        if reason := unasked(self.chain, self.recordings, self.observations):
+            return Missing(reason=reason)
         point = _first_point(estimates) or dict(
             self.estimates(["input-error"], progress=progress)[0].point
         )

@@ -11,7 +11,15 @@ import numpy as np
 
 from bayesfric.diagnostics.candidates import BY_NAME, Kind
 from bayesfric.diagnostics.finding import Finding
-from bayesfric.diagnostics.policy import LEAST_OUTPUTS, MOST, MOVES
+from bayesfric.diagnostics.policy import (
+    FEWEST_TWINS,
+    LEAST_OUTPUTS,
+    LONGEST,
+    MOST,
+    MOVES,
+    SAMPLES,
+    TWINS,
+)
 from bayesfric.diagnostics.regression import Regression, Step
 from bayesfric.diagnostics.twins import NoTwin
 from bayesfric.estimates.descent import few_threads
@@ -21,14 +29,15 @@ from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.processing import Processing
 
-Reason = Literal["few", "simulation"]
+Reason = Literal["few", "long", "simulation"]
 
 
 @dataclass(frozen=True)
 class Missing:
     """What recordings show that the model lacks; where it was not asked ``reason`` says why.
 
-    There are too ``few`` outputs, or the ``simulation`` of twins is impossible.
+    There are too ``few`` outputs, twins would take too ``long``, or their ``simulation`` is
+    impossible.
     """
 
     findings: tuple[Finding, ...] = ()
@@ -47,6 +56,15 @@ class Missing:
         return any(one.severity == "doubt" for one in self.findings) if self.asked else None
 
 
+def unasked(
+    chain: Joint, recordings: Sequence[Measurement], observations: Sequence[Observation]
+) -> Reason | None:
+    """Say why recordings cannot be asked, as far as that is known before anything is computed."""
+    if sum(o.measured.size for o in observations) < len(chain.names) + LEAST_OUTPUTS:
+        return "few"
+    return "long" if sum(r.time.size for r in recordings) > LONGEST else None
+
+
 def what_is_missing(
     chain: Joint,
     recordings: Sequence[Measurement],
@@ -61,13 +79,19 @@ def what_is_missing(
     ``known`` are names of parameters that are fixed.
     """
     begun = time.process_time()
-    outputs = sum(o.measured.size for o in observations)
-    if outputs < len(chain.names) + LEAST_OUTPUTS:
-        return Missing(reason="few")
+    samples = sum(r.time.size for r in recordings)
+    number = min(max(SAMPLES // samples, FEWEST_TWINS), TWINS)
     try:
         with few_threads(observations):
             asked = Regression(
-                chain, recordings, observations, processing, chain.vector(point), known, seed
+                chain,
+                recordings,
+                observations,
+                processing,
+                chain.vector(point),
+                known,
+                seed,
+                number,
             )
             steps = [s for s in asked.steps() if s.sure][:MOST]
     except NoTwin:

@@ -228,7 +228,7 @@ class Regression(Part):
     """How it was asked what else explains the torque; ``reason`` is why it was not."""
 
     twins: int = 0
-    reason: Literal["few", "simulation", "likelihood"] | None = None
+    reason: Literal["few", "long", "simulation"] | None = None
 
 
 class SelfCheckRow(Part):
