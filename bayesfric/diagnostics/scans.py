@@ -87,10 +87,10 @@ def waves(layout: Layout, hertz: float) -> Array:
 
 
 def bump(layout: Layout, scan: Scan, width: float) -> Array:
-    """Give what a push is taken for, ``(n, 1)``: a bell over its place."""
-    t = np.concatenate(layout.stamps)
-    bell = np.exp(-0.5 * ((t - scan.place) / width) ** 2)
-    return np.asarray(bell * layout.members[scan.recording])[:, None]
+    """Give what a push is taken for, ``(n, 5)``: bells over its place and beside, of any course."""
+    t = np.concatenate(layout.stamps)[:, None]
+    bells = np.exp(-0.5 * ((t - scan.place) / width - np.arange(-2, 3)) ** 2)
+    return np.asarray(bells * layout.members[scan.recording][:, None])
 
 
 def tuned(y: Array, layout: Layout, hertz: float, left: Callable[[Array], Array]) -> float:
