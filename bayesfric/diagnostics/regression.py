@@ -22,12 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.diagnostics.candidates import (
-    KINDS,
-    Along,
-    Scales,
-    scales_of,
-)
+from bayesfric.diagnostics.candidates import KINDS, Along, Scales, scales_of
 from bayesfric.diagnostics.memory import WHITE, Layout, Memory, memory_of
 from bayesfric.diagnostics.policy import (
     ALIKE,
@@ -61,12 +56,11 @@ from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.processing import Processing
 
 Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 # Step of a derivative, as a share of a parameter.
 _STEP = 1e-6
-# Singular values of an estimate below this share of the largest are open; of a tone, rounding.
-_OPEN, _ROUNDING = 1e-7, 1e-9
+# Singular values of an estimate below this share of the largest are open.
+_OPEN = 1e-7
 # Share of a quantity's direction that must be determined.
 _TOLD = 0.999
 # Widest share of a parameter by which twins' truths differ.
