@@ -17,6 +17,8 @@ from bayesfric.report.summary.caveats import constant_sentence
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.summary import summarise
 
+from .made_summaries import FOUND
+
 
 @pytest.fixture(scope="module")
 def said(knee):
@@ -330,3 +332,19 @@ def test_an_axis_and_four_recordings(slide, many):
     text = methods_text(many, summarise(many).as_dict()).plain
     assert "4 recordings of" in text
     assert "4 noise parameters," in text
+
+
+@pytest.mark.parametrize("found", [[], [FOUND | {"kind": "load_loss"}]])
+def test_what_was_asked_of_the_model_is_what_is_said_of_it(knee, found):
+    """Groups may differ where nothing is missing: then no test of theirs is claimed."""
+    row = {"name": "speed", "groups": 4, "p_value": 1e-5, "differs": True}
+    told = summarise(knee).as_dict() | {"regression": {"twins": 60}, "findings": found}
+    told["model_error"] = {"shown": bool(found), "axes": [row]}
+    said = methods_text(knee, told).plain
+    assert "60 recordings simulated from the model" in said
+    assert ("This one showed load loss." in said) == bool(found)
+    assert ("This one showed nothing." in said) == (not found)
+    assert ("draws of the posterior were widened" in said) == bool(found)
+    assert "F tests" not in said
+    told["regression"] = {"reason": "few"}
+    assert ("F tests, p < 0.01" in methods_text(knee, told).plain) == bool(found)
