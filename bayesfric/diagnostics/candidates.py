@@ -32,6 +32,7 @@ _CARRIED = frozenset({"inertia", "first_moment", "gravity_angle", "spring", "spr
 _BEHIND = (0.0, 0.33, 0.67, 1.0)
 # Turns of the cogging, and antiresonances in bands, and so on: grids of shapes.
 _CYCLES = (1, 2, 3, 4, 6, 8, 12, 18, 24, 36, 48)
+TURNS = {f"{k} a turn of the {side}": (k, side) for k in _CYCLES for side in ("motor", "joint")}
 _ANTIRESONANCES = (0.5, 0.65, 0.8, 1.0, 1.3)
 _REACHES = (0.003, 0.01, 0.03, 0.1, 0.3)
 _FLIGHTS = (0.7, 1.4, 2.8)
@@ -39,6 +40,7 @@ _FLIGHTS = (0.7, 1.4, 2.8)
 _PUSH, _PUSHES = 0.25, 60
 # Speeds, and positions beside a step, that count as one.
 _FAST, _STEPS, _REVERSAL = 0.95, 3.0, 1e-3
+# What stands for a band where none is compared in, as a share of the rate of the outputs.
 _FASTEST = 0.3
 
 
@@ -50,7 +52,6 @@ class Scales:
     reach: float  # twice the typical distance from a reversal
     carried: float  # rms of the torque that a transmission carries
     torque: float  # rms of the measured
-    still_step: float  # that is no reversal
     duration: float
     cycles: tuple[tuple[str, float], ...]  # name, and radians a radian of the joint
     push: float  # width of one, s
@@ -63,10 +64,9 @@ class Scales:
 def scales_of(chain: Joint, values: Array, observations: Sequence[Observation]) -> Scales:
     """Take them from recordings and an estimate ``(n_parameters,)``."""
     speed = np.concatenate([np.abs(o.qd[o.filter.centres]) for o in observations])
-    carried = np.concatenate([carried_torque(chain, values, o) for o in observations])
-    moving = np.concatenate(
-        [carried_torque(chain, values, o) - weight(chain, values, o) for o in observations]
-    )
+    carried = np.concatenate([_carried(chain, values, o) for o in observations])
+    still_torque = [_carried(chain, values, o, still=True) for o in observations]
+    moving = carried - np.concatenate(still_torque)
     qdd = np.concatenate([o.qdd for o in observations])
     inertia = max(float(moving @ qdd) / max(float(qdd @ qdd), 1e-300), 1e-300)
     span = max(float(np.ptp(o.q)) for o in observations)
@@ -74,17 +74,17 @@ def scales_of(chain: Joint, values: Array, observations: Sequence[Observation]) 
     reach = [since_reversal(o.q, still)[o.filter.centres] for o in observations]
     sides = {"motor": chain.ratio, "joint": 1.0} if chain.ratio != 1.0 else {"joint": 1.0}
     cycles = tuple(
-        (f"{k} a turn of the {side}", k * ratio)
-        for k in _CYCLES
-        for side, ratio in sides.items()
-        if k * ratio * span >= 2.0 * np.pi and chain.motor_motion == "rotary"
+        (name, k * sides[side])
+        for name, (k, side) in TURNS.items()
+        if side in sides
+        and k * sides[side] * span >= 2.0 * np.pi
+        and chain.motor_motion == "rotary"
     )
     return Scales(
         speed=float(np.quantile(speed, _FAST)),
         reach=2.0 * float(np.median(np.concatenate(reach))),
         carried=_rms(carried),
         torque=_rms(np.concatenate([o.measured for o in observations])),
-        still_step=still,
         duration=max(float(np.ptp(o.stamps)) for o in observations),
         cycles=cycles,
         push=max(_PUSH, max(float(np.ptp(o.stamps)) for o in observations) / (2 * _PUSHES)),
@@ -100,17 +100,12 @@ def _rms(x: Array) -> float:
     return float(np.sqrt(np.mean(x**2)))
 
 
-def carried_torque(chain: Joint, values: Array, o: Observation, *, still: bool = False) -> Array:
+def _carried(chain: Joint, values: Array, o: Observation, *, still: bool = False) -> Array:
     """Motor torque ``(N,)`` of inertia, weight and springs alone; at rest without inertia."""
     kept = [name.rpartition(".")[2] in _CARRIED for name in chain.names]
     qdd = np.zeros_like(o.q) if still else o.qdd
     own = np.where(kept, values, 0.0)
     return inverse_torque(chain, own, o.q, o.qd, qdd, inputs=o.inputs, time=o.stamps)
-
-
-def weight(chain: Joint, values: Array, o: Observation) -> Array:
-    """Motor torque ``(N,)`` of weight and springs alone."""
-    return carried_torque(chain, values, o, still=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,12 +144,12 @@ class Along:
     @cached_property
     def carried(self) -> Array:
         """What a transmission carries."""
-        return carried_torque(self.chain, self.values, self.o)
+        return _carried(self.chain, self.values, self.o)
 
     @cached_property
     def weight(self) -> Array:
         """What it carries at rest."""
-        return weight(self.chain, self.values, self.o)
+        return _carried(self.chain, self.values, self.o, still=True)
 
     @cached_property
     def clock(self) -> Array:
@@ -218,19 +213,17 @@ def _one(column: Callable[[Along], Array]) -> Callable[[Along], Sets]:
     return lambda a: {"": [column(a)]}
 
 
-def _term(*names: str) -> Callable[[Along], Sets]:
-    """Take columns from the table of quantities, at every value of what shapes them."""
+def _term(name: str) -> Callable[[Along], Sets]:
+    """Take a column from the table of quantities, at every value of what shapes it."""
+    row = QUANTITIES[name]
 
     def made(a: Along) -> Sets:
-        rows = [QUANTITIES[name] for name in names]
+        assert row.column is not None
         state = a.state(a.carried)
-        shape = QUANTITIES[rows[0].shape] if rows[0].shape else None
+        shape = QUANTITIES[row.shape] if row.shape else None
         if shape is None or shape.tries is None:
-            return {"": [row.column(state) for row in rows if row.column]}
-        return {
-            f"{value:.3g}": [row.column(state, value) for row in rows if row.column]
-            for value in shape.tries(a.sizes)
-        }
+            return {"": [row.column(state)]}
+        return {f"{x:.3g}": [row.column(state, x)] for x in shape.tries(a.sizes)}
 
     return made
 

@@ -9,13 +9,12 @@ from typing import Literal
 
 import numpy as np
 
-from bayesfric.diagnostics.candidates import BY_NAME, Kind
+from bayesfric.diagnostics.candidates import BY_NAME, TURNS, Kind
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.policy import (
     FEWEST_TWINS,
     LEAST_OUTPUTS,
     LONGEST,
-    MOST,
     MOVES,
     SAMPLES,
     TWINS,
@@ -93,7 +92,7 @@ def what_is_missing(
                 seed,
                 number,
             )
-            steps = [s for s in asked.steps() if s.sure][:MOST]
+            steps = [s for s in asked.steps() if s.sure]
     except NoTwin:
         return Missing(reason="simulation")
     found = tuple(finding(chain, step) for step in steps)
@@ -103,7 +102,6 @@ def what_is_missing(
 def finding(chain: Joint, step: Step) -> Finding:
     """Say one step of the ranking as a finding."""
     kind = BY_NAME.get(step.kind)
-    recording, span = _where(step)
     far = {name: x for name, x in step.moves.items() if abs(x) > MOVES}
     return Finding(
         kind=step.kind,
@@ -116,18 +114,9 @@ def finding(chain: Joint, step: Step) -> Finding:
         moves=dict(sorted(far.items(), key=lambda one: -abs(one[1]))),
         setting="" if kind is None else setting_of(chain, kind, step.shape),
         physical=kind is None or not kind.positive or bool(np.all(step.coefficients >= 0.0)),
-        recording=recording,
-        span=span,
+        recording=step.recording,
+        span=step.span,
     )
-
-
-def _where(step: Step) -> tuple[str, tuple[float, float] | None]:
-    """Give the recording that a push is in, and its seconds; or that which is late alone."""
-    if step.kind == "push":
-        name, _, seconds = step.shape.rpartition(" at ")
-        centre = float(seconds.removesuffix(" s"))
-        return name, (centre - step.width, centre + step.width)
-    return step.shape.removeprefix("in ") if step.kind == "delay" else "", None
 
 
 def setting_of(chain: Joint, kind: Kind, shape: str) -> str:
@@ -143,10 +132,10 @@ def setting_of(chain: Joint, kind: Kind, shape: str) -> str:
         return f"mechanism.load.{option} = true"
     elements = chain.elements
     if option in CYCLES:
-        cycles, _, side = shape.partition(" a turn of the ")
+        cycles, side = TURNS.get(shape, (1, "joint"))
         reach = chain.ratio if side == "motor" else 1.0
         elements = tuple(e for e in elements if chain.reaches[e.name] == reach)
-        value = f"[{cycles or 1}]"
+        value = f"[{cycles}]"
     elif option.startswith("load_"):
         # of two, one behind the other, no motion tells more than their product
         lossy = [e for e in elements if e.load_loss != "none"]

@@ -1,6 +1,6 @@
 """The few probabilities by which it is decided what is said of a recording.
 
-``studies/diagnostics`` sweeps them.
+``studies/diagnostics`` says what they give.
 """
 
 # Of recordings whose model is right, the share in which anything is said to be missing.
@@ -15,8 +15,8 @@ LEAST_OUTPUTS = 20
 # Share of a candidate's columns that must be left beside the model's own, or this motion does not
 # tell the one from the other.
 TESTABLE = 0.015
-# What a certain effect must move a reported number by, in half-widths of its 90 % interval, for
-# that number to be doubted.
+# Standard deviations that a certain effect must move a reported number by for that to be doubted:
+# half the width of its 90 % interval.
 MOVES = 1.645
 # Most effects that are looked for one after the other.
 MOST = 4

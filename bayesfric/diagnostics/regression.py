@@ -79,22 +79,35 @@ _SLOW = 1.0
 
 
 @dataclass(frozen=True, eq=False)
+class _Choice:
+    """What one round chose, and all that it knew."""
+
+    kind: str
+    shape: str
+    own: list[int]  # its columns
+    sure: bool  # whether it is no chance
+    z: float
+    p: float
+    worth: Array  # of every candidate, scans last
+    memory: Memory
+    scan: Scan | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class Step:
-    """One round of the ranking."""
+    """One candidate that is taken in."""
 
     kind: str
     shape: str
     z: float
-    limit: float
     p: float
-    gain: float
     share: float
     sure: bool
-    width: float  # of a push, s to either side of its centre
+    recording: str  # that a push is in; else empty
+    span: tuple[float, float] | None  # s, of a push
     coefficients: Array  # of its own columns
     moves: dict[str, float]  # quantity: by how many of its sds it moves, where these are told
     alike: tuple[str, ...]  # kinds that explain as much, or look alike here
-    ranks: tuple[tuple[str, str, float, float], ...]  # kind, shape, z, gain of the best
 
 
 @dataclass(eq=False)
@@ -134,8 +147,8 @@ class Regression:
 
     def __post_init__(self) -> None:
         streams = np.random.SeedSequence(self.seed).spawn(4)
-        self._scanned: list[Scan] = []
         draws, probes, others, noise = streams
+        self._scanned: list[Scan] = []  # whose columns stand beside the candidates'
         self.scales = scales_of(self.chain, self.values, self.observations)
         self.data = self._columns(self.values, self.observations)
         self._groups = testable(self.data)
@@ -209,10 +222,10 @@ class Regression:
         self.memory: Memory | None = WHITE
         self._add_noise(WHITE, [], stream)
         taken: list[list[int]] = [[]]
-        for step, extra in self._climbed(_PICKS, shapes=False, wander=False):
-            if not step.sure:
+        for choice, extra in self._climbed(_PICKS, shapes=False, wander=False):
+            if not choice.sure:
                 break
-            taken.append(extra)
+            taken.append([*extra, *choice.own])
         best = math.inf
         for picks, extra in enumerate(taken):
             left = without(basis_of(beside(self.data, extra)), self.data.left)
@@ -223,7 +236,7 @@ class Regression:
         self.twins = every
         for scan in self._scanned:
             for twin in every[_FEW:]:
-                self._with_scan(twin, scan)
+                self._widen(twin, scan)
         self.memory = None
         self._add_noise(self.noise, chosen, stream)
 
@@ -246,100 +259,89 @@ class Regression:
     # Ranking
 
     def steps(self, most: int = MOST) -> list[Step]:
-        """Rank what the model lacks: what no chance is, in order, and the first that may be."""
+        """Rank what the model lacks: what no chance is, in order, or the first that may be."""
         found = []
-        for step, _ in self._climbed(most + 1):
-            found.append(step)
-            if not step.sure:
+        for choice, extra in self._climbed(most):
+            found.append(self._step(choice, extra))
+            if not choice.sure:
                 break
         return found
 
     def _climbed(
         self, most: int, *, shapes: bool = True, wander: bool = True
-    ) -> Iterator[tuple[Step, list[int]]]:
-        """Take in one candidate after the other; gives each step with all columns taken so far."""
+    ) -> Iterator[tuple[_Choice, list[int]]]:
+        """Take in one candidate after the other; gives each with the columns taken before it."""
         extra: list[int] = []
         for _ in range(most):
-            step, own = self._best(extra, wander=wander)
-            if step is None:
-                return
-            extra = [*extra, *own]
-            if shapes and step.kind not in (TONE, PUSH, "gravity", "repeating"):
-                family = [i for i, k in enumerate(self.data.keys) if k.kind == step.kind]
+            choice = self._best(extra, wander=wander)
+            yield choice, extra
+            extra = [*extra, *choice.own]
+            if shapes and choice.scan is None and choice.kind not in ("gravity", "repeating"):
+                family = [i for i, k in enumerate(self.data.keys) if k.kind == choice.kind]
                 extra += [i for i in family if i not in extra]
-            yield step, extra
 
-    def _best(self, extra: list[int], *, wander: bool) -> tuple[Step | None, list[int]]:
+    def _best(self, extra: list[int], *, wander: bool) -> _Choice:
+        """Choose the candidate that explains most of those that are no chance."""
         given = self._groups, extra, self.memory, self.scales.push
         mine = asked(self.data, *given)
-        others = [asked(twin, *given) for twin in self.twins]
-        z, null = scored(mine, others)
+        z, null = scored(mine, [asked(twin, *given) for twin in self.twins])
         largest = null.max(axis=1)
         limit = float(np.quantile(largest, 1.0 - FALSE_ALARMS, method="higher"))
-        limit = max(limit, LEAST_Z)
-        scans = [(one.kind, self._shape(one)) for one in mine.scans]
-        names = [*((key.kind, key.shape) for key, _ in self._groups), *scans]
+        kinds = [*(key.kind for key, _ in self._groups), *(scan.kind for scan in mine.scans)]
         # the place of a scan is one more number
         count = np.array([len(own) for _, own in self._groups] + [3, 2])
-        gains = np.append(mine.gains, [one.peak for one in mine.scans])
+        gains = np.append(mine.gains, [scan.peak for scan in mine.scans])
         worth = gains - (count - 1) * math.log(self.data.left.size)
-        allowed = z > limit
+        allowed = z > max(limit, LEAST_Z)
         if not wander:  # what the noise's wander can be is not to be taken before it is known
             slow = mine.scans[0].place < _SLOW
-            allowed &= [k not in (PUSH, "drift") and not (k == TONE and slow) for k, _ in names]
-            if not allowed.any():
-                return None, []
-        last = np.array([k == PUSH for k, _ in names])
+            allowed &= [k not in (PUSH, "drift") and not (k == TONE and slow) for k in kinds]
+        last = np.array([k == PUSH for k in kinds])
         if (allowed & ~last).any():
             allowed &= ~last
         sure = bool(allowed.any())
         best = int(np.argmax(np.where(allowed, worth, -np.inf) if sure else z))
-        kind, shape = names[best]
-        if best >= len(self._groups):
-            scan = mine.scans[best - len(self._groups)]
-            own, shape = self._found_by(scan, extra, mine.memory)
-        else:
-            own = self._groups[best][1]
-        ranks, seen = [], set()
-        for i in np.argsort(-worth).tolist():
-            if names[i][0] not in seen and z[i] > 0.0:
-                ranks.append((*names[i], float(z[i]), float(worth[i])))
-                seen.add(names[i][0])
-        step = Step(
-            kind=kind,
-            shape=shape,
-            z=float(z[best]),
-            limit=limit,
-            p=float((1 + (largest >= z[best]).sum()) / (len(largest) + 1)),
-            gain=float(worth[best]),
-            sure=sure,
-            width=2.0 * self.scales.push,
-            alike=tuple(self._alike(own, kind, worth, extra, mine.memory)) if sure else (),
-            ranks=tuple(ranks[:6]),
-            **self._moved(own, extra, mine.memory),
-        )
-        return step, list(own)
+        p = float((1 + (largest >= z[best]).sum()) / (len(largest) + 1))
+        told = sure, float(z[best]), p, worth, mine.memory
+        if best < len(self._groups):
+            key, own = self._groups[best]
+            return _Choice(key.kind, key.shape, own, *told)
+        scan = self._placed(mine.scans[best - len(self._groups)], extra, mine.memory)
+        own = self._with_scan(scan) if sure or wander else []
+        return _Choice(scan.kind, self._shape(scan), own, *told, scan)
 
-    def _alike(
-        self,
-        own: Sequence[int],
-        kind: str,
-        worth: Array,
-        extra: Sequence[int],
-        memory: Memory,
-    ) -> Iterator[str]:
-        """Name other kinds that this motion does not tell from the best one."""
-        white, split = whitened(self.data, extra, memory)
-        basis = basis_of(white[:, :split])
-        z = without(basis, white[:, split:-1])
-        mine = basis_of(z[:, list(own)])
-        names = [key.kind for key, _ in self._groups]
-        best = max((w for k, w in zip(names, worth, strict=False) if k == kind), default=np.inf)
-        seen = {kind}
-        for (key, columns), gain in zip(self._groups, worth, strict=False):
+    def _step(self, choice: _Choice, extra: Sequence[int]) -> Step:
+        # of what is one recording's alone, as a delay
+        recording = {f"in {name}": name for name in self.scales.names}.get(choice.shape, "")
+        span = None
+        if choice.kind == PUSH and choice.scan is not None:
+            place, width = choice.scan.place, 2.0 * self.scales.push
+            recording = self.observations[choice.scan.recording].name
+            span = place - width, place + width
+        return Step(
+            kind=choice.kind,
+            shape=choice.shape,
+            z=choice.z,
+            p=choice.p,
+            sure=choice.sure,
+            recording=recording,
+            span=span,
+            alike=tuple(self._alike(choice, extra)) if choice.sure else (),
+            **self._moved(choice.own, extra, choice.memory),
+        )
+
+    def _alike(self, choice: _Choice, extra: Sequence[int]) -> Iterator[str]:
+        """Name other kinds that this motion does not tell from the one that was chosen."""
+        white, split = whitened(self.data, extra, choice.memory)
+        z = without(basis_of(white[:, :split]), white[:, split:-1])
+        mine = basis_of(z[:, choice.own])
+        ranked = list(zip(self._groups, choice.worth, strict=False))
+        best = max((w for (key, _), w in ranked if key.kind == choice.kind), default=np.inf)
+        seen = {choice.kind}
+        for (key, columns), gain in ranked:
             if key.kind in seen:
                 continue
-            theirs = basis_of(z[:, list(columns)])
+            theirs = basis_of(z[:, columns])
             same = min(mine.shape[1], theirs.shape[1]) > 0 and (
                 float(np.linalg.svd(mine.T @ theirs, compute_uv=False).min()) > ALIKE
             )
@@ -347,7 +349,7 @@ class Regression:
                 seen.add(key.kind)
                 yield key.kind
 
-    def _moved(self, own: Sequence[int], extra: Sequence[int], memory: Memory) -> dict[str, Any]:
+    def _moved(self, own: list[int], extra: Sequence[int], memory: Memory) -> dict[str, Any]:
         """Fit the best candidate: its own coefficients, and what it moves the model's by."""
         d = self.data.base.shape[1]
         white, split = whitened(self.data, extra, memory)
@@ -358,7 +360,7 @@ class Regression:
         both = np.column_stack([white[:, :split], white[:, [split + i for i in own]]])
         after, covariance, told = solved(both, y, size)
         coefficients = after[split:]
-        share = float(np.sqrt(np.mean((self.data.others[:, list(own)] @ coefficients) ** 2)))
+        share = float(np.sqrt(np.mean((self.data.others[:, own] @ coefficients) ** 2)))
         return {
             "share": share / self.scales.torque,
             "coefficients": coefficients,
@@ -392,31 +394,37 @@ class Regression:
             found[one.name] = (one.values[:d] - one.values[d:]) / (2.0 * steps)
         return {k: v for k, v in found.items() if k not in self.known and np.isfinite(v).all()}
 
-    def _found_by(self, scan: Scan, extra: Sequence[int], memory: Memory) -> tuple[list[int], str]:
-        """Add the columns of what a scan has found to everything."""
+    def _placed(self, scan: Scan, extra: Sequence[int], memory: Memory) -> Scan:
+        """Tune the frequency of a tone; a push stays where it is."""
+        if scan.kind == PUSH:
+            return scan
         d = self.data
-        if scan.kind == TONE:
-            basis = basis_of(memory.whitened(beside(d, extra), d.layout))
+        basis = basis_of(memory.whitened(beside(d, extra), d.layout))
 
-            def left(x: Array) -> Array:
-                return without(basis, memory.whitened(x, d.layout))
+        def left(x: Array) -> Array:
+            return without(basis, memory.whitened(x, d.layout))
 
-            hertz = tuned(left(d.left[:, None])[:, 0], d.layout, scan.place, left)
-            scan = replace(scan, place=hertz)
-        first = d.others.shape[1]
-        for one in (d, *self.twins):
-            self._with_scan(one, scan)
-        self._scanned.append(scan)
-        return list(range(first, d.others.shape[1])), self._shape(scan)
+        hertz = tuned(left(d.left[:, None])[:, 0], d.layout, scan.place, left)
+        return replace(scan, place=hertz)
 
     def _shape(self, scan: Scan) -> str:
         if scan.kind == TONE:
             return f"{scan.place:.3g} Hz"
         return f"{self.observations[scan.recording].name} at {scan.place:.2f} s"
 
-    def _with_scan(self, d: Columns, scan: Scan) -> None:
-        made = waves(d.layout, scan.place) if scan.kind == TONE else None
-        more = bump(d.layout, scan, self.scales.push) if made is None else made
+    def _with_scan(self, scan: Scan) -> list[int]:
+        """Add the columns of what a scan has found to recording and twins, and number them."""
+        first = self.data.others.shape[1]
+        for one in (self.data, *self.twins):
+            self._widen(one, scan)
+        self._scanned.append(scan)
+        return list(range(first, self.data.others.shape[1]))
+
+    def _widen(self, d: Columns, scan: Scan) -> None:
+        place = scan.place
+        more = (
+            waves(d.layout, place) if scan.kind == TONE else bump(d.layout, scan, self.scales.push)
+        )
         keys = tuple(Key(scan.kind, self._shape(scan), i) for i in range(more.shape[1]))
         d.others, d.keys = np.column_stack([d.others, more]), (*d.keys, *keys)
 
