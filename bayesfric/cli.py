@@ -246,19 +246,16 @@ def explain(
 
 
 def _complete(config: Path, output: Path, as_json: bool) -> None:
-    from bayesfric.commands.complete import (
-        completed_file,
-        completed_record,
-        completed_text,
-        write_completed,
-    )
+    from bayesfric.commands import complete
+    from bayesfric.report.files import write_beside
 
     model = _model(config)
-    path = completed_file(output, model)
+    complete.refuse_other_place(output, model)
     with progress_shown(sys.stderr.isatty()) as progress:
         found = model.completed(progress=progress)
-    write_completed(found[0], path)
-    _print(completed_record(*found, output), as_json, completed_text(*found, output))
+    write_beside({output: found[0].config.text})
+    record, text = complete.completed_record, complete.completed_text
+    _print(record(*found, output), as_json, text(*found, output))
 
 
 @app.command()

@@ -305,9 +305,7 @@ class Model:
         """
         if reason := unasked(self.chain, self.recordings, self.observations):
             return Missing(reason=reason)
-        point = _first_point(estimates) or dict(
-            self.estimates(["input-error"], progress=progress)[0].point
-        )
+        point = self._point(estimates, progress)
         progress(Progress("what else explains the torque"))
         return what_is_missing(
             self.chain,
@@ -315,8 +313,14 @@ class Model:
             self.observations,
             self.config.tables.processing,
             point,
-            sorted(name for name, prior in self.priors.items() if prior.fixed),
+            sorted(self.evidence.knowledge.fixed),
             self.config.tables.sampling.seed if seed is None else seed,
+        )
+
+    def _point(self, estimates: Sequence[Estimate], progress: Shown) -> dict[str, float]:
+        """Give the first of the estimates that has all parameters, or one of the input error."""
+        return _first_point(estimates) or dict(
+            self.estimates(["input-error"], progress=progress)[0].point
         )
 
     def completed(
@@ -396,9 +400,7 @@ class Model:
         """
         from bayesfric.explain.explanation import explain
 
-        point = _first_point(estimates) or dict(
-            self.estimates(["input-error"], progress=progress)[0].point
-        )
+        point = self._point(estimates, progress)
         with self.config.named(), few_threads(self.observations):
             return explain(
                 self.evidence, point, self.recordings, progress=lambda s: progress(Progress(s))
