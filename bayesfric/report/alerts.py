@@ -98,8 +98,8 @@ def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:
     found = [Alert("sampler", text, "sampling", first=True) for text in summary.sampler.problems]
     for doubt in summary.doubts:
         text = doubt_text(doubt.model_dump() | summary.asking)
-        told = "model-error" if doubt.kind == "missing" else "noise"  # how it was asked
-        found.append(Alert(doubt.kind, text, told, first=True))
+        place = "model-error" if doubt.kind == "missing" else "noise"  # how it was asked
+        found.append(Alert(doubt.kind, text, place, first=True))
     error = summary.model_error
     if error is not None and error.shown:
         aside = len(error.outlying) if error.set_aside else 0
