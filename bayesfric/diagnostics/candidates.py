@@ -157,7 +157,7 @@ class Along:
         return np.asarray((self.o.stamps - self.o.stamps.mean()) / self.scales.duration)
 
     def smooth(self, x: Array) -> Array:
-        """Low-pass as the position is."""
+        """Low-pass signals ``(..., N)`` as the position is."""
         told = self.o.settings
         fs = 1.0 / self.recording.period
         return np.asarray(
@@ -252,16 +252,17 @@ def _two(a: Along, carried: Array) -> Sequence[Array]:
 def _gap(a: Along) -> Sets:
     begins = np.zeros(a.o.q.size, dtype=np.bool_)
     begins[[begin for begin, _ in a.recording.segments]] = True
-    found = {}
+    found: dict[str, Array] = {}
     for label, share, carried in a.behind():
         if not (share and a.scales.need):
             continue
         need = a.smooth(carried) / (share * a.scales.inertia)
         for times in _FLIGHTS:
             half = 0.5 * a.scales.need * (times / (2.0 * np.pi * a.scales.band)) ** 2
-            place = in_gap(need, a.recording.period, half, begins)
-            found[f"{label}, {half:.2g}"] = [a.rate(a.rate(a.smooth(place)))]
-    return found
+            found[f"{label}, {half:.2g}"] = in_gap(need, a.recording.period, half, begins)
+    if found:
+        found = dict(zip(found, a.smooth(np.array([*found.values()])), strict=True))
+    return {key: [a.rate(a.rate(place))] for key, place in found.items()}
 
 
 def _elastic(a: Along) -> Sets:

@@ -12,12 +12,9 @@ import numpy as np
 from bayesfric.diagnostics.candidates import BY_NAME, TURNS, Kind
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.policy import (
-    FEWEST_TWINS,
     LEAST_OUTPUTS,
     LONGEST,
     MOVES,
-    SAMPLES,
-    TWINS,
 )
 from bayesfric.diagnostics.regression import Regression, Step
 from bayesfric.diagnostics.twins import NoTwin
@@ -78,8 +75,6 @@ def what_is_missing(
     ``known`` are names of parameters that are fixed.
     """
     begun = time.process_time()
-    samples = sum(r.time.size for r in recordings)
-    number = min(max(SAMPLES // samples, FEWEST_TWINS), TWINS)
     try:
         with few_threads(observations):
             asked = Regression(
@@ -90,7 +85,6 @@ def what_is_missing(
                 chain.vector(point),
                 known,
                 seed,
-                number,
             )
             steps = [s for s in asked.steps() if s.sure]
     except NoTwin:

@@ -5,9 +5,9 @@
 
 # Of recordings whose model is right, the share in which anything is said to be missing.
 FALSE_ALARMS = 0.05
-# Twins that tell what chance does: so many, fewer where they have more samples in all, and none of
-# recordings that are longer, as a fit and a check are to end before anybody gives up.
-TWINS, FEWEST_TWINS, SAMPLES, LONGEST = 60, 20, 1_500_000, 100_000
+# Twins that tell what chance does, and samples of recordings that are asked at most, as a fit and a
+# check are to end before anybody gives up.
+TWINS, LONGEST = 24, 100_000
 # The twins' own limit is known to 0.3 of a standard normal; below this nothing is a finding.
 LEAST_Z = 4.0
 # Outputs beyond the model's parameters that a recording or twin must have to be asked.

@@ -39,12 +39,10 @@ from bayesfric.diagnostics.statistics import (
     Key,
     asked,
     basis_of,
-    beside,
     mean_square,
     scored,
     solved,
     testable,
-    whitened,
     without,
 )
 from bayesfric.diagnostics.twins import NoTwin, modelled_driver, twins
@@ -67,8 +65,8 @@ _TOLD = 0.999
 _WIDEST = 0.1
 # Share of the twins that must have come out.
 _ENOUGH = 0.5
-# Twins that tell which torque drives the rest; and that stand for all while noise is chosen.
-_PROBES, _FEW = 6, 24
+# Twins that tell which torque drives the rest.
+_PROBES = 3
 # Share of the residual that the encoder makes, from which the recorded torque drives twins.
 _BY_ENCODER = 0.5
 # Most that is taken out while noise is chosen, and what each costs there: twice the log of how
@@ -89,7 +87,6 @@ class _Choice:
     z: float
     p: float
     worth: Array  # of every candidate, scans last
-    memory: Memory
     scan: Scan | None = None
 
 
@@ -148,7 +145,6 @@ class Regression:
     def __post_init__(self) -> None:
         streams = np.random.SeedSequence(self.seed).spawn(4)
         draws, probes, others, noise = streams
-        self._scanned: list[Scan] = []  # whose columns stand beside the candidates'
         self.scales = scales_of(self.chain, self.values, self.observations)
         self.data = self._columns(self.values, self.observations)
         self._groups = testable(self.data)
@@ -196,8 +192,8 @@ class Regression:
         """Whether the model's torque is less noisy than the recorded one, and so drives twins."""
         some = np.tile(self.values, (_PROBES, 1))
         self.modelled = False
-        own = [mean_square(without(basis_of(t.base), t.left)) for t in self._twins(some, stream)]
-        mine = mean_square(without(basis_of(self.data.base), self.data.left))
+        own = [mean_square(t.rest([])) for t in self._twins(some, stream)]
+        mine = mean_square(self.data.rest([]))
         return bool(own) and float(np.mean(own)) <= _BY_ENCODER * mine
 
     def _twins(self, vectors: Array, stream: np.random.SeedSequence) -> Iterator[Columns]:
@@ -218,43 +214,35 @@ class Regression:
 
     def _choose_noise(self, stream: np.random.SeedSequence) -> None:
         """Give twins the noise of what is left when all is taken that is there by white noise."""
-        every, self.twins = self.twins, self.twins[:_FEW]
-        self.memory: Memory | None = WHITE
         self._add_noise(WHITE, [], stream)
         taken: list[list[int]] = [[]]
-        for choice, extra in self._climbed(_PICKS, shapes=False, wander=False):
+        for choice, extra in self._climbed(_PICKS, choosing=True):
             if not choice.sure:
                 break
             taken.append([*extra, *choice.own])
         best = math.inf
         for picks, extra in enumerate(taken):
-            left = without(basis_of(beside(self.data, extra)), self.data.left)
-            memory, bic = memory_of(left, self.data.layout)
-            bic += len(extra) * math.log(left.size) + _DEAR * picks
+            memory, bic = _memory(self.data, extra)
+            bic += len(extra) * math.log(self.data.left.size) + _DEAR * picks
             if bic < best:
                 best, self.noise, chosen = bic, memory, extra
-        self.twins = every
-        for scan in self._scanned:
-            for twin in every[_FEW:]:
-                self._widen(twin, scan)
-        self.memory = None
         self._add_noise(self.noise, chosen, stream)
+        self.twins = [replace(t, memory=_memory(t, chosen)[0]) for t in self.twins]
 
     def _add_noise(
         self, memory: Memory, extra: Sequence[int], stream: np.random.SeedSequence
     ) -> None:
         """Add so much that twins leave as much as the recording does: their sensors make some."""
-        basis = basis_of(beside(self.data, extra))
-        total = mean_square(without(basis, self.data.left), basis.shape[1])
-        own = []
-        for twin, clean in zip(self.twins, self._clean, strict=False):
-            basis = basis_of(beside(twin, extra))
-            own.append(mean_square(without(basis, clean), basis.shape[1]))
-        beyond = max(1.0 - float(np.mean(own or [0.0])) / max(total, 1e-300), 0.1)
+        clean = [replace(t, left=x) for t, x in zip(self.twins, self._clean, strict=True)]
+        taken = self.values.size + len(extra)
+        own, total = (
+            float(np.mean([mean_square(d.rest(extra), taken) for d in some]))
+            for some in (clean, [self.data])
+        )
+        beyond = max(1.0 - own / max(total, 1e-300), 0.1)
         sd = math.sqrt(total * beyond / memory.variance(self.data.layout))
         rng = np.random.default_rng(stream)
-        for twin, clean in zip(self.twins, self._clean, strict=False):
-            twin.left = clean + sd * memory.drawn(twin.layout, rng)
+        self.twins = [replace(t, left=t.left + sd * memory.drawn(t.layout, rng)) for t in clean]
 
     # Ranking
 
@@ -267,22 +255,25 @@ class Regression:
                 break
         return found
 
-    def _climbed(
-        self, most: int, *, shapes: bool = True, wander: bool = True
-    ) -> Iterator[tuple[_Choice, list[int]]]:
-        """Take in one candidate after the other; gives each with the columns taken before it."""
+    def _climbed(self, most: int, *, choosing: bool = False) -> Iterator[tuple[_Choice, list[int]]]:
+        """Take in one candidate after the other; gives each with the columns taken before it.
+
+        While the noise is being chosen it counts as white, and only what was found is taken.
+        """
         extra: list[int] = []
         for _ in range(most):
-            choice = self._best(extra, wander=wander)
+            choice = self._best(extra, choosing)
             yield choice, extra
             extra = [*extra, *choice.own]
-            if shapes and choice.scan is None and choice.kind not in ("gravity", "repeating"):
+            if not choosing and choice.scan is None and choice.kind not in ("gravity", "repeating"):
                 family = [i for i, k in enumerate(self.data.keys) if k.kind == choice.kind]
                 extra += [i for i in family if i not in extra]
 
-    def _best(self, extra: list[int], *, wander: bool) -> _Choice:
+    def _best(self, extra: list[int], choosing: bool) -> _Choice:
         """Choose the candidate that explains most of those that are no chance."""
-        given = self._groups, extra, self.memory, self.scales.push
+        if not choosing:
+            self.data = replace(self.data, memory=_memory(self.data, extra)[0])
+        given = self._groups, extra, self.scales.push
         mine = asked(self.data, *given)
         z, null = scored(mine, [asked(twin, *given) for twin in self.twins])
         largest = null.max(axis=1)
@@ -293,7 +284,7 @@ class Regression:
         gains = np.append(mine.gains, [scan.peak for scan in mine.scans])
         worth = gains - (count - 1) * math.log(self.data.left.size)
         allowed = z > max(limit, LEAST_Z)
-        if not wander:  # what the noise's wander can be is not to be taken before it is known
+        if choosing:  # what the noise's wander can be is not to be taken before it is known
             slow = mine.scans[0].place < _SLOW
             allowed &= [k not in (PUSH, "drift") and not (k == TONE and slow) for k in kinds]
         last = np.array([k == PUSH for k in kinds])
@@ -302,12 +293,12 @@ class Regression:
         sure = bool(allowed.any())
         best = int(np.argmax(np.where(allowed, worth, -np.inf) if sure else z))
         p = float((1 + (largest >= z[best]).sum()) / (len(largest) + 1))
-        told = sure, float(z[best]), p, worth, mine.memory
+        told = sure, float(z[best]), p, worth
         if best < len(self._groups):
             key, own = self._groups[best]
             return _Choice(key.kind, key.shape, own, *told)
-        scan = self._placed(mine.scans[best - len(self._groups)], extra, mine.memory)
-        own = self._with_scan(scan) if sure or wander else []
+        scan = self._placed(mine.scans[best - len(self._groups)], extra)
+        own = self._with_scan(scan) if sure or not choosing else []
         return _Choice(scan.kind, self._shape(scan), own, *told, scan)
 
     def _step(self, choice: _Choice, extra: Sequence[int]) -> Step:
@@ -327,13 +318,13 @@ class Regression:
             recording=recording,
             span=span,
             alike=tuple(self._alike(choice, extra)) if choice.sure else (),
-            **self._moved(choice.own, extra, choice.memory),
+            **self._moved(choice.own, extra),
         )
 
     def _alike(self, choice: _Choice, extra: Sequence[int]) -> Iterator[str]:
         """Name other kinds that this motion does not tell from the one that was chosen."""
-        white, split = whitened(self.data, extra, choice.memory)
-        z = without(basis_of(white[:, :split]), white[:, split:-1])
+        white = self.data.whitened
+        z = without(basis_of(white.beside(extra)), white.others)
         mine = basis_of(z[:, choice.own])
         ranked = list(zip(self._groups, choice.worth, strict=False))
         best = max((w for (key, _), w in ranked if key.kind == choice.kind), default=np.inf)
@@ -349,16 +340,14 @@ class Regression:
                 seen.add(key.kind)
                 yield key.kind
 
-    def _moved(self, own: list[int], extra: Sequence[int], memory: Memory) -> dict[str, Any]:
+    def _moved(self, own: list[int], extra: Sequence[int]) -> dict[str, Any]:
         """Fit the best candidate: its own coefficients, and what it moves the model's by."""
-        d = self.data.base.shape[1]
-        white, split = whitened(self.data, extra, memory)
-        y = white[:, -1]
+        white, d, split = self.data.whitened, self.values.size, self.values.size + len(extra)
         size = np.ones(split + len(own))
         size[:d] = np.maximum(np.abs(self.values), 1e-12)
-        before, *_ = solved(white[:, :split], y, size[:split])
-        both = np.column_stack([white[:, :split], white[:, [split + i for i in own]]])
-        after, covariance, told = solved(both, y, size)
+        before, *_ = solved(white.beside(extra), white.left, size[:split])
+        both = white.beside([*extra, *own])
+        after, covariance, told = solved(both, white.left, size)
         coefficients = after[split:]
         share = float(np.sqrt(np.mean((self.data.others[:, own] @ coefficients) ** 2)))
         return {
@@ -394,17 +383,17 @@ class Regression:
             found[one.name] = (one.values[:d] - one.values[d:]) / (2.0 * steps)
         return {k: v for k, v in found.items() if k not in self.known and np.isfinite(v).all()}
 
-    def _placed(self, scan: Scan, extra: Sequence[int], memory: Memory) -> Scan:
+    def _placed(self, scan: Scan, extra: Sequence[int]) -> Scan:
         """Tune the frequency of a tone; a push stays where it is."""
         if scan.kind == PUSH:
             return scan
-        d = self.data
-        basis = basis_of(memory.whitened(beside(d, extra), d.layout))
+        d, white = self.data, self.data.whitened
+        basis = basis_of(white.beside(extra))
 
         def left(x: Array) -> Array:
-            return without(basis, memory.whitened(x, d.layout))
+            return without(basis, d.memory.whitened(x, d.layout))
 
-        hertz = tuned(left(d.left[:, None])[:, 0], d.layout, scan.place, left)
+        hertz = tuned(without(basis, white.left), d.layout, scan.place, left)
         return replace(scan, place=hertz)
 
     def _shape(self, scan: Scan) -> str:
@@ -415,18 +404,22 @@ class Regression:
     def _with_scan(self, scan: Scan) -> list[int]:
         """Add the columns of what a scan has found to recording and twins, and number them."""
         first = self.data.others.shape[1]
-        for one in (self.data, *self.twins):
-            self._widen(one, scan)
-        self._scanned.append(scan)
+        self.data = self._widened(self.data, scan)
+        self.twins = [self._widened(twin, scan) for twin in self.twins]
         return list(range(first, self.data.others.shape[1]))
 
-    def _widen(self, d: Columns, scan: Scan) -> None:
+    def _widened(self, d: Columns, scan: Scan) -> Columns:
         place = scan.place
         more = (
             waves(d.layout, place) if scan.kind == TONE else bump(d.layout, scan, self.scales.push)
         )
         keys = tuple(Key(scan.kind, self._shape(scan), i) for i in range(more.shape[1]))
-        d.others, d.keys = np.column_stack([d.others, more]), (*d.keys, *keys)
+        return replace(d, others=np.column_stack([d.others, more]), keys=(*d.keys, *keys))
+
+
+def _memory(d: Columns, extra: Sequence[int]) -> tuple[Memory, float]:
+    """Choose the memory of what is left beside ``extra``, candidates; and its criterion."""
+    return memory_of(d.rest(extra), d.layout)
 
 
 def _made(along: Along) -> Iterator[tuple[Key, Array]]:

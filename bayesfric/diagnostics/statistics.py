@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaincc, gammaln, ndtri_exp
+from scipy.special import betainc, ndtri_exp
 
-from bayesfric.diagnostics.memory import Layout, Memory, memory_of
+from bayesfric.diagnostics.memory import WHITE, Layout, Memory
 from bayesfric.diagnostics.policy import TESTABLE
 from bayesfric.diagnostics.scans import Scan, push, tone
 
@@ -34,15 +35,35 @@ class Key:
     beside: bool = False
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class Columns:
-    """Filtered, not whitened: of one recording or twin, or of several together."""
+    """What passed the filters: of one recording or twin, or of several together."""
 
     base: Array  # (n, d) derivatives by the model's parameters
     others: Array  # (n, m) candidates'
     left: Array  # (n,) what the model leaves of the torque
     layout: Layout
     keys: tuple[Key, ...]  # (m,)
+    memory: Memory = WHITE  # of the noise
+
+    @cached_property
+    def whitened(self) -> Columns:
+        """The same without the noise's memory."""
+        if self.memory is WHITE:
+            return self
+        both = np.column_stack([self.base, self.others, self.left])
+        white, d = self.memory.whitened(both, self.layout), self.base.shape[1]
+        return replace(
+            self, base=white[:, :d], others=white[:, d:-1], left=white[:, -1], memory=WHITE
+        )
+
+    def beside(self, extra: Sequence[int]) -> Array:
+        """Put columns of candidates beside the model's own."""
+        return np.column_stack([self.base, self.others[:, extra]]) if len(extra) else self.base
+
+    def rest(self, extra: Sequence[int]) -> Array:
+        """Give what is left ``(n,)`` when ``extra``, candidates, are taken, too."""
+        return without(basis_of(self.beside(extra)), self.left)
 
 
 def testable(d: Columns) -> list[tuple[Key, list[int]]]:
@@ -99,21 +120,6 @@ def mean_square(x: Array, taken: int = 0) -> float:
     return float(x @ x) / max(x.size - taken, 1)
 
 
-def beside(d: Columns, extra: Sequence[int]) -> Array:
-    """Put columns of candidates beside the model's own."""
-    return np.column_stack([d.base, d.others[:, list(extra)]]) if len(extra) else d.base
-
-
-def whitened(d: Columns, extra: Sequence[int], memory: Memory) -> tuple[Array, int]:
-    """Whiten the model's own columns with ``extra``, candidates, and what is left, in a row.
-
-    The second is how many of the first there are.
-    """
-    taken = beside(d, extra)
-    white = memory.whitened(np.column_stack([taken, d.others, d.left]), d.layout)
-    return white, taken.shape[1]
-
-
 def solved(x: Array, y: Array, size: Array) -> tuple[Array, Array, Array]:
     """Least squares ``(d,)``, its covariance, and directions ``(d, k)`` that are determined.
 
@@ -137,7 +143,6 @@ class Asked:
 
     t: list[Array]  # (k,) joint t of each group; NaN where nothing of it is left
     gains: Array  # what each takes of chi squared
-    memory: Memory
     scans: tuple[Scan, ...]  # the largest of each kind that is looked for at any place
 
 
@@ -145,18 +150,15 @@ def asked(
     d: Columns,
     groups: Sequence[tuple[Key, list[int]]],
     extra: Sequence[int],
-    memory: Memory | None,
     width: float,
 ) -> Asked:
     """Ask every candidate beside the model's own columns and ``extra``.
 
     ``width`` is that of a push, see :func:`bayesfric.diagnostics.scans.push`.
     """
-    if memory is None:
-        memory, _ = memory_of(without(basis_of(beside(d, extra)), d.left), d.layout)
-    white, split = whitened(d, extra, memory)
-    basis = basis_of(white[:, :split])
-    z, y = white[:, split:-1], without(basis, white[:, -1])
+    white = d.whitened
+    basis = basis_of(white.beside(extra))
+    z, y = white.others, without(basis, white.left)
     size = np.sqrt((z**2).sum(axis=0))
     z = without(basis, without(basis, z))
     rest = np.sqrt((z**2).sum(axis=0))
@@ -187,7 +189,7 @@ def asked(
         variance = max(power - taken, 1e-12 * power) / max(free - len(own), 1)
         found.append(b / np.sqrt(np.maximum(variance * np.diag(inverse), 1e-300)))
         gains[i] = taken / variance
-    return Asked(found, gains, memory, (tone(y, d.layout), push(y, d.layout, width)))
+    return Asked(found, gains, (tone(y, d.layout), push(y, d.layout, width)))
 
 
 def scored(mine: Asked, others: Sequence[Asked]) -> tuple[Array, Array]:
@@ -206,13 +208,13 @@ def scored(mine: Asked, others: Sequence[Asked]) -> tuple[Array, Array]:
         cov = 0.9 * cov + 0.1 * np.diag(np.diag(cov)) + 1e-9 * np.eye(x.size)
         wide = cov + _HALF**2 * np.outer(mean, mean)
         far = float((x - mean) @ np.linalg.solve(wide, x - mean))
-        z[i] = float(_normal(np.array(far * n / (n + 1)), x.size))
+        z[i] = float(_normal(np.array(far), x.size, n))
         apart = t - mean
         h = np.einsum("ij,jk,ik->i", apart, np.linalg.inv(cov), apart)
         # without the twin itself in mean and covariance, by the formula of rank one
         h *= (n / (n - 1)) ** 2 * (n - 2) / (n - 1)
-        h *= (n - 1) / n / np.maximum(1.0 - n * h / (n - 1) ** 2, 0.05)
-        null[:, i] = _normal(h, x.size)
+        h /= np.maximum(1.0 - n * h / (n - 1) ** 2, 0.05)
+        null[:, i] = _normal(h, x.size, n - 1)
     for i, scan in enumerate(mine.scans):
         peaks = np.array([one.scans[i].peak for one in others])
         mean = (peaks.sum() - peaks) / (n - 1)
@@ -222,16 +224,14 @@ def scored(mine: Asked, others: Sequence[Asked]) -> tuple[Array, Array]:
     return z, null
 
 
-def _normal(square: Array, k: int) -> Array:
-    """Give the standard normal as unlikely as chi squared of ``k`` degrees."""
-    square = np.maximum(square, 0.0)
-    if k == 1:
-        return np.asarray(np.sqrt(square))
-    p = gammaincc(0.5 * k, 0.5 * np.minimum(square, 1300.0))
-    half = np.maximum(0.5 * square, 1e-300)
-    tail = -half + (0.5 * k - 1.0) * np.log(half) - gammaln(0.5 * k)
-    logs = np.where(square < 1300.0, np.log(np.maximum(p, 1e-300)), tail)
-    return np.asarray(-ndtri_exp(np.minimum(logs - math.log(2.0), -1e-12)))
+def _normal(square: Array, k: int, n: int) -> Array:
+    """Give the standard normal as unlikely as a squared distance from ``n`` others in ``k``.
+
+    That is Hotelling's: their mean and covariance are estimates.
+    """
+    f = np.maximum(square, 0.0) * n / (n + 1) / (n - 1)
+    p = betainc(0.5 * (n - k), 0.5 * k, 1.0 / (1.0 + f))
+    return np.asarray(-ndtri_exp(np.minimum(np.log(np.maximum(p, 1e-300) / 2.0), -1e-12)))
 
 
 def _extreme(u: Array) -> Array:

@@ -62,7 +62,7 @@ def _sections(order: int, cutoff: float, fs: float) -> Array:
 
 
 def lowpass(values: Array, segments: Segments, fs: float, cutoff: float, order: int) -> Array:
-    """Low-pass a signal (n,) forwards and backwards in every segment, without phase shift.
+    """Low-pass signals (..., n) forwards and backwards in every segment, without phase shift.
 
     What lies outside the segments is left as it is. ``cutoff`` is that of the Butterworth filter
     in Hz, -3 dB a pass, -6 dB in all, and 0 for no filter; ``order`` is that of one pass.
@@ -78,7 +78,8 @@ def lowpass(values: Array, segments: Segments, fs: float, cutoff: float, order: 
     result = values.copy()
     for a, b in segments:
         if b - a > 1:
-            result[a:b] = sosfiltfilt(sections, values[a:b], padlen=min(padding, b - a - 1))
+            part = values[..., a:b]
+            result[..., a:b] = sosfiltfilt(sections, part, padlen=min(padding, b - a - 1))
     return result
 
 

@@ -8,7 +8,6 @@ import pytest
 import bayesfric as bf
 from bayesfric.diagnostics.candidates import KINDS, Along, scales_of
 from bayesfric.diagnostics.finding import Finding
-from bayesfric.diagnostics.memory import WHITE
 from bayesfric.diagnostics.missing import setting_of
 from bayesfric.diagnostics.regression import Regression
 from bayesfric.diagnostics.scans import TONE, Scan
@@ -34,7 +33,7 @@ def of_table(change):
 def test_a_right_model_lacks_nothing(right):
     found = right.missing()
     assert found.asked
-    assert found.twins >= 50
+    assert found.twins >= 20
     assert not found.findings
 
 
@@ -148,16 +147,17 @@ def test_scores_of_twins_like_the_recording_are_standard_normal():
     def drawn():
         t = rng.standard_normal(2) @ [[1.0, 0.3], [0.0, 0.8]] + [0.2, 0.0]
         peak = float(rng.gumbel(5.0, 1.0))
-        return Asked([t[:1], t], np.zeros(2), WHITE, (Scan(TONE, peak, 1.0),))
+        return Asked([t[:1], t], np.zeros(2), (Scan(TONE, peak, 1.0),))
 
     scores, twins = [], []
     for _ in range(200):
-        z, null = scored(drawn(), [drawn() for _ in range(60)])
+        z, null = scored(drawn(), [drawn() for _ in range(24)])
         scores.append(z)
         twins.append(null)
-    # one degree: z² of a t-like score; the sd of a mean of 200 chi squares is 0.1
-    assert np.mean(np.square(scores)[:, 0]) == pytest.approx(1.0, abs=0.4)
-    assert np.mean(np.square(np.concatenate(twins))[:, 0]) == pytest.approx(1.0, abs=0.2)
+    # the sd of a mean of 200 chi squares is 0.1
+    # of the recording a mean that the twins show is half known, so it scores a little less
+    assert np.mean(np.square(scores)[:, :2], axis=0) == pytest.approx(1.0, abs=0.3)
+    assert np.mean(np.square(np.concatenate(twins))[:, :2], axis=0) == pytest.approx(1.0, abs=0.15)
 
 
 def test_a_finding_lists_what_it_moves_most_first():
