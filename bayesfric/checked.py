@@ -11,7 +11,6 @@ import numpy as np
 
 from bayesfric.config_text import toml_value
 from bayesfric.diagnostics.finding import Finding
-from bayesfric.explain.explanation import too_few_outputs
 from bayesfric.inference.noise import SCALES
 from bayesfric.model import Model
 from bayesfric.recordings.measurement import Measurement
@@ -21,6 +20,7 @@ from bayesfric.report.alerts import doubt_text
 from bayesfric.report.numbers import in_tenths
 from bayesfric.report.summary.doubts import doubts_before, few_outputs, little_explained
 from bayesfric.report.summary.summary import estimate_summary
+from bayesfric.report.text_templates import sentence
 
 # What a key of a recording leaves out.
 _LEFT_OUT = {
@@ -70,18 +70,17 @@ def check(model: Model | Path | str) -> Checked:
 
 
 def _found(model: Model) -> dict[str, Any]:
+    model, taken, explained = model.settled()
     (totals,) = model.estimates(["least-squares"])
-    delays, missing = model.delays(), model.missing()
+    delays = model.delays()
     known = model.evidence.knowledge
-    findings = [one.as_dict() for one in missing.findings]
+    findings = [one.as_dict() for one in explained.findings]
     doubts = [
         *little_explained(model.chain, model.observations),
         *doubts_before(totals, model.observations),
-        *({**one, "kind": "missing", "what": one["kind"]} for one in findings),
+        *(one | {"kind": "missing", "what": one["kind"]} for one in findings),
         *few_outputs(model.observations, len(set(model.chain.names) - set(known.fixed))),
     ]
-    few = too_few_outputs(model.evidence)
-    doubts = [{**one, "too_few": few} for one in doubts]
     if model.chain.unseen_inertia:
         doubts.append({"kind": "unseen-inertia", "names": list(model.chain.unseen_inertia)})
     unsettled = {f"noise.{scale.name}" for scale in SCALES.values() if scale.chosen}
@@ -125,8 +124,9 @@ def _found(model: Model) -> dict[str, Any]:
             for one in delays
         ],
         "doubts": doubts,
+        "taken": [one.as_dict() for one in taken],
         "findings": findings,
-        "leave_out": _leave_out(model, missing.findings),
+        "leave_out": _leave_out(model, explained.findings),
         "least_squares": estimate_summary(totals),
     }
 
@@ -195,6 +195,8 @@ def _lines(found: Mapping[str, Any]) -> Iterator[str]:
             continue
         samples = f" ({one['samples']:.2g} samples)" if alone else ""
         yield f"  {name:<28} {one['delay']:>12.3g} ± {one['sd']:<9.2g} s{samples}"
+    for one in found["taken"]:
+        yield f"fit: {sentence('put in', one | {'what': one['kind']})}"
     for doubt in found["doubts"]:
         yield f"WARNING: {doubt_text(doubt)}"
     for number, (name, keys) in enumerate(found["leave_out"].items()):

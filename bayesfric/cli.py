@@ -224,38 +224,29 @@ def explain(
         typer.Option(
             "-o",
             "--output",
-            help="BETTER.toml, the configuration with what explains the torque put in; or a figure "
-            "of the models, .pdf, with .png and .svg beside it",
+            help="BETTER.toml: the configuration with what explains the torque put in",
         ),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Tell which terms the joint lacks, judged by motion that was not fitted."""
-    from bayesfric.commands.explain import explain_record, explain_text, figure_file, write_figure
-
-    if output is not None and output.suffix == ".toml":
-        _complete(config, output, as_json)
-        return
-    path = None if output is None else figure_file(output)
-    model = _model(config)
-    with progress_shown(sys.stderr.isatty()) as progress:
-        found = model.explain(progress=progress)
-    if path is not None:
-        write_figure(found, path)
-    _print(explain_record(found, model), as_json, explain_text(found, model))
-
-
-def _complete(config: Path, output: Path, as_json: bool) -> None:
-    from bayesfric.commands import complete
-    from bayesfric.report.files import write_beside
+    """Tell what else explains the torque, judged by recordings simulated from the model."""
+    from bayesfric.commands import explain as command
 
     model = _model(config)
-    complete.refuse_other_place(output, model)
-    with progress_shown(sys.stderr.isatty()) as progress:
-        found = model.completed(progress=progress)
-    write_beside({output: found[0].config.text})
-    record, text = complete.completed_record, complete.completed_text
-    _print(record(*found, output), as_json, text(*found, output))
+    if output is None:
+        with progress_shown(sys.stderr.isatty()) as progress:
+            found = model.explain(progress=progress)
+        record, text = command.explain_record(found, model), command.explain_text(found, model)
+    else:
+        from bayesfric.report.files import write_beside
+
+        command.refuse_other_place(output, model)
+        with progress_shown(sys.stderr.isatty()) as progress:
+            better, taken, left = model.completed(progress=progress)
+        write_beside({output: better.config.text})
+        record = command.completed_record(better, taken, left, output)
+        text = command.explain_text(left, better, taken, output)
+    _print(record, as_json, text)
 
 
 @app.command()
@@ -291,9 +282,6 @@ def fit(
     resume: Resume = False,
     force: Force = False,
     output_error: OutputError = False,
-    explain: Annotated[
-        bool, typer.Option("--explain", help="with what the model lacks, as explain finds it")
-    ] = False,
     paper: Paper = False,
     as_json: AsJson = False,
 ) -> None:
@@ -312,7 +300,6 @@ def fit(
         resume=resume,
         force=force,
         output_error=output_error,
-        explain=explain,
         paper=paper,
     )
 

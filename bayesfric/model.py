@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 from html import escape
@@ -21,8 +22,8 @@ from bayesfric.config_text import (
     with_settings,
     with_terms,
 )
+from bayesfric.diagnostics.explanation import Explanation, explain, unasked
 from bayesfric.diagnostics.finding import Finding
-from bayesfric.diagnostics.missing import Missing, unasked, what_is_missing
 from bayesfric.diagnostics.policy import MOST
 from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.delay import Delay, delays
@@ -57,7 +58,6 @@ from bayesfric.recordings.trajectory import Trajectory, trajectory
 if TYPE_CHECKING:
     import pandas as pd
 
-    from bayesfric.explain.explanation import Explanation
     from bayesfric.pooling.pooled import Pooled
     from bayesfric.result import Result
     from bayesfric.whole_fit import Beginning
@@ -286,13 +286,13 @@ class Model:
         """
         return delays(self.evidence, self.recordings, _first_point(estimates))
 
-    def missing(
+    def explain(
         self,
         estimates: Sequence[Estimate] = (),
         *,
         seed: int | None = None,
         progress: Shown = silent,
-    ) -> Missing:
+    ) -> Explanation:
         """Ask what else explains the torque, judged by simulated twins of these recordings.
 
         It begins at the first of the ``estimates`` that has all parameters, or at one of the input
@@ -304,10 +304,10 @@ class Model:
             If nothing can be estimated from these recordings.
         """
         if reason := unasked(self.chain, self.recordings, self.observations):
-            return Missing(reason=reason)
+            return Explanation(reason=reason)
         point = self._point(estimates, progress)
         progress(Progress("what else explains the torque"))
-        return what_is_missing(
+        return explain(
             self.chain,
             self.recordings,
             self.observations,
@@ -325,8 +325,10 @@ class Model:
 
     def completed(
         self, *, progress: Shown = silent
-    ) -> tuple[Self, tuple[Finding, ...], tuple[Finding, ...]]:
+    ) -> tuple[Self, tuple[Finding, ...], Explanation]:
         """Put in what else explains the torque, one term after the other, until nothing is left.
+
+        That is what a fit does where ``terms = "auto"`` under ``[mechanism]``.
 
         Returns
         -------
@@ -343,19 +345,37 @@ class Model:
             If nothing can be estimated from these recordings.
         """
         model, taken = self, list[Finding]()
-        for _ in range(MOST + 1):
-            left = model.missing(progress=progress).findings
-            kinds = {one.kind for one in taken}
-            wanted = [one for one in left if one.hint and one.kind not in kinds]
-            if not wanted or len(taken) == MOST:
-                break
-            taken.append(wanted[0])
-            model = type(self).from_config(
-                with_settings(model.config, [wanted[0].hint]),
-                terms=self.chain.terms,
-                recordings=self.given or None,
-            )
-        return model, tuple(taken), left
+        while True:
+            left = model.explain(progress=progress)
+            tried = {one.kind for one in taken}
+            wanted = [one for one in left.findings if one.hint and one.kind not in tried]
+            better = next(filter(None, map(model._with, wanted[: MOST - len(taken)])), None)
+            if better is None:
+                return model, tuple(taken), left
+            one, model = better
+            taken.append(one)
+
+    def _with(self, one: Finding) -> tuple[Finding, Self] | None:
+        """Put in a finding; nothing where the configuration names what it would replace."""
+        lines = [one.hint]
+        if self.config.tables.mechanism.terms == "auto":  # what was found is written now
+            lines.append('mechanism.terms = "as written"')
+        with suppress(BadInput):
+            config, given = with_settings(self.config, lines), self.given or None
+            return one, type(self).from_config(config, terms=self.chain.terms, recordings=given)
+        return None
+
+    def settled(self, *, progress: Shown = silent) -> tuple[Self, tuple[Finding, ...], Explanation]:
+        """Give the model that a fit samples, as :meth:`completed` does; as written, if it is to be.
+
+        Raises
+        ------
+        BadInput
+            If nothing can be estimated from these recordings.
+        """
+        if self.config.tables.mechanism.terms == "auto":
+            return self.completed(progress=progress)
+        return self, (), self.explain(progress=progress)
 
     # What can be known
 
@@ -378,33 +398,6 @@ class Model:
             others = points_around(target, point, local, self._stream(4))
             speed = speed_term(target, point.parameters, self.recordings)
             return identify(target, [point, *others], speed=speed)
-
-    def explain(
-        self, *, estimates: Sequence[Estimate] = (), progress: Shown = silent
-    ) -> Explanation:
-        """Tell what would explain the residual: which terms the joint lacks.
-
-        Every term of the table of quantities is tried by itself, then the best with the others,
-        and judged by how well motion is predicted that was not fitted. It begins at the first of
-        the ``estimates`` that has all parameters, or at one of the input error.
-
-        Returns
-        -------
-        Explanation
-            ``frame`` is a table of the models.
-
-        Raises
-        ------
-        BadInput
-            If nothing can be estimated from these recordings.
-        """
-        from bayesfric.explain.explanation import explain
-
-        point = self._point(estimates, progress)
-        with self.config.named(), few_threads(self.observations):
-            return explain(
-                self.evidence, point, self.recordings, progress=lambda s: progress(Progress(s))
-            )
 
     def advise(self, name: str, *, progress: Shown = silent) -> Ranking:
         """Rank recordings to make next by what they would leave of one quantity.
@@ -578,7 +571,6 @@ class Model:
         *,
         seed: int | None = None,
         output_error: bool = False,
-        explain: bool = False,
         progress: Shown = silent,
         checkpoint: Callable[[str, Sampling], Checkpoint | None] = lambda *_: None,
     ) -> Result:
@@ -590,8 +582,6 @@ class Model:
             Replaces the configuration's.
         output_error
             Make the output-error estimate too, as ``estimation.output_error`` asks for it.
-        explain
-            Say in the summary, too, what the model lacks, see :meth:`explain`.
         progress
             Called as work goes on.
         checkpoint
@@ -611,7 +601,6 @@ class Model:
             self,
             sampling,
             output_error=output_error,
-            explain=explain,
             progress=progress,
             checkpoint=checkpoint,
         )
@@ -629,14 +618,15 @@ class Model:
         """
         from bayesfric.pooling.pooled import pooled  # asks the model
 
-        return pooled(self, seed, progress)
+        auto = self.config.tables.mechanism.terms == "auto"
+        model = self.completed(progress=progress)[0] if auto else self
+        return pooled(model, seed, progress)
 
     def sample(
         self,
         *,
         seed: int | None = None,
         output_error: bool = False,
-        explain: bool = False,
         progress: bool | Shown = False,
     ) -> Any:
         """Sample the posterior as ``bayesfric fit`` does.
@@ -647,8 +637,6 @@ class Model:
             Replaces that of the table ``sampling``.
         output_error
             Make the output-error estimate too.
-        explain
-            Say what the model lacks, too.
         progress
             Whether to show a bar, or what to call as work goes on.
 
@@ -661,7 +649,7 @@ class Model:
             those to go on with, whose intervals pages and tables print.
         """
         with progress_shown(progress) as tell:
-            found = self.fit(seed=seed, output_error=output_error, explain=explain, progress=tell)
+            found = self.fit(seed=seed, output_error=output_error, progress=tell)
             return found.inference_data()
 
     def _repr_html_(self) -> str:

@@ -8,17 +8,10 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from bayesfric.errors import BadInput, nearest
-from bayesfric.explain.explanation import Explanation
-from bayesfric.report.figures.ladder import ladder_figure
 from bayesfric.report.figures.registry import FinishedRun, run_figures
 from bayesfric.report.figures.rollout import rollout_figure
 from bayesfric.result import result_of
 from bayesfric.rollouts.rolled import RollOut
-
-
-def ladder(explanation: Explanation) -> Figure:
-    """Draw how well the models of :meth:`bayesfric.Model.explain` predict motion not fitted."""
-    return ladder_figure(explanation)
 
 
 def rollout(found: RollOut) -> Figure:
@@ -43,4 +36,4 @@ def __getattr__(name: str) -> Callable[[Any], Figure]:
 
 
 def __dir__() -> list[str]:
-    return sorted({*run_figures(), "ladder", "rollout"})
+    return sorted({*run_figures(), "rollout"})

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.diagnostics.missing import Missing
+from bayesfric.diagnostics.explanation import Explanation
+from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.self_check import Checked, self_check
 from bayesfric.errors import BadInput
 from bayesfric.estimates.alike_losses import alike_losses
@@ -18,7 +19,6 @@ from bayesfric.estimates.load_by_angle import load_by_angle
 from bayesfric.estimates.methods import ESTIMATORS, estimate_by
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.estimates.torque_factor import torque_factor
-from bayesfric.explain.explanation import Explanation, too_few_outputs
 from bayesfric.identifiability.identification import identify
 from bayesfric.identifiability.known_quantities import speed_term
 from bayesfric.identifiability.plausible import Point
@@ -38,7 +38,7 @@ from bayesfric.report.summary.doubts import White, find_doubts, put_doubts
 from bayesfric.report.summary.loss_limits import limits_of_losses
 from bayesfric.report.summary.model_error import add_model_error
 from bayesfric.report.summary.noise import add_white_intervals, white_alternative
-from bayesfric.report.summary.record import FindingRow, Identifiability, Regression, Summary
+from bayesfric.report.summary.record import FindingRow, Identifiability, RegressionPart, Summary
 from bayesfric.report.summary.residual import BackEmfPart, RestsPart, TorqueFactorPart
 from bayesfric.report.summary.self_check import self_check_doubts, self_check_part
 from bayesfric.report.summary.summary import rms, spreads, summarise
@@ -69,7 +69,6 @@ def whole_fit(
     sampling: Sampling,
     *,
     output_error: bool,
-    explain: bool,
     progress: Callable[[Progress], None],
     checkpoint: Callable[[str, Sampling], Checkpoint | None],
 ) -> Result:
@@ -82,10 +81,9 @@ def whole_fit(
         )
     # before anything is estimated: a run of other settings is refused at once
     kept = checkpoint("posterior", sampling)
+    model, taken, explained = model.settled(progress=progress)
     begun = begin(model, output_error=output_error, progress=progress)
     _refuse_alike_losses(model, begun)
-    lacks, unasked = _lacks(model, begun, progress) if explain else (None, [])
-    missing = model.missing(begun.estimates, progress=progress)
     sample = partial(fit, estimates=begun.estimates, progress=progress)
     with model.config.named():
         found = sample(begun.target, sampling, checkpoint=kept)
@@ -100,12 +98,12 @@ def whole_fit(
         quick = sampling.model_copy(update={"min_ess": min(sampling.min_ess, _WHITE_ESS)})
         compared = _with_white_noise(model, sample, quick, checkpoint("white-noise", quick))
         summary = add_white_intervals(summary, compared[0] if compared else None)
-    found = replace(found, model_error=model_error(found.target, found.posterior, missing.wrong))
+    found = replace(found, model_error=model_error(found.target, found.posterior, explained.wrong))
     # room for the model's error, too, lets a loss reach zero
     summary = limits_of_losses(add_model_error(summary, found, derived))
     summary = _with_back_emf(summary, model, found)
     summary = _with_rests_and_load(summary, model, found)
-    summary = _with_known(_with_findings(summary, missing), model, begun)
+    summary = _with_known(_with_findings(summary, explained, taken), model, begun)
     doubts = find_doubts(found, summary, begun.choice, compared)
     if (checked := _self_check(model, found, progress)) is not None:
         part = self_check_part(found, summary, checked, derived)
@@ -114,31 +112,16 @@ def whole_fit(
     summary = put_doubts(summary, doubts)
     progress(Progress("identifiability"))
     update: dict[str, Any] = {
-        "warnings": [*summary.warnings, *begun.missing, *unasked],
-        "too_few_to_ask": too_few_outputs(model.evidence),
+        "warnings": [*summary.warnings, *begun.missing],
         # nothing in a file of samples tells; the configuration may
         "may_be_simulated": _may_be_simulated(model),
     }
-    if lacks is not None:
-        update["explanation"] = lacks
     with suppress(BadInput):  # a simulation that fails there takes no result away
         here = identify(begun.target, [Point("estimate", found.posterior.median)])
         update["identifiability"] = Identifiability.model_validate(
             summary.identifiability.as_dict() | {"directions": plain(here.directions)}
         )
     return Result(model, found, summary.model_copy(update=update))
-
-
-def _lacks(
-    model: Model, begun: Beginning, progress: Callable[[Progress], None]
-) -> tuple[Explanation | None, list[str]]:
-    """Ask what the model lacks; where there are too few outputs to, warn of that instead."""
-    try:
-        return model.explain(estimates=begun.estimates, progress=progress), []
-    except BadInput as error:
-        if not too_few_outputs(model.evidence):
-            raise
-        return None, [sentence("unasked", {"why": error.what, "mend": error.mend})]
 
 
 def _refuse_alike_losses(model: Model, begun: Beginning) -> None:
@@ -217,14 +200,13 @@ def _with_white_noise(
     return spreads(white), rms(white)
 
 
-def _with_findings(summary: Summary, missing: Missing) -> Summary:
+def _with_findings(summary: Summary, found: Explanation, taken: Sequence[Finding]) -> Summary:
     """Put in what else explains the torque, and how that was asked."""
-    asked = {"twins": missing.twins}
+    asked = {"twins": found.twins} | ({"reason": found.reason} if found.reason else {})
     update = {
-        "findings": [FindingRow.model_validate(one.as_dict()) for one in missing.findings],
-        "regression": Regression.model_validate(
-            asked if missing.reason is None else asked | {"reason": missing.reason}
-        ),
+        "findings": [FindingRow.model_validate(one.as_dict()) for one in found.findings],
+        "taken": [FindingRow.model_validate(one.as_dict()) for one in taken],
+        "regression": RegressionPart.model_validate(asked),
     }
     return summary.model_copy(update=update)
 

@@ -1,66 +1,66 @@
-"""``bayesfric explain``: which terms the joint lacks."""
+"""``bayesfric explain``: what else explains the torque, and the configuration with it put in."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
+from bayesfric.diagnostics.explanation import Explanation
+from bayesfric.diagnostics.finding import Finding
 from bayesfric.errors import BadInput
-from bayesfric.explain.explanation import Explanation, Number
 from bayesfric.model import Model
-from bayesfric.report.alerts import doubt_text
-from bayesfric.report.figures.ladder import ladder_figure
-from bayesfric.report.figures.style import save
-from bayesfric.report.files import parents_made, unwritable
-from bayesfric.report.numbers import text_value
+from bayesfric.report.alerts import doubt_text, finding_text
 from bayesfric.report.summary.doubts import little_explained
-from bayesfric.report.text_templates import filled
+from bayesfric.report.text_templates import filled, sentence
 
 
 def explain_record(found: Explanation, model: Model) -> dict[str, Any]:
-    """Put an explanation into the form that ``--json`` prints."""
+    """Put a ranking into the form that ``--json`` prints."""
     return {"config": str(model.config.path), **found.as_json()}
 
 
-def figure_file(path: Path) -> Path:
-    """Settle where the figure goes, before anything is computed."""
-    if path.suffix.lower() != ".pdf":
-        raise BadInput(str(path), "is not named .pdf", "name the figure something.pdf")
-    try:
-        # what cannot be made is told before anything is computed
-        with parents_made(path):
-            return path
-    except OSError as error:
-        raise unwritable(path, error, "file") from None
+def explain_text(
+    found: Explanation, model: Model, taken: Sequence[Finding] = (), path: Path | None = None
+) -> list[str]:
+    """Word a ranking: what was put in, what is found, and what this motion does not tell.
 
-
-def write_figure(found: Explanation, path: Path) -> None:
-    """Draw the models, as PDF, PNG and SVG."""
-    try:
-        with parents_made(path), TemporaryDirectory(prefix=".", dir=path.parent) as aside:
-            save(ladder_figure(found), Path(aside), path.stem)
-            for made in Path(aside).iterdir():
-                made.replace(path.parent / made.name)
-    except OSError as error:
-        raise unwritable(path, error, "file") from None
-
-
-def explain_text(found: Explanation, model: Model) -> list[str]:
-    """Word an explanation for a person: first the answer and what to write, then the tables."""
-    # what would mend it comes first, where it was found
-    wrong = [] if found.asked else little_explained(model.chain, model.observations)
+    ``path`` is the file that ``model`` was written to, with what was ``taken``.
+    """
     text = filled(
         "explain.txt.j2",
         found=found,
-        warnings=[doubt_text({**one, "none_asked": True}) for one in wrong],
-        rungs=[m for m in found.models if not m.rival],
-        value=_value,
+        warnings=map(doubt_text, little_explained(model.chain, model.observations)),
+        lines=[finding_text(one.as_dict()) for one in found.findings],
+        taken=[sentence("put in", one.as_dict() | {"what": one.kind}) for one in taken],
+        untold=sentence("kinds", {"kinds": found.untold}),
+        path=path,
+        names=model.chain.names,
     )
     return text.splitlines()
 
 
-def _value(number: Number) -> str:
-    if number.at_bound:
-        return f"{number.value:.5g}, on a limit"
-    return "not determined" if number.sd is None else text_value(number.value, number.sd)
+def refuse_other_place(path: Path, given: Model) -> None:
+    """Refuse, before anything is computed, a file that cannot be the configuration's neighbour.
+
+    Raises
+    ------
+    BadInput
+        If it is no TOML, lies elsewhere, where names of files mean something else, or is there.
+    """
+    folder = given.config.path.parent
+    if path.suffix != ".toml":
+        raise BadInput(str(path), "is not named .toml", "name a configuration: BETTER.toml")
+    if path.resolve().parent != folder.resolve():
+        what = "is not beside the configuration, whose recordings are named from there"
+        raise BadInput(str(path), what, f"write it to {folder / path.name}")
+    if path.exists():
+        raise BadInput(str(path), "is there already", "name another file")
+
+
+def completed_record(
+    found: Model, taken: Sequence[Finding], left: Explanation, path: Path
+) -> dict[str, Any]:
+    """Put what was put in, and what is left, into the form that ``--json`` prints."""
+    told = {"taken": [one.as_dict() for one in taken], "written": str(path)}
+    return explain_record(left, found) | told

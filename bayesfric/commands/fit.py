@@ -26,7 +26,6 @@ def fit(
     resume: bool = False,
     force: bool = False,
     output_error: bool = False,
-    explain: bool = False,
     paper: bool = False,
     progress: Callable[[Progress], None] = lambda _: None,
     found: Callable[[Summary], None] = lambda _: None,
@@ -46,7 +45,6 @@ def fit(
         result = model.fit(
             seed=seed,
             output_error=output_error,
-            explain=explain,
             progress=progress,
             checkpoint=partial(run.sampling, model),
         )

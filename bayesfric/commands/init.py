@@ -65,6 +65,7 @@ def configuration(preset: str, recordings: Sequence[str] | None = None) -> str:
 def _mechanism(preset: str, chain: Joint, moved: Collection[str]) -> Iterator[str]:
     yield "[mechanism]"
     yield f'preset = "{preset}"  # for {PRESETS[preset].when}'
+    yield 'terms = "auto"  # puts in what else explains the torque; or "as written"'
     for other in other_presets(preset):
         yield f'# preset = "{other}"  # for {PRESETS[other].when}'
     yield (

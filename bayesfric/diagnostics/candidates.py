@@ -31,7 +31,7 @@ _CARRIED = frozenset({"inertia", "first_moment", "gravity_angle", "spring", "spr
 # Shares of the inertia that lie behind the gearbox; which, a motion without losses does not tell.
 _BEHIND = (0.0, 0.33, 0.67, 1.0)
 # Turns of the cogging, and antiresonances in bands, and so on: grids of shapes.
-_CYCLES = (1, 2, 3, 4, 6, 8, 12, 18, 24, 36, 48)
+_CYCLES = (1, 2, 3, 4, 5, 6, 7, 8, 12, 18, 24, 36, 48)
 TURNS = {f"{k} a turn of the {side}": (k, side) for k in _CYCLES for side in ("motor", "joint")}
 _ANTIRESONANCES = (0.5, 0.65, 0.8, 1.0, 1.3)
 _REACHES = (0.003, 0.01, 0.03, 0.1, 0.3)
@@ -199,6 +199,7 @@ class Kind:
     option: str = ""  # of the mechanism that puts it in, with its choice
     choice: str | bool = True
     positive: bool = False  # whether that must be positive, in every column
+    other: str = ""  # choice that may be negative, where there is one
 
 
 def _late(a: Along) -> Sets:
@@ -285,15 +286,6 @@ def _gravity(a: Along) -> Sets:
     return {"": [np.sin(a.o.q), np.cos(a.o.q)]}
 
 
-def _by_angle(column: Callable[[Along], Array]) -> Callable[[Along], Sets]:
-    def made(a: Along) -> Sets:
-        if a.chain.load.motion != "rotary":
-            return {"": [column(a) * a.o.q]}
-        return {"": [column(a) * np.sin(a.o.q), column(a) * np.cos(a.o.q)]}
-
-    return made
-
-
 def _inertia_by_angle(a: Along) -> Sets:
     if a.chain.load.motion != "rotary":
         return {}
@@ -303,6 +295,14 @@ def _inertia_by_angle(a: Along) -> Sets:
 
 def _repeating(a: Along) -> Sets:
     return {name: [np.sin(k * a.o.q), np.cos(k * a.o.q)] for name, k in a.scales.cycles}
+
+
+def _friction_by_angle(a: Along) -> Sets:
+    if a.chain.load.motion != "rotary":
+        return {"": [a.direction * a.o.q]}
+    once = {"1 a turn of the joint": [np.sin(a.o.q), np.cos(a.o.q)]}  # of less than a turn, too
+    waves = once | {name: [*columns] for name, columns in _repeating(a).items()}
+    return {name: [a.direction * x for x in columns] for name, columns in waves.items()}
 
 
 def _load_torque(a: Along) -> Sets:
@@ -348,7 +348,7 @@ KINDS: tuple[Kind, ...] = (
         positive=True,
     ),
     Kind("power", _term("power"), _concave, option="power", positive=True),
-    Kind("stribeck", _stribeck, option="stribeck", positive=True),
+    Kind("stribeck", _stribeck, option="stribeck", positive=True, other="either"),
     Kind(
         "stribeck_by_direction",
         _one(lambda a: np.exp(-np.abs(a.o.qd) / (0.1 * a.scales.speed))),
@@ -361,6 +361,11 @@ KINDS: tuple[Kind, ...] = (
         positive=True,
     ),
     Kind("load_loss_by_power", _loads(_two), option="load_loss", choice="two", positive=True),
+    Kind(
+        "load_loss_by_direction",
+        _loads(lambda a, carried: [np.abs(carried)]),
+        option="load_direction",
+    ),
     Kind(
         "load_square",
         _loads(lambda a, carried: [carried**2 * a.direction]),
@@ -376,7 +381,7 @@ KINDS: tuple[Kind, ...] = (
     Kind("inertia", _one(lambda a: a.o.qdd), option="inertia"),
     Kind("gravity", _gravity, option="gravity_angle"),
     Kind("spring", _term("spring"), option="spring"),
-    Kind("friction_by_angle", _by_angle(lambda a: a.direction), option="periodic_friction"),
+    Kind("friction_by_angle", _friction_by_angle, option="periodic_friction"),
     Kind("inertia_by_angle", _inertia_by_angle),
     Kind("repeating", _repeating, option="cogging"),
     Kind(

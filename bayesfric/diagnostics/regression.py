@@ -14,6 +14,7 @@ the plain residual its memory would swallow the effect. Each twin's is told from
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -246,6 +247,16 @@ class Regression:
 
     # Ranking
 
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Kinds of candidates that are asked."""
+        return tuple(dict.fromkeys([*(key.kind for key, _ in self._groups), TONE, PUSH]))
+
+    @property
+    def untold(self) -> tuple[str, ...]:
+        """Kinds that could be, and that this motion does not tell from the model's own."""
+        return tuple(dict.fromkeys(k.kind for k in self.data.keys if k.kind not in self.kinds))
+
     def steps(self, most: int = MOST) -> list[Step]:
         """Rank what the model lacks: what no chance is, in order, or the first that may be."""
         found = []
@@ -279,8 +290,9 @@ class Regression:
         largest = null.max(axis=1)
         limit = float(np.quantile(largest, 1.0 - FALSE_ALARMS, method="higher"))
         kinds = [*(key.kind for key, _ in self._groups), *(scan.kind for scan in mine.scans)]
-        # the place of a scan is one more number
-        count = np.array([len(own) for _, own in self._groups] + [3, 2])
+        # a shape, or the place of a scan, is one more number
+        shapes = Counter(key.kind for key, _ in self._groups)
+        count = np.array([len(o) + (shapes[k.kind] > 1) for k, o in self._groups] + [3, 2])
         gains = np.append(mine.gains, [scan.peak for scan in mine.scans])
         worth = gains - (count - 1) * math.log(self.data.left.size)
         allowed = z > max(limit, LEAST_Z)

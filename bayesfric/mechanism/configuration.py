@@ -122,8 +122,10 @@ class MechanismOptions(_Options):
         "from motor to load",
     )
     load: LoadOptions = Field(default_factory=LoadOptions, description="what the joint moves")
-    terms: tuple[str, ...] = Field(
-        (), description="names of terms of one's own: functions, which only Python can give"
+    terms: Literal["auto", "as written"] | tuple[str, ...] = Field(
+        "as written",
+        description="auto puts in what else explains the torque before it is fitted; or names of "
+        "terms of one's own: functions, which only Python can give",
     )
 
     @field_validator("elements")
@@ -135,6 +137,11 @@ class MechanismOptions(_Options):
         if info.data.get("preset") is None:
             return elements
         return {name: options for name, options in elements.items() if options.given()}
+
+    @property
+    def named_terms(self) -> tuple[str, ...]:
+        """Names of terms of one's own."""
+        return () if isinstance(self.terms, str) else self.terms
 
     def joint(self, terms: Sequence[Term] = ()) -> Joint:
         """Build the joint.
@@ -149,7 +156,9 @@ class MechanismOptions(_Options):
         BadInput
             If the preset or one of its elements does not exist, or nothing is described.
         """
-        if missing := [name for name in self.terms if name not in {term.name for term in terms}]:
+        if missing := [
+            name for name in self.named_terms if name not in {term.name for term in terms}
+        ]:
             raise BadInput(
                 "mechanism.terms",
                 f"{missing[0]} is a term of one's own, a function that no file holds",

@@ -55,13 +55,18 @@ def doubt_text(doubt: Mapping[str, Any]) -> str:
     return f"{doubt['kind']}: {', '.join(doubt.get('parameters', ()))}"
 
 
+def finding_text(finding: Mapping[str, Any]) -> str:
+    """Word one of ``summary["findings"]``."""
+    return doubt_text({**finding, "kind": "missing", "what": finding["kind"]})
+
+
 def first_step(summary: Summary) -> str:
     """Say what comes before any other step, where something else seems to have acted; else empty.
 
     That is a push, or a torque that no model, no term that it may lack and no other unit explains.
     """
     pushed = [one.model_dump() for one in summary.findings if one.span is not None]
-    if not pushed and (summary.asked or summary.other_units or not summary.unexplained):
+    if not pushed and (summary.lacks or summary.other_units or not summary.unexplained):
         return ""
     return sentence("untouched", {"pushed": pushed})
 
@@ -97,7 +102,7 @@ def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:
     """
     found = [Alert("sampler", text, "sampling", first=True) for text in summary.sampler.problems]
     for doubt in summary.doubts:
-        text = doubt_text(doubt.model_dump() | summary.asking)
+        text = doubt_text(doubt.model_dump())
         place = "model-error" if doubt.kind == "missing" else "noise"  # how it was asked
         found.append(Alert(doubt.kind, text, place, first=True))
     error = summary.model_error
@@ -141,6 +146,8 @@ def _of_model(
 ) -> Iterator[tuple[str, Mapping[str, Any], str]]:
     """Kind, values and section of what may be wrong with model and noise."""
     allowed = summary.widened
+    for one in summary.taken:
+        yield "put in", one.model_dump() | {"what": one.kind}, "model-error"
     for one in summary.findings:
         if one.severity == "note":  # else it is a doubt
             yield "missing", one.model_dump() | {"what": one.kind}, "prediction"

@@ -55,6 +55,8 @@ def of_config(posterior: Finished, path: Path) -> list[Recorded]:
     for table in ("mechanism", "processing"):
         if table in run:
             document.setdefault(table, run[table])
+    if document["mechanism"].get("terms") == "auto":  # what was put in, only the run knows
+        document["mechanism"] = run["mechanism"]
     config = parse_config(document_text(document), path)
     if config.tables.mechanism != posterior.model.config.tables.mechanism:
         raise BadInput(

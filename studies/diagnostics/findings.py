@@ -43,7 +43,7 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
     with TemporaryDirectory() as folder:
         _, recordings, _ = recorded(bench, rng, Path(folder))
         try:
-            missing = Model(bench.joint, recordings, **bench.tables).missing(seed=number)
+            missing = Model(bench.joint, recordings, **bench.tables).explain(seed=number)
         except BadInput as error:  # next to no outputs
             return found | {"reason": str(error)}
     steps = [

@@ -33,7 +33,7 @@ def main() -> None:
     print("| recording | finding | z | p | share | hint | moves (sds) | rivals | CPU s |")
     print("|---|---|---|---|---|---|---|---|---|")
     for name in sys.argv[1:] or CONFIGURATIONS:
-        missing = Model.from_config(STUDIES / name).missing()
+        missing = Model.from_config(STUDIES / name).explain()
         if not missing.findings:
             print(f"| {name} | {missing.reason or 'nothing'} {'| ' * 7}{missing.cpu_seconds:.1f} |")
         for one in missing.findings:

@@ -25,11 +25,11 @@ from typing import Any
 import numpy as np
 
 HERE = Path(__file__).resolve().parent
-for folder in ("calibration", "explain"):
+for folder in ("calibration", "diagnostics"):
     sys.path.insert(0, str(HERE.parent / folder))
 
 from bench import Bench, Drive, recorded, told
-from explain import BASE, LOSSY, TERMS, Missing, joint
+from random_joints import BASE, LOSSY, TERMS, Missing, joint
 
 from bayesfric import Model, Recording
 

@@ -72,10 +72,10 @@ def test_folders_that_are_missing_are_made(bench):
     assert made == {"a.toml", "deep", "er", "x.csv", "x.truth.json"}
 
 
-@pytest.mark.parametrize("command", [("fit",), ("explain",), ("identify", "--advise", "offset")])
+@pytest.mark.parametrize("command", [("fit",), ("identify", "--advise", "offset")])
 def test_folders_that_are_missing_are_not_left_behind(bench, command):
     (bench.folder / "run.csv").unlink()
-    name = {"fit": "run", "explain": "x.pdf", "identify": "x.csv"}[command[0]]
+    name = {"fit": "run", "identify": "x.csv"}[command[0]]
     # ``refused`` looks for what was left
     has(bench.refused(command[0], "c.toml", *command[1:], "-o", f"new/deep/{name}"), "run.csv")
 

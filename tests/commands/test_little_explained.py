@@ -1,13 +1,9 @@
 """What is said where a model explains little: units first, no mechanism in use, no delay."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.explain.explanation import _having
-from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.alerts import doubt_text
 from bayesfric.report.summary.doubts import little_explained
 from bayesfric.report.summary.position_unit import other_units
@@ -66,14 +62,6 @@ def test_another_mechanism_is_one_that_is_not_in_use():
     )
     assert doubt["presets"] == ["servo-pendulum"]
     assert doubt["units"] == []
-
-
-def test_terms_that_a_preset_in_use_lost_do_not_advise_it():
-    chain = PRESETS["servo-pendulum"].chain()
-    candidate = type("C", (), {"owner": "load", "chain": chain})
-    assert list(_having(candidate)) == []
-    candidate.chain = replace(chain, made_from="motor-axis")
-    assert list(_having(candidate)) == ["servo-pendulum"]
 
 
 @pytest.mark.parametrize(("times", "judged"), [(1.0, True), (np.pi / 180.0, False)])

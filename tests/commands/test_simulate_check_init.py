@@ -113,7 +113,7 @@ def test_init_simulate_check_is_one_way(bench, preset):
     text = ended.out.removesuffix("\n")
     said = tomllib.loads(text)["mechanism"]
     elements = {element.name: {} for element in PRESETS[preset].chain().elements}
-    assert said == {"preset": preset, "elements": elements}
+    assert said == {"preset": preset, "terms": "auto", "elements": elements}
     (bench.folder / "c.toml").write_text(
         text.replace('file = "recording.csv"', 'file = "made.csv"'), encoding="utf-8"
     )
@@ -150,7 +150,7 @@ def test_a_table_that_changes_nothing_is_no_other_mechanism(bench):
     text = bench.run("init", "motor-axis").out
     told = parse_config(text, bench.folder / "c.toml").tables.mechanism
     bare = parse_config(CONFIG, bench.folder / "d.toml")
-    assert told == bare.tables.mechanism
+    assert told == bare.tables.mechanism.model_copy(update={"terms": "auto"})
 
 
 def test_a_template_does_not_say_that_recordings_are_simulated(bench):

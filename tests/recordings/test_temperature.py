@@ -51,7 +51,7 @@ def test_explain_tries_them_where_a_temperature_was_recorded():
         load=bf.Load(first_moment=True),
     )
     found = bf.Model(plain, recorded()).explain()
-    assert found.asked[0].setting == 'mechanism.elements.motor.temperature = "both"'
+    assert found.findings[0].hint == 'mechanism.elements.motor.temperature = "both"'
 
 
 def test_a_recording_without_one_is_refused():

@@ -27,7 +27,7 @@ from bayesfric.rollouts.rolled import RollOut
 
 # Of the pages of a run and of a comparison, in their order.
 Section = Literal[
-    "methods", "ridge", "prediction", "held-out", "roll-out", "lacking", "friction", "efficiency",
+    "methods", "ridge", "prediction", "held-out", "roll-out", "friction", "efficiency",
     "posterior", "sampling", "together", "side-by-side",
 ]  # fmt: skip
 

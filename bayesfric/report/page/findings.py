@@ -55,15 +55,13 @@ def findings(table: ParameterTable, summary: Summary) -> dict[str, Any]:
         "open": list(_groups([*joint, *combined], summary)),
         "meanings": {r.name: r.meaning for r in [*joint, *combined]},
         # what would put in what else explains the torque
-        "lacks": [one for one in summary.findings if one.hint],
+        "lacks": summary.lacks,
         # what comes before anything else, where something but the drive seems to have acted
         "first": first_step(summary),
         # whether another mechanism comes before anything else, and what the recordings ask for
         "wrong": summary.mechanism_doubted,
         "unexplained": summary.unexplained,
-        **summary.asking,
         "units": summary.other_units,
-        "asked": summary.asked,
         # where the order was chosen, auto itself found that no memory helps
         "try_auto": correlated and not summary.noise.order_chosen_from,
         # remedies, each with how many of the directions it lifts, if any were looked for

@@ -6,16 +6,15 @@ Tables, page, terminal and comparison are views of it.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from pydantic import BeforeValidator, Field, FiniteFloat, TypeAdapter
+from pydantic import Field, FiniteFloat
 
 from bayesfric.complaints import read_text
 from bayesfric.errors import BadInput
 from bayesfric.estimates.point_estimate import Method
-from bayesfric.explain.explanation import Explanation, Term, opening
 from bayesfric.inference.likelihood.noise_choice import EVIDENCE
 from bayesfric.report.summary.part import (
     Name,
@@ -38,19 +37,9 @@ from bayesfric.report.text_templates import reason
 if TYPE_CHECKING:
     import pandas as pd
 
-# A dataclass with tuples, which JSON writes as lists.
-_EXPLANATION = TypeAdapter(Explanation)
-ReadExplanation = Annotated[
-    Explanation,
-    BeforeValidator(lambda x: _EXPLANATION.validate_python(x) if isinstance(x, Mapping) else x),
-]
 # Kinds of doubts of the mechanism: that it explains little, or that what it leaves is no noise.
 OF_MECHANISM = ("unexplained", "memory")
 _GAIN = "drive.gain"
-_TERM = TypeAdapter(Term)
-ReadTerm = Annotated[
-    Term, BeforeValidator(lambda x: _TERM.validate_python(x) if isinstance(x, Mapping) else x)
-]
 # A summary is a page or two of numbers; anything larger is some other file.
 _LARGEST = 20_000_000
 
@@ -224,7 +213,7 @@ class FindingRow(Part):
     span: Pair | None = None
 
 
-class Regression(Part):
+class RegressionPart(Part):
     """How it was asked what else explains the torque; ``reason`` is why it was not."""
 
     twins: int = 0
@@ -348,13 +337,11 @@ class Summary(Part):
     sampler: Sampler = Field(default_factory=Sampler)
     self_check: SelfCheck | None = None
     model_error: ModelError | None = None
-    explanation: ReadExplanation | None = None
-    asked_terms: list[ReadTerm] | None = None  # none where nobody looked
-    too_few_to_ask: bool = False  # outputs, for a look
     rollout: RollOutPart | None = None
     doubts: list[Doubt] = Field(default_factory=list)
     findings: list[FindingRow] = Field(default_factory=list)
-    regression: Regression | None = None
+    taken: list[FindingRow] = Field(default_factory=list)  # by terms = "auto"
+    regression: RegressionPart | None = None
     may_be_simulated: bool | None = None
     source: dict[str, Any] | None = None
 
@@ -412,18 +399,12 @@ class Summary(Part):
     def mechanism_doubted(self) -> bool:
         """Whether another mechanism has to be taken first, as far as any is known that would do."""
         kinds = {doubt.kind for doubt in self.doubts}
-        return self.unexplained or (bool(kinds & {*OF_MECHANISM}) and not self.none_asked)
+        return self.unexplained or (bool(kinds & {*OF_MECHANISM}) and bool(self.lacks))
 
     @property
-    def none_asked(self) -> bool:
-        """Whether terms that the model may lack were looked for, and none was found."""
-        looked = self.explanation is not None or self.asked_terms is not None
-        return looked and not self.asked
-
-    @property
-    def asking(self) -> dict[str, bool]:
-        """What a sentence has to know that sends to ``bayesfric explain``."""
-        return {"none_asked": self.none_asked, "too_few": self.too_few_to_ask}
+    def lacks(self) -> list[FindingRow]:
+        """What a line of the configuration would put in, the strongest first."""
+        return [one for one in self.findings if one.hint]
 
     @property
     def reasons(self) -> list[str]:
@@ -436,16 +417,6 @@ class Summary(Part):
         """Units that the position more likely has, of a doubt that little is explained."""
         extra = (doubt.model_extra or {} for doubt in self.doubts)
         return [one for more in extra for one in more.get("units", ())]
-
-    @property
-    def asked(self) -> Sequence[Term]:
-        """Terms that the recordings ask for, the strongest first, as far as that was looked for.
-
-        Only the one that is to be written before any other, where there is one.
-        """
-        asked = self.explanation.asked if self.explanation else self.asked_terms or ()
-        first = opening(asked, [*self.parameters, *self.fixed])
-        return (first,) if first else asked
 
     @property
     def rows(self) -> dict[str, PosteriorRow]:

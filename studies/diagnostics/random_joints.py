@@ -1,9 +1,9 @@
-"""Does `explain` find what a joint has and its model lacks? SIMULATED joints, from file to answer.
+"""Does ``terms = "auto"`` find what joints have and their models lack? SIMULATED, from file on.
 
-``python studies/explain/explain.py`` makes recordings as files, of joints with one to three terms
-that the model lacks and of joints that lack none, and asks what is missing. Writes
-``explain.json`` and prints the tables of the README; ``--recordings N`` for less, ``--other`` for
-other joints that move in another way.
+``python studies/diagnostics/random_joints.py`` makes recordings as files, of joints with one to
+three terms that the model lacks and of joints that lack none, and has what is missing put in.
+Writes ``random_joints.json`` and prints what the README has; ``--recordings N`` for less,
+``--first K`` for others, ``--other`` for other joints that move in another way.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Missing:
 
     @property
     def key(self) -> str:
-        """What `explain` calls it, whatever its numbers of cycles."""
+        """What a setting names it by, whatever its numbers of cycles."""
         option, choice = next(iter(self.options.items()))
         return f"{self.owner}.{option}" + ("" if isinstance(choice, tuple) else f".{choice}")
 
@@ -151,27 +151,20 @@ def one(number: int, *, other: bool = False) -> dict[str, Any]:
     bench = Bench(true, values, (drive,), duration=duration, spread=0.0, colour=0.02)
     with TemporaryDirectory() as folder:
         _, recordings, stuck = recorded(bench, rng, Path(folder))
-        begun = time.perf_counter()
-        found = Model(joint((), lossy=lossy), recordings).explain()
-    asked = [_keys(term) for term in found.asked]
+        begun = time.process_time()
+        _, taken, left = Model(joint((), lossy=lossy), recordings).completed()
     return {
         "number": number,
         "lossy": lossy,
         "missing": [term.name for term in picked],
         "keys": [term.key for term in picked],
-        "asked": asked,
-        "rivals": [[k for other in term.rivals for k in _keys(other)] for term in found.asked],
-        "tried": found.tried,
+        "taken": [_key(f.hint) for f in taken],
+        # kinds that this motion does not tell from one
+        "rivals": [list(f.rivals) for f in taken],
+        "left": [f.kind for f in left.findings],
         "stuck": stuck,
-        "rms": [m.rms for m in found.models if not m.rival],
-        "held_out": [m.held_out for m in found.models if not m.rival],
-        "seconds": round(time.perf_counter() - begun, 2),
+        "seconds": round(time.process_time() - begun, 2),
     }
-
-
-def _keys(term: Any) -> list[str]:
-    """Give the keys of a term, and of those that do the same to these motions."""
-    return [_key(setting) for setting in (term.setting, *term.also)]
 
 
 def _key(setting: str) -> str:
@@ -182,40 +175,48 @@ def _key(setting: str) -> str:
 
 
 def judged(found: list[dict[str, Any]]) -> dict[str, Any]:
-    """Count what was found, what was said not to be distinguishable, and what was made up."""
+    """Count what was put in, what another choice of the same option was, and what was made up."""
     nothing = [one for one in found if not one["missing"]]
     names = {term.key: term.name for term in (*TERMS, *LOSSY)}
     confusion: dict[str, dict[str, int]] = {}
-    made_up, terms, several = 0, 0, 0
     for one in found:
         left = dict(zip(one["keys"], one["missing"], strict=True))
-        for keys, rivals in zip(one["asked"], one["rivals"], strict=True):
-            hit = next((k for k in keys if k in left), None)
-            near = next((k for k in rivals if k in left), None)
-            if hit:
-                _count(confusion, left.pop(hit), "found")
+        for key, rivals in zip(one["taken"], one["rivals"], strict=True):
+            kin = [k for k in left if _option(k) == _option(key)]
+            near = [k for k in left if _option(k).rpartition(".")[2] in rivals]
+            if key in left:
+                _count(confusion, left.pop(key), "found")
+            elif kin:
+                _count(confusion, left.pop(kin[0]), "by another choice")
             elif near:
-                _count(confusion, left.pop(near), "said to be one of several")
-                several += 1
+                _count(confusion, left.pop(near[0]), "named beside another")
             else:
-                label = names.get(keys[0], keys[0])
-                _count(confusion, "nothing" if not one["missing"] else "with others", label)
-                made_up += bool(one["missing"])
+                _count(confusion, "not there", names.get(key, key))
         for name in left.values():
             _count(confusion, name, "missed")
-        terms += len(one["missing"])
+
+    def counted(column: str) -> int:
+        return sum(row.get(column, 0) for row in confusion.values())
+
+    seconds = [one["seconds"] for one in found]
     return {
         "joints": len(found),
-        "terms": terms,
-        "found": sum(row.get("found", 0) for row in confusion.values()),
-        "one_of_several": several,
-        "made_up_beside_others": made_up,
+        "terms": sum(len(one["missing"]) for one in found),
+        "found": counted("found"),
+        "by_another_choice": counted("by another choice"),
+        "named_beside_another": counted("named beside another"),
+        "put_in": sum(len(one["taken"]) for one in found),
+        "not_there": sum(confusion.get("not there", {}).values()),
         "nothing_missing": len(nothing),
-        "false_finds": sum(bool(one["asked"]) for one in nothing),
-        "seconds": [float(np.median([one["seconds"] for one in found])),
-                    max(one["seconds"] for one in found)],
+        "false_finds": sum(bool(one["taken"] or one["left"]) for one in nothing),
+        "seconds": [float(np.median(seconds)), max(seconds)],
         "confusion": confusion,
-    }  # fmt: skip
+    }
+
+
+def _option(key: str) -> str:
+    """Give owner and option of a key, without the choice."""
+    return ".".join(key.split(".")[:2])
 
 
 def _count(table: dict[str, dict[str, int]], row: str, column: str) -> None:
@@ -226,13 +227,15 @@ def _count(table: dict[str, dict[str, int]], row: str, column: str) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--recordings", type=int, default=400)
+    parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--other", action="store_true", help="other joints, another motion")
     parser.add_argument("--to", type=Path)
     options = parser.parse_args()
-    to = options.to or HERE / ("other.json" if options.other else "explain.json")
+    to = options.to or HERE / f"random_joints{'-other' if options.other else ''}.json"
+    numbers = range(options.first, options.first + options.recordings)
     with ProcessPoolExecutor(options.workers) as pool:
-        found = list(pool.map(partial(one, other=options.other), range(options.recordings)))
+        found = list(pool.map(partial(one, other=options.other), numbers))
     result = {"judged": judged(found), "recordings": found}
     to.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     print(json.dumps(result["judged"], indent=1))

@@ -7,8 +7,8 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.diagnostics.candidates import KINDS, Along, scales_of
+from bayesfric.diagnostics.explanation import setting_of
 from bayesfric.diagnostics.finding import Finding
-from bayesfric.diagnostics.missing import setting_of
 from bayesfric.diagnostics.regression import Regression
 from bayesfric.diagnostics.scans import TONE, Scan
 from bayesfric.diagnostics.statistics import Asked, basis_of, scored, solved, without
@@ -31,7 +31,7 @@ def of_table(change):
 
 
 def test_a_right_model_lacks_nothing(right):
-    found = right.missing()
+    found = right.explain()
     assert found.asked
     assert found.twins >= 20
     assert not found.findings
@@ -42,7 +42,7 @@ def test_a_torque_constant_that_sags_is_named_and_moves_what_it_moves():
         torque = made["torque"]
         made["torque"] = torque * (1.0 + 0.1 * np.abs(torque) / np.abs(torque).max())
 
-    (first, *others) = of_table(sags).missing().findings
+    (first, *others) = of_table(sags).explain().findings
     assert first.kind == "saturation"
     assert first.severity == "doubt"
     assert not others
@@ -55,7 +55,7 @@ def test_a_late_torque_is_a_delay_with_its_key():
     def late(made):
         made["torque"] = np.interp(made["time"] - 0.003, made["time"], made["torque"])
 
-    (first, *others) = of_table(late).missing().findings
+    (first, *others) = of_table(late).explain().findings
     assert first.kind == "delay"
     assert first.setting == "mechanism.delay = true"
     assert not others
@@ -76,7 +76,7 @@ def test_the_same_seed_gives_the_same_answer(right):
 def test_a_joint_without_inertia_is_not_asked():
     motor = bf.Element("motor", coulomb="symmetric", viscous=True, ratio=50.0)
     bare = Model(bf.Joint([motor], bf.Load(first_moment=True)), recording())
-    found = bare.missing()
+    found = bare.explain()
     assert found.reason == "simulation"
     assert not found.asked
 
@@ -85,7 +85,7 @@ def test_few_outputs_are_not_asked():
     made = table()[:400]
     columns = (made[key].to_numpy() for key in ("time", "position", "torque"))
     few = Model(axis(), bf.Recording.from_arrays(*columns, side="motor"))
-    assert few.missing().reason == "few"
+    assert few.explain().reason == "few"
 
 
 @pytest.mark.parametrize("preset", ["rabbit-knee", "motor-axis", "servo-pendulum"])

@@ -1,11 +1,11 @@
-"""What a model lacks, as findings: what is found, what it moves, and what would put it in."""
+"""What else explains the torque, as findings: what it is, what it moves, and what puts it in."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -25,18 +25,34 @@ from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.processing import Processing
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 Reason = Literal["few", "long", "simulation"]
 
 
 @dataclass(frozen=True)
-class Missing:
-    """What recordings show that the model lacks; where it was not asked ``reason`` says why.
+class Explanation:
+    """What else explains the torque of recordings.
 
-    There are too ``few`` outputs, twins would take too ``long``, or their ``simulation`` is
-    impossible.
+    Attributes
+    ----------
+    findings
+        Of what is no chance, in the order of the ranking.
+    kinds
+        Of candidates that were asked.
+    untold
+        Kinds that this motion does not tell from what the model has.
+    twins
+        How many simulated recordings judge.
+    reason
+        Why it was not asked: there are too ``few`` outputs, twins would take too ``long``, or their
+        ``simulation`` is impossible; else ``None``.
     """
 
     findings: tuple[Finding, ...] = ()
+    kinds: tuple[str, ...] = ()
+    untold: tuple[str, ...] = ()
     twins: int = 0
     cpu_seconds: float = 0.0
     reason: Reason | None = None
@@ -45,6 +61,19 @@ class Missing:
     def asked(self) -> bool:
         """Whether there is an answer."""
         return self.reason is None
+
+    @property
+    def frame(self) -> pd.DataFrame:
+        """A row for each finding."""
+        import pandas as pd
+
+        return pd.DataFrame([one.as_dict() for one in self.findings])
+
+    def as_json(self) -> dict[str, Any]:
+        """Give all of it as JSON holds it."""
+        told = {"kinds": list(self.kinds), "untold": list(self.untold), "twins": self.twins}
+        told |= {"cpu_seconds": self.cpu_seconds, "reason": self.reason}
+        return {"findings": [one.as_dict() for one in self.findings], **told}
 
     @property
     def wrong(self) -> bool | None:
@@ -61,7 +90,7 @@ def unasked(
     return "long" if sum(r.time.size for r in recordings) > LONGEST else None
 
 
-def what_is_missing(
+def explain(
     chain: Joint,
     recordings: Sequence[Measurement],
     observations: Sequence[Observation],
@@ -69,7 +98,7 @@ def what_is_missing(
     point: Mapping[str, float],
     known: Sequence[str],
     seed: int,
-) -> Missing:
+) -> Explanation:
     """Ask recordings what else explains their torque, at an input-error estimate ``point``.
 
     ``known`` are names of parameters that are fixed.
@@ -88,14 +117,18 @@ def what_is_missing(
             )
             steps = [s for s in asked.steps() if s.sure]
     except NoTwin:
-        return Missing(reason="simulation")
+        return Explanation(reason="simulation")
     found = tuple(finding(chain, step) for step in steps)
-    return Missing(found, len(asked.twins), time.process_time() - begun)
+    return Explanation(
+        found, asked.kinds, asked.untold, len(asked.twins), time.process_time() - begun
+    )
 
 
 def finding(chain: Joint, step: Step) -> Finding:
     """Say one step of the ranking as a finding."""
     kind = BY_NAME.get(step.kind)
+    if kind is not None and not np.all(step.coefficients >= 0.0) and kind.other:
+        kind = replace(kind, choice=kind.other, positive=False)
     far = {name: x for name, x in step.moves.items() if abs(x) > MOVES}
     return Finding(
         kind=step.kind,
