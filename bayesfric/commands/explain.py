@@ -33,7 +33,7 @@ def explain_text(
         warnings=map(doubt_text, little_explained(model.chain, model.observations)),
         lines=[finding_text(one.as_dict()) for one in found.findings],
         taken=[sentence("put in", one.as_dict() | {"what": one.kind}) for one in taken],
-        untold=sentence("kinds", {"kinds": found.untold}),
+        untold=sentence("untold", {"kinds": found.untold}),
         path=path,
         names=model.chain.names,
     )

@@ -55,5 +55,6 @@ def test_a_pendulum_fitted_as_a_plain_axis_lacks_gravity(real_data, study, file)
     """Measured. Its weight is most of the torque, and slow: no noise with a memory."""
     axis = study.configuration(file).replace("servo-pendulum", "motor-axis")
     axis += 'velocity = { column = "velocity", unit = "rad/s" }\n'
-    asked = Model.from_config(parse_config(axis, FOLDER / "axis.toml")).explain().asked
-    assert "mechanism.load.first_moment = true" in (asked[0].setting, *asked[0].also)
+    found = Model.from_config(parse_config(axis, FOLDER / "axis.toml")).explain().findings
+    assert found[0].kind == "gravity"
+    assert "first_moment = true" in found[0].hint
