@@ -15,10 +15,8 @@ from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.self_check import Checked, self_check
 from bayesfric.errors import BadInput
 from bayesfric.estimates.alike_losses import alike_losses
-from bayesfric.estimates.load_by_angle import load_by_angle
 from bayesfric.estimates.methods import ESTIMATORS, estimate_by
 from bayesfric.estimates.point_estimate import Estimate
-from bayesfric.estimates.torque_factor import torque_factor
 from bayesfric.identifiability.identification import identify
 from bayesfric.identifiability.known_quantities import speed_term
 from bayesfric.identifiability.plausible import Point
@@ -39,7 +37,7 @@ from bayesfric.report.summary.loss_limits import limits_of_losses
 from bayesfric.report.summary.model_error import add_model_error
 from bayesfric.report.summary.noise import add_white_intervals, white_alternative
 from bayesfric.report.summary.record import FindingRow, Identifiability, RegressionPart, Summary
-from bayesfric.report.summary.residual import BackEmfPart, RestsPart, TorqueFactorPart
+from bayesfric.report.summary.residual import BackEmfPart, RestsPart
 from bayesfric.report.summary.self_check import self_check_doubts, self_check_part
 from bayesfric.report.summary.summary import rms, spreads, summarise
 from bayesfric.report.text_templates import sentence
@@ -102,8 +100,8 @@ def whole_fit(
     # room for the model's error, too, lets a loss reach zero
     summary = limits_of_losses(add_model_error(summary, found, derived))
     summary = _with_back_emf(summary, model, found)
-    summary = _with_rests_and_load(summary, model, found)
-    summary = _with_known(_with_findings(summary, explained, taken), model, begun)
+    summary = _with_rests(summary, model, found)
+    summary = _with_findings(summary, explained, taken)
     doubts = find_doubts(found, summary, begun.choice, compared)
     if (checked := _self_check(model, found, progress)) is not None:
         part = self_check_part(found, summary, checked, derived)
@@ -211,17 +209,6 @@ def _with_findings(summary: Summary, found: Explanation, taken: Sequence[Finding
     return summary.model_copy(update=update)
 
 
-def _with_known(summary: Summary, model: Model, begun: Beginning) -> Summary:
-    """Put in by which factor of all torque it would agree with what is known, where it does not."""
-    factor = torque_factor(model.evidence, dict(begun.searched.point))
-    if factor is None or not factor.matters:
-        return summary
-    told = {**vars(factor), "fixed": [*factor.fixed], "masses": [*factor.masses]}
-    part = TorqueFactorPart.model_validate({**told, "times": factor.times})
-    fit = summary.fit.model_copy(update={"torque_factor": part})
-    return summary.model_copy(update={"fit": fit})
-
-
 def _with_back_emf(summary: Summary, model: Model, found: Fit) -> Summary:
     """Put in what the nominal back-EMF's error cannot be told from, where a voltage drives."""
     term = speed_term(found.target, found.posterior.median, model.recordings)
@@ -236,17 +223,13 @@ def _with_back_emf(summary: Summary, model: Model, found: Fit) -> Summary:
     return summary.with_rows(changes, fit=fit)
 
 
-def _with_rests_and_load(summary: Summary, model: Model, found: Fit) -> Summary:
-    """Put in rests that the law contradicts, and how far the load goes with the angle."""
+def _with_rests(summary: Summary, model: Model, found: Fit) -> Summary:
+    """Put in rests that the law contradicts."""
     if summary.sampler.status == "unusable":
         return summary
     seen = rests_beyond(found, model.recordings, model.config.tables.processing)
-    middle = found.target.chain_values(found.posterior.median[None])[0]
-    update = {
-        "rests": [RestsPart.model_validate(vars(one)) for one in seen],
-        "load_by_angle": load_by_angle(found.chain, found.observations, middle),
-    }
-    return summary.model_copy(update={"fit": summary.fit.model_copy(update=update)})
+    rests = [RestsPart.model_validate(vars(one)) for one in seen]
+    return summary.model_copy(update={"fit": summary.fit.model_copy(update={"rests": rests})})
 
 
 def _self_check(model: Model, found: Fit, progress: Callable[[Progress], None]) -> Checked | None:

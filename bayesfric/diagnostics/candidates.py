@@ -363,7 +363,7 @@ KINDS: tuple[Kind, ...] = (
     Kind("load_loss_by_power", _loads(_two), option="load_loss", choice="two", positive=True),
     Kind(
         "load_loss_by_direction",
-        _loads(lambda a, carried: [np.abs(carried)]),
+        _loads(lambda _, carried: [np.abs(carried)]),
         option="load_direction",
     ),
     Kind(

@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-
 from bayesfric.diagnostics.candidates import BY_NAME, TURNS, Kind
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.policy import (
@@ -125,22 +123,31 @@ def explain(
 
 
 def finding(chain: Joint, step: Step) -> Finding:
-    """Say one step of the ranking as a finding."""
-    kind = BY_NAME.get(step.kind)
-    if kind is not None and not np.all(step.coefficients >= 0.0) and kind.other:
-        kind = replace(kind, choice=kind.other, positive=False)
+    """Say one step of the ranking as a finding.
+
+    What has a sign that it cannot have stands for what this motion hardly tells it from, where that
+    may have any; else it has no name.
+    """
+    kind, rivals, shape = BY_NAME.get(step.kind), step.alike, step.shape
+    negative = kind is not None and kind.positive and bool((step.coefficients < 0.0).any())
+    if kind is not None and negative and kind.other:
+        kind, negative = replace(kind, choice=kind.other), False
+    others = [BY_NAME[name] for name in rivals if name in BY_NAME and not BY_NAME[name].positive]
+    if negative and others:
+        kind, shape, negative = others[0], "", False
+        rivals = (step.kind, *(name for name in rivals if name != kind.name))
     far = {name: x for name, x in step.moves.items() if abs(x) > MOVES}
     return Finding(
-        kind=step.kind,
+        kind=step.kind if kind is None else kind.name,
         severity="doubt" if far else "note",
         statistic=step.z,
         p=step.p,
-        shape=step.shape,
+        shape=shape,
         share=step.share,
-        rivals=step.alike,
+        rivals=rivals,
         moves=dict(sorted(far.items(), key=lambda one: -abs(one[1]))),
-        setting="" if kind is None else setting_of(chain, kind, step.shape),
-        physical=kind is None or not kind.positive or bool(np.all(step.coefficients >= 0.0)),
+        setting="" if kind is None else setting_of(chain, kind, shape),
+        physical=not negative,
         recording=step.recording,
         span=step.span,
     )

@@ -9,7 +9,6 @@ from typing import Any
 from bayesfric.identifiability.sentences import stated
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.numbers import in_tenths
-from bayesfric.report.summary.caveats import load_by_angle
 from bayesfric.report.summary.record import OutlyingRow, Readable, Summary
 from bayesfric.report.summary.reference_check import references_off
 from bayesfric.report.summary.rollout import FEWEST, RollOutPart
@@ -151,8 +150,6 @@ def _of_model(
     for one in summary.findings:
         if one.severity == "note":  # else it is a doubt
             yield "missing", one.model_dump() | {"what": one.kind}, "prediction"
-    if (by_angle := load_by_angle(summary)) is not None:
-        yield "load by angle", by_angle, "parameters"
     if summary.fit.rests:
         yield "rests", {"rests": summary.fit.rests, "unit": summary.fit.unit}, "parameters"
     test = summary.noise.innovation_whiteness

@@ -164,3 +164,20 @@ def test_a_finding_lists_what_it_moves_most_first():
     one = Finding("delay", "doubt", 5.0, 0.02, moves={"b": -4.0, "a": 1.7})
     assert one.parameters == ("b", "a")
     assert replace(one, moves={}).parameters == ()
+
+
+@pytest.mark.parametrize("times", [0.8, 1.0, 1.3])
+def test_a_known_mass_tells_a_torque_that_is_off_by_a_factor(times):
+    """SIMULATED. What passes it on with losses below zero is a factor of all torque."""
+    full = bf.Joint.preset("servo-pendulum")
+    recordings = []
+    for seed, kg in enumerate((0.0, 0.3)):
+        more = {"added_mass": kg, "radius": 0.1} if kg else {}
+        made = replace(full, gain=False).simulate(
+            {}, rate=250, duration=8.0, excitation="multisine", torque_noise=0.01, amplitude=1.0,
+            seed=seed + 1, **more,
+        )  # fmt: skip
+        t, q, torque = (made[name].to_numpy() for name in ("time", "position", "torque"))
+        recordings.append(bf.Recording.from_arrays(t, q, times * torque, name=f"{seed}", **more))
+    found = Model(replace(full, gain=False), recordings).explain().findings
+    assert [one.kind for one in found[:1]] == ["torque_constant"] * (times != 1.0)

@@ -229,9 +229,6 @@ def test_a_limit_and_what_needs_its_prior_are_counted_apart(tmp_path):
         assert "one " + said in part.text, kind
 
 
-CONTRADICTED = {"value": 1.5, "sd": 0.11, "times": 4.4, "masses": [0.5]}
-
-
 @pytest.mark.parametrize(
     ("change", "right", "against"),
     [
@@ -243,7 +240,6 @@ CONTRADICTED = {"value": 1.5, "sd": 0.11, "times": 4.4, "masses": [0.5]}
         ({"findings": [FOUND | {"severity": "note"}]}, "yes", ()),
         ({"doubts": [{"kind": "unexplained"}]}, "no", ("unexplained",)),
         # measured, a pendulum with another weight: 0.5 kg told, 1.5 times as much by the torque
-        ({"fit": {"torque_factor": CONTRADICTED}}, "partly", ("known",)),
         ({"doubts": [{"kind": "memory"}]}, "partly", ("memory",)),
     ],
 )

@@ -131,21 +131,3 @@ def test_a_prior_that_the_data_contradict_is_told_like_a_reference():
     made["parameters"][INERTIA]["prior_default"] = True
     assert references_off(Summary.read(made)) is None
     assert references_off(Summary.read(with_prior(1.0, 0.004, 0.304, 0.1))) is None
-
-
-def test_what_is_taken_as_known_and_contradicts_the_torque_leads_to_the_gain():
-    """A value that is fixed has no posterior to differ from: the torque's own factor tells."""
-    made = copy.deepcopy(loaded())
-    made["references"] = {}
-    assert references_off(Summary.read(made)) is None
-    known = {"value": 1.31, "sd": 0.01, "times": 35.0, "fixed": [LOAD], "masses": [0.49]}
-    made["fit"]["torque_factor"] = known
-    found = references_off(Summary.read(made))
-    assert found["factor"] == 1.31
-    text = references_text(made)
-    assert f"({LOAD}, 0.49 kg on the load) 1.31 times as large (35 sds off)" in text
-    assert "the torque may be told 1.31 times as large as it is" in text
-    assert text.endswith("gain = true under [mechanism]")
-    # and a reference that is off stands before it
-    made["references"] = {INERTIA: {"value": 1.0, "unit": "kg m²"}}
-    assert f"{INERTIA} is" in references_text(made)

@@ -30,8 +30,7 @@ class Glance:
     settled: tuple[str, ...]
     named: dict[str, tuple[str, ...]]  # those parameters, by the same words
     combined: int  # combinations of them that the data determine
-    # what speaks against the model: `unexplained`, `memory` (what it leaves is no noise), `known`
-    # (what is taken as known contradicts the torque), `error`,
+    # what speaks against the model: `unexplained`, `memory` (what it leaves is no noise), `error`,
     # `missing` (something else explains the torque), `held-out`, `roll-out`
     against: tuple[str, ...]
     # what may speak against it and cannot be told: `held-out`
@@ -86,7 +85,6 @@ def _known(settled: Sequence[str], combined: int) -> Kind:
 def _against(summary: Summary) -> list[str]:
     found = {
         **{kind: any(doubt.kind == kind for doubt in summary.doubts) for kind in OF_MECHANISM},
-        "known": summary.fit.torque_factor is not None,
         "error": summary.widened,
         "missing": any(one.severity == "doubt" for one in summary.findings),
         "held-out": summary.validation is not None and not summary.validation.pooled.fine,

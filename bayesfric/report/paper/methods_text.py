@@ -24,7 +24,6 @@ from bayesfric.report.numbers import text_rounded
 from bayesfric.report.paper import latex
 from bayesfric.report.paper.equation import latex_equations, of_eq_13, plain_equations
 from bayesfric.report.paper.tables import counts, parameter_table
-from bayesfric.report.summary.caveats import load_by_angle_sentence
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Readable, Summary
 from bayesfric.report.summary.self_check import (
@@ -191,7 +190,6 @@ def _sentences(fit: Fit, summary: Summary) -> str:
         biased=biased(summary),
         corrected=(to_cite(summary) or {}).get("rows", {}),
         cite=cite_sentence(summary),
-        by_angle=load_by_angle_sentence(summary),
         seldom_held=seldom_held_sentence(summary, list(summary.rows)),
         rounded=text_rounded,
         python=platform.python_version(),

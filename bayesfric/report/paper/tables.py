@@ -26,7 +26,7 @@ from bayesfric.report.numbers import (
 )
 from bayesfric.report.paper import latex
 from bayesfric.report.summary.bounds import bound_mend
-from bayesfric.report.summary.caveats import constant_sentence, load_by_angle_sentence
+from bayesfric.report.summary.caveats import constant_sentence
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Readable, Summary, of_noise
 from bayesfric.report.summary.rows import KnownRow, PosteriorRow, amperes, is_skewed
@@ -197,7 +197,7 @@ class ParameterTable:
             level=self.level,
             wide=self.summary.widened,
             unparted=self.summary.unparted,
-            caveats=[constant_sentence(self.summary), load_by_angle_sentence(self.summary)],
+            caveats=[constant_sentence(self.summary)],
             sampler=self.summary.sampler,
             correlated=correlation_warning(self.summary),
             marked=marked,

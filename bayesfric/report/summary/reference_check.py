@@ -24,8 +24,7 @@ _OF_LAW = ("coulomb", "viscous")
 def references_off(summary: Summary) -> Mapping[str, Any] | None:
     """Name references far from what was found, and the one factor of all, for its sentence.
 
-    So are priors that the data contradict, and ``known`` is what is taken as known and contradicts
-    them, values and masses together. Far counts the sd of the told interval and the
+    So are priors that the data contradict. Far counts the sd of the told interval and the
     reference's own. ``None`` where none is; what the data leave open contradicts nothing. Where a
     gain that is not fitted would bring all into agreement, ``settle`` is what would give it its
     scale; ``one_loss`` are elements whose load loss is the same both ways, which could be to blame,
@@ -33,23 +32,20 @@ def references_off(summary: Summary) -> Mapping[str, Any] | None:
     """
     compared = list(_compared(summary))
     off = [one for one in compared if one["times"] > _FAR]
-    known = summary.fit.torque_factor
-    if not off and known is None:
+    if not off:
         return None
     scaled = [one for one in compared if one["scaled"]]
     # a gain that is fitted is that factor already
     factor = _common(scaled) if not summary.scaled and any(one in off for one in scaled) else None
     one_loss = [n.partition(".")[0] for n in summary.parameters if quantity_of(n) == "load"]
     told = {"off": off, "factor": factor, "one_loss": one_loss, "law": list(_of_law(summary, off))}
-    if known is not None:  # values that are known have gone into all others
-        return {**told, "known": known.model_dump(), "factor": known.value, "settle": None}
     settle = min(
         (one for one in scaled if one["name"] in summary.parameters),
         key=lambda one: float(one["known"] or KNOWN * abs(one["value"])) / abs(one["value"]),
         default=None,
     )
     advised = settle if factor else None
-    return {**told, "known": None, "settle": advised}
+    return {**told, "settle": advised}
 
 
 def _of_law(summary: Summary, off: Sequence[Mapping[str, Any]]) -> Iterator[str]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 from pydantic import Field, FiniteFloat
 
 from bayesfric.report.summary.part import Name, NotNegative, Open, Part, Share
@@ -25,16 +23,6 @@ class RecordingRow(Open):
     dropped_trim: int | None = None
     dropped_excluded: int | None = None
     dropped_dead_zone: int | None = None
-
-
-class TorqueFactorPart(Part):
-    """The measured torque over the one that agrees with ``fixed`` values and known ``masses``."""
-
-    value: Annotated[FiniteFloat, Field(gt=0.0)]
-    sd: NotNegative
-    times: NotNegative  # sds off
-    fixed: list[str] = Field(default_factory=list)
-    masses: list[NotNegative] = Field(default_factory=list)
 
 
 class BackEmfPart(Part):
@@ -67,14 +55,10 @@ class Residual(Part):
     quantity: str = "output"
     # N m/A or N/A, where all that is explained was measured as a current
     torque_constant: FiniteFloat | None = None
-    # where what is taken as known contradicts the torque
-    torque_factor: TorqueFactorPart | None = None
     # where a torque comes from a voltage
     back_emf: BackEmfPart | None = None
     # rests that were not used, and that the law contradicts
     rests: list[RestsPart] = Field(default_factory=list)
-    # of the load's variance, that is a smooth function of the angle; none without load losses
-    load_by_angle: FiniteFloat | None = None
     integration_steps: int | None = None
     discretisation_error: FiniteFloat | None = None
     recordings: dict[Name, RecordingRow] = Field(default_factory=dict)
