@@ -119,7 +119,6 @@ def _found(model: Model) -> dict[str, Any]:
                 # what nothing tells has none
                 "sd": one.sd if np.isfinite(one.sd) else None,
                 "samples": one.samples,
-                "moves": dict(one.moves),
             }
             for one in delays
         ],

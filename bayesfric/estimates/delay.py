@@ -12,9 +12,7 @@ import numpy as np
 from bayesfric.errors import BadInput
 from bayesfric.estimates.information import lag_one
 from bayesfric.estimates.input_error import input_error
-from bayesfric.estimates.least_squares import least_squares
 from bayesfric.estimates.methods import Given
-from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.estimates.torque import places
 from bayesfric.estimates.torque_near import bends, fitted_beside, larger, torque_near
 from bayesfric.mechanism.joint import Joint
@@ -30,22 +28,18 @@ _FINEST = 0.025
 # Correlation of neighbouring residuals below which they are the position's noise, differentiated:
 # in closed loop the torque answers to it, and its rate of change then is about that, not a delay.
 _OF_POSITION = -0.3
-# Standard deviations that are no chance, and by how many of its own it must move a number.
-_SURE, MOVED = 3.0, 1.0
-# Scatter of the delays of several recordings, over what is expected, that is no chance.
-SCATTER = 3.0
+# Standard deviations that are no chance.
+_SURE = 3.0
 
 
 @dataclass(frozen=True)
 class Delay:
-    """By how much positions come late, and what that does to totals where it is ignored."""
+    """By how much positions come late."""
 
     recordings: tuple[str, ...]
     value: float  # s
     sd: float  # s, the larger of the plain and the robust one; infinite if nothing tells
     period: float  # s from one sample to the next, of the first recording
-    # by how many of their sds the totals of least squares are off that ignore it
-    moves: Mapping[str, float]
 
     @property
     def samples(self) -> float:
@@ -53,10 +47,9 @@ class Delay:
         return self.value / self.period
 
     @property
-    def matters(self) -> bool:
-        """Whether it is no chance, and moves a number by more than its sd."""
-        late = abs(self.value) > _SURE * math.hypot(self.sd, _FINEST * self.period)
-        return late and max(map(abs, self.moves.values()), default=0.0) > MOVED
+    def sure(self) -> bool:
+        """Whether it is no chance."""
+        return abs(self.value) > _SURE * math.hypot(self.sd, _FINEST * self.period)
 
 
 def delays(
@@ -76,7 +69,7 @@ def delays(
         return _delays(given.chain, pairs, None)
     try:
         found = _delays(given.chain, pairs, point or fitted(given.chain, given.observations))
-        if not any(one.matters for one in found):
+        if not any(one.sure for one in found):
             return found
         # what is hardly determined trades off against a delay: again from where both are fitted
         delay = found[-1].value
@@ -133,9 +126,7 @@ def _delay(
     names = tuple(o.name for o in observations)
     alone = replace(chain, own_offsets=names if chain.own_offsets else ())
     value, sd = find_delay(alone, recordings, observations, point)
-    alone = replace(alone, delay=False)
-    totals = [least_squares(alone, _as_if(pairs, delay)) for delay in (0.0, value)]
-    return Delay(names, value, sd, recordings[0].period, _moves(*totals))
+    return Delay(names, value, sd, recordings[0].period)
 
 
 def find_delay(
@@ -191,44 +182,6 @@ def find_delay(
     return delay, np.inf if noisy else sd
 
 
-def _as_if(pairs: Sequence[tuple[Measurement, Observation]], delay: float) -> list[Observation]:
-    """Give recordings with the torque of before, as if the delay were known."""
-    found = []
-    for r, o in pairs:
-        there = retimed(o, r.segments, r.period, delay, r.back_emf)
-        found.append(replace(there, measured=there.measured - delay * _rate(there)))
-    return found
-
-
 def _rate(o: Observation) -> Array:
     assert o.inputs.torque_rate is not None
     return o.filter.apply(o.inputs.torque_rate.values)
-
-
-def _moves(ignored: Estimate, known: Estimate) -> dict[str, float]:
-    found = {}
-    for value in ignored.values:
-        sd = larger(value.sd, value.sd_robust)
-        if np.isfinite(sd) and sd > 0.0:
-            found[value.name] = (value.value - known[value.name].value) / sd
-    return found
-
-
-def alike(found: Sequence[Delay]) -> bool:
-    """Whether delays can be one bench's: alone they agree, and all together have about their mean.
-
-    Where they do not, it is no delay but something else that the model lacks.
-    """
-    alone = [one for one in found if len(one.recordings) < 2]
-    told = [one for one in alone if np.isfinite(one.sd) and one.sd > 0.0]
-    if not told:
-        return True
-    values = np.array([one.value for one in told])
-    weights = np.array([one.sd for one in told]) ** -2.0
-    mean, sd = weights @ values / weights.sum(), weights.sum() ** -0.5
-    scatter = weights @ (values - mean) ** 2 / max(len(told) - 1, 1)
-    together = [one for one in found if len(one.recordings) > 1]
-    return bool(
-        scatter < SCATTER**2
-        and all(abs(one.value - mean) <= SCATTER * np.hypot(one.sd, sd) for one in together)
-    )

@@ -39,7 +39,7 @@ def test_it_is_found_within_a_tenth_and_five_sds(late):
     (found,) = bf.Model(AXIS, bench(late, 4)).delays()
     assert found.samples == pytest.approx(late, rel=0.1)
     assert abs(found.value - late / RATE) < 5.0 * found.sd
-    assert found.matters
+    assert found.sure
 
 
 @pytest.mark.parametrize("seeds", [10, pytest.param(60, marks=pytest.mark.slow)])
@@ -47,7 +47,7 @@ def test_no_false_alarm_without_one(seeds):
     shares = []
     for seed in range(seeds):
         (found,) = bf.Model(AXIS, bench(0.0, seed)).delays()
-        assert not found.matters
+        assert not found.sure
         shares.append(found.value / found.sd)
     # standard normal, were there nothing but noise
     assert abs(np.mean(shares)) < 1.0
@@ -58,7 +58,7 @@ def test_the_packaged_knee_raises_no_alarm():
     from bayesfric.commands.fit import demo_config
 
     (found,) = bf.Model.from_config(demo_config()).delays()
-    assert not found.matters
+    assert not found.sure
 
 
 @pytest.mark.parametrize("late", [0.3, 2.0])
@@ -149,4 +149,4 @@ def test_a_simulated_recording_is_late_by_its_true_delay():
     columns = (frame[name].to_numpy() for name in ("time", "position", "torque"))
     (found,) = bf.Model(AXIS, bf.Recording.from_arrays(*columns, name="one")).delays()
     assert found.value == pytest.approx(0.0015, rel=0.1)
-    assert found.matters
+    assert found.sure
