@@ -3,18 +3,30 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "calibration"))
 
-from bench import CASES, PLAIN, Bench, Drive, recorded
+from bench import CASES, PLAIN, Bench, Drive
+from bench import recorded as recorded_
+from compliant import Compliant
 
 from bayesfric import Element, Joint, Load, Term
 
 __all__ = ["BENCHES", "LACKING", "RIGHT", "recorded"]
+
+
+def recorded(bench: Bench | Compliant, rng: np.random.Generator, folder: Path) -> tuple[Any, ...]:
+    """Make the files of one recording."""
+    if isinstance(bench, Compliant):
+        return bench.recorded(rng, folder)
+    return recorded_(bench, rng, folder)
+
 
 RIGHT = (
     "plain", "slow", "geared", "plain, 100 Hz", "plain, 1 kHz", "geared, encoder at the joint",
@@ -52,60 +64,96 @@ def _term(name: str, column: object) -> Term:
     return Term(f"motor.{name}", column)  # type: ignore[arg-type]
 
 
-# Name, kinds that are right, and the bench; sizes in shares of the torque's rms, or as said.
-LACKING: dict[str, tuple[tuple[str, ...], Bench]] = {
-    "torque constant sags by 5 %": (("saturation",), replace(_arm_bench, sag=0.05)),
-    "load loss 15 %": (
+# Name, its size as usual, kinds that are right, and the bench of a size.
+EFFECTS: dict[str, tuple[float, tuple[str, ...], Callable[[float], Bench]]] = {
+    "torque constant sags by": (0.05, ("saturation",), lambda x: replace(_arm_bench, sag=x)),
+    "load loss": (
+        0.15,
         ("load_loss", "load_loss_by_power"),
-        _lacking(_arm(load_loss="one"), **{"motor.load": 0.15}),
+        lambda x: _lacking(_arm(load_loss="one"), **{"motor.load": x}),
     ),
-    "Stribeck rise 40 %": (
+    "Stribeck rise": (
+        0.4,
         ("stribeck",),
-        _lacking(
-            _arm(stribeck=True), **{"motor.stribeck_ratio": 0.4, "motor.stribeck_velocity": 0.5}
+        lambda x: _lacking(
+            _arm(stribeck=True), **{"motor.stribeck_ratio": x, "motor.stribeck_velocity": 0.5}
         ),
     ),
-    "viscous by direction 30 %": (
+    "viscous by direction": (
+        0.3,
         ("viscous_by_direction",),
-        _lacking(
+        lambda x: _lacking(
             _arm(viscous="by-direction"),
-            **{"motor.viscous_positive": 0.115, "motor.viscous_negative": 0.085},
+            **{
+                "motor.viscous_positive": 0.1 * (1.0 + x / 2.0),
+                "motor.viscous_negative": 0.1 * (1.0 - x / 2.0),
+            },
         ),
     ),
-    "12 times a turn, 2 %": (("repeating",), replace(_arm_bench, ripple=(0.02, 12))),
-    "once a turn, 3 %": (
-        ("repeating", "gravity"),
-        replace(_arm_bench, ripple=(0.03, 1)),
-    ),
-    "a push, 20 % for 0.3 s": (
+    "12 times a turn": (0.02, ("repeating",), lambda x: replace(_arm_bench, ripple=(x, 12))),
+    "once a turn": (0.03, ("repeating", "gravity"), lambda x: replace(_arm_bench, ripple=(x, 1))),
+    "a push for 0.3 s": (
+        0.3,
         ("push",),
-        _lacking(
+        lambda x: _lacking(
             _arm(terms=(_term("push", lambda m: np.exp(-(((m.time - 7.3) / 0.2) ** 2))),)),
-            **{"motor.push": 0.3},
+            **{"motor.push": x},
         ),
     ),
     "a loss with the root of speed": (
+        0.15,
         ("power",),
-        _lacking(
+        lambda x: _lacking(
             _arm(terms=(_term("root", lambda m: m.direction * np.abs(m.speed) ** 0.5),)),
-            **{"motor.root": 0.15},
+            **{"motor.root": x},
         ),
     ),
-    "quadratic loss": (("quadratic",), _lacking(_arm(quadratic=True), **{"motor.quadratic": 0.01})),
-    "warming 30 %": (
+    "quadratic loss": (
+        0.01,
+        ("quadratic",),
+        lambda x: _lacking(_arm(quadratic=True), **{"motor.quadratic": x}),
+    ),
+    "warming": (
+        0.3,
         ("coulomb_warming",),
-        _lacking(
+        lambda x: _lacking(
             _arm(warming="constant"),
-            **{"motor.coulomb_warming": -0.09, "motor.warming_time": 8.0},
+            **{"motor.coulomb_warming": -0.3 * x, "motor.warming_time": 8.0},
         ),
     ),
-    "3 ms late": (("delay",), replace(_arm_bench, late=1.5)),
+    "late by samples": (1.5, ("delay",), lambda x: replace(_arm_bench, late=x)),
     "a spring": (
+        0.1,
         ("spring",),
-        _lacking(_arm(terms=(_term("stiff", lambda m: m.position),)), **{"motor.stiff": 0.1}),
+        lambda x: _lacking(
+            _arm(terms=(_term("stiff", lambda m: m.position),)), **{"motor.stiff": x}
+        ),
     ),
 }
-BENCHES: dict[str, tuple[tuple[str, ...], Bench]] = {
+COMPLIANT: dict[str, tuple[tuple[str, ...], Compliant]] = {
+    **{
+        f"elastic, {x} Hz": (("elastic",), Compliant(_FITTED, elastic=float(x)))
+        for x in (15, 25, 40)
+    },
+    **{
+        f"a gap of {x}°": (("backlash",), Compliant(_FITTED, gap=np.radians(x)))
+        for x in (0.1, 0.3, 0.5)
+    },
+    **{
+        f"a bristle of {x} rad": (("presliding",), Compliant(_FITTED, bristle=x))
+        for x in (0.003, 0.01, 0.03)
+    },
+}
+LACKING: dict[str, tuple[tuple[str, ...], Bench | Compliant]] = {
+    **{f"{name} {x:g}": (kinds, made(x)) for name, (x, kinds, made) in EFFECTS.items()},
+    **{
+        f"{name} {times * x:g}": (kinds, made(times * x))
+        for times in (0.5, 2.0)
+        for name, (x, kinds, made) in EFFECTS.items()
+    },
+    **COMPLIANT,
+}
+BENCHES: dict[str, tuple[tuple[str, ...], Bench | Compliant]] = {
     **{name: ((), CASES[name]) for name in RIGHT},
     "arm": ((), _arm_bench),
     **{

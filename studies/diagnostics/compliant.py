@@ -1,0 +1,98 @@
+"""SIMULATED joints whose drive is elastic, has a gap, or whose friction builds up by bristles.
+
+The package's simulator knows none of these. A motor and a pendulum are two masses here, joined by a
+spring with or without a gap; or one, whose Coulomb friction follows a bristle (Dahl 1968). The
+equations are solved at 50 kHz, friction exactly, the spring semi-implicitly. The position is the
+motor's.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from bench import LINES, PLAIN, Bench, Drive, measured, told
+from numba import njit
+from numpy.typing import NDArray
+
+from bayesfric import Joint, Recording
+from bayesfric.mechanism import excitation
+from bayesfric.mechanism.forward import Motion
+
+Array = NDArray[np.float64]
+GRAVITY, FINE = 9.80665, 50_000.0  # m/s², Hz
+MOTOR, LOAD = 0.02, 0.03  # kg m²
+DRIVE = Drive(3.0, square=0.3, hertz=0.7)
+# Hz of the teeth's contact, and damping of the spring over critical.
+CONTACT, DAMPING = 300.0, 0.02
+
+
+@dataclass(frozen=True)
+class Compliant:
+    """A bench like those of ``calibration``; one of the three is not zero."""
+
+    joint: Joint  # that is fitted
+    elastic: float = 0.0  # Hz, the motor held
+    gap: float = 0.0  # rad, all of it
+    bristle: float = 0.0  # rad
+    tables: dict[str, Any] = field(default_factory=dict)
+
+    def recorded(
+        self, rng: np.random.Generator, folder: Path
+    ) -> tuple[dict[str, float], list[Recording], float]:
+        """Make the file of one recording."""
+        bench = Bench(self.joint, PLAIN, (DRIVE,), duration=20.0, counts=16384)
+        truth = bench.truth(rng)
+        time = np.arange(round((bench.duration + 0.2) * FINE)) / FINE
+        sines = excitation.multisine(time, 1.0, LINES, seed=int(rng.integers(2**31)))
+        sines *= (1.0 - DRIVE.square) / np.sqrt(len(LINES) / 2.0)
+        square = excitation.square(time + rng.uniform(), DRIVE.square, DRIVE.hertz)
+        torque = DRIVE.amplitude * (sines + square)
+        torque = excitation.current_loop(torque, 1.0 / FINE, DRIVE.lag)
+        hertz = self.elastic or CONTACT * bool(self.gap)
+        factor = truth["motor.inertia"] / PLAIN["motor.inertia"]
+        q, qd = _moved(
+            torque - truth["offset"], 1.0 / FINE, factor * MOTOR, factor * LOAD,
+            truth["load.first_moment"] * GRAVITY, truth["motor.coulomb"], truth["motor.viscous"],
+            factor * LOAD * (2.0 * math.pi * hertz) ** 2, DAMPING, 0.5 * self.gap, self.bristle,
+        )  # fmt: skip
+        still = qd == 0.0
+        motion = Motion(time, q, qd, np.gradient(qd, time), torque, still, 0, 0, 0.0, 1)
+        columns = measured(bench, motion, time, torque, rng)
+        path = folder / "recording-0.csv"
+        table = np.stack(list(columns.values()), axis=1)
+        header = ",".join(columns)
+        np.savetxt(path, table, fmt="%.9g", delimiter=",", header=header, comments="")
+        return truth, [told(bench, DRIVE, path)], float(np.mean(still))
+
+
+@njit(cache=True)
+def _moved(torque, h, motor, load, weight, coulomb, viscous, stiff, damping, half, bristle):  # type: ignore[no-untyped-def]
+    """Motor's position and speed ``(N,)``; without stiffness the two are one."""
+    q, qd = np.zeros(torque.size), np.zeros(torque.size)
+    x = v = y = w = z = 0.0
+    damper = 2.0 * damping * math.sqrt(stiff * load)
+    mass = motor + (0.0 if stiff else load)
+    for i in range(torque.size):
+        between = 0.0
+        if stiff:
+            wound = x - y
+            if abs(wound) > half:
+                between = stiff * (wound - math.copysign(half, wound)) + damper * (v - w)
+        force = torque[i] - viscous * v - between - (0.0 if stiff else weight * math.sin(x))
+        if bristle:
+            v += h * (force - coulomb * z) / mass
+            side = 1.0 if v > 0.0 else -1.0
+            z = side + (z - side) * math.exp(-abs(h * v) / bristle)
+        else:  # what friction takes, at most all
+            free = v + h * force / mass
+            v = math.copysign(max(abs(free) - h * coulomb / mass, 0.0), free) if free else 0.0
+        x += h * v
+        if stiff:
+            w += h * (between - weight * math.sin(y)) / load
+            y += h * w
+        q[i], qd[i] = x, v
+    return q, qd
