@@ -114,7 +114,7 @@ def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:
         found.append(Alert("references", text, "parameters", first=True))
     if summary.sampler.status != "unusable":  # else there is no posterior to judge the model by
         for kind, values, section in _of_model(summary, contested):
-            first = kind == "unparted"
+            first = kind in ("unparted", "put in")
             found.append(Alert(kind, sentence(kind, values), section, first=first))
     # a few outputs seldom move a number by as much as what is above
     if error is not None and error.outlying:

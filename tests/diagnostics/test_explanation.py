@@ -7,9 +7,9 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.diagnostics.candidates import KINDS, Along, scales_of
-from bayesfric.diagnostics.explanation import setting_of
+from bayesfric.diagnostics.explanation import finding, setting_of
 from bayesfric.diagnostics.finding import Finding
-from bayesfric.diagnostics.regression import Regression
+from bayesfric.diagnostics.regression import Regression, Step
 from bayesfric.diagnostics.scans import TONE, Scan
 from bayesfric.diagnostics.statistics import Asked, basis_of, scored, solved, without
 from bayesfric.mechanism.presets import PRESETS
@@ -181,3 +181,21 @@ def test_a_known_mass_tells_a_torque_that_is_off_by_a_factor(times):
         recordings.append(bf.Recording.from_arrays(t, q, times * torque, name=f"{seed}", **more))
     found = Model(replace(full, gain=False), recordings).explain().findings
     assert [one.kind for one in found[:1]] == ["torque_constant"] * (times != 1.0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "alike", "named", "hint"),
+    [
+        ("stribeck", (), "stribeck", 'mechanism.elements.motor.stribeck = "either"'),
+        ("quadratic", (), "quadratic", ""),  # nothing that loses energy gives any
+        ("quadratic", ("power", "spring"), "spring", "mechanism.load.spring = true"),
+    ],
+)
+def test_a_sign_that_cannot_be_stands_for_what_may_have_it(kind, alike, named, hint):
+    step = Step(
+        kind, "0.5", 6.0, 0.04, 0.1, sure=True, recording="", span=None,
+        coefficients=np.array([-1.0]), moves={}, alike=alike,
+    )  # fmt: skip
+    found = finding(axis(), step)
+    assert (found.kind, found.hint) == (named, hint)
+    assert found.rivals == ((kind, "power") if named != kind else ())
