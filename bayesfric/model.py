@@ -347,8 +347,8 @@ class Model:
         model, taken = self, list[Finding]()
         while True:
             left = model.explain(progress=progress)
-            tried = {one.kind for one in taken}
-            wanted = [one for one in left.findings if one.hint and one.kind not in tried]
+            tried = {"", *(one.hint for one in taken)}
+            wanted = [one for one in left.findings if one.hint not in tried]
             better = next(filter(None, map(model._with, wanted[: MOST - len(taken)])), None)
             if better is None:
                 return model, tuple(taken), left
