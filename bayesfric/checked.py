@@ -70,7 +70,7 @@ def check(model: Model | Path | str) -> Checked:
 
 
 def _found(model: Model) -> dict[str, Any]:
-    explained, auto = model.explain(), model.config.tables.mechanism.terms == "auto"
+    explained, auto = model.explain(), model.config.tables.mechanism.auto
     # what a fit begins to put in is no doubt; what is left then, it asks anew
     taken = [one for one in explained.findings if auto and one.hint]
     (totals,) = model.estimates(["least-squares"])
@@ -197,7 +197,7 @@ def _lines(found: Mapping[str, Any]) -> Iterator[str]:
         samples = f" ({one['samples']:.2g} samples)" if alone else ""
         yield f"  {name:<28} {one['delay']:>12.3g} ± {one['sd']:<9.2g} s{samples}"
     for one in found["taken"]:
-        yield f"{sentence('put in', one | {'what': one['kind']})}"
+        yield sentence("put in", one)
     for doubt in found["doubts"]:
         yield f"WARNING: {doubt_text(doubt)}"
     for number, (name, keys) in enumerate(found["leave_out"].items()):

@@ -358,24 +358,12 @@ class Model:
     def _with(self, one: Finding) -> tuple[Finding, Self] | None:
         """Put in a finding; nothing where the configuration names what it would replace."""
         lines = [one.hint]
-        if self.config.tables.mechanism.terms == "auto":  # what was found is written now
+        if self.config.tables.mechanism.auto:  # what was found is written now
             lines.append('mechanism.terms = "as written"')
         with suppress(BadInput):
             config, given = with_settings(self.config, lines), self.given or None
             return one, type(self).from_config(config, terms=self.chain.terms, recordings=given)
         return None
-
-    def settled(self, *, progress: Shown = silent) -> tuple[Self, tuple[Finding, ...], Explanation]:
-        """Give the model that a fit samples, as :meth:`completed` does; as written, if it is to be.
-
-        Raises
-        ------
-        BadInput
-            If nothing can be estimated from these recordings.
-        """
-        if self.config.tables.mechanism.terms == "auto":
-            return self.completed(progress=progress)
-        return self, (), self.explain(progress=progress)
 
     # What can be known
 
@@ -618,7 +606,7 @@ class Model:
         """
         from bayesfric.pooling.pooled import pooled  # asks the model
 
-        auto = self.config.tables.mechanism.terms == "auto"
+        auto = self.config.tables.mechanism.auto
         model = self.completed(progress=progress)[0] if auto else self
         return pooled(model, seed, progress)
 

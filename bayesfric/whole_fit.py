@@ -79,9 +79,13 @@ def whole_fit(
         )
     # before anything is estimated: a run of other settings is refused at once
     kept = checkpoint("posterior", sampling)
-    model, taken, explained = model.settled(progress=progress)
+    taken: Sequence[Finding] = ()
+    explained: Explanation | None = None
+    if model.config.tables.mechanism.auto:
+        model, taken, explained = model.completed(progress=progress)
     begun = begin(model, output_error=output_error, progress=progress)
     _refuse_alike_losses(model, begun)
+    explained = explained or model.explain(begun.estimates, progress=progress)
     sample = partial(fit, estimates=begun.estimates, progress=progress)
     with model.config.named():
         found = sample(begun.target, sampling, checkpoint=kept)

@@ -10,7 +10,7 @@ from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.errors import BadInput
 from bayesfric.model import Model
-from bayesfric.report.alerts import doubt_text, finding_text
+from bayesfric.report.alerts import doubt_text
 from bayesfric.report.summary.doubts import little_explained
 from bayesfric.report.text_templates import filled, sentence
 
@@ -31,8 +31,8 @@ def explain_text(
         "explain.txt.j2",
         found=found,
         warnings=map(doubt_text, little_explained(model.chain, model.observations)),
-        lines=[finding_text(one.as_dict()) for one in found.findings],
-        taken=[sentence("put in", one.as_dict() | {"what": one.kind}) for one in taken],
+        lines=[sentence("missing", one.as_dict()) for one in found.findings],
+        taken=[sentence("put in", one.as_dict()) for one in taken],
         untold=sentence("untold", {"kinds": found.untold}),
         path=path,
         names=model.chain.names,

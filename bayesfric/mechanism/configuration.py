@@ -139,6 +139,11 @@ class MechanismOptions(_Options):
         return {name: options for name, options in elements.items() if options.given()}
 
     @property
+    def auto(self) -> bool:
+        """Whether what else explains the torque is put in before a fit."""
+        return self.terms == "auto"
+
+    @property
     def named_terms(self) -> tuple[str, ...]:
         """Names of terms of one's own."""
         return () if isinstance(self.terms, str) else self.terms

@@ -54,11 +54,6 @@ def doubt_text(doubt: Mapping[str, Any]) -> str:
     return f"{doubt['kind']}: {', '.join(doubt.get('parameters', ()))}"
 
 
-def finding_text(finding: Mapping[str, Any]) -> str:
-    """Word one of ``summary["findings"]``."""
-    return doubt_text({**finding, "kind": "missing", "what": finding["kind"]})
-
-
 def first_step(summary: Summary) -> str:
     """Say what comes before any other step, where something else seems to have acted; else empty.
 
@@ -146,10 +141,10 @@ def _of_model(
     """Kind, values and section of what may be wrong with model and noise."""
     allowed = summary.widened
     for one in summary.taken:
-        yield "put in", one.model_dump() | {"what": one.kind}, "model-error"
+        yield "put in", one.model_dump(), "model-error"
     for one in summary.findings:
         if one.severity == "note":  # else it is a doubt
-            yield "missing", one.model_dump() | {"what": one.kind}, "prediction"
+            yield "missing", one.model_dump(), "prediction"
     if summary.fit.rests:
         yield "rests", {"rests": summary.fit.rests, "unit": summary.fit.unit}, "parameters"
     test = summary.noise.innovation_whiteness
