@@ -163,9 +163,15 @@ def _turning(chain: Joint) -> list[int]:
 
 
 def torque_form(
-    chain: Joint, observations: Sequence[Observation] = (), *, times_gain: bool = False
+    chain: Joint,
+    observations: Sequence[Observation] = (),
+    *,
+    times_gain: bool = False,
+    any_shape: bool = False,
 ) -> TorqueForm | None:
     """Write a chain's torque in the form of eq. (13), or the measured one ``times_gain``.
+
+    With ``any_shape`` what only shapes terms is left out: the form is that of the others.
 
     A known mass of the observations has a column of its own if the motion sets it apart. ``None``
     for a chain with several load losses, a Stribeck rise or an unknown gain, or with a known mass
@@ -176,7 +182,7 @@ def torque_form(
     masses = any(o.inputs.known_load for o in observations)
     forms = [p for p in chain.parameters if p.row.role == "form" and not p.circular]
     shaped = any(p.quantity != "gain" or not times_gain for p in forms)
-    if len(lossy) > 1 or shaped or (angled and masses):
+    if len(lossy) > 1 or (shaped and not any_shape) or (angled and masses):
         return None
     last = lossy[0] if lossy else len(chain.elements)
     in_front = {"drive", *(element.name for element in chain.elements[: last + 1])}

@@ -13,6 +13,7 @@ from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.moments.fast_moments import fast_moments
 from bayesfric.inference.moments.linear_torque import linear_torque
 from bayesfric.inference.moments.residual_moments import PlainMoments
+from bayesfric.inference.moments.shape_nodes import ACCURACY, ShapeNodes
 from bayesfric.inference.moments.sign_region import SignRegion
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
@@ -46,6 +47,55 @@ SINGLE_VALUES = {
     "load.first_moment": 0.42,
     "offset": 0.01,
 }
+
+
+def with_shapes(chain, values, shapes, **options):
+    elements = tuple(replace(e, **options.get(e.name, {})) for e in chain.elements)
+    chain = replace(chain, elements=elements, gain=options.get("gain", False))
+    found = {**values, **shapes}
+    return chain, {name: found[name] for name in chain.names}
+
+
+def of(element, **values):
+    return {f"{element}.{name}": value for name, value in values.items()}
+
+
+# what shapes a loss, at every place that it may stand
+SHAPED = {
+    "stribeck-motor": with_shapes(
+        KNEE.chain(), KNEE.values, of("motor", stribeck_ratio=0.4, stribeck_velocity=8.0),
+        motor={"stribeck": True},
+    ),
+    "stribeck-load": with_shapes(
+        KNEE.chain(), KNEE.values,
+        of("gearbox", stribeck_load=0.3, stribeck_constant=0.2, stribeck_velocity=6.0),
+        gearbox={"stribeck": "apart"},
+    ),
+    "stribeck-joint": with_shapes(
+        KNEE.chain(), KNEE.values, of("joint", stribeck_change=-0.3, stribeck_velocity=0.4),
+        joint={"stribeck": "either"},
+    ),
+    "power": with_shapes(
+        SINGLE, SINGLE_VALUES,
+        of("motor", power=0.02, power_exponent=0.6) | of("joint", power=0.3, power_exponent=1.4),
+        motor={"power": True}, joint={"power": True},
+    ),
+    "warming": with_shapes(
+        SINGLE, SINGLE_VALUES,
+        of("motor", viscous_warming=-1e-4, coulomb_warming=-0.02, warming_time=0.3),
+        motor={"warming": "both"},
+    ),
+    "load-speed": with_shapes(
+        KNEE.chain(), KNEE.values, of("gearbox", load_speed=1e-3, load_square=0.02),
+        gearbox={"load_speed": True, "load_square": True},
+    ),
+    "load-direction": with_shapes(
+        KNEE.chain(), KNEE.values,
+        of("gearbox", load_drive_difference=0.03, load_back_difference=-0.02)
+        | of("gearbox", stribeck_ratio=0.3, stribeck_velocity=5.0) | {"drive.gain": 0.8},
+        gearbox={"load_direction": "quadrants", "stribeck": True}, gain=True,
+    ),
+}  # fmt: skip
 ANGLED = replace(KNEE.chain(), load=replace(KNEE.chain().load, gravity_angle=True))
 
 
@@ -65,6 +115,7 @@ class Case:
     def __init__(self, chain, values, observations, order, **options):
         self.chain, self.observations, self.order = chain, observations, order
         self.draws = draws_about(chain, values, observations)
+        self.shaped = any(p.row.tries is not None for p in chain.parameters)
         self.plain = PlainMoments(chain, observations, order)
         self.fast = fast_moments(chain, observations, self.draws, order, **options)
 
@@ -76,7 +127,9 @@ class Case:
             # What rounding leaves of each residual is eps times the torques whose difference
             # it is. That is far below 1e-9 of the sum of squares unless residuals are 1e-5 of
             # the torques or less.
-            lost = 4 * 20 * np.finfo(float).eps * np.nan_to_num(self.size(values), posinf=np.inf)
+            # A shape's column is interpolated.
+            eps = 4 * 20 * np.finfo(float).eps + (ACCURACY if self.shaped else 0.0)
+            lost = eps * np.nan_to_num(self.size(values), posinf=np.inf)
             bound = 1e-9 * squares + lost * (np.sqrt(squares) + lost)
         number = np.isfinite(squares)
         for a, b in ((found.lagged, expected.lagged), *zip(found.heads, expected.heads)):  # noqa: B905
@@ -90,14 +143,14 @@ class Case:
 
     def size(self, values):
         """Root sum of squares of the measured torque and of each column's torque."""
-        linear = linear_torque(self.chain, self.observations)
+        linear = linear_torque(self.chain, self.observations, self.draws)
         coefficients = linear.coefficients(values).all
         out = []
         for o in self.observations:
             psi1, psi2 = linear.columns(o, 0, o.q.size)
-            parts = [psi1, psi2] + ([psi2] if linear.rest else [])
+            rows = linear.rows(o, psi1, psi2, 0, np.ones(o.q.size))
             norms = np.concatenate(
-                [[np.linalg.norm(o.measured)], *(np.linalg.norm(p, axis=1) for p in parts)]
+                [[np.linalg.norm(o.measured)], np.linalg.norm(rows, axis=1)]
             )
             out.append(np.abs(coefficients) @ norms)
         return np.stack(out, axis=1)
@@ -152,6 +205,11 @@ def cases(make_observation):
     inputs = replace(o.inputs, torque_rate=Signal(o.stamps, np.gradient(o.torque, o.stamps)))
     late, values = replace(axis, gain=True, delay=True), {**values, "drive.delay": 0.002}
     found["gain-delay"] = Case(late, values, [replace(o, inputs=inputs)], 1)
+    for name, (chain, values) in SHAPED.items():
+        o = make_observation(chain, values, n=9000, factor=2)
+        speed = o.qd.copy()
+        speed[200:220] = 0.0
+        found[name] = Case(chain, values, [replace(o, qd=speed)], 1)
     o = make_observation(KNEE.chain(), KNEE.values, n=3000, factor=3)
     found["narrow"] = Case(KNEE.chain(), KNEE.values, [o], 1, radius=1.5)
     return found
@@ -170,6 +228,7 @@ NAMES = [
     "gain-single-mu-known-mass",
     "gain-no-load-loss",
     "gain-delay",
+    *SHAPED,
     "narrow",
 ]
 
@@ -293,11 +352,12 @@ def test_within_its_ratio_a_sample_has_the_centres_sign():
 
 
 def test_chains_without_the_form_stay_as_they_are(make_observation):
-    stribeck = Joint((Element("motor", coulomb="symmetric", stribeck=True),), Load())
-    names = dict.fromkeys(stribeck.names, 0.1)
-    o = make_observation(stribeck, names, n=200)
-    likelihood = TorqueLikelihood(stribeck, [o])
-    assert likelihood.prepared(stribeck.vector(names)[None]) is likelihood
+    lossy = Element("gearbox", load_loss="one", coulomb="symmetric")
+    twice = Joint((lossy, replace(lossy, name="joint")), Load(inertia=True))
+    names = dict.fromkeys(twice.names, 0.1)
+    o = make_observation(twice, names, n=200)
+    likelihood = TorqueLikelihood(twice, [o])
+    assert likelihood.prepared(twice.vector(names)[None]) is likelihood
     assert likelihood.evaluation == "every sample"
 
 

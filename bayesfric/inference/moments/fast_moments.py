@@ -41,6 +41,8 @@ _LARGEST = 1e100
 # Operations in one call, about as many ns, below which threads cost more than they save: where
 # another process has the second core, one that starts on it waits for some ms.
 _WORTH_THREADS = 10_000_000
+# Operations that a sample takes, about: forms of so many columns that they take more spare nothing.
+_A_SAMPLE = 20
 # Kept samples whose signs are looked at in one go.
 _LOOK = 128
 # Neighbouring kept outputs that are marked together.
@@ -118,7 +120,7 @@ class FastMoments:
             known = self._linear.coefficients(values)
             distance = self._region.distance(known.leg)
             inside = (distance <= self.radius) & (np.abs(known.all).max(axis=1) < _LARGEST)
-            inside &= np.isfinite(values).all(axis=1)
+            inside &= np.isfinite(values).all(axis=1) & known.inside
             for i, (m, arrays) in enumerate(zip(self._recordings, self._arrays, strict=True)):
                 flat[:, i] = self._one_recording(m, arrays, known, distance, inside)
         far = ~inside | ~np.isfinite(flat).all(axis=(1, 2))
@@ -139,7 +141,7 @@ class FastMoments:
         distance: Array,
         inside: NDArray[np.bool_],
     ) -> Array:
-        size = m.to_columns.shape[0]
+        size = m.to_columns.shape[1]
         z = np.zeros((distance.size, m.rows.shape[1]))
         z[:, :size] = known.all @ m.to_columns
         # rounding may blur the border, where the sign does not matter
@@ -151,7 +153,8 @@ class FastMoments:
         run = _in_threads if threads > 1 else _in_line
         # one layout: for another all would be compiled again
         leg = np.ascontiguousarray(known.leg)
-        found: Array = run(4 * threads, z, leg, known.lambda2, looked, self.order, *arrays)
+        lambda2 = np.ascontiguousarray(known.lambda2)
+        found: Array = run(4 * threads, z, leg, lambda2, looked, self.order, *arrays)
         return found
 
 
@@ -184,14 +187,16 @@ def fast_moments(
     Returns
     -------
     FastMoments or None
-        ``None`` where the torque is not of the form of eq. (13), or the draws show no
-        direction of the load's torque.
+        ``None`` where the torque is not of the form of eq. (13), unknown shapes would take more
+        columns than samples cost, or the draws show no direction of the load's torque.
     """
-    linear = linear_torque(chain, observations)
-    if linear is None:
+    draws = draws[np.isfinite(draws).all(axis=1)]
+    linear = linear_torque(chain, observations, draws)
+    samples = sum(o.q.size for o in observations)
+    if linear is None or (linear.shapes and linear.size**2 > _A_SAMPLE * samples):
         return None
-    legs = linear.coefficients(draws[np.isfinite(draws).all(axis=1)]).leg
-    region = SignRegion.around(legs, linear.typical_size(observations))
+    legs = linear.coefficients(draws).leg
+    region = SignRegion.around(legs, linear.typical_size())
     if region is None:
         return None
     whole = PlainMoments(chain, observations, order) if plain is None else plain
@@ -201,7 +206,7 @@ def fast_moments(
 def _laid_out(m: MomentMatrices) -> tuple[Any, ...]:
     """Lay a recording out for the compiled evaluation."""
     # many arguments, not one named tuple: with that runs with many edges take a fifth longer
-    size, padded = m.to_columns.shape[0], m.rows.shape[1]
+    size, padded = m.to_columns.shape[1], m.rows.shape[1]
     # each product of two different coordinates once
     forms = np.zeros((m.matrices.shape[0], size, padded))
     forms[:, :, :size] = np.triu(2.0 * m.matrices) - m.matrices * np.eye(size)
@@ -327,7 +332,7 @@ def _some_vectors(
                 n_hits += now[i] < 0.0
             for i in hit[:n_hits]:
                 s = i0 + i
-                jump = jumps[s] * lambda2[v] * now[i]
+                jump = product_sum(jumps[s], lambda2[v]) * now[i]
                 row = slopes[s]
                 for k in range(slope.shape[0]):
                     slope[k] += jump * row[k]

@@ -5,35 +5,82 @@ the motor torque is ``psi1 Theta1 + sign(qd) sign(T) psi2 Theta2``, eq. (13): it
 ``l``, whatever the sign of lambda_2, so this holds for negative load losses too. At exact rest
 the mechanism takes no loss while eq. (13) leaves ``lambda_1 T``; columns of their own for the
 samples at rest put that right. An unknown gain divides all coefficients.
+
+What multiplies a loss by a function of speed (a Stribeck rise, a load loss that grows with speed or
+depends on the direction) multiplies its columns: with ``mu_1`` and ``mu_2`` sums of such functions
+``phi``, so are ``lambda_1`` and ``lambda_2``. A function of unknown shape is a sum of functions of
+known ones, :mod:`bayesfric.inference.moments.shape_nodes`. A square of the load has the products of
+the columns of ``psi2``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.estimates.torque_form import Term, columns, torque_form
+from bayesfric.estimates.torque_form import Term, columns, filled, torque_form
+from bayesfric.inference.moments.shape_nodes import ShapeNodes
 from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.parameter import Parameter
+from bayesfric.mechanism.quantities import State
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
+Along = Callable[[Observation], Array]  # (m, n) functions of the motion along a piece of it
+Weights = Callable[[Array], Array]  # (n, m) what multiplies them, for parameter vectors
 
 # Samples of a recording from which the size of its columns is judged.
 _TRIED = 20_000
+# Quantities that shape a torque which still is of this form.
+_SHAPING = frozenset(
+    (
+        *("gain", "gravity_angle", "power_exponent", "warming_time", "stribeck_velocity"),
+        *("stribeck_ratio", "stribeck_change", "stribeck_constant", "stribeck_load"),
+        *("stribeck_exponent", "load_speed", "load_square", "load_difference"),
+        *("load_drive_difference", "load_back_difference"),
+    )
+)
 
 
 @dataclass(frozen=True)
 class Coefficients:
     """What multiplies the columns, for ``n`` parameter vectors."""
 
-    # (n, K): one for the measured torque, minus Theta1, minus Theta2, and, where a sample is
-    # at rest, minus (1 - lambda_1) l
+    # (n, K): one for the measured torque, minus Theta1, then minus Theta2 and minus the rest
+    # of lambda_1 with each function of speed, minus those of the squared load, and, where a sample
+    # is at rest, minus (1 - lambda_1) l
     all: Array
     leg: Array  # (n, n2) l, whose product with psi2 has the direction of the load's torque
-    lambda2: Array  # (n,)
+    lambda2: Array  # (n, m) with each function of speed
+    inside: NDArray[np.bool_]  # (n,) whether shapes are where the columns hold
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Columns of :func:`bayesfric.estimates.torque_form.columns`, each times some functions."""
+
+    along: Along
+    weights: Weights
+    front: Array  # front, behind: (n_parameters, columns) coefficients, up to the gearbox
+    behind: Array
+    used: tuple[int, ...]  # columns that are there at all
+
+    @property
+    def of_leg(self) -> tuple[int, ...]:
+        """Columns that are there behind the gearbox."""
+        return tuple(j for j in self.used if self.behind[:, j].any())
+
+
+@dataclass(frozen=True, eq=False)
+class _Loss:
+    """Functions of the motion that multiply the load loss, and their share of mu_1 and mu_2."""
+
+    along: Along
+    drive: Weights
+    back: Weights
 
 
 class LinearTorque:
@@ -43,72 +90,203 @@ class LinearTorque:
     ----------
     names1, names2
         Columns ``psi1`` and ``psi2``, as in
-        :class:`bayesfric.estimates.torque_form.TorqueForm`; a known mass always has its own.
+        :class:`bayesfric.estimates.torque_form.TorqueForm`; a known mass always has its own. Where
+        a function of speed multiplies one, it is there once more for each.
     rest
         Whether there are columns for samples at rest.
     size
         ``K``, all columns together with the measured torque.
+    functions_of_speed
+        How many functions of speed the load loss is a sum of, one without any loss.
+    shapes
+        What stands for shapes that are not known.
     """
 
-    def __init__(self, chain: Joint, observations: Sequence[Observation]) -> None:
-        form = torque_form(chain, times_gain=True)
+    def __init__(self, chain: Joint, observations: Sequence[Observation], draws: Array) -> None:
+        form = torque_form(chain, times_gain=True, any_shape=True)
         if form is None:
             raise ValueError("the chain's torque is not of the form of eq. (13)")
         self.chain = chain
+        self._some = [_piece(o, slice(None, None, max(1, o.q.size // _TRIED))) for o in observations]
+        self._draws = draws
         loaded = ("added_load",) if any(o.inputs.known_load for o in observations) else ()
-        self.names1 = (*form.names1, *loaded)
-        self.names2 = (*form.names2, *loaded) if form.loss else ()
-        self._both = [self.names1.index(name) for name in self.names2]
-        self._front, self._behind = self._matrix(form.front), self._matrix(form.behind)
-        self._angle = -1
-        if "gravity_cosine" in self.names1:
-            self._angle = chain.names.index("load.gravity_angle")
-        self._gain = chain.names.index("drive.gain") if chain.gain else -1
-        # what is of the recorded torque itself no gain divides
-        self._joints = [i for i, n in enumerate(self.names1) if not n.startswith("drive.")]
-        self._known = np.zeros((2, len(self.names1)))
+        self._names = (*form.names1, *loaded)
+        self._at = {name: i for i, name in enumerate(chain.names)}
+        front, behind = self._matrix(form.front), self._matrix(form.behind)
+        self._known = np.zeros((2, len(self._names)))
         if loaded:
             self._known[1 if form.loss else 0, -1] = 1.0
-        at = {name: i for i, name in enumerate(chain.names)}
-        self._losses: list[int] = []
-        if form.loss:
-            one, ways = f"{form.loss}.load", ("drive", "back")
-            self._losses = [at[one if one in at else f"{one}_{way}"] for way in ways]
-        two = bool(self._losses) and self._losses[0] != self._losses[1]
-        self.rest = two and any(bool((o.qd == 0.0).any()) for o in observations)
+        self._angle = self._at["load.gravity_angle"] if "gravity_cosine" in self._names else -1
+        self._gain = self._at["drive.gain"] if chain.gain else -1
+        self.shapes: list[ShapeNodes] = []
+        self._groups = list(self._all_groups(front, behind))
+        self.names1 = tuple(self._names[j] for _, j, _ in self._plain())
+        self._both = [i for i, (g, j, _) in enumerate(self._plain()) if self._is_leg(form.loss, g, j)]
+        self.names2 = tuple(self.names1[i] for i in self._both)
+        # what is of the recorded torque itself no gain divides
+        self._joints = [i for i, n in enumerate(self.names1) if not n.startswith("drive.")]
+        self._losses: list[_Loss] = list(self._all_losses(form.loss)) if form.loss else []
+        self._square, self._before = -1, 1.0
+        if f"{form.loss}.load_square" in self._at:
+            self._square = self._at[f"{form.loss}.load_square"]
+            self._before = chain.ratio / chain.reaches[form.loss]
+        self._phi = sum(loss.along(self._some[0]).shape[0] for loss in self._losses)
+        self.functions_of_speed = max(self._phi, 1)
         n2 = len(self.names2)
-        self.size = 1 + len(self.names1) + n2 + (n2 if self.rest else 0)
+        two = bool(form.loss) and f"{form.loss}.load" not in self._at
+        self.rest = two and any(bool((o.qd == 0.0).any()) for o in observations)
+        self._pairs = np.triu_indices(n2) if self._square >= 0 else (np.zeros(0, int),) * 2
+        self.size = 1 + len(self.names1) + n2 * (2 * self._phi - 1 if self._phi else 0)
+        self.size += self._pairs[0].size + (n2 if self.rest else 0)
 
     def _matrix(self, terms: Mapping[str, list[Term]]) -> Array:
-        out = np.zeros((len(self.chain.names), len(self.names1)))
+        out = np.zeros((len(self.chain.names), len(self._names)))
         for name, found in terms.items():
             for i, factor in found:
-                out[i, self.names1.index(name)] += factor
+                out[i, self._names.index(name)] += factor
         return out
+
+    def _is_leg(self, loss: str, group: int, column: int) -> bool:
+        if not loss:
+            return False
+        known = group == 0 and self._known[1, column] != 0.0
+        return known or column in self._groups[group].of_leg
+
+    def _plain(self) -> Iterator[tuple[int, int, int]]:
+        """Give all columns of ``psi1`` in order: group, column, which of the group's functions."""
+        for g, group in enumerate(self._groups):
+            many = group.along(self._some[0]).shape[0]
+            yield from ((g, j, k) for j in group.used for k in range(many))
+
+    def _all_groups(self, front: Array, behind: Array) -> Iterator[_Group]:
+        """Columns as they are; those that an unknown shape is in; those with a Stribeck rise."""
+        shaped = [p for p in self.chain.parameters if p.row.role == "own" and p.row.shape]
+        own = [self._names.index(p.name) for p in shaped]
+        rest = tuple(j for j in range(len(self._names)) if j not in own)
+        yield _Group(_one, _ones, front, behind, rest)
+        for p, j in zip(shaped, own, strict=True):
+            reach = self.chain.reaches[p.owner]
+            nodes = self._nodes(f"{p.owner}.{p.row.shape}", _shaped(p, reach))
+            yield _Group(
+                _each(_shaped(p, reach), nodes), _lagrange(nodes), front, behind, (j,)
+            )
+        for element in self.chain.elements:
+            risen = self._rise(element.name, "stribeck_ratio")
+            if risen is None:
+                continue
+            along, weights = risen
+            of = [i for i, p in enumerate(self.chain.parameters) if p.owner == element.name]
+            rows = [i for i in of if self.chain.parameters[i].row.role == "own"
+                    and self.chain.parameters[i].row.rises]
+            only = np.zeros((len(self.chain.names), 1))
+            only[rows] = 1.0
+            kinds = {k for i in rows for k, _ in filled(self.chain, self.chain.parameters[i])}
+            used = tuple(self._names.index(k) for k in self._names if k in kinds)
+            yield _Group(along, weights, front * only, behind * only, used)
+
+    def _rise(self, element: str, slot: str) -> tuple[Along, Weights] | None:
+        """Functions that make up the Stribeck rise of an element's constant or load loss."""
+        ratio = [
+            i
+            for i, p in enumerate(self.chain.parameters)
+            if p.owner == element and slot in (p.row.slots or (p.quantity,))
+        ]
+        if not ratio:
+            return None
+        power = self._at.get(f"{element}.stribeck_exponent", -1)
+        exponent = 2.0 if power < 0 else float(self._draws[0, power])
+        reach = self.chain.reaches[element]
+
+        def low(o: Observation, velocity: float) -> Array:
+            return np.asarray(np.exp(-(np.abs(reach * o.qd / velocity) ** exponent)))
+
+        nodes = self._nodes(f"{element}.stribeck_velocity", low)
+        of, weights = ratio[0], _lagrange(nodes)
+        return _each(low, nodes), lambda values: values[:, [of]] * weights(values)
+
+    def _nodes(self, name: str, column: Callable[[Observation, float], Array]) -> ShapeNodes:
+        index = self._at[name]
+        for known in self.shapes:
+            if known.index == index:
+                return known
+        p = self.chain.parameters[index]
+
+        def everywhere(shape: float) -> Array:
+            return np.concatenate([column(o, shape) for o in self._some])
+
+        found = ShapeNodes.over(index, self._draws[:, index], (p.lower, p.upper), everywhere)
+        self.shapes.append(found)
+        return found
+
+    def _all_losses(self, loss: str) -> Iterator[_Loss]:
+        """Functions that the load loss is a sum of, constant first."""
+        drive, back = (self._column(loss, "load", f"load_{way}") for way in ("drive", "back"))
+        yield _Loss(_one, drive, back)
+        names = ("load_difference", "load_{}_difference")
+        sides = [self._column(loss, names[0], names[1].format(way)) for way in ("drive", "back")]
+        turned = any(f"{loss}.{one}" in self._at for one in (names[0], "load_drive_difference"))
+        if turned:
+            yield _Loss(_direction, *sides)
+        risen = self._rise(loss, "stribeck_load_ratio")
+        if risen is not None:
+            along, weights = risen
+            yield _Loss(along, _times(weights, drive), _times(weights, back))
+            if turned:
+                yield _Loss(
+                    lambda o: np.sign(o.qd) * along(o), *(_times(weights, one) for one in sides)
+                )
+        if f"{loss}.load_speed" in self._at:
+            reach, grows = self.chain.reaches[loss], self._column(loss, "load_speed")
+            yield _Loss(lambda o: np.abs(reach * o.qd)[None], grows, grows)
+
+    def _column(self, owner: str, *quantities: str) -> Weights:
+        """One parameter of an element, the first of these that it has."""
+        found = [self._at[f"{owner}.{q}"] for q in quantities if f"{owner}.{q}" in self._at]
+        return lambda values: values[:, found[:1]]
 
     def coefficients(self, values: Array) -> Coefficients:
         """Coefficients of parameter vectors ``(n, n_parameters)``."""
-        n, k1, n2 = values.shape[0], len(self.names1), len(self.names2)
-        motor = values @ self._front + self._known[0]
-        leg = values @ self._behind + self._known[1]
-        if self._angle >= 0:
-            sine, cosine = np.sin(values[:, self._angle]), np.cos(values[:, self._angle])
-            for part in (motor, leg):
-                part[:, self.names1.index("gravity")] *= cosine
-                part[:, self.names1.index("gravity_cosine")] *= sine
+        n, k1 = values.shape[0], len(self.names1)
+        parts = [self._multiplied(values, way) for way in (0, 1)]
+        motor, leg = parts
+        behind = leg[:, self._both]
+        inside = np.ones(n, dtype=np.bool_)
+        for shape in self.shapes:
+            inside &= shape.covers(values)
         found = np.empty((n, self.size))
         found[:, 0] = 1.0
         if not self._losses:
             found[:, 1:] = -(motor + leg)
-            return self._measured(Coefficients(found, np.zeros((n, 0)), np.zeros(n)), values)
-        drive, back = values[:, self._losses[0]], values[:, self._losses[1]]
+            return self._measured(Coefficients(found, np.zeros((n, 0)), np.zeros((n, 1)), inside), values)
+        drive = np.concatenate([loss.drive(values) for loss in self._losses], axis=1)
+        back = np.concatenate([loss.back(values) for loss in self._losses], axis=1)
         excess, lambda2 = 0.5 * (drive - back), 0.5 * (drive + back)
-        found[:, 1 : 1 + k1] = -(motor + leg) - excess[:, None] * leg
-        behind = leg[:, self._both]
-        found[:, 1 + k1 : 1 + k1 + n2] = -lambda2[:, None] * behind
+        found[:, 1 : 1 + k1] = -(motor + leg) - excess[:, :1] * leg
+        pieces = [-(lambda2[:, :, None] * behind[:, None, :]).reshape(n, -1)]
+        pieces.append(-(excess[:, 1:, None] * behind[:, None, :]).reshape(n, -1))
+        if self._square >= 0:
+            i, j = self._pairs
+            twice = np.where(i == j, 1.0, 2.0) * self._before
+            pieces.append(-values[:, [self._square]] * twice * behind[:, i] * behind[:, j])
         if self.rest:
-            found[:, 1 + k1 + n2 :] = excess[:, None] * behind
-        return self._measured(Coefficients(found, behind, lambda2), values)
+            pieces.append(excess[:, :1] * behind)
+        found[:, 1 + k1 :] = np.concatenate(pieces, axis=1)
+        return self._measured(Coefficients(found, behind, lambda2, inside), values)
+
+    def _multiplied(self, values: Array, way: int) -> Array:
+        """What is in each column of ``psi1``, up to the gearbox or behind it."""
+        found = []
+        for g, group in enumerate(self._groups):
+            own = values @ (group.behind if way else group.front)
+            if g == 0:
+                own = own + self._known[way]
+                if self._angle >= 0:
+                    sine, cosine = np.sin(values[:, self._angle]), np.cos(values[:, self._angle])
+                    own[:, self._names.index("gravity")] *= cosine
+                    own[:, self._names.index("gravity_cosine")] *= sine
+            weights = group.weights(values)
+            found.append((own[:, group.used, None] * weights[:, None, :]).reshape(len(values), -1))
+        return np.concatenate(found, axis=1)
 
     def _measured(self, joint: Coefficients, values: Array) -> Coefficients:
         """Turn what multiplies columns of the joint's torque into that of the measured one."""
@@ -117,38 +295,136 @@ class LinearTorque:
         gain = values[:, self._gain]
         behind = range(1 + len(self.names1), joint.all.shape[1])
         joint.all[:, [*(1 + i for i in self._joints), *behind]] /= gain[:, None]
-        return replace(joint, lambda2=joint.lambda2 / gain)
+        return replace(joint, lambda2=joint.lambda2 / gain[:, None])
 
     def columns(self, o: Observation, begin: int, end: int) -> tuple[Array, Array]:
         """Unfiltered ``psi1`` ``(n1, n)`` and ``psi2`` ``(n2, n)`` of samples ``begin:end``."""
-        psi1 = columns(self.chain, _piece(o, slice(begin, end)), self.names1)
+        piece = _piece(o, slice(begin, end))
+        plain = self._known_columns(piece)
+        found = [
+            (plain[list(group.used), None] * group.along(piece)[None]).reshape(-1, end - begin)
+            for group in self._groups
+        ]
+        psi1 = np.concatenate(found)
         return psi1, psi1[self._both]
 
-    def typical_size(self, observations: Sequence[Observation]) -> Array:
+    def _known_columns(self, piece: Observation) -> Array:
+        """Columns before functions multiply them; one for what functions make up alone."""
+        alone = {j for group in self._groups[1:] for j in group.used} - set(self._groups[0].used)
+        names = [name for j, name in enumerate(self._names) if j not in alone]
+        out = np.ones((len(self._names), piece.q.size))
+        out[[j for j in range(len(self._names)) if j not in alone]] = columns(
+            self.chain, piece, names
+        )
+        return out
+
+    def functions(self, o: Observation, begin: int, end: int) -> Array:
+        """Functions of speed that multiply the load loss, ``(m, n)``."""
+        piece = _piece(o, slice(begin, end))
+        if not self._losses:
+            return np.ones((1, end - begin))
+        return np.concatenate([loss.along(piece) for loss in self._losses])
+
+    def rows(self, o: Observation, psi1: Array, psi2: Array, begin: int, side: Array) -> Array:
+        """All unfiltered columns but the measured torque, ``(K - 1, n)``.
+
+        ``psi1`` and ``psi2`` are of the samples from ``begin`` on; ``side`` ``(n,)`` is the sign of
+        the load's torque there.
+        """
+        end = begin + side.size
+        sign = np.sign(o.qd[begin:end])
+        phi = self.functions(o, begin, end)
+        out = np.empty((self.size - 1, side.size))
+        k, n2 = len(self.names1), len(self.names2)
+        out[:k] = psi1
+        if not self._losses:
+            return out
+        for one in phi:
+            np.multiply(sign * side * one, psi2, out=out[k : k + n2])
+            k += n2
+        for one in phi[1:]:
+            np.multiply(np.abs(sign) * one, psi2, out=out[k : k + n2])
+            k += n2
+        i, j = self._pairs
+        out[k : k + i.size] = sign * psi2[i] * psi2[j]
+        if self.rest:
+            np.multiply(sign == 0.0, psi2, out=out[k + i.size :])
+        return out
+
+    def typical_size(self) -> Array:
         """Root mean square of each column of ``psi2``, one where it is zero, ``(n2,)``."""
         total = np.zeros(len(self.names2))
-        for o in observations:
-            some = _piece(o, slice(None, None, max(1, o.q.size // _TRIED)))
-            total += (columns(self.chain, some, self.names2) ** 2).mean(axis=1)
-        rms = np.sqrt(total / len(observations))
+        for o in self._some:
+            total += (self.columns(o, 0, o.q.size)[1] ** 2).mean(axis=1)
+        rms = np.sqrt(total / len(self._some))
         return np.where(np.isfinite(rms) & (rms > 0.0), rms, 1.0)
 
 
-def linear_torque(chain: Joint, observations: Sequence[Observation]) -> LinearTorque | None:
+def linear_torque(
+    chain: Joint, observations: Sequence[Observation], draws: Array | None = None
+) -> LinearTorque | None:
     """Write the torque of a chain as linear, up to the direction of power.
+
+    Parameters
+    ----------
+    chain, observations
+        The mechanism and what was recorded of it.
+    draws
+        ``(n, n_parameters)`` where shapes that are not known are looked for; not needed where the
+        chain has none.
 
     Returns
     -------
     LinearTorque or None
-        ``None`` for a chain with several load losses or a Stribeck rise, or with a known mass at an
-        unknown angle.
+        ``None`` for a chain with several load losses or an unknown exponent of the Stribeck rise,
+        or with a known mass at an unknown angle.
     """
+    values = np.empty((0, len(chain.names))) if draws is None else draws
     angled = "load.gravity_angle" in chain.names
-    if torque_form(chain, times_gain=True) is None or (
+    forms = [(i, p.quantity) for i, p in enumerate(chain.parameters) if p.row.role == "form"]
+    if torque_form(chain, times_gain=True, any_shape=True) is None or (
         angled and any(o.inputs.known_load for o in observations)
     ):
         return None
-    return LinearTorque(chain, observations)
+    for i, quantity in forms:
+        if quantity not in _SHAPING:
+            return None
+        if quantity == "stribeck_exponent" and np.ptp(values[:, i]) > 0.0:
+            return None
+    return LinearTorque(chain, observations, values)
+
+
+def _one(o: Observation) -> Array:
+    return np.ones((1, o.qd.size))
+
+
+def _direction(o: Observation) -> Array:
+    return np.asarray(np.sign(o.qd)[None])
+
+
+def _ones(values: Array) -> Array:
+    return np.ones((values.shape[0], 1))
+
+
+def _times(one: Weights, other: Weights) -> Weights:
+    return lambda values: one(values) * other(values)
+
+
+def _lagrange(nodes: ShapeNodes) -> Weights:
+    return lambda values: nodes.weights(values[:, nodes.index])
+
+
+def _each(column: Callable[[Observation, float], Array], nodes: ShapeNodes) -> Along:
+    return lambda o: nodes.along(lambda shape: column(o, shape))
+
+
+def _shaped(p: Parameter, reach: float) -> Callable[[Observation, float], Array]:
+    def column(o: Observation, shape: float) -> Array:
+        assert p.row.column is not None
+        at = State(reach * o.q, reach * o.qd, 0.0, np.sign(o.qd), o.stamps, 0.0, 0.0)
+        return np.asarray(p.row.column(at, shape))
+
+    return column
 
 
 def _piece(o: Observation, part: slice) -> Observation:

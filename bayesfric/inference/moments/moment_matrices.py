@@ -35,6 +35,8 @@ Index = NDArray[np.int64]
 _CHUNK = 16384
 # Relative size below which a direction of the columns is stretched no further.
 _STRETCH = 1e-14
+# And with columns for unknown shapes, below which it is left out: far below their accuracy.
+_SHAPED = 1e-22
 # At most this share of the samples is kept one by one, and in any case so many.
 _KEPT_SHARE, _KEPT = 0.05, 20_000
 
@@ -43,23 +45,27 @@ _KEPT_SHARE, _KEPT = 0.05, 20_000
 class MomentMatrices:
     """One recording, reduced."""
 
-    to_columns: Array  # (K, K) A': coefficients (n, K) times this are z
-    # (entries, K, K) symmetric: each moment is z' Q z, laid out as in
+    # (K, k) A': coefficients (n, K) times this are z; k is K, or less where columns for one shape
+    # are nearly the same
+    to_columns: Array
+    # (entries, k, k) symmetric: each moment is z' Q z, laid out as in
     # bayesfric.inference.moments.residual_moments.unpacked
     matrices: Array
     # (U,) of the kept samples, rising: at a distance below it a sample has the centre's sign
     ratios: Array
     # (n2, U) their sigma psi2; its product with the leg is negative where the sign differs
     signs: Array
-    jumps: Array  # (U,) by 2 sign(qd), times lambda_2 and that product, the residual changes
+    # (U, m) 2 sign(qd) times each function of speed: times lambda_2 and that product, by so much
+    # the residual changes
+    jumps: Array
     first: Index  # first, last: (U,) the kept outputs first:last that each takes part in
     last: Index
     weights: Array  # (U, most) what it weighs in each of them
-    # (U, order + 1, padded K): its product with z times the residual's jump is what the sum
+    # (U, order + 1, padded k): its product with z times the residual's jump is what the sum
     # over pairs of outputs 0, 1, .. apart changes by, but for the jump's square. Pairs of
     # outputs that are both at the edge of a run are left out
     slopes: Array
-    # (V, padded K) E inv(A) of the kept outputs: those and, for AR noise, their neighbours
+    # (V, padded k) E inv(A) of the kept outputs: those and, for AR noise, their neighbours
     rows: Array
     # age, remaining, head, inner: (V,) of the kept outputs; inner where the order reaches
     # neither end of the run
@@ -82,6 +88,7 @@ class _Chunk:
     samples: slice
     psi2: Array
     level: Array
+    phi: Array
     rows: Array
 
 
@@ -110,7 +117,7 @@ def moment_matrices(
         gram += chunk.rows @ chunk.rows.T
         found.look(chunk, region)
     kept, ratios = found.sorted()
-    to_columns, stretch = _orthonormal(gram)
+    to_columns, stretch = _orthonormal(gram, _SHAPED if linear.shapes else 0.0)
 
     runs = Runs.of(o, order)
     starts, length = o.filter.starts, o.filter.taps.size
@@ -118,21 +125,24 @@ def moment_matrices(
     high = np.searchsorted(starts, kept, side="right")
     touched = _joined(low, high, starts.size)
     outputs = _with_neighbours(touched, runs, order)
-    padded = -(-linear.size // 4) * 4
+    size = to_columns.shape[1]
+    padded = -(-size // 4) * 4
     rows = np.zeros((outputs.size, padded))
     signs = np.zeros((len(linear.names2), kept.size))
+    jumps = np.zeros((kept.size, linear.functions_of_speed))
     in_place = np.argsort(kept, kind="stable")
     ordered = kept[in_place]
 
-    sums = _Products(order, linear.size, runs)
+    sums = _Products(order, size, runs)
     for chunk in _chunks(linear, o, region):
         straight = stretch.T @ chunk.rows
         sums.add(straight, chunk.outputs.start)
         a, b = np.searchsorted(outputs, (chunk.outputs.start, chunk.outputs.stop))
-        rows[a:b, : linear.size] = straight[:, outputs[a:b] - chunk.outputs.start].T
+        rows[a:b, :size] = straight[:, outputs[a:b] - chunk.outputs.start].T
         a, b = np.searchsorted(ordered, (chunk.samples.start, chunk.samples.stop))
         at = ordered[a:b] - chunk.samples.start
         signs[:, in_place[a:b]] = np.where(chunk.level[at] >= 0.0, 1.0, -1.0) * chunk.psi2[:, at]
+        jumps[in_place[a:b]] = chunk.phi[:, at].T
 
     first = np.searchsorted(outputs, low)
     last = first + (high - low)
@@ -150,7 +160,7 @@ def moment_matrices(
         matrices=sums.matrices(),
         ratios=ratios,
         signs=signs,
-        jumps=2.0 * np.sign(o.qd[kept]),
+        jumps=2.0 * np.sign(o.qd[kept])[:, None] * jumps,
         first=first,
         last=last,
         weights=weights,
@@ -169,7 +179,6 @@ def moment_matrices(
 def _chunks(linear: LinearTorque, o: Observation, region: SignRegion) -> Iterator[_Chunk]:
     """Go through a recording; a chunk's rows are filtered columns ``(K, outputs)``."""
     starts, taps = o.filter.starts, o.filter.taps
-    k1, n2 = len(linear.names1), len(linear.names2)
     # long windows overlap: most of a chunk should not be done twice
     reach = max(_CHUNK, 8 * taps.size) - taps.size
     begin = 0
@@ -178,13 +187,9 @@ def _chunks(linear: LinearTorque, o: Observation, region: SignRegion) -> Iterato
         end = begin + int(np.searchsorted(nearest, starts[begin] + reach, side="right"))
         a, b = int(starts[begin]), int(starts[end - 1]) + taps.size
         psi1, psi2 = linear.columns(o, a, b)
-        raw = np.empty((linear.size - 1, b - a))
-        raw[:k1] = psi1
-        sign = np.sign(o.qd[a:b])
         level = region.centre @ psi2
-        np.multiply(np.where(level >= 0.0, sign, -sign), psi2, out=raw[k1 : k1 + n2])
-        if linear.rest:
-            np.multiply(sign == 0.0, psi2, out=raw[k1 + n2 :])
+        phi = linear.functions(o, a, b)
+        raw = linear.rows(o, psi1, psi2, a, np.where(level >= 0.0, 1.0, -1.0))
         raw *= o.filter.used[a:b]
         rows = np.empty((linear.size, end - begin))
         rows[0] = o.measured[begin:end]
@@ -193,7 +198,7 @@ def _chunks(linear: LinearTorque, o: Observation, region: SignRegion) -> Iterato
         else:
             _filter(raw, taps, starts[begin:end] - a, rows[1:])
         rows[1:] *= o.filter.gains[begin:end]
-        yield _Chunk(slice(begin, end), slice(a, b), psi2, level, rows)
+        yield _Chunk(slice(begin, end), slice(a, b), psi2, level, phi, rows)
         begin = end
 
 
@@ -307,14 +312,18 @@ def _with_neighbours(outputs: Index, runs: Runs, order: int) -> Index:
     return np.unique(np.concatenate(found)) if order else outputs
 
 
-def _orthonormal(gram: Array) -> tuple[Array, Array]:
+def _orthonormal(gram: Array, least: float) -> tuple[Array, Array]:
     """Coordinates in which the columns with these products are nearly orthonormal.
 
     Returns ``A'``, which coefficients are multiplied by, and ``inv(A)``, which columns are.
+    Directions with less than the ``least`` share of the squares are left out.
     """
     size = np.sqrt(np.diag(gram))
     size = np.where(size > 0.0, size, 1.0)
     values, vectors = np.linalg.eigh(gram / size / size[:, None])
+    if least > 0.0:
+        kept = values > least * values[-1]
+        values, vectors = values[kept], vectors[:, kept]
     length = np.sqrt(np.maximum(values, _STRETCH * max(float(values[-1]), 1.0)))
     return size[:, None] * vectors * length, vectors / length / size[:, None]
 
