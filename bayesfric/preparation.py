@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,7 +29,7 @@ from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.read import read_recordings
 from bayesfric.recordings.recording import Recording
-from bayesfric.recordings.timing import timed
+from bayesfric.recordings.timing import longest_delay, timed
 
 # Times an inertia by which a band that was asked for is worth a doubt.
 _HARM = 1.05
@@ -76,6 +77,7 @@ def prepare(
     _check_recordings(config, chain, found)
     with config.named():
         divided = divide(found, tables.processing, tables.validation)
+        doubted: tuple[Attenuated, ...] = ()
         for signal in {c.row.signal for c in chain.carried if c.row.column and c.row.signal}:
             for o in divided.observations:
                 if getattr(o.inputs, signal) is None:
@@ -91,7 +93,8 @@ def prepare(
                 found = [replace(r, widest_band=narrower.get(r.name)) for r in found]
                 divided = divide(found, tables.processing, tables.validation)
             else:
-                divided = _doubted(divided, attenuated)
+                doubted = tuple(attenuated)
+                divided = _doubted(divided, doubted)
         # the torque's rate sizes a prior, whatever the delay is
         observations = (_timed(divided, 0.0) if chain.delay else divided).observations
     if tables.mechanism.offset == "per-recording":
@@ -119,6 +122,14 @@ def prepare(
             known = as_knowledge(chain, priors)
             given = Given(chain, observations, known, tables.estimation, lambda: ())
             late = prior.value if prior.fixed else own_delay(given, divided.recordings)
+            if not prior.fixed and abs(late) > min(
+                longest_delay(o, r.period)
+                for r, o in zip(divided.recordings, divided.observations, strict=True)
+            ):
+                # as much off the ends as no torque is known for, and a little for what it may be
+                found = [replace(r, late=late + math.copysign(r.period, late)) for r in found]
+                divided = divide(found, tables.processing, tables.validation)
+                divided = _doubted(divided, doubted)
             divided = _timed(divided, late)
         encoder = divided.observations
         divided = _refined(divided, chain, as_knowledge(chain, priors), tables.estimation)

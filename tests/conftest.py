@@ -114,7 +114,13 @@ def make_observation():
             qd += amplitude * a * w * np.cos(w * time + phase)
             qdd -= amplitude * a * w**2 * np.sin(w * time + phase)
         torque = inverse_torque(
-            chain, chain.vector(values), q, qd, qdd, inputs=Inputs(added_mass, radius, name), time=time
+            chain,
+            chain.vector(values),
+            q,
+            qd,
+            qdd,
+            inputs=Inputs(added_mass, radius, name),
+            time=time,
         )
         torque = torque + sigma * rng.standard_normal(n)
         taken = lay_windows(

@@ -8,6 +8,7 @@ between those of the grid are ``beside``: they are no candidates, and go in with
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,7 +20,7 @@ from bayesfric.diagnostics.states import deflection, in_gap, resonating, since_r
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import QUANTITIES, Sizes, State
-from bayesfric.recordings.filters import derivative, lowpass
+from bayesfric.recordings.filters import derivative, later, lowpass
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 
@@ -30,6 +31,9 @@ Sets = Mapping[str, Sequence[Array]]
 _CARRIED = frozenset({"inertia", "first_moment", "gravity_angle", "spring", "spring_cubic", "gain"})
 # Shares of the inertia that lie behind the gearbox; which, a motion without losses does not tell.
 _BEHIND = (0.0, 0.33, 0.67, 1.0)
+# Delays in s between which a torque is about linear in them.
+_LATE = (0.03, 0.045, 0.07, 0.1, 0.15, 0.2)
+LATE = (*_LATE, *(-d for d in _LATE))
 # Turns of the cogging, and antiresonances in bands, and so on: grids of shapes.
 _CYCLES = (1, 2, 3, 4, 5, 6, 7, 8, 12, 18, 24, 36, 48)
 TURNS = {f"{k} a turn of the {side}": (k, side) for k in _CYCLES for side in ("motor", "joint")}
@@ -208,6 +212,23 @@ def _late(a: Along) -> Sets:
         return {"": [rate]}
     own = {f"in {name}": [rate * float(name == a.o.name)] for name in a.scales.names}
     return {"": [rate], **own}
+
+
+def late(a: Along) -> Mapping[float, tuple[Array, Array]]:
+    """Give what the recorded torque has changed by since another time, and how fast it did then.
+
+    By delays that are too long for what is linear in them; none where the model has a delay.
+    """
+    return {} if a.chain.delay else {d: _changed(a, d) for d in LATE}
+
+
+def _changed(a: Along, delay: float) -> tuple[Array, Array]:
+    torque, samples = a.smooth(a.o.torque), delay / a.recording.period
+    then, known = np.empty_like(torque), np.zeros_like(torque)
+    for begin, end in a.recording.segments:
+        then[begin:end] = later(torque[begin:end], samples)
+        known[begin + math.ceil(max(samples, 0.0)) : end + math.floor(min(samples, 0.0))] = 1.0
+    return (torque - then) * known, a.rate(then) * known
 
 
 def _one(column: Callable[[Along], Array]) -> Callable[[Along], Sets]:

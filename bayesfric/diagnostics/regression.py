@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.diagnostics.candidates import KINDS, Along, Scales, scales_of
+from bayesfric.diagnostics.candidates import KINDS, Along, Scales, late, scales_of
 from bayesfric.diagnostics.memory import WHITE, Layout, Memory, memory_of
 from bayesfric.diagnostics.policy import (
     ALIKE,
@@ -34,7 +34,7 @@ from bayesfric.diagnostics.policy import (
     MOST,
     TWINS,
 )
-from bayesfric.diagnostics.scans import PUSH, TONE, Scan, bump, tuned, waves
+from bayesfric.diagnostics.scans import DELAY, PUSH, TONE, Scan, bump, tuned, waves
 from bayesfric.diagnostics.statistics import (
     Columns,
     Key,
@@ -276,8 +276,10 @@ class Regression:
             choice = self._best(extra, choosing)
             yield choice, extra
             extra = [*extra, *choice.own]
-            if not choosing and choice.scan is None and choice.kind not in ("gravity", "repeating"):
-                family = [i for i, k in enumerate(self.data.keys) if k.kind == choice.kind]
+            alone = "gravity", "repeating", TONE, PUSH
+            if not choosing and choice.kind not in alone:
+                keys = enumerate(self.data.keys)
+                family = [i for i, k in keys if k.kind == choice.kind and not k.delay]
                 extra += [i for i in family if i not in extra]
 
     def _best(self, extra: list[int], choosing: bool) -> _Choice:
@@ -292,7 +294,7 @@ class Regression:
         kinds = [*(key.kind for key, _ in self._groups), *(scan.kind for scan in mine.scans)]
         # a shape, or the place of a scan, is one more number
         shapes = Counter(key.kind for key, _ in self._groups)
-        count = np.array([len(o) + (shapes[k.kind] > 1) for k, o in self._groups] + [3, 2])
+        count = np.array([len(o) + (shapes[k.kind] > 1) for k, o in self._groups] + [3, 2, 2])
         gains = np.append(mine.gains, [scan.peak for scan in mine.scans])
         worth = gains - (count - 1) * math.log(self.data.left.size)
         allowed = z > max(limit, LEAST_Z)
@@ -340,6 +342,7 @@ class Regression:
         mine = basis_of(z[:, choice.own])
         ranked = list(zip(self._groups, choice.worth, strict=False))
         best = max((w for (key, _), w in ranked if key.kind == choice.kind), default=np.inf)
+        best = np.inf if choice.scan else best
         seen = {choice.kind}
         for (key, columns), gain in ranked:
             if key.kind in seen:
@@ -397,7 +400,7 @@ class Regression:
 
     def _placed(self, scan: Scan, extra: Sequence[int]) -> Scan:
         """Tune the frequency of a tone; a push stays where it is."""
-        if scan.kind == PUSH:
+        if scan.kind != TONE:
             return scan
         d, white = self.data, self.data.whitened
         basis = basis_of(white.beside(extra))
@@ -411,10 +414,14 @@ class Regression:
     def _shape(self, scan: Scan) -> str:
         if scan.kind == TONE:
             return f"{scan.place:.3g} Hz"
+        if scan.kind == DELAY:
+            return f"by about {scan.place:.2g} s"
         return f"{self.observations[scan.recording].name} at {scan.place:.2f} s"
 
     def _with_scan(self, scan: Scan) -> list[int]:
         """Add the columns of what a scan has found to recording and twins, and number them."""
+        if scan.kind == DELAY:  # which have them already
+            return [i for i, key in enumerate(self.data.keys) if key.delay == scan.place]
         first = self.data.others.shape[1]
         self.data = self._widened(self.data, scan)
         self.twins = [self._widened(twin, scan) for twin in self.twins]
@@ -441,6 +448,9 @@ def _made(along: Along) -> Iterator[tuple[Key, Array]]:
                 yield Key(kind.name, shape, number), column
         for number, column in enumerate(kind.beside(along)):
             yield Key(kind.name, "", number, beside=True), column
+    for delay, columns in late(along).items():
+        for number, column in enumerate(columns):
+            yield Key(DELAY, f"by about {delay:.2g} s", number, delay=delay), column
 
 
 def _filtered(o: Observation, columns: Sequence[Array]) -> Array:

@@ -17,7 +17,7 @@ from bayesfric.diagnostics.memory import Layout
 
 Array = NDArray[np.float64]
 
-TONE, PUSH = "tone", "push"
+TONE, PUSH, DELAY = "tone", "push", "delay"
 # Lower and upper end of the frequencies, in periods of the recording and of the sampling.
 _PERIODS, _NYQUIST = 2.0, 0.45
 # Steps to a frequency, and the longest in periods of the recording.
@@ -33,7 +33,7 @@ class Scan:
 
     kind: str
     peak: float
-    place: float  # Hz of a tone, s of a push
+    place: float  # Hz of a tone, s of a push and of a delay
     recording: int = 0  # number of the one that a push is in
 
 

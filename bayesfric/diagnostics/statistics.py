@@ -13,7 +13,7 @@ from scipy.special import betainc, ndtri_exp
 
 from bayesfric.diagnostics.memory import WHITE, Layout, Memory
 from bayesfric.diagnostics.policy import TESTABLE
-from bayesfric.diagnostics.scans import Scan, push, tone
+from bayesfric.diagnostics.scans import DELAY, Scan, push, tone
 
 Array = NDArray[np.float64]
 
@@ -33,6 +33,7 @@ class Key:
     shape: str
     number: int
     beside: bool = False
+    delay: float = 0.0  # s; its column, the first of two, then has the coefficient one
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +71,7 @@ def testable(d: Columns) -> list[tuple[Key, list[int]]]:
     """Group columns to candidates; leave out what the model's own, or each other's, can do."""
     groups: dict[tuple[str, str], list[int]] = {}
     for i, key in enumerate(d.keys):
-        if not key.beside:
+        if not (key.beside or key.delay):
             groups.setdefault((key.kind, key.shape), []).append(i)
     base = basis_of(d.base)
     found: list[tuple[Key, list[int]]] = []
@@ -159,6 +160,9 @@ def asked(
     white = d.whitened
     basis = basis_of(white.beside(extra))
     z, y = white.others, without(basis, white.left)
+    delay = Scan(DELAY, 0.0, 0.0)
+    if not any(d.keys[i].delay for i in extra):  # there is one
+        delay = _delayed(d.keys, basis, z, y)
     size = np.sqrt((z**2).sum(axis=0))
     z = without(basis, without(basis, z))
     rest = np.sqrt((z**2).sum(axis=0))
@@ -189,7 +193,23 @@ def asked(
         variance = max(power - taken, 1e-12 * power) / max(free - len(own), 1)
         found.append(b / np.sqrt(np.maximum(variance * np.diag(inverse), 1e-300)))
         gains[i] = taken / variance
-    return Asked(found, gains, (tone(y, d.layout), push(y, d.layout, width)))
+    return Asked(found, gains, (tone(y, d.layout), push(y, d.layout, width), delay))
+
+
+def _delayed(keys: Sequence[Key], basis: Array, z: Array, y: Array) -> Scan:
+    """Find the delay that leaves least, a coefficient of one and how fast the torque changed."""
+    best, power = Scan(DELAY, 0.0, 0.0), float(y @ y)
+    free = y.size - basis.shape[1]
+    for i, key in enumerate(keys):
+        if key.delay and key.number == 0:
+            changed, rate = without(basis, z[:, i : i + 2]).T
+            left = y - changed
+            left = left - rate * (float(rate @ left) / max(float(rate @ rate), 1e-300))
+            rest = max(float(left @ left), 1e-12 * power)
+            gain = (power - rest) / rest * (free - 2)
+            if gain > best.peak:
+                best = Scan(DELAY, gain, key.delay)
+    return best
 
 
 def scored(mine: Asked, others: Sequence[Asked]) -> tuple[Array, Array]:
@@ -219,7 +239,9 @@ def scored(mine: Asked, others: Sequence[Asked]) -> tuple[Array, Array]:
         peaks = np.array([one.scans[i].peak for one in others])
         mean = (peaks.sum() - peaks) / (n - 1)
         sd = np.array([np.delete(peaks, k).std(ddof=1) for k in range(n)])
-        z[m + i] = _extreme(np.array((scan.peak - peaks.mean()) / peaks.std(ddof=1)))
+        # where twins show nothing at all, a unit of chi squared
+        sd, all_sd = np.maximum(sd, 1.0), max(float(peaks.std(ddof=1)), 1.0)
+        z[m + i] = _extreme(np.array((scan.peak - peaks.mean()) / all_sd))
         null[:, m + i] = _extreme((peaks - mean) / sd)
     return z, null
 

@@ -23,6 +23,12 @@ from bayesfric.recordings.timing import longest_delay, retimed
 # Each round takes the torque of the delay that the last one found: far from it, what is linear
 # in the delay holds only roughly. It stands still when it moves by less than this many sds.
 _ROUNDS, _STILL = 10, 0.02
+# A delay is looked for as far as this, s, and a tenth of the recording; in steps that grow by this
+# factor, from the first on.
+_FURTHEST, _SHARE, _GROWS = 0.25, 0.1, 1.3
+# What a delay far from none leaves of the torque at most, over what none leaves: a swing at one
+# frequency takes a quarter of its period for a spring.
+_FAR_LESS = 0.5
 # Samples that filters and kinks at reversals shift a torque by, even where there is no noise.
 _FINEST = 0.025
 # Correlation of neighbouring residuals below which they are the position's noise, differentiated:
@@ -93,12 +99,12 @@ def own_delay(given: Given, recordings: Sequence[Measurement]) -> float:
     chain, pairs = given.chain, list(zip(recordings, given.observations, strict=True))
     if not bends(chain):
         return find_delay(chain, recordings, given.observations)[0]
-    longest = min(longest_delay(o, r.period) for r, o in pairs)
-    delay = 0.0
+    plain = replace(chain, delay=False)
+    delay = _first(*torque_near(plain, given.observations, None), pairs)
     for _ in range(_ROUNDS):
         there = [retimed(o, r.segments, r.period, delay, r.back_emf) for r, o in pairs]
         found = input_error(chain, there, given.knowledge, given.options)[chain.delay_name]
-        before, delay = delay, float(np.clip(found.value, -longest, longest))
+        before, delay = delay, _within(found.value, pairs)
         # what has no sd, or is at the end, moves no more
         if not abs(delay - before) > _STILL * larger(found.sd, found.sd_robust):
             break
@@ -151,7 +157,8 @@ def find_delay(
     Returns
     -------
     tuple of float
-        No longer than what is trimmed off the ends; the larger of the plain and the robust sd.
+        No longer than a quarter of a second, or a tenth of the recording; the larger of the plain
+        and the robust sd.
 
     Raises
     ------
@@ -159,10 +166,9 @@ def find_delay(
         If nothing can be estimated from these recordings.
     """
     pairs = list(zip(recordings, observations, strict=True))
-    longest = min(longest_delay(o, r.period) for r, o in pairs)
     regressors, model = torque_near(replace(chain, delay=False), observations, point)
     where = places([o for _, o in pairs])
-    delay, sd, lag = 0.0, np.inf, np.nan
+    delay, sd, lag = _first(regressors, model, pairs), np.inf, np.nan
     for _ in range(_ROUNDS):
         before = delay
         there = [retimed(o, r.segments, r.period, delay, r.back_emf) for r, o in pairs]
@@ -174,12 +180,44 @@ def find_delay(
         sd, lag = found.sd, lag_one(found.residual, np.diff(where) == 1)
         if not np.isfinite(sd):
             return 0.0, np.inf
-        delay = float(np.clip(found.value, -longest, longest))
+        delay = _within(found.value, pairs)
         if not abs(delay - before) > _STILL * sd:
             break
     # by more than two standard deviations of what chance does
     noisy = np.isfinite(sd) and lag < _OF_POSITION - 2.0 / math.sqrt(len(where))
     return delay, np.inf if noisy else sd
+
+
+def _longest(pairs: Sequence[tuple[Measurement, Observation]]) -> float:
+    """Longest delay, s, that is looked for."""
+    trimmed = min(longest_delay(o, r.period) for r, o in pairs)
+    return max(trimmed, min(_FURTHEST, _SHARE * min(float(np.ptp(o.stamps)) for _, o in pairs)))
+
+
+def _within(delay: float, pairs: Sequence[tuple[Measurement, Observation]]) -> float:
+    return float(np.clip(delay, -_longest(pairs), _longest(pairs)))
+
+
+def _first(
+    regressors: Array, model: Array, pairs: Sequence[tuple[Measurement, Observation]]
+) -> float:
+    """Give the delay to begin with: none, or a far one with which far more is explained."""
+    near = max(longest_delay(o, r.period) for r, o in pairs)
+    steps = np.arange(0.0, math.log(max(_longest(pairs) / near, 1.0)), math.log(_GROWS))
+    beyond = near * np.exp(steps)
+    basis, _ = np.linalg.qr(regressors)
+
+    def left(delay: float) -> float:
+        there = [retimed(o, r.segments, r.period, delay, r.back_emf) for r, o in pairs]
+        columns = [np.concatenate([o.measured for o in there]) - model]
+        columns.append(np.concatenate([_rate(o) for o in there]))
+        y, rate = (x - basis @ (basis.T @ x) for x in columns)
+        found = y - rate * float(rate @ y) / max(float(rate @ rate), 1e-300)
+        return float(found @ found)
+
+    tried = {float(d): left(float(d)) for d in (0.0, *beyond, *-beyond)}
+    best = min(tried, key=tried.__getitem__)
+    return best if tried[best] < _FAR_LESS * tried[0.0] else 0.0
 
 
 def _rate(o: Observation) -> Array:

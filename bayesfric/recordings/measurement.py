@@ -81,6 +81,9 @@ class Measurement:
     made_of: Mapping[str, str] = field(default_factory=dict)
     # Hz beyond which an acceleration is not what the joint's is, where a model has told
     widest_band: float | None = None
+    # s by which the position comes after the torque, where a model has told: so much is cut off
+    # both ends, where torque of then is not known
+    late: float = 0.0
     # how the drive makes its torque, in the closed loop where a target was recorded; None for
     # what no file tells, as a simulated twin
     law: Law | None = None

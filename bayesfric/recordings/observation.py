@@ -376,6 +376,7 @@ def _settle(recording: Measurement, processing: Processing) -> _Numbers:
     else:
         # more than there are would only cost memory
         trim = int(np.ceil(min(processing.trim * fs, len(recording.time)) - 1e-9))
+    trim = max(trim, int(np.ceil(abs(recording.late) * fs - 1e-9)))
     return _Numbers(fs, cutoff, factor, band, trim, reach, max(_GUARD, one_period), resolution)
 
 

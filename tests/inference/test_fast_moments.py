@@ -13,7 +13,7 @@ from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.moments.fast_moments import fast_moments
 from bayesfric.inference.moments.linear_torque import linear_torque
 from bayesfric.inference.moments.residual_moments import PlainMoments
-from bayesfric.inference.moments.shape_nodes import ACCURACY, ShapeNodes
+from bayesfric.inference.moments.shape_nodes import ACCURACY
 from bayesfric.inference.moments.sign_region import SignRegion
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
@@ -149,9 +149,7 @@ class Case:
         for o in self.observations:
             psi1, psi2 = linear.columns(o, 0, o.q.size)
             rows = linear.rows(o, psi1, psi2, 0, np.ones(o.q.size))
-            norms = np.concatenate(
-                [[np.linalg.norm(o.measured)], np.linalg.norm(rows, axis=1)]
-            )
+            norms = np.concatenate([[np.linalg.norm(o.measured)], np.linalg.norm(rows, axis=1)])
             out.append(np.abs(coefficients) @ norms)
         return np.stack(out, axis=1)
 

@@ -107,7 +107,9 @@ class LinearTorque:
         if form is None:
             raise ValueError("the chain's torque is not of the form of eq. (13)")
         self.chain = chain
-        self._some = [_piece(o, slice(None, None, max(1, o.q.size // _TRIED))) for o in observations]
+        self._some = [
+            _piece(o, slice(None, None, max(1, o.q.size // _TRIED))) for o in observations
+        ]
         self._draws = draws
         loaded = ("added_load",) if any(o.inputs.known_load for o in observations) else ()
         self._names = (*form.names1, *loaded)
@@ -121,7 +123,9 @@ class LinearTorque:
         self.shapes: list[ShapeNodes] = []
         self._groups = list(self._all_groups(front, behind))
         self.names1 = tuple(self._names[j] for _, j, _ in self._plain())
-        self._both = [i for i, (g, j, _) in enumerate(self._plain()) if self._is_leg(form.loss, g, j)]
+        self._both = [
+            i for i, (g, j, _) in enumerate(self._plain()) if self._is_leg(form.loss, g, j)
+        ]
         self.names2 = tuple(self.names1[i] for i in self._both)
         # what is of the recorded torque itself no gain divides
         self._joints = [i for i, n in enumerate(self.names1) if not n.startswith("drive.")]
@@ -167,17 +171,18 @@ class LinearTorque:
         for p, j in zip(shaped, own, strict=True):
             reach = self.chain.reaches[p.owner]
             nodes = self._nodes(f"{p.owner}.{p.row.shape}", _shaped(p, reach))
-            yield _Group(
-                _each(_shaped(p, reach), nodes), _lagrange(nodes), front, behind, (j,)
-            )
+            yield _Group(_each(_shaped(p, reach), nodes), _lagrange(nodes), front, behind, (j,))
         for element in self.chain.elements:
             risen = self._rise(element.name, "stribeck_ratio")
             if risen is None:
                 continue
             along, weights = risen
             of = [i for i, p in enumerate(self.chain.parameters) if p.owner == element.name]
-            rows = [i for i in of if self.chain.parameters[i].row.role == "own"
-                    and self.chain.parameters[i].row.rises]
+            rows = [
+                i
+                for i in of
+                if self.chain.parameters[i].row.role == "own" and self.chain.parameters[i].row.rises
+            ]
             only = np.zeros((len(self.chain.names), 1))
             only[rows] = 1.0
             kinds = {k for i in rows for k, _ in filled(self.chain, self.chain.parameters[i])}
@@ -257,7 +262,9 @@ class LinearTorque:
         found[:, 0] = 1.0
         if not self._losses:
             found[:, 1:] = -(motor + leg)
-            return self._measured(Coefficients(found, np.zeros((n, 0)), np.zeros((n, 1)), inside), values)
+            return self._measured(
+                Coefficients(found, np.zeros((n, 0)), np.zeros((n, 1)), inside), values
+            )
         drive = np.concatenate([loss.drive(values) for loss in self._losses], axis=1)
         back = np.concatenate([loss.back(values) for loss in self._losses], axis=1)
         excess, lambda2 = 0.5 * (drive - back), 0.5 * (drive + back)
@@ -274,7 +281,7 @@ class LinearTorque:
         return self._measured(Coefficients(found, behind, lambda2, inside), values)
 
     def _multiplied(self, values: Array, way: int) -> Array:
-        """What is in each column of ``psi1``, up to the gearbox or behind it."""
+        """Give what is in each column of ``psi1``, up to the gearbox or behind it."""
         found = []
         for g, group in enumerate(self._groups):
             own = values @ (group.behind if way else group.front)

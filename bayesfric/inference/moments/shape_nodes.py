@@ -43,7 +43,11 @@ class ShapeNodes:
 
     @classmethod
     def over(
-        cls, index: int, draws: Array, support: tuple[float, float], column: Callable[[float], Array]
+        cls,
+        index: int,
+        draws: Array,
+        support: tuple[float, float],
+        column: Callable[[float], Array],
     ) -> ShapeNodes:
         """Choose range and nodes for draws ``(n,)`` of the shape.
 
@@ -91,7 +95,9 @@ class ShapeNodes:
         guessed = self.weights(between) @ known
         errors = [
             np.linalg.norm(guess - there) / max(float(np.linalg.norm(there)), 1e-300)
-            for guess, there in ((g, column(float(x))) for g, x in zip(guessed, between, strict=True))
+            for guess, there in (
+                (g, column(float(x))) for g, x in zip(guessed, between, strict=True)
+            )
         ]
         return float(max(errors))
 
@@ -101,7 +107,7 @@ class ShapeNodes:
         return np.asarray((shape >= self.low) & (shape <= self.high))
 
     def weights(self, shape: Array) -> Array:
-        """What multiplies the columns at values of the shape ``(n,)``, ``(n, r)``."""
+        """Give what multiplies the columns at values of the shape ``(n,)``, ``(n, r)``."""
         count = self.nodes.size
         if count == 1:
             return np.ones((shape.size, 1))

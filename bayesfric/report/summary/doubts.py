@@ -24,7 +24,6 @@ from bayesfric.mechanism.quantities import QUANTITIES, TOTALS, Quantity, State
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.resolution import LEAST_RATIO
 from bayesfric.report.summary.bounds import held, noise_cut
-from bayesfric.report.summary.position_delay import other_time
 from bayesfric.report.summary.position_unit import best_share, other_units
 from bayesfric.report.summary.record import Doubt, Summary, quantity_of
 from bayesfric.report.summary.reference_check import references_off
@@ -173,7 +172,6 @@ def _instead(
     return {
         "units": other_units(chain, observations, share),
         "presets": presets,
-        "delay": other_time(chain, observations, share, _EXPLAINED),
     }
 
 

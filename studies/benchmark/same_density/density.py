@@ -69,7 +69,7 @@ class Reduced:
         linear = linear_torque(chain, [o])
         assert linear is not None
         values = draws[:, : len(target.free)]
-        region = SignRegion.around(linear.coefficients(values).leg, linear.typical_size([o]))
+        region = SignRegion.around(linear.coefficients(values).leg, linear.typical_size())
         assert region is not None
         m = moment_matrices(linear, o, 0, region, RADIUS)
         at = {name: i for i, name in enumerate(target.free)}
@@ -104,7 +104,7 @@ class Reduced:
             matrix=m.matrices[0],
             ratios=m.ratios,
             signs=np.ascontiguousarray(m.signs.T),
-            jumps=m.jumps,
+            jumps=m.jumps[:, 0],
             weights=m.weights[:, 0] ** 2,
             slopes=np.ascontiguousarray(m.slopes[:, 0, : m.to_columns.shape[0]]),
             samples=o.measured.size,
