@@ -17,11 +17,15 @@ from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.rest import resting_ends
 from bayesfric.report.alerts import doubt_text
-from bayesfric.report.numbers import in_tenths
+from bayesfric.report.numbers import TEXT, in_tenths
 from bayesfric.report.summary.doubts import doubts_before, few_outputs, little_explained
 from bayesfric.report.summary.summary import estimate_summary
+from bayesfric.report.terminal import aligned, shortened
 from bayesfric.report.text_templates import sentence
+from bayesfric.report.words import line_of
 
+# Recordings, and findings, that are named one by one.
+_MANY = 5
 # What a key of a recording leaves out.
 _LEFT_OUT = {
     "start": "the joint rests until then; not with rest = true, which makes use of it",
@@ -40,9 +44,9 @@ class Checked:
         """Give what ``bayesfric check --json`` prints."""
         return dict(self.found)
 
-    def text(self) -> str:
-        """Say it for people."""
-        return "\n".join(_lines(self.found))
+    def text(self, *, verbose: bool = False) -> str:
+        """Say it for people; ``verbose`` with every step and prior."""
+        return "\n".join(_lines(self.found) if verbose else _brief(self.found))
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -155,6 +159,49 @@ def _leave_out(model: Model, findings: Sequence[Finding]) -> dict[str, dict[str,
         if ends or spans:
             found[one.name] = {**ends, **spans}
     return found
+
+
+def _brief(found: Mapping[str, Any]) -> Iterator[str]:
+    recordings = found["recordings"]
+    for one in recordings[:_MANY]:
+        told = one["settings"]
+        rate = f" at {told['sampling_rate']:.4g} Hz" if told.get("sampling_rate") else ""
+        band = f", compared up to {told['band']:.3g} Hz" if told.get("band") else ""
+        held = f", {one['held_out']} held out" if one["held_out"] else ""
+        yield shortened(f"{one['name']}: {one['duration']:.4g} s{rate}{band}{held}")
+    if len(recordings) > _MANY:
+        yield f"and {len(recordings) - _MANY} more"
+    totals = found["least_squares"]
+    cells = [("", "least squares", "±", "", "")]
+    for name, v in totals["parameters"].items():
+        if v["sd"] is None:
+            cells.append((name, "not determined", "", "", v["unit"]))
+        else:
+            sd = max(v["sd"], v["sd_robust"] or 0.0)
+            cells.append(
+                (name, TEXT.ends(v["value"], 0, 0, sd), TEXT.ends(sd, 0, 0, sd), "", v["unit"])
+            )
+    yield ""
+    yield from aligned(cells)
+    if (rms := totals["residual_rms"]) is not None:
+        yield f"{rms:.3g} {totals['residual_unit']} rms left"
+    yield ""
+    lines = [line_of(doubt["kind"], doubt) for doubt in found["doubts"]]
+    said: dict[str, int] = {}
+    for one in recordings:
+        for text in one["warnings"]:
+            said[text.split(";")[0]] = said.get(text.split(";")[0], 0) + 1
+    lines += [text if n == 1 else f"{text} ({n} recordings)" for text, n in said.items()]
+    for one in found["taken"]:
+        yield shortened(f"fit will put in: {line_of(one['kind'], one)}")
+    yield from (shortened(f"! {line}") for line in lines[:_MANY])
+    if len(lines) > _MANY:
+        yield f"  and {len(lines) - _MANY} more: --verbose"
+    if not lines and not found["taken"]:
+        yield "Nothing stands out."
+    for name, keys in list(found["leave_out"].items())[:_MANY]:
+        values = ", ".join(f"{key} = {toml_value(value)}" for key, value in keys.items())
+        yield shortened(f"  {name}: {values} leaves out what is no motion by the motor")
 
 
 def _lines(found: Mapping[str, Any]) -> Iterator[str]:

@@ -50,6 +50,9 @@ Paper = Annotated[
     bool,
     typer.Option("--paper", help="with figures as PDF and PNG, and LaTeX; report adds them later"),
 ]
+Verbose = Annotated[
+    bool, typer.Option("--verbose", help="print how each number was made, and every finding")
+]
 RunOption = Annotated[Path | None, typer.Option("-o", "--output", help="run directory to make")]
 
 BAD_INPUT, NOT_CONVERGED, INTERRUPTED = 2, 3, 130
@@ -148,12 +151,12 @@ def simulate(
 
 
 @app.command()
-def check(config: ConfigFile, as_json: AsJson = False) -> None:
+def check(config: ConfigFile, verbose: Verbose = False, as_json: AsJson = False) -> None:
     """Read everything; print what is measured, its quality and its problems."""
     from bayesfric.checked import check as run
 
     found = run(config)
-    _print(found.as_json(), as_json, found.text().splitlines())
+    _print(found.as_json(), as_json, found.text(verbose=verbose).splitlines())
 
 
 if TYPE_CHECKING:
@@ -283,6 +286,7 @@ def fit(
     force: Force = False,
     output_error: OutputError = False,
     paper: Paper = False,
+    verbose: Verbose = False,
     as_json: AsJson = False,
 ) -> None:
     """Sample the posterior and write the run directory."""
@@ -296,6 +300,7 @@ def fit(
         read,
         output or Path(f"{config.stem}-run"),
         as_json,
+        verbose=verbose,
         seed=seed,
         resume=resume,
         force=force,
@@ -311,6 +316,7 @@ def demo(
     resume: Resume = False,
     force: Force = False,
     paper: Paper = False,
+    verbose: Verbose = False,
     as_json: AsJson = False,
 ) -> None:
     """Fit the packaged knee: a recording SIMULATED from Table 3 of the paper."""
@@ -323,7 +329,7 @@ def demo(
     output = output or Path("demo-run")
     remark = "The demo recording is simulated, from Table 3 of the paper."
     options: dict[str, Any] = {"seed": seed, "resume": resume, "force": force, "paper": paper}
-    _fit(read, output, as_json, remark, **options)
+    _fit(read, output, as_json, remark, verbose=verbose, **options)
 
 
 @app.command()
@@ -493,7 +499,13 @@ def fleet(
 
 
 def _fit(
-    config: Callable[[], Config], folder: Path, as_json: bool, remark: str = "", **options: Any
+    config: Callable[[], Config],
+    folder: Path,
+    as_json: bool,
+    remark: str = "",
+    *,
+    verbose: bool = False,
+    **options: Any,
 ) -> None:
     spent = Spent()  # before what it imports, which takes time, too
     from bayesfric.report.second_process import second_process
@@ -510,14 +522,14 @@ def _fit(
             if remark:
                 print(remark, file=sys.stderr)
             if not as_json:
-                _print(found, as_json, fit_text(found))
+                _print(found, as_json, fit_text(found, verbose=verbose))
             show = bars.enter_context(progress_shown(sys.stderr.isatty()))
 
         try:
             summary = run(config(), folder, progress=lambda x: show(x), found=tell, **options)
         except Interrupted as stopped:
             raise _Stopped(stopped) from None
-    _print(summary, as_json, [f"Written to {folder}. In all {spent}"])
+    _print(summary, as_json, ["", f"{folder / 'report.html'}   in all {spent}"])
     if summary["sampler"]["status"] != "reliable":
         raise typer.Exit(NOT_CONVERGED)
 

@@ -37,6 +37,7 @@ from bayesfric.report.summary.loss_limits import limits_of_losses
 from bayesfric.report.summary.model_error import add_model_error
 from bayesfric.report.summary.noise import add_white_intervals, white_alternative
 from bayesfric.report.summary.record import FindingRow, Identifiability, RegressionPart, Summary
+from bayesfric.report.summary.reported import put_reported
 from bayesfric.report.summary.residual import BackEmfPart, RestsPart
 from bayesfric.report.summary.self_check import self_check_doubts, self_check_part
 from bayesfric.report.summary.summary import rms, spreads, summarise
@@ -123,7 +124,7 @@ def whole_fit(
         update["identifiability"] = Identifiability.model_validate(
             summary.identifiability.as_dict() | {"directions": plain(here.directions)}
         )
-    return Result(model, found, summary.model_copy(update=update))
+    return Result(model, found, put_reported(summary.model_copy(update=update)))
 
 
 def _refuse_alike_losses(model: Model, begun: Beginning) -> None:
@@ -204,7 +205,8 @@ def _with_white_noise(
 
 def _with_findings(summary: Summary, found: Explanation, taken: Sequence[Finding]) -> Summary:
     """Put in what else explains the torque, and how that was asked."""
-    asked = {"twins": found.twins} | ({"reason": found.reason} if found.reason else {})
+    asked: dict[str, Any] = {"twins": found.twins, "asked": len(found.kinds)}
+    asked |= {"reason": found.reason} if found.reason else {}
     update = {
         "findings": [FindingRow.model_validate(one.as_dict()) for one in found.findings],
         "taken": [FindingRow.model_validate(one.as_dict()) for one in taken],

@@ -32,7 +32,6 @@ from bayesfric.finished import Finished, finished
 from bayesfric.recordings.trajectory import trajectory
 from bayesfric.report.figures.style import save
 from bayesfric.report.files import check_free, made_beside, parents_made, unwritable
-from bayesfric.report.summary.self_check import uncorrected_sentence
 from bayesfric.report.summary.summary import LEVEL
 
 # Draws that intervals are told from.
@@ -269,8 +268,9 @@ def _record(
     status, doubted = _status(found), found.summary.only_doubted
     if status != "reliable":
         notes.insert(0, sentence("notes.txt.j2", "status", {"status": status, "doubted": doubted}))
-    uncorrected = uncorrected_sentence(found.summary, found.joint.names)
-    notes.insert(0, sentence("notes.txt.j2", told.kind, {"uncorrected": uncorrected}))
+    reported = {name: row.reported for name, row in found.summary.rows.items()}
+    biased = [name for name, one in reported.items() if one and one.how.bias]
+    notes.insert(0, sentence("notes.txt.j2", told.kind, {"biased": biased}))
     if told.scalings:
         notes.insert(0, sentence("notes.txt.j2", "open scale", {"names": open_names}))
     return {

@@ -48,7 +48,7 @@ def record_of(summary: Summary) -> dict[str, Any]:
         rows.append(
             {
                 "quantity": name,
-                "value": row.middle,
+                "value": row.value,
                 "low": low,
                 "high": high,
                 "sd": row.told_sd,

@@ -12,8 +12,8 @@ from bayesfric.report.numbers import in_tenths
 from bayesfric.report.summary.record import OutlyingRow, Readable, Summary
 from bayesfric.report.summary.reference_check import references_off
 from bayesfric.report.summary.rollout import FEWEST, RollOutPart
-from bayesfric.report.summary.self_check import to_cite
 from bayesfric.report.text_templates import sentence
+from bayesfric.report.words import line_of
 
 # Kinds of doubts, see bayesfric.report.summary.doubts; each has a macro that words it.
 DOUBTS = (
@@ -45,6 +45,7 @@ class Alert:
     text: str  # one sentence without its full stop
     section: str = ""  # of the page, which tells more; empty where none does
     first: bool = False  # whether it comes before all numbers
+    line: str = ""  # the same in one line, with the thing to do; empty for what needs none
 
 
 def doubt_text(doubt: Mapping[str, Any]) -> str:
@@ -94,30 +95,41 @@ def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:
 
     ``contested`` are numbers of which other methods give other values.
     """
-    found = [Alert("sampler", text, "sampling", first=True) for text in summary.sampler.problems]
+    problem = line_of("sampler")
+    found = [
+        Alert("sampler", text, "sampling", first=True, line=problem)
+        for text in summary.sampler.problems
+    ]
     for doubt in summary.doubts:
-        text = doubt_text(doubt.model_dump())
+        dumped = doubt.model_dump()
         place = "model-error" if doubt.kind == "missing" else "noise"  # how it was asked
-        found.append(Alert(doubt.kind, text, place, first=True))
+        line = line_of(doubt.kind, dumped)
+        found.append(Alert(doubt.kind, doubt_text(dumped), place, first=True, line=line))
     error = summary.model_error
     if error is not None and error.shown:
         aside = len(error.outlying) if error.set_aside else 0
         text = sentence("model error", {"found": error.found, "set_aside": aside})
-        found.append(Alert("model error", text, "model-error", first=True))
+        line = line_of("model error")
+        found.append(Alert("model error", text, "model-error", first=True, line=line))
     if summary.sampler.status != "unusable" and (told := references_off(summary)) is not None:
         text = sentence("references", told)
-        found.append(Alert("references", text, "parameters", first=True))
+        line = line_of("references")
+        found.append(Alert("references", text, "parameters", first=True, line=line))
     if summary.sampler.status != "unusable":  # else there is no posterior to judge the model by
         for kind, values, section in _of_model(summary, contested):
             first = kind in ("unparted", "put in")
-            found.append(Alert(kind, sentence(kind, values), section, first=first))
+            line = "" if kind == "put in" else line_of(kind, values)
+            found.append(Alert(kind, sentence(kind, values), section, first=first, line=line))
     # a few outputs seldom move a number by as much as what is above
     if error is not None and error.outlying:
         for kind, recurs in (("outlying", False), ("recurring", True)):
             if seen := [one for one in error.outlying if one.recurs is recurs]:
                 told = {"outputs": seen, "apart": _apart(seen), "unit": summary.fit.unit}
-                found.append(Alert(kind, sentence(kind, told), "model-error", first=True))
-    found += (Alert("warning", text) for text in _gathered(summary))
+                at = [f"{one.time:.4g}" for one in seen[:3]]
+                line = line_of(kind, {"seconds": ", ".join(at)})
+                text = sentence(kind, told)
+                found.append(Alert(kind, text, "model-error", first=True, line=line))
+    found += (Alert("warning", text, line=text.split(";")[0]) for text in _gathered(summary))
     if (emf := summary.fit.back_emf) is not None:
         text = str(stated("voltage", "back_emf", **emf.model_dump()))
         found.append(Alert("back-EMF", text, "parameters"))
@@ -156,10 +168,6 @@ def _of_model(
         yield "roll-out", told, "roll-out"
     if summary.rollout is not None and (told := roll_out_wide(summary.rollout)):
         yield "wide bands", told, "roll-out"
-    if summary.self_check is not None:
-        cite = to_cite(summary)
-        if cite is not None:
-            yield "corrected", cite, "self-check"
     doubted = any(doubt.kind == "unchecked" for doubt in summary.doubts)
     if summary.unparted and not doubted:
         yield "unparted", {}, "model-error"

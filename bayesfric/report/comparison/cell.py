@@ -146,22 +146,22 @@ def posterior_cell(row: PosteriorRow, accounts: bool, status: str = "reliable") 
     """
     low, high = row.told_interval
     if not has_converged(row, status):
-        return Cell(row.middle, "undetermined", remark=NOT_CONVERGED, converged=False)
+        return Cell(row.value, "undetermined", remark=NOT_CONVERGED, converged=False)
     # as in the words of ``bayesfric fit``: the data say how far from the bound it may be
     if row.at_bound is not None and (row.verdict == "data" or told_by_data(row)):
         limit = high if row.at_bound == "lower" else low
         words = f"{'at most' if row.at_bound == 'lower' else 'at least'} {limit:.3g}"
         words += f"; {DOUBTFUL}" if row.doubted else ""
         return Cell(
-            row.middle, "limit", level=row.level, limit=limit, at_bound=row.at_bound,
+            row.value, "limit", level=row.level, limit=limit, at_bound=row.at_bound,
             bound=row.bound, remark=words, doubted=bool(row.doubted),
         )  # fmt: skip
     if row.verdict == "prior":
-        return left_open(row.middle, None, ": prior and bounds")
+        return left_open(row.value, None, ": prior and bounds")
     remarks = [settled_by(row)] if row.verdict == "weak" else []
     remarks += row.beside
     return Cell(
-        row.middle,
+        row.value,
         "determined",
         sd=row.told_sd,
         sd_plain=None if accounts else row.sd,

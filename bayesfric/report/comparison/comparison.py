@@ -19,7 +19,6 @@ from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.report.comparison.cell import Cell, estimate_cell, left_open, posterior_cell
 from bayesfric.report.summary.record import Readable, Summary, of_noise, quantity_of
 from bayesfric.report.summary.rows import PosteriorRow, ReferenceRow
-from bayesfric.report.summary.self_check import uncorrected_sentence
 from bayesfric.report.text_templates import listed
 
 REFERENCE = "reference"
@@ -85,8 +84,6 @@ class Comparison:
     reasons: Mapping[str, list[str]] = field(default_factory=dict)
     # the first notes: in what other runs are far from the first
     runs_apart: tuple[str, ...] = ()
-    # runs of whose posterior other numbers are to be cited: corrected ones
-    uncorrected: tuple[str, ...] = ()
     # the next notes: in what they differ beyond noise, and not beyond room for the models' errors
     beyond_noise: tuple[str, ...] = ()
 
@@ -182,9 +179,6 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
         for name, run in runs.items()
         if run.sampler.status != "reliable"
     ]
-    said = {name: uncorrected_sentence(run) for name, run in runs.items()}
-    uncorrected = {name: words for name, words in said.items() if words}
-    notes += [f"Numbers of the posterior of {run}: {why}." for run, why in uncorrected.items()]
     notes += _meanings(facts)
     notes += _of_motion(facts, runs)
     reference = _add_references(facts, runs, notes)
@@ -228,7 +222,6 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
         tuple(row.name for row in rows if any(row.name in names for names in apart.values())),
         {name: run.reasons for name, run in runs.items() if run.reasons},
         between,
-        tuple(uncorrected),
         beyond,
     )
 

@@ -12,7 +12,6 @@ from bayesfric.mechanism.derived import derive
 from bayesfric.report.figures.style import Array, mathtext, power_of_ten, scaled_unit
 from bayesfric.report.summary.noise import noise_unit
 from bayesfric.report.summary.record import Summary
-from bayesfric.report.summary.self_check import cited
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +84,8 @@ def which_posterior(summary: Summary) -> str:
     """Say of which posterior figures are whose intervals stand in the tables, where it matters."""
     wide = " Densities and intervals have room for the model's error, as in the tables."
     words = wide if summary.widened else ""
-    if corrected := cited(summary):
-        words += f" Not corrected for bias, as the tables are: {', '.join(corrected)}."
+    if biased := [n for n, row in summary.rows.items() if row.reported and row.reported.how.bias]:
+        words += f" The bias of filters and encoder is not taken off: {', '.join(biased)}."
     return words
 
 

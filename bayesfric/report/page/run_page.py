@@ -28,7 +28,7 @@ from bayesfric.report.page.strip import methods_of, strips
 from bayesfric.report.paper.tables import ParameterTable, parameter_table
 from bayesfric.report.summary.noise import white_wider
 from bayesfric.report.summary.record import Readable, Summary
-from bayesfric.report.summary.self_check import biased, cite_sentence, seldom_held, to_cite
+from bayesfric.report.summary.self_check import biased, seldom_held
 from bayesfric.report.text_templates import sentence
 
 
@@ -48,7 +48,6 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
     judged = JudgedRun(read, table, methods)
     found, answers = findings(table, read), read_answers(folder)
     made = strips([*found["known"], *found["limits"]], methods)
-    cite = to_cite(read) or {}
     captions = read_captions(_text(folder / "text" / "captions.md"))
     return render(
         "run.html.j2",
@@ -76,9 +75,6 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         no_self_check=sentence("no self-check", read.self_check.model_dump())
         if read.self_check and read.self_check.reason
         else "",
-        cite=cite_sentence(read),
-        which_to_cite=cite.get("which"),
-        corrections=cite.get("rows", {}),
         biased=biased(read),
         seldom_held=seldom_held(read),
         white_wider=white_wider(read),

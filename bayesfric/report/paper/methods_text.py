@@ -26,12 +26,7 @@ from bayesfric.report.paper.equation import latex_equations, of_eq_13, plain_equ
 from bayesfric.report.paper.tables import counts, parameter_table
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Readable, Summary
-from bayesfric.report.summary.self_check import (
-    biased,
-    cite_sentence,
-    seldom_held_sentence,
-    to_cite,
-)
+from bayesfric.report.summary.self_check import biased, seldom_held_sentence
 from bayesfric.report.text_templates import filled
 
 _ENTRY = re.compile(r"^% ([^\n]+)\n(@\w+\{(\w+),\n.*?^\}\n)", re.MULTILINE | re.DOTALL)
@@ -188,8 +183,7 @@ def _sentences(fit: Fit, summary: Summary) -> str:
         together=TOGETHER,
         correlated=correlation_warning(summary),
         biased=biased(summary),
-        corrected=(to_cite(summary) or {}).get("rows", {}),
-        cite=cite_sentence(summary),
+        corrected=[n for n, row in summary.rows.items() if row.reported and row.reported.how.bias],
         seldom_held=seldom_held_sentence(summary, list(summary.rows)),
         rounded=text_rounded,
         python=platform.python_version(),

@@ -29,15 +29,10 @@ from bayesfric.report.summary.bounds import bound_mend
 from bayesfric.report.summary.caveats import constant_sentence
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Readable, Summary, of_noise
-from bayesfric.report.summary.rows import KnownRow, PosteriorRow, amperes, is_skewed
-from bayesfric.report.summary.self_check import (
-    cite_sentence,
-    cited,
-    seldom_held_sentence,
-    to_cite,
-)
+from bayesfric.report.summary.rows import KnownRow, PosteriorRow, is_skewed
+from bayesfric.report.summary.self_check import seldom_held_sentence
 from bayesfric.report.summary.summary import summary_table
-from bayesfric.report.text_templates import filled, listed
+from bayesfric.report.text_templates import filled
 
 # Of a normal's 90 % interval, by which its ends are rounded.
 _WIDTHS = 1.0 / 3.29
@@ -62,9 +57,8 @@ _VERDICTS = {
 _GIVEN_LIMIT = "data and prior, on one side"
 COLUMNS = [
     "group", "name", "symbol", "meaning", "unit", "status", "verdict",
-    "median", "mean", "sd", "low", "high", "level", "limit", "remark",
-    "current", "current_low", "current_high", "corrected", "corrected_low", "corrected_high",
-    "cite", "cite_low", "cite_high",
+    "value", "sd", "low", "high", "level", "limit", "remark",
+    "current", "current_low", "current_high",
 ]  # fmt: skip
 
 
@@ -77,8 +71,6 @@ class ParameterRow:
     name: str
     told: PosteriorRow | KnownRow
     cell: Cell  # what may be said of it, as in the comparison of methods
-    # value, ends of the interval and sd to cite in place of the posterior's, where it is corrected
-    corrected: tuple[float, float, float, float] | None = None
 
     @property
     def row(self) -> PosteriorRow | None:
@@ -102,19 +94,16 @@ class ParameterRow:
 
     @property
     def cited(self) -> tuple[float, float, float, float] | None:
-        """Value, ends of the interval and sd that are printed, which are those to cite."""
+        """Value, ends of the interval and sd, as reported."""
         if self.row is None:
             return None
         low, high = self.row.told_interval
-        return self.corrected or (self.row.middle, low, high, self.row.told_sd)
+        return self.row.value, low, high, self.row.told_sd
 
     @property
     def current(self) -> tuple[float, float, float] | None:
         """What value and ends are in A, if of a current."""
-        if self.cited is None or self.row is None or not self.row.torque_constant:
-            return None
-        middle, low, high = (amperes(x, self.row.torque_constant) for x in self.cited[:3])
-        return middle, low, high
+        return self.row.current if self.row is not None else None
 
     @property
     def skewed(self) -> bool:
@@ -161,7 +150,7 @@ class ParameterRow:
         if self.by == "open":
             return f"{medium.none} ({self.verdict})", medium.none
         if not self.row.sd:
-            return medium.number(self.row.middle, 5), medium.none
+            return medium.number(self.row.value, 5), medium.none
         middle, low, high, sd = self.cited
         fine = finer(middle, low, high, sd)
         ends = self.with_doubt(medium.interval(low, high, fine))
@@ -201,7 +190,6 @@ class ParameterTable:
             sampler=self.summary.sampler,
             correlated=correlation_warning(self.summary),
             marked=marked,
-            cite=cite_sentence(self.summary),
             seldom_held=seldom_held_sentence(self.summary, [row.name for row in self.rows]),
             rounded=text_rounded,
         )
@@ -225,15 +213,8 @@ def parameter_table(summary: Readable, run: str = "summary.json") -> ParameterTa
         "parameter": read.parameters,
         "derived": {name: row for name, row in read.derived.items() if not row.gauge_free},
     }
-    corrected = cited(read)
     rows = [
-        ParameterRow(
-            group,
-            name,
-            row,
-            posterior_cell(row, read.accounts, read.sampler.status),
-            corrected.get(name),
-        )
+        ParameterRow(group, name, row, posterior_cell(row, read.accounts, read.sampler.status))
         for group, members in groups.items()
         for name, row in members.items()
     ]
@@ -255,26 +236,21 @@ def counts(rows: Sequence[ParameterRow]) -> dict[str, int]:
 
 def parameters_csv(table: ParameterTable) -> str:
     """Lay the table out as CSV, every number in full; nothing in it where it is open."""
-    lines, corrected = [], (to_cite(table.summary) or {}).get("rows", {})
+    lines = []
     for r in table.rows:
         told = {key: getattr(r, key) for key in ("group", "name", "symbol", "meaning", "unit")}
         remark = "; ".join(text for text in (r.cell.remark, r.mend) if text)
         told |= {"status": r.cell.told_status, "verdict": r.verdict, "remark": remark}
         if r.row is None:
-            told["median"] = r.cell.value
+            told["value"] = r.cell.value
         elif r.by == "limit":
             # one tail of the interval is on the bound's side
             told |= {"limit": r.cell.limit, "level": (1.0 + r.row.level) / 2.0}
         elif r.by != "open":
-            told |= {key: getattr(r.row, key) for key in ("median", "mean", "sd", "level")}
-            told["low"], told["high"] = r.row.told_interval
-            told["sd"] = r.row.told_sd
-            told |= dict(zip(("cite", "cite_low", "cite_high"), r.cited or (), strict=False))
+            told |= dict(zip(("value", "low", "high", "sd"), r.cited or (), strict=False))
+            told["level"] = r.row.level
             current = r.current or (None, None, None)
             told["current"], told["current_low"], told["current_high"] = current
-            if (right := corrected.get(r.name)) is not None:
-                told["corrected"] = right.corrected
-                told["corrected_low"], told["corrected_high"] = right.corrected_interval
         lines.append(told)
     import pandas as pd
 
@@ -373,11 +349,7 @@ def methods_latex(found: Comparison) -> str:
     wide = [column.run for column in found.columns if column.widened]
     beside = {cell.remark for cell in cells_ if not cell.alike}
     sources = [column.told for column in found.columns if column.kind == "reference"]
-    bias = "corrected for the bias of filters and encoder, as tables of parameters are"
     told = {
-        f"Posterior{f' of {listed(found.uncorrected)}' if runs > 1 else ''}: not {bias}": bool(
-            found.uncorrected
-        ),
         "†: residuals taken for uncorrelated, too small where they are correlated": any(
             c.status == "determined" and not c.accounts for c in cells_
         ),

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -33,6 +34,7 @@ from bayesfric.report.summary.rows import (
     ReferenceRow,
 )
 from bayesfric.report.text_templates import reason
+from bayesfric.results.verdict import Verdict, verdict
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -214,9 +216,13 @@ class FindingRow(Part):
 
 
 class RegressionPart(Part):
-    """How it was asked what else explains the torque; ``reason`` is why it was not."""
+    """How it was asked what else explains the torque; ``reason`` is why it was not.
+
+    ``asked`` counts the kinds of candidates.
+    """
 
     twins: int = 0
+    asked: int = 0
     reason: Literal["few", "long", "simulation"] | None = None
 
 
@@ -412,6 +418,18 @@ class Summary(Part):
         told = (reason(one.kind, one.model_dump()) for one in self.doubts if one.parameters)
         return list(dict.fromkeys(told))
 
+    @cached_property
+    def verdict(self) -> Verdict:
+        """What the run comes to."""
+        asked = self.regression
+        return verdict(
+            converged=not self.sampler.problems and self.sampler.status != "unusable",
+            doubts=len(self.doubts),
+            doubtful=sum(r.doubtful for n, r in self.rows.items() if not of_noise(n)),
+            asked=None if asked is None or asked.reason else asked.asked,
+            explained=self.fit.explained,
+        )
+
     @property
     def other_units(self) -> list[dict[str, Any]]:
         """Units that the position more likely has, of a doubt that little is explained."""
@@ -485,9 +503,9 @@ class Summary(Part):
 
     def __str__(self) -> str:
         """Say it as the terminal does."""
-        from bayesfric.report.terminal import fit_text
+        from bayesfric.report.terminal import brief
 
-        return "\n".join(fit_text(self))
+        return "\n".join(brief(self))
 
     def _repr_html_(self) -> str:
         """Show the table with its verdicts in a notebook."""

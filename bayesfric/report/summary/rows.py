@@ -10,6 +10,7 @@ from pydantic import Field, FiniteFloat
 from bayesfric.estimates.point_estimate import Kind
 from bayesfric.identifiability.local import Verdict
 from bayesfric.report.summary.part import Bound, Described, NotNegative, Pair, Part, Share
+from bayesfric.results.reported import Reported
 
 # Ends of the interval whose distances from the median differ by more than this are skewed.
 _SKEWED = 0.2
@@ -109,14 +110,20 @@ class PosteriorRow(Spread, Described):
     model_error_interval: Pair | None = None
     model_error_sd: NotNegative | None = None
     torque_constant: FiniteFloat | None = None
+    reported: Reported | None = None
+
+    @property
+    def value(self) -> float:
+        """The one to print."""
+        return self.middle if self.reported is None else self.reported.value
 
     @property
     def current(self) -> tuple[float, float, float] | None:
-        """What :attr:`middle` and the ends of :attr:`told_interval` are in A, if of a current."""
+        """What :attr:`value` and the ends of :attr:`told_interval` are in A, if of a current."""
         if not self.torque_constant:
             return None
         middle, low, high = (
-            amperes(x, self.torque_constant) for x in (self.middle, *self.told_interval)
+            amperes(x, self.torque_constant) for x in (self.value, *self.told_interval)
         )
         return middle, low, high
 
@@ -127,12 +134,16 @@ class PosteriorRow(Spread, Described):
 
     @property
     def told_interval(self) -> list[float]:
-        """The interval to print first."""
+        """The one to print."""
+        if self.reported is not None:
+            return self.reported.interval
         return self.model_error_interval or self.interval
 
     @property
     def told_sd(self) -> float:
         """The sd of :attr:`told_interval`."""
+        if self.reported is not None:
+            return self.reported.sd
         return self.sd if self.model_error_sd is None else self.model_error_sd
 
     @property

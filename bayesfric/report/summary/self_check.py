@@ -129,43 +129,24 @@ def _corrects(row: PosteriorRow, checked: SelfCheckRow) -> bool:
     )
 
 
-def to_cite(summary: Summary) -> dict[str, Any] | None:
-    """Give what decides whether corrected values are to be cited; ``None`` where there are none.
-
-    ``which`` are ``corrected`` ones; where intervals have room for the model's error, those of the
-    ``tables``; and ``both``, the one's values with the other's width, where a bias is large even
-    beside that room. ``doubted`` is whether ``some`` or ``all`` of these rows are, or none (empty).
-    """
-    off = off_rows(summary)
-    rows = {name: row for name, row in off.items() if _corrects(summary.rows[name], row)}
-    if not rows:
-        return None
-    allowed, told = summary.widened, summary.rows
-    moved = max(abs(r.bias) * told[n].sd / (told[n].told_sd or np.inf) for n, r in rows.items())
-    which = "corrected" if not allowed else "both" if moved > BIASED else "tables"
-    doubted = [bool(told[name].doubted) for name in rows]
-    how_many = "all" if all(doubted) else "some" if any(doubted) else ""
-    return {"rows": rows, "allowed": allowed, "which": which, "doubted": how_many}
-
-
 def cited(summary: Summary) -> dict[str, tuple[float, float, float, float]]:
-    """Give corrected values to cite: value, ends of the interval and sd, by name.
+    """Give corrected values: value, ends of the interval and sd, by name.
 
-    What is not among them is cited as the posterior has it.
+    What is not among them is reported as the posterior has it.
     """
-    told = to_cite(summary)
-    if told is None or told["which"] == "tables":
-        return {}
     found = {}
-    for name, checked in told["rows"].items():
+    for name, checked in off_rows(summary).items():
         row = summary.rows[name]
-        low, high = checked.corrected_interval
+        value, ends = checked.corrected, checked.corrected_interval
+        if not _corrects(row, checked) or value is None or ends is None:
+            continue
+        low, high = ends
         sd = row.sd * (high - low) / ((row.interval[1] - row.interval[0]) or 1.0)
-        if told["which"] == "both":  # as wide as what has room for the model's error
-            low, high = (checked.corrected + end - row.middle for end in row.told_interval)
-            low = max(low, 0.0) if row.told_interval[0] >= 0.0 else low
-            sd = row.told_sd
-        found[name] = checked.corrected, low, high, sd
+        if row.model_error_interval:  # as wide as what has room for the model's error
+            wide, sd = row.model_error_interval, row.model_error_sd or sd
+            low, high = (value + end - row.middle for end in wide)
+            low = max(low, 0.0) if wide[0] >= 0.0 else low
+        found[name] = value, low, high, sd
     return found
 
 
@@ -204,35 +185,12 @@ def narrow(summary: Summary) -> bool:
     return any(row.coverage + _SURE * row.coverage_error < LOW for row in rows)
 
 
-def cite_sentence(summary: Summary) -> str:
-    """Say which values to cite, where some are corrected; else empty."""
-    told = to_cite(summary)
-    return sentence("cite", told) if told else ""
-
-
-def uncorrected_sentence(summary: Summary, names: Collection[str] | None = None) -> str:
-    """Say beside numbers of the posterior as it is which ``names`` are cited otherwise; or empty.
-
-    All names if left out.
-    """
-    changes = []
-    for name, (value, *_) in cited(summary).items():
-        row = summary.rows[name]
-        if names is None or name in names:
-            before, after = (text_rounded(x, row.told_sd) for x in (row.middle, value))
-            told = {"name": name, "value": before, "corrected": after}
-            changes.append(told | {"doubted": bool(row.doubted)})
-    return sentence("uncorrected", {"changes": changes}) if changes else ""
-
-
 def self_check_lines(summary: Summary) -> Iterator[str]:
     """Word it for a terminal, line by line."""
     if (check := summary.self_check) is not None:
         why = sentence("no self-check", check.model_dump()) if check.reason else ""
         told = {"check": check, "why": why, "off": off_rows(summary), "allowed": summary.widened}
-        told["cite"] = cite_sentence(summary)
-        told["corrected"] = (to_cite(summary) or {}).get("rows", {})
-        told["doubted"] = {name for name, row in summary.rows.items() if row.doubted}
+        told["corrected"] = set(cited(summary))
         text = filled("self_check.txt.j2", **told)
         yield from text.splitlines()
 
@@ -268,7 +226,8 @@ def _row(
         "coverage": float(hit.mean()),
         "coverage_error": float(hit.std(ddof=1) / np.sqrt(z.size)),
     }
-    if row.verdict == "prior" or abs(bias) <= max(BIASED, _SURE * error):
+    # of what leans on the prior the twins' priors take part in what is missed
+    if row.verdict != "data" or abs(bias) <= max(BIASED, _SURE * error):
         return SelfCheckRow(**found)
     ends = np.array([row.middle, *row.interval])
     if np.all(truth > 0.0) and np.all(ends > 0.0):  # a quantity without sign stays so
