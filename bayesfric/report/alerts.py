@@ -55,17 +55,6 @@ def doubt_text(doubt: Mapping[str, Any]) -> str:
     return f"{doubt['kind']}: {', '.join(doubt.get('parameters', ()))}"
 
 
-def first_step(summary: Summary) -> str:
-    """Say what comes before any other step, where something else seems to have acted; else empty.
-
-    That is a push, or a torque that no model, no term that it may lack and no other unit explains.
-    """
-    pushed = [one.model_dump() for one in summary.findings if one.span is not None]
-    if not pushed and (summary.lacks or summary.other_units or not summary.unexplained):
-        return ""
-    return sentence("untouched", {"pushed": pushed})
-
-
 def roll_out_doubt(found: RollOutPart) -> dict[str, Any] | None:
     """Say in which recordings the motion leaves its bands too often, if in all that tell it."""
     judged = {name: row for name, row in found.recordings.items() if not row.wide}

@@ -1,4 +1,4 @@
-"""What a run found: what is known, what is open and why, and what to do next; as data.
+"""What a run leaves open and why, and what lifts it; as data.
 
 The template ``findings.html.j2`` words it.
 """
@@ -11,12 +11,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from bayesfric.report.alerts import first_step
 from bayesfric.report.paper.tables import ParameterRow, ParameterTable
 from bayesfric.report.summary.record import OpenDirectionRow, RemedyRow, Summary
-
-# Lines of the list of what is known; the rest is in the table.
-_MOST = 8
 
 
 @dataclass(frozen=True)
@@ -34,39 +30,16 @@ class OpenGroup:
 
 
 def findings(table: ParameterTable, summary: Summary) -> dict[str, Any]:
-    """Gather what the first screen of a run's page says, for the template to word."""
+    """Gather what is open, why, and what lifts it, for the template to word."""
     joint = table.joint
     combined = [r for r in table.rows if r.group == "free"]  # what no scaling changes
-    known = [r for r in [*combined, *joint] if r.cell.status == "determined"]
-    if any(r.by == "open" for r in joint):
-        # what data alone determine says more than what they share with the prior
-        known.sort(key=lambda r: r.by != "data")
-    else:  # then the joint's own parameters are what is asked for
-        known.sort(key=lambda r: r.group != "parameter")
-    white, directions = summary.noise.innovation_whiteness, summary.identifiability.directions
-    correlated = not summary.accounts and white is not None and not white.white
+    directions = summary.identifiability.directions
     return {
-        "joint": joint,
-        "combined": combined,
-        "lost": [r.name for r in joint if not r.cell.converged],
-        "known": known[:_MOST],
-        "more": max(0, len(known) - _MOST),
-        "limits": [r for r in [*joint, *combined] if r.by == "limit"],
         "open": list(_groups([*joint, *combined], summary)),
         "meanings": {r.name: r.meaning for r in [*joint, *combined]},
-        # what would put in what else explains the torque
-        "lacks": summary.lacks,
-        # what comes before anything else, where something but the drive seems to have acted
-        "first": first_step(summary),
-        # whether another mechanism comes before anything else, and what the recordings ask for
-        "wrong": summary.mechanism_doubted,
-        "unexplained": summary.unexplained,
-        "units": summary.other_units,
-        # where the order was chosen, auto itself found that no memory helps
-        "try_auto": correlated and not summary.noise.order_chosen_from,
         # remedies, each with how many of the directions it lifts, if any were looked for
         "steps": _steps(directions or []),
-        "directions": None if directions is None else len(directions),
+        "directions": len(directions or []),
         "command": _command(joint),
     }
 

@@ -10,6 +10,7 @@ from typing import Any
 from bayesfric.recordings.moving import too_slow
 from bayesfric.report.alerts import alerts
 from bayesfric.report.answers.record import Calculator, read_answers
+from bayesfric.report.brief import brief
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.comparison.table import explained
 from bayesfric.report.figures.registry import (
@@ -22,13 +23,10 @@ from bayesfric.report.page.figures import page_figures
 from bayesfric.report.page.findings import findings
 from bayesfric.report.page.provenance import read_provenance
 from bayesfric.report.page.rendering import render
-from bayesfric.report.page.status import glance
 from bayesfric.report.page.stretch import stretch_drawing
-from bayesfric.report.page.strip import methods_of, strips
 from bayesfric.report.paper.tables import ParameterTable, parameter_table
 from bayesfric.report.summary.noise import white_wider
 from bayesfric.report.summary.record import Readable, Summary
-from bayesfric.report.summary.self_check import biased, seldom_held
 from bayesfric.report.text_templates import sentence
 
 
@@ -47,7 +45,6 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
     methods = comparison({name: read})
     judged = JudgedRun(read, table, methods)
     found, answers = findings(table, read), read_answers(folder)
-    made = strips([*found["known"], *found["limits"]], methods)
     captions = read_captions(_text(folder / "text" / "captions.md"))
     return render(
         "run.html.j2",
@@ -55,13 +52,11 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         title=name,
         summary=read,
         alerts=alerts(read, methods.contested),
-        look=glance(table, read),
         found=found,
         answers=answers,
         too_slow=too_slow(),
         drawing=stretch_drawing(answers.stretch) if answers.stretch else None,
-        strips=made,
-        methods_shown=methods_of(made.values()),
+        brief=brief(read),
         law=_law(answers.calculator, table),
         table=table,
         notes=table.notes_where(marked=False),
@@ -75,8 +70,6 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         no_self_check=sentence("no self-check", read.self_check.model_dump())
         if read.self_check and read.self_check.reason
         else "",
-        biased=biased(read),
-        seldom_held=seldom_held(read),
         white_wider=white_wider(read),
         methods_text=_text(folder / "text" / "methods.txt").strip(),
     )

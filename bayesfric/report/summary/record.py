@@ -503,9 +503,9 @@ class Summary(Part):
 
     def __str__(self) -> str:
         """Say it as the terminal does."""
-        from bayesfric.report.terminal import brief
+        from bayesfric.report.terminal import fit_text
 
-        return "\n".join(brief(self))
+        return "\n".join(fit_text(self))
 
     def _repr_html_(self) -> str:
         """Show the table with its verdicts in a notebook."""

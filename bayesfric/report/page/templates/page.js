@@ -92,6 +92,16 @@
     });
   }
 
+  // what a link leads to is opened
+  const open = () => {
+    const there = location.hash.length > 1 && document.getElementById(decodeURIComponent(location.hash.slice(1)));
+    if (!there) return;
+    for (let one = there.querySelector("details.part") || there; one; one = one.parentElement) if (one.tagName === "DETAILS") one.open = true;
+    there.scrollIntoView();
+  };
+  addEventListener("hashchange", open);
+  open();
+
   // on paper nothing can be opened
   let closed = [];
   addEventListener("beforeprint", () => {

@@ -1,0 +1,151 @@
+"""The answer of a run as data: verdict, numbers, what is wrong, what next. Every view shows this.
+
+Terminal, page and notebook print the same lines and the same digits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bayesfric.report.alerts import alerts_of
+from bayesfric.report.numbers import TEXT, finer
+from bayesfric.report.paper.tables import parameter_table
+from bayesfric.report.summary.record import Readable, Summary, of_noise
+from bayesfric.report.words import line_of
+from bayesfric.results.reported import ORDER, Reported
+from bayesfric.results.verdict import Outcome
+
+# Rows of the table, and findings, that are shown at most.
+ROWS, FINDINGS = 16, 3
+_SIGNS = {"good": "Good.", "unchecked": "Not checked.", "doubtful": "Doubtful."}
+# What stands beside a number that is not simply identified.
+_BESIDE = {"identified": "", "limit": "", "prior": "with the prior", "doubtful": "doubtful"}
+
+
+@dataclass(frozen=True)
+class Line:
+    """One number, as it is printed."""
+
+    name: str
+    value: str  # value, sd: empty where only one end is known
+    sd: str
+    interval: str  # or the end that is known
+    unit: str
+    beside: str  # its status, where it is not simply identified
+
+
+@dataclass(frozen=True)
+class Brief:
+    """What a run answers."""
+
+    read: str  # what was recorded
+    outcome: Outcome
+    verdict: str
+    taken: tuple[str, ...]  # what terms = "auto" has put in, a line each
+    level: str
+    lines: tuple[Line, ...]
+    more: int  # numbers that are left out
+    unidentified: tuple[str, ...]  # names
+    why: str  # they are
+    findings: tuple[str, ...]  # the worst first, a line each
+    others: int  # findings that are left out
+    following: str  # the recording that would tell more; may be empty
+
+
+def brief(summary: Readable) -> Brief:
+    """Put the answer of a summary together."""
+    read = Summary.read(summary)
+    rows = {
+        row.name: row.row.reported
+        for row in parameter_table(read).rows
+        if row.row is not None and row.row.reported is not None and not of_noise(row.name)
+    }
+    shown = [name for name, one in rows.items() if one.status != "unidentified"]
+    shown.sort(key=lambda name: ORDER.index(rows[name].status))
+    scaled = any(len(one.parameters) > 1 for one in read.identifiability.null_directions)
+    found = list(dict.fromkeys(one.line for one in alerts_of(read) if one.line))
+    return Brief(
+        read=_read(read),
+        outcome=read.verdict.outcome,
+        verdict=_verdict(read),
+        taken=tuple(f"Put in: {line_of(one.kind, one.model_dump())}" for one in read.taken),
+        level=f"{100.0 * read.level:g} % interval",
+        lines=tuple(_line(name, rows[name], read.rows[name].unit) for name in shown[:ROWS]),
+        more=max(len(shown) - ROWS, 0),
+        unidentified=tuple(n for n in read.joint if n in rows and n not in shown),
+        why="one factor on all of them changes no torque" if scaled else "the motion hides them",
+        findings=tuple(found[:FINDINGS]),
+        others=max(len(found) - FINDINGS, 0),
+        following=_next(read),
+    )
+
+
+def _read(summary: Summary) -> str:
+    recordings = summary.fit.recordings
+    lasts = [
+        one.n_samples / one.sampling_rate
+        for one in recordings.values()
+        if one.n_samples and one.sampling_rate
+    ]
+    rates = sorted(one.sampling_rate for one in recordings.values() if one.sampling_rate)
+    if not lasts:
+        return ", ".join(recordings)
+    names = ", ".join(recordings) if len(recordings) < 3 else f"{len(recordings)} recordings"
+    hertz = " to ".join(dict.fromkeys(f"{rate:.4g}" for rate in (rates[0], rates[-1])))
+    together = " in all" if len(recordings) > 1 else ""
+    return f"{names}: {sum(lasts):.4g} s{together} at {hertz} Hz, {summary.fit.quantity}"
+
+
+def _verdict(summary: Summary) -> str:
+    found = summary.verdict
+    if found.outcome == "not converged":
+        lost = summary.sampler.status == "unusable"
+        return f"Not converged: {'no number is a posterior' if lost else 'numbers may still move'}."
+    text = _SIGNS[found.outcome]
+    if found.explained is not None:
+        text += f" The model explains {_share(found.explained)} % of the {summary.fit.quantity}"
+        if summary.fit.residual_rms is not None:
+            text += f" ({summary.fit.residual_rms:.3g} {summary.fit.unit} rms left)"
+    else:
+        text += f" The residuals of the {summary.fit.quantity} were not asked"
+    if found.outcome == "good" and found.asked:
+        notes = sum(one.severity == "note" for one in summary.findings)
+        more = "none of {} candidates explains more" if not notes else "what it lacks moves nothing"
+        text += "; " + more.format(found.asked)
+    elif found.outcome == "unchecked" and found.explained is not None:
+        text += "; what it lacks was not asked"
+    elif found.doubtful:
+        several = found.doubtful > 1
+        text += f"; {found.doubtful} number{'s are' if several else ' is'} doubtful"
+    return text + "."
+
+
+def _share(explained: float) -> str:
+    """Write a share with as many nines as it has, and one digit."""
+    left, digits = 100.0 * (1.0 - explained), 1
+    while digits < 4 and left < 0.5 * 10.0**-digits:
+        digits += 1
+    return f"{100.0 * explained:.{digits}f}"
+
+
+def _line(name: str, one: Reported, unit: str) -> Line:
+    beside = _BESIDE.get(one.status, one.status)
+    if one.bound is not None:
+        side = "at most" if one.at_most else "at least"
+        return Line(name, "", "", f"{side} {one.bound:.3g}", unit, beside)
+    if not one.sd:
+        return Line(name, f"{one.value:.5g}", "", "", unit, beside)
+    low, high = one.interval
+    fine = finer(one.value, low, high, one.sd)
+    value, sd = (TEXT.ends(x, low, high, fine) for x in (one.value, one.sd))
+    return Line(name, value, sd, TEXT.interval(low, high, fine), unit, beside)
+
+
+def _next(summary: Summary) -> str:
+    """Give the recording that would tell what is open."""
+    if summary.verdict.outcome != "not converged":
+        for direction in summary.identifiability.directions or ():
+            for remedy in direction.remedies:
+                if remedy.text.startswith("another recording"):
+                    return remedy.text
+    return ""
