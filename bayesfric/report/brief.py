@@ -47,6 +47,7 @@ class Brief:
     more: int  # numbers that are left out
     unidentified: tuple[str, ...]  # names
     why: str  # they are
+    lost: tuple[str, ...]  # names of what has not converged
     findings: tuple[str, ...]  # the worst first, a line each
     others: int  # findings that are left out
     following: str  # the recording that would tell more; may be empty
@@ -54,15 +55,17 @@ class Brief:
 
 def brief(summary: Readable) -> Brief:
     """Put the answer of a summary together."""
-    read = Summary.read(summary)
+    table = parameter_table(summary)
+    read = table.summary
     rows = {
         row.name: row.row.reported
-        for row in parameter_table(read).rows
+        for row in table.rows
         if row.row is not None and row.row.reported is not None and not of_noise(row.name)
     }
     shown = [name for name, one in rows.items() if one.status != "unidentified"]
     shown.sort(key=lambda name: ORDER.index(rows[name].status))
     scaled = any(len(one.parameters) > 1 for one in read.identifiability.null_directions)
+    lost = tuple(name for name, one in rows.items() if not one.how.converged)
     found = list(dict.fromkeys(one.line for one in alerts_of(read) if one.line))
     return Brief(
         read=_read(read),
@@ -72,8 +75,9 @@ def brief(summary: Readable) -> Brief:
         level=f"{100.0 * read.level:g} % interval",
         lines=tuple(_line(name, rows[name], read.rows[name].unit) for name in shown[:ROWS]),
         more=max(len(shown) - ROWS, 0),
-        unidentified=tuple(n for n in read.joint if n in rows and n not in shown),
+        unidentified=tuple(n for n in read.joint if n in rows and n not in {*shown, *lost}),
         why="one factor on all of them changes no torque" if scaled else "the motion hides them",
+        lost=lost,
         findings=tuple(found[:FINDINGS]),
         others=max(len(found) - FINDINGS, 0),
         following=_next(read),
@@ -106,8 +110,6 @@ def _verdict(summary: Summary) -> str:
         text += f" The model explains {_share(found.explained)} % of the {summary.fit.quantity}"
         if summary.fit.residual_rms is not None:
             text += f" ({summary.fit.residual_rms:.3g} {summary.fit.unit} rms left)"
-    else:
-        text += f" The residuals of the {summary.fit.quantity} were not asked"
     if found.outcome == "good" and found.asked:
         notes = sum(one.severity == "note" for one in summary.findings)
         more = "none of {} candidates explains more" if not notes else "what it lacks moves nothing"
@@ -117,7 +119,7 @@ def _verdict(summary: Summary) -> str:
     elif found.doubtful:
         several = found.doubtful > 1
         text += f"; {found.doubtful} number{'s are' if several else ' is'} doubtful"
-    return text + "."
+    return text.rstrip(".") + "."
 
 
 def _share(explained: float) -> str:

@@ -10,6 +10,7 @@ from bayesfric.report.brief import brief
 from bayesfric.report.summary.caveats import constant_sentence
 from bayesfric.report.summary.noise import noise_lines
 from bayesfric.report.summary.record import Readable, Summary
+from bayesfric.report.summary.reported import put_reported
 from bayesfric.report.summary.self_check import self_check_lines
 from bayesfric.report.summary.validation import validation_lines
 from bayesfric.report.text_templates import filled
@@ -19,7 +20,7 @@ WIDTH = 100  # columns
 
 def fit_text(summary: Readable, *, verbose: bool = False) -> Iterator[str]:
     """Word a summary for a person, line by line; ``verbose`` with all that stands behind it."""
-    read = Summary.read(summary)
+    read = put_reported(Summary.read(summary))
     yield from _brief(read)
     if verbose:
         yield from filled(
@@ -53,6 +54,8 @@ def _brief(summary: Summary) -> Iterator[str]:
     if told.unidentified:
         names = ", ".join(told.unidentified)
         yield from wrapped(f"Unidentified ({told.why}): {names}", indent=2)
+    if told.lost:
+        yield from wrapped(f"Not converged: {', '.join(told.lost)}", indent=2)
     if told.findings:
         yield ""
         yield from (shortened(f"! {line}") for line in told.findings)

@@ -36,6 +36,7 @@ class How(BaseModel):
     widened: bool = False  # whether the interval has room for a model that is not exactly right
     bias: FiniteFloat | None = None  # of filters and encoder, in posterior sds, where taken off
     findings: list[str] = []  # kinds that move it by more than its interval
+    converged: bool = True  # or the sampling of this number has not
 
 
 class Reported(BaseModel):
@@ -43,8 +44,8 @@ class Reported(BaseModel):
 
     ``identified`` by the data; a ``limit``, which with a chance of half of one less the level lies
     beyond ``bound`` (``at_most`` or at least); ``prior``: by data and prior together;
-    ``unidentified``: the data say nothing, and value and interval are those of prior and bounds;
-    ``doubtful``: a finding moves it by more than its interval, or the sampling has not converged.
+    ``unidentified``: the data say nothing, and value and interval are those of prior and bounds, or
+    the sampling has not converged; ``doubtful``: a finding moves it by more than its interval.
     """
 
     model_config = ConfigDict(frozen=True, extra="ignore")
@@ -101,6 +102,7 @@ def concluded(
         widened=widened is not None,
         bias=bias if corrected is not None else None,
         findings=list(findings),
+        converged=converged,
     )
     by: dict[str, Status] = {"data": "identified", "weak": "prior", "prior": "unidentified"}
     status = by[verdict]
@@ -109,8 +111,10 @@ def concluded(
     ends = {"lower": told.high, "upper": told.low}
     if limit is not None:
         status = "limit"
-    if not converged or (findings and status != "unidentified"):
+    if findings and status != "unidentified":
         status = "doubtful"
+    if not converged:
+        status, limit = "unidentified", None
     return Reported(
         value=told.value,
         sd=told.sd,

@@ -41,7 +41,7 @@ def started(profile):
     return webdriver.Chrome(options=options, service=Service(DRIVER))
 
 
-def show(browser, path, *, dark=False, width=1280, height=900):
+def show(browser, path, *, dark=False, width=1280, height=900, folded=False):
     browser.get_log("browser")
     browser.get_log("performance")
     scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
@@ -51,6 +51,9 @@ def show(browser, path, *, dark=False, width=1280, height=900):
     browser.get(path.as_uri())
     # tests do not wait for a page to glide
     browser.execute_script("document.documentElement.style.scrollBehavior = 'auto'")
+    if not folded:
+        script = "for (const one of document.querySelectorAll('details.part')) one.open = true"
+        browser.execute_script(script)
     return browser
 
 

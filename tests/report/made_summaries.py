@@ -5,6 +5,8 @@ import copy
 import h5py
 import numpy as np
 
+from bayesfric.report.summary.reported import put_reported
+
 # name: unit, symbol, value, plain sd, sd for correlated residuals
 TOTALS = {
     "total.inertia": ("kg m²", "J_t", 4.62e-4, 4.1e-7, 1.3e-6),
@@ -209,3 +211,9 @@ def every_kind():
     rows["motor_50%.inertia"] = posterior_row("kg", 95123.0, 310.0)
     run["fixed"] = {"offset": {"unit": "N m", "value": -0.0213}}
     return run
+
+
+def concluded(summary):
+    """Conclude anew what is reported of a summary that was changed."""
+    cleared = summary.with_rows({name: {"reported": None} for name in summary.rows})
+    return put_reported(cleared)

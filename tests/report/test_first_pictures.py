@@ -1,4 +1,4 @@
-"""Pictures of the page's first screens: strips, and the seconds that tell most."""
+"""The page's first screen: the seconds that tell most, and words."""
 
 import copy
 import re
@@ -10,90 +10,18 @@ import pytest
 from bayesfric.recordings.measurement import LeftOut
 from bayesfric.report.answers.record import Answers
 from bayesfric.report.answers.stretch import _gaps, stretch
-from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.page.stretch import stretch_drawing
-from bayesfric.report.page.strip import strips
-from bayesfric.report.paper.tables import parameter_table
-from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.summary import summarise
 
 from .conftest import build
-from .made_summaries import FOUND, LEG, every_kind, knee
+from .made_summaries import FOUND, knee
 from .page_reader import read_page
-
-
-def made_strips(told):
-    read = Summary.read(told)
-    return strips(parameter_table(read).rows, comparison({"run": read}))
-
-
-def test_strips_put_everything_on_one_axis():
-    told = knee()
-    told["parameters"]["motor.inertia"]["prior_interval"] = [0.0, 2e-3]
-    strip = made_strips(told)["motor.inertia"]
-    unit = lambda at: strip.low + at / 100.0 * (strip.high - strip.low)  # noqa: E731
-    marks = {m.label: m for m in strip.marks}
-    assert [m.kind for m in strip.marks].count("estimate") == 2  # least squares has none of it
-    interval = marks["posterior"]
-    assert [unit(interval.low), unit(interval.high)] == pytest.approx(
-        told["parameters"]["motor.inertia"]["interval"]
-    )
-    assert unit(interval.at) == pytest.approx(3.40e-4)
-    value, sd = 3.40e-4 - 0.6 * 2.6e-5, 2.6e-5
-    estimate = marks["input-error"]
-    assert unit(estimate.at) == pytest.approx(value)
-    assert unit(estimate.high) == pytest.approx(value + 1.645 * sd, rel=1e-6)
-    assert unit(marks["data sheet"].at) == pytest.approx(3.32e-4)
-    # wider than the axis on both sides, and cut there
-    assert (marks["prior"].low, marks["prior"].high) == (0.0, 100.0)
-    for word in ("prior 0 to 0.002", "data sheet", "input-error", "kg m²"):
-        assert word in strip.words
-
-
-def test_what_is_far_off_is_at_the_end_and_says_where():
-    told = knee()
-    told["references"]["motor.inertia"]["value"] = 1.0
-    strip = made_strips(told)["motor.inertia"]
-    (far,) = [m for m in strip.marks if m.kind == "reference"]
-    assert (far.at, far.beyond) == (100.0, "high")
-    low, high = told["parameters"]["motor.inertia"]["interval"]
-    assert strip.high - strip.low < 20.0 * (high - low)
-
-
-@pytest.mark.parametrize(("side", "bound"), [("lower", 0.0), ("upper", 0.06)])
-def test_a_limit_reaches_from_its_bound_and_nothing_beyond(side, bound):
-    told = every_kind()
-    name = "motor.coulomb_negative"
-    row = told["parameters"][name]
-    row |= {"at_bound": side, "bound": bound, "interval": [0.003, 0.05]}
-    strip = made_strips(told)[name]
-    (mark,) = strip.marks
-    assert mark.at is None  # it has no value
-    unit = [strip.low + at / 100.0 * (strip.high - strip.low) for at in (mark.low, mark.high)]
-    assert unit == pytest.approx([0.0, 0.05] if side == "lower" else [0.003, 0.06])
-    assert bound in (strip.low, strip.high)
-
-
-def test_nothing_open_has_a_strip(tmp_path):
-    told = knee()
-    for row in told["parameters"].values():
-        row["prior_interval"] = [0.0, 1.0]
-    assert not set(made_strips(told)) & set(LEG)
-    page = read_page(run_page(tmp_path, told, "run"))
-    drawn = [d for d in page.all("div") if d.attrs.get("class") == "strip"]
-    (known,) = [d for d in page.all("dl") if d.attrs.get("class") == "known"]
-    assert len(drawn) == len(list(known.all("dt")))
-    for one in drawn:
-        assert one.attrs["role"] == "img"
-        assert "posterior" in one.attrs["aria-label"]
 
 
 def test_words_come_before_raw_names(tmp_path):
     page = read_page(run_page(tmp_path, knee(), "run"))
-    (first,) = page.all("section", id="findings")
-    for dt in first.all("dt"):
-        assert re.search(r"made up total[_.\w]*|made up \w+\.\w+", dt.text)
+    (first,) = page.all("section", id="why")
     names = [p for p in first.all("p") if p.attrs.get("class") == "names"]
     assert names
     for p in names:
@@ -104,10 +32,11 @@ def test_words_come_before_raw_names(tmp_path):
 def test_dozens_of_remarks_stand_behind_one_line(tmp_path, number):
     told = knee() | {"warnings": [f"remark {k}" for k in range(number)], "may_be_simulated": True}
     told["findings"] = [FOUND | {"severity": "note"}]
-    (first,) = read_page(run_page(tmp_path, told, "run")).all("section", id="findings")
+    (first,) = read_page(run_page(tmp_path, told, "run")).all("section", id="why")
     flags = [p.attrs["data-kind"] for p in first.all("p") if p.attrs.get("class") == "flag"]
     assert flags == ["missing", *["warning"] * number, "simulated"]
-    behind = [p.attrs["data-kind"] for one in first.all("details") for p in one.all("p")]
+    folds = [one for one in first.all("details") if one.attrs.get("class") == "flags"]
+    behind = [p.attrs["data-kind"] for one in folds for p in one.all("p")]
     assert behind == (["warning"] * number if number > 4 else [])
 
 

@@ -9,7 +9,7 @@ from bayesfric.report.numbers import TEXT
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.record import Summary
-from bayesfric.report.terminal import fit_text
+from bayesfric.report.summary.reported import put_reported
 
 from .made_summaries import loaded, posterior_row
 
@@ -41,9 +41,8 @@ def test_what_the_told_weight_settles_says_so(tmp_path):
     assert read.parameters["drive.gain"].verdict == "weak"
     # the weight itself is what was told
     assert read.parameters["load.first_moment"].verdict == "prior"
-    lines = {line.split()[0]: line for line in fit_text(read) if line.strip()}
-    assert "determined by the data and your prior on load.first_moment" in lines["motor.inertia"]
-    assert "NOT determined" not in lines["motor.inertia"]
+    status = {name: put_reported(read).rows[name].reported.status for name in NAMES}
+    assert status["motor.inertia"] == "prior"
     assert "your prior on load.first_moment" in run_page(tmp_path, read.as_dict(), "run")
     assert Summary.read(read.as_dict()) == read
 

@@ -21,7 +21,7 @@ from bayesfric.report.summary.record import Summary
 from bayesfric.report.terminal import fit_text
 from tests.inference.test_model_error import fitted
 
-from .made_summaries import loaded
+from .made_summaries import concluded, loaded
 
 NAME = "motor.viscous"
 
@@ -61,7 +61,7 @@ def test_what_room_lets_reach_zero_is_a_limit(wrong):
     ).parameters[NAME]
     assert (row.at_bound, row.bound, row.bound_physical) == ("lower", 0.0, True)
     assert posterior_cells(wrong.summary)[NAME].status == "determined"
-    told = wrong.summary.with_rows({NAME: row.as_dict()})
+    told = concluded(wrong.summary.with_rows({NAME: row.as_dict()}))
     assert posterior_cells(told)[NAME].limit == row.model_error_interval[1]
 
 
@@ -102,15 +102,13 @@ def test_derived_quantities_widen_too(wrong):
     assert all(row.model_error_interval for row in totals)
 
 
-def test_the_terminal_says_it_first_and_prints_the_wide_one_first(wrong):
-    lines = list(fit_text(wrong.summary))
+def test_the_terminal_prints_the_wide_one_alone(wrong):
     row = wrong.summary.parameters[NAME]
-    (line,) = (one for one in lines if one.strip().startswith(NAME))
-    wide = "[{:.5g}, {:.5g}]".format(*row.model_error_interval)
-    plain = "were the model right: [{:.5g}, {:.5g}]".format(*row.interval)
-    assert line.index(wide) < line.index(plain)
-    said = next(k for k, one in enumerate(lines) if "not exactly right" in one)
-    assert said < lines.index(line)
+    assert row.reported.how.widened
+    assert row.reported.interval == row.model_error_interval
+    text = "\n".join(fit_text(wrong.summary, verbose=True))
+    assert "widened for the model's error" in text
+    assert "not exactly right" in text
 
 
 def test_comparisons_and_tables_go_by_the_wide_one(wrong):

@@ -9,6 +9,7 @@ from bayesfric.report.numbers import Medium, finer
 from bayesfric.report.summary.bounds import told_by_data
 from bayesfric.report.summary.part import Bound
 from bayesfric.report.summary.record import Readable, Summary
+from bayesfric.report.summary.reported import put_reported
 from bayesfric.report.summary.rows import (
     HALF,
     EstimatedRow,
@@ -175,7 +176,7 @@ def posterior_cell(row: PosteriorRow, accounts: bool, status: str = "reliable") 
 
 def posterior_cells(summary: Readable) -> dict[str, Cell]:
     """Judge every parameter and derived quantity of a summary."""
-    read = Summary.read(summary)
+    read = put_reported(Summary.read(summary))
     return {
         name: posterior_cell(row, read.accounts, read.sampler.status)
         for name, row in read.rows.items()

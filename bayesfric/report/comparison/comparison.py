@@ -18,6 +18,7 @@ from bayesfric.mechanism.parameter import scales_with_torque, turned
 from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.report.comparison.cell import Cell, estimate_cell, left_open, posterior_cell
 from bayesfric.report.summary.record import Readable, Summary, of_noise, quantity_of
+from bayesfric.report.summary.reported import put_reported
 from bayesfric.report.summary.rows import PosteriorRow, ReferenceRow
 from bayesfric.report.text_templates import listed
 
@@ -560,7 +561,7 @@ def on_one_turn(runs: Mapping[str, Summary]) -> dict[str, Summary]:
         }
         tables = {key: turn(getattr(run, key)) for key in ("parameters", "fixed", "references")}
         found[key] = run.model_copy(update=tables | {"estimates": estimates})
-    return found if towards else dict(runs)
+    return {key: put_reported(run) for key, run in (found if towards else runs).items()}
 
 
 def _turned(row: Any, towards: float) -> Any:
@@ -568,5 +569,8 @@ def _turned(row: Any, towards: float) -> Any:
     by = float(turned(middle, towards) - middle)
     told = row.model_dump(exclude_none=True)
     moved = {key: told[key] + by for key in ("mean", "median", "value", "bound") if key in told}
-    moved |= {key: [end + by for end in told[key]] for key in ("interval", "span") if key in told}
+    ends = ("interval", "model_error_interval", "span")
+    moved |= {key: [end + by for end in told[key]] for key in ends if key in told}
+    if isinstance(row, PosteriorRow):
+        moved["reported"] = None  # concluded anew, of what was turned
     return row.model_copy(update=moved)

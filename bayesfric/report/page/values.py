@@ -57,7 +57,7 @@ def interval_html(row: ParameterRow) -> Markup:
 def were_right_html(row: ParameterRow) -> Markup | None:
     """Write the interval that takes the model for right, where that is not the one shown."""
     told = row.row
-    if told is None or told.model_error_interval is None or row.cell.status != "determined":
+    if told is None or not told.widened or row.cell.status != "determined":
         return None
     low, high = told.interval
     fine = finer(told.middle, low, high, told.sd)

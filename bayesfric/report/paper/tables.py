@@ -29,6 +29,7 @@ from bayesfric.report.summary.bounds import bound_mend
 from bayesfric.report.summary.caveats import constant_sentence
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Readable, Summary, of_noise
+from bayesfric.report.summary.reported import put_reported
 from bayesfric.report.summary.rows import KnownRow, PosteriorRow, is_skewed
 from bayesfric.report.summary.self_check import seldom_held_sentence
 from bayesfric.report.summary.summary import summary_table
@@ -207,7 +208,7 @@ def parameter_table(summary: Readable, run: str = "summary.json") -> ParameterTa
     What no scaling of load and alpha changes comes first, without what is the motion's as much as
     the joint's; ``run`` is what complaints call it.
     """
-    read = Summary.read(summary, run)
+    read = put_reported(Summary.read(summary, run))
     groups = {
         "free": read.felt,
         "parameter": read.parameters,
@@ -405,7 +406,7 @@ def between_runs_latex(found: Sequence[PooledQuantity]) -> str:
     head = r"& Unit & Population mean & Next recording & Sd between runs & Runs & $p$ \\"
     notes = [f"Intervals hold {100 * found[0].told.level:g} %"]
     notes += ["p: how often chance alone would part runs of one truth so far (Cochran's Q)"]
-    if any(row.model_error_sd is not None for one in found for row in one.runs.values()):
+    if any(row.widened for one in found for row in one.runs.values()):
         notes += [
             "Both count room for models that are not exactly right, which runs of like motions may "
             "have in common, as chance"

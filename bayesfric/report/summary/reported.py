@@ -12,7 +12,12 @@ from bayesfric.results.reported import Reported, Spread, concluded
 
 
 def put_reported(summary: Summary) -> Summary:
-    """Put the one value, interval and status into every row; the last thing that is done."""
+    """Put the one value, interval and status into every row; the last thing that is done.
+
+    Runs of older versions, which have none, are concluded as they are read; what has all stays.
+    """
+    if all(row.reported is not None for row in summary.rows.values()):
+        return summary
     corrected, changes = cited(summary), {}
     rows = summary.self_check.rows if summary.self_check else {}
     for name, row in summary.rows.items():

@@ -147,6 +147,11 @@ class PosteriorRow(Spread, Described):
         return self.sd if self.model_error_sd is None else self.model_error_sd
 
     @property
+    def widened(self) -> bool:
+        """Whether :attr:`told_interval` has room for a model that is not exactly right."""
+        return self.model_error_interval is not None
+
+    @property
     def may_be_zero(self) -> bool:
         """Whether zero, which of an angle is a place like any other, is in :attr:`told_interval`.
 

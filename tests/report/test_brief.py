@@ -1,0 +1,111 @@
+"""The answer of a run: short, in one order, the same on terminal and page."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import bayesfric
+from bayesfric.report.brief import FINDINGS, ROWS, brief
+from bayesfric.report.page.run_page import run_page
+from bayesfric.report.terminal import WIDTH, fit_text
+from bayesfric.report.words import line_of, words
+from bayesfric.results.reported import ORDER, Spread, concluded
+
+from .chromium import needs_browser, show, until
+from .made_summaries import FOUND, every_kind, knee, loaded
+
+
+def crowded():
+    """A run with more of everything than anybody reads."""
+    told = loaded()
+    told["findings"] = [FOUND | {"severity": "note", "kind": kind} for kind in words()][:12]
+    told["warnings"] = [f"remark {k}; and a long story behind it" for k in range(40)]
+    for k in range(30):
+        told["parameters"][f"offset.recording_{k}"] = dict(told["parameters"]["motor.inertia"])
+    return told
+
+
+@pytest.mark.parametrize("made", [knee, loaded, every_kind, crowded])
+def test_the_terminal_has_thirty_lines_of_a_hundred_columns_and_250_words(made):
+    lines = list(fit_text(made()))
+    assert len(lines) <= 30
+    assert max(map(len, lines)) <= WIDTH
+    assert len(" ".join(lines).split()) <= 250
+
+
+def test_numbers_come_by_status_and_what_is_too_much_is_counted():
+    told = brief(crowded())
+    assert (len(told.lines), len(told.findings)) == (ROWS, FINDINGS)
+    assert told.more == 30 + len(brief(loaded()).lines) - ROWS
+    assert told.others >= 9
+    order = [one.beside for one in brief(every_kind()).lines]
+    ranks = [ORDER.index({"": "identified", "with the prior": "prior"}.get(x, x)) for x in order]
+    assert ranks == sorted(ranks)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "more", "status", "bound"),
+    [
+        ("data", {}, "identified", None),
+        ("weak", {}, "prior", None),
+        ("prior", {}, "unidentified", None),
+        ("prior", {"own_prior": True}, "prior", None),
+        ("data", {"limit": "lower"}, "limit", 3.0),
+        ("data", {"limit": "upper"}, "limit", 1.0),
+        ("data", {"findings": ["delay"]}, "doubtful", None),
+        ("data", {"limit": "lower", "findings": ["delay"]}, "doubtful", 3.0),
+        # nothing is doubted of what nobody knows, and nothing told of what has not converged
+        ("prior", {"findings": ["delay"]}, "unidentified", None),
+        ("data", {"converged": False, "limit": "lower"}, "unidentified", None),
+    ],
+)
+def test_the_status_of_a_number(verdict, more, status, bound):
+    found = concluded(Spread(2.0, 1.0, 3.0, 0.6), verdict=verdict, **more)
+    assert (found.status, found.bound) == (status, bound)
+    assert (found.value, found.interval, found.sd) == (2.0, [1.0, 3.0], 0.6)
+
+
+def test_the_last_part_makes_the_number_and_all_are_kept():
+    plain, wide = Spread(2.0, 1.0, 3.0, 0.6), Spread(2.0, 0.0, 4.0, 1.2)
+    right = Spread(1.5, -0.5, 3.5, 1.2)
+    found = concluded(plain, verdict="data", widened=wide, corrected=right, bias=0.8)
+    assert (found.value, found.interval, found.sd) == (1.5, [-0.5, 3.5], 1.2)
+    assert (found.how.posterior, found.how.widened, found.how.bias) == ([2, 1, 3, 0.6], True, 0.8)
+
+
+def test_every_kind_that_is_told_has_its_line():
+    known = set(words())
+    for kind in known:
+        values = dict.fromkeys(("share", "times", "ratio", "seconds"), 0.5)
+        line = line_of(kind, values)
+        assert line
+        assert "{" not in line
+    finding = FOUND | {"kind": "viscous_by_direction"}
+    finding["hint"] = 'mechanism.elements.motor.viscous = "by-direction"'
+    line = line_of(finding["kind"], finding)
+    assert line.endswith('viscous = "by-direction" in [mechanism.elements.motor]')
+    assert len(line) <= WIDTH - 2
+
+
+def test_no_view_makes_an_interval_of_parts():
+    """What joins posterior, model error and bias stands in one place, below all views."""
+    parts = {"model_error_interval", "model_error_sd", "corrected", "corrected_interval"}
+    package = Path(bayesfric.__file__).parent
+    for path in (package / "report").rglob("*.py"):
+        if path.parent.name == "summary":
+            continue
+        nodes = ast.walk(ast.parse(path.read_text()))
+        assert not parts & {one.attr for one in nodes if isinstance(one, ast.Attribute)}, path
+
+
+@needs_browser
+def test_what_a_link_leads_to_is_opened(browser, tmp_path):
+    path = tmp_path / "report.html"
+    path.write_text(run_page(tmp_path, knee(), "run"), encoding="utf-8")
+    page = show(browser, path, folded=True)
+    fold = page.find_element("css selector", "#parameters > details")
+    assert fold.get_attribute("open") is None
+    assert len(page.find_element("tag name", "body").text.split()) < 1200
+    page.find_element("css selector", 'nav a[href="#parameters"]').click()
+    until(lambda: fold.get_attribute("open") is not None)
