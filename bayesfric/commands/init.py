@@ -56,7 +56,9 @@ def _mechanism(preset: str, chain: Joint, moved: Collection[str]) -> Iterator[st
     for element in chain.elements:
         lines = []
         if element.ratio != 1.0:
-            lines.append(f"ratio = {element.ratio:g}  # speed of the motor over that of the joint")
+            lines.append(
+                f"# ratio = {element.ratio:g}  # speed of the motor over that of the joint"
+            )
         if f"{element.name}.inertia" in moved:
             lines.append("inertia = false")
         if lines:

@@ -117,8 +117,7 @@ def _verdict(summary: Summary) -> str:
     elif found.outcome == "unchecked" and found.explained is not None:
         text += "; what it lacks was not asked"
     elif found.doubtful:
-        several = found.doubtful > 1
-        text += f"; {found.doubtful} number{'s are' if several else ' is'} doubtful"
+        text += f"; {found.doubtful} number{'s' * (found.doubtful > 1)} doubtful"
     return text.rstrip(".") + "."
 
 

@@ -63,7 +63,7 @@ def test_a_recording_that_changed_since_is_warned_of(bench):
     ended = bench.run("fit", "run/config.toml", "-o", "again")
     assert ended.code == 0, ended
     (line,) = [text for text in ended.out.splitlines() if "SHA-256" in text]
-    has(line, "WARNING: small: ", "since")
+    has(line, "! small: changed since the run was made")
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"source": 3}', '{"bayesfric": "0.1.0"}'])

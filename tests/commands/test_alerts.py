@@ -1,6 +1,7 @@
 """What a run warns of: the first screen of its page and the terminal say the same."""
 
 import copy
+import json
 
 import pytest
 
@@ -39,33 +40,18 @@ parameters = {{ "motor.quadratic" = 0.1 }}
 """
 
 
-def on_page(text):
-    """The flags of the first screen, and the parameters it leaves open."""
-    (first,) = read_page(text).all("section", id="findings")
-    flags = [next(p.all("span")).text for p in first.all("p") if p.attrs.get("class") == "flag"]
-    names = [code.text for p in first.all("p", **{"class": "names"}) for code in p.all("code")]
-    return flags, names
-
-
-def on_terminal(text):
-    """What it warns of, and the parameters it calls undetermined."""
-    lines = text.splitlines()
-    problems = []
-    for line in lines[1:]:
-        if not line.startswith("  "):
-            break
-        problems.append(line.strip())
-    warned = [line.removeprefix("WARNING: ") for line in lines if line.startswith("WARNING: ")]
-    return problems + warned, [line.split()[0] for line in lines if "NOT determined" in line]
-
-
 def same(page, terminal):
-    flags, left = on_page(page)
-    said, open_ = on_terminal(terminal)
-    assert [text.removesuffix(".").lower() for text in flags] == [text.lower() for text in said]
-    if "No intervals" not in terminal:
-        assert set(left) == set(open_)
-    return said
+    """Compare findings, and all that ``--verbose`` says, with those of the page."""
+    read = read_page(page)
+    (first,), (why,) = (read.all("section", id=one) for one in ("findings", "why"))
+    lines = [line for line in terminal.splitlines() if line.startswith(("! ", "- "))]
+    short = [text.removeprefix("! ").lower() for text in lines]
+    for item in first.all("li"):
+        assert item.text.lower() in short or item.text.startswith("and ")
+    flags = [next(p.all("span")).text for p in why.all("p") if p.attrs.get("class") == "flag"]
+    for text in flags:
+        assert text.removesuffix(".").lower() in [line[2:].lower() for line in lines]
+    return flags
 
 
 @pytest.mark.usefixtures("no_figures")
@@ -76,8 +62,10 @@ def test_page_and_terminal_warn_of_the_same(bench):
     ended = bench.run("fit", "c.toml", "-o", "run")
     assert ended.code == 3, ended  # numbers are doubted
     page = (bench.folder / "run" / "report.html").read_text(encoding="utf-8")
-    said = same(page, ended.out)
-    assert any("friction with the square of speed explains" in text for text in said)
+    summary = json.loads((bench.folder / "run" / "summary.json").read_text(encoding="utf-8"))
+    assert "! friction with the square of speed" in ended.out
+    said = same(page, "\n".join(fit_text(summary, verbose=True)))
+    assert any("Friction with the square of speed explains" in text for text in said)
     assert any("simulated" in text for text in said)
 
 
@@ -102,10 +90,10 @@ def troubled():
 def test_what_makes_numbers_unsafe_comes_first(tmp_path, status):
     told = troubled()
     told["sampler"]["status"] = status
-    said = same(run_page(tmp_path, told, "knee"), "\n".join(fit_text(told)))
+    said = same(run_page(tmp_path, told, "knee"), "\n".join(fit_text(told, verbose=True)))
     kinds = [one.kind for one in alerts_of(told)]
     model = ["missing", "not white", "methods"] if status == "tentative" else []
     assert kinds == ["sampler", "of tomorrow", *model, "warning", "warning", "simulated"]
-    assert said[0] == "R-hat 1.3"
-    assert said[1] == "of tomorrow: motor.inertia, motor.viscous"
-    assert "coarse (2 of 2 recordings)" in said
+    assert said[0] == "R-hat 1.3."
+    assert said[1] == "Of tomorrow: motor.inertia, motor.viscous."
+    assert "Coarse (2 of 2 recordings)." in said

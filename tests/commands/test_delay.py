@@ -43,7 +43,7 @@ def test_check_finds_it_and_warns(late):
     assert [doubt["kind"] for doubt in found["doubts"]] == ["missing", "unseen-inertia"]
     assert [one["kind"] for one in found["findings"]] == ["delay"]
     text = late().run("check", "c.toml").out
-    assert "delay = true under [mechanism]" in text
+    assert "delay = true in [mechanism]" in text
 
 
 def test_a_joint_that_has_it_is_not_warned_of(late):

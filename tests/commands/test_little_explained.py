@@ -73,7 +73,7 @@ def test_no_delay_is_advised_while_little_is_explained(times, judged):
     if judged:
         assert delay["delay"] == pytest.approx(0.02, rel=0.1)
     assert ("delay = true under [mechanism]" in " ".join(found.warnings)) == judged
-    assert ("not to be judged" in found.text()) == (not judged)
+    assert ("not to be judged" in found.text(verbose=True)) == (not judged)
 
 
 @pytest.mark.parametrize("late", [60, 100, -100])
@@ -131,7 +131,7 @@ def test_check_says_of_what_a_noise_is_and_in_which_unit(measured):
     torque = 0.1 * np.sin(T) + 0.01 * np.random.default_rng(0).standard_normal(T.size)
     velocity = {"velocity": np.cos(T) + 0.1 * np.random.default_rng(1).standard_normal(T.size)}
     recording = bf.Recording.from_arrays(T, q, torque, name="a", **(velocity if measured else {}))
-    text = bf.check(bf.Model(bf.Joint.preset("motor-axis"), recording)).text()
+    text = bf.check(bf.Model(bf.Joint.preset("motor-axis"), recording)).text(verbose=True)
     noise = next(line for line in text.splitlines() if "noise of a sample" in line)
     has(noise, "of the speed" if measured else "of the position")
     assert noise.endswith(" rad/s" if measured else " rad")

@@ -112,8 +112,9 @@ def test_init_simulate_check_is_one_way(bench, preset):
     assert (ended.code, ended.err) == (0, "")
     text = ended.out.removesuffix("\n")
     said = tomllib.loads(text)["mechanism"]
-    elements = {element.name: {} for element in PRESETS[preset].chain().elements}
-    assert said == {"preset": preset, "terms": "auto", "elements": elements}
+    geared = {e.name: {} for e in PRESETS[preset].chain().elements if e.ratio != 1.0}
+    assert said == {"preset": preset, "terms": "auto"} | ({"elements": geared} if geared else {})
+    assert len(text.splitlines()) <= 25
     (bench.folder / "c.toml").write_text(
         text.replace('file = "recording.csv"', 'file = "made.csv"'), encoding="utf-8"
     )
@@ -125,10 +126,8 @@ def test_init_simulate_check_is_one_way(bench, preset):
 
 def test_a_line_without_its_mark_is_of_the_element_above_it(bench):
     text = bench.run("init", "rabbit-knee").out
-    before, gearbox = text.split("[mechanism.elements.gearbox]")
-    said = tomllib.loads(before + "[mechanism.elements.gearbox]" + gearbox.replace("# cou", "cou"))
-    assert said["mechanism"]["elements"]["gearbox"] == {"coulomb": "none"}
-    assert said["mechanism"]["elements"]["motor"] == {}
+    said = tomllib.loads(text.replace("# ratio", "ratio"))
+    assert said["mechanism"]["elements"] == {"gearbox": {"ratio": 50}}
 
 
 @pytest.mark.parametrize("option", ["load_square", "load_speed", "load_direction"])
@@ -157,7 +156,7 @@ def test_a_template_does_not_say_that_recordings_are_simulated(bench):
     (bench.folder / "c.toml").write_text(bench.run("init", "motor-axis").out, encoding="utf-8")
     config = read_config(bench.folder / "c.toml")
     assert not _may_be_simulated(SimpleNamespace(config=config, recordings=()))
-    text = config.text.replace("# amplitude =", "amplitude =")
+    text = config.text + "\n[simulation]\namplitude = 1.0\n"
     config = parse_config(text, bench.folder / "c.toml")
     assert _may_be_simulated(SimpleNamespace(config=config, recordings=()))
 
@@ -180,8 +179,6 @@ def test_init_writes_what_it_prints(bench, preset):
     assert found["written"] == "new.toml"
     assert (bench.folder / "new.toml").read_text(encoding="utf-8") == found["text"]
     assert printed == found["text"] + "\n"
-    for name in PRESETS[preset].values:
-        assert name in printed
 
 
 def test_init_replaces_a_file_only_where_asked(bench):
@@ -241,7 +238,7 @@ def test_check_lists_every_prior(bench):
     given = {name for name, prior in found.items() if not prior["default"]}
     assert given == {"motor.coulomb"}
     assert all(prior["prior"] for prior in found.values())
-    text = bench.run("check", "c.toml").out
+    text = bench.run("check", "c.toml", "--verbose").out
     for name, prior in found.items():
         line = next(line for line in text.split("\n") if line.split()[:1] == [name])
         assert prior["prior"] in line
@@ -277,10 +274,10 @@ def test_check_names_the_added_mass(bench):
     (recording,) = checked(bench)["recordings"]
     assert recording["added_mass"] == pytest.approx(0.25)
     assert recording["radius"] == pytest.approx(0.12)
-    text = bench.run("check", "c.toml").out
+    text = bench.run("check", "c.toml", "--verbose").out
     assert re.search(r"added mass: 0\.25 kg at 0\.12 m", text)
     bench.config()
-    assert "added mass" not in bench.run("check", "c.toml").out
+    assert "added mass" not in bench.run("check", "c.toml", "--verbose").out
 
 
 def test_check_tells_files_of_one_name_apart_by_their_folders(bench):

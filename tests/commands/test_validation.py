@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from bayesfric.config import read_config
 from bayesfric.inference.archive import read_archive
 from bayesfric.report import run_directory
+from bayesfric.report.terminal import fit_text
 
 from .bench import JOINT, has, recorded, without_figures
 
@@ -79,7 +79,11 @@ def test_what_is_held_out_is_predicted_and_changes_no_draw(three, monkeypatch):
         error = np.sqrt(p * (1 - p) * (1 / n + 1 / 3 / n)) + 0.005
         assert abs(found["share"] - p) < 4 * error, level
     assert record["pooled"]["verdict"] == "covered"
-    has(out, "Held out: 1 whole recording and the last 20 % of 2 recordings", "covered: 90 %")
+    has(
+        "\n".join(fit_text(summary, verbose=True)),
+        "Held out: 1 whole recording and the last 20 % of 2 recordings",
+        "covered: 90 %",
+    )
     assert set(hashes) == set(NAMES)
     assert (three.folder / "run" / "figures" / "validation.svg").stat().st_size > 1000
     assert "**validation**" in (three.folder / "run" / "text" / "captions.md").read_text()
@@ -91,7 +95,7 @@ def test_what_is_held_out_is_predicted_and_changes_no_draw(three, monkeypatch):
     without_figures(monkeypatch)
     alter(three, "two", 0.0, 0.05)
     alter(three, "one", 2.41, 0.03)
-    again, same, out, _ = fitted(three)
+    again, same, _, _ = fitted(three)
     assert set(same) == set(draws)
     for name, values in draws.items():
         np.testing.assert_array_equal(same[name], values)
@@ -103,11 +107,15 @@ def test_what_is_held_out_is_predicted_and_changes_no_draw(three, monkeypatch):
         assert found["verdict"] == "model discrepancy"
         assert found["discrepancy"]["value"] == pytest.approx(size, rel=0.1)
     assert again["validation"]["parts"]["three"] == record["parts"]["three"]
-    has(out, "model discrepancy", "more than noise and posterior explain")
+    has(
+        "\n".join(fit_text(again, verbose=True)),
+        "model discrepancy",
+        "more than noise and posterior explain",
+    )
 
 
 def test_check_shows_what_is_held_out(three):
-    ended = three.run("check", "c.toml")
+    ended = three.run("check", "c.toml", "--verbose")
     assert ended.code == 0
     has(ended.out, "two, whole recording held out", "one, last 20 % held out", "as a gap")
 
@@ -146,11 +154,3 @@ def test_the_offset_of_what_is_held_out_is_no_parameter(three):
     text = CONFIG.replace("[mechanism]\n", '[mechanism]\noffset = "per-recording"\n')
     three.config(text + HELD_OUT + '\n[priors]\n"offset.two" = 0.0\n')
     has(three.refused("check", "c.toml"), "priors.offset.two", "no such parameter")
-
-
-def test_init_shows_the_table(bench):
-    ended = bench.run("init", "motor-axis", "-o", "new.toml")
-    assert ended.code == 0, ended
-    text = (bench.folder / "new.toml").read_text()
-    has(text, "[validation]", '# recordings = ["run-3"]', "# hold_out = 0.2")
-    assert read_config(bench.folder / "new.toml").tables.validation.hold_out is None
