@@ -55,7 +55,7 @@ def alter(bench, name, begin, size):
 
 
 def test_what_is_held_out_is_predicted_and_changes_no_draw(three, monkeypatch):
-    summary, draws, out, hashes = fitted(three)
+    summary, draws, _, hashes = fitted(three)
     record = summary["validation"]
     assert {name: p["held_out"] for name, p in record["parts"].items()} == {
         "one": "last 20 %",
