@@ -152,8 +152,8 @@ def _of_model(
     if test is not None and not test.white:
         # where the order was chosen, auto itself found that no memory helps
         asked = summary.noise.order_chosen_from or summary.noise.order
-        told = test.model_dump() | {"mend": "" if asked else 'noise.model = "auto"'}
-        yield "not white", told | {"allowed": allowed}, "noise"
+        more = {"mend": "" if asked else 'noise.model = "auto"', "allowed": allowed}
+        yield "not white", test.model_dump() | more, "noise"
     if summary.validation is not None and not summary.validation.pooled.fine:
         yield "held out", summary.validation.pooled.model_dump(), "held-out"
     if summary.rollout is not None and (told := roll_out_doubt(summary.rollout)):
