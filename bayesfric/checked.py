@@ -20,7 +20,7 @@ from bayesfric.report.alerts import doubt_text
 from bayesfric.report.numbers import TEXT, in_tenths
 from bayesfric.report.summary.doubts import doubts_before, few_outputs, little_explained
 from bayesfric.report.summary.summary import estimate_summary
-from bayesfric.report.terminal import aligned, shortened
+from bayesfric.report.terminal import aligned, shortened, wrapped
 from bayesfric.report.text_templates import sentence
 from bayesfric.report.words import line_of
 
@@ -193,8 +193,9 @@ def _brief(found: Mapping[str, Any]) -> Iterator[str]:
             said[text.split(";")[0]] = said.get(text.split(";")[0], 0) + 1
     lines += [text if n == 1 else f"{text} ({n} recordings)" for text, n in said.items()]
     for one in found["taken"]:
-        yield shortened(f"fit will put in: {line_of(one['kind'], one)}")
-    yield from (shortened(f"! {line}") for line in lines[:_MANY])
+        yield from wrapped(f"fit will put in: {line_of(one['kind'], one)}", indent=2)
+    for line in lines[:_MANY]:
+        yield from wrapped(f"! {line}", indent=2)
     if len(lines) > _MANY:
         yield f"  and {len(lines) - _MANY} more: --verbose"
     if not lines and not found["taken"]:

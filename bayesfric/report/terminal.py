@@ -40,7 +40,8 @@ def _brief(summary: Summary) -> Iterator[str]:
     if told.read:
         yield shortened(told.read)
     yield from wrapped(told.verdict)
-    yield from map(shortened, told.taken)
+    for one in told.taken:
+        yield from wrapped(one, indent=2)
     if told.lines:
         yield ""
         yield from aligned(
@@ -58,11 +59,12 @@ def _brief(summary: Summary) -> Iterator[str]:
         yield from wrapped(f"Not converged: {', '.join(told.lost)}", indent=2)
     if told.findings:
         yield ""
-        yield from (shortened(f"! {line}") for line in told.findings)
+        for line in told.findings:
+            yield from wrapped(f"! {line}", indent=2)
     if told.others:
         yield f"  and {told.others} more: --verbose, or the report"
     if told.following:
-        yield shortened(f"Next: {told.following}")
+        yield from wrapped(f"Next: {told.following}", indent=2)
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:

@@ -7,7 +7,9 @@ import pytest
 
 from bayesfric.commands.fit import fit_text
 from bayesfric.report.alerts import alerts_of
+from bayesfric.report.brief import brief
 from bayesfric.report.page.run_page import run_page
+from bayesfric.report.terminal import WIDTH
 from tests.report.made_summaries import FOUND, knee
 from tests.report.page_reader import read_page
 
@@ -40,14 +42,19 @@ parameters = {{ "motor.quadratic" = 0.1 }}
 """
 
 
-def same(page, terminal):
+def same(page, summary):
     """Compare findings, and all that ``--verbose`` says, with those of the page."""
-    read = read_page(page)
+    read, terminal = read_page(page), "\n".join(fit_text(summary, verbose=True))
     (first,), (why,) = (read.all("section", id=one) for one in ("findings", "why"))
     lines = [line for line in terminal.splitlines() if line.startswith(("! ", "- "))]
     short = [text.removeprefix("! ").lower() for text in lines]
-    for item in first.all("li"):
-        assert item.text.lower() in short or item.text.startswith("and ")
+    listed = [item.text.lower() for item in first.all("li") if not item.text.startswith("and ")]
+    told = brief(summary)
+    assert listed == [line.lower() for line in told.findings]
+    assert all(line in short for line in listed if len(line) < WIDTH - 2)
+    for name in told.unidentified:
+        assert name in first.text
+        assert name in terminal
     flags = [next(p.all("span")).text for p in why.all("p") if p.attrs.get("class") == "flag"]
     for text in flags:
         assert text.removesuffix(".").lower() in [line[2:].lower() for line in lines]
@@ -64,7 +71,7 @@ def test_page_and_terminal_warn_of_the_same(bench):
     page = (bench.folder / "run" / "report.html").read_text(encoding="utf-8")
     summary = json.loads((bench.folder / "run" / "summary.json").read_text(encoding="utf-8"))
     assert "! friction with the square of speed" in ended.out
-    said = same(page, "\n".join(fit_text(summary, verbose=True)))
+    said = same(page, summary)
     assert any("Friction with the square of speed explains" in text for text in said)
     assert any("simulated" in text for text in said)
 
@@ -90,7 +97,7 @@ def troubled():
 def test_what_makes_numbers_unsafe_comes_first(tmp_path, status):
     told = troubled()
     told["sampler"]["status"] = status
-    said = same(run_page(tmp_path, told, "knee"), "\n".join(fit_text(told, verbose=True)))
+    said = same(run_page(tmp_path, told, "knee"), told)
     kinds = [one.kind for one in alerts_of(told)]
     model = ["missing", "not white", "methods"] if status == "tentative" else []
     assert kinds == ["sampler", "of tomorrow", *model, "warning", "warning", "simulated"]

@@ -402,12 +402,6 @@ class Summary(Part):
         return any(doubt.kind == "unexplained" for doubt in self.doubts)
 
     @property
-    def mechanism_doubted(self) -> bool:
-        """Whether another mechanism has to be taken first, as far as any is known that would do."""
-        kinds = {doubt.kind for doubt in self.doubts}
-        return self.unexplained or (bool(kinds & {*OF_MECHANISM}) and bool(self.lacks))
-
-    @property
     def lacks(self) -> list[FindingRow]:
         """What a line of the configuration would put in, the strongest first."""
         return [one for one in self.findings if one.hint]

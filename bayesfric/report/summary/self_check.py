@@ -156,12 +156,6 @@ def _judged(summary: Summary, verdict: Verdict) -> dict[str, SelfCheckRow]:
     return {name: row for name, row in rows.items() if summary.rows[name].verdict == verdict}
 
 
-def found_least(summary: Summary, verdict: Verdict = "data") -> tuple[str, float] | None:
-    """Name what the data alone (or with the prior) determine that intervals hold least often."""
-    told = [(name, row.coverage) for name, row in _judged(summary, verdict).items()]
-    return min(told, key=lambda one: one[1], default=None)
-
-
 def seldom_held(summary: Summary) -> dict[str, float]:
     """Give how often intervals that are printed hold the truth, of those that do so too seldom."""
     shown, found = cited(summary), {}
