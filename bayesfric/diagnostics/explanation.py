@@ -153,16 +153,11 @@ def finding(chain: Joint, step: Step) -> Finding:
     )
 
 
-def _sees_inertia(shape: str) -> bool:
-    """Whether a loss by the load was found with some of the inertia behind it."""
-    return "inertia" in shape and not shape.startswith("0%")
-
-
-def _carries_inertia(chain: Joint) -> bool:
-    """Whether the element that loses by the load, or would, has inertia behind it."""
+def _carries(chain: Joint) -> bool:
+    """Whether the element that loses by the load, or would, has anything behind it."""
     lossy = [k for k, e in enumerate(chain.elements) if e.load_loss != "none"]
     behind = chain.elements[(lossy[0] if lossy else len(chain.elements) - 1) + 1 :]
-    return chain.load.has("inertia") or any(e.has("inertia") for e in behind)
+    return bool(chain.load.choices) or any(e.has("inertia") for e in behind)
 
 
 def setting_of(chain: Joint, kind: Kind, shape: str) -> str:
@@ -183,7 +178,7 @@ def setting_of(chain: Joint, kind: Kind, shape: str) -> str:
         elements = tuple(e for e in elements if chain.reaches[e.name] == reach)
         value = f"[{cycles}]"
     elif option.startswith("load_"):
-        if _sees_inertia(shape) and not _carries_inertia(chain):
+        if not _carries(chain):
             return ""  # a line more would be needed, which moves the inertia behind it
         # of two, one behind the other, no motion tells more than their product
         lossy = [e for e in elements if e.load_loss != "none"]
