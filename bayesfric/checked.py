@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -187,10 +188,7 @@ def _brief(found: Mapping[str, Any]) -> Iterator[str]:
         yield f"{rms:.3g} {totals['residual_unit']} rms left"
     yield ""
     lines = [line_of(doubt["kind"], doubt) for doubt in found["doubts"]]
-    said: dict[str, int] = {}
-    for one in recordings:
-        for text in one["warnings"]:
-            said[text.split(";")[0]] = said.get(text.split(";")[0], 0) + 1
+    said = Counter(text.split(";")[0] for one in recordings for text in one["warnings"])
     lines += [text if n == 1 else f"{text} ({n} recordings)" for text, n in said.items()]
     for one in found["taken"]:
         yield from wrapped(f"fit will put in: {line_of(one['kind'], one)}", indent=2)

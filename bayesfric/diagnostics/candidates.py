@@ -23,6 +23,7 @@ from bayesfric.mechanism.quantities import QUANTITIES, Sizes, State
 from bayesfric.recordings.filters import derivative, later, lowpass
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.timing import FAR_DELAYS
 
 Array = NDArray[np.float64]
 Sets = Mapping[str, Sequence[Array]]
@@ -31,9 +32,6 @@ Sets = Mapping[str, Sequence[Array]]
 _CARRIED = frozenset({"inertia", "first_moment", "gravity_angle", "spring", "spring_cubic", "gain"})
 # Shares of the inertia that lie behind the gearbox; which, a motion without losses does not tell.
 _BEHIND = (0.0, 0.33, 0.67, 1.0)
-# Delays in s between which a torque is about linear in them.
-_LATE = (0.03, 0.045, 0.07, 0.1, 0.15, 0.2)
-LATE = (*_LATE, *(-d for d in _LATE))
 # Turns of the cogging, and antiresonances in bands, and so on: grids of shapes.
 _CYCLES = (1, 2, 3, 4, 5, 6, 7, 8, 12, 18, 24, 36, 48)
 TURNS = {f"{k} a turn of the {side}": (k, side) for k in _CYCLES for side in ("motor", "joint")}
@@ -219,11 +217,14 @@ def late(a: Along) -> Mapping[float, tuple[Array, Array]]:
 
     By delays that are too long for what is linear in them; none where the model has a delay.
     """
-    return {} if a.chain.delay else {d: _changed(a, d) for d in LATE}
+    if a.chain.delay:
+        return {}
+    torque = a.smooth(a.o.torque)
+    return {d: _changed(a, torque, d) for late in FAR_DELAYS for d in (late, -late)}
 
 
-def _changed(a: Along, delay: float) -> tuple[Array, Array]:
-    torque, samples = a.smooth(a.o.torque), delay / a.recording.period
+def _changed(a: Along, torque: Array, delay: float) -> tuple[Array, Array]:
+    samples = delay / a.recording.period
     then, known = np.empty_like(torque), np.zeros_like(torque)
     for begin, end in a.recording.segments:
         then[begin:end] = later(torque[begin:end], samples)

@@ -415,7 +415,7 @@ class Regression:
         if scan.kind == TONE:
             return f"{scan.place:.3g} Hz"
         if scan.kind == DELAY:
-            return f"by about {scan.place:.2g} s"
+            return next(key.shape for key in self.data.keys if key.delay == scan.place)
         return f"{self.observations[scan.recording].name} at {scan.place:.2f} s"
 
     def _with_scan(self, scan: Scan) -> list[int]:

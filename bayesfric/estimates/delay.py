@@ -18,14 +18,13 @@ from bayesfric.estimates.torque_near import bends, fitted_beside, larger, torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.measurement import Array, Measurement
 from bayesfric.recordings.observation import Observation
-from bayesfric.recordings.timing import longest_delay, retimed
+from bayesfric.recordings.timing import FAR_DELAYS, longest_delay, retimed
 
 # Each round takes the torque of the delay that the last one found: far from it, what is linear
 # in the delay holds only roughly. It stands still when it moves by less than this many sds.
 _ROUNDS, _STILL = 10, 0.02
-# A delay is looked for as far as this, s, and a tenth of the recording; in steps that grow by this
-# factor, from the first on.
-_FURTHEST, _SHARE, _GROWS = 0.25, 0.1, 1.3
+# A delay is looked for as far as this, s, and a tenth of the recording.
+_FURTHEST, _SHARE = 0.25, 0.1
 # What a delay far from none leaves of the torque at most, over what none leaves: a swing at one
 # frequency takes a quarter of its period for a spring.
 _FAR_LESS = 0.5
@@ -203,8 +202,7 @@ def _first(
 ) -> float:
     """Give the delay to begin with: none, or a far one with which far more is explained."""
     near = max(longest_delay(o, r.period) for r, o in pairs)
-    steps = np.arange(0.0, math.log(max(_longest(pairs) / near, 1.0)), math.log(_GROWS))
-    beyond = near * np.exp(steps)
+    beyond = [d for d in FAR_DELAYS if near < d <= _longest(pairs)]
     basis, _ = np.linalg.qr(regressors)
 
     def left(delay: float) -> float:
@@ -215,7 +213,7 @@ def _first(
         found = y - rate * float(rate @ y) / max(float(rate @ rate), 1e-300)
         return float(found @ found)
 
-    tried = {float(d): left(float(d)) for d in (0.0, *beyond, *-beyond)}
+    tried = {d: left(d) for d in (0.0, *beyond, *(-d for d in beyond))} if beyond else {0.0: 1.0}
     best = min(tried, key=tried.__getitem__)
     return best if tried[best] < _FAR_LESS * tried[0.0] else 0.0
 

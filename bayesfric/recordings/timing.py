@@ -19,6 +19,9 @@ from bayesfric.recordings.inputs import Signal
 from bayesfric.recordings.measurement import Array, Measurement, Segments
 from bayesfric.recordings.observation import Observation, as_position
 
+# Delays in s, either way, between which a torque is about linear in them.
+FAR_DELAYS = (0.03, 0.045, 0.07, 0.1, 0.15, 0.2)
+
 
 def timed(o: Observation, recording: Measurement, delay: float) -> Observation:
     """Take the torque of ``delay`` seconds earlier for a position that comes late.

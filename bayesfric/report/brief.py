@@ -5,9 +5,10 @@ Terminal, page and notebook print the same lines and the same digits.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from bayesfric.report.alerts import alerts_of
+from bayesfric.report.alerts import Alert, alerts_of
 from bayesfric.report.numbers import TEXT, finer
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.record import Readable, Summary, of_noise
@@ -53,8 +54,8 @@ class Brief:
     following: str  # the recording that would tell more; may be empty
 
 
-def brief(summary: Readable) -> Brief:
-    """Put the answer of a summary together."""
+def brief(summary: Readable, alerts: Sequence[Alert] | None = None) -> Brief:
+    """Put the answer of a summary together; ``alerts`` are its own, where they were made."""
     table = parameter_table(summary)
     read = table.summary
     rows = {
@@ -66,7 +67,8 @@ def brief(summary: Readable) -> Brief:
     shown.sort(key=lambda name: ORDER.index(rows[name].status))
     scaled = any(len(one.parameters) > 1 for one in read.identifiability.null_directions)
     lost = tuple(name for name, one in rows.items() if not one.how.converged)
-    found = list(dict.fromkeys(one.line for one in alerts_of(read) if one.line))
+    told = alerts_of(read) if alerts is None else alerts
+    found = list(dict.fromkeys(one.line for one in told if one.line))
     return Brief(
         read=_read(read),
         outcome=read.verdict.outcome,
@@ -147,6 +149,6 @@ def _next(summary: Summary) -> str:
     if summary.verdict.outcome != "not converged":
         for direction in summary.identifiability.directions or ():
             for remedy in direction.remedies:
-                if remedy.text.startswith("another recording"):
+                if remedy.kind == "known mass":
                     return remedy.text
     return ""

@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Iterator, Sequence
 
 from bayesfric.report.alerts import alerts_of
-from bayesfric.report.brief import brief
+from bayesfric.report.brief import Brief, brief
 from bayesfric.report.summary.caveats import constant_sentence
 from bayesfric.report.summary.noise import noise_lines
 from bayesfric.report.summary.record import Readable, Summary
@@ -21,12 +21,13 @@ WIDTH = 100  # columns
 def fit_text(summary: Readable, *, verbose: bool = False) -> Iterator[str]:
     """Word a summary for a person, line by line; ``verbose`` with all that stands behind it."""
     read = put_reported(Summary.read(summary))
-    yield from _brief(read)
+    alerts = alerts_of(read)
+    yield from _brief(brief(read, alerts))
     if verbose:
         yield from filled(
             "fit.txt.j2",
             summary=read,
-            alerts=alerts_of(read),
+            alerts=alerts,
             rows={n: r for n, r in read.rows.items() if r.reported and not r.of_motion},
             noise=list(noise_lines(read.noise, allowed=read.widened)),
             held_out=list(validation_lines(read.validation)) if read.validation else [],
@@ -35,8 +36,7 @@ def fit_text(summary: Readable, *, verbose: bool = False) -> Iterator[str]:
         ).splitlines()
 
 
-def _brief(summary: Summary) -> Iterator[str]:
-    told = brief(summary)
+def _brief(told: Brief) -> Iterator[str]:
     if told.read:
         yield shortened(told.read)
     yield from wrapped(told.verdict)

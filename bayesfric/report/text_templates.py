@@ -10,6 +10,7 @@ from jinja2 import Environment
 
 from bayesfric.progress import spent_text
 from bayesfric.report.numbers import p_text
+from bayesfric.report.words import words_of
 from bayesfric.templates import environment
 
 
@@ -52,6 +53,7 @@ def white_words(white: bool, allowed: bool = False) -> str:
 
 # What templates of text and of pages have in common.
 FILTERS = {"p": p_text, "white": white_words, "listed": listed, "spent": spent_text}
+FILTERS |= {"named": lambda kind: words_of(kind).what, "to_do": lambda kind: words_of(kind).do}
 
 
 @cache

@@ -27,16 +27,16 @@ def words() -> Mapping[str, Words]:
     return {kind: Words(**entry) for kind, entry in tomllib.loads(text).items()}
 
 
-def named(kind: str) -> str:
-    """Name a kind; one that only another version knows by itself."""
-    return words()[kind].what if kind in words() else kind
+def words_of(kind: str) -> Words:
+    """Give what is said of a kind; one that only another version knows by its name."""
+    return words().get(kind, Words(kind, ""))
 
 
 def line_of(kind: str, values: Mapping[str, Any] | None = None) -> str:
     """Say one thing in a line: what it is, the share of the torque (rms), what to do."""
     told = dict(values or {})
     kind = str(told.get("what", kind)) if kind == "missing" else kind
-    known = words().get(kind, Words(kind, ""))
+    known = words_of(kind)
     what, do = (part.format_map(_Shown(told)) for part in (known.what, known.do))
     if "hint" not in told:
         return f"{what}: {do}" if do else what

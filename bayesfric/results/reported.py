@@ -58,11 +58,6 @@ class Reported(BaseModel):
     at_most: bool | None = None
     how: How
 
-    @property
-    def limited(self) -> bool:
-        """Whether only one end is known."""
-        return self.bound is not None
-
 
 def concluded(
     posterior: Spread,

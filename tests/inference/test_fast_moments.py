@@ -148,7 +148,8 @@ class Case:
         out = []
         for o in self.observations:
             psi1, psi2 = linear.columns(o, 0, o.q.size)
-            rows = linear.rows(o, psi1, psi2, 0, np.ones(o.q.size))
+            phi = linear.functions(o, 0, o.q.size)
+            rows = linear.rows(psi1, psi2, phi, np.sign(o.qd), np.ones(o.q.size))
             norms = np.concatenate([[np.linalg.norm(o.measured)], np.linalg.norm(rows, axis=1)])
             out.append(np.abs(coefficients) @ norms)
         return np.stack(out, axis=1)

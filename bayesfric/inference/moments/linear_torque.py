@@ -122,10 +122,18 @@ class LinearTorque:
         self._gain = self._at["drive.gain"] if chain.gain else -1
         self.shapes: list[ShapeNodes] = []
         self._groups = list(self._all_groups(front, behind))
-        self.names1 = tuple(self._names[j] for _, j, _ in self._plain())
-        self._both = [
-            i for i, (g, j, _) in enumerate(self._plain()) if self._is_leg(form.loss, g, j)
+        alone = {j for group in self._groups[1:] for j in group.used} - {*self._groups[0].used}
+        self._made = [j for j in range(len(self._names)) if j not in alone]
+        # one sample tells how many functions there are
+        short = _piece(observations[0], slice(1))
+        plain = [
+            (g, j)
+            for g, group in enumerate(self._groups)
+            for j in group.used
+            for _ in group.along(short)
         ]
+        self.names1 = tuple(self._names[j] for _, j in plain)
+        self._both = [i for i, (g, j) in enumerate(plain) if self._is_leg(form.loss, g, j)]
         self.names2 = tuple(self.names1[i] for i in self._both)
         # what is of the recorded torque itself no gain divides
         self._joints = [i for i, n in enumerate(self.names1) if not n.startswith("drive.")]
@@ -134,13 +142,12 @@ class LinearTorque:
         if f"{form.loss}.load_square" in self._at:
             self._square = self._at[f"{form.loss}.load_square"]
             self._before = chain.ratio / chain.reaches[form.loss]
-        self._phi = sum(loss.along(self._some[0]).shape[0] for loss in self._losses)
-        self.functions_of_speed = max(self._phi, 1)
+        self.functions_of_speed = len(self.functions(observations[0], 0, 1))
         n2 = len(self.names2)
         two = bool(form.loss) and f"{form.loss}.load" not in self._at
         self.rest = two and any(bool((o.qd == 0.0).any()) for o in observations)
         self._pairs = np.triu_indices(n2) if self._square >= 0 else (np.zeros(0, int),) * 2
-        self.size = 1 + len(self.names1) + n2 * (2 * self._phi - 1 if self._phi else 0)
+        self.size = 1 + len(self.names1) + n2 * (2 * self.functions_of_speed - 1)
         self.size += self._pairs[0].size + (n2 if self.rest else 0)
 
     def _matrix(self, terms: Mapping[str, list[Term]]) -> Array:
@@ -155,12 +162,6 @@ class LinearTorque:
             return False
         known = group == 0 and self._known[1, column] != 0.0
         return known or column in self._groups[group].of_leg
-
-    def _plain(self) -> Iterator[tuple[int, int, int]]:
-        """Give all columns of ``psi1`` in order: group, column, which of the group's functions."""
-        for g, group in enumerate(self._groups):
-            many = group.along(self._some[0]).shape[0]
-            yield from ((g, j, k) for j in group.used for k in range(many))
 
     def _all_groups(self, front: Array, behind: Array) -> Iterator[_Group]:
         """Columns as they are; those that an unknown shape is in; those with a Stribeck rise."""
@@ -317,12 +318,8 @@ class LinearTorque:
 
     def _known_columns(self, piece: Observation) -> Array:
         """Columns before functions multiply them; one for what functions make up alone."""
-        alone = {j for group in self._groups[1:] for j in group.used} - set(self._groups[0].used)
-        names = [name for j, name in enumerate(self._names) if j not in alone]
         out = np.ones((len(self._names), piece.q.size))
-        out[[j for j in range(len(self._names)) if j not in alone]] = columns(
-            self.chain, piece, names
-        )
+        out[self._made] = columns(self.chain, piece, [self._names[j] for j in self._made])
         return out
 
     def functions(self, o: Observation, begin: int, end: int) -> Array:
@@ -332,15 +329,12 @@ class LinearTorque:
             return np.ones((1, end - begin))
         return np.concatenate([loss.along(piece) for loss in self._losses])
 
-    def rows(self, o: Observation, psi1: Array, psi2: Array, begin: int, side: Array) -> Array:
+    def rows(self, psi1: Array, psi2: Array, phi: Array, sign: Array, side: Array) -> Array:
         """All unfiltered columns but the measured torque, ``(K - 1, n)``.
 
-        ``psi1`` and ``psi2`` are of the samples from ``begin`` on; ``side`` ``(n,)`` is the sign of
-        the load's torque there.
+        Of what :meth:`columns` and :meth:`functions` give, the ``sign`` ``(n,)`` of the speed and
+        the ``side`` of the load's torque.
         """
-        end = begin + side.size
-        sign = np.sign(o.qd[begin:end])
-        phi = self.functions(o, begin, end)
         out = np.empty((self.size - 1, side.size))
         k, n2 = len(self.names1), len(self.names2)
         out[:k] = psi1

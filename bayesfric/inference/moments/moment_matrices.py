@@ -189,7 +189,8 @@ def _chunks(linear: LinearTorque, o: Observation, region: SignRegion) -> Iterato
         psi1, psi2 = linear.columns(o, a, b)
         level = region.centre @ psi2
         phi = linear.functions(o, a, b)
-        raw = linear.rows(o, psi1, psi2, a, np.where(level >= 0.0, 1.0, -1.0))
+        side = np.where(level >= 0.0, 1.0, -1.0)
+        raw = linear.rows(psi1, psi2, phi, np.sign(o.qd[a:b]), side)
         raw *= o.filter.used[a:b]
         rows = np.empty((linear.size, end - begin))
         rows[0] = o.measured[begin:end]

@@ -44,6 +44,7 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
     table = parameter_table(read, name)
     methods = comparison({name: read})
     judged = JudgedRun(read, table, methods)
+    told = alerts(read, methods.contested)
     found, answers = findings(table, read), read_answers(folder)
     captions = read_captions(_text(folder / "text" / "captions.md"))
     return render(
@@ -51,12 +52,12 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         scripts=("page.js", "calculator.js"),
         title=name,
         summary=read,
-        alerts=alerts(read, methods.contested),
+        alerts=told,
         found=found,
         answers=answers,
         too_slow=too_slow(),
         drawing=stretch_drawing(answers.stretch) if answers.stretch else None,
-        brief=brief(read),
+        brief=brief(read, told),
         law=_law(answers.calculator, table),
         table=table,
         notes=table.notes_where(marked=False),

@@ -39,8 +39,6 @@ from bayesfric.results.verdict import Verdict, verdict
 if TYPE_CHECKING:
     import pandas as pd
 
-# Kinds of doubts of the mechanism: that it explains little, or that what it leaves is no noise.
-OF_MECHANISM = ("unexplained", "memory")
 _GAIN = "drive.gain"
 # A summary is a page or two of numbers; anything larger is some other file.
 _LARGEST = 20_000_000
@@ -423,12 +421,6 @@ class Summary(Part):
             asked=None if asked is None or asked.reason else asked.asked,
             explained=self.fit.explained,
         )
-
-    @property
-    def other_units(self) -> list[dict[str, Any]]:
-        """Units that the position more likely has, of a doubt that little is explained."""
-        extra = (doubt.model_extra or {} for doubt in self.doubts)
-        return [one for more in extra for one in more.get("units", ())]
 
     @property
     def rows(self) -> dict[str, PosteriorRow]:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from bayesfric.diagnostics.self_check import Checked
-from bayesfric.identifiability.local import Verdict
 from bayesfric.inference.fitting import Fit
 from bayesfric.report.numbers import text_rounded
 from bayesfric.report.summary.derived_quantities import LEVEL, Groups
@@ -150,12 +149,6 @@ def cited(summary: Summary) -> dict[str, tuple[float, float, float, float]]:
     return found
 
 
-def _judged(summary: Summary, verdict: Verdict) -> dict[str, SelfCheckRow]:
-    # where a prior has a say, no interval holds nine of ten truths
-    rows = summary.self_check.rows if summary.self_check is not None else {}
-    return {name: row for name, row in rows.items() if summary.rows[name].verdict == verdict}
-
-
 def seldom_held(summary: Summary) -> dict[str, float]:
     """Give how often intervals that are printed hold the truth, of those that do so too seldom."""
     shown, found = cited(summary), {}
@@ -171,12 +164,6 @@ def seldom_held_sentence(summary: Summary, names: Collection[str]) -> str:
     held = {name: share for name, share in seldom_held(summary).items() if name in names}
     told = {"held": held, "level": LEVEL, "allowed": summary.widened}
     return sentence("seldom held", told) if held else ""
-
-
-def narrow(summary: Summary) -> bool:
-    """Whether an interval holds too few truths, beyond chance, for a run to be called reliable."""
-    rows = _judged(summary, "data").values()
-    return any(row.coverage + _SURE * row.coverage_error < LOW for row in rows)
 
 
 def self_check_lines(summary: Summary) -> Iterator[str]:
