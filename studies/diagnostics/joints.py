@@ -152,6 +152,10 @@ LACKING: dict[str, tuple[tuple[str, ...], Bench | Compliant]] = {
         for name, (x, kinds, made) in EFFECTS.items()
     },
     **COMPLIANT,
+    **{
+        f"late by {x:g} s": (("delay",), replace(_arm_bench, late=x * _arm_bench.rate))
+        for x in (0.02, 0.05, 0.11, 0.2)
+    },
 }
 BENCHES: dict[str, tuple[tuple[str, ...], Bench | Compliant]] = {
     **{name: ((), CASES[name]) for name in RIGHT},
