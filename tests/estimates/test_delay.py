@@ -54,6 +54,11 @@ def test_no_false_alarm_without_one(seeds):
     assert 0.4 < np.std(shares) < 1.8
 
 
+def test_nothing_need_be_trimmed_for_it():
+    (found,) = bf.Model(AXIS, bench(2.0, 4), processing={"trim": 0.0}).delays()
+    assert found.samples == pytest.approx(2.0, rel=0.1)
+
+
 def test_the_packaged_knee_raises_no_alarm():
     from bayesfric.commands.fit import demo_config
 
