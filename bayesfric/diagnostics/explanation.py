@@ -43,6 +43,8 @@ class Explanation:
         Kinds that this motion does not tell from what the model has.
     twins
         How many simulated recordings judge.
+    largest, limit
+        Of all candidates' statistics, a standard normal's; and what 95 % of the twins stay below.
     reason
         Why it was not asked: there are too ``few`` outputs, twins would take too ``long``, or their
         ``simulation`` is impossible; else ``None``.
@@ -52,6 +54,8 @@ class Explanation:
     kinds: tuple[str, ...] = ()
     untold: tuple[str, ...] = ()
     twins: int = 0
+    largest: float = 0.0
+    limit: float = 0.0
     cpu_seconds: float = 0.0
     reason: Reason | None = None
 
@@ -70,6 +74,7 @@ class Explanation:
     def as_json(self) -> dict[str, Any]:
         """Give all of it as JSON holds it."""
         told = {"kinds": list(self.kinds), "untold": list(self.untold), "twins": self.twins}
+        told |= {"largest": self.largest, "limit": self.limit}
         told |= {"cpu_seconds": self.cpu_seconds, "reason": self.reason}
         return {"findings": [one.as_dict() for one in self.findings], **told}
 
@@ -113,12 +118,17 @@ def explain(
                 known,
                 seed,
             )
-            steps = [s for s in asked.steps() if s.sure]
+            steps = asked.steps()
     except NoTwin:
         return Explanation(reason="simulation")
-    found = tuple(finding(chain, step) for step in steps)
     return Explanation(
-        found, asked.kinds, asked.untold, len(asked.twins), time.process_time() - begun
+        tuple(finding(chain, step) for step in steps if step.sure),
+        asked.kinds,
+        asked.untold,
+        len(asked.twins),
+        steps[0].largest,
+        steps[0].limit,
+        time.process_time() - begun,
     )
 
 

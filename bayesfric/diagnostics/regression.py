@@ -87,6 +87,8 @@ class _Choice:
     sure: bool  # whether it is no chance
     z: float
     p: float
+    largest: float  # z of all candidates
+    limit: float  # that it must exceed, by the twins
     worth: Array  # of every candidate, scans last
     scan: Scan | None = None
 
@@ -99,6 +101,8 @@ class Step:
     shape: str
     z: float
     p: float
+    largest: float  # z of all candidates, and what it must exceed by the twins
+    limit: float
     share: float
     sure: bool
     recording: str  # that a push is in; else empty
@@ -307,7 +311,7 @@ class Regression:
         sure = bool(allowed.any())
         best = int(np.argmax(np.where(allowed, worth, -np.inf) if sure else z))
         p = float((1 + (largest >= z[best]).sum()) / (len(largest) + 1))
-        told = sure, float(z[best]), p, worth
+        told = sure, float(z[best]), p, float(z.max()), limit, worth
         if best < len(self._groups):
             key, own = self._groups[best]
             return _Choice(key.kind, key.shape, own, *told)
@@ -328,6 +332,8 @@ class Regression:
             shape=choice.shape,
             z=choice.z,
             p=choice.p,
+            largest=choice.largest,
+            limit=choice.limit,
             sure=choice.sure,
             recording=recording,
             span=span,

@@ -17,9 +17,11 @@ from scipy.signal import butter, lfilter
 
 from bayesfric import Element, Joint, Load, Recording, Term
 from bayesfric.mechanism import excitation
+from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.forward import Motion, simulate
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.law import Law
 
 Array = NDArray[np.float64]
 
@@ -64,6 +66,8 @@ class Bench:
     memory: Literal["", "ar2", "1/f"] = ""  # of all the noise, in place of white
     ripple: tuple[float, int] = (0.0, 0)  # share of the torque's rms, and times a turn
     true: Joint | None = None  # that moves, where the one that is fitted lacks something
+    loop: float = 0.0  # Hz of a position loop; else torque is commanded
+    path: float = 0.3  # rad of each sine that a position loop goes for
     sag: float = 0.0  # share of the torque constant that is gone at the largest torque
     tables: dict[str, Any] = field(default_factory=dict)  # of the configuration
 
@@ -131,8 +135,31 @@ def moved(
         at = truth | {"motor.ripple": own}
         vector = [at[name] for name in joint.names]
     inputs = Inputs(drive.added_mass, drive.radius)
+    if bench.loop:
+        path = excitation.multisine(time, bench.path, LINES[:-1], seed=int(rng.integers(2**31)))
+        return _followed(bench, joint, np.array(vector), period, path, inputs)
     motion = simulate(joint, np.array(vector), torque, period, inputs=inputs, substeps=1)
     return motion, time, torque
+
+
+def _followed(
+    bench: Bench, joint: Joint, vector: Array, period: float, path: Array, inputs: Inputs
+) -> tuple[Motion, Array, Array]:
+    """Move the joint by a position loop with a damping of 0.7; its torque is what is recorded."""
+    kp, kd = gains(bench.loop, sum(v for k, v in bench.values.items() if k.endswith("inertia")))
+    law = Law(kp * path, np.ones(path.size), kp, kd)
+    start = [[0, path.size]], [path[0]], [0.0]
+    found = follow(joint, vector[None], law, period, *start, inputs=inputs, step=period)
+    q, qd = found[0][0], found[1][0]
+    torque, time = kp * (path - q) - kd * qd, np.arange(path.size) * period
+    motion = Motion(time, q, qd, np.gradient(qd, period), torque, qd == 0.0, 0, 0, 0.0, 1)
+    return motion, time, torque
+
+
+def gains(hertz: float, inertia: float) -> tuple[float, float]:
+    """Give stiffness and damping of a position loop, with a damping of 0.7."""
+    own = 2.0 * np.pi * hertz
+    return inertia * own**2, 1.4 * own * inertia
 
 
 def instants(bench: Bench) -> Array:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bench import LINES, PLAIN, Bench, Drive, measured, told
+from bench import LINES, PLAIN, Bench, Drive, gains, measured, told
 from numba import njit
 from numpy.typing import NDArray
 
@@ -38,13 +38,14 @@ class Compliant:
     elastic: float = 0.0  # Hz, the motor held
     gap: float = 0.0  # rad, all of it
     bristle: float = 0.0  # rad
+    loop: float = 0.0  # Hz of a position loop; else torque is commanded
     tables: dict[str, Any] = field(default_factory=dict)
 
     def recorded(
         self, rng: np.random.Generator, folder: Path
     ) -> tuple[dict[str, float], list[Recording], float]:
         """Make the file of one recording."""
-        bench = Bench(self.joint, PLAIN, (DRIVE,), duration=20.0, counts=16384)
+        bench = Bench(self.joint, PLAIN, (DRIVE,), duration=20.0, counts=16384, loop=self.loop)
         truth = bench.truth(rng)
         time = np.arange(round((bench.duration + 0.2) * FINE)) / FINE
         sines = excitation.multisine(time, 1.0, LINES, seed=int(rng.integers(2**31)))
@@ -52,10 +53,14 @@ class Compliant:
         square = excitation.square(time + rng.uniform(), DRIVE.square, DRIVE.hertz)
         torque = DRIVE.amplitude * (sines + square)
         torque = excitation.current_loop(torque, 1.0 / FINE, DRIVE.lag)
+        if self.loop:  # a path, until the joint has moved
+            torque = excitation.multisine(
+                time, bench.path, LINES[:-1], seed=int(rng.integers(2**31))
+            )
         hertz = self.elastic or CONTACT * bool(self.gap)
         factor = truth["motor.inertia"] / PLAIN["motor.inertia"]
         q, qd = _moved(
-            torque - truth["offset"], 1.0 / FINE, factor * MOTOR, factor * LOAD,
+            torque, truth["offset"], *gains(self.loop, MOTOR + LOAD), 1.0 / FINE, factor * MOTOR, factor * LOAD,
             truth["load.first_moment"] * GRAVITY, truth["motor.coulomb"], truth["motor.viscous"],
             factor * LOAD * (2.0 * math.pi * hertz) ** 2, DAMPING, 0.5 * self.gap, self.bristle,
         )  # fmt: skip
@@ -70,19 +75,30 @@ class Compliant:
 
 
 @njit(cache=True)
-def _moved(torque, h, motor, load, weight, coulomb, viscous, stiff, damping, half, bristle):  # type: ignore[no-untyped-def]
-    """Motor's position and speed ``(N,)``; without stiffness the two are one."""
+def _moved(
+    torque, offset, kp, kd, h, motor, load, weight, coulomb, viscous, stiff, damping, half, bristle
+):  # type: ignore[no-untyped-def]
+    """Motor's position and speed ``(N,)``; without stiffness the two are one.
+
+    Under a position loop ``torque`` is a path first, and the loop's torque then.
+    """
     q, qd = np.zeros(torque.size), np.zeros(torque.size)
     x = v = y = w = z = 0.0
     damper = 2.0 * damping * math.sqrt(stiff * load)
     mass = motor + (0.0 if stiff else load)
+    if kp:
+        x = y = torque[0]
     for i in range(torque.size):
+        if kp:
+            torque[i] = kp * (torque[i] - x) - kd * v
         between = 0.0
         if stiff:
             wound = x - y
             if abs(wound) > half:
                 between = stiff * (wound - math.copysign(half, wound)) + damper * (v - w)
-        force = torque[i] - viscous * v - between - (0.0 if stiff else weight * math.sin(x))
+        force = (
+            torque[i] - offset - viscous * v - between - (0.0 if stiff else weight * math.sin(x))
+        )
         if bristle:
             v += h * (force - coulomb * z) / mass
             side = 1.0 if v > 0.0 else -1.0

@@ -52,7 +52,8 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
         for f in missing.findings
     ]
     seconds = {"seconds": time.process_time() - begun, "own": missing.cpu_seconds}
-    return found | {"steps": steps, "reason": missing.reason, "twins": missing.twins} | seconds
+    judged = {"largest": missing.largest, "limit": missing.limit, "twins": missing.twins}
+    return found | {"steps": steps, "reason": missing.reason} | judged | seconds
 
 
 def table(found: dict[str, list[dict[str, Any]]]) -> Iterator[str]:

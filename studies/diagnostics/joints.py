@@ -157,6 +157,10 @@ LACKING: dict[str, tuple[tuple[str, ...], Bench | Compliant]] = {
         for x in (0.02, 0.05, 0.11, 0.2)
     },
 }
+USUAL = {
+    name: LACKING[name]
+    for name in [*(f"{name} {x:g}" for name, (x, *_) in EFFECTS.items()), *COMPLIANT]
+}
 BENCHES: dict[str, tuple[tuple[str, ...], Bench | Compliant]] = {
     **{name: ((), CASES[name]) for name in RIGHT},
     "arm": ((), _arm_bench),
@@ -166,4 +170,15 @@ BENCHES: dict[str, tuple[tuple[str, ...], Bench | Compliant]] = {
         for name in WORST
     },
     **LACKING,
+    "closed loop": ((), replace(_arm_bench, loop=4.0)),
+    "closed loop, ar2 noise": ((), replace(_arm_bench, loop=4.0, memory="ar2")),
+    **{
+        f"closed loop, {name}": (kinds, replace(bench, loop=4.0))
+        for name, (kinds, bench) in USUAL.items()
+    },
+    **{
+        f"ar2 noise, {name}": (kinds, replace(bench, memory="ar2"))
+        for name, (kinds, bench) in USUAL.items()
+        if isinstance(bench, Bench)
+    },
 }
