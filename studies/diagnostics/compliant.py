@@ -60,7 +60,8 @@ class Compliant:
         hertz = self.elastic or CONTACT * bool(self.gap)
         factor = truth["motor.inertia"] / PLAIN["motor.inertia"]
         q, qd = _moved(
-            torque, truth["offset"], *gains(self.loop, MOTOR + LOAD), 1.0 / FINE, factor * MOTOR, factor * LOAD,
+            torque, truth["offset"], *gains(self.loop, MOTOR + LOAD), 1.0 / FINE,
+            factor * MOTOR, factor * LOAD,
             truth["load.first_moment"] * GRAVITY, truth["motor.coulomb"], truth["motor.viscous"],
             factor * LOAD * (2.0 * math.pi * hertz) ** 2, DAMPING, 0.5 * self.gap, self.bristle,
         )  # fmt: skip
