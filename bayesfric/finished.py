@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from bayesfric.errors import BadInput
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.noise_choice import Choice
-from bayesfric.inference.model_error import model_error
 from bayesfric.inference.posterior import Diagnostics, Posterior, Status
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.mechanism.joint import Joint
@@ -126,8 +125,7 @@ def fit_of(run: Path) -> tuple[Fit, Summary]:
         # made in the coordinates that were sampled in, which are others here
         held = np.stack([groups["told"][name].ravel() for name in rows], axis=1)
         found = replace(found, told=held.astype(np.float64))
-    shown = None if summary.model_error is None else summary.model_error.shown
-    return replace(found, model_error=model_error(target, posterior, shown)), summary
+    return found, summary
 
 
 def _read(run: Path) -> tuple[Summary, Model, dict[str, dict[str, Array]]]:

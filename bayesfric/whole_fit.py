@@ -21,9 +21,9 @@ from bayesfric.identifiability.identification import identify
 from bayesfric.identifiability.known_quantities import speed_term
 from bayesfric.identifiability.plausible import Point
 from bayesfric.identifiability.sentences import plain
+from bayesfric.inference.discrepancy import discrepancy
 from bayesfric.inference.fitting import Fit, fit
 from bayesfric.inference.likelihood.noise_choice import Choice
-from bayesfric.inference.model_error import model_error
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.inference.rests_beyond import rests_beyond
 from bayesfric.inference.sampling.checkpoint import Checkpoint
@@ -32,20 +32,16 @@ from bayesfric.inference.target import Target
 from bayesfric.model import Model
 from bayesfric.progress import by_method, silent
 from bayesfric.report.summary.derived_quantities import groups
-from bayesfric.report.summary.doubts import White, find_doubts, put_doubts
+from bayesfric.report.summary.doubts import find_doubts, put_doubts
 from bayesfric.report.summary.loss_limits import limits_of_losses
 from bayesfric.report.summary.model_error import add_model_error
-from bayesfric.report.summary.noise import add_white_intervals, white_alternative
 from bayesfric.report.summary.record import FindingRow, Identifiability, RegressionPart, Summary
 from bayesfric.report.summary.reported import put_reported
 from bayesfric.report.summary.residual import BackEmfPart, RestsPart
 from bayesfric.report.summary.self_check import self_check_doubts, self_check_part
-from bayesfric.report.summary.summary import rms, spreads, summarise
+from bayesfric.report.summary.summary import summarise
 from bayesfric.report.text_templates import sentence
 from bayesfric.result import Result
-
-# Independent draws that are enough for an interval that only stands beside another.
-_WHITE_ESS = 2000.0
 
 
 @dataclass(frozen=True)
@@ -95,19 +91,14 @@ def whole_fit(
         found = replace(found, held_out=held_out)
     derived = groups(found)
     summary = summarise(found, model.references(), begun.choice, derived)
-    compared = None
-    if white_alternative(found):
-        progress(Progress("the same with white noise"))
-        quick = sampling.model_copy(update={"min_ess": min(sampling.min_ess, _WHITE_ESS)})
-        compared = _with_white_noise(model, sample, quick, checkpoint("white-noise", quick))
-        summary = add_white_intervals(summary, compared[0] if compared else None)
-    found = replace(found, model_error=model_error(found.target, found.posterior, explained.wrong))
-    # room for the model's error, too, lets a loss reach zero
+    room = discrepancy(found.target, found.posterior, explained.missing)
+    found = replace(found, discrepancy=room)
+    # room for what the model lacks, too, lets a loss reach zero
     summary = limits_of_losses(add_model_error(summary, found, derived))
     summary = _with_back_emf(summary, model, found)
     summary = _with_rests(summary, model, found)
     summary = _with_findings(summary, explained, taken)
-    doubts = find_doubts(found, summary, begun.choice, compared)
+    doubts = find_doubts(found, summary)
     if (checked := _self_check(model, found, progress)) is not None:
         part = self_check_part(found, summary, checked, derived)
         summary = summary.model_copy(update={"self_check": part})
@@ -192,23 +183,17 @@ def _first_target(
     return model.target(points[-1], choice)
 
 
-def _with_white_noise(
-    model: Model, sample: Callable[..., Fit], sampling: Sampling, kept: Checkpoint | None
-) -> tuple[White, float] | None:
-    """Sample the same with white noise; ``None`` where that gives no posterior."""
-    with model.config.named():
-        white = sample(model.white_target(), sampling, checkpoint=kept)
-    if white.posterior.diagnostics.status == "unusable":
-        return None
-    return spreads(white), rms(white)
-
-
 def _with_findings(summary: Summary, found: Explanation, taken: Sequence[Finding]) -> Summary:
     """Put in what else explains the torque, and how that was asked."""
     asked: dict[str, Any] = {"twins": found.twins, "asked": len(found.kinds)}
     asked |= {"reason": found.reason} if found.reason else {}
+    # what is marginalised is in the intervals, and no doubt
+    room = found.missing.kinds if found.missing and summary.widened else {}
+    findings = [
+        replace(one, severity="note") if one.kind in room else one for one in found.findings
+    ]
     update = {
-        "findings": [FindingRow.model_validate(one.as_dict()) for one in found.findings],
+        "findings": [FindingRow.model_validate(one.as_dict()) for one in findings],
         "taken": [FindingRow.model_validate(one.as_dict()) for one in taken],
         "regression": RegressionPart.model_validate(asked),
     }

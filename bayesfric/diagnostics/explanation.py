@@ -17,6 +17,7 @@ from bayesfric.diagnostics.policy import (
 from bayesfric.diagnostics.regression import Regression, Step
 from bayesfric.diagnostics.twins import NoTwin
 from bayesfric.estimates.descent import few_threads
+from bayesfric.inference.discrepancy import Missing
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import CHOICES, CYCLES, LOAD_CHOICES
 from bayesfric.recordings.measurement import Measurement
@@ -45,6 +46,8 @@ class Explanation:
         How many simulated recordings judge.
     largest, limit
         Of all candidates' statistics, a standard normal's; and what 95 % of the twins stay below.
+    missing
+        All candidates, to be marginalised.
     reason
         Why it was not asked: there are too ``few`` outputs, twins would take too ``long``, or their
         ``simulation`` is impossible; else ``None``.
@@ -58,6 +61,7 @@ class Explanation:
     limit: float = 0.0
     cpu_seconds: float = 0.0
     reason: Reason | None = None
+    missing: Missing | None = None
 
     @property
     def asked(self) -> bool:
@@ -129,6 +133,7 @@ def explain(
         steps[0].largest,
         steps[0].limit,
         time.process_time() - begun,
+        missing=asked.missing(),
     )
 
 

@@ -36,6 +36,7 @@ from bayesfric.diagnostics.policy import (
 )
 from bayesfric.diagnostics.scans import DELAY, PUSH, TONE, Scan, bump, tuned, waves
 from bayesfric.diagnostics.statistics import (
+    HALF,
     Columns,
     Key,
     asked,
@@ -48,6 +49,7 @@ from bayesfric.diagnostics.statistics import (
 )
 from bayesfric.diagnostics.twins import NoTwin, modelled_driver, twins
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical_load
+from bayesfric.inference.discrepancy import Missing
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.measurement import Measurement
@@ -75,6 +77,9 @@ _BY_ENCODER = 0.5
 _PICKS, _DEAR = 8, 10.0
 # Hz below which a tone may be the noise's wander.
 _SLOW = 1.0
+# Share of a candidate's power, whitened, that must be left beside the model's own for its size to
+# be marginalised.
+_VISIBLE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,6 +151,7 @@ class Regression:
     scales: Scales = field(init=False)
     data: Columns = field(init=False)
     twins: list[Columns] = field(init=False)
+    _placed_scans: list[tuple[str, tuple[int, ...]]] = field(init=False, default_factory=list)
 
     def __post_init__(self) -> None:
         streams = np.random.SeedSequence(self.seed).spawn(4)
@@ -268,7 +274,45 @@ class Regression:
             found.append(self._step(choice, extra))
             if not choice.sure:
                 break
+            if choice.scan is not None:
+                self._placed_scans.append((choice.kind, tuple(choice.own)))
         return found
+
+    def missing(self) -> Missing:
+        """Give all candidates to be marginalised, after :meth:`steps`.
+
+        Those that were found are among them; a tone, a push or a far delay only where it was.
+        """
+        d = self.data.whitened
+        base = basis_of(d.base)
+        size = np.sqrt((self.data.others**2).mean(axis=0))
+        size = np.where(size > 0.0, self.scales.torque / np.where(size > 0.0, size, 1.0), 0.0)
+        rest, left = without(base, without(base, d.others * size)), without(base, d.left)
+        seen = (rest**2).sum(axis=0) >= _VISIBLE * ((d.others * size) ** 2).sum(axis=0)
+        wanted = [(key.kind, tuple(own)) for key, own in self._groups] + self._placed_scans
+        # between the shapes of a grid
+        wanted += [(f"beside {k.kind}", (i,)) for i, k in enumerate(d.keys) if k.beside]
+        kinds: dict[str, list[tuple[int, ...]]] = {}
+        for kind, own in wanted:
+            if size[list(own)].all() and seen[list(own)].all():
+                kinds.setdefault(kind, []).append(own)
+        free = left.size - base.shape[1]
+        power = float(left @ left)
+        alone = np.array([_alone(twin.whitened, size) for twin in self.twins])
+        mean = alone[:, 0].mean(axis=0)
+        # in those of white noise
+        sd = alone[:, 0].std(axis=0, ddof=1) / alone[:, 1].mean()
+        bias = mean / alone[:, 1].mean()
+        unit = np.sqrt((rest**2).sum(axis=0))
+        return Missing(
+            columns=self.data.others * size,
+            kinds={kind: tuple(shapes) for kind, shapes in kinds.items()},
+            gram=rest.T @ rest,
+            scores=rest.T @ left - mean * unit,
+            power=power,
+            spread=np.sqrt(np.maximum(sd**2, 1.0) + HALF**2 * bias**2),
+            free=free,
+        )
 
     def _climbed(self, most: int, *, choosing: bool = False) -> Iterator[tuple[_Choice, list[int]]]:
         """Take in one candidate after the other; gives each with the columns taken before it.
@@ -445,6 +489,15 @@ class Regression:
 def _memory(d: Columns, extra: Sequence[int]) -> tuple[Memory, float]:
     """Choose the memory of what is left beside ``extra``, candidates; and its criterion."""
     return memory_of(d.rest(extra), d.layout)
+
+
+def _alone(d: Columns, size: Array) -> Array:
+    """Give scores of unit columns beside the model's own, of a whitened twin, and their sd."""
+    base = basis_of(d.base)
+    rest, left = without(base, d.others * size), without(base, d.left)
+    unit = np.sqrt((rest**2).sum(axis=0))
+    scores = rest.T @ left / np.where(unit > 0.0, unit, np.inf)
+    return np.stack([scores, np.full(unit.size, math.sqrt(mean_square(left, base.shape[1])))])
 
 
 def _made(along: Along) -> Iterator[tuple[Key, Array]]:

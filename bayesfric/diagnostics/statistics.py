@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 # Singular values below these shares of the largest are rounding, or an open direction.
 _ROUNDING, _OPEN = 1e-9, 1e-7
 # What twins show as a mean is half known: the recording may share it or not.
-_HALF = 0.5
+HALF = 0.5
 # Correlation from which two columns are one, and eigenvalue below which several are.
 _SAME, _SINGULAR = 0.9999, 1e-4
 
@@ -226,7 +226,7 @@ def scored(mine: Asked, others: Sequence[Asked]) -> tuple[Array, Array]:
             continue
         mean, cov = t.mean(axis=0), np.atleast_2d(np.cov(t.T))
         cov = 0.9 * cov + 0.1 * np.diag(np.diag(cov)) + 1e-9 * np.eye(x.size)
-        wide = cov + _HALF**2 * np.outer(mean, mean)
+        wide = cov + HALF**2 * np.outer(mean, mean)
         far = float((x - mean) @ np.linalg.solve(wide, x - mean))
         z[i] = float(_normal(np.array(far), x.size, n))
         apart = t - mean

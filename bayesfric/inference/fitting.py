@@ -14,10 +14,10 @@ from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.estimates.methods import ESTIMATORS
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.estimates.sizes import measured_scales
+from bayesfric.inference.discrepancy import Discrepancy
 from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.linearisation import linearisation_change
-from bayesfric.inference.model_error import ModelError
 from bayesfric.inference.noise import SCALES
 from bayesfric.inference.noise.residual_noise import ResidualNoise
 from bayesfric.inference.noise.scale import NoiseScale, noise_of
@@ -57,32 +57,32 @@ class Fit:
     # What linearisation_change said before sampling; far below 1 it does not matter. None where
     # nothing is linearised.
     linearisation: float | None = None
-    model_error: ModelError | None = None  # what groups of the motion say of the model
+    discrepancy: Discrepancy | None = None  # how far the model may be off
     # (n, d) draws with room for the model's error, as a finished run holds them; else they are made
     told: Array | None = None
 
     @cached_property
     def wide(self) -> Fit:
-        """The same with room for the model's error in its draws, where recordings show any."""
-        if self.model_error is None or not self.model_error.shown:
-            return self
+        """The same with what the model may lack marginalised in its draws."""
         posterior = self.posterior
         if self.told is not None:
             held = self.told[None, None]
             unknown = np.full(held.shape[:-1], np.nan)
             changed = replace(posterior, draws=held, log_density=unknown)
-            return replace(self, posterior=changed, model_error=None)
+            return replace(self, posterior=changed, told=None)
+        if self.discrepancy is None or not self.discrepancy.shown:
+            return self
         rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(12,)))
         e, w, steps, d = posterior.draws.shape
         some = slice(None, None, -(-e * w * steps // _WIDE))
         draws = posterior.draws[:, :, some]
-        moved = self.model_error.widened(self.target, draws.reshape(-1, d), rng)
+        moved = self.discrepancy.widened(self.target, draws.reshape(-1, d), rng)
         changed = replace(
             posterior,
             draws=moved.reshape(draws.shape),
             log_density=posterior.log_density[:, :, some],
         )
-        return replace(self, posterior=changed, model_error=None)
+        return replace(self, posterior=changed, discrepancy=None)
 
     @property
     def chain(self) -> Joint:

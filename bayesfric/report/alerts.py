@@ -8,8 +8,7 @@ from typing import Any
 
 from bayesfric.identifiability.sentences import stated
 from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.numbers import in_tenths
-from bayesfric.report.summary.record import OutlyingRow, Readable, Summary
+from bayesfric.report.summary.record import Readable, Summary
 from bayesfric.report.summary.reference_check import references_off
 from bayesfric.report.summary.rollout import FEWEST, RollOutPart
 from bayesfric.report.text_templates import sentence
@@ -21,8 +20,6 @@ DOUBTS = (
     "feedback",
     "attenuated",
     "negative",
-    "memory",
-    "noise",
     "noise-bound",
     "acceleration",
     "missing",
@@ -30,11 +27,8 @@ DOUBTS = (
     "few",
     "unseen-inertia",
     "self-check",
-    "unchecked",
     "prior",
 )
-# Outlying outputs that are named, the farthest; of others there is the number.
-NAMED = 5
 
 
 @dataclass(frozen=True)
@@ -94,30 +88,15 @@ def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:
         place = "model-error" if doubt.kind == "missing" else "noise"  # how it was asked
         line = line_of(doubt.kind, dumped)
         found.append(Alert(doubt.kind, doubt_text(dumped), place, first=True, line=line))
-    error = summary.model_error
-    if error is not None and error.shown:
-        aside = len(error.outlying) if error.set_aside else 0
-        text = sentence("model error", {"found": error.found, "set_aside": aside})
-        line = line_of("model error")
-        found.append(Alert("model error", text, "model-error", first=True, line=line))
     if summary.sampler.status != "unusable" and (told := references_off(summary)) is not None:
         text = sentence("references", told)
         line = line_of("references")
         found.append(Alert("references", text, "parameters", first=True, line=line))
     if summary.sampler.status != "unusable":  # else there is no posterior to judge the model by
         for kind, values, section in _of_model(summary, contested):
-            first = kind in ("unparted", "put in")
-            line = "" if kind == "put in" else line_of(kind, values)
+            first = kind == "put in"
+            line = "" if first else line_of(kind, values)
             found.append(Alert(kind, sentence(kind, values), section, first=first, line=line))
-    # a few outputs seldom move a number by as much as what is above
-    if error is not None and error.outlying:
-        for kind, recurs in (("outlying", False), ("recurring", True)):
-            if seen := [one for one in error.outlying if one.recurs is recurs]:
-                told = {"outputs": seen, "apart": _apart(seen), "unit": summary.fit.unit}
-                at = [f"{one.time:.4g}" for one in seen[:3]]
-                line = line_of(kind, {"seconds": ", ".join(at)})
-                text = sentence(kind, told)
-                found.append(Alert(kind, text, "model-error", first=True, line=line))
     found += (Alert("warning", text, line=text.split(";")[0]) for text in _gathered(summary))
     if (emf := summary.fit.back_emf) is not None:
         text = str(stated("voltage", "back_emf", **emf.model_dump()))
@@ -125,15 +104,6 @@ def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:
     if summary.may_be_simulated:
         found.append(Alert("simulated", sentence("simulated")))
     return tuple(found)
-
-
-def _apart(outlying: Sequence[OutlyingRow]) -> dict[str, list[list[float]]]:
-    """Give the spans that leave outputs out, tenths of a second, recording by recording."""
-    spans: dict[str, list[tuple[float, float]]] = {}
-    for one in sorted(outlying[:NAMED], key=lambda o: o.time):
-        half = 0.5 * one.period
-        spans.setdefault(one.recording, []).append((one.time - half, one.time + half))
-    return {name: in_tenths(of) for name, of in spans.items()}
 
 
 def _of_model(
@@ -160,9 +130,6 @@ def _of_model(
         yield "roll-out", told, "roll-out"
     if summary.rollout is not None and (told := roll_out_wide(summary.rollout)):
         yield "wide bands", told, "roll-out"
-    doubted = any(doubt.kind == "unchecked" for doubt in summary.doubts)
-    if summary.unparted and not doubted:
-        yield "unparted", {}, "model-error"
     if contested:
         yield "methods", {"names": contested}, "methods"
 

@@ -18,7 +18,12 @@ from bayesfric.results.verdict import Outcome
 
 # Rows of the table, and findings, that are shown at most.
 ROWS, FINDINGS = 16, 3
-_SIGNS = {"good": "Good.", "unchecked": "Not checked.", "doubtful": "Doubtful."}
+_SIGNS = {
+    "good": "Good.",
+    "usable": "Usable.",
+    "unchecked": "Not checked.",
+    "doubtful": "Doubtful.",
+}
 # What stands beside a number that is not simply identified.
 _BESIDE = {"identified": "", "limit": "", "prior": "with the prior", "doubtful": "doubtful"}
 
@@ -116,6 +121,8 @@ def _verdict(summary: Summary) -> str:
         notes = sum(one.severity == "note" for one in summary.findings)
         more = "none of {} candidates explains more" if not notes else "what it lacks moves nothing"
         text += "; " + more.format(found.asked)
+    elif found.outcome == "usable":
+        text += "; intervals have room for what it lacks"
     elif found.outcome == "unchecked" and found.explained is not None:
         text += "; what it lacks was not asked"
     elif found.doubtful:

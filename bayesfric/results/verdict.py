@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-Outcome = Literal["good", "unchecked", "doubtful", "not converged"]
+Outcome = Literal["good", "usable", "unchecked", "doubtful", "not converged"]
 
 
 @dataclass(frozen=True)
@@ -15,7 +15,8 @@ class Verdict:
     Attributes
     ----------
     outcome
-        ``good``; ``unchecked`` where nobody asked what the model lacks; ``doubtful`` where a
+        ``good``; ``usable`` where the model lacks something and intervals have room for it;
+        ``unchecked`` where nobody asked what the model lacks; ``doubtful`` where a
         finding moves numbers by more than their intervals; ``not converged``.
     explained
         Share of the torque's variance that the model explains, where that says anything.
@@ -38,9 +39,15 @@ def verdict(
     doubtful: int,
     asked: int | None,
     explained: float | None,
+    lacking: bool = False,
 ) -> Verdict:
-    """Conclude; ``asked`` is ``None`` where the question could not be put."""
+    """Conclude; ``asked`` is ``None`` where the question could not be put.
+
+    ``lacking`` says whether the model lacks anything that intervals have room for.
+    """
     outcome: Outcome = "good" if asked is not None else "unchecked"
+    if lacking:
+        outcome = "usable"
     if doubts:
         outcome = "doubtful"
     if not converged:

@@ -162,7 +162,7 @@ def test_what_only_room_for_the_models_error_lets_agree_is_said(wide, said):
         sd = wide * row["sd"]
         ends = [row["median"] - 1.645 * sd, row["median"] + 1.645 * sd]
         row |= {"model_error_interval": ends, "model_error_sd": sd}
-        run["model_error"] = {"shown": wide > 1.0, "axes": []}
+        run["model_error"] = {"shown": wide > 1.0}
     notes = [text for text in comparison({"a": one, "b": other}).notes if "than by noise" in text]
     assert len(notes) == said
     table = methods_latex(comparison({"a": one, "b": other}))

@@ -239,7 +239,7 @@ def test_a_phone_needs_no_sideways_scrolling(browser, pages, name):
 @pytest.mark.parametrize("width", [390, 800, 1000, 1200, 1440])
 def test_no_table_of_parameters_is_cut(browser, tmp_path, width):
     """With every column that there is; on a phone it scrolls by itself."""
-    told = copy.deepcopy(every_kind()) | {"model_error": {"shown": True, "axes": []}}
+    told = copy.deepcopy(every_kind()) | {"model_error": {"shown": True}}
     for row in told["parameters"].values():
         low, high = row["interval"]
         wider = {"model_error_interval": [low - 0.1, high + 0.1], "model_error_sd": row["sd"] + 0.1}

@@ -12,15 +12,11 @@ from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.inference.noise.student_t import StudentT
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.methods_text import methods_text
 from bayesfric.report.summary import noise
-from bayesfric.report.summary.noise import add_white_intervals, correlation_warning
+from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Summary
-from bayesfric.report.summary.rows import Spread
 from bayesfric.report.summary.summary import estimate_summary, summarise
-from tests.report.made_summaries import loaded, posterior_row
-from tests.report.page_reader import read_page
 
 
 @pytest.mark.parametrize(
@@ -78,39 +74,3 @@ def test_each_interval_is_too_narrow_by_its_own_factor():
     text = told_of(0.8)
     assert "about 3.0 times too narrow" in text
     assert told_of(0.02) is None
-
-
-@pytest.mark.parametrize("usable", [True, False])
-def test_white_noise_that_did_not_converge_stands_beside_nothing(usable):
-    spread = {"mean": 1.0, "interval": [0.9, 1.1], "sd": 0.06, "level": 0.9}
-    white = {"a.b": Spread.read(spread)} if usable else None
-    summary = Summary.read({"parameters": {"a.b": posterior_row("", 1.0, 0.1)}})
-    summary = add_white_intervals(summary, white).as_dict()
-    assert ("white_interval" in summary["parameters"]["a.b"]) == usable
-    assert ["max_steps" in text for text in summary.get("warnings", ())] == [True] * (not usable)
-
-
-@pytest.mark.parametrize(
-    ("ratio", "coefficients", "why"),
-    [
-        (1.5, [-0.6, -0.2], "the memory found is negative"),
-        (1.5, [0.5, 0.2], "foretells part of what white noise would count as scatter"),
-        (1.0, [-0.6, -0.2], None),
-    ],
-)
-def test_the_page_says_why_white_noise_would_give_wider_intervals(
-    tmp_path, ratio, coefficients, why
-):
-    told = loaded()
-    told["noise"]["autoregression"] = {"run": coefficients}
-    for row in told["parameters"].values():
-        low, high = row["interval"]
-        row |= {"white_interval": [low, high], "white_sd": row["sd"]}
-    told["parameters"]["motor.inertia"]["white_sd"] *= ratio
-    page = read_page(run_page(tmp_path, told, "run"))
-    for name in ("parameters", "noise"):
-        (section,) = page.all("section", id=name)
-        assert ("White noise would give wider intervals for motor.inertia: " in section.text) == (
-            why is not None
-        )
-        assert why is None or why in section.text

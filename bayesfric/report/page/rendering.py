@@ -66,7 +66,6 @@ def _environment() -> Environment:
         "value_of": values.value_html,
         "interval_of": values.interval_html,
         "were_right": values.were_right_html,
-        "white_of": values.white_html,
         "verdict_of": values.verdict_words,
         "kind_of": values.verdict_kind,
     }

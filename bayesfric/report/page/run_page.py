@@ -25,7 +25,6 @@ from bayesfric.report.page.provenance import read_provenance
 from bayesfric.report.page.rendering import render
 from bayesfric.report.page.stretch import stretch_drawing
 from bayesfric.report.paper.tables import ParameterTable, parameter_table
-from bayesfric.report.summary.noise import white_wider
 from bayesfric.report.summary.record import Readable, Summary
 from bayesfric.report.text_templates import sentence
 
@@ -71,7 +70,6 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         no_self_check=sentence("no self-check", read.self_check.model_dump())
         if read.self_check and read.self_check.reason
         else "",
-        white_wider=white_wider(read),
         methods_text=_text(folder / "text" / "methods.txt").strip(),
     )
 

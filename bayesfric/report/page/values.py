@@ -64,16 +64,6 @@ def were_right_html(row: ParameterRow) -> Markup | None:
     return Markup(row.with_doubt(html_interval(low, high, fine))) if told.sd else None
 
 
-def white_html(row: ParameterRow) -> Markup | None:
-    """Write the interval of white noise, of what is determined."""
-    told = row.row
-    if told is None or not told.white_interval or row.cell.status != "determined":
-        return None
-    (low, high), sd = told.white_interval, told.white_sd or told.sd
-    sd = finer(told.middle, low, high, sd)
-    return Markup(row.with_doubt(html_interval(low, high, sd))) if sd else None
-
-
 def cell_html(cell: Cell | None) -> Markup:
     """Write one cell of a comparison; an open one in words only."""
     if cell is None:

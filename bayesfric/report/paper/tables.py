@@ -186,7 +186,6 @@ class ParameterTable:
             reasons=self.summary.reasons,
             level=self.level,
             wide=self.summary.widened,
-            unparted=self.summary.unparted,
             caveats=[constant_sentence(self.summary)],
             sampler=self.summary.sampler,
             correlated=correlation_warning(self.summary),

@@ -7,54 +7,41 @@ the run is not reliable.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from bayesfric.diagnostics.policy import LEAST_OUTPUTS
 from bayesfric.estimates.information import CORRELATED, lag_one
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.likelihood.noise_choice import Choice
-from bayesfric.inference.model_error import wanted_outputs
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import effort_words
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.mechanism.quantities import QUANTITIES, TOTALS, Quantity, State
+from bayesfric.mechanism.quantities import QUANTITIES, Quantity, State
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.resolution import LEAST_RATIO
 from bayesfric.report.summary.bounds import held, noise_cut
 from bayesfric.report.summary.position_unit import best_share, other_units
 from bayesfric.report.summary.record import Doubt, Summary, quantity_of
 from bayesfric.report.summary.reference_check import references_off
-from bayesfric.report.summary.rows import PosteriorRow, Spread
+from bayesfric.report.summary.rows import PosteriorRow
 
 # Share of the torque's variance that a model of the joint should explain, where what it leaves
 # is no white noise.
 _EXPLAINED = 0.8
-# How much larger than with white noise the residuals may be.
-_RISE = 1.1
 # Robust standard deviations below zero that are no chance.
 _NEGATIVE = 3.0
-# Standard deviations with room for the model's error that a number may move by and not be doubted:
-# they stand for what another motion would give.
-_FURTHER = 1.0
-
-White = Mapping[str, Spread]
 
 
 def find_doubts(
     fit: Fit,
     summary: Summary,
-    choice: Choice | None = None,
-    white: tuple[White, float] | None = None,
 ) -> list[dict[str, Any]]:
     """Look for what makes the numbers of a fit doubtful, for ``summary["doubts"]``.
 
-    ``choice`` is how the order of the noise was chosen, where it was; ``white`` what the same
-    recordings say with white noise, where that was sampled:
-    :func:`bayesfric.report.summary.summary.spreads`, and the residuals' root mean square. Gives
-    ``kind``, ``parameters`` and what else tells of each.
+    Gives ``kind``, ``parameters`` and what else tells of each.
     """
     if summary.sampler.status == "unusable":
         return []  # there is no posterior to doubt
@@ -62,18 +49,14 @@ def find_doubts(
     told = [name for name, row in rows.items() if row.verdict == "data"]
     # what rests on the data at all: a limit, or what they settle with a prior's help, too
     resting = [name for name, row in rows.items() if row.verdict != "prior" or held(row)]
-    memory = list(_memory(choice, summary, resting))
     found = [
         # before what else may be wrong: it may all come of this
         *_strange_velocity(fit.observations),
         *_missing(summary, resting),
         *_unexplained(fit, summary),
         *doubts_before(fit.estimates[0], fit.observations),
-        *memory,
-        *_noise(summary, told, white),
         *_cut(summary),
         *_acceleration(fit, summary, told),
-        *_unchecked(summary),
         *_against_prior(summary),
     ]
     return [{"kind": one.pop("kind"), "parameters": one.pop("of", resting), **one} for one in found]
@@ -119,14 +102,6 @@ def _unexplained(fit: Fit, summary: Summary) -> list[dict[str, Any]]:
         return []
     told = {"kind": "unexplained", "share": share, "quantity": summary.fit.quantity}
     return [told | _instead(fit.chain, fit.observations, None)]
-
-
-def _unchecked(summary: Summary) -> Iterator[dict[str, Any]]:
-    """Doubt a model that too few outputs could not ask, where what it leaves is not white."""
-    error, test = summary.model_error, summary.noise.innovation_whiteness
-    # a dependence that few outputs leave undecided is there by chance as often as not
-    if error is not None and error.reason == "few" and test is not None and not test.white:
-        yield {"kind": "unchecked"}
 
 
 def _against_prior(summary: Summary) -> Iterator[dict[str, Any]]:
@@ -190,9 +165,9 @@ def doubts_before(
 def few_outputs(observations: Sequence[Observation], parameters: int) -> Iterator[dict[str, Any]]:
     """Say that too few outputs are left to ask whether the model is right, and how long would do.
 
-    A run says so by itself (``unparted``), where it has asked.
+    A run says so by itself, where it has asked.
     """
-    outputs, wanted = sum(o.measured.size for o in observations), wanted_outputs(parameters)
+    outputs, wanted = sum(o.measured.size for o in observations), parameters + LEAST_OUTPUTS
     if outputs < wanted:
         lasted = sum(float(o.stamps[-1] - o.stamps[0]) for o in observations)
         told = {"outputs": outputs, "parameters_free": parameters, "wanted": wanted}
@@ -204,19 +179,6 @@ def _strange_velocity(observations: Sequence[Observation]) -> Iterator[dict[str,
     for o in observations:
         if (factor := o.settings.get("velocity_factor")) is not None:
             yield {"kind": "velocity", "recording": o.name, "factor": factor}
-
-
-def _moved(told: Sequence[str], moved: Iterable[str]) -> list[str]:
-    """Name what has moved, and what has a share in a total that has."""
-    totals = {total for name in moved for total in _shares(quantity_of(name))}
-    return [name for name in told if name in {*moved} or totals & _shares(quantity_of(name))]
-
-
-def _shares(quantity: str) -> set[str]:
-    """Name the totals of least squares that a quantity is part of; a total is of itself."""
-    row = QUANTITIES.get(quantity)
-    kinds = {kind for kind, _ in row.fills} if row else {quantity}
-    return {(TOTALS[kind].regressor if kind in TOTALS else "") or kind for kind in kinds}
 
 
 def _feedback(observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
@@ -260,61 +222,11 @@ def _loses(row: Quantity | None) -> bool:
     return row is not None and row.role == "own" and row.lower == 0.0 and row.power in (0, 1)
 
 
-def _memory(
-    choice: Choice | None, summary: Summary, resting: Sequence[str]
-) -> Iterator[dict[str, Any]]:
-    """Name noise that would move the estimates.
-
-    Intervals with room for the model's error may hold such a move: then only numbers that it takes
-    further are doubted, and where there is none, nothing is.
-    """
-    if choice is None or not choice.refused:
-        return
-    asked = choice.asked
-    told = {"asked": asked.order, "taken": choice.order, "shift": asked.shift, "rise": asked.rise}
-    if not summary.widened:
-        yield {"kind": "memory", **told}
-        return
-    times = {
-        name: abs(choice.moves[name]) / row.told_sd
-        for name, row in summary.joint.items()
-        if name in choice.moves and row.told_sd > 0.0
-    }
-    far = {name: by for name, by in times.items() if by > _FURTHER}
-    if far:
-        still = times.keys() - far.keys()
-        of = [name for name in _moved(resting, far) if name not in still]
-        yield {"kind": "memory", **told, "moved": far, "of": of}
-
-
-def _noise(
-    summary: Summary, told: list[str], white: tuple[White, float] | None
-) -> Iterator[dict[str, Any]]:
-    if white is None:
-        return
-    spreads, rms = white
-    rows = summary.rows
-    moved = {
-        name: spreads[name].middle
-        for name in told
-        if name in spreads and _apart(rows[name].told_interval, spreads[name].interval)
-    }
-    rise = (summary.fit.residual_rms or 0.0) / rms if rms > 0.0 else 1.0
-    if moved or rise > _RISE:
-        of = {} if rise > _RISE else {"of": list(moved)}
-        yield {"kind": "noise", "rise": rise, "white": moved, **of}
-
-
 def _cut(summary: Summary) -> Iterator[dict[str, Any]]:
     """Name noise that a prior keeps smaller than the data have it."""
     for name, row in summary.parameters.items():
         if row.converged and noise_cut(name, row):
             yield {"kind": "noise-bound", "noise": name, "bound": row.bound, "unit": row.unit}
-
-
-def _apart(one: Sequence[float], other: Sequence[float]) -> bool:
-    """Whether two intervals have nothing in common."""
-    return one[1] < other[0] or other[1] < one[0]
 
 
 def _acceleration(fit: Fit, summary: Summary, told: list[str]) -> Iterator[dict[str, Any]]:

@@ -17,8 +17,7 @@ from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.noise import SCALES
 from bayesfric.mechanism.parameter import effort_words
 from bayesfric.report.summary.derived_quantities import rms_of
-from bayesfric.report.summary.record import Likelihood, Noise, Summary, of_noise
-from bayesfric.report.summary.rows import Spread
+from bayesfric.report.summary.record import Likelihood, Noise, Summary
 from bayesfric.report.text_templates import filled, sentence
 
 Array = NDArray[np.float64]
@@ -82,31 +81,11 @@ def noise_record(fit: Fit, residuals: list[Array], choice: Choice | None) -> dic
     return record
 
 
-def add_white_intervals(summary: Summary, white: Mapping[str, Spread] | None) -> Summary:
-    """Put beside every interval of a summary the one that white noise would have given.
-
-    ``white`` is what :func:`bayesfric.report.summary.summary.spreads` gives of the same problem,
-    ``None`` if its sampling is unusable.
-    """
-    if white is None:
-        warnings = [*summary.warnings, sentence("white unusable")]
-        return summary.model_copy(update={"warnings": warnings})
-    return summary.with_rows(
-        {
-            name: {"white_interval": other.interval, "white_sd": other.sd}
-            for name, other in white.items()
-            if not of_noise(name)
-        }
-    )
-
-
 def noise_lines(noise: Noise | Mapping[str, Any], *, allowed: bool = False) -> Iterator[str]:
     """Word the noise of a summary for a person; ``allowed`` as of :func:`white_words`."""
     yield from filled("noise.txt.j2", noise=Noise.read(noise), allowed=allowed).splitlines()
 
 
-# How many times wider intervals of white noise are worth a word.
-_WIDER = 1.1
 # A log-likelihood this uncertain moves an interval by about a standard deviation.
 _LINEAR = 1.0
 
@@ -140,27 +119,6 @@ def correlation_warning(summary: Summary) -> str | None:
     values = {"memory": memory, "lag": lag, "times": times, "robust": robust}
     values["allowed"] = summary.widened
     return sentence("independent", values)
-
-
-def white_wider(summary: Summary) -> str:
-    """Say why white noise would give wider intervals, where it would; else empty."""
-    wider = [
-        name
-        for name, row in summary.joint.items()
-        if row.verdict != "prior" and row.white_sd and row.white_sd > _WIDER * row.sd
-    ]
-    if not wider:
-        return ""
-    # below zero, what is too much is soon followed by too little, and a mean knows more of it
-    sums = [sum(one) for one in summary.noise.autoregression.values()]
-    negative = bool(sums) and float(np.mean(sums)) < 0.0
-    return sentence("white wider", {"names": wider, "negative": negative})
-
-
-def white_alternative(fit: Fit) -> bool:
-    """Whether the noise has a memory, so that white noise would have given other intervals."""
-    likelihood = fit.target.likelihood
-    return isinstance(likelihood, TorqueLikelihood) and likelihood.noise.order > 0
 
 
 def mean_lag(residuals: Sequence[Array], follows: Sequence[Flags]) -> float | None:

@@ -258,46 +258,16 @@ class SelfCheck(Part):
     cpu_seconds: NotNegative
 
 
-class AxisRow(Part):
-    """One way to sort a motion into groups, and whether one fit suits them all."""
-
-    name: str
-    groups: int
-    p_value: FiniteFloat
-    differs: bool
-
-
-class OutlyingRow(Part):
-    """One output that is too far off for the fitted noise; ``off`` is its residual's size.
-
-    ``recurs`` where another is off when the motion is at the same place again.
-    """
-
-    recording: str
-    time: FiniteFloat
-    period: NotNegative
-    times: NotNegative
-    off: NotNegative | None = None
-    recurs: bool = False
-
-
 class ModelError(Part):
-    """Whether groups of the motion show that the model is wrong; ``reason`` is why not asked.
+    """Whether intervals have room for what the model may lack.
 
-    ``outlying`` are outputs that no noise explains, the farthest first; where they are
-    ``set_aside``, it was asked without them.
+    ``chance`` is the probability that it lacks any candidate, ``taken`` the share of what they
+    move that the values were moved by.
     """
 
     shown: bool
-    axes: list[AxisRow] = Field(default_factory=list)
-    reason: Literal["likelihood", "sampling", "few"] | None = None
-    outlying: list[OutlyingRow] = Field(default_factory=list)
-    set_aside: bool = False
-
-    @property
-    def found(self) -> list[str]:
-        """Axes along which groups differ by more than noise lets them, most of all first."""
-        return [one.name for one in sorted(self.axes, key=lambda a: a.p_value) if one.differs]
+    chance: Share = 0.0
+    taken: Share = 0.0
 
 
 class Sampler(Part):
@@ -380,11 +350,6 @@ class Summary(Part):
         )
 
     @property
-    def unparted(self) -> bool:
-        """Whether too few outputs were left to look for the model's error."""
-        return self.model_error is not None and self.model_error.reason == "few"
-
-    @property
     def widened(self) -> bool:
         """Whether the intervals to print first have room for the model's error."""
         return self.model_error is not None and self.model_error.shown
@@ -420,6 +385,7 @@ class Summary(Part):
             doubtful=sum(r.doubtful for n, r in self.rows.items() if not of_noise(n)),
             asked=None if asked is None or asked.reason else asked.asked,
             explained=self.fit.explained,
+            lacking=self.widened and bool(self.findings),
         )
 
     @property
@@ -468,7 +434,6 @@ class Summary(Part):
                 ends: dict[str, float | None] = {"sd": row.told_sd, "posterior_sd": row.sd}
                 ends["low"], ends["high"] = row.told_interval
                 ends["posterior_low"], ends["posterior_high"] = row.interval
-                ends["white_low"], ends["white_high"] = row.white_interval or (None, None)
                 current = row.current or (None, None, None)
                 ends["current"], ends["current_low"], ends["current_high"] = current
                 ends |= self._checked(name)
@@ -503,7 +468,7 @@ class Summary(Part):
 _FRAME = ("name", "group", "unit", "symbol", "meaning", "median", "low", "high", "level", "verdict",
     "doubted", "converged", "mean", "sd", "rhat", "ess", "prior", "prior_sd", "data_sd",
     "contraction", "at_bound", "undefined_share", "prior_sensitivity", "likelihood_sensitivity",
-    "diagnosis", "gauge_free", "white_low", "white_high", "white_sd",
+    "diagnosis", "gauge_free",
     "posterior_low", "posterior_high", "posterior_sd",
     "bias", "coverage", "corrected", "corrected_low", "corrected_high",
     "current", "current_low", "current_high")  # fmt: skip

@@ -37,7 +37,8 @@ def _reported(
     widened = None
     if row.model_error_interval is not None and row.model_error_sd is not None:
         low, high = row.model_error_interval
-        widened = Spread(row.middle, low, high, row.model_error_sd)
+        value = row.middle if row.model_error_value is None else row.model_error_value
+        widened = Spread(value, low, high, row.model_error_sd)
     leans = row.at_bound is not None and (row.verdict == "data" or told_by_data(row))
     unusable = summary.sampler.status == "unusable"
     reliable = summary.sampler.status == "reliable"

@@ -74,7 +74,6 @@ class PosteriorRow(Spread, Described):
     files, which do not tell), ``given_by`` parameters whose told priors give it its scale,
     ``mirrored`` the share of outputs in which who drives as it says did drive, where that is too
     few to see it and it follows from the other way,
-    ``white_interval`` what white noise would have given,
     ``torque_constant`` (N m/A or N/A) is of a torque of the motor that was measured as a current,
     ``period`` that of an angle, ``of_motion`` whether another motion of the same joint has another
     value. Priors' texts and diagnostics are of parameters only, ``undefined_share`` of derived
@@ -105,10 +104,9 @@ class PosteriorRow(Spread, Described):
     undoubted: Verdict | None = None
     given_by: list[str] = Field(default_factory=list)
     mirrored: Share | None = None
-    white_interval: Pair | None = None
-    white_sd: NotNegative | None = None
     model_error_interval: Pair | None = None
     model_error_sd: NotNegative | None = None
+    model_error_value: FiniteFloat | None = None
     torque_constant: FiniteFloat | None = None
     reported: Reported | None = None
 

@@ -144,6 +144,7 @@ def cited(summary: Summary) -> dict[str, tuple[float, float, float, float]]:
         if row.model_error_interval:  # as wide as what has room for the model's error
             wide, sd = row.model_error_interval, row.model_error_sd or sd
             low, high = (value + end - row.middle for end in wide)
+            value += (row.model_error_value or row.middle) - row.middle
             low = max(low, 0.0) if wide[0] >= 0.0 else low
         found[name] = value, low, high, sd
     return found

@@ -36,11 +36,11 @@ from bayesfric.report.summary.derived_quantities import (
     weakly_given,
 )
 from bayesfric.report.summary.record import Readable, Summary, of_noise
-from bayesfric.report.summary.rows import EstimatedRow, Spread
+from bayesfric.report.summary.rows import EstimatedRow
 from bayesfric.report.summary.validation import validation_record
 from bayesfric.report.text_templates import sentence
 
-__all__ = ["LEVEL", "estimate_summary", "rms", "spreads", "summarise", "summary_table"]
+__all__ = ["LEVEL", "estimate_summary", "summarise", "summary_table"]
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ Array = NDArray[np.float64]
 _SELDOM = 0.1
 _COLUMNS = ["name", "unit", "mean", "sd", "median", "low", "high", "level", "rhat", "ess",
     "prior", "prior_sd", "contraction", "verdict", "doubted", "at_bound", "converged",
-    "undefined_share", "prior_sensitivity", "likelihood_sensitivity", "white_low", "white_high",
+    "undefined_share", "prior_sensitivity", "likelihood_sensitivity",
     "posterior_low", "posterior_high", "posterior_sd",
     "bias", "coverage", "corrected", "corrected_low", "corrected_high",
     "current", "current_low", "current_high"]  # fmt: skip
@@ -208,14 +208,6 @@ def _explained(fit: Fit) -> dict[str, float]:
     whole = sum(float(np.sum((o.measured - o.measured.mean()) ** 2)) for o in fit.observations)
     left = sum(float(r @ r) for r in fit.residuals)
     return {"explained": 1.0 - left / whole} if whole > 0.0 else {}
-
-
-def spreads(fit: Fit) -> dict[str, Spread]:
-    """Mean, sd, median and interval of all that :func:`summarise` gives an interval, by name."""
-    flat = fit.posterior.flat()
-    found = {name: flat[:, j] for j, name in enumerate(fit.posterior.names)}
-    found |= {q.name: q.values for group in groups(fit) for q in group.found}
-    return {name: Spread(**spread(x)) for name, x in found.items()}
 
 
 def summary_table(summary: Readable) -> str:

@@ -1,0 +1,318 @@
+r"""How far the numbers may be off because the model is not exactly right: model discrepancy.
+
+A posterior takes the model for true. What else may explain the torque stands in a table of
+candidates (:mod:`bayesfric.diagnostics.candidates`), each a few columns beside the model's own.
+Here they are marginalised: each kind of candidate has one of its shapes and a size of unknown
+scale, half Student's t around one scale for all kinds, which is half Cauchy, so that most are
+nothing and a few may be large [1]_; and with some probability none is there at all. Given the
+scales, sizes are normal and integrated out; scales and shapes are on a grid and drawn by Gibbs
+sampling from one Gram matrix, whatever the length of the recordings.
+
+What a candidate of size :math:`\gamma` with column :math:`z` does to the model's own estimate is
+:math:`-(X'WX + P)^{-1} X'Wz\gamma`, of the likelihood's weights and the prior's: along what the
+prior says nothing moves. Half of the mean of that is taken as a shift, and half is spread: the
+true column may be another one that looks alike on this motion.
+
+The scores that encoder and filters give each candidate where the model is right are known from the
+recording's simulated twins, and are taken off first.
+
+References
+----------
+.. [1] C. M. Carvalho, N. G. Polson, J. G. Scott, "The horseshoe estimator for sparse signals",
+   Biometrika 97 (2010) 465-480; J. Brynjarsdóttir, A. O'Hagan, "Learning about physical
+   parameters: the importance of model discrepancy", Inverse Problems 30 (2014) 114007.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit, logsumexp
+
+from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.posterior import Posterior
+from bayesfric.inference.target import Target
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+# Draws that tell where the posterior lies; and step to either side, in its sds.
+_DRAWS, _STEP = 4000, 0.3
+# What chi squared of a moved draw may be of what is predicted of it, an order of magnitude; and how
+# often a move that fits worse is halved.
+_ALLOWED, _HALVINGS = 10.0, 12
+# Scales of a candidate, as shares of the torque's rms.
+_GRID = np.geomspace(3e-5, 0.5, 24)
+# Scale of the half-Cauchy that scales are drawn around, and degrees of freedom of their half t.
+_TYPICAL, _TAIL = 0.003, 4.0
+# Chance that something is missing, before the recording is asked; where it is less afterwards, the
+# recording speaks against it, and intervals stay the posterior's own.
+_CHANCE = 0.1
+# Sweeps of the Gibbs sampler, and those left out.
+_SWEEPS, _BURN = 300, 100
+# Share of a candidate's shift that is taken; the rest is spread.
+_TAKEN = 0.5
+# Share of the residual's power that is noise, at least.
+_LEAST = 1e-4
+# Variance of a candidate in that of its noise below which it does not matter to the others.
+_IDLE = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Missing:
+    """Candidates of what the model lacks, as regression columns.
+
+    Attributes
+    ----------
+    columns
+        ``(n, m)`` of all outputs, filtered as they are; each as large as the torque.
+    kinds
+        Names of candidates, and of each the columns of every shape that it may have.
+    gram, scores, power
+        ``(m, m)``, ``(m,)`` and a number: products of what is left of columns and residual beside
+        the model's own, whitened; scores of a right model are taken off.
+    spread
+        ``(m,)`` sd of a right model's scores, in those of white noise.
+    free
+        Outputs beyond the model's own parameters.
+    """
+
+    columns: Array
+    kinds: dict[str, tuple[tuple[int, ...], ...]]
+    gram: Array
+    scores: Array
+    power: float
+    spread: Array
+    free: int
+
+
+@dataclass(frozen=True, eq=False)
+class Discrepancy:
+    """How far the model may be off, in straight coordinates of the target."""
+
+    chance: float  # that something is missing
+    moves: Array  # (n, d) draws of how far the numbers then are off
+    misfit: Array  # (d, d) chi squared of a move, were the torque linear in these coordinates
+
+    @property
+    def shown(self) -> bool:
+        """Whether there is any."""
+        return self.chance > 0.0
+
+    @property
+    def taken(self) -> float:
+        """Share of what candidates move that draws are moved by."""
+        return _TAKEN * self.chance
+
+    def widened(self, target: Target, parameters: Array, rng: np.random.Generator) -> Array:
+        """Move draws of the posterior ``(n, d)`` by as much as the model may be off."""
+        if not self.shown:
+            return parameters
+        u, _ = target.straighten(target.from_parameters(parameters))
+        step = self.moves[rng.integers(len(self.moves), size=len(u))]
+        found, left = parameters.copy(), np.flatnonzero(rng.uniform(size=len(u)) < self.chance)
+        before = target.log_likelihood(parameters)
+        for _ in range(_HALVINGS):
+            if not left.size:
+                break
+            moved, slope = target.to_parameters(target.bend(u[left] + step[left]))
+            possible = np.isfinite(slope) & np.isfinite(moved).all(axis=1)
+            # not every coordinate ends where a prior does
+            possible[possible] = np.isfinite(target.log_prior(moved[possible]))
+            worse = np.full(left.size, np.inf)
+            if possible.any():
+                likely = target.log_likelihood(moved[possible])
+                worse[possible] = 2.0 * (before[left[possible]] - likely)
+            predicted = np.einsum("ni,ij,nj->n", step[left], self.misfit, step[left])
+            # besides, the move meets what a draw's own misfit is
+            fine = worse <= _ALLOWED * (predicted + u.shape[1])
+            found[left[fine]] = moved[fine]
+            left = left[~fine]
+            step[left] *= 0.5
+        # so far out that it has no counterpart: stays where it was
+        return found
+
+
+def discrepancy(target: Target, posterior: Posterior, missing: Missing | None) -> Discrepancy:
+    """Marginalise what may be missing; nothing is where nobody could ask."""
+    d = len(target.names)
+    none = Discrepancy(0.0, np.zeros((1, d)), np.zeros((d, d)))
+    known = isinstance(target.likelihood, TorqueLikelihood)
+    if missing is None or not known or posterior.diagnostics.status == "unusable":
+        return none
+    chance = chance_missing(missing)
+    if chance < _CHANCE:
+        return none
+    around = _Around.of(target, posterior)
+    rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(13,)))
+    off = -Sizes(missing).drawn(rng) @ around.follows(missing.columns).T
+    k, mean = off.shape[1], off.mean(axis=0)
+    # the mean is taken in part, and for the rest may be there or not, to either side
+    spread = (1.0 - _TAKEN) * rng.standard_normal((len(off), 1)) * mean
+    moves, misfit = np.zeros((len(off), d)), np.zeros((d, d))
+    moves[:, :k] = (off - (1.0 - _TAKEN) * mean + spread) @ around.root.T
+    misfit[:k, :k] = around.misfit
+    return Discrepancy(chance, moves, misfit)
+
+
+def chance_missing(missing: Missing) -> float:
+    """Give the probability that any candidate is there, each by itself against none.
+
+    Scores beyond what twins show count in the twins' own standard deviations.
+    """
+    variance = missing.power / missing.free
+    scores = missing.scores / missing.spread
+    kinds = []
+    for shapes in missing.kinds.values():
+        told = []
+        for own in shapes:
+            power, vectors = np.linalg.eigh(missing.gram[np.ix_(own, own)])
+            turned = vectors.T @ scores[list(own)]
+            size = _GRID[:, None] ** 2
+            total = variance + size * np.clip(power, 0.0, None)
+            gain = (turned**2 * size / total).sum(axis=1) / missing.power
+            log_gain = -0.5 * missing.free * np.log(np.maximum(1.0 - gain, 1e-12))
+            told.append(log_gain - 0.5 * np.log(total / variance).sum(axis=1))
+        kinds.append(float(logsumexp(told)) - math.log(np.size(told)))
+    if not kinds:
+        return 0.0
+    factor = float(logsumexp(kinds)) - math.log(len(kinds))
+    odds: float = factor + math.log(_CHANCE / (1.0 - _CHANCE))
+    return float(expit(odds))
+
+
+@dataclass(eq=False)
+class Sizes:
+    """Gibbs sampler of candidates' shapes and scales; sizes are integrated out."""
+
+    missing: Missing
+
+    def drawn(self, rng: np.random.Generator) -> Array:
+        """Draw sizes ``(n, m)``, shares of the torque; zero of shapes that are not taken."""
+        one = self.missing
+        kinds = [
+            (np.array(list(dict.fromkeys(i for own in shapes for i in own))), shapes)
+            for shapes in one.kinds.values()
+        ]
+        ratio = _GRID[:, None] / _GRID
+        around = np.log(ratio) - 0.5 * (_TAIL + 1.0) * np.log1p(ratio**2 / _TAIL)
+        around -= logsumexp(around, axis=0)  # (scale, typical scale)
+        x = _GRID / _TYPICAL
+        prior = np.log(x / (1.0 + x * x))
+        scale, taken = np.zeros(len(kinds), dtype=int), [shapes[0] for _, shapes in kinds]
+        typical, variance = 0, one.power / one.free
+        sizes = np.zeros((_SWEEPS, one.scores.size))
+        for sweep in range(_SWEEPS):
+            for g, (columns, shapes) in enumerate(kinds):
+                others = self._active(taken, scale, variance, without=g)
+                precision, pull = self._left(columns, others, variance)
+                told = self._evidence(columns, shapes, precision, pull)
+                told += around[:, typical]
+                drawn = _drawn(told.ravel(), rng)
+                taken[g], scale[g] = shapes[drawn // _GRID.size], drawn % _GRID.size
+            typical = _drawn(prior + around[scale].sum(axis=0), rng)
+            active, sd = self._active(taken, scale, variance)
+            size = self._sizes(active, sd, variance, rng)
+            left = one.power - 2.0 * size @ one.scores[active]
+            left += size @ one.gram[np.ix_(active, active)] @ size
+            variance = max(float(left), _LEAST * one.power) / float(rng.chisquare(one.free))
+            sizes[sweep, active] = size
+        return sizes[_BURN:]
+
+    def _active(
+        self, taken: list[tuple[int, ...]], scale: Array, variance: float, without: int = -1
+    ) -> tuple[Index, Array]:
+        """Give the numbers of columns that matter to others, and their sds."""
+        diagonal = np.diagonal(self.missing.gram)
+        pairs = [(i, _GRID[s]) for g, (own, s) in enumerate(zip(taken, scale, strict=True))
+                 if g != without for i in own
+                 if without < 0 or _GRID[s] ** 2 * diagonal[i] > _IDLE * variance]  # fmt: skip
+        return np.array([i for i, _ in pairs], dtype=np.intp), np.array([s for _, s in pairs])
+
+    def _left(
+        self, columns: Index, others: tuple[Index, Array], variance: float
+    ) -> tuple[Array, Array]:
+        """Give precision ``(m, m)`` and pull ``(m,)`` of columns, the others integrated out."""
+        gram, scores, (active, sd) = self.missing.gram, self.missing.scores, others
+        own, pull = gram[np.ix_(columns, columns)], scores[columns]
+        if active.size:
+            inner = sd[:, None] * gram[np.ix_(active, active)] * sd / variance
+            inner[np.diag_indices(active.size)] += 1.0
+            cross = sd[:, None] * np.column_stack([gram[np.ix_(active, columns)], scores[active]])
+            solved = np.linalg.solve(inner, cross)
+            own = own - cross[:, :-1].T @ solved[:, :-1] / variance
+            pull = pull - cross[:, :-1].T @ solved[:, -1] / variance
+        return own / variance, pull / variance
+
+    def _evidence(
+        self, columns: Array, shapes: tuple[tuple[int, ...], ...], precision: Array, pull: Array
+    ) -> Array:
+        """Give the log evidence ``(shapes, scales)`` of each shape at each scale."""
+        place = {int(i): k for k, i in enumerate(columns)}
+        found = np.empty((len(shapes), _GRID.size))
+        for row, own in zip(found, shapes, strict=True):
+            at = [place[i] for i in own]
+            power, vectors = np.linalg.eigh(precision[np.ix_(at, at)])
+            turned, power = vectors.T @ pull[at], np.clip(power, 0.0, None)
+            size = _GRID[:, None] ** 2
+            gain = size * turned**2 / (1.0 + size * power) - np.log1p(size * power)
+            row[:] = 0.5 * gain.sum(axis=1)
+        return found
+
+    def _sizes(self, active: Index, sd: Array, variance: float, rng: np.random.Generator) -> Array:
+        inner = sd[:, None] * self.missing.gram[np.ix_(active, active)] * sd / variance
+        root = np.linalg.cholesky(inner + np.eye(active.size))
+        pull = sd * self.missing.scores[active] / variance
+        mean = np.linalg.solve(root @ root.T, pull)
+        return np.asarray(sd * (mean + np.linalg.solve(root.T, rng.standard_normal(active.size))))
+
+
+def _drawn(log_weights: Array, rng: np.random.Generator) -> int:
+    weights = np.cumsum(np.exp(log_weights - log_weights.max()))
+    return int(np.searchsorted(weights, rng.uniform() * weights[-1]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Around:
+    """The fit as a linear regression in unit noise and unit posterior."""
+
+    likelihood: TorqueLikelihood
+    scales: Array
+    rows: Array  # (n, k) what outputs change by for one posterior sd, in orthogonal directions
+    root: Array  # (k, k) from those directions to straight coordinates
+
+    @classmethod
+    def of(cls, target: Target, posterior: Posterior) -> _Around:
+        k, likelihood = len(target.free), target.likelihood
+        assert isinstance(likelihood, TorqueLikelihood)
+        u, _ = target.straighten(target.from_parameters(posterior.flat(_DRAWS)))
+        u = u[np.isfinite(u).all(axis=1)]
+        root = np.linalg.cholesky(np.atleast_2d(np.cov(u[:, :k].T)))
+        # central differences over a sizeable step: what a kink does to a draw counts, not its slope
+        steps = np.zeros((2 * k + 1, u.shape[1]))
+        steps[:k, :k], steps[k : 2 * k, :k] = _STEP * root.T, -_STEP * root.T
+        parameters, _ = target.to_parameters(target.bend(u.mean(axis=0) + steps))
+        predicted = likelihood.predict(target.chain_values(parameters))
+        scales = target.noise.scales(parameters[-1:, k:])[0]
+        changes = [(p[:k] - p[k : 2 * k]) / (2.0 * _STEP) for p in predicted]
+        rows = np.concatenate(likelihood.innovations(changes, scales), axis=1).T
+        return cls(likelihood, scales, rows, root)
+
+    @property
+    def misfit(self) -> Array:
+        """Chi squared of a move in straight coordinates, ``(k, k)``."""
+        back = np.linalg.inv(self.root)
+        return np.asarray(back.T @ (self.rows.T @ self.rows) @ back)
+
+    def follows(self, columns: Array) -> Array:
+        """Give what the estimate moves by for columns ``(n, m)`` of outputs: ``(k, m)``.
+
+        In posterior sds, in which the precision of likelihood and prior together is one.
+        """
+        ends = np.cumsum([o.measured.size for o in self.likelihood.outputs])[:-1]
+        parts = [part.T for part in np.split(columns, ends)]
+        white = np.concatenate(self.likelihood.innovations(parts, self.scales), axis=1).T
+        return np.asarray(self.rows.T @ white)

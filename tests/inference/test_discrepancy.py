@@ -1,0 +1,162 @@
+"""What candidates that may be missing do to a posterior: closed forms, one term more."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+
+import bayesfric as bf
+from bayesfric.inference.discrepancy import (
+    Discrepancy,
+    Missing,
+    Sizes,
+    chance_missing,
+    discrepancy,
+)
+from tests.axis import AXIS, VALUES, swing
+
+QUICK = {"min_ess": 400, "ensembles": 2, "walkers": 24}
+UNCHECKED = {"self_check": {"recordings": 0}, "sampling": QUICK}
+LINES = [(0.31, 0.9), (0.73, 0.5), (1.9, 0.15)]
+
+
+def regression(size, n=400, m=1, seed=0):
+    """A residual of unit noise with ``size`` of the first of ``m`` orthogonal unit-rms columns."""
+    rng = np.random.default_rng(seed)
+    columns = np.linalg.qr(rng.standard_normal((n, m)))[0] * np.sqrt(n)
+    left = size * columns[:, 0] + rng.standard_normal(n)
+    return Missing(
+        columns=columns,
+        kinds={f"kind {k}": ((k,),) for k in range(m)},
+        gram=columns.T @ columns,
+        scores=columns.T @ left,
+        power=float(left @ left),
+        spread=np.ones(m),
+        free=n,
+    )
+
+
+def test_sizes_are_those_of_the_integral():
+    """One column: its mean size, by a sum over both scales at the variance that is left."""
+    one = regression(0.2, n=2000)
+    drawn = Sizes(one).drawn(np.random.default_rng(1))[:, 0]
+    n, b = one.gram[0, 0], one.scores[0]
+    variance = (one.power - b**2 / n) / one.free
+    grid = np.geomspace(3e-5, 0.5, 24)
+    ratio = grid[:, None] / grid
+    prior = np.log(ratio) - 2.5 * np.log1p(ratio**2 / 4.0)
+    prior -= logsumexp(prior, axis=0)
+    x = grid / 0.003
+    joint = prior + np.log(x / (1.0 + x**2))
+    total = variance + grid**2 * n
+    log_evidence = 0.5 * (b * grid) ** 2 / (variance * total) - 0.5 * np.log(total / variance)
+    weights = np.exp(joint + log_evidence[:, None] - logsumexp(joint + log_evidence[:, None]))
+    sizes = grid**2 * b / total
+    mean = float(weights.sum(axis=1) @ sizes)
+    sd = np.sqrt(variance / n)
+    # of nearly independent draws; the variance is drawn, too, by 1 in sqrt(2 n)
+    assert drawn.mean() == pytest.approx(mean, abs=4.0 * sd / np.sqrt(len(drawn) / 4.0))
+    assert drawn.std() == pytest.approx(sd, rel=0.25)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_large_effect_is_certain_and_none_is_less_likely_than_before(seed):
+    assert chance_missing(regression(1.0, m=8, seed=seed)) > 0.999
+    none = [chance_missing(regression(0.0, m=8, seed=10 * seed + k)) for k in range(40)]
+    # Markov: of data without an effect, evidence for one of 20 comes once in 20 times at most
+    assert np.mean(np.array(none) > 0.69) <= 0.15
+    assert np.median(none) < 0.1
+
+
+def test_without_candidates_nothing_can_be_missing():
+    assert chance_missing(replace(regression(1.0), kinds={})) == 0.0
+
+
+def test_the_same_seed_gives_the_same_sizes():
+    one = regression(0.1, m=3)
+    first, again = (Sizes(one).drawn(np.random.default_rng(4)) for _ in range(2))
+    np.testing.assert_array_equal(first, again)
+
+
+def recording(**extra):
+    """Simulate, by the inverse model, a swing of the joint, with terms that ``AXIS`` lacks."""
+    time = np.arange(0.0, 30.0, 0.005)
+    q, qd, qdd = swing(time, LINES)
+    torque = (
+        VALUES["motor.inertia"] * qdd
+        + VALUES["motor.viscous"] * qd
+        + VALUES["motor.coulomb"] * np.sign(qd)
+        + 9.81 * VALUES["load.first_moment"] * np.sin(q)
+        + VALUES["offset"]
+        + extra.get("cubic", 0.0) * qd**3
+    )
+    noise = 0.02 * np.random.default_rng(extra.get("seed", 0)).standard_normal(time.size)
+    return bf.Recording.from_arrays(time, q, torque + noise)
+
+
+def fitted(**extra):
+    return bf.Model(AXIS, recording(**extra), **UNCHECKED).fit(seed=1)
+
+
+@pytest.fixture(scope="module")
+def right():
+    return fitted()
+
+
+@pytest.fixture(scope="module")
+def wrong():
+    return fitted(cubic=0.005)
+
+
+def test_a_right_model_keeps_its_intervals(right):
+    assert not right.fit.discrepancy.shown
+    for row in right.summary.joint.values():
+        assert row.told_interval == row.interval
+
+
+def test_a_wrong_model_gets_room_that_holds_the_truth(wrong):
+    """Viscous friction takes part in a cubic; inertia and Coulomb friction have a truth."""
+    assert wrong.fit.discrepancy.chance > 0.99
+    for name in ("motor.inertia", "motor.coulomb", "load.first_moment"):
+        row = wrong.summary.parameters[name]
+        assert row.told_sd > row.sd
+        assert abs(row.reported.value - VALUES[name]) < 3.0 * row.told_sd
+
+
+def test_where_nobody_could_ask_nothing_is_missing(right):
+    none = discrepancy(right.fit.target, right.fit.posterior, None)
+    assert not none.shown
+    draws = right.fit.posterior.flat(50)
+    rng = np.random.default_rng(0)
+    np.testing.assert_array_equal(none.widened(right.fit.target, draws, rng), draws)
+
+
+def test_draws_are_moved_by_the_shift_alone_where_nothing_is_spread(right):
+    """In straight coordinates, where priors and bounds allow it."""
+    target, draws = right.fit.target, right.fit.posterior.flat(200)
+    straight = target.straighten(target.from_parameters(draws))[0]
+    d = draws.shape[1]
+    shift = np.zeros(d)
+    shift[0] = 2.0 * straight[:, 0].std()
+    room = Discrepancy(1.0, shift[None], 1e12 * np.eye(d))
+    moved = room.widened(target, draws, np.random.default_rng(0))
+    after = target.straighten(target.from_parameters(moved))[0]
+    np.testing.assert_allclose(after, straight + shift, rtol=1e-6, atol=1e-9)
+
+
+def test_what_no_candidate_moves_stays(right):
+    """A column that is orthogonal to what the parameters do moves nothing."""
+    fit = right.fit
+    (o,) = fit.target.likelihood.outputs
+    rng = np.random.default_rng(5)
+    noise = rng.standard_normal((o.measured.size, 1))
+    noise *= np.sqrt(np.mean(o.measured**2) / np.mean(noise**2))
+    one = regression(0.3, n=o.measured.size)
+    room = discrepancy(fit.target, fit.posterior, replace(one, columns=noise))
+    assert room.chance > 0.99
+    # by chance each direction of unit noise is moved by size times the rms over the noise
+    most = 0.3 * np.sqrt(np.mean(o.measured**2)) / fit.posterior["noise.sigma"].mean()
+    straight = fit.target.straighten(fit.target.from_parameters(fit.posterior.flat(500)))[0]
+    steps = np.abs(room.moves.mean(axis=0)[:-1]) / straight[:, :-1].std(axis=0)
+    assert steps.max() < 4.0 * most * np.sqrt(steps.size)
