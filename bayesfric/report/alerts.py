@@ -115,7 +115,7 @@ def _of_model(
         yield "put in", one.model_dump(), "model-error"
     for one in summary.findings:
         if one.severity == "note":  # else it is a doubt
-            yield "missing", one.model_dump(), "prediction"
+            yield "missing", one.model_dump() | {"what": one.kind}, "model-error"
     if summary.fit.rests:
         yield "rests", {"rests": summary.fit.rests, "unit": summary.fit.unit}, "parameters"
     test = summary.noise.innovation_whiteness
