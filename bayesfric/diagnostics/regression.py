@@ -32,6 +32,7 @@ from bayesfric.diagnostics.policy import (
     LEAST_OUTPUTS,
     LEAST_Z,
     MOST,
+    TESTABLE,
     TWINS,
 )
 from bayesfric.diagnostics.scans import DELAY, PUSH, TONE, Scan, bump, tuned, waves
@@ -77,9 +78,6 @@ _BY_ENCODER = 0.5
 _PICKS, _DEAR = 8, 10.0
 # Hz below which a tone may be the noise's wander.
 _SLOW = 1.0
-# Share of a candidate's power, whitened, that must be left beside the model's own for its size to
-# be marginalised.
-_VISIBLE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,7 +286,7 @@ class Regression:
         size = np.sqrt((self.data.others**2).mean(axis=0))
         size = np.where(size > 0.0, self.scales.torque / np.where(size > 0.0, size, 1.0), 0.0)
         rest, left = without(base, without(base, d.others * size)), without(base, d.left)
-        seen = (rest**2).sum(axis=0) >= _VISIBLE * ((d.others * size) ** 2).sum(axis=0)
+        seen = (rest**2).sum(axis=0) >= TESTABLE**2 * ((d.others * size) ** 2).sum(axis=0)
         wanted = [(key.kind, tuple(own)) for key, own in self._groups] + self._placed_scans
         # between the shapes of a grid
         wanted += [(f"beside {k.kind}", (i,)) for i, k in enumerate(d.keys) if k.beside]

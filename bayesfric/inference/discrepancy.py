@@ -51,8 +51,8 @@ _TYPICAL, _TAIL = 0.003, 4.0
 # Chance that something is missing, before the recording is asked; where it is less afterwards, the
 # recording speaks against it, and intervals stay the posterior's own.
 _CHANCE = 0.1
-# Sweeps of the Gibbs sampler, and those left out.
-_SWEEPS, _BURN = 300, 100
+# Sweeps of the Gibbs sampler, and those left out; candidates that are taken in before.
+_SWEEPS, _BURN, _FIRST = 300, 100, 4
 # Share of a candidate's shift that is taken; the rest is spread.
 _TAKEN = 0.5
 # Share of the residual's power that is noise, at least.
@@ -205,14 +205,25 @@ class Sizes:
         scale, taken = np.zeros(len(kinds), dtype=int), [shapes[0] for _, shapes in kinds]
         typical, variance = 0, one.power / one.free
         sizes = np.zeros((_SWEEPS, one.scores.size))
+
+        def asked(g: int) -> Array:
+            columns, shapes = kinds[g]
+            others = self._active(taken, scale, variance, without=g)
+            precision, pull = self._left(columns, others, variance)
+            return self._evidence(columns, shapes, precision, pull) + around[:, typical]
+
+        def take(g: int, place: int) -> None:
+            taken[g], scale[g] = kinds[g][1][place // _GRID.size], place % _GRID.size
+
+        # several kinds together may look like one, and no step leads back: the best goes first
+        for _ in range(_FIRST):
+            told = [asked(g) for g in range(len(kinds))]
+            best = int(np.argmax([one.max() - one[:, 0].max() for one in told]))
+            take(best, int(np.argmax(told[best])))
+            variance = self._variance(taken, scale, variance)
         for sweep in range(_SWEEPS):
-            for g, (columns, shapes) in enumerate(kinds):
-                others = self._active(taken, scale, variance, without=g)
-                precision, pull = self._left(columns, others, variance)
-                told = self._evidence(columns, shapes, precision, pull)
-                told += around[:, typical]
-                drawn = _drawn(told.ravel(), rng)
-                taken[g], scale[g] = shapes[drawn // _GRID.size], drawn % _GRID.size
+            for g in range(len(kinds)):
+                take(g, _drawn(asked(g).ravel(), rng))
             typical = _drawn(prior + around[scale].sum(axis=0), rng)
             active, sd = self._active(taken, scale, variance)
             size = self._sizes(active, sd, variance, rng)
@@ -231,6 +242,17 @@ class Sizes:
                  if g != without for i in own
                  if without < 0 or _GRID[s] ** 2 * diagonal[i] > _IDLE * variance]  # fmt: skip
         return np.array([i for i, _ in pairs], dtype=np.intp), np.array([s for _, s in pairs])
+
+    def _variance(self, taken: list[tuple[int, ...]], scale: Array, variance: float) -> float:
+        """Give the noise's variance beside the sizes' mean."""
+        active, sd = self._active(taken, scale, variance)
+        one = self.missing
+        inner = sd[:, None] * one.gram[np.ix_(active, active)] * sd / variance
+        inner[np.diag_indices(active.size)] += 1.0
+        size = sd * np.linalg.solve(inner, sd * one.scores[active]) / variance
+        left = one.power - 2.0 * size @ one.scores[active]
+        left += size @ one.gram[np.ix_(active, active)] @ size
+        return max(float(left), _LEAST * one.power) / one.free
 
     def _left(
         self, columns: Index, others: tuple[Index, Array], variance: float
