@@ -61,7 +61,7 @@ def _write(run: Path, found: RollOut, told: RollOutPart) -> None:
         with TemporaryDirectory(dir=figures) as beside:
             for stem, one in rollout_figures().items():
                 captions[stem] = one.caption_of(found)
-                save(one.figure(found), Path(beside), stem)  # type: ignore[arg-type]
+                save(one.draw(found), Path(beside), stem)  # type: ignore[arg-type]
             for file in Path(beside).iterdir():
                 file.replace(figures / file.name)
         caption_file.parent.mkdir(exist_ok=True)

@@ -12,7 +12,6 @@ from bayesfric.report.figures.corner import corner_figure
 from bayesfric.report.figures.efficiency import efficiency_figure
 from bayesfric.report.figures.friction import friction_figure
 from bayesfric.report.figures.prediction import prediction_figure
-from bayesfric.report.figures.prior_posterior import prior_posterior_figure
 from bayesfric.report.figures.residual import residual_figure
 from bayesfric.report.figures.style import (
     COLUMN,
@@ -23,7 +22,6 @@ from bayesfric.report.figures.style import (
     paper_style,
     save,
 )
-from bayesfric.report.figures.trace import trace_figure
 from bayesfric.report.summary.summary import summarise
 
 
@@ -31,7 +29,7 @@ def draw_corner(fit):
     return corner_figure(fit, summarise(fit))
 
 
-DRAW = {"corner": draw_corner, "prediction": prediction_figure, "trace": trace_figure}
+DRAW = {"corner": draw_corner, "prediction": prediction_figure}
 figures = pytest.mark.parametrize("draw", DRAW.values(), ids=DRAW.keys())
 
 
@@ -129,7 +127,6 @@ def test_same_fit_same_bytes_whatever_the_readers_style(draw, slide, tmp_path):
 FOR_PAPERS = {
     "friction": lambda fit, _: friction_figure(fit),
     "efficiency": lambda fit, summary: efficiency_figure(fit, summary.references),
-    "prior_posterior": prior_posterior_figure,
     "residual": lambda fit, _: residual_figure(fit),
 }
 
@@ -180,7 +177,7 @@ def has_unit(label):
 def test_every_axis_says_its_unit(draw, which, drawn_once):
     for ax in drawn_once(draw, which).axes:
         place = ax.get_subplotspec()
-        if place.is_last_row() and ax.get_xlabel() != "step after warm-up":
+        if place.is_last_row():
             assert has_unit(ax.get_xlabel()), ax.get_xlabel()
         # the density on the corner's diagonal has no scale
         if place.is_first_col() and not (draw is draw_corner and place.is_first_row()):

@@ -36,11 +36,10 @@ class RunDraws:
     values: Mapping[str, Array] = field(default_factory=dict)
     # of the parameters' priors, `(m,)` each
     prior: Mapping[str, Array] = field(default_factory=dict)
-    missing: str = ""  # why there are none, in words that follow the run's name; empty if there are
 
 
 def read_draws(run: Path, summary: Summary, rebuild: Callable[[str], Joint | None]) -> RunDraws:
-    """Read the draws of what a run's checked summary tells.
+    """Read the draws of what a run's checked summary tells; none where there are none to read.
 
     Those with room for the model's error where the run holds such, as its tables do. Draws that do
     not have the summary's medians are not its own, and left out. Totals as
@@ -48,11 +47,8 @@ def read_draws(run: Path, summary: Summary, rebuild: Callable[[str], Joint | Non
     chain from the text of the run's configuration; where it cannot, derived quantities are left
     out.
     """
-    path = run / "posterior.nc"
-    if not path.is_file():
-        return RunDraws(missing="has no posterior.nc")
     try:
-        with h5py.File(path) as file:
+        with h5py.File(run / "posterior.nc") as file:
             group = file["told" if "told" in file else "posterior"]
             known = {**summary.derived, **summary.parameters}
             found = {name: _flat(group[name]) for name in known if name in group}
@@ -60,12 +56,10 @@ def read_draws(run: Path, summary: Summary, rebuild: Callable[[str], Joint | Non
             prior = {name: _flat(before[name]) for name in found if name in before}
             config = str(file.attrs.get("config", ""))
     except (OSError, KeyError, TypeError, ValueError, AttributeError):
-        return RunDraws(missing="has a posterior.nc that cannot be read")
+        return RunDraws()
     sampled = {name: x for name, x in found.items() if name in summary.parameters}
-    if not sampled:
-        return RunDraws(missing="has a posterior.nc that holds none of its parameters")
     if not all(_same(x, summary.parameters[name]) for name, x in sampled.items()):
-        return RunDraws(missing="has a posterior.nc of other draws than its summary.json")
+        return RunDraws()
     for name, x in _derived(rebuild(config), sampled, summary).items():
         found.setdefault(name, x)
     rows = {**summary.derived, **summary.parameters}

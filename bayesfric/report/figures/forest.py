@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -337,7 +336,7 @@ METHODS = RunFigure(
     title="Estimates and posterior side by side",
     section="methods",
     # of a single run, whose name is nowhere shown
-    draw=lambda run: partial(forest_figure, comparison({"run": run.summary})),
+    draw=lambda run: forest_figure(comparison({"run": run.summary})),
     caption=f"Every quantity by every method and by the posterior. {_BARS}",
     alternative=lambda judged: forest_words(judged.methods),
 )

@@ -19,8 +19,6 @@ from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism.parameter import effort_words
 from bayesfric.report.comparison.between_runs import PooledQuantity
 from bayesfric.report.comparison.comparison import Comparison
-from bayesfric.report.comparison.run_draws import RunDraws
-from bayesfric.report.figures.style import Drawing, drawn
 from bayesfric.report.paper.tables import ParameterTable
 from bayesfric.report.summary.record import Summary
 from bayesfric.rollouts.rolled import RollOut
@@ -28,7 +26,7 @@ from bayesfric.rollouts.rolled import RollOut
 # Of the pages of a run and of a comparison, in their order.
 Section = Literal[
     "methods", "ridge", "prediction", "held-out", "roll-out", "friction", "efficiency",
-    "posterior", "sampling", "together", "side-by-side",
+    "posterior", "together", "side-by-side",
 ]  # fmt: skip
 
 
@@ -55,7 +53,6 @@ class ComparedRuns:
 
     found: Comparison
     runs: Mapping[str, Summary]
-    draws: Mapping[str, RunDraws]
     pooled: Sequence[PooledQuantity] = ()
 
 
@@ -71,17 +68,12 @@ class Declared(Generic[Drawn, Judged]):
     # what the page calls it, and where it stands there
     title: str
     section: Section
-    draw: Callable[[Drawn], Drawing | None]  # gives `None` where there is nothing to show
+    draw: Callable[[Drawn], Figure | None]  # gives `None` where there is nothing to show
     # what is drawn, and what it says; words where it is the same for all
     caption: str | Callable[[Drawn], str]
     # the numbers it shows, for who cannot see them; none of what the data leave open
     alternative: Callable[[Judged], str]
     place: int = 0  # its order among those of its section
-
-    def figure(self, of: Drawn) -> Figure | None:
-        """Draw it here; ``None`` where there is nothing to show."""
-        drawing = self.draw(of)
-        return None if drawing is None else drawn(drawing)
 
     def caption_of(self, drawn: Drawn) -> str:
         """Give the caption of one drawing."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -109,8 +109,6 @@ def paper_style() -> Iterator[None]:
         yield
 
 
-# A figure, or what draws it and can be sent to another process.
-Drawing = Figure | Callable[[], Figure]
 # Files of a figure: what a page shows, what goes into papers and talks.
 ON_PAGE, IN_PAPER = ("svg",), ("pdf", "png")
 ALL_KINDS = (*ON_PAGE, *IN_PAPER)
@@ -122,18 +120,12 @@ _UNDATED: dict[str, dict[str, Any]] = {
 }
 
 
-def drawn(drawing: Drawing) -> Figure:
-    """Give the figure, drawn now where it is not yet."""
-    return drawing() if callable(drawing) else drawing
-
-
-def save(drawing: Drawing, folder: Path, stem: str, kinds: Sequence[str] = ALL_KINDS) -> None:
+def save(figure: Figure, folder: Path, stem: str, kinds: Sequence[str] = ALL_KINDS) -> None:
     """Write a figure as ``<stem>.pdf``, ``.svg`` and ``.png`` (300 dpi), or some of them.
 
-    What draws one is asked for it. The same figure gives the same bytes: no date is written, and
-    names inside the SVG come from a fixed salt. Its size is kept, nothing is cropped.
+    The same figure gives the same bytes: no date is written, and names inside the SVG come from a
+    fixed salt. Its size is kept, nothing is cropped.
     """
-    figure = drawn(drawing)
     with paper_style():
         for kind in kinds:
             figure.savefig(folder / f"{stem}.{kind}", format=kind, **_UNDATED[kind])
