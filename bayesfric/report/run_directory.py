@@ -18,8 +18,8 @@ from bayesfric.inference.archive import as_chains, write_archive
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.sampling.sampling import Progress
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.report.answers.answers import answers_json
-from bayesfric.report.answers.record import FILE
+from bayesfric.report.answers.calculator import calculator
+from bayesfric.report.answers.record import FILE, calculator_json
 from bayesfric.report.figures.registry import FinishedRun, RunFigure, captions, run_figures
 from bayesfric.report.figures.style import ALL_KINDS, ON_PAGE, save
 from bayesfric.report.files import made_beside
@@ -83,7 +83,7 @@ def write_run(
         texts = summary_texts(summary, folder.name) | {
             "text/methods.txt": said.plain,
             "text/captions.md": captions(run, drawn),
-            FILE: answers_json(fit),
+            FILE: calculator_json(calculator(fit)),
         }
         if paper:
             texts |= paper_texts(summary, folder.name, said)

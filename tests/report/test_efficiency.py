@@ -8,12 +8,10 @@ import pytest
 from bayesfric.mechanism.derived import derive, efficiencies
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.figures.efficiency import (
-    Measured,
     _bottom,
     _caption,
     efficiency_curves,
     efficiency_figure,
-    measured_efficiency,
 )
 from bayesfric.report.figures.style import COLUMN
 from bayesfric.report.summary.rows import ReferenceRow
@@ -97,15 +95,12 @@ def test_the_axis_holds_what_is_drawn_and_the_caption_only_names_that(knee, curv
     given = ReferenceRow(value=0.9, sd=0.05, unit="", source="data sheet")
     assert _bottom([high], {high.name: given}) < 0.85
     said = _caption(curves)
-    assert "Open markers" not in said
     assert "Hatched where the data do not determine it" in said
     told = replace(
         high,
         covered=np.ones_like(high.covered),
         band=replace(high.band, determined=np.ones_like(high.covered)),
-        measured=Measured(np.ones(1), np.full((3, 1), 0.95)),
     )
-    assert "Open markers" in _caption([told])
     assert "Hatched" not in _caption([told])
     assert "Dashed" not in _caption([told])
 
@@ -121,31 +116,4 @@ def test_an_irreversible_gearbox_has_no_curve_back(knee):
     fit = replace(knee, posterior=replace(knee.posterior, draws=draws))
     _, back = efficiency_curves(fit)
     assert np.isnan(back.band.median).all()
-    assert (back.band.undefined_share == 1.0).all()
     draw_fast(efficiency_figure(fit, {}))
-
-
-@pytest.mark.parametrize(("side", "model", "truth"), [("drive", 0.7, 0.8), ("back", 0.6, 0.5)])
-def test_measured_points_stand_at_the_efficiency_that_made_the_torque(side, model, truth):
-    """The model's curve is wrong; what the torque leaves of it brings the points to the truth."""
-    rng = np.random.default_rng(4)
-    load, joint = np.linspace(0.1, 4.0, 40), rng.uniform(-4.0, 4.0, 6000)
-    # torque against the motion that the element takes: in, of a load that resists; out, and so
-    # negative, of one that drives
-    more = joint / truth - joint / model if side == "drive" else joint * (model - truth)
-    beyond = more + 0.02 * rng.standard_normal(joint.size)
-    found = measured_efficiency(load, np.full(40, model), joint, beyond, side)
-    assert found.quartiles.shape == (3, found.load.size)
-    assert (np.diff(found.quartiles, axis=0) > 0.0).all()
-    np.testing.assert_allclose(found.quartiles[1], truth, atol=0.02)
-    # noise of the torque is that of an efficiency times the load: bars grow towards no load
-    width = found.quartiles[2] - found.quartiles[0]
-    assert width[0] > 5.0 * width[-1]
-    # of half of the loads the curve is not determined
-    half = measured_efficiency(load, np.where(load < 2.0, np.nan, model), joint, beyond, side)
-    assert half.load.min() > 2.0
-    assert measured_efficiency(load, np.full(40, np.nan), joint, beyond, side) is None
-
-
-def test_what_is_not_determined_has_no_measured_points(curves):
-    assert [curve.measured for curve in curves] == [None, None]

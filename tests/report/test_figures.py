@@ -17,7 +17,6 @@ from bayesfric.report.figures.style import (
     COLUMN,
     PAGE,
     PALETTE,
-    line_style,
     mathtext,
     paper_style,
     save,
@@ -204,10 +203,6 @@ def test_colours_differ_in_grey():
     levels = sorted(lightness(colour) for colour in PALETTE)
     assert min(b - a for a, b in pairwise(levels)) > 15
     assert levels[-1] < 80  # still seen on white
-
-
-def test_sixteen_lines_differ():
-    assert len({line_style(k) for k in range(16)}) == 16
 
 
 @pytest.mark.parametrize(

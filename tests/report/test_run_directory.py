@@ -121,7 +121,7 @@ def test_the_files_of_the_design(run):
     files = {"posterior.nc", "summary.json", "config.toml", "report.html", "page.json"}
     assert found == files | folders | tables
     drawn = {path.name for path in (run / "figures").iterdir()}
-    stems = ("corner", "prediction", "methods", "friction", "residual")
+    stems = ("worst", "corner", "prediction", "methods", "friction", "residual")
     assert drawn == {f"{stem}.{kind}" for stem in stems for kind in ("pdf", "png", "svg")}
     assert all(path.stat().st_size for path in run.rglob("*"))
 

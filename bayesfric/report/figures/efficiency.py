@@ -11,9 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from bayesfric.estimates.torque import filtered_torque, typical_load
+from bayesfric.estimates.torque import typical_load
 from bayesfric.inference.fitting import Fit
-from bayesfric.mechanism import kernels
 from bayesfric.mechanism.derived import derive
 from bayesfric.report.figures import style
 from bayesfric.report.figures.curve_band import (
@@ -51,19 +50,6 @@ _REFERENCE: Look = {
 }  # fmt: skip
 
 
-# Outputs of a load's bin at least, and bins at most.
-_LEAST_IN_BIN, _BINS = 20, 12
-_MEASURED: Look = {"markersize": 3.0, "markerfacecolor": "white", "linestyle": "none"}
-
-
-@dataclass(frozen=True, eq=False)
-class Measured:
-    """What outputs say of an efficiency: quartiles ``(3, bins)`` of bins at loads ``(bins,)``."""
-
-    load: Array
-    quartiles: Array
-
-
 @dataclass(frozen=True, eq=False)
 class EfficiencyCurve(LoadCurve):
     """Efficiency of one element in one direction of power, over the load at the joint.
@@ -73,7 +59,6 @@ class EfficiencyCurve(LoadCurve):
 
     element: str  # its name
     side: str  # `drive` or `back`
-    measured: Measured | None = None  # where outputs tell of this element alone
 
     @property
     def name(self) -> str:
@@ -101,71 +86,15 @@ def efficiency_curves(fit: Fit) -> tuple[EfficiencyCurve, ...]:
         return ()
     load = np.linspace(top / _POINTS, top, _POINTS)
 
-    # with load losses in two elements a residual may be of either
-    beyond = _beyond(fit, judge.median) if len(elements) == 1 else None
-
     def of(element: str, side: str, sign: float) -> EfficiencyCurve:
         def curve(values: Array) -> Array:
             derived = ({q.name: q.values for q in derive(chain, values, float(x))} for x in load)
             return np.stack([known[f"{element}.efficiency_{side}"] for known in derived], axis=1)
 
         band = judge.band(curve, gauge_free=False, draws=_DRAWS)
-        near = _near(load, np.sort(sign * joint))
-        told = None
-        if beyond is not None:
-            known = np.where(band.determined, band.median, np.nan)
-            told = measured_efficiency(load, known, sign * joint, beyond, side)
-        return EfficiencyCurve(load, band, near, element, side, told)
+        return EfficiencyCurve(load, band, _near(load, np.sort(sign * joint)), element, side)
 
     return tuple(of(one, *side) for one in elements for side in (("drive", 1.0), ("back", -1.0)))
-
-
-def _beyond(fit: Fit, median: Array) -> Array:
-    """Give what outputs ask of torque beyond the model, at the joint and against the motion."""
-    _, table, _ = fit.chain.tables(median[None])
-    at_joint = float(fit.chain.ratio * table[0, kernels.GAIN])
-    left = [
-        (o.measured - filtered_torque(fit.chain, o, median[None])[0]) * np.sign(o.speed)
-        for o in fit.observations
-    ]
-    return np.concatenate(left) * at_joint
-
-
-def measured_efficiency(
-    load: Array, curve: Array, joint: Array, beyond: Array, side: str
-) -> Measured | None:
-    """Put on the curve what the measured torque leaves of the model's, in bins of the load.
-
-    Parameters
-    ----------
-    load, curve
-        ``(N,)`` of the model's efficiency; ``nan`` where it is not determined.
-    joint, beyond
-        ``(M,)`` load that resists the motion, and what was measured beyond the model, of outputs.
-    side
-        ``drive`` or ``back``.
-
-    Returns
-    -------
-    Measured or None
-        ``None`` where there are too few outputs. Of a bin's outputs quartiles are taken of the
-        torque that goes in for a load (driving), or comes out (back-driven), over that load:
-        an efficiency itself has no mean where the noise is as large as the load.
-    """
-    ends = (joint >= load[0]) & (joint <= load[-1])
-    at, modelled = joint[ends], np.interp(joint[ends], load, curve)
-    kept = np.isfinite(modelled) & (modelled > 0.0)
-    at, modelled, extra = at[kept], modelled[kept], beyond[ends][kept]
-    bins = min(_BINS, at.size // _LEAST_IN_BIN)
-    if not bins:
-        return None
-    torque = 1.0 / modelled + extra / at if side == "drive" else modelled - extra / at
-    order = np.array_split(np.argsort(at), bins)
-    quartiles = np.stack([np.quantile(torque[one], [0.25, 0.5, 0.75]) for one in order], axis=1)
-    if side == "drive":
-        # a motor that need not push at all has no efficiency
-        quartiles = 1.0 / np.where(quartiles > 0.0, quartiles, np.nan)[::-1]
-    return Measured(np.array([np.median(at[one]) for one in order]), quartiles)
 
 
 def _near(load: Array, seen: Array) -> Flags:
@@ -209,8 +138,6 @@ def _panel(
 ) -> None:
     for curve in panel:
         draw_curve(ax, curve.load, curve, _LOOKS[curve.side])
-        if curve.measured is not None:
-            _draw_measured(ax, curve.measured, _LOOKS[curve.side])
     kind, unit = ("torque", "N m") if fit.chain.load.motion == "rotary" else ("force", "N")
     ax.set_xlabel(rf"load {kind} at the joint $|\Gamma|$ ({unit})")
     ax.set_ylabel(f"efficiency of {panel[0].element} (–)")
@@ -225,20 +152,11 @@ def _bottom(panel: Sequence[EfficiencyCurve], references: Mapping[str, Reference
     drawn = [np.ones(1)]
     for curve in panel:
         drawn += [curve.band.median, curve.band.low[curve.shown]]
-        if curve.measured is not None:
-            drawn.append(curve.measured.quartiles[0])
         if curve.name in references:
             given = references[curve.name]
             drawn.append(np.array([given.value - (given.sd or 0.0)]))
     lost = 1.0 - float(np.nanmin(np.concatenate(drawn)))
     return 0.0 if lost > 0.4 else 1.0 - max(1.25 * lost, 0.02)
-
-
-def _draw_measured(ax: Axes, found: Measured, look: CurveLook) -> None:
-    low, middle, high = found.quartiles
-    shown: Look = {"marker": look.marker, "color": look.colour, **_MEASURED}
-    bars = np.stack([middle - low, high - middle])
-    ax.errorbar(found.load, middle, yerr=bars, elinewidth=0.6, gid="measured", **shown)
 
 
 def _reference(ax: Axes, curve: EfficiencyCurve, given: ReferenceRow, stated: float) -> None:
@@ -260,10 +178,6 @@ def _handles(
     for source, side in given:
         said = f"{source}, {_WORDS[side]}".replace("$", r"\$")
         marks.append(Line2D([], [], label=said, marker=_LOOKS[side].marker, **_REFERENCE))
-    if any(curve.measured is not None for curve in curves):
-        words = "measured (bins, middle half)"
-        point: Look = {"marker": "o", "color": style.MEASURED, **_MEASURED}
-        marks.append(Line2D([], [], label=words, **point))
     return [*lines, *curve_handles(curves, style.PALETTE[1], style.MEASURED), *marks]
 
 
@@ -274,11 +188,6 @@ def _caption(curves: Sequence[EfficiencyCurve]) -> str:
         f"{100 * LEVEL:.0f} % band, constant losses in and behind the element counted, viscous "
         "ones and all that stands before it, as the motor's own loss, not."
     ]
-    if any(curve.measured is not None for curve in curves):
-        said.append(
-            "Open markers: the measured torque less what the model, at its posterior median, "
-            "says of all but this element, in bins of the load (median and middle half of each)."
-        )
     if not all(curve.covered.all() for curve in curves):
         said.append(f"Dashed where fewer than {FEWEST} compared outputs had about such loads.")
     if any((curve.shown & ~curve.band.determined).any() for curve in curves):

@@ -25,7 +25,7 @@ from bayesfric.rollouts.rolled import RollOut
 
 # Of the pages of a run and of a comparison, in their order.
 Section = Literal[
-    "methods", "ridge", "prediction", "held-out", "roll-out", "friction", "efficiency",
+    "worst", "methods", "ridge", "prediction", "held-out", "roll-out", "friction", "efficiency",
     "posterior", "together", "side-by-side",
 ]  # fmt: skip
 

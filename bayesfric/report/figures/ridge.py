@@ -30,7 +30,7 @@ _MOST_DRAWS = 1500
 ROUNDING = 1e-10
 # Where nothing ends the line (mu_2 of one or more) it is drawn down to this share.
 _NO_END = 0.05
-_MASSES = (0.5, 0.9)
+_SHARE = 0.98  # of each prior
 _SECONDS = 3.0
 _MOST_NAMED = 3
 # First digits of the numbers on logarithmic axes, the fewest that suffice.
@@ -86,7 +86,7 @@ def ridge_figure(fit: Fit) -> Figure | None:
     """Draw the scale that no torque tells: posterior, exact line, and the torque along it.
 
     Above, with logarithmic scales, ``alpha_1`` against first moment, load inertia and
-    ``alpha_2`` (what of these the chain has): posterior draws, contours of the prior, the
+    ``alpha_2`` (what of these the chain has): posterior draws, what holds 98 % of each prior, the
     exact scaling line through the posterior's median and its ends, where a passive
     gearbox would have ``alpha_2 = 1`` and ``alpha_1 = 1``. Below, the torque predicted in
     the middle and at the ends of that line, and the difference. A recording with a known
@@ -135,13 +135,6 @@ class _Quantity:
         inverse = 1.0 + self.sign * x
         return np.where(inverse > 0.0, 1.0 / np.where(inverse > 0.0, inverse, 1.0), np.nan)
 
-    def log_density(self, x: Array) -> Array:
-        """Log prior density of the logarithm of what is shown."""
-        if not self.sign:
-            return self.prior.log_density(x) + np.log(x)
-        # |d mu / d log alpha| = 1/alpha
-        return self.prior.log_density(self.sign * (1.0 / x - 1.0)) - np.log(x)
-
 
 def _quantities(fit: Fit, found: Ridge) -> tuple[_Quantity, list[_Quantity]]:
     names, scaling = fit.chain.names, found.scaling
@@ -183,7 +176,7 @@ def _pair(ax: Axes, fit: Fit, found: Ridge, x: _Quantity, y: _Quantity) -> None:
     factors = np.array([10.0**e for e in exponents])
     ax.set_xscale("log")
     ax.set_yscale("log")
-    _prior(ax, fit, (x, y), limits, factors)
+    _prior(ax, (x, y), factors)
     dots: Look = {"linestyle": "none", "marker": ".", "markersize": 2.2, "markeredgewidth": 0.0}
     points, line = points / factors[:, None], line / factors[:, None]
     dots |= {"color": style.POSTERIOR, "alpha": 0.25, "rasterized": True, "zorder": 2}
@@ -227,46 +220,15 @@ def _log_ticks(axis: Axis, low: float, high: float) -> None:
     few_ticks(axis, 4)
 
 
-def _prior(
-    ax: Axes,
-    fit: Fit,
-    pair: tuple[_Quantity, _Quantity],
-    limits: list[tuple[float, float]],
-    factors: Array,
-) -> None:
-    """Draw where half and nine tenths of the prior lie, or the line on which it is known."""
-    dashed: Look = {"color": style.PRIOR, "linestyle": style.DASHED, "linewidth": 0.9}
-    if any(q.prior.fixed for q in pair):
-        for q, draw, factor in zip(pair, (ax.axvline, ax.axhline), factors, strict=True):
-            if q.prior.fixed:
-                known = float(q.shown(np.asarray(q.prior.value)))
-                draw(known / factor, gid="prior", **dashed)
-        return
-    rng = np.random.default_rng(np.random.SeedSequence(fit.posterior.seed, spawn_key=(4,)))
-    draws = [q.shown(q.prior.draw(40_000, rng)) for q in pair]
-    x, y = (_grid(d, *ends) for d, ends in zip(draws, limits, strict=True))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        density = pair[0].log_density(x)[None, :] + pair[1].log_density(y)[:, None]
-        drawn = pair[0].log_density(draws[0]) + pair[1].log_density(draws[1])
-    levels = np.quantile(drawn[np.isfinite(drawn)], [1.0 - mass for mass in reversed(_MASSES)])
-    # a density, not its logarithm: that would be minus infinity beyond a bound
-    height = np.exp(np.where(np.isfinite(density), density, -np.inf) - levels[1])
-    places = (x / factors[0], y / factors[1], height)
-    steps = [float(np.exp(levels[0] - levels[1])), 1.0]
-    top = max(float(height.max()), 1.0) * 2.0
-    shades = ax.contourf(
-        *places, levels=[*steps, top], colors=[style.PRIOR] * 2, alpha=0.10, zorder=0
+def _prior(ax: Axes, pair: tuple[_Quantity, _Quantity], factors: Array) -> None:
+    """Draw what holds nearly all of either prior, or the value that is known."""
+    (left, right), (low, high) = (
+        np.sort(q.shown(np.array(q.prior.interval(_SHARE)))) / factor
+        for q, factor in zip(pair, factors, strict=True)
     )
-    shades.set_gid("prior mass")
-    look: Look = {"linestyles": [style.DOTTED, style.DASHED], "linewidths": [0.7, 0.9]}
-    ax.contour(*places, levels=steps, colors=[style.PRIOR], zorder=1, **look).set_gid("prior")
-
-
-def _grid(draws: Array, low: float, high: float) -> Array:
-    """Points over an axis, and close together wherever a prior is narrow."""
-    close = np.quantile(draws[np.isfinite(draws)], np.linspace(0.001, 0.999, 81))
-    points = np.concatenate([np.geomspace(low, high, 121), close[(close > low) & (close < high)]])
-    return np.unique(points)
+    ax.fill_between([left, right], low, high, color=style.PRIOR, alpha=0.1, linewidth=0.0)
+    look: Look = {"color": style.PRIOR, "linestyle": style.DASHED, "gid": "prior"}
+    ax.plot([left, right, right, left, left], [low, low, high, high, low], **look)
 
 
 def _torque(left: Axes, right: Axes, fit: Fit, found: Ridge) -> None:
@@ -314,7 +276,7 @@ def _handles(found: Ridge) -> list[Artist]:
     prior: Look = {"facecolor": "#f6e3d6", "edgecolor": style.PRIOR, "linewidth": 0.7}
     handles: list[Artist] = [
         Line2D([], [], color=style.POSTERIOR, label="posterior", **dots),
-        Patch(linestyle=style.DASHED, label="prior, 50 and 90 %", **prior),
+        Patch(linestyle=style.DASHED, label="prior, 98 % of each", **prior),
         Line2D([], [], color=_LINE, label="no torque changes" if same else "same torque unloaded"),
     ]
     for k, marker in _marked(found):

@@ -131,15 +131,9 @@ def save(figure: Figure, folder: Path, stem: str, kinds: Sequence[str] = ALL_KIN
             figure.savefig(folder / f"{stem}.{kind}", format=kind, **_UNDATED[kind])
 
 
-def line_style(k: int) -> tuple[str, LineStyle]:
-    """Colour and dashes of the ``k``-th of several lines; sixteen differ."""
-    colours = len(PALETTE)
-    return PALETTE[k % colours], LINE_STYLES[(k + k // colours) % len(LINE_STYLES)]
-
-
-def run_style(k: int) -> tuple[str, LineStyle]:
-    """Colour and dashes of the ``k``-th of several runs; twelve differ. Orange is a reference's."""
-    return RUN_COLOURS[k % len(RUN_COLOURS)], LINE_STYLES[k % len(LINE_STYLES)]
+def run_colour(k: int) -> str:
+    """Colour of the ``k``-th of several runs; orange is a reference's."""
+    return RUN_COLOURS[k % len(RUN_COLOURS)]
 
 
 def power_of_ten(low: float, high: float) -> int:
@@ -237,13 +231,10 @@ def remark_below(figure: Figure, words: str) -> None:
         figure.supxlabel(words, x=0.99, ha="right", fontsize=SMALL)
 
 
-def corner_words(
-    ax: Axes, words: str, gid: str | None = None, side: str = "left", size: float = SMALL
-) -> None:
-    """Write into an upper corner of a panel, or into its middle."""
-    x = {"left": 0.03, "center": 0.5, "right": 0.97}[side]
-    said: dict[str, Any] = {"ha": side, "va": "top", "fontsize": size, "gid": gid}
-    ax.text(x, 0.97, words, transform=ax.transAxes, **said).set_in_layout(False)
+def corner_words(ax: Axes, words: str, gid: str | None = None) -> None:
+    """Write into the upper left corner of a panel."""
+    said: dict[str, Any] = {"va": "top", "fontsize": SMALL, "gid": gid}
+    ax.text(0.03, 0.97, words, transform=ax.transAxes, **said).set_in_layout(False)
 
 
 class _InnerLocator(MaxNLocator):
