@@ -32,7 +32,6 @@ ROUNDING = 1e-10
 _NO_END = 0.05
 _SHARE = 0.98  # of each prior
 _SECONDS = 3.0
-_MOST_NAMED = 3
 # First digits of the numbers on logarithmic axes, the fewest that suffice.
 _DIGITS = ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0))
 
@@ -89,7 +88,7 @@ def ridge_figure(fit: Fit) -> Figure | None:
     ``alpha_2`` (what of these the chain has): posterior draws, what holds 98 % of each prior, the
     exact scaling line through the posterior's median and its ends, where a passive
     gearbox would have ``alpha_2 = 1`` and ``alpha_1 = 1``. Below, the torque predicted in
-    the middle and at the ends of that line, and the difference. A recording with a known
+    the middle and at the ends of that line. A recording with a known
     mass tells the ends apart; the posterior is a spot on the line then. A page wide; ``None`` for a
     chain that has no such scaling.
     """
@@ -100,12 +99,11 @@ def ridge_figure(fit: Fit) -> Figure | None:
     if not others:
         return None
     with style.paper_figure(style.PAGE, _HEIGHT) as figure:
-        halves = figure.add_gridspec(2, 1, height_ratios=(1.35, 1.0))
+        halves = figure.add_gridspec(2, 1, height_ratios=(1.5, 1.0))
         upper = style.panel_grid(figure, len(others), len(others), halves[0])
         for ax, other in zip(upper, others, strict=True):
             _pair(ax, fit, found, drive, other)
-        left, right = style.panel_grid(figure, 2, 2, halves[1])
-        _torque(left, right, fit, found)
+        _torque(figure.add_subplot(halves[1]), fit, found)
         style.legend_above(figure, _handles(found))
     return figure
 
@@ -231,43 +229,30 @@ def _prior(ax: Axes, pair: tuple[_Quantity, _Quantity], factors: Array) -> None:
     ax.plot([left, right, right, left, left], [low, low, high, high, low], **look)
 
 
-def _torque(left: Axes, right: Axes, fit: Fit, found: Ridge) -> None:
-    """Draw the torque along the line, of the recording in which it differs most, and the rest."""
+def _torque(ax: Axes, fit: Fit, found: Ridge) -> None:
+    """Draw the torque along the line, of the recording in which it differs most."""
     differences = found.differences
     r = int(np.argmax(differences)) if max(differences) > ROUNDING else 0
     o, torque = fit.observations[r], found.torque[r]
     kind, unit = ("torque", "N m") if fit.chain.motor_motion == "rotary" else ("force", "N")
     time, low, middle, high = broken(o, *torque)
-    same = max(differences) <= ROUNDING
-    exponent = -10 if same else power_of_ten(0.0, differences[r])
-    left.plot(
-        time, middle, color=style.PALETTE[3], linewidth=2.4, label="middle", gid="torque middle"
-    )
-    looks = ((style.DASHED, _LINE), (style.DOTTED, style.PALETTE[2]))
-    for t, (dashes, colour), words in zip((low, high), looks, _ENDS, strict=True):
-        look: Look = {"color": colour, "linestyle": dashes}
-        left.plot(time, t, label=words, gid="torque", **look)
-        right.plot(time, (t - middle) / 10.0**exponent, gid="difference", **look)
-    reach = 1.0 if same else 1.08 * differences[r] / 10.0**exponent
-    right.set_ylim(-1.2 * reach, 1.7 * reach)
-    left.set_ylabel(f"motor {kind} ({unit})")
-    right.set_ylabel(f"difference ({scaled_unit(exponent, unit)})")
-    for ax in (left, right):
-        begin = float(o.time.min())
-        ax.set_xlim(begin, min(begin + _SECONDS, max(float(o.time.max()), begin + 1e-9)))
-        ax.set_xlabel("time (s)")
-        few_ticks(ax.xaxis, 6)
-        few_ticks(ax.yaxis, 4)
+    look: Look = {"color": style.PALETTE[3], "linewidth": 2.4, "gid": "torque middle"}
+    ax.plot(time, middle, label="middle", **look)
+    ax.plot(time, low, label=_ENDS[0], color=_LINE, linestyle=style.DASHED, gid="torque")
+    look = {"color": style.PALETTE[2], "linestyle": style.DOTTED, "gid": "torque"}
+    ax.plot(time, high, label=_ENDS[1], **look)
+    begin = float(o.time.min())
+    ax.set_xlim(begin, min(begin + _SECONDS, max(float(o.time.max()), begin + 1e-9)))
+    ax.set_xlabel("time (s)")
+    ax.set_ylabel(f"motor {kind} ({unit})")
+    few_ticks(ax.xaxis, 8)
+    few_ticks(ax.yaxis, 4)
     span = float(np.ptp(torque))
-    left.set_ylim(float(torque.min()) - 0.08 * span, float(torque.max()) + 0.35 * span)
-    left.legend(loc="upper left", ncols=3, handlelength=2.2)
-    lines = [
-        f"{style.shortened(one.name, 24)}: at most {difference:.2g} {unit}"
-        for one, difference in zip(fit.observations, differences, strict=True)
-    ]
-    if len(lines) > _MOST_NAMED:
-        lines = [*lines[: _MOST_NAMED - 1], f"and {len(lines) - _MOST_NAMED + 1} more"]
-    style.corner_words(right, "\n".join(lines), "largest")
+    ax.set_ylim(float(torque.min()) - 0.08 * span, float(torque.max()) + 0.35 * span)
+    ax.legend(loc="upper left", ncols=3, handlelength=2.2)
+    told = f"{style.shortened(o.name, 24)}: differs by at most {differences[r]:.2g} {unit}"
+    look = {"ha": "right", "va": "top", "fontsize": style.SMALL, "gid": "largest"}
+    ax.text(0.99, 0.96, told, transform=ax.transAxes, **look).set_in_layout(False)
 
 
 def _handles(found: Ridge) -> list[Artist]:
@@ -307,7 +292,7 @@ FIGURE = RunFigure(
     caption=(
         "Draws of the posterior against the line along which no torque changes, between the ends "
         "that a passive gearbox sets. Below: the torque at both ends of the line and in its "
-        "middle, and their difference."
+        "middle, of the recording in which they differ most."
     ),
     alternative=_words,
 )

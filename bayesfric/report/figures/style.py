@@ -231,12 +231,6 @@ def remark_below(figure: Figure, words: str) -> None:
         figure.supxlabel(words, x=0.99, ha="right", fontsize=SMALL)
 
 
-def corner_words(ax: Axes, words: str, gid: str | None = None) -> None:
-    """Write into the upper left corner of a panel."""
-    said: dict[str, Any] = {"va": "top", "fontsize": SMALL, "gid": gid}
-    ax.text(0.03, 0.97, words, transform=ax.transAxes, **said).set_in_layout(False)
-
-
 class _InnerLocator(MaxNLocator):
     """Ticks that keep clear of the ends, where two panels' numbers would meet."""
 
