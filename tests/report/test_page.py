@@ -329,8 +329,7 @@ def test_names_are_unique_and_targets_exist(page, text):
         if node.attrs.get("href", "").startswith("#"):
             assert node.attrs["href"][1:] in names
     assert set(re.findall(r"url\(#([^)]*)\)", text)) <= set(names)
-    # four figures, and the seconds of the first screen
-    assert len(list(page.all("svg"))) == 5
+    assert len(list(page.all("svg"))) == 4
     for svg in page.all("svg"):
         assert len(svg.attrs["aria-label"]) > 60
 

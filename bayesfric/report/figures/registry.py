@@ -21,7 +21,6 @@ from bayesfric.report.comparison.between_runs import PooledQuantity
 from bayesfric.report.comparison.comparison import Comparison
 from bayesfric.report.paper.tables import ParameterTable
 from bayesfric.report.summary.record import Summary
-from bayesfric.rollouts.rolled import RollOut
 
 # Of the pages of a run and of a comparison, in their order.
 Section = Literal[
@@ -88,25 +87,16 @@ class RunFigure(Declared[FinishedRun, JudgedRun]):
     """A figure of a run."""
 
 
-class RollOutFigure(Declared[RollOut, JudgedRun]):
-    """A figure of the roll-outs of a run, which are asked for when it is finished."""
-
-
 class ComparisonFigure(Declared[ComparedRuns, ComparedRuns]):
     """A figure of a comparison of runs."""
 
 
-Kind = TypeVar("Kind", RunFigure, RollOutFigure, ComparisonFigure)
+Kind = TypeVar("Kind", RunFigure, ComparisonFigure)
 
 
 def run_figures() -> dict[str, RunFigure]:
     """Find the figures of a run, by stem in the order of the page."""
     return _found(RunFigure)
-
-
-def rollout_figures() -> dict[str, RollOutFigure]:
-    """Find the figures of roll-outs, by stem in the order of the page."""
-    return _found(RollOutFigure)
 
 
 def comparison_figures() -> dict[str, ComparisonFigure]:

@@ -13,12 +13,8 @@ from bayesfric.report.answers.record import Calculator, read_calculator
 from bayesfric.report.brief import brief
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.comparison.table import explained
-from bayesfric.report.figures.registry import (
-    JudgedRun,
-    read_captions,
-    rollout_figures,
-    run_figures,
-)
+from bayesfric.report.figures.registry import JudgedRun, read_captions, run_figures
+from bayesfric.report.figures.rollout import FIGURE as ROLL_OUT
 from bayesfric.report.page.figures import page_figures
 from bayesfric.report.page.findings import findings
 from bayesfric.report.page.provenance import read_provenance
@@ -59,9 +55,7 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         notes=table.notes_where(marked=False),
         methods=methods,
         explained=list(explained(methods)),
-        figures=page_figures(
-            folder, [*run_figures().values(), *rollout_figures().values()], captions, judged
-        ),
+        figures=page_figures(folder, [*run_figures().values(), ROLL_OUT], captions, judged),
         provenance=read_provenance(folder),
         config=config,
         no_self_check=sentence("no self-check", read.self_check.model_dump())
