@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import combinations
 from typing import Any, Literal
 
 from bayesfric.errors import BadInput
@@ -365,13 +364,12 @@ def _check_common(
             for name, fact in facts.items()
             if column.label in fact.cells and fact.cells[column.label].status != "known"
         }
-    for run, names in has.items():
+    # of two, the second is the one out of place
+    for run, names in reversed(has.items()):
         if not names:
             raise BadInput(run, "holds no result to compare", "name a finished run")
-    shared = {run for a, b in combinations(has, 2) if has[a] & has[b] for run in (a, b)}
-    # of two, the second is the one out of place
-    for run in reversed(has):
-        if len(has) > 1 and run not in shared:
+        others = set[str]().union(*(theirs for other, theirs in has.items() if other != run))
+        if len(has) > 1 and not names & others:
             raise BadInput(
                 run,
                 "has no quantity in common with the other runs",

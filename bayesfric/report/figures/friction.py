@@ -55,7 +55,6 @@ class FrictionCurves:
     open_scale: bool  # whether loads are the mean of what driving and back-driving feel
     over_speed: tuple[FrictionCurve, ...]  # at no load, at a driven and at a driving load
     over_load: tuple[FrictionCurve, ...]  # at a low and a high speed; empty without load losses
-    place: Covered
 
 
 def friction_curves(fit: Fit) -> FrictionCurves:
@@ -95,7 +94,7 @@ def friction_curves(fit: Fit) -> FrictionCurves:
         over_load = [
             along(np.full_like(grid, way * _round(share * top)), grid) for share in (0.25, 0.75)
         ]
-    return FrictionCurves(judge.open_scale, tuple(over_speed), tuple(over_load), place)
+    return FrictionCurves(judge.open_scale, tuple(over_speed), tuple(over_load))
 
 
 def _stated(place: Covered, speeds: Array, side: float) -> float:

@@ -112,5 +112,4 @@ FIGURE = ComparisonFigure(
     "population they are drawn from (diamond) and where the true value of the next recording lies "
     "(square); 90 % intervals of the normal hierarchical model.",
     alternative=_words,
-    place=1,
 )

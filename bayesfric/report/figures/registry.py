@@ -72,7 +72,6 @@ class Declared(Generic[Drawn, Judged]):
     caption: str | Callable[[Drawn], str]
     # the numbers it shows, for who cannot see them; none of what the data leave open
     alternative: Callable[[Judged], str]
-    place: int = 0  # its order among those of its section
 
     def caption_of(self, drawn: Drawn) -> str:
         """Give the caption of one drawing."""
@@ -110,7 +109,7 @@ def _found(kind: type[Kind]) -> dict[str, Kind]:
     modules = (import_module(f"{__package__}.{m.name}") for m in iter_modules(folder.__path__))
     figures = {one for m in modules for one in vars(m).values() if isinstance(one, kind)}
     order = get_args(Section)
-    rank = {one: (order.index(one.section), one.place, one.stem) for one in figures}
+    rank = {one: (order.index(one.section), one.stem) for one in figures}
     return {one.stem: one for one in sorted(figures, key=rank.__getitem__)}
 
 

@@ -180,7 +180,6 @@ FIGURE = RunFigure(
     stem="residual",
     title="What is left unexplained",
     section="prediction",
-    place=1,
     draw=lambda run: residual_figure(run.fit),
     caption=_caption,
     alternative=_words,
