@@ -52,7 +52,8 @@ def read_draws(run: Path, summary: Summary, rebuild: Callable[[str], Joint | Non
     except (OSError, KeyError, TypeError, ValueError, AttributeError):
         return RunDraws()
     sampled = {name: x for name, x in found.items() if name in summary.parameters}
-    return RunDraws(_derived(rebuild(config), sampled, summary) | found, prior)
+    found = _derived(rebuild(config), sampled, summary) | found
+    return RunDraws({name: x for name, x in found.items() if np.isfinite(x).any()}, prior)
 
 
 def chain_of(config: str) -> Joint | None:
