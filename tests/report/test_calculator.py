@@ -16,7 +16,7 @@ from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.inputs import AT_ROOM, steady
 from bayesfric.report.answers import calculator
-from bayesfric.report.answers.calculator import parameter_vectors, written
+from bayesfric.report.answers.calculator import written
 from bayesfric.report.answers.record import FILE, Seen, calculator_json, read_calculator
 from bayesfric.report.figures.friction_curve import friction_torque
 from bayesfric.report.page.run_page import run_page
@@ -116,6 +116,13 @@ def made(folder):
         return found[name]
 
     return of
+
+
+def parameter_vectors(found):
+    """Give the draws that a page holds as vectors of the joint, ``(n, n_parameters)``."""
+    n = max((len(x) for x in found.values if isinstance(x, list)), default=1)
+    columns = [np.broadcast_to(np.asarray(x), (n,)) for x in found.values]
+    return np.stack(columns, axis=1)
 
 
 def drawn(chain):

@@ -13,8 +13,6 @@ from bayesfric.report.figures.efficiency import (
     efficiency_curves,
     efficiency_figure,
 )
-from bayesfric.report.figures.style import COLUMN
-from bayesfric.report.summary.rows import ReferenceRow
 from bayesfric.report.summary.summary import summarise
 
 from .conftest import draw_fast
@@ -65,35 +63,19 @@ def test_one_recording_does_not_determine_it(knee, curves):
     """The scale is open, and efficiency is of the load at the joint."""
     for curve in curves:
         assert not curve.band.determined.any()
-    figure = efficiency_figure(knee, {})
+    figure = efficiency_figure(knee)
     gids = [c.get_gid() for c in figure.axes[0].collections]
     assert "open" in gids
     assert "band" not in gids
     assert "NOT determined by the data" in [t.get_text() for t in figure.legends[0].get_texts()]
 
 
-def test_a_reference_stands_at_the_stated_load(knee):
-    given = ReferenceRow(value=0.7, sd=0.05, unit="", source="data sheet")
-    figure = efficiency_figure(knee, {"gearbox.efficiency_drive": given})
-    draw_fast(figure)
-    (shown,) = [c for c in figure.axes[0].containers if c.get_label() or True][:1]
-    assert shown.lines[0].get_ydata() == pytest.approx([0.7])
-    meaning = summarise(knee).as_dict()["derived"]["gearbox.efficiency_drive"]["meaning"]
-    stated = float(meaning.partition(" at ")[2].split()[0])
-    assert float(shown.lines[0].get_xdata()[0]) == pytest.approx(stated, rel=6e-3)
-    words = [t.get_text() for t in figure.legends[0].get_texts()]
-    assert "data sheet, motor drives" in words
-    assert figure.get_figwidth() == COLUMN
-
-
 def test_the_axis_holds_what_is_drawn_and_the_caption_only_names_that(knee, curves):
-    assert efficiency_figure(knee, {}).axes[0].get_ylim() == (0.0, 1.0)
+    assert efficiency_figure(knee).axes[0].get_ylim() == (0.0, 1.0)
     high = replace(curves[0], band=replace(curves[0].band, **dict.fromkeys(
         ("median", "low", "high"), np.full(curves[0].load.size, 0.96))))  # fmt: skip
-    bottom = _bottom([high], {})
+    bottom = _bottom([high])
     assert 0.9 < bottom < 0.96
-    given = ReferenceRow(value=0.9, sd=0.05, unit="", source="data sheet")
-    assert _bottom([high], {high.name: given}) < 0.85
     said = _caption(curves)
     assert "Hatched where the data do not determine it" in said
     told = replace(
@@ -107,7 +89,7 @@ def test_the_axis_holds_what_is_drawn_and_the_caption_only_names_that(knee, curv
 
 def test_no_load_loss_no_figure(slide):
     assert efficiency_curves(slide) == ()
-    assert efficiency_figure(slide, {}) is None
+    assert efficiency_figure(slide) is None
 
 
 def test_an_irreversible_gearbox_has_no_curve_back(knee):
@@ -116,4 +98,4 @@ def test_an_irreversible_gearbox_has_no_curve_back(knee):
     fit = replace(knee, posterior=replace(knee.posterior, draws=draws))
     _, back = efficiency_curves(fit)
     assert np.isnan(back.band.median).all()
-    draw_fast(efficiency_figure(fit, {}))
+    draw_fast(efficiency_figure(fit))

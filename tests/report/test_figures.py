@@ -136,7 +136,7 @@ def test_same_fit_same_bytes_whatever_the_readers_style(draw, slide, tmp_path):
 
 FOR_PAPERS = {
     "friction": lambda fit, _: friction_figure(fit),
-    "efficiency": lambda fit, summary: efficiency_figure(fit, summary.references),
+    "efficiency": lambda fit, _: efficiency_figure(fit),
     "residual": lambda fit, _: residual_figure(fit),
 }
 

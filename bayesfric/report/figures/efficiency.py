@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.artist import Artist
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from bayesfric.estimates.torque import typical_load
 from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism.derived import derive
 from bayesfric.report.figures import style
@@ -30,24 +28,19 @@ from bayesfric.report.figures.registry import JudgedRun, RunFigure
 from bayesfric.report.figures.style import Array, Look, few_ticks, legend_above, paper_figure
 from bayesfric.report.page.values import rows_in_words
 from bayesfric.report.summary.record import quantity_of
-from bayesfric.report.summary.rows import ReferenceRow
 from bayesfric.report.summary.summary import LEVEL
 
 _POINTS = 40
 _DRAWS = 500
 _MOST = 2
 _HEIGHT = 2.6
-_WORDS = {"drive": "motor drives", "back": "load drives"}
-_SYMBOLS = {"drive": r"\eta_m", "back": r"\eta_r"}
+_SAID = {"drive": r"motor drives, $\eta_m$", "back": r"load drives, $\eta_r$"}
 # hatched the other way round for the other direction of power
 _LOOKS = {
     # wide below and thin above, so that both are seen where they agree
     "drive": CurveLook(style.PALETTE[1], "o", width=2.4),
     "back": CurveLook(style.PALETTE[2], "s", hatch=style.OPEN_HATCH_BACK, start=3),
 }
-_REFERENCE: Look = {
-    "color": style.MEASURED, "markersize": 4.0, "markerfacecolor": "white", "linestyle": "none"
-}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,81 +97,44 @@ def _near(load: Array, seen: Array) -> Flags:
     return np.asarray(count >= FEWEST)
 
 
-def efficiency_figure(fit: Fit, references: Mapping[str, ReferenceRow]) -> Figure | None:
-    """Draw efficiency over load, with references where the configuration gives any.
+def efficiency_figure(fit: Fit) -> Figure | None:
+    """Draw efficiency over load.
 
     A panel for each of at most two elements with load losses, a column wide or a page; ``None``
     where there is none, or nothing loads it. Where the data do not determine it, the band is
-    hatched; where no recording had such a load, there is only a dashed median. A reference stands
-    at the load the summary states efficiencies for.
+    hatched; where no recording had such a load, there is only a dashed median.
     """
     curves = efficiency_curves(fit)[: 2 * _MOST]
     if not curves:
         return None
     panels = [curves[i : i + 2] for i in range(0, len(curves), 2)]
     width = style.COLUMN if len(panels) == 1 else style.PAGE
-    median = fit.target.chain_values(fit.posterior.median[None])[0]
-    stated = typical_load(fit.chain, fit.observations, median)
+    kind, unit = ("torque", "N m") if fit.chain.load.motion == "rotary" else ("force", "N")
     with paper_figure(width, _HEIGHT) as figure:
         axes = figure.subplots(1, len(panels), squeeze=False)[0]
         for ax, panel in zip(axes, panels, strict=True):
-            _panel(ax, fit, panel, references)
             for curve in panel:
-                if curve.name in references:
-                    _reference(ax, curve, references[curve.name], stated)
-        legend_above(figure, _handles(curves, references), 2 if width == style.COLUMN else None)
+                draw_curve(ax, curve.load, curve, _LOOKS[curve.side])
+            ax.set_xlabel(rf"load {kind} at the joint $|\Gamma|$ ({unit})")
+            ax.set_ylabel(f"efficiency of {panel[0].element} (–)")
+            ax.set_xlim(0.0, float(panel[0].load[-1]))
+            ax.set_ylim(_bottom(panel), 1.0)
+            few_ticks(ax.xaxis, 6)
+            few_ticks(ax.yaxis, 6)
+        handles: list[Artist] = []
+        for side, look in _LOOKS.items():
+            mark: Look = {"marker": look.marker, "markersize": 2.6, "linewidth": look.width}
+            handles.append(Line2D([], [], color=look.colour, label=_SAID[side], **mark))
+        handles += curve_handles(curves, style.PALETTE[1], style.MEASURED)
+        legend_above(figure, handles, 2 if width == style.COLUMN else None)
     return figure
 
 
-def _panel(
-    ax: Axes,
-    fit: Fit,
-    panel: Sequence[EfficiencyCurve],
-    references: Mapping[str, ReferenceRow],
-) -> None:
-    for curve in panel:
-        draw_curve(ax, curve.load, curve, _LOOKS[curve.side])
-    kind, unit = ("torque", "N m") if fit.chain.load.motion == "rotary" else ("force", "N")
-    ax.set_xlabel(rf"load {kind} at the joint $|\Gamma|$ ({unit})")
-    ax.set_ylabel(f"efficiency of {panel[0].element} (–)")
-    ax.set_xlim(0.0, float(panel[0].load[-1]))
-    ax.set_ylim(_bottom(panel, references), 1.0)
-    few_ticks(ax.xaxis, 6)
-    few_ticks(ax.yaxis, 6)
-
-
-def _bottom(panel: Sequence[EfficiencyCurve], references: Mapping[str, ReferenceRow]) -> float:
+def _bottom(panel: Sequence[EfficiencyCurve]) -> float:
     """Begin the axis at zero, or where all that is drawn lies in its upper half below that."""
-    drawn = [np.ones(1)]
-    for curve in panel:
-        drawn += [curve.band.median, curve.band.low[curve.shown]]
-        if curve.name in references:
-            given = references[curve.name]
-            drawn.append(np.array([given.value - (given.sd or 0.0)]))
-    lost = 1.0 - float(np.nanmin(np.concatenate(drawn)))
+    drawn = [x for curve in panel for x in (curve.band.median, curve.band.low[curve.shown])]
+    lost = 1.0 - float(np.nanmin(np.concatenate([np.ones(1), *drawn])))
     return 0.0 if lost > 0.4 else 1.0 - max(1.25 * lost, 0.02)
-
-
-def _reference(ax: Axes, curve: EfficiencyCurve, given: ReferenceRow, stated: float) -> None:
-    look = _REFERENCE | {"marker": _LOOKS[curve.side].marker, "zorder": 3.0, "gid": "reference"}
-    bar = [given.sd] if given.sd else None
-    ax.errorbar([stated], [given.value], yerr=bar, capsize=2.0, elinewidth=0.8, **look)
-
-
-def _handles(
-    curves: Sequence[EfficiencyCurve], references: Mapping[str, ReferenceRow]
-) -> list[Artist]:
-    lines: list[Artist] = []
-    marks: list[Artist] = []
-    for side, look in _LOOKS.items():
-        said = rf"{_WORDS[side]}, ${_SYMBOLS[side]}$"
-        mark: Look = {"marker": look.marker, "markersize": 2.6, "linewidth": look.width}
-        lines.append(Line2D([], [], color=look.colour, label=said, **mark))
-    given = {(references[c.name].source, c.side): None for c in curves if c.name in references}
-    for source, side in given:
-        said = f"{source}, {_WORDS[side]}".replace("$", r"\$")
-        marks.append(Line2D([], [], label=said, marker=_LOOKS[side].marker, **_REFERENCE))
-    return [*lines, *curve_handles(curves, style.PALETTE[1], style.MEASURED), *marks]
 
 
 def _caption(curves: Sequence[EfficiencyCurve]) -> str:
@@ -205,7 +161,7 @@ FIGURE = RunFigure(
     stem="efficiency",
     title="Efficiency against load",
     section="efficiency",
-    draw=lambda run: efficiency_figure(run.fit.wide, run.summary.references),
+    draw=lambda run: efficiency_figure(run.fit.wide),
     caption=lambda run: _caption(efficiency_curves(run.fit.wide)),
     alternative=_words,
 )
