@@ -508,9 +508,7 @@ def _fit(
     **options: Any,
 ) -> None:
     spent = Spent()  # before what it imports, which takes time, too
-    from bayesfric.report.second_process import second_process
-
-    with second_process(), ExitStack() as bars:
+    with ExitStack() as bars:
         from bayesfric.commands.fit import fit as run
         from bayesfric.commands.fit import fit_text
 

@@ -25,7 +25,7 @@ def __getattr__(name: str) -> Callable[[Any], Figure]:
 
     def draw(posterior: Any) -> Figure:
         result = result_of(posterior)
-        figure = run_figures()[name].figure(FinishedRun(result.fit, result.summary))
+        figure = run_figures()[name].draw(FinishedRun(result.fit, result.summary))
         if figure is None:
             raise BadInput(f"plot.{name}", "there is nothing to show", "draw another figure")
         return figure

@@ -21,9 +21,9 @@ def compare(
 
     ``output`` is a folder to make: ``report.html``, ``comparison.csv``, ``.md``, ``.tex`` and
     ``.json``, ``figures/forest.pdf``, ``.svg`` and ``.png``; of several runs ``between-runs.csv``
-    and, where something is pooled, ``.tex``, ``each-run.csv``, ``figures/population`` and, where
-    two hold their draws, ``figures/overlay``. Point estimates are shown of a single run only if
-    ``estimates`` is left out. Of what cannot be compared nothing is written.
+    and, where something is pooled, ``.tex``, ``each-run.csv`` and ``figures/population``. Point
+    estimates are shown of a single run only if ``estimates`` is left out. Of what cannot be
+    compared nothing is written.
     """
     summaries = read_summaries(runs)
     if output is None:
@@ -56,9 +56,9 @@ def compare(
     pooled = [] if shared_recordings(provenance) else between_runs(checked, draws)
     order = {row.name: k for k, row in enumerate(found.rows)}
     pooled.sort(key=lambda one: order[one.name])
-    compared = ComparedRuns(found, checked, draws, pooled)
+    compared = ComparedRuns(found, checked, pooled)
     # what cannot be drawn is told before anything is written
-    drawn = {stem: one.figure(compared) for stem, one in comparison_figures().items()}
+    drawn = {stem: one.draw(compared) for stem, one in comparison_figures().items()}
     with made_beside(output) as beside:
         as_json = json.dumps(comparison_dict(found), indent=1, ensure_ascii=False, allow_nan=False)
         texts = {

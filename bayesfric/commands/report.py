@@ -53,15 +53,13 @@ def _for_paper(
     from bayesfric.report.figures.style import IN_PAPER
     from bayesfric.report.paper.methods_text import methods_text
     from bayesfric.report.run_directory import draw, paper_texts
-    from bayesfric.report.second_process import shared_work
 
     progress(Progress("recordings"))
     fit, summary = fit_of(run)
     texts |= paper_texts(summary, name, methods_text(fit, summary))
     figures = run / "figures"
     with TemporaryDirectory(prefix=".", dir=run) as beside:
-        with shared_work(progress) as share:
-            draw(Path(beside), FinishedRun(fit, summary), IN_PAPER, share, progress)
+        draw(Path(beside), FinishedRun(fit, summary), IN_PAPER, progress)
         figures.mkdir(exist_ok=True)
         files = sorted(Path(beside).iterdir())
         for file in files:

@@ -12,7 +12,8 @@ from bayesfric.commands.report import report
 from bayesfric.errors import BadInput
 from bayesfric.inference.sampling.sampling import Progress
 from bayesfric.report.alerts import roll_out_doubt, roll_out_wide
-from bayesfric.report.figures.registry import read_captions, rollout_figures
+from bayesfric.report.figures.registry import read_captions
+from bayesfric.report.figures.rollout import FIGURE, rollout_figure
 from bayesfric.report.figures.style import save
 from bayesfric.report.files import write_beside
 from bayesfric.report.summary.record import read_summary_file
@@ -59,9 +60,8 @@ def _write(run: Path, found: RollOut, told: RollOutPart) -> None:
     figures = run / "figures"
     try:
         with TemporaryDirectory(dir=figures) as beside:
-            for stem, one in rollout_figures().items():
-                captions[stem] = one.caption_of(found)
-                save(one.figure(found), Path(beside), stem)  # type: ignore[arg-type]
+            captions[FIGURE.stem] = FIGURE.caption_of(found)
+            save(rollout_figure(found), Path(beside), FIGURE.stem)
             for file in Path(beside).iterdir():
                 file.replace(figures / file.name)
         caption_file.parent.mkdir(exist_ok=True)

@@ -6,7 +6,6 @@ import json
 import platform
 import shutil
 from collections.abc import Callable, Sequence
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -19,15 +18,14 @@ from bayesfric.inference.archive import as_chains, write_archive
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.sampling.sampling import Progress
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.report.answers.answers import answers_json
-from bayesfric.report.answers.record import FILE
+from bayesfric.report.answers.calculator import calculator
+from bayesfric.report.answers.record import FILE, calculator_json
 from bayesfric.report.figures.registry import FinishedRun, RunFigure, captions, run_figures
 from bayesfric.report.figures.style import ALL_KINDS, ON_PAGE, save
 from bayesfric.report.files import made_beside
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.methods_text import MethodsText, methods_text
 from bayesfric.report.paper.tables import latex_texts, summary_texts
-from bayesfric.report.second_process import Work, shared_work
 from bayesfric.report.summary.derived_quantities import coefficients
 from bayesfric.report.summary.record import Readable, Summary
 from bayesfric.report.summary.rows import PosteriorRow
@@ -78,19 +76,17 @@ def write_run(
             return
         run = FinishedRun(fit, summary)
         kinds = ALL_KINDS if paper else ON_PAGE
-        with shared_work(progress) as share:
-            archive = archived(fit, summary, config_text, recordings)
-            # first: the second process has ArviZ ready
-            share("draws", partial(write_archive, beside / "posterior.nc", **archive))
-            drawn = draw(beside / "figures", run, kinds, share, progress)
-            said = methods_text(fit, summary)
-            texts = summary_texts(summary, folder.name) | {
-                "text/methods.txt": said.plain,
-                "text/captions.md": captions(run, drawn),
-                FILE: answers_json(fit),
-            }
-            if paper:
-                texts |= paper_texts(summary, folder.name, said)
+        progress(Progress("draws"))
+        write_archive(beside / "posterior.nc", **archived(fit, summary, config_text, recordings))
+        drawn = draw(beside / "figures", run, kinds, progress)
+        said = methods_text(fit, summary)
+        texts = summary_texts(summary, folder.name) | {
+            "text/methods.txt": said.plain,
+            "text/captions.md": captions(run, drawn),
+            FILE: calculator_json(calculator(fit)),
+        }
+        if paper:
+            texts |= paper_texts(summary, folder.name, said)
         for name, text in texts.items():
             (beside / name).parent.mkdir(exist_ok=True)
             (beside / name).write_text(text, encoding="utf-8")
@@ -104,19 +100,17 @@ def draw(
     folder: Path,
     run: FinishedRun,
     kinds: Sequence[str],
-    share: Callable[[str, Work], None],
     progress: Callable[[Progress], None],
 ) -> list[RunFigure]:
-    """Draw a run's figures for ``folder``, and give them; the work of saving them is shared."""
+    """Draw a run's figures into ``folder``, and give those that show anything."""
     folder.mkdir(exist_ok=True)
     drawn = []
-    # from the end: what the second process can draw by itself stands there
-    for stem, one in reversed(FIGURES.items()):
+    for stem, one in FIGURES.items():
         progress(Progress(f"figure {stem}"))
-        if (drawing := one.draw(run)) is not None:
-            share(f"figure {stem}", partial(save, drawing, folder, stem, kinds))
+        if (figure := one.draw(run)) is not None:
+            save(figure, folder, stem, kinds)
             drawn.append(one)
-    return drawn[::-1]
+    return drawn
 
 
 def paper_texts(summary: Summary, name: str, said: MethodsText) -> dict[str, str]:

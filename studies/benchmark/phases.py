@@ -28,47 +28,44 @@ PARTS = (
     "what follows from the draws",
     "self-check",
     "what the data leave open",
-    "page, figures and draws, by two processes",
+    "page, figures and draws",
 )
 
 
 def demo(folder: Path) -> None:
     """Run it here, as the command line does, and print when each part ended."""
-    from bayesfric.report.second_process import second_process
-
     ends: dict[str, tuple[float, float]] = {}
 
     def end(part: str) -> None:
         ends[part] = time.time(), time.process_time()
 
-    with second_process():
-        from bayesfric.commands.fit import demo_config, fit
-        from bayesfric.inference.sampling.sampling import Progress
+    from bayesfric.commands.fit import demo_config, fit
+    from bayesfric.inference.sampling.sampling import Progress
 
-        end("imports")
+    end("imports")
 
-        def seen(progress: Progress) -> None:
-            word = progress.phase.partition(" ")[0]
-            if word == "least-squares":
-                end("reading")
-            elif word == "searching":
-                end("estimates")
-            elif word == "warm-up":  # told when it is done
-                end("search and warm-up")
-            elif word == "sampling":
-                end("sampling")
-            elif word == "self-check":
-                end("what follows from the draws")
-            elif word == "identifiability":
-                end("self-check")
+    def seen(progress: Progress) -> None:
+        word = progress.phase.partition(" ")[0]
+        if word == "least-squares":
+            end("reading")
+        elif word == "searching":
+            end("estimates")
+        elif word == "warm-up":  # told when it is done
+            end("search and warm-up")
+        elif word == "sampling":
+            end("sampling")
+        elif word == "self-check":
+            end("what follows from the draws")
+        elif word == "identifiability":
+            end("self-check")
 
-        fit(
-            demo_config(),
-            folder,
-            progress=seen,
-            found=lambda _: end("what the data leave open"),
-        )
-        end(PARTS[-1])
+    fit(
+        demo_config(),
+        folder,
+        progress=seen,
+        found=lambda _: end("what the data leave open"),
+    )
+    end(PARTS[-1])
     print(json.dumps(ends))
 
 

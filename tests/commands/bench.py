@@ -12,7 +12,7 @@ import pytest
 from bayesfric import cli
 from bayesfric.commands.simulate import simulate
 from bayesfric.config import read_config
-from bayesfric.report import run_directory, second_process
+from bayesfric.report import run_directory
 
 CONFIG = """\
 [mechanism]
@@ -183,4 +183,3 @@ def below_a_file(folder: Path):
 def without_figures(patch):
     """Write runs without drawing: that takes longer than small samplings."""
     patch.setattr(run_directory, "FIGURES", {})
-    patch.setattr(second_process, "_helper", lambda: None)

@@ -100,9 +100,7 @@ def test_a_process_of_its_own_ends_well(done, folder):
     assert written["sampler"]["status"] == "reliable"
     assert written["may_be_simulated"]
     drawn = {path.name for path in (folder / "run" / "figures").iterdir()}
-    assert {
-        f"{stem}.{kind}" for stem in ("corner", "prediction", "trace") for kind in KINDS
-    } <= drawn
+    assert {f"{stem}.{kind}" for stem in ("corner", "prediction") for kind in KINDS} <= drawn
     for name, value in TRUTH.items():
         row = written["parameters"][name]
         assert abs(row["mean"] - value) < 4.5 * row["sd"], name

@@ -123,7 +123,7 @@ def written_run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("written") / "run"
     with pytest.MonkeyPatch.context() as patch:
         # one of bands, one of many panels, one with pixels in it
-        some = ("prediction", "prior_posterior", "ridge")
+        some = ("prediction", "corner", "ridge")
         drawn = {s: run_directory.FIGURES[s] for s in some}
         small = replace(run_directory.FIGURES["methods"], draw=lambda _: Figure(figsize=(3.0, 1.0)))
         patch.setattr(run_directory, "FIGURES", {"methods": small} | drawn)

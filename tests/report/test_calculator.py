@@ -1,6 +1,5 @@
 """The page's calculator in a real browser gives what the model gives, and says where it cannot."""
 
-import json
 import math
 import re
 from dataclasses import replace
@@ -17,9 +16,8 @@ from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.inputs import AT_ROOM, steady
 from bayesfric.report.answers import calculator
-from bayesfric.report.answers.answers import answers_json
-from bayesfric.report.answers.calculator import parameter_vectors, written
-from bayesfric.report.answers.record import FILE, Answers, Seen
+from bayesfric.report.answers.calculator import written
+from bayesfric.report.answers.record import FILE, Seen, calculator_json, read_calculator
 from bayesfric.report.figures.friction_curve import friction_torque
 from bayesfric.report.page.run_page import run_page
 
@@ -107,19 +105,24 @@ def made(folder):
 
     def of(name):
         if name not in found:
-            fit = answers = None
+            fit = None
             if name in DRAWN:
                 law = written(CHAINS[name], drawn(CHAINS[name]), SEEN, open_scale=False)
-                answers = Answers(calculator=law)
-                text = json.dumps(answers.as_dict())
             else:
                 fit = build(CHAINS[name], samples=300, ensembles=2, spread=0.05)
-                text = answers_json(fit)
-                answers = Answers.model_validate_json(text)
-            found[name] = (page_of(folder, name, text), fit, answers)
+                law = calculator.calculator(fit)
+            page = page_of(folder, name, calculator_json(law))
+            found[name] = (page, fit, read_calculator(page.parent))
         return found[name]
 
     return of
+
+
+def parameter_vectors(found):
+    """Give the draws that a page holds as vectors of the joint, ``(n, n_parameters)``."""
+    n = max((len(x) for x in found.values if isinstance(x, list)), default=1)
+    columns = [np.broadcast_to(np.asarray(x), (n,)) for x in found.values]
+    return np.stack(columns, axis=1)
 
 
 def drawn(chain):
@@ -134,10 +137,9 @@ def page_of(folder, name, text):
     return run / "report.html"
 
 
-def of_one(answers, vector):
+def of_one(law, vector):
     """Return the same page data with one draw only."""
-    law = answers.calculator.model_copy(update={"values": [float(x) for x in vector]})
-    return json.dumps(answers.model_copy(update={"calculator": law}).as_dict())
+    return calculator_json(law.model_copy(update={"values": [float(x) for x in vector]}))
 
 
 def grid(chain):
@@ -168,10 +170,10 @@ def expected(chain, vectors, asked):
     ],
 )
 def test_the_numbers_are_the_models(browser, made, name):
-    path, fit, answers = made(name)
+    path, fit, law = made(name)
     chain = CHAINS[name]
     asked = grid(chain)
-    vectors = parameter_vectors(answers.calculator)
+    vectors = parameter_vectors(law)
     assert len(vectors) == 300
     show(browser, path)
     answered = browser.execute_script(ALL, asked)
@@ -195,11 +197,11 @@ def test_the_numbers_are_the_models(browser, made, name):
 @pytest.mark.parametrize("name", ["rabbit-knee", "servo-pendulum", "motor-axis", "gained"])
 def test_friction_is_that_of_the_friction_figure(browser, made, name):
     """At constant speed: what a load-free law leaves, the mean load where its scale is open."""
-    path, fit, answers = made(name)
-    chain, law = fit.chain, answers.calculator
+    path, fit, law = made(name)
+    chain = fit.chain
     assert law.open_scale == (name == "rabbit-knee")
     vectors = parameter_vectors(law)[:1]
-    show(browser, page_of(path.parent.parent, f"{name}-one", of_one(answers, vectors[0])))
+    show(browser, page_of(path.parent.parent, f"{name}-one", of_one(law, vectors[0])))
     asked = [one | {"acceleration": 0.0} for one in grid(chain)]
     for one, told in zip(asked, browser.execute_script(ALL, asked), strict=True):
         sign = np.sign(one["speed"])
@@ -219,9 +221,9 @@ def test_friction_is_that_of_the_friction_figure(browser, made, name):
 
 def test_the_parts_make_up_the_torque(browser, made):
     for name in ("rabbit-knee", "servo-pendulum"):
-        path, _, answers = made(name)
-        vector = parameter_vectors(answers.calculator)[7]
-        show(browser, page_of(path.parent.parent, f"{name}-sum", of_one(answers, vector)))
+        path, _, law = made(name)
+        vector = parameter_vectors(law)[7]
+        show(browser, page_of(path.parent.parent, f"{name}-sum", of_one(law, vector)))
         for told in browser.execute_script(ALL, grid(CHAINS[name])):
             parts = [x[0] for key, x in told.items() if key not in ("torque", "friction", "said")]
             assert sum(parts) == pytest.approx(told["torque"][0], abs=1e-9)
@@ -229,15 +231,15 @@ def test_the_parts_make_up_the_torque(browser, made):
 
 def test_no_line_depends_on_an_open_scale(browser, made):
     """All members of the paper's ridge give the same table: alpha and leg scaled together."""
-    path, fit, answers = made("rabbit-knee")
-    vector = parameter_vectors(answers.calculator)[3]
+    path, fit, law = made("rabbit-knee")
+    vector = parameter_vectors(law)[3]
     (scaling,) = scalings(fit.chain)
     moved = scaling.scaled(vector, 1.15)
     assert np.abs(moved / vector - 1.0).max() > 0.1
     asked = [one | {"load": 0.0} for one in grid(fit.chain)]
     told = []
     for k, one in enumerate((vector, moved)):
-        show(browser, page_of(path.parent.parent, f"ridge-{k}", of_one(answers, one)))
+        show(browser, page_of(path.parent.parent, f"ridge-{k}", of_one(law, one)))
         told.append(browser.execute_script(ALL, asked))
         assert "mean of what the motor feels" in browser.page_source
     for here, there in zip(*told, strict=True):
@@ -268,8 +270,8 @@ def test_rest_has_no_answer_and_says_so(browser, made):
 
 
 def test_it_says_where_the_data_never_were(browser, made):
-    path, fit, answers = made("rabbit-knee")
-    seen = answers.calculator.seen
+    path, fit, law = made("rabbit-knee")
+    seen = law.seen
     (o,) = fit.observations
     assert seen.speed == [o.speed.min(), o.speed.max()]
     assert seen.slowest >= 0.2  # the dead zone of its processing
@@ -292,7 +294,7 @@ def test_it_says_where_the_data_never_were(browser, made):
 @pytest.mark.parametrize("low", [-3.2909538424063376, -0.8, 1.2313087030248089])
 def test_it_begins_where_the_data_were(browser, made, folder, low):
     """Of an arm that never is at zero, either end of the angles rounds to one beyond them."""
-    _, _, answers = made("servo-pendulum")
+    _, _, law = made("servo-pendulum")
     rng = np.random.default_rng(4)
     q, qd, qdd = (x * rng.uniform(-1.0, 1.0, 500) for x in (1.0298225696907643, 0.6, 0.4))
     q += low + 1.0298225696907643
@@ -300,7 +302,7 @@ def test_it_begins_where_the_data_were(browser, made, folder, low):
     for x, began, wide in zip((q, qd, qdd), typical, (0.2, 0.2, 0.2), strict=True):
         assert x.min() <= began <= x.max()
         assert abs(began - np.median(np.abs(qd) if x is qd else x)) < wide * np.ptp(x)
-    seen = answers.calculator.seen.model_copy(
+    seen = law.seen.model_copy(
         update={
             "position": [q.min(), q.max()],
             "speed": [qd.min(), qd.max()],
@@ -309,8 +311,7 @@ def test_it_begins_where_the_data_were(browser, made, folder, low):
             "typical": typical,
         }
     )
-    law = answers.calculator.model_copy(update={"seen": seen})
-    text = json.dumps(answers.model_copy(update={"calculator": law}).as_dict())
+    text = calculator_json(law.model_copy(update={"seen": seen}))
     path = page_of(folder, f"begins{low:.0f}", text)
     show(browser, path)
     shown = {
@@ -324,16 +325,16 @@ def test_it_begins_where_the_data_were(browser, made, folder, low):
 
 def test_what_a_run_begins_with_is_one_of_its_outputs(made):
     for name in PRESETS:
-        _, fit, answers = made(name)
+        _, fit, law = made(name)
         (o,) = fit.observations
-        began = answers.calculator.seen.typical
+        began = law.seen.typical
         apart = np.stack([o.q[o.filter.centres], o.speed, o.qdd[o.filter.centres]], axis=1) - began
         assert (np.abs(apart) <= 5.1e-3 * np.abs(began)).all(axis=1).any()
 
 
 def test_a_term_it_does_not_know_gives_no_calculator(browser, made):
-    path, _, answers = made("odd")
-    assert answers.calculator.missing == "motor.odd"
+    path, _, law = made("odd")
+    assert law.missing == "motor.odd"
     show(browser, path)
     section = browser.find_element(By.ID, "calculator")
     assert "motor.odd is a term that the page’s script does not know" in section.text

@@ -129,31 +129,13 @@ def test_estimates_that_disagree_are_named():
     assert comparison({"knee": run}).contested == ("total.inertia",)
 
 
-@pytest.mark.parametrize(
-    ("sds", "wide", "doubted", "named"),
-    [
-        (10.0, 3.9, [], True),  # 2.6 of the widened sds, but outside, and 7 of both own
-        (10.0, 8.0, [], False),  # inside what is shown
-        (10.0, 3.9, ["noise"], False),  # the posterior is doubted already, and the run says why
-        (5.0, 2.0, [], False),  # outside, but 3.5 of both own
-        (6.5, 2.5, [], True),  # 2.6, and 4.6
-    ],
-)
-def test_an_estimate_outside_what_the_model_s_error_allows_is_named(sds, wide, doubted, named):
+def test_contested_numbers_are_an_alert():
     run = knee()
-    row = run["parameters"]["motor.inertia"]
-    row |= {"doubted": doubted, "verdict": "weak" if doubted else "data"}
-    sd, middle = row["sd"], row["median"]
-    ends = [middle - 1.645 * wide * sd, middle + 1.645 * wide * sd]
-    row |= {"model_error_interval": ends, "model_error_sd": wide * sd}
-    estimate = run["estimates"]["input-error"]["parameters"]["motor.inertia"]
-    estimate |= {"value": middle + sds * sd, "sd_robust": sd}
-    found = comparison({"knee": run})
-    assert abs(found["motor.inertia"].cells["input-error"].disagreement) < 3.0
-    assert found.contested == (("motor.inertia",) if named else ())
-    told = [one for one in alerts_of(run) if one.kind == "methods"]
-    assert len(told) == named
-    assert all("motor.inertia" in one.text for one in told)
+    row = run["estimates"]["input-error"]["parameters"]["motor.inertia"]
+    row["value"] += 5.0 * run["parameters"]["motor.inertia"]["sd"]
+    assert comparison({"knee": run}).contested == ("motor.inertia",)
+    (told,) = [one for one in alerts_of(run) if one.kind == "methods"]
+    assert "motor.inertia" in told.text
 
 
 @pytest.mark.parametrize("bent", [True, False])

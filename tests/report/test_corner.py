@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from bayesfric.errors import BadInput
 from bayesfric.report.figures.corner import corner_figure
 from bayesfric.report.figures.quantity import combinations, quantities
 from bayesfric.report.paper.tables import parameter_table
@@ -28,16 +27,21 @@ def by_gid(ax, gid):
     return artist
 
 
-def drawn(fit, *chosen):
-    return corner_figure(fit, summarise(fit), *chosen)
+def drawn(fit):
+    return corner_figure(fit, summarise(fit))
+
+
+def determined(fit):
+    """Its summary where nothing is open: the corner shows parameters in their order."""
+    summary = summarise(fit).as_dict()
+    for row in summary["parameters"].values():
+        row["verdict"] = "data"
+    return summary
 
 
 def test_prior_is_drawn_in_the_posteriors_density_unit(knee):
     shown = quantities(knee)[:8]
-    summary = summarise(knee).as_dict()
-    for row in summary["parameters"].values():
-        row["verdict"] = "data"
-    figure = corner_figure(knee, Summary.read(summary), [q.name for q in shown])
+    figure = corner_figure(knee, Summary.read(determined(knee)))
     for i, q in enumerate(shown):
         ax = panels(figure)[i, i]
         x, y = by_gid(ax, "prior").get_data()
@@ -87,12 +91,12 @@ def test_what_the_data_tell_comes_first(knee):
 
 
 def test_a_limit_has_one_end(knee):
-    summary = summarise(knee).as_dict()
+    summary = determined(knee)
     row = summary["parameters"]["motor.viscous"]
     row |= {"verdict": "prior", "at_bound": "lower", "data_sd": 1e-9, "prior_sd": 1.0}
-    figure = corner_figure(knee, Summary.read(summary), ["motor.viscous"])
-    (end,) = [line for line in panels(figure)[0, 0].lines if line.get_gid() is None]
-    (q,) = [q for q in quantities(knee) if q.name == "motor.viscous"]
+    figure = corner_figure(knee, Summary.read(summary))
+    k, q = next((k, q) for k, q in enumerate(quantities(knee)) if q.name == "motor.viscous")
+    (end,) = [line for line in panels(figure)[k, k].lines if line.get_gid() is None]
     assert end.get_xdata()[0] == pytest.approx(row["interval"][1] / q.factor)
 
 
@@ -107,25 +111,9 @@ def test_ensembles_that_disagree_determine_nothing(knee):
 
 
 def test_nothing_open_shows_the_parameters_as_sampled(knee):
-    summary = summarise(knee).as_dict()
-    for row in summary["parameters"].values():
-        row["verdict"] = "data"
-    figure = corner_figure(knee, Summary.read(summary))
+    figure = corner_figure(knee, Summary.read(determined(knee)))
     symbols = [panels(figure)[7, j].get_xlabel().split("\n")[0] for j in range(8)]
     assert symbols == [q.symbol for q in quantities(knee)[:8]]
-
-
-def test_choice_of_the_caller(knee):
-    figure = drawn(knee, ["noise.sigma", "motor.inertia"])
-    found = panels(figure)
-    assert set(found) == {(0, 0), (1, 0), (1, 1)}
-    assert found[1, 0].get_xlabel().startswith(r"$\sigma$")
-    assert found[1, 0].get_ylabel() == "$J_{m}$\n(10$^{-4}$ kg m²)"
-    draw_fast(drawn(knee, ["load.inertia"]))
-    with pytest.raises(BadInput, match=r"motor\.inertia"):
-        drawn(knee, ["motor.inerta"])
-    with pytest.raises(BadInput, match="no parameter chosen"):
-        drawn(knee, [])
 
 
 def test_scales_of_axes(knee):
@@ -139,10 +127,9 @@ def test_scales_of_axes(knee):
 @pytest.mark.parametrize("constant", [("motor.viscous",), ("motor.inertia", "joint.viscous")])
 def test_constant_draws(make_fit, constant):
     fit = make_fit(constant=constant)
-    chosen = fit.posterior.names[:3] + fit.posterior.names[6:7]
-    figure = drawn(fit, chosen)
+    figure = corner_figure(fit, Summary.read(determined(fit)))
     draw_fast(figure)
-    j = chosen.index(constant[0])
+    j = fit.posterior.names.index(constant[0])
     (line,) = [
         a for a in panels(figure)[j, j].lines if a.get_gid() is None and len(a.get_xdata()) == 2
     ]
@@ -159,7 +146,7 @@ def test_contours_hold_the_stated_mass(make_fit):
     from matplotlib.path import Path
 
     fit = make_fit(spread=1e-2)
-    figure = drawn(fit, ["motor.inertia", "motor.viscous"])
+    figure = corner_figure(fit, Summary.read(determined(fit)))
     first, second = (q.draws / q.factor for q in quantities(fit)[:2])
     points = np.stack([first, second], axis=1)
     lines = [a for a in panels(figure)[1, 0].collections if not getattr(a, "filled", True)]

@@ -8,15 +8,11 @@ import pytest
 from bayesfric.mechanism.derived import derive, efficiencies
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.figures.efficiency import (
-    Measured,
     _bottom,
     _caption,
     efficiency_curves,
     efficiency_figure,
-    measured_efficiency,
 )
-from bayesfric.report.figures.style import COLUMN
-from bayesfric.report.summary.rows import ReferenceRow
 from bayesfric.report.summary.summary import summarise
 
 from .conftest import draw_fast
@@ -67,52 +63,33 @@ def test_one_recording_does_not_determine_it(knee, curves):
     """The scale is open, and efficiency is of the load at the joint."""
     for curve in curves:
         assert not curve.band.determined.any()
-    figure = efficiency_figure(knee, {})
+    figure = efficiency_figure(knee)
     gids = [c.get_gid() for c in figure.axes[0].collections]
     assert "open" in gids
     assert "band" not in gids
     assert "NOT determined by the data" in [t.get_text() for t in figure.legends[0].get_texts()]
 
 
-def test_a_reference_stands_at_the_stated_load(knee):
-    given = ReferenceRow(value=0.7, sd=0.05, unit="", source="data sheet")
-    figure = efficiency_figure(knee, {"gearbox.efficiency_drive": given})
-    draw_fast(figure)
-    (shown,) = [c for c in figure.axes[0].containers if c.get_label() or True][:1]
-    assert shown.lines[0].get_ydata() == pytest.approx([0.7])
-    meaning = summarise(knee).as_dict()["derived"]["gearbox.efficiency_drive"]["meaning"]
-    stated = float(meaning.partition(" at ")[2].split()[0])
-    assert float(shown.lines[0].get_xdata()[0]) == pytest.approx(stated, rel=6e-3)
-    words = [t.get_text() for t in figure.legends[0].get_texts()]
-    assert "data sheet, motor drives" in words
-    assert figure.get_figwidth() == COLUMN
-
-
 def test_the_axis_holds_what_is_drawn_and_the_caption_only_names_that(knee, curves):
-    assert efficiency_figure(knee, {}).axes[0].get_ylim() == (0.0, 1.0)
+    assert efficiency_figure(knee).axes[0].get_ylim() == (0.0, 1.0)
     high = replace(curves[0], band=replace(curves[0].band, **dict.fromkeys(
         ("median", "low", "high"), np.full(curves[0].load.size, 0.96))))  # fmt: skip
-    bottom = _bottom([high], {})
+    bottom = _bottom([high])
     assert 0.9 < bottom < 0.96
-    given = ReferenceRow(value=0.9, sd=0.05, unit="", source="data sheet")
-    assert _bottom([high], {high.name: given}) < 0.85
     said = _caption(curves)
-    assert "Open markers" not in said
     assert "Hatched where the data do not determine it" in said
     told = replace(
         high,
         covered=np.ones_like(high.covered),
         band=replace(high.band, determined=np.ones_like(high.covered)),
-        measured=Measured(np.ones(1), np.full((3, 1), 0.95)),
     )
-    assert "Open markers" in _caption([told])
     assert "Hatched" not in _caption([told])
     assert "Dashed" not in _caption([told])
 
 
 def test_no_load_loss_no_figure(slide):
     assert efficiency_curves(slide) == ()
-    assert efficiency_figure(slide, {}) is None
+    assert efficiency_figure(slide) is None
 
 
 def test_an_irreversible_gearbox_has_no_curve_back(knee):
@@ -121,31 +98,4 @@ def test_an_irreversible_gearbox_has_no_curve_back(knee):
     fit = replace(knee, posterior=replace(knee.posterior, draws=draws))
     _, back = efficiency_curves(fit)
     assert np.isnan(back.band.median).all()
-    assert (back.band.undefined_share == 1.0).all()
-    draw_fast(efficiency_figure(fit, {}))
-
-
-@pytest.mark.parametrize(("side", "model", "truth"), [("drive", 0.7, 0.8), ("back", 0.6, 0.5)])
-def test_measured_points_stand_at_the_efficiency_that_made_the_torque(side, model, truth):
-    """The model's curve is wrong; what the torque leaves of it brings the points to the truth."""
-    rng = np.random.default_rng(4)
-    load, joint = np.linspace(0.1, 4.0, 40), rng.uniform(-4.0, 4.0, 6000)
-    # torque against the motion that the element takes: in, of a load that resists; out, and so
-    # negative, of one that drives
-    more = joint / truth - joint / model if side == "drive" else joint * (model - truth)
-    beyond = more + 0.02 * rng.standard_normal(joint.size)
-    found = measured_efficiency(load, np.full(40, model), joint, beyond, side)
-    assert found.quartiles.shape == (3, found.load.size)
-    assert (np.diff(found.quartiles, axis=0) > 0.0).all()
-    np.testing.assert_allclose(found.quartiles[1], truth, atol=0.02)
-    # noise of the torque is that of an efficiency times the load: bars grow towards no load
-    width = found.quartiles[2] - found.quartiles[0]
-    assert width[0] > 5.0 * width[-1]
-    # of half of the loads the curve is not determined
-    half = measured_efficiency(load, np.where(load < 2.0, np.nan, model), joint, beyond, side)
-    assert half.load.min() > 2.0
-    assert measured_efficiency(load, np.full(40, np.nan), joint, beyond, side) is None
-
-
-def test_what_is_not_determined_has_no_measured_points(curves):
-    assert [curve.measured for curve in curves] == [None, None]
+    draw_fast(efficiency_figure(fit))

@@ -11,8 +11,8 @@ from bayesfric.report.figures.registry import (
     Section,
     comparison_figures,
     read_captions,
-    rollout_figures,
 )
+from bayesfric.report.figures.rollout import FIGURE as ROLL_OUT
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.summary.summary import summarise
 
@@ -70,7 +70,7 @@ def test_one_file_makes_a_figure(one_more, tmp_path, knee, monkeypatch):
 
 
 def test_what_figures_declare():
-    kinds = (run_directory.FIGURES, rollout_figures(), comparison_figures())
+    kinds = (run_directory.FIGURES, {ROLL_OUT.stem: ROLL_OUT}, comparison_figures())
     both = {stem: one for kind in kinds for stem, one in kind.items()}
     assert len(both) == sum(map(len, kinds))
     assert {one.section for one in both.values()} == set(get_args(Section))

@@ -14,7 +14,7 @@ from bayesfric.report.figures.forest import forest_figure
 from bayesfric.report.figures.style import COLUMN, PAGE, save
 
 from .made_summaries import LEG, MOTOR, TOTALS, knee, loaded, old
-from .test_figures import drawn_ticks, shown_texts
+from .test_figures import fonts_embedded, nothing_cut_off
 
 # 90 % of a normal distribution lie within so many sds
 HALF = 1.645
@@ -173,18 +173,7 @@ def test_width_of_a_paper_and_nothing_cut_off(runs):
     figure = forest_figure(comparison(runs))
     assert figure.get_figwidth() == (COLUMN if len(figure.axes) <= 4 else PAGE)
     assert figure.get_figheight() <= 9.2
-    ticks = {id(t.label1) for ax in figure.axes for a in (ax.xaxis, ax.yaxis) for t in a.majorTicks}
-    inner = drawn_ticks(figure)
-    boxes = [(t, b) for t, b in shown_texts(figure) if id(t) not in ticks or id(t) in inner]
-    width, height = figure.bbox.size
-    for text, box in boxes:
-        inside = box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height
-        assert inside, (text.get_text(), box)
-    for i, (text, box) in enumerate(boxes):
-        for other, other_box in boxes[:i]:
-            across = min(box.x1, other_box.x1) - max(box.x0, other_box.x0)
-            up = min(box.y1, other_box.y1) - max(box.y0, other_box.y0)
-            assert across <= 1.0 or up <= 1.0, (text.get_text(), other.get_text())
+    nothing_cut_off(figure, upright=False)
 
 
 def test_many_quantities_say_what_is_left_out():
@@ -213,15 +202,7 @@ def test_axes_say_units_and_there_are_no_titles(runs):
 def test_fonts_are_embedded_truetype(tmp_path):
     figure = forest_figure(comparison(CASES["methods"]))
     save(figure, tmp_path, "forest")
-    pdf, png = tmp_path / "forest.pdf", tmp_path / "forest.png"
-    content = pdf.read_bytes()
-    kinds = set(re.findall(rb"/Subtype /(Type0|Type1|Type3|TrueType|CIDFontType\d)", content))
-    assert b"Type0" in kinds or b"TrueType" in kinds
-    assert not kinds & {b"Type3", b"Type1"}
-    assert b"/FontFile2" in content
-    box = re.search(rb"/MediaBox \[\s*0 0 ([\d.]+) ", content)
-    assert float(box[1]) == pytest.approx(72 * PAGE, abs=1e-3)
-    assert png.read_bytes().startswith(b"\x89PNG")
+    fonts_embedded(tmp_path / "forest.pdf", PAGE)
 
 
 def test_same_summaries_same_bytes_whatever_the_readers_style(tmp_path):

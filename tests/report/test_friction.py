@@ -187,7 +187,6 @@ def test_a_fast_output_alone_is_not_near_and_legend_and_caption_say_why(knee):
     assert f"{words} compared outputs are near" in friction_caption(knee)
     said = [text.get_text() for text in friction_figure(knee).legends[0].get_texts()]
     assert f"{words} outputs near" in said
-    assert "lines are of equal median friction" in friction_caption(knee)
 
 
 def test_what_never_drove_back_is_not_determined(knee):
@@ -219,7 +218,6 @@ def test_points_without_a_value_in_most_draws_have_none(knee):
     band = judge.band(half, gauge_free=False)
     assert np.isfinite(band.median[0])
     assert np.isnan([band.median[1], band.low[1], band.high[1]]).all()
-    assert band.undefined_share[1] == pytest.approx(0.7, abs=0.01)
     assert not band.determined[1]
 
 

@@ -63,11 +63,10 @@ def test_what_room_lets_reach_zero_is_a_limit(wrong):
     assert posterior_cells(told)[NAME].limit == row.model_error_interval[1]
 
 
-@pytest.mark.parametrize("stem", ["prior_posterior", "corner"])
-def test_figures_show_what_the_tables_print(wrong, stem):
+def test_figures_show_what_the_tables_print(wrong):
     """Densities of the widened draws, their dotted ends the tables' intervals."""
     run = FinishedRun(wrong.fit, wrong.summary)
-    figure = run_figures()[stem].figure(run)
+    figure = run_figures()["corner"].draw(run)
     row = wrong.summary.parameters[NAME]
     table = {r.name: r for r in parameter_table(wrong.summary).rows}
     (q,) = (q for q in quantities(wrong.fit.wide) if q.name == NAME)
@@ -88,7 +87,7 @@ def test_figures_show_what_the_tables_print(wrong, stem):
     # of 40 bins, and a thousandth of the draws beyond either end
     assert found[0] == pytest.approx(row.model_error_sd, rel=0.05)
     assert row.model_error_sd > 1.2 * row.sd
-    assert "room for the model's error, as in the tables" in run_figures()[stem].caption_of(run)
+    assert "room for the model's error, as in the tables" in run_figures()["corner"].caption_of(run)
 
 
 def test_noise_and_what_is_open_keep_their_intervals(wrong):

@@ -15,7 +15,7 @@ from .test_between_runs import checked
 
 def compared(runs):
     read = checked(**runs)
-    return ComparedRuns(comparison(runs), read, {}, between_runs(read))
+    return ComparedRuns(comparison(runs), read, between_runs(read))
 
 
 def test_nothing_pooled_is_no_figure():

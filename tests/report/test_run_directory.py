@@ -71,7 +71,7 @@ SAMPLED = {
 
 
 # Figures that are really drawn here; the others are in tests/commands/test_fit.py.
-DRAWN = ("prior_posterior", "residual")
+DRAWN = ("corner", "residual")
 
 
 def blank(*_):
@@ -121,7 +121,7 @@ def test_the_files_of_the_design(run):
     files = {"posterior.nc", "summary.json", "config.toml", "report.html", "page.json"}
     assert found == files | folders | tables
     drawn = {path.name for path in (run / "figures").iterdir()}
-    stems = ("corner", "prediction", "trace", "methods", "friction", "prior_posterior", "residual")
+    stems = ("worst", "corner", "prediction", "methods", "friction", "residual")
     assert drawn == {f"{stem}.{kind}" for stem in stems for kind in ("pdf", "png", "svg")}
     assert all(path.stat().st_size for path in run.rglob("*"))
 

@@ -13,7 +13,6 @@ from bayesfric.report import numbers
 from bayesfric.report.comparison.between_runs import between_runs
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.page.run_page import run_page
-from bayesfric.report.page.values import text_of
 from bayesfric.report.paper import latex
 from bayesfric.report.paper.tables import (
     between_runs_latex,
@@ -323,7 +322,7 @@ def test_a_skewed_interval_is_rounded_by_its_nearer_end(middle, low, high, sd, s
 
 
 def test_a_value_far_below_its_sd_takes_the_sds_power_of_ten():
-    assert text_of(numbers.html_value(1.35, 690.0)) == "(0.0 ± 6.9)\u00a0×\u00a010²"
+    assert numbers.html_value(1.35, 690.0) == "(0.0 ± 6.9)\u00a0×\u00a010<sup>2</sup>"
     assert numbers.latex_value(1.35, 690.0) == r"\num{0.0(69)e2}"
     assert numbers.TEXT.interval(-1.2e4, 1.0, 6900.0) == "[-1.20e4, 0]"
 

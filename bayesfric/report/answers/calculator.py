@@ -219,10 +219,3 @@ def _plain(x: Array, at: int) -> float:
 
 def _ends(x: Array) -> list[float]:
     return [float(x.min()), float(x.max())]
-
-
-def parameter_vectors(found: Calculator) -> Array:
-    """Give the draws that a page holds as vectors of the joint, ``(n, n_parameters)``."""
-    n = max((len(x) for x in found.values if isinstance(x, list)), default=1)
-    columns = [np.broadcast_to(np.asarray(x), (n,)) for x in found.values]
-    return np.stack(columns, axis=1).astype(np.float64)

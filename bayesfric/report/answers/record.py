@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,11 +11,10 @@ from pydantic import Field, FiniteFloat
 from bayesfric.complaints import read_text
 from bayesfric.errors import BadInput
 from bayesfric.mechanism.quantities import Motion
-from bayesfric.report.answers.formula import Formula
 from bayesfric.report.summary.part import NotNegative, Pair, Part
 
 FILE = "page.json"
-# Of a few hundred draws and a few seconds; anything larger is some other file.
+# Of a few hundred draws; anything larger is some other file.
 _LARGEST = 2_000_000
 
 
@@ -88,47 +88,16 @@ class Calculator(Part):
     seen: Seen | None = None
 
 
-class Gap(Part):
-    """Where a recording has no outputs, and why.
-
-    ``missing``: it has no samples there; ``rest``: too slow for friction to have a direction,
-    or filtered together with what is; ``left-out``: by the configuration, or by a column that says
-    that they do not count.
-    """
-
-    span: Pair  # s
-    why: Literal["missing", "rest", "left-out"]
+def calculator_json(found: Calculator) -> str:
+    """Write ``page.json``."""
+    told = {"calculator": found.as_dict()}
+    return json.dumps(told, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-class Stretch(Part):
-    """A few seconds of one recording, measured and predicted; gaps are between pieces."""
-
-    recording: str
-    quantity: str
-    unit: str
-    span: Pair  # s
-    whole: NotNegative  # s, of the recording
-    residual_rms: NotNegative
-    level: FiniteFloat
-    # each with time, measured, predicted and half the width of the band, of as many outputs
-    pieces: list[Annotated[list[list[FiniteFloat]], Field(min_length=4, max_length=4)]]
-    gaps: list[Gap] = Field(default_factory=list)  # between pieces; of older runs none
-
-
-class Answers(Part):
-    """All of ``page.json``."""
-
-    calculator: Calculator | None = None
-    stretch: Stretch | None = None
-
-
-def read_answers(run: Path) -> Answers:
+def read_calculator(run: Path) -> Calculator | None:
     """Read what a run directory holds for its page; nothing where it holds none that is whole."""
     try:
         text = read_text(run / FILE, _LARGEST, "page", "fit the run again", "fit the run again")
-        return Answers.model_validate_json(text)
-    except (OSError, ValueError, BadInput):
-        return Answers()
-
-
-__all__ = ["Answers", "Calculator", "Formula", "Seen", "Stretch", "read_answers"]
+        return Calculator.model_validate(json.loads(text)["calculator"])
+    except (OSError, ValueError, KeyError, TypeError, BadInput):
+        return None

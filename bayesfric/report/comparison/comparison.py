@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import combinations
 from typing import Any, Literal
 
 from bayesfric.errors import BadInput
@@ -25,8 +24,6 @@ from bayesfric.report.text_templates import listed
 REFERENCE = "reference"
 # Standard deviations of the posterior beyond which an estimate is another one.
 _FAR = 3.0
-# And outside the interval shown: sds of both, the posterior's own, that are no chance either.
-_FAR_OF_BOTH = 4.0
 # What a total of least squares is that goes by a parameter's name.
 _OF_ALL = "with the share of %s in it"
 _NOTHING_SHARED = (
@@ -201,17 +198,23 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
         if fact.found
     ]
     rows.sort(key=_order)  # keeps the order of the files within each group
-    between = tuple(_runs_apart(rows, columns))
+    between, beyond = map(tuple, _runs_apart(runs, rows, columns))
     if len(runs) > 1 and not any(_told_twice(row, columns) for row in rows):
         notes.insert(0, _NOTHING_SHARED)
-    beyond = tuple(_narrowly_apart(runs, rows, columns))
-    mine = [c for c in columns if baseline is not None and c.run == baseline.run]
-    told = runs[baseline.run].rows if baseline is not None else {}
-    apart = {c.label: _apart(rows, c, told) for c in mine if c.kind == "estimate"}
+    apart = {
+        c.label: [
+            row.name
+            for row in rows
+            if (one := row.cells.get(c.label)) is not None
+            and one.status == "determined"
+            and abs(one.disagreement or 0.0) > _FAR
+        ]
+        for c in columns
+        if c.kind == "estimate" and baseline is not None and c.run == baseline.run
+    }
     notes += [
-        f"{label} differs from the posterior by more than {_FAR:g} sd, or {_FAR_OF_BOTH:g} of both "
-        f"were the model right, in {', '.join(names)}: the two take different things for granted, "
-        "and of one of them they do not hold."
+        f"{label} differs from the posterior by more than {_FAR:g} sd in {', '.join(names)}: the "
+        "two take different things for granted, and of one of them they do not hold."
         for label, names in apart.items()
         if names
     ]
@@ -361,13 +364,12 @@ def _check_common(
             for name, fact in facts.items()
             if column.label in fact.cells and fact.cells[column.label].status != "known"
         }
-    for run, names in has.items():
+    # of two, the second is the one out of place
+    for run, names in reversed(has.items()):
         if not names:
             raise BadInput(run, "holds no result to compare", "name a finished run")
-    shared = {run for a, b in combinations(has, 2) if has[a] & has[b] for run in (a, b)}
-    # of two, the second is the one out of place
-    for run in reversed(has):
-        if len(has) > 1 and run not in shared:
+        others = set[str]().union(*(theirs for other, theirs in has.items() if other != run))
+        if len(has) > 1 and not names & others:
             raise BadInput(
                 run,
                 "has no quantity in common with the other runs",
@@ -395,13 +397,6 @@ def _of_motion(facts: Mapping[str, _Facts], runs: Mapping[str, Summary]) -> Iter
         )
 
 
-def _pairs(columns: list[Column]) -> Iterator[tuple[Column, Column]]:
-    """Put every other run's posterior beside the first."""
-    posteriors = [c for c in columns if c.kind == "posterior"]
-    for other in posteriors[1:]:
-        yield posteriors[0], other
-
-
 def _told_twice(row: Row, columns: list[Column]) -> bool:
     """Whether two runs tell a quantity, or its limit, and do not doubt it themselves."""
     cells = [row.cells.get(c.label) for c in columns if c.kind == "posterior"]
@@ -409,80 +404,44 @@ def _told_twice(row: Row, columns: list[Column]) -> bool:
     return len(told) > 1
 
 
-def _runs_apart(rows: list[Row], columns: list[Column]) -> Iterator[str]:
+def _runs_apart(
+    runs: Mapping[str, Summary], rows: list[Row], columns: list[Column]
+) -> tuple[list[str], list[str]]:
     """Say in what other runs' posteriors are too far from the first to be of one joint.
 
+    The second list says where they differ beyond noise, but not beyond room for the models' errors.
     What a run doubts itself, as of a delay or too wide a band, is no news of the joint.
     """
-    for baseline, column in _pairs(columns):
-        far, doubted = list[str](), list[str]()
+    posteriors = [c for c in columns if c.kind == "posterior"]
+    said: tuple[list[str], list[str]] = [], []
+    for column in posteriors[1:]:
+        first, far, beyond = posteriors[0], list[str](), list[str]()
         for row in rows:
-            cell, base = row.cells.get(column.label), row.cells.get(baseline.label)
-            if cell is None or base is None or abs(apart := cell.disagreement or 0.0) <= _FAR:
+            cell, base = row.cells.get(column.label), row.cells.get(first.label)
+            if cell is None or base is None or cell.disagreement is None:
                 continue
-            told = doubted if cell.doubted or base.doubted else far
-            told.append(f"{row.name} ({apart:+.1f} sd)")
+            apart = f"{row.name} ({cell.disagreement:+.1f} sd"
+            if abs(cell.disagreement) > _FAR:
+                far += [] if cell.doubted or base.doubted else [f"{apart})"]
+                continue
+            a, b = (runs[run].joint.get(row.name) for run in (first.run, column.run))
+            if not (a and b and a.sd and b.sd) or a.period or not (a.widened or b.widened):
+                continue
+            own = (b.middle - a.middle) / math.hypot(a.sd, b.sd)
+            beyond += [f"{apart}, {own:+.1f} were the models right)"] if abs(own) > _FAR else []
         if far:
-            yield (
-                f"{column.run} and {baseline.run} disagree in {', '.join(far)}: joint, motion or "
+            said[0].append(
+                f"{column.run} and {first.run} disagree in {', '.join(far)}: joint, motion or "
                 "what the model lacks is not the same in both, and the intervals of one do not "
                 "hold for the other."
             )
-        if doubted:
-            yield (
-                f"{column.run} and {baseline.run} are far apart in {', '.join(doubted)}, which one "
-                "of them doubts itself: until that is mended, as its own page says, it tells "
-                "nothing of whether the joint is the same."
+        if beyond:
+            said[1].append(
+                f"{column.run} and {first.run} are further apart than by noise in "
+                f"{', '.join(beyond)}, which is put down to the model's error. Where both motions "
+                "are alike they may share that error, and then this is a real difference."
             )
-
-
-def _narrowly_apart(
-    runs: Mapping[str, Summary], rows: list[Row], columns: list[Column]
-) -> Iterator[str]:
-    """Say in what runs differ beyond noise, and not beyond room for the models' errors."""
-    for baseline, column in _pairs(columns):
-        if not (column.widened or baseline.widened):
-            continue
-        far = []
-        for row in rows:
-            a, b = (runs[run].joint.get(row.name) for run in (baseline.run, column.run))
-            cell = row.cells.get(column.label)
-            if a is None or b is None or cell is None or a.period or not (a.sd and b.sd):
-                continue
-            told, own = cell.disagreement, (b.middle - a.middle) / math.hypot(a.sd, b.sd)
-            if told is not None and abs(told) <= _FAR < abs(own):
-                far.append(f"{row.name} ({told:+.1f} sd, {own:+.1f} were the models right)")
-        if far:
-            yield (
-                f"{column.run} and {baseline.run} are further apart than by noise in "
-                f"{', '.join(far)}, which is put down to the model's error. Where both motions are "
-                "alike they may share that error, and then this is a real difference."
-            )
-
-
-def _apart(rows: list[Row], column: Column, told: Mapping[str, PosteriorRow]) -> list[str]:
-    """Name the determined numbers in which an estimate is far from a posterior, ``told``."""
-    return [
-        row.name
-        for row in rows
-        if (cell := row.cells.get(column.label)) is not None
-        and cell.status == "determined"
-        and (
-            abs(cell.disagreement or 0.0) > _FAR
-            or (cell.disagreement is not None and _outside(cell, told[row.name]))
-        )
-    ]
-
-
-def _outside(cell: Cell, told: PosteriorRow) -> bool:
-    """Whether an estimate is far from an undoubted posterior, room for the model's error or not.
-
-    The posterior's own sd counts: that which the model's error widens holds a lot, and two answers
-    of the same data that noise cannot part are worth a word.
-    """
-    low, high = told.told_interval
-    apart = abs(cell.value - told.middle) / math.hypot(told.sd, cell.sd or 0.0)
-    return not told.doubted and not low <= cell.value <= high and apart > _FAR_OF_BOTH
+    return said
 
 
 def _add_references(

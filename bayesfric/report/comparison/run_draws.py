@@ -15,16 +15,11 @@ from bayesfric.errors import BadInput
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
 from bayesfric.report.summary.record import Summary
-from bayesfric.report.summary.rows import PosteriorRow
 
 Array = NDArray[np.float64]
 
-# More draws change no curve that could be seen.
+# More draws change no interval that could be seen.
 _MOST = 200_000
-# Medians of the same draws are the same; other draws of the same posterior are closer than this,
-# and a few of them closer than that many standard errors.
-_NEAR = 0.1  # sds
-_ERRORS = 4.0
 
 
 @dataclass(frozen=True)
@@ -36,23 +31,18 @@ class RunDraws:
     values: Mapping[str, Array] = field(default_factory=dict)
     # of the parameters' priors, `(m,)` each
     prior: Mapping[str, Array] = field(default_factory=dict)
-    missing: str = ""  # why there are none, in words that follow the run's name; empty if there are
 
 
 def read_draws(run: Path, summary: Summary, rebuild: Callable[[str], Joint | None]) -> RunDraws:
-    """Read the draws of what a run's checked summary tells.
+    """Read the draws of what a run's checked summary tells; none where there are none to read.
 
-    Those with room for the model's error where the run holds such, as its tables do. Draws that do
-    not have the summary's medians are not its own, and left out. Totals as
+    Those with room for the model's error where the run holds such, as its tables do. Totals as
     least squares would see them need the recordings and are never among them. ``rebuild`` makes the
     chain from the text of the run's configuration; where it cannot, derived quantities are left
     out.
     """
-    path = run / "posterior.nc"
-    if not path.is_file():
-        return RunDraws(missing="has no posterior.nc")
     try:
-        with h5py.File(path) as file:
+        with h5py.File(run / "posterior.nc") as file:
             group = file["told" if "told" in file else "posterior"]
             known = {**summary.derived, **summary.parameters}
             found = {name: _flat(group[name]) for name in known if name in group}
@@ -60,16 +50,10 @@ def read_draws(run: Path, summary: Summary, rebuild: Callable[[str], Joint | Non
             prior = {name: _flat(before[name]) for name in found if name in before}
             config = str(file.attrs.get("config", ""))
     except (OSError, KeyError, TypeError, ValueError, AttributeError):
-        return RunDraws(missing="has a posterior.nc that cannot be read")
+        return RunDraws()
     sampled = {name: x for name, x in found.items() if name in summary.parameters}
-    if not sampled:
-        return RunDraws(missing="has a posterior.nc that holds none of its parameters")
-    if not all(_same(x, summary.parameters[name]) for name, x in sampled.items()):
-        return RunDraws(missing="has a posterior.nc of other draws than its summary.json")
-    for name, x in _derived(rebuild(config), sampled, summary).items():
-        found.setdefault(name, x)
-    rows = {**summary.derived, **summary.parameters}
-    return RunDraws({name: x for name, x in found.items() if _same(x, rows[name])}, prior)
+    found = _derived(rebuild(config), sampled, summary) | found
+    return RunDraws({name: x for name, x in found.items() if np.isfinite(x).any()}, prior)
 
 
 def chain_of(config: str) -> Joint | None:
@@ -88,17 +72,6 @@ def _flat(stored: Any) -> Array:
     if x.size == 0:
         raise ValueError("no draws")
     return x[:: -(-x.size // _MOST)]
-
-
-def _same(x: Array, row: PosteriorRow) -> bool:
-    """Whether draws may be those that a row sums up."""
-    x = x[np.isfinite(x)]
-    if x.size == 0:
-        return False
-    # the mean of a ratio may not settle, its median does
-    told, found = (row.mean, x.mean()) if row.median is None else (row.median, np.median(x))
-    near = max(_NEAR, _ERRORS * 1.25 / x.size**0.5)
-    return bool(abs(found - told) <= near * row.told_sd + 1e-9 * abs(told))
 
 
 def _derived(

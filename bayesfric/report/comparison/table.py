@@ -5,15 +5,12 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bayesfric.report.comparison.cell import Cell
 from bayesfric.report.comparison.comparison import Comparison
 from bayesfric.report.numbers import TEXT, text_rounded
 from bayesfric.report.text_templates import filled
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 _WIDTH = 120
 # Characters of a cell's line: at least [0.00046688, 0.00046933], and words on few lines.
@@ -83,8 +80,8 @@ def markdown_table(
     return "\n".join([*table, "", *(f"- {note}" for note in notes)]) + "\n"
 
 
-def comparison_frame(found: Comparison) -> pd.DataFrame:
-    """Lay a comparison out as a table with a line for each quantity and column."""
+def comparison_csv(found: Comparison) -> str:
+    """Lay a comparison out as CSV text, one line for each quantity and column."""
     import pandas as pd
 
     lines = []
@@ -103,12 +100,7 @@ def comparison_frame(found: Comparison) -> pd.DataFrame:
             told["low"], told["high"] = cell.interval or (None, None)
             told["span_low"], told["span_high"] = cell.span or (None, None)
             lines.append(told)
-    return pd.DataFrame(lines, columns=_COLUMNS)
-
-
-def comparison_csv(found: Comparison) -> str:
-    """Lay a comparison out as CSV text, one line for each quantity and column."""
-    return str(comparison_frame(found).to_csv(index=False))
+    return str(pd.DataFrame(lines, columns=_COLUMNS).to_csv(index=False))
 
 
 def comparison_dict(found: Comparison) -> dict[str, Any]:

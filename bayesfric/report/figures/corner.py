@@ -3,28 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
-from bayesfric.errors import BadInput, nearest
 from bayesfric.inference.fitting import Fit
 from bayesfric.report.comparison.cell import Cell, posterior_cells
-from bayesfric.report.figures.marginal import draw_marginal, marginal_handles, moves
 from bayesfric.report.figures.quantity import (
     Quantity,
     combinations,
-    not_shown,
     quantities,
     which_posterior,
 )
 from bayesfric.report.figures.registry import RunFigure
 from bayesfric.report.figures.style import (
+    DASHED,
+    DOTTED,
+    OPEN_HATCH,
     PAGE,
     POSTERIOR,
+    PRIOR,
     SMALL,
     Array,
     Look,
@@ -42,42 +44,36 @@ _MOST = 8
 # Share of the draws inside the contours.
 MASSES = (0.5, 0.9)
 _BINS = 40
+_GRID = 301
 # In bins: enough for closed contours from some thousand draws, too little to widen them.
 _SMOOTH = 1.2
+_OPEN: Look = {
+    "facecolor": "none", "edgecolor": POSTERIOR, "linewidth": 0.0, "hatch": OPEN_HATCH
+}  # fmt: skip
+_TOLD: Look = {
+    "facecolor": POSTERIOR, "edgecolor": "none", "linewidth": 0.0, "alpha": 0.3
+}  # fmt: skip
+_PRIOR: Look = {"color": PRIOR, "linestyle": DASHED}
+_END: Look = {"color": POSTERIOR, "linewidth": 0.7, "linestyle": DOTTED}
 
 
-def corner_figure(fit: Fit, summary: Summary, chosen: Sequence[str] | None = None) -> Figure:
-    """Draw marginal and pairwise posteriors, a page wide.
+def corner_figure(fit: Fit, summary: Summary) -> Figure:
+    """Draw marginal and pairwise posteriors of at most eight quantities, a page wide.
 
     On the diagonal the posterior density is a histogram with the prior density of
     parameters dashed on the same scale and the 90 % interval marked; below it contours
     hold 50 % and 90 % of the draws. What the data leave open is hatched, without an
-    interval, and its pairs are not filled.
-
-    ``chosen`` are names of sampled parameters and of combinations that no scaling changes, in the
-    order to show them; ``BadInput`` where a name is not among them, or none is given. If left out,
-    eight: where the data leave parameters open, first combinations that they determine, then what
-    they determine of the parameters; else the parameters as sampled.
+    interval, and its pairs are not filled. Where the data leave parameters open, first come
+    combinations that they determine, then what they determine of the parameters; else the
+    parameters as sampled.
     """
-    return _drawn(*_parts(fit, summary, chosen))
-
-
-def _parts(
-    fit: Fit, summary: Summary, chosen: Sequence[str] | None = None
-) -> tuple[list[Quantity], list[Cell], list[Quantity]]:
-    """Give what is shown, what is said of each, and what is left out."""
     cells = posterior_cells(summary)
     sampled = quantities(fit.wide)
     # what fixed parameters make up is known, and has no posterior
     combined = [q for q in combinations(fit.wide) if q.name in cells]
-    if chosen is None:
-        shown = _choice(sampled, combined, cells, fit.target.noise.names)
-    else:
-        shown = _pick([*combined, *sampled], chosen)
-    return shown, [cells[q.name] for q in shown], [q for q in sampled if q not in shown]
-
-
-def _drawn(shown: list[Quantity], judged: list[Cell], left_out: list[Quantity]) -> Figure:
+    shown = _choice(sampled, combined, cells, fit.target.noise.names)
+    judged = [cells[q.name] for q in shown]
+    left_out = [q.symbol for q in sampled if q not in shown]
     k = len(shown)
     with paper_figure(PAGE, PAGE, apart=0.02) as figure:
         grid = figure.add_gridspec(k, k)
@@ -88,13 +84,19 @@ def _drawn(shown: list[Quantity], judged: list[Cell], left_out: list[Quantity]) 
             for j in range(i + 1):
                 ax = figure.add_subplot(grid[i, j])
                 if i == j:
-                    draw_marginal(ax, shown[i], ranges[i], cell=judged[i], headroom=1.12)
+                    _marginal(ax, shown[i], ranges[i], judged[i])
                 else:
                     filled = not (open_[i] or open_[j])
                     _pair(ax, (draws[j], draws[i]), (ranges[j], ranges[i]), filled=filled)
                 _label(ax, shown[j] if i == k - 1 else None, shown[i] if 0 == j < i else None)
         figure.align_labels()
-        _legend(figure, left_out, judged)
+        # in the empty upper triangle
+        handles = _handles(judged)
+        figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.99, 0.985))
+        if left_out and k > 1:
+            below = 0.985 - 0.16 * (len(handles) + 1) / PAGE
+            said = f"not shown: {', '.join(left_out)}"
+            figure.text(0.98, below, said, ha="right", va="top", fontsize=SMALL)
     return figure
 
 
@@ -115,18 +117,40 @@ def _choice(
     return [*told[:_COMBINATIONS], *known, *open_, *rest][:_MOST]
 
 
-def _pick(everything: list[Quantity], chosen: Sequence[str]) -> list[Quantity]:
-    known = {q.name: q for q in everything}
-    if not chosen:
-        raise BadInput("corner", "no parameter chosen", f"choose from {', '.join(known)}")
-    for name in chosen:
-        if name not in known:
-            raise BadInput(
-                "corner",
-                f"{name} is neither sampled nor a combination that no scaling changes",
-                nearest(name, list(known)),
-            )
-    return [known[name] for name in dict.fromkeys(chosen)]
+def _marginal(ax: Axes, q: Quantity, limits: tuple[float, float], cell: Cell) -> None:
+    """Draw posterior and prior density of a quantity, both in one over the unit of the axis."""
+    draws = q.draws / q.factor
+    highest = 0.0
+    if q.prior is not None:
+        grid = np.linspace(*limits, _GRID)
+        prior = np.exp(q.prior.log_density(grid * q.factor)) * q.factor
+        prior = np.where(np.isfinite(prior), prior, np.nan)
+        highest = float(np.nanmax(prior, initial=0.0))
+        ax.plot(grid, prior, gid="prior", zorder=3, **_PRIOR)
+    if _moves(draws):
+        height, edges = np.histogram(draws, bins=_BINS, range=limits)
+        density = height / (draws.size * np.diff(edges))
+        open_ = cell.status == "undetermined"
+        gid, look = ("open", _OPEN) if open_ else ("posterior", _TOLD)
+        ax.stairs(density, edges, fill=True, gid=gid, **look)
+        ax.stairs(density, edges, color=POSTERIOR, linewidth=0.8)
+        # those of the tables, to the digit; of a limit the end away from the bound
+        told = [cell.limit] if cell.limit is not None else cell.interval or ()
+        for end in () if open_ else told:
+            ax.axvline(end / q.factor, ymax=0.8, **_END)
+        peak = float(density.max())
+        # a prior may have a pole at its bound; it must not flatten the posterior
+        highest = max(peak, min(2.0 * peak, highest))
+    else:
+        ax.axvline(float(draws[0]), color=POSTERIOR)
+    ax.set_xlim(limits)
+    ax.set_ylim(0.0, 1.12 * highest or 1.0)
+    ax.set_yticks([])
+
+
+def _moves(draws: Array) -> bool:
+    """Whether draws differ by more than rounding, which leaves no room for a histogram."""
+    return bool(np.ptp(draws) > 1e-12 * np.abs(draws).max())
 
 
 def _pair(
@@ -138,7 +162,7 @@ def _pair(
 ) -> None:
     import corner  # brings ArviZ along, which takes a second or more
 
-    if all(map(moves, pair)):
+    if all(map(_moves, pair)):
         look: Look = {"color": POSTERIOR, "contour_kwargs": {"linewidths": (0.6, 0.9)}}
         look |= {"plot_datapoints": False, "plot_density": False, "fill_contours": filled}
         look |= {"bins": _BINS, "range": list(limits), "levels": MASSES, "smooth": _SMOOTH}
@@ -146,7 +170,7 @@ def _pair(
     else:
         # a parameter that never changes: the interval of the other one, or a point
         ends = [
-            np.quantile(v, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2]) if moves(v) else np.repeat(v[0], 2)
+            np.quantile(v, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2]) if _moves(v) else np.repeat(v[0], 2)
             for v in pair
         ]
         ax.plot(*ends, color=POSTERIOR, marker=".", markersize=3.0)
@@ -167,24 +191,30 @@ def _label(ax: Axes, below: Quantity | None, beside: Quantity | None) -> None:
         ax.set_ylabel(beside.label("\n"), linespacing=1.3, fontsize=SMALL)
 
 
-def _legend(figure: Figure, left_out: list[Quantity], cells: Sequence[Cell]) -> None:
-    """Explain in the empty upper triangle."""
-    handles, remark = marginal_handles(cells), not_shown(left_out)
+def _handles(cells: Sequence[Cell]) -> list[Artist]:
+    """List what the legend explains."""
+    open_ = [cell for cell in cells if cell.status == "undetermined"]
+    told = len(open_) < len(cells)
+    handles: list[Artist] = [Patch(label="posterior", **_TOLD)] if told else []
+    if open_:
+        left_open = "posterior that the data leave open"
+        disagree = "draws of ensembles that disagree"
+        handles.append(Patch(label=left_open if open_[0].converged else disagree, **_OPEN))
+    handles.append(Line2D([], [], label="prior", **_PRIOR))
+    if told:
+        handles.append(Line2D([], [], label=f"{100 * LEVEL:.0f} % interval", **_END))
     if len(cells) > 1:
         share = " and ".join(f"{100 * mass:.0f}" for mass in MASSES)
         words = f"contours around {share} % of the draws"
         handles.append(Line2D([], [], color=POSTERIOR, label=words))
-        below = 0.985 - 0.16 * (len(handles) + 1) / PAGE
-        figure.text(0.98, below, remark, ha="right", va="top", fontsize=SMALL)
-    figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.99, 0.985))
+    return handles
 
 
 FIGURE = RunFigure(
     stem="corner",
     title="Marginal and pairwise posteriors",
     section="posterior",
-    place=1,
-    draw=lambda run: partial(_drawn, *_parts(run.fit, run.summary)),
+    draw=lambda run: corner_figure(run.fit, run.summary),
     caption=lambda run: (
         f"Diagonal: posterior density with {100 * LEVEL:.0f} % interval, dashed the prior of "
         "parameters. Below: 50 % and 90 % of the draws. What the data leave open is hatched, has "

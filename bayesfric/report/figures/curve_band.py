@@ -40,12 +40,11 @@ class CurveBand:
     low: Array
     high: Array
     determined: Flags  # `(N,)` whether the data had a say: false where the verdict is `prior`
-    undefined_share: Array  # `(N,)` share of the draws without a value
 
     def part(self, where: Flags, sign: float = 1.0) -> CurveBand:
         """Take some of the places, times plus or minus one."""
         median, low, high = (sign * x[where] for x in (self.median, self.low, self.high))
-        return CurveBand(median, low, high, self.determined[where], self.undefined_share[where])
+        return CurveBand(median, low, high, self.determined[where])
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +138,7 @@ class CurveJudge:
             != "prior"
             for one, before, gradient in zip(sd, prior_sd, gradients.T, strict=True)
         ]
-        return CurveBand(middle, low, high, np.array(determined, dtype=np.bool_), undefined)
+        return CurveBand(middle, low, high, np.array(determined, dtype=np.bool_))
 
 
 def draw_curve(

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.artist import Artist
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from bayesfric.estimates.torque import filtered_torque, typical_load
 from bayesfric.inference.fitting import Fit
-from bayesfric.mechanism import kernels
 from bayesfric.mechanism.derived import derive
 from bayesfric.report.figures import style
 from bayesfric.report.figures.curve_band import (
@@ -31,37 +28,19 @@ from bayesfric.report.figures.registry import JudgedRun, RunFigure
 from bayesfric.report.figures.style import Array, Look, few_ticks, legend_above, paper_figure
 from bayesfric.report.page.values import rows_in_words
 from bayesfric.report.summary.record import quantity_of
-from bayesfric.report.summary.rows import ReferenceRow
 from bayesfric.report.summary.summary import LEVEL
 
 _POINTS = 40
 _DRAWS = 500
 _MOST = 2
 _HEIGHT = 2.6
-_WORDS = {"drive": "motor drives", "back": "load drives"}
-_SYMBOLS = {"drive": r"\eta_m", "back": r"\eta_r"}
+_SAID = {"drive": r"motor drives, $\eta_m$", "back": r"load drives, $\eta_r$"}
 # hatched the other way round for the other direction of power
 _LOOKS = {
     # wide below and thin above, so that both are seen where they agree
     "drive": CurveLook(style.PALETTE[1], "o", width=2.4),
     "back": CurveLook(style.PALETTE[2], "s", hatch=style.OPEN_HATCH_BACK, start=3),
 }
-_REFERENCE: Look = {
-    "color": style.MEASURED, "markersize": 4.0, "markerfacecolor": "white", "linestyle": "none"
-}  # fmt: skip
-
-
-# Outputs of a load's bin at least, and bins at most.
-_LEAST_IN_BIN, _BINS = 20, 12
-_MEASURED: Look = {"markersize": 3.0, "markerfacecolor": "white", "linestyle": "none"}
-
-
-@dataclass(frozen=True, eq=False)
-class Measured:
-    """What outputs say of an efficiency: quartiles ``(3, bins)`` of bins at loads ``(bins,)``."""
-
-    load: Array
-    quartiles: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +52,6 @@ class EfficiencyCurve(LoadCurve):
 
     element: str  # its name
     side: str  # `drive` or `back`
-    measured: Measured | None = None  # where outputs tell of this element alone
 
     @property
     def name(self) -> str:
@@ -101,71 +79,15 @@ def efficiency_curves(fit: Fit) -> tuple[EfficiencyCurve, ...]:
         return ()
     load = np.linspace(top / _POINTS, top, _POINTS)
 
-    # with load losses in two elements a residual may be of either
-    beyond = _beyond(fit, judge.median) if len(elements) == 1 else None
-
     def of(element: str, side: str, sign: float) -> EfficiencyCurve:
         def curve(values: Array) -> Array:
             derived = ({q.name: q.values for q in derive(chain, values, float(x))} for x in load)
             return np.stack([known[f"{element}.efficiency_{side}"] for known in derived], axis=1)
 
         band = judge.band(curve, gauge_free=False, draws=_DRAWS)
-        near = _near(load, np.sort(sign * joint))
-        told = None
-        if beyond is not None:
-            known = np.where(band.determined, band.median, np.nan)
-            told = measured_efficiency(load, known, sign * joint, beyond, side)
-        return EfficiencyCurve(load, band, near, element, side, told)
+        return EfficiencyCurve(load, band, _near(load, np.sort(sign * joint)), element, side)
 
     return tuple(of(one, *side) for one in elements for side in (("drive", 1.0), ("back", -1.0)))
-
-
-def _beyond(fit: Fit, median: Array) -> Array:
-    """Give what outputs ask of torque beyond the model, at the joint and against the motion."""
-    _, table, _ = fit.chain.tables(median[None])
-    at_joint = float(fit.chain.ratio * table[0, kernels.GAIN])
-    left = [
-        (o.measured - filtered_torque(fit.chain, o, median[None])[0]) * np.sign(o.speed)
-        for o in fit.observations
-    ]
-    return np.concatenate(left) * at_joint
-
-
-def measured_efficiency(
-    load: Array, curve: Array, joint: Array, beyond: Array, side: str
-) -> Measured | None:
-    """Put on the curve what the measured torque leaves of the model's, in bins of the load.
-
-    Parameters
-    ----------
-    load, curve
-        ``(N,)`` of the model's efficiency; ``nan`` where it is not determined.
-    joint, beyond
-        ``(M,)`` load that resists the motion, and what was measured beyond the model, of outputs.
-    side
-        ``drive`` or ``back``.
-
-    Returns
-    -------
-    Measured or None
-        ``None`` where there are too few outputs. Of a bin's outputs quartiles are taken of the
-        torque that goes in for a load (driving), or comes out (back-driven), over that load:
-        an efficiency itself has no mean where the noise is as large as the load.
-    """
-    ends = (joint >= load[0]) & (joint <= load[-1])
-    at, modelled = joint[ends], np.interp(joint[ends], load, curve)
-    kept = np.isfinite(modelled) & (modelled > 0.0)
-    at, modelled, extra = at[kept], modelled[kept], beyond[ends][kept]
-    bins = min(_BINS, at.size // _LEAST_IN_BIN)
-    if not bins:
-        return None
-    torque = 1.0 / modelled + extra / at if side == "drive" else modelled - extra / at
-    order = np.array_split(np.argsort(at), bins)
-    quartiles = np.stack([np.quantile(torque[one], [0.25, 0.5, 0.75]) for one in order], axis=1)
-    if side == "drive":
-        # a motor that need not push at all has no efficiency
-        quartiles = 1.0 / np.where(quartiles > 0.0, quartiles, np.nan)[::-1]
-    return Measured(np.array([np.median(at[one]) for one in order]), quartiles)
 
 
 def _near(load: Array, seen: Array) -> Flags:
@@ -175,96 +97,44 @@ def _near(load: Array, seen: Array) -> Flags:
     return np.asarray(count >= FEWEST)
 
 
-def efficiency_figure(fit: Fit, references: Mapping[str, ReferenceRow]) -> Figure | None:
-    """Draw efficiency over load, with references where the configuration gives any.
+def efficiency_figure(fit: Fit) -> Figure | None:
+    """Draw efficiency over load.
 
     A panel for each of at most two elements with load losses, a column wide or a page; ``None``
     where there is none, or nothing loads it. Where the data do not determine it, the band is
-    hatched; where no recording had such a load, there is only a dashed median. A reference stands
-    at the load the summary states efficiencies for.
+    hatched; where no recording had such a load, there is only a dashed median.
     """
     curves = efficiency_curves(fit)[: 2 * _MOST]
     if not curves:
         return None
     panels = [curves[i : i + 2] for i in range(0, len(curves), 2)]
     width = style.COLUMN if len(panels) == 1 else style.PAGE
-    median = fit.target.chain_values(fit.posterior.median[None])[0]
-    stated = typical_load(fit.chain, fit.observations, median)
+    kind, unit = ("torque", "N m") if fit.chain.load.motion == "rotary" else ("force", "N")
     with paper_figure(width, _HEIGHT) as figure:
         axes = figure.subplots(1, len(panels), squeeze=False)[0]
         for ax, panel in zip(axes, panels, strict=True):
-            _panel(ax, fit, panel, references)
             for curve in panel:
-                if curve.name in references:
-                    _reference(ax, curve, references[curve.name], stated)
-        legend_above(figure, _handles(curves, references), 2 if width == style.COLUMN else None)
+                draw_curve(ax, curve.load, curve, _LOOKS[curve.side])
+            ax.set_xlabel(rf"load {kind} at the joint $|\Gamma|$ ({unit})")
+            ax.set_ylabel(f"efficiency of {panel[0].element} (–)")
+            ax.set_xlim(0.0, float(panel[0].load[-1]))
+            ax.set_ylim(_bottom(panel), 1.0)
+            few_ticks(ax.xaxis, 6)
+            few_ticks(ax.yaxis, 6)
+        handles: list[Artist] = []
+        for side, look in _LOOKS.items():
+            mark: Look = {"marker": look.marker, "markersize": 2.6, "linewidth": look.width}
+            handles.append(Line2D([], [], color=look.colour, label=_SAID[side], **mark))
+        handles += curve_handles(curves, style.PALETTE[1], style.MEASURED)
+        legend_above(figure, handles, 2 if width == style.COLUMN else None)
     return figure
 
 
-def _panel(
-    ax: Axes,
-    fit: Fit,
-    panel: Sequence[EfficiencyCurve],
-    references: Mapping[str, ReferenceRow],
-) -> None:
-    for curve in panel:
-        draw_curve(ax, curve.load, curve, _LOOKS[curve.side])
-        if curve.measured is not None:
-            _draw_measured(ax, curve.measured, _LOOKS[curve.side])
-    kind, unit = ("torque", "N m") if fit.chain.load.motion == "rotary" else ("force", "N")
-    ax.set_xlabel(rf"load {kind} at the joint $|\Gamma|$ ({unit})")
-    ax.set_ylabel(f"efficiency of {panel[0].element} (–)")
-    ax.set_xlim(0.0, float(panel[0].load[-1]))
-    ax.set_ylim(_bottom(panel, references), 1.0)
-    few_ticks(ax.xaxis, 6)
-    few_ticks(ax.yaxis, 6)
-
-
-def _bottom(panel: Sequence[EfficiencyCurve], references: Mapping[str, ReferenceRow]) -> float:
+def _bottom(panel: Sequence[EfficiencyCurve]) -> float:
     """Begin the axis at zero, or where all that is drawn lies in its upper half below that."""
-    drawn = [np.ones(1)]
-    for curve in panel:
-        drawn += [curve.band.median, curve.band.low[curve.shown]]
-        if curve.measured is not None:
-            drawn.append(curve.measured.quartiles[0])
-        if curve.name in references:
-            given = references[curve.name]
-            drawn.append(np.array([given.value - (given.sd or 0.0)]))
-    lost = 1.0 - float(np.nanmin(np.concatenate(drawn)))
+    drawn = [x for curve in panel for x in (curve.band.median, curve.band.low[curve.shown])]
+    lost = 1.0 - float(np.nanmin(np.concatenate([np.ones(1), *drawn])))
     return 0.0 if lost > 0.4 else 1.0 - max(1.25 * lost, 0.02)
-
-
-def _draw_measured(ax: Axes, found: Measured, look: CurveLook) -> None:
-    low, middle, high = found.quartiles
-    shown: Look = {"marker": look.marker, "color": look.colour, **_MEASURED}
-    bars = np.stack([middle - low, high - middle])
-    ax.errorbar(found.load, middle, yerr=bars, elinewidth=0.6, gid="measured", **shown)
-
-
-def _reference(ax: Axes, curve: EfficiencyCurve, given: ReferenceRow, stated: float) -> None:
-    look = _REFERENCE | {"marker": _LOOKS[curve.side].marker, "zorder": 3.0, "gid": "reference"}
-    bar = [given.sd] if given.sd else None
-    ax.errorbar([stated], [given.value], yerr=bar, capsize=2.0, elinewidth=0.8, **look)
-
-
-def _handles(
-    curves: Sequence[EfficiencyCurve], references: Mapping[str, ReferenceRow]
-) -> list[Artist]:
-    lines: list[Artist] = []
-    marks: list[Artist] = []
-    for side, look in _LOOKS.items():
-        said = rf"{_WORDS[side]}, ${_SYMBOLS[side]}$"
-        mark: Look = {"marker": look.marker, "markersize": 2.6, "linewidth": look.width}
-        lines.append(Line2D([], [], color=look.colour, label=said, **mark))
-    given = {(references[c.name].source, c.side): None for c in curves if c.name in references}
-    for source, side in given:
-        said = f"{source}, {_WORDS[side]}".replace("$", r"\$")
-        marks.append(Line2D([], [], label=said, marker=_LOOKS[side].marker, **_REFERENCE))
-    if any(curve.measured is not None for curve in curves):
-        words = "measured (bins, middle half)"
-        point: Look = {"marker": "o", "color": style.MEASURED, **_MEASURED}
-        marks.append(Line2D([], [], label=words, **point))
-    return [*lines, *curve_handles(curves, style.PALETTE[1], style.MEASURED), *marks]
 
 
 def _caption(curves: Sequence[EfficiencyCurve]) -> str:
@@ -274,11 +144,6 @@ def _caption(curves: Sequence[EfficiencyCurve]) -> str:
         f"{100 * LEVEL:.0f} % band, constant losses in and behind the element counted, viscous "
         "ones and all that stands before it, as the motor's own loss, not."
     ]
-    if any(curve.measured is not None for curve in curves):
-        said.append(
-            "Open markers: the measured torque less what the model, at its posterior median, "
-            "says of all but this element, in bins of the load (median and middle half of each)."
-        )
     if not all(curve.covered.all() for curve in curves):
         said.append(f"Dashed where fewer than {FEWEST} compared outputs had about such loads.")
     if any((curve.shown & ~curve.band.determined).any() for curve in curves):
@@ -296,7 +161,7 @@ FIGURE = RunFigure(
     stem="efficiency",
     title="Efficiency against load",
     section="efficiency",
-    draw=lambda run: efficiency_figure(run.fit.wide, run.summary.references),
+    draw=lambda run: efficiency_figure(run.fit.wide),
     caption=lambda run: _caption(efficiency_curves(run.fit.wide)),
     alternative=_words,
 )

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import partial
-from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -17,7 +15,7 @@ from bayesfric.report.comparison.cell import Cell
 from bayesfric.report.comparison.comparison import REFERENCE, Column, Comparison, Row, comparison
 from bayesfric.report.figures import style
 from bayesfric.report.figures.registry import ComparisonFigure, RunFigure
-from bayesfric.report.figures.style import Look, power_of_ten, remark_below, run_style, shortened
+from bayesfric.report.figures.style import Look, power_of_ten, remark_below, run_colour, shortened
 from bayesfric.report.summary.rows import HALF
 from bayesfric.report.summary.summary import LEVEL
 
@@ -25,8 +23,8 @@ from bayesfric.report.summary.summary import LEVEL
 _FEW = 4
 _ACROSS = 3
 _HIGHEST = 9.0
-# Inches: between lines, for the axis below a panel, a line of the legend, a letter of a name.
-_LINE, _AXIS, _LEGEND, _LETTER = 0.155, 0.40, 0.135, 0.054
+# Inches: between lines, for the axis below a panel, for the legend, a letter of a name.
+_LINE, _AXIS, _LEGEND, _LETTER = 0.155, 0.40, 0.3, 0.054
 _MARGIN = 0.65  # lines above the first and below the last
 _REFERENCE = style.PALETTE[2]
 _THICK: Look = {"linewidth": 2.2, "alpha": 0.55, "solid_capstyle": "butt"}
@@ -54,13 +52,10 @@ class _Line:
     def mark(self, *, filled: bool = True) -> Look:
         """Give the look of a value."""
         return {
-            "marker": self.marker,
-            "markersize": 3.6 if self.marker in "sD" else 4.4,
-            "markeredgewidth": 0.7,
-            "color": self.colour,
+            "marker": self.marker, "markersize": 3.6 if self.marker in "sD" else 4.4,
+            "markeredgewidth": 0.7, "color": self.colour, "linestyle": "none", "zorder": 4,
             "markerfacecolor": self.colour if filled else "white",
-            "linestyle": "none",
-        }
+        }  # fmt: skip
 
     def draw(self, ax: Axes, x: list[float], kind: str, look: Look) -> None:
         """Draw a bar of some kind."""
@@ -80,43 +75,32 @@ def forest_figure(found: Comparison) -> Figure:
     rows = _drawable(found)
     columns = [column for column in found.columns if column.kind != "reference"]
     width, across = (style.COLUMN, 1) if len(rows) <= _FEW else (style.PAGE, _ACROSS)
-    rooms = _rooms(rows, across, len(columns))
-    spare = _LEGEND * (3 if across == 1 else 2)
-    while len(rooms) > 1 and spare + sum(rooms) + len(rooms) * _AXIS > _HIGHEST:
-        rooms.pop()
-    shown = rows[: across * len(rooms)]
-    left_out = len(rows) - len(shown)
-    most = int((0.4 * width - 0.26) / _LETTER)
+    # names of references need some room
+    above = 0.75 if any(REFERENCE in row.cells for row in rows) else 0.0
+    room = _LINE * (len(columns) - 1 + 2 * _MARGIN + above) + _AXIS
+    most = max(1, int((_HIGHEST - _LEGEND) / room))
+    shown = rows[: across * most]
+    deep = -(-len(shown) // across)
     # the run alone where there is nothing but posteriors
     runs = len(columns) > 1 and all(column.kind == "posterior" for column in columns)
-    names = [shortened(c.run if runs else c.label, most) for c in columns]
+    longest = int((0.4 * width - 0.26) / _LETTER)
+    names = [shortened(c.run if runs else c.label, longest) for c in columns]
     each = (width - _LETTER * max(map(len, names)) - 0.2) / across - 0.05
-    with style.paper_figure(width, spare + sum(rooms) + len(rooms) * _AXIS) as figure:
-        grid = figure.add_gridspec(len(rooms), across, height_ratios=rooms)
-        for k, row in enumerate(shown):
-            ax = figure.add_subplot(grid[divmod(k, across)])
-            ax.set_ylim(-_MARGIN, rooms[k // across] / _LINE - _MARGIN)
+    with style.paper_figure(width, _LEGEND + deep * room) as figure:
+        panels = style.panel_grid(figure, len(shown), across)
+        for k, (ax, row) in enumerate(zip(panels, shown, strict=True)):
+            ax.set_ylim(-_MARGIN, len(columns) - 1 + _MARGIN + above)
             ax.set_gid(row.name)
             lines = _styled(columns)
             _panel(ax, row, lines, each)
-            # a tick costs time to draw, also where it has neither length nor label
             ax.set_yticks([])
             if k % across == 0:
                 ax.set_yticks([line.y for line in lines], names)
                 ax.tick_params(axis="y", length=0.0)
         _legend(figure, shown, columns)
-        if left_out:
+        if left_out := len(rows) - len(shown):
             remark_below(figure, f"{left_out} more quantities are in the table only")
     return figure
-
-
-def _rooms(rows: list[Row], across: int, lines: int) -> list[float]:
-    """Height of the panels in each row of them, in inches; names of references need some."""
-    rooms = []
-    for first in range(0, len(rows), across):
-        named = any(REFERENCE in row.cells for row in rows[first : first + across])
-        rooms.append(_LINE * (lines - 1 + 2 * _MARGIN + (0.75 if named else 0.0)))
-    return rooms
 
 
 def _styled(columns: list[Column]) -> list[_Line]:
@@ -125,7 +109,7 @@ def _styled(columns: list[Column]) -> list[_Line]:
         if column.method is not None:
             marker, colour = _ESTIMATES[column.method]
         else:
-            marker, colour = _POSTERIORS[posteriors % len(_POSTERIORS)], run_style(posteriors)[0]
+            marker, colour = _POSTERIORS[posteriors % len(_POSTERIORS)], run_colour(posteriors)
             posteriors += 1
         lines.append(_Line(column, float(len(columns) - 1 - k), marker, colour))
     return lines
@@ -154,16 +138,24 @@ def _panel(ax: Axes, row: Row, lines: list[_Line], inches: float) -> None:
         cell = row.cells.get(line.column.label)
         if cell is None:
             continue
+        at = cell.value / factor
         if cell.status == "undetermined":
-            _open(ax, line, cell, factor, inches)
+            # where nothing else is known, the number may lie anywhere
+            inside = low / factor <= at <= high / factor
+            if inside:
+                ax.plot(at, line.y, gid="open", **line.mark(filled=False))
+            if cell.span is not None:
+                line.draw(ax, [x / factor for x in cell.span], "span", _SPAN)
+            words = "not determined" if cell.converged else "not converged"
+            _words(ax, at if inside else None, line.y, words)
         elif cell.status == "limit":
             _limit(ax, line, cell, factor)
         else:
             for ends, kind, look in _bars(cell):
                 line.draw(ax, [end / factor for end in ends], kind, look)
-            ax.plot(cell.value / factor, line.y, gid="value", zorder=4, **line.mark())
+            ax.plot(at, line.y, gid="value", **line.mark())
             if cell.status != "determined":
-                _words(ax, cell.value / factor, line.y, cell.remark)
+                _words(ax, at, line.y, cell.remark)
     if REFERENCE in row.cells:
         _reference(ax, row.cells[REFERENCE], factor, inches)
     style.few_ticks(ax.xaxis, max(3, int(inches / 0.4)), inner=True)
@@ -194,28 +186,6 @@ def _bars(cell: Cell) -> list[tuple[tuple[float, float], str, Look]]:
     return bars
 
 
-def _open(ax: Axes, line: _Line, cell: Cell, factor: float, inches: float) -> None:
-    low, high = ax.get_xlim()
-    at = cell.value / factor
-    # where nothing else is known, the number may lie anywhere
-    inside = low <= at <= high
-    if inside:
-        ax.plot(at, line.y, gid="open", zorder=4, **line.mark(filled=False))
-    words = "not determined" if cell.converged else "not converged"
-    if cell.span is None:
-        _words(ax, at if inside else None, line.y, words)
-        return
-    start, end = (x / factor for x in cell.span)
-    line.draw(ax, [start, end], "span", _SPAN)
-    # behind the dots if there is room, else where they are longer: their ends must be seen
-    needed = 0.9 * _LETTER * len(words) * (high - low) / inches
-    if max(high - end, start - low) > needed:
-        right = high - end > start - low
-        _words(ax, max(at, end) if right else min(at, start), line.y, words, right=right)
-    else:
-        _words(ax, at, line.y, words, right=end - at > at - start)
-
-
 def _limit(ax: Axes, line: _Line, cell: Cell, factor: float) -> None:
     """Draw an arrow from the limit towards the bound."""
     assert cell.limit is not None
@@ -231,23 +201,18 @@ def _limit(ax: Axes, line: _Line, cell: Cell, factor: float) -> None:
     _words(ax, limit, line.y, cell.remark)
 
 
-def _words(ax: Axes, at: float | None, y: float, words: str, *, right: bool | None = None) -> None:
-    """Write beside a place, on the side with more room if none is told; else in the middle."""
+def _words(ax: Axes, at: float | None, y: float, words: str) -> None:
+    """Write beside a place, on the side with more room; else in the middle."""
     low, high = ax.get_xlim()
-    if right is None:
-        right = at is not None and at - low < high - at
-    side, away = ("center", 0.0) if at is None else ("left", 4.5) if right else ("right", -4.5)
-    place = (0.5 * (low + high) if at is None else at, y)
+    middle = 0.5 * (low + high)
+    side, away = ("left", 4.5) if at is not None and at < middle else ("right", -4.5)
+    side, away = ("center", 0.0) if at is None else (side, away)
     # the dots of a span stop for the words
     look: Look = {"bbox": {"facecolor": "white", "edgecolor": "none", "pad": 0.6}, "zorder": 3.5}
-    _annotate(ax, words, place, (away, 0.0), ha=side, va="center_baseline", **look)
-
-
-def _annotate(
-    ax: Axes, words: str, at: tuple[float, float], away: tuple[float, float], **look: Any
-) -> None:
-    look |= {"textcoords": "offset points", "fontsize": style.WORDS}
-    ax.annotate(words, at, xytext=away, **look).set_in_layout(False)
+    look |= {"ha": side, "va": "center_baseline", "fontsize": style.WORDS}
+    place = (middle if at is None else at, y)
+    said = ax.annotate(words, place, xytext=(away, 0.0), textcoords="offset points", **look)
+    said.set_in_layout(False)
 
 
 def _reference(ax: Axes, cell: Cell, factor: float, inches: float) -> None:
@@ -256,12 +221,11 @@ def _reference(ax: Axes, cell: Cell, factor: float, inches: float) -> None:
         low, high = (end / factor for end in _around(cell, cell.sd))
         ax.axvspan(low, high, color=_REFERENCE, alpha=0.15, linewidth=0.0, zorder=0)
     ax.axvline(at, color=_REFERENCE, linewidth=0.8, zorder=1, gid="reference")
-    low, high = ax.get_xlim()
-    right = at - low < high - at
+    side, away = ("left", 2.0) if at < sum(ax.get_xlim()) / 2.0 else ("right", -2.0)
     words = shortened(cell.remark, max(6, int((0.6 * inches - 0.1) / _LETTER)))
     look: Look = {"xycoords": ax.get_xaxis_transform(), "color": _REFERENCE, "va": "top"}
-    side, away = ("left", 2.0) if right else ("right", -2.0)
-    _annotate(ax, words, (at, 1.0), (away, -1.5), ha=side, **look)
+    look |= {"textcoords": "offset points", "ha": side, "fontsize": style.WORDS}
+    ax.annotate(words, (at, 1.0), xytext=(away, -1.5), **look).set_in_layout(False)
 
 
 def _range(row: Row) -> tuple[float, float]:
@@ -337,7 +301,7 @@ METHODS = RunFigure(
     title="Estimates and posterior side by side",
     section="methods",
     # of a single run, whose name is nowhere shown
-    draw=lambda run: partial(forest_figure, comparison({"run": run.summary})),
+    draw=lambda run: forest_figure(comparison({"run": run.summary})),
     caption=f"Every quantity by every method and by the posterior. {_BARS}",
     alternative=lambda judged: forest_words(judged.methods),
 )

@@ -1,4 +1,4 @@
-"""Friction of the whole joint at the motor: over speed, over load, and over both."""
+"""Friction of the whole joint at the motor, over speed and over load."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -32,15 +31,12 @@ from bayesfric.report.figures.style import (
     few_ticks,
     legend_above,
     paper_figure,
-    remark_below,
 )
 from bayesfric.report.page.values import rows_in_words
 from bayesfric.report.paper.tables import ParameterRow
 from bayesfric.report.summary.summary import LEVEL
 
 _POINTS = 121
-# Map: places a side, and draws at each.
-_CELLS, _MAP_DRAWS = 31, 200
 _HEIGHT = 2.4
 _MARKS = ("o", "s", "^")
 
@@ -59,12 +55,11 @@ class FrictionCurves:
     open_scale: bool  # whether loads are the mean of what driving and back-driving feel
     over_speed: tuple[FrictionCurve, ...]  # at no load, at a driven and at a driving load
     over_load: tuple[FrictionCurve, ...]  # at a low and a high speed; empty without load losses
-    place: Covered
 
 
-def friction_curves(fit: Fit, judge: CurveJudge | None = None) -> FrictionCurves:
+def friction_curves(fit: Fit) -> FrictionCurves:
     """Evaluate the friction curves of a fit where its recordings ran."""
-    judge = judge or CurveJudge(fit)
+    judge = CurveJudge(fit)
     place = covered(fit, judge.median, open_scale=judge.open_scale)
     lossy = any(element.load_loss != "none" for element in fit.chain.elements)
     lossy = lossy and float(np.ptp(place.load)) > 0.0
@@ -91,13 +86,15 @@ def friction_curves(fit: Fit, judge: CurveJudge | None = None) -> FrictionCurves
     over_speed = [along(speeds, np.full_like(speeds, load)) for load in loads]
     over_load = []
     if lossy:
-        grid = np.linspace(*_inner(place.load), _POINTS)
+        # nearly all: single jerks would leave the rest no room
+        first, last = (float(x) for x in np.quantile(place.load, [0.005, 0.995]))
+        grid = np.linspace(first, last, _POINTS)
         top = float(np.quantile(np.abs(place.speed), 0.95))
         way = 1.0 if high > 0.0 else -1.0
         over_load = [
             along(np.full_like(grid, way * _round(share * top)), grid) for share in (0.25, 0.75)
         ]
-    return FrictionCurves(judge.open_scale, tuple(over_speed), tuple(over_load), place)
+    return FrictionCurves(judge.open_scale, tuple(over_speed), tuple(over_load))
 
 
 def _stated(place: Covered, speeds: Array, side: float) -> float:
@@ -117,21 +114,19 @@ def _round(x: float) -> float:
 
 
 def friction_figure(fit: Fit) -> Figure:
-    """Draw friction over speed, over load, and a map over both; only the first without load loss.
+    """Draw friction over speed, and over load where there is a load loss.
 
     All at the motor, with the posterior median and its 90 % band. Loads left of zero drive
     the motor (back-driving). Where hardly any outputs are near the median goes on dashed,
     without a band; where the data do not determine the curve the band is hatched.
     """
-    judge = CurveJudge(fit)
-    found = friction_curves(fit, judge)
+    found = friction_curves(fit)
     alone = not found.over_load
     with paper_figure(style.COLUMN if alone else style.PAGE, _HEIGHT) as figure:
-        axes = figure.subplots(1, 1 if alone else 3, squeeze=False)[0]
+        axes = figure.subplots(1, 1 if alone else 2, squeeze=False)[0]
         _over_speed(axes[0], fit, found)
         if not alone:
             _over_load(axes[1], fit, found)
-            _map(figure, axes[2], fit, judge, found)
         median = Line2D([], [], color=style.PALETTE[0], label="posterior median")
         curves = [*found.over_speed, *found.over_load]
         handles = [median, *curve_handles(curves, style.PALETTE[0], style.PALETTE[0])]
@@ -189,70 +184,6 @@ def _draw(
     draw_curve(ax, x[mine], LoadCurve(curve.load[mine], part, curve.covered[mine]), look, label)
 
 
-def _map(figure: Figure, ax: Axes, fit: Fit, judge: CurveJudge, found: FrictionCurves) -> None:
-    """Draw contours of the median over shades of the band's half width."""
-    place = found.place
-    x = np.linspace(place.speed.min(), place.speed.max(), _CELLS)
-    y = np.linspace(*_inner(place.load), _CELLS)
-    speed, load = (grid.ravel() for grid in np.meshgrid(x, y))
-    speed = np.where(speed == 0.0, 1e-9, speed)
-    band = judge.band(
-        lambda values: friction_torque(fit.chain, values, speed, load, open_scale=judge.open_scale),
-        gauge_free=judge.open_scale,
-        draws=_MAP_DRAWS,
-    )
-    near = place.near(speed, load)
-    shape = (_CELLS, _CELLS)
-
-    def shown(values: Array, where: Flags) -> np.ma.MaskedArray:
-        return np.ma.masked_where(~where.reshape(shape), values.reshape(shape))
-
-    half = 0.5 * (band.high - band.low)
-    look: Look = {"cmap": "Blues", "vmin": 0.0, "shading": "nearest", "rasterized": True}
-    shades = ax.pcolormesh(x, y, shown(half, near), **look)
-    told: Look = {"levels": 4, "colors": style.PALETTE[0], "linewidths": 0.7}
-    lines = ax.contour(x, y, shown(band.median, near & band.determined), **told)
-    _name_contours(ax, lines)
-    if any(np.size(path.vertices) for path in lines.get_paths()):
-        # few lines have room for their level
-        apart = f"{np.diff(np.asarray(lines.levels))[0]:.2g} {_units(fit)[1]} apart"
-        remark_below(figure, f"in the map: lines of equal median $F$, {apart}")
-    open_ = near & ~band.determined
-    if open_.any():
-        hatched: Look = {"levels": [0.5, 1.5], "colors": "none", "hatches": [style.OPEN_HATCH]}
-        ax.contourf(x, y, open_.reshape(shape).astype(float), **hatched)
-    ax.axhline(0.0, color="0.6", linewidth=0.5)
-    ax.set_xlabel(_speed_label(fit))
-    ax.set_ylabel(_load_label(fit, found))
-    few_ticks(ax.xaxis, 5)
-    few_ticks(ax.yaxis, 6)
-    bar = figure.colorbar(shades, ax=ax, fraction=0.06)
-    width = f"half width of the {100 * LEVEL:.0f} % band ({_units(fit)[1]})"
-    bar.set_label(width, fontsize=style.SMALL)
-    few_ticks(bar.ax.yaxis, 5)
-    bar.outline.set_linewidth(0.5)
-
-
-def _name_contours(ax: Axes, lines: ContourSet) -> None:
-    """Write levels beside their lines, upright, where there is room."""
-    taken: list[Array] = []
-    for text in ax.clabel(lines, fontsize=style.SMALL, inline=False):
-        at = ax.transAxes.inverted().transform(ax.transData.transform(text.get_position()))
-        crowded = any((np.abs(at - other) < (0.22, 0.09)).all() for other in taken)
-        if crowded or not (0.1 < at[0] < 0.9 and 0.04 < at[1] < 0.96):
-            text.remove()
-            continue
-        taken.append(at)
-        text.set_rotation(0.0)
-        # nobody can read it over the shades
-        text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.4, "alpha": 0.8})
-
-
-def _inner(x: Array) -> tuple[float, float]:
-    """Nearly all of the values: single jerks would leave the rest no room."""
-    return float(np.quantile(x, 0.005)), float(np.quantile(x, 0.995))
-
-
 def _signed(x: float, unit: str) -> str:
     return f"{x:+.3g} {unit}".replace("-", "\N{MINUS SIGN}")
 
@@ -301,10 +232,7 @@ def friction_caption(fit: Fit) -> str:
     if all(element.load_loss == "none" for element in fit.chain.elements):
         return start + ". No element has a loss that depends on load." + true
     start = f"Marks on lines tell them apart and are no measurements. {start}"
-    start += (
-        " and, at once, of load; the map is empty there. Its lines are of equal median friction, "
-        "its shades the half width of the band. "
-    )
+    start += " and, at once, of load. "
     load = "Load is the torque at the joint over the ratio, positive against the motion."
     if CurveJudge(fit).open_scale:
         load = (

@@ -15,6 +15,7 @@ from bayesfric.report.comparison.between_runs import PooledQuantity
 from bayesfric.report.figures import style
 from bayesfric.report.figures.registry import ComparedRuns, ComparisonFigure
 from bayesfric.report.figures.style import (
+    Look,
     axis_label,
     few_ticks,
     legend_above,
@@ -27,6 +28,7 @@ from bayesfric.report.figures.style import (
 _ACROSS, _MOST, _NAMED = 2, 8, 24
 # Inches of a line, and of a panel beyond its lines; letters of a run's name.
 _LINE, _REST, _LETTERS = 0.125, 0.5, 14
+_OWN: Look = {"color": "#9a9a9a", "linewidth": 2.2, "label": "by itself"}
 
 
 def population_figure(compared: ComparedRuns) -> Figure | None:
@@ -47,11 +49,8 @@ def population_figure(compared: ComparedRuns) -> Figure | None:
         for ax in axes.ravel()[len(shown) :]:
             ax.set_visible(False)
         for ax in axes[:, 0]:
-            names = (
-                [shortened(run, _LETTERS, keep_end=True) for run in runs]
-                if len(runs) <= _NAMED
-                else [""] * len(runs)
-            )
+            named = len(runs) <= _NAMED
+            names = [shortened(run, _LETTERS, keep_end=True) if named else "" for run in runs]
             ends = [-lines - 1.6, -lines - 2.6]
             ax.set_yticks([*places.values(), *ends], [*names, "population", "next"])
             ax.tick_params(axis="y", length=0.0)
@@ -67,41 +66,29 @@ def _shown(compared: ComparedRuns) -> list[PooledQuantity]:
 
 def _panel(ax: Axes, one: PooledQuantity, places: Mapping[str, float], lines: int) -> list[Artist]:
     """Draw one quantity; gives what the legend names."""
-    bars: list[Artist] = []
     ends = [end for row in one.runs.values() for end in row.told_interval]
     exponent = power_of_ten(min(ends), max(ends))
     factor = 10.0**exponent
+
+    def interval(told: Interval, y: float, colour: str, marker: str, label: str) -> Artist:
+        middle, ends = told.median / factor, (told.low / factor, told.high / factor)
+        (mark,) = ax.plot(middle, y, color=colour, marker=marker, ms=2.6, ls="none", label=label)
+        ax.plot(ends, [y, y], color=colour, lw=0.8)
+        return mark
+
+    bars: list[Artist] = []
     for (name, row), pooled in zip(one.runs.items(), one.pool.runs, strict=True):
-        y = places[name]
-        low, high = row.told_interval
-        (own,) = ax.plot(
-            [low / factor, high / factor], [y, y], color="#9a9a9a", lw=2.2, label="by itself"
-        )
-        seen = _interval(ax, pooled, factor, y, style.PALETTE[1], "o", "with the others")
-        bars = bars or [own, seen]
-    last = _interval(
-        ax, one.pool.mean, factor, -lines - 1.6, style.PALETTE[2], "D", "population mean"
-    )
-    following = _interval(
-        ax, one.pool.following, factor, -lines - 2.6, style.MEASURED, "s", "next recording"
-    )
+        y, (low, high) = places[name], row.told_interval
+        own = ax.plot([low / factor, high / factor], [y, y], **_OWN)
+        bars = [*own, interval(pooled, y, style.PALETTE[1], "o", "with the others")]
+    mean, following = one.pool.mean, one.pool.following
+    bars.append(interval(mean, -lines - 1.6, style.PALETTE[2], "D", "population mean"))
+    bars.append(interval(following, -lines - 2.6, style.MEASURED, "s", "next recording"))
     ax.axhline(-lines - 0.8, color="#c8c8c8", lw=0.6)
     ax.set_ylim(-lines - 3.3, 0.8)
     few_ticks(ax.xaxis, 3)
     ax.set_xlabel(axis_label(one.told.symbol, one.name, exponent, one.told.unit))
-    return [*bars, last, following]
-
-
-def _interval(
-    ax: Axes, told: Interval, factor: float, y: float, colour: str, marker: str, label: str
-) -> Artist:
-    below, above = (told.median - told.low) / factor, (told.high - told.median) / factor
-    bar = ax.errorbar(
-        told.median / factor, y, xerr=[[below], [above]], color=colour, marker=marker,
-        markersize=2.6, elinewidth=0.8, linestyle="none",
-    )  # fmt: skip
-    bar.lines[0].set_label(label)
-    return bar.lines[0]
+    return bars
 
 
 def _words(compared: ComparedRuns) -> str:
@@ -125,5 +112,4 @@ FIGURE = ComparisonFigure(
     "population they are drawn from (diamond) and where the true value of the next recording lies "
     "(square); 90 % intervals of the normal hierarchical model.",
     alternative=_words,
-    place=1,
 )

@@ -96,9 +96,9 @@ def prediction_figure(fit: Fit) -> Figure:
         most_dots = _MOST_DOTS / len(shown)
         drawn = zip(axes.T, shown, predictive(fit), fit.observations, strict=False)
         for (above, below), o, p, of in drawn:
-            _torque(above, o, p, most_dots)
-            _left_out(above, of)
-            _left_out(below, of)
+            draw_predicted(above, o, p, most_dots)
+            draw_left_out(above, of)
+            draw_left_out(below, of)
             _residual(below, o, p, most_dots)
             below.set_xlabel("time (s)")
             below.set_xlim(float(o.time.min()), max(float(o.time.max()), o.time.min() + 1e-9))
@@ -117,7 +117,8 @@ def prediction_figure(fit: Fit) -> Figure:
     return figure
 
 
-def _left_out(ax: Axes, o: Observation) -> None:
+def draw_left_out(ax: Axes, o: Observation) -> None:
+    """Hatch the spans that the user left out."""
     spans = [(one.start, one.length) for one in o.left_out if one.by != "cut"]
     if spans:
         look: Look = {"facecolor": "none", "edgecolor": _GREY, "hatch": style.OPEN_HATCH}
@@ -125,7 +126,8 @@ def _left_out(ax: Axes, o: Observation) -> None:
         ax.broken_barh(spans, (0.0, 1.0), transform=ax.get_xaxis_transform(), **look, **named)
 
 
-def _torque(ax: Axes, o: Outputs, p: Predictive, most_dots: float) -> None:
+def draw_predicted(ax: Axes, o: Outputs, p: Predictive, most_dots: float = _MOST_DOTS) -> None:
+    """Draw what was measured, and mean and band of what is predicted."""
     draw_band(ax, o, *p.band(LEVEL), label=f"{100 * LEVEL:.0f} % predictive band", gid="band")
     time, measured, mean = broken(o, o.measured, p.mean)
     # wide below and thin above, so that both are seen where they agree

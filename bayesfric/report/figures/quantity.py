@@ -87,8 +87,3 @@ def which_posterior(summary: Summary) -> str:
     if biased := [n for n, row in summary.rows.items() if row.reported and row.reported.how.bias]:
         words += f" The bias of filters and encoder is not taken off: {', '.join(biased)}."
     return words
-
-
-def not_shown(left_out: list[Quantity]) -> str:
-    """Name what a figure leaves out; empty if that is nothing."""
-    return "not shown: " + ", ".join(q.symbol for q in left_out) if left_out else ""

@@ -19,16 +19,13 @@ from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism.parameter import effort_words
 from bayesfric.report.comparison.between_runs import PooledQuantity
 from bayesfric.report.comparison.comparison import Comparison
-from bayesfric.report.comparison.run_draws import RunDraws
-from bayesfric.report.figures.style import Drawing, drawn
 from bayesfric.report.paper.tables import ParameterTable
 from bayesfric.report.summary.record import Summary
-from bayesfric.rollouts.rolled import RollOut
 
 # Of the pages of a run and of a comparison, in their order.
 Section = Literal[
-    "methods", "ridge", "prediction", "held-out", "roll-out", "friction", "efficiency",
-    "posterior", "sampling", "together", "side-by-side",
+    "worst", "methods", "ridge", "prediction", "held-out", "roll-out", "friction", "efficiency",
+    "posterior", "together", "side-by-side",
 ]  # fmt: skip
 
 
@@ -55,7 +52,6 @@ class ComparedRuns:
 
     found: Comparison
     runs: Mapping[str, Summary]
-    draws: Mapping[str, RunDraws]
     pooled: Sequence[PooledQuantity] = ()
 
 
@@ -71,17 +67,11 @@ class Declared(Generic[Drawn, Judged]):
     # what the page calls it, and where it stands there
     title: str
     section: Section
-    draw: Callable[[Drawn], Drawing | None]  # gives `None` where there is nothing to show
+    draw: Callable[[Drawn], Figure | None]  # gives `None` where there is nothing to show
     # what is drawn, and what it says; words where it is the same for all
     caption: str | Callable[[Drawn], str]
     # the numbers it shows, for who cannot see them; none of what the data leave open
     alternative: Callable[[Judged], str]
-    place: int = 0  # its order among those of its section
-
-    def figure(self, of: Drawn) -> Figure | None:
-        """Draw it here; ``None`` where there is nothing to show."""
-        drawing = self.draw(of)
-        return None if drawing is None else drawn(drawing)
 
     def caption_of(self, drawn: Drawn) -> str:
         """Give the caption of one drawing."""
@@ -96,25 +86,16 @@ class RunFigure(Declared[FinishedRun, JudgedRun]):
     """A figure of a run."""
 
 
-class RollOutFigure(Declared[RollOut, JudgedRun]):
-    """A figure of the roll-outs of a run, which are asked for when it is finished."""
-
-
 class ComparisonFigure(Declared[ComparedRuns, ComparedRuns]):
     """A figure of a comparison of runs."""
 
 
-Kind = TypeVar("Kind", RunFigure, RollOutFigure, ComparisonFigure)
+Kind = TypeVar("Kind", RunFigure, ComparisonFigure)
 
 
 def run_figures() -> dict[str, RunFigure]:
     """Find the figures of a run, by stem in the order of the page."""
     return _found(RunFigure)
-
-
-def rollout_figures() -> dict[str, RollOutFigure]:
-    """Find the figures of roll-outs, by stem in the order of the page."""
-    return _found(RollOutFigure)
 
 
 def comparison_figures() -> dict[str, ComparisonFigure]:
@@ -128,7 +109,7 @@ def _found(kind: type[Kind]) -> dict[str, Kind]:
     modules = (import_module(f"{__package__}.{m.name}") for m in iter_modules(folder.__path__))
     figures = {one for m in modules for one in vars(m).values() if isinstance(one, kind)}
     order = get_args(Section)
-    rank = {one: (order.index(one.section), one.place, one.stem) for one in figures}
+    rank = {one: (order.index(one.section), one.stem) for one in figures}
     return {one.stem: one for one in sorted(figures, key=rank.__getitem__)}
 
 

@@ -12,7 +12,14 @@ from bayesfric.inference.fitting import Fit
 from bayesfric.report.figures import style
 from bayesfric.report.figures.prediction import residuals_in_words
 from bayesfric.report.figures.registry import FinishedRun, JudgedRun, RunFigure
-from bayesfric.report.figures.style import Array, few_ticks, paper_figure, power_of_ten, scaled_unit
+from bayesfric.report.figures.style import (
+    Array,
+    Look,
+    few_ticks,
+    paper_figure,
+    power_of_ten,
+    scaled_unit,
+)
 from bayesfric.report.numbers import p_text
 from bayesfric.report.summary.residual_analysis import (
     Binned,
@@ -144,7 +151,9 @@ def _draw_binned(ax: Axes, b: Binned, factor: float) -> None:
     )  # fmt: skip
     ax.set_xlabel(f"{b.what} ({b.unit})")
     few_ticks(ax.xaxis, 5)
-    style.corner_words(ax, f"{100 * b.explained:.2g} % of variance{_STRANGE[b.outcome]}")
+    said = f"{100 * b.explained:.2g} % of variance{_STRANGE[b.outcome]}"
+    place: Look = {"transform": ax.transAxes, "va": "top", "fontsize": style.SMALL}
+    ax.text(0.03, 0.97, said, **place).set_in_layout(False)
 
 
 def _caption(run: FinishedRun) -> str:
@@ -171,7 +180,6 @@ FIGURE = RunFigure(
     stem="residual",
     title="What is left unexplained",
     section="prediction",
-    place=1,
     draw=lambda run: residual_figure(run.fit),
     caption=_caption,
     alternative=_words,

@@ -30,9 +30,8 @@ _MOST_DRAWS = 1500
 ROUNDING = 1e-10
 # Where nothing ends the line (mu_2 of one or more) it is drawn down to this share.
 _NO_END = 0.05
-_MASSES = (0.5, 0.9)
+_SHARE = 0.98  # of each prior
 _SECONDS = 3.0
-_MOST_NAMED = 3
 # First digits of the numbers on logarithmic axes, the fewest that suffice.
 _DIGITS = ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0))
 
@@ -86,10 +85,10 @@ def ridge_figure(fit: Fit) -> Figure | None:
     """Draw the scale that no torque tells: posterior, exact line, and the torque along it.
 
     Above, with logarithmic scales, ``alpha_1`` against first moment, load inertia and
-    ``alpha_2`` (what of these the chain has): posterior draws, contours of the prior, the
+    ``alpha_2`` (what of these the chain has): posterior draws, what holds 98 % of each prior, the
     exact scaling line through the posterior's median and its ends, where a passive
     gearbox would have ``alpha_2 = 1`` and ``alpha_1 = 1``. Below, the torque predicted in
-    the middle and at the ends of that line, and the difference. A recording with a known
+    the middle and at the ends of that line. A recording with a known
     mass tells the ends apart; the posterior is a spot on the line then. A page wide; ``None`` for a
     chain that has no such scaling.
     """
@@ -100,12 +99,11 @@ def ridge_figure(fit: Fit) -> Figure | None:
     if not others:
         return None
     with style.paper_figure(style.PAGE, _HEIGHT) as figure:
-        halves = figure.add_gridspec(2, 1, height_ratios=(1.35, 1.0))
+        halves = figure.add_gridspec(2, 1, height_ratios=(1.5, 1.0))
         upper = style.panel_grid(figure, len(others), len(others), halves[0])
         for ax, other in zip(upper, others, strict=True):
             _pair(ax, fit, found, drive, other)
-        left, right = style.panel_grid(figure, 2, 2, halves[1])
-        _torque(left, right, fit, found)
+        _torque(figure.add_subplot(halves[1]), fit, found)
         style.legend_above(figure, _handles(found))
     return figure
 
@@ -134,13 +132,6 @@ class _Quantity:
             return x
         inverse = 1.0 + self.sign * x
         return np.where(inverse > 0.0, 1.0 / np.where(inverse > 0.0, inverse, 1.0), np.nan)
-
-    def log_density(self, x: Array) -> Array:
-        """Log prior density of the logarithm of what is shown."""
-        if not self.sign:
-            return self.prior.log_density(x) + np.log(x)
-        # |d mu / d log alpha| = 1/alpha
-        return self.prior.log_density(self.sign * (1.0 / x - 1.0)) - np.log(x)
 
 
 def _quantities(fit: Fit, found: Ridge) -> tuple[_Quantity, list[_Quantity]]:
@@ -183,7 +174,7 @@ def _pair(ax: Axes, fit: Fit, found: Ridge, x: _Quantity, y: _Quantity) -> None:
     factors = np.array([10.0**e for e in exponents])
     ax.set_xscale("log")
     ax.set_yscale("log")
-    _prior(ax, fit, (x, y), limits, factors)
+    _prior(ax, (x, y), factors)
     dots: Look = {"linestyle": "none", "marker": ".", "markersize": 2.2, "markeredgewidth": 0.0}
     points, line = points / factors[:, None], line / factors[:, None]
     dots |= {"color": style.POSTERIOR, "alpha": 0.25, "rasterized": True, "zorder": 2}
@@ -227,85 +218,41 @@ def _log_ticks(axis: Axis, low: float, high: float) -> None:
     few_ticks(axis, 4)
 
 
-def _prior(
-    ax: Axes,
-    fit: Fit,
-    pair: tuple[_Quantity, _Quantity],
-    limits: list[tuple[float, float]],
-    factors: Array,
-) -> None:
-    """Draw where half and nine tenths of the prior lie, or the line on which it is known."""
-    dashed: Look = {"color": style.PRIOR, "linestyle": style.DASHED, "linewidth": 0.9}
-    if any(q.prior.fixed for q in pair):
-        for q, draw, factor in zip(pair, (ax.axvline, ax.axhline), factors, strict=True):
-            if q.prior.fixed:
-                known = float(q.shown(np.asarray(q.prior.value)))
-                draw(known / factor, gid="prior", **dashed)
-        return
-    rng = np.random.default_rng(np.random.SeedSequence(fit.posterior.seed, spawn_key=(4,)))
-    draws = [q.shown(q.prior.draw(40_000, rng)) for q in pair]
-    x, y = (_grid(d, *ends) for d, ends in zip(draws, limits, strict=True))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        density = pair[0].log_density(x)[None, :] + pair[1].log_density(y)[:, None]
-        drawn = pair[0].log_density(draws[0]) + pair[1].log_density(draws[1])
-    levels = np.quantile(drawn[np.isfinite(drawn)], [1.0 - mass for mass in reversed(_MASSES)])
-    # a density, not its logarithm: that would be minus infinity beyond a bound
-    height = np.exp(np.where(np.isfinite(density), density, -np.inf) - levels[1])
-    places = (x / factors[0], y / factors[1], height)
-    steps = [float(np.exp(levels[0] - levels[1])), 1.0]
-    top = max(float(height.max()), 1.0) * 2.0
-    shades = ax.contourf(
-        *places, levels=[*steps, top], colors=[style.PRIOR] * 2, alpha=0.10, zorder=0
+def _prior(ax: Axes, pair: tuple[_Quantity, _Quantity], factors: Array) -> None:
+    """Draw what holds nearly all of either prior, or the value that is known."""
+    (left, right), (low, high) = (
+        np.sort(q.shown(np.array(q.prior.interval(_SHARE)))) / factor
+        for q, factor in zip(pair, factors, strict=True)
     )
-    shades.set_gid("prior mass")
-    look: Look = {"linestyles": [style.DOTTED, style.DASHED], "linewidths": [0.7, 0.9]}
-    ax.contour(*places, levels=steps, colors=[style.PRIOR], zorder=1, **look).set_gid("prior")
+    ax.fill_between([left, right], low, high, color=style.PRIOR, alpha=0.1, linewidth=0.0)
+    look: Look = {"color": style.PRIOR, "linestyle": style.DASHED, "gid": "prior"}
+    ax.plot([left, right, right, left, left], [low, low, high, high, low], **look)
 
 
-def _grid(draws: Array, low: float, high: float) -> Array:
-    """Points over an axis, and close together wherever a prior is narrow."""
-    close = np.quantile(draws[np.isfinite(draws)], np.linspace(0.001, 0.999, 81))
-    points = np.concatenate([np.geomspace(low, high, 121), close[(close > low) & (close < high)]])
-    return np.unique(points)
-
-
-def _torque(left: Axes, right: Axes, fit: Fit, found: Ridge) -> None:
-    """Draw the torque along the line, of the recording in which it differs most, and the rest."""
+def _torque(ax: Axes, fit: Fit, found: Ridge) -> None:
+    """Draw the torque along the line, of the recording in which it differs most."""
     differences = found.differences
     r = int(np.argmax(differences)) if max(differences) > ROUNDING else 0
     o, torque = fit.observations[r], found.torque[r]
     kind, unit = ("torque", "N m") if fit.chain.motor_motion == "rotary" else ("force", "N")
     time, low, middle, high = broken(o, *torque)
-    same = max(differences) <= ROUNDING
-    exponent = -10 if same else power_of_ten(0.0, differences[r])
-    left.plot(
-        time, middle, color=style.PALETTE[3], linewidth=2.4, label="middle", gid="torque middle"
-    )
-    looks = ((style.DASHED, _LINE), (style.DOTTED, style.PALETTE[2]))
-    for t, (dashes, colour), words in zip((low, high), looks, _ENDS, strict=True):
-        look: Look = {"color": colour, "linestyle": dashes}
-        left.plot(time, t, label=words, gid="torque", **look)
-        right.plot(time, (t - middle) / 10.0**exponent, gid="difference", **look)
-    reach = 1.0 if same else 1.08 * differences[r] / 10.0**exponent
-    right.set_ylim(-1.2 * reach, 1.7 * reach)
-    left.set_ylabel(f"motor {kind} ({unit})")
-    right.set_ylabel(f"difference ({scaled_unit(exponent, unit)})")
-    for ax in (left, right):
-        begin = float(o.time.min())
-        ax.set_xlim(begin, min(begin + _SECONDS, max(float(o.time.max()), begin + 1e-9)))
-        ax.set_xlabel("time (s)")
-        few_ticks(ax.xaxis, 6)
-        few_ticks(ax.yaxis, 4)
+    look: Look = {"color": style.PALETTE[3], "linewidth": 2.4, "gid": "torque middle"}
+    ax.plot(time, middle, label="middle", **look)
+    ax.plot(time, low, label=_ENDS[0], color=_LINE, linestyle=style.DASHED, gid="torque")
+    look = {"color": style.PALETTE[2], "linestyle": style.DOTTED, "gid": "torque"}
+    ax.plot(time, high, label=_ENDS[1], **look)
+    begin = float(o.time.min())
+    ax.set_xlim(begin, min(begin + _SECONDS, max(float(o.time.max()), begin + 1e-9)))
+    ax.set_xlabel("time (s)")
+    ax.set_ylabel(f"motor {kind} ({unit})")
+    few_ticks(ax.xaxis, 8)
+    few_ticks(ax.yaxis, 4)
     span = float(np.ptp(torque))
-    left.set_ylim(float(torque.min()) - 0.08 * span, float(torque.max()) + 0.35 * span)
-    left.legend(loc="upper left", ncols=3, handlelength=2.2)
-    lines = [
-        f"{style.shortened(one.name, 24)}: at most {difference:.2g} {unit}"
-        for one, difference in zip(fit.observations, differences, strict=True)
-    ]
-    if len(lines) > _MOST_NAMED:
-        lines = [*lines[: _MOST_NAMED - 1], f"and {len(lines) - _MOST_NAMED + 1} more"]
-    style.corner_words(right, "\n".join(lines), "largest")
+    ax.set_ylim(float(torque.min()) - 0.08 * span, float(torque.max()) + 0.35 * span)
+    ax.legend(loc="upper left", ncols=3, handlelength=2.2)
+    told = f"{style.shortened(o.name, 24)}: differs by at most {differences[r]:.2g} {unit}"
+    look = {"ha": "right", "va": "top", "fontsize": style.SMALL, "gid": "largest"}
+    ax.text(0.99, 0.96, told, transform=ax.transAxes, **look).set_in_layout(False)
 
 
 def _handles(found: Ridge) -> list[Artist]:
@@ -314,7 +261,7 @@ def _handles(found: Ridge) -> list[Artist]:
     prior: Look = {"facecolor": "#f6e3d6", "edgecolor": style.PRIOR, "linewidth": 0.7}
     handles: list[Artist] = [
         Line2D([], [], color=style.POSTERIOR, label="posterior", **dots),
-        Patch(linestyle=style.DASHED, label="prior, 50 and 90 %", **prior),
+        Patch(linestyle=style.DASHED, label="prior, 98 % of each", **prior),
         Line2D([], [], color=_LINE, label="no torque changes" if same else "same torque unloaded"),
     ]
     for k, marker in _marked(found):
@@ -345,7 +292,7 @@ FIGURE = RunFigure(
     caption=(
         "Draws of the posterior against the line along which no torque changes, between the ends "
         "that a passive gearbox sets. Below: the torque at both ends of the line and in its "
-        "middle, and their difference."
+        "middle, of the recording in which they differ most."
     ),
     alternative=_words,
 )

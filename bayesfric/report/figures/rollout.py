@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bayesfric.report.figures import style
-from bayesfric.report.figures.registry import JudgedRun, RollOutFigure
+from bayesfric.report.figures.registry import Declared, JudgedRun
 from bayesfric.report.figures.style import few_ticks, legend_above, paper_figure, shortened
 from bayesfric.rollouts.rolled import Rolled, RollOut
 
@@ -81,7 +81,8 @@ def _words(judged: JudgedRun) -> str:
     return "; ".join(parts) + "."
 
 
-FIGURE = RollOutFigure(
+# Of the roll-outs of a run, which are asked for when it is finished.
+FIGURE: Declared[RollOut, JudgedRun] = Declared(
     stem="rollout",
     title="Recordings played to the joint",
     section="roll-out",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -109,8 +109,6 @@ def paper_style() -> Iterator[None]:
         yield
 
 
-# A figure, or what draws it and can be sent to another process.
-Drawing = Figure | Callable[[], Figure]
 # Files of a figure: what a page shows, what goes into papers and talks.
 ON_PAGE, IN_PAPER = ("svg",), ("pdf", "png")
 ALL_KINDS = (*ON_PAGE, *IN_PAPER)
@@ -122,32 +120,20 @@ _UNDATED: dict[str, dict[str, Any]] = {
 }
 
 
-def drawn(drawing: Drawing) -> Figure:
-    """Give the figure, drawn now where it is not yet."""
-    return drawing() if callable(drawing) else drawing
-
-
-def save(drawing: Drawing, folder: Path, stem: str, kinds: Sequence[str] = ALL_KINDS) -> None:
+def save(figure: Figure, folder: Path, stem: str, kinds: Sequence[str] = ALL_KINDS) -> None:
     """Write a figure as ``<stem>.pdf``, ``.svg`` and ``.png`` (300 dpi), or some of them.
 
-    What draws one is asked for it. The same figure gives the same bytes: no date is written, and
-    names inside the SVG come from a fixed salt. Its size is kept, nothing is cropped.
+    The same figure gives the same bytes: no date is written, and names inside the SVG come from a
+    fixed salt. Its size is kept, nothing is cropped.
     """
-    figure = drawn(drawing)
     with paper_style():
         for kind in kinds:
             figure.savefig(folder / f"{stem}.{kind}", format=kind, **_UNDATED[kind])
 
 
-def line_style(k: int) -> tuple[str, LineStyle]:
-    """Colour and dashes of the ``k``-th of several lines; sixteen differ."""
-    colours = len(PALETTE)
-    return PALETTE[k % colours], LINE_STYLES[(k + k // colours) % len(LINE_STYLES)]
-
-
-def run_style(k: int) -> tuple[str, LineStyle]:
-    """Colour and dashes of the ``k``-th of several runs; twelve differ. Orange is a reference's."""
-    return RUN_COLOURS[k % len(RUN_COLOURS)], LINE_STYLES[k % len(LINE_STYLES)]
+def run_colour(k: int) -> str:
+    """Colour of the ``k``-th of several runs; orange is a reference's."""
+    return RUN_COLOURS[k % len(RUN_COLOURS)]
 
 
 def power_of_ten(low: float, high: float) -> int:
@@ -243,15 +229,6 @@ def remark_below(figure: Figure, words: str) -> None:
     """Say below the panels what a figure leaves out; nothing if there are no words."""
     if words:
         figure.supxlabel(words, x=0.99, ha="right", fontsize=SMALL)
-
-
-def corner_words(
-    ax: Axes, words: str, gid: str | None = None, side: str = "left", size: float = SMALL
-) -> None:
-    """Write into an upper corner of a panel, or into its middle."""
-    x = {"left": 0.03, "center": 0.5, "right": 0.97}[side]
-    said: dict[str, Any] = {"ha": side, "va": "top", "fontsize": size, "gid": gid}
-    ax.text(x, 0.97, words, transform=ax.transAxes, **said).set_in_layout(False)
 
 
 class _InnerLocator(MaxNLocator):

@@ -46,7 +46,6 @@ def compare_page(
         same=shared_recordings(provenance),
         provenance=provenance,
         unknown=[run for run, one in provenance.items() if not (one and one.known)],
-        without_draws={run: one.missing for run, one in compared.draws.items() if one.missing},
         methods=found,
         explained=list(explained(found)),
         figures=page_figures(folder, comparison_figures().values(), captions, compared),

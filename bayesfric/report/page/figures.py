@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
@@ -30,35 +30,25 @@ class PageFigure:
         return self.drawing.width > _COLUMN
 
 
-@dataclass
-class PageFigures:
-    """The figures of one section: those to show, and stems of those that the folder lacks."""
-
-    shown: list[PageFigure] = field(default_factory=list)
-    missing: list[str] = field(default_factory=list)
-
-
 def page_figures(
     folder: Path,
     figures: Iterable[Declared[Any, Judged]],
     captions: Mapping[str, str],
     judged: Judged,
-) -> dict[str, PageFigures]:
-    """Read figures, sorted by section of the page; no drawing of this package counts as missing.
+) -> dict[str, list[PageFigure]]:
+    """Read the figures that the folder has, by section of the page.
 
     ``captions``, by stem, come before what a figure declares of itself; ``judged`` is what text
     alternatives are made of.
     """
-    sections = {section: PageFigures() for section in get_args(Section)}
+    sections: dict[str, list[PageFigure]] = {section: [] for section in get_args(Section)}
     for one in figures:
-        section = sections[one.section]
         try:
             text = (folder / "figures" / f"{one.stem}.svg").read_text(encoding="utf-8")
             drawing = inline_svg(text, f"{one.stem}-", one.words(judged))
         except (OSError, ValueError):
-            section.missing.append(one.stem)
             continue
         # older runs wrote only some captions down
         caption = captions.get(one.stem, one.caption if isinstance(one.caption, str) else "")
-        section.shown.append(PageFigure(one.stem, one.title, caption, drawing))
+        sections[one.section].append(PageFigure(one.stem, one.title, caption, drawing))
     return sections

@@ -9,21 +9,16 @@ from typing import Any
 
 from bayesfric.recordings.moving import too_slow
 from bayesfric.report.alerts import alerts
-from bayesfric.report.answers.record import Calculator, read_answers
+from bayesfric.report.answers.record import Calculator, read_calculator
 from bayesfric.report.brief import brief
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.comparison.table import explained
-from bayesfric.report.figures.registry import (
-    JudgedRun,
-    read_captions,
-    rollout_figures,
-    run_figures,
-)
+from bayesfric.report.figures.registry import JudgedRun, read_captions, run_figures
+from bayesfric.report.figures.rollout import FIGURE as ROLL_OUT
 from bayesfric.report.page.figures import page_figures
 from bayesfric.report.page.findings import findings
 from bayesfric.report.page.provenance import read_provenance
 from bayesfric.report.page.rendering import render
-from bayesfric.report.page.stretch import stretch_drawing
 from bayesfric.report.paper.tables import ParameterTable, parameter_table
 from bayesfric.report.summary.record import Readable, Summary
 from bayesfric.report.text_templates import sentence
@@ -44,7 +39,6 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
     methods = comparison({name: read})
     judged = JudgedRun(read, table, methods)
     told = alerts(read, methods.contested)
-    found, answers = findings(table, read), read_answers(folder)
     captions = read_captions(_text(folder / "text" / "captions.md"))
     return render(
         "run.html.j2",
@@ -52,19 +46,15 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         title=name,
         summary=read,
         alerts=told,
-        found=found,
-        answers=answers,
+        found=findings(table, read),
         too_slow=too_slow(),
-        drawing=stretch_drawing(answers.stretch) if answers.stretch else None,
         brief=brief(read, told),
-        law=_law(answers.calculator, table),
+        law=_law(read_calculator(folder), table),
         table=table,
         notes=table.notes_where(marked=False),
         methods=methods,
         explained=list(explained(methods)),
-        figures=page_figures(
-            folder, [*run_figures().values(), *rollout_figures().values()], captions, judged
-        ),
+        figures=page_figures(folder, [*run_figures().values(), ROLL_OUT], captions, judged),
         provenance=read_provenance(folder),
         config=config,
         no_self_check=sentence("no self-check", read.self_check.model_dump())

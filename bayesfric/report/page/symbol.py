@@ -3,6 +3,7 @@ r"""The paper's symbols in HTML: ``J_{t}^{\mathrm{drive}}`` with real sub- and s
 from __future__ import annotations
 
 import re
+from collections import deque
 from collections.abc import Iterator
 
 from markupsafe import Markup, escape
@@ -29,12 +30,12 @@ def html_symbol(symbol: str, name: str) -> Markup:
     # as figures set it: words in subscripts upright, underscores of names kept
     shown = mathtext(symbol, name) if symbol else ""
     if shown.startswith("$"):
-        tokens = list(_tokens(shown[1:-1]))
+        tokens = deque(_tokens(shown[1:-1]))
         try:
-            set_, rest = _group(tokens, upright=False)
+            set_ = _group(tokens, upright=False)
         except (IndexError, KeyError):
-            set_, rest = Markup(), tokens
-        if set_ and not rest:
+            set_ = Markup()
+        if set_ and not tokens:
             return Markup('<span class="sym">{}</span>').format(set_)
     return Markup("<code>{}</code>").format(name)
 
@@ -43,43 +44,36 @@ def _tokens(text: str) -> Iterator[str]:
     for command, mark, plain in _TOKEN.findall(text):
         if command:
             yield "\\" + command
-        elif mark:
-            yield mark
         else:
-            yield from plain
+            yield from mark or plain
 
 
-def _group(tokens: list[str], *, upright: bool) -> tuple[Markup, list[str]]:
-    """Set everything up to a closing brace; return what comes behind it."""
-    parts: list[Markup] = []
+def _group(tokens: deque[str], *, upright: bool) -> Markup:
+    """Set everything up to a closing brace, which is left."""
+    parts = Markup()
     while tokens and tokens[0] != "}":
-        part, tokens = _one(tokens, upright=upright)
-        parts.append(part)
-    return _joined(parts), tokens
+        parts += _one(tokens, upright=upright)
+    return Markup(parts.replace("</i><i>", ""))
 
 
-def _one(tokens: list[str], *, upright: bool) -> tuple[Markup, list[str]]:
-    first, rest = tokens[0], tokens[1:]
+def _one(tokens: deque[str], *, upright: bool) -> Markup:
+    first = tokens.popleft()
     if first in ("_", "^"):
         tag = "sub" if first == "_" else "sup"
-        inner, rest = _one(rest, upright=upright)
-        return Markup(f"<{tag}>{{}}</{tag}>").format(inner), rest
+        return Markup(f"<{tag}>{{}}</{tag}>").format(_one(tokens, upright=upright))
     if first == "{":
-        inner, rest = _group(rest, upright=upright)
-        return inner, rest[1:]
+        inner = _group(tokens, upright=upright)
+        tokens.popleft()
+        return inner
     if first.startswith("\\"):
         command = first[1:]
         if command in _UPRIGHT:
-            return _one(rest, upright=True)
+            return _one(tokens, upright=True)
         if command in (",", ";", ":", " ", "!"):
-            return Markup("\u2009" if command != "!" else ""), rest
-        return (escape(command) if len(command) == 1 else escape(_GREEK[command])), rest
+            return Markup("\u2009" if command != "!" else "")
+        return escape(command) if len(command) == 1 else escape(_GREEK[command])
     if first == " ":  # of no meaning in LaTeX's mathematics
-        return Markup(), rest
+        return Markup()
     if first.isalpha() and not upright:
-        return Markup("<i>{}</i>").format(first), rest
-    return escape("\u2212" if first == "-" else first), rest
-
-
-def _joined(parts: list[Markup]) -> Markup:
-    return Markup(str(Markup("").join(parts)).replace("</i><i>", ""))
+        return Markup("<i>{}</i>").format(first)
+    return escape("\u2212" if first == "-" else first)

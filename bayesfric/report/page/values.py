@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 
 from markupsafe import Markup
 
 from bayesfric.report.comparison.cell import NOT_CONVERGED, Cell, settled_by
-from bayesfric.report.numbers import HTML, finer, html_interval, html_number
+from bayesfric.report.numbers import HTML, TEXT, finer, html_interval, html_number
 from bayesfric.report.paper.tables import ParameterRow
 
 NOT_DETERMINED = "not determined by the data"
@@ -85,9 +84,6 @@ def cell_html(cell: Cell | None) -> Markup:
     return Markup("<br>").join(lines)
 
 
-_RAISED = str.maketrans("0123456789-\u2212", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁻")
-
-
 def rows_in_words(rows: Iterable[ParameterRow]) -> str:
     """Say numbers without markup, each with its verdict."""
     return "; ".join(map(_in_words, rows)) + "."
@@ -96,23 +92,11 @@ def rows_in_words(rows: Iterable[ParameterRow]) -> str:
 def _in_words(row: ParameterRow) -> str:
     if row.cell.status == "undetermined":
         return f"{row.name}: {verdict_words(row)}"
-    value = text_of(value_html(row))
-    ends = text_of(interval_html(row)) if row.cell.status == "determined" else ""
-    unit = f" {row.unit}" if row.unit else ""
-    said = f"{row.name}: {value}{f', interval {ends}' if ends and ends != '–' else ''}{unit}"
-    return f"{said}, {judgement(row)}" if row.row is not None else said
-
-
-def judgement(row: ParameterRow) -> str:
-    """Say what determined a number, or that nothing did."""
-    doubted = row.row is not None and row.row.doubted
-    open_ = doubted or row.cell.status == "undetermined"
-    return verdict_words(row) if open_ else f"determined by {verdict_words(row)}"
-
-
-def text_of(markup: Markup) -> str:
-    """Take the markup off; a raised number stays raised."""
-    raised = re.sub(
-        r"×\u00a010<sup>([^<]*)</sup>", lambda m: "×\u00a010" + m[1].translate(_RAISED), markup
-    )
-    return Markup(re.sub(r"<[^>]*>", "", raised)).unescape()
+    value, ends = row.shown(TEXT)
+    said = f"{row.name}: {value}"
+    if row.cell.status == "determined" and ends != TEXT.none:
+        said += f", interval {ends}"
+    said += f" {row.unit}" if row.unit else ""
+    if row.row is None:
+        return said
+    return f"{said}, {'' if row.row.doubted else 'determined by '}{verdict_words(row)}"

@@ -6,7 +6,7 @@ of the parameters, so that a term of the table is in the equation of any paper w
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import NamedTuple
 
 from bayesfric.mechanism.element import Element
@@ -223,38 +223,55 @@ def _losses(
 _FUNCTIONS = {name: rf"\{name}" for name in ("sin", "cos", "tan", "exp", "log")}
 _FUNCTIONS |= {"maximum": r"\max", "minimum": r"\min"}
 _LOOSE = ("add", "subtract", "negative")
-
-
-def _bracketed(x: str | Node, text: str) -> str:
-    return f"({text})" if isinstance(x, list) and x[0] in _LOOSE else text
+_WORDS = {"maximum": "max", "minimum": "min"}
 
 
 def latex(x: str | Node) -> str:
     """Set an expression in LaTeX."""
+    if isinstance(x, list) and x[0] == "multiply":
+        return "".join(_factors(x))
+    power, absolute = r"{{\left({}\right)}}^{{{}}}", r"\left|{}\right|"
+    return _written(x, latex, r"\frac{{{}}}{{{}}}", power, absolute)
+
+
+def plain(x: str | Node) -> str:
+    """Write an expression as text."""
+    if isinstance(x, list) and x[0] in ("multiply", "divide"):
+        tight = (_tight(one, plain(one), (*_LOOSE, "divide")) for one in x[1:])
+        return {"multiply": " * ", "divide": "/"}[str(x[0])].join(tight)
+    return _written(x, plain, "", "({})**({})", "abs({})")
+
+
+def _written(
+    x: str | Node, write: Callable[[str | Node], str], divide: str, power: str, absolute: str
+) -> str:
+    """Write what both do alike, with the forms in which they differ."""
     if isinstance(x, Name):
-        return x.latex
+        return x.latex if write is latex else x.plain
     if not isinstance(x, list):
         return f"{x:g}"
-    op, parts = x[0], [latex(one) for one in x[1:]]
-    tight = [_bracketed(one, text) for one, text in zip(x[1:], parts, strict=True)]
+    op, parts = str(x[0]), [write(one) for one in x[1:]]
+    last = _tight(x[-1], parts[-1])
     if op == "add":
         return " + ".join(parts)
-    if op == "subtract":
-        return f"{parts[0]} - {tight[1]}"
-    if op == "multiply":
-        return "".join(_factors(x))
-    if op == "divide":
-        return rf"\frac{{{parts[0]}}}{{{parts[1]}}}"
-    if op == "power":
-        return rf"{{\left({parts[0]}\right)}}^{{{parts[1]}}}"
-    known = {"negative": f"-{tight[0]}", "absolute": rf"\left|{parts[0]}\right|"}
-    function = _FUNCTIONS.get(str(op), rf"\operatorname{{{op}}}")
-    return known.get(str(op), f"{function}({', '.join(parts)})")
+    if op in ("subtract", "negative"):
+        return f"{parts[0]} - {last}" if op == "subtract" else f"-{last}"
+    forms = {"divide": divide, "power": power, "absolute": absolute}
+    if op in forms:
+        return forms[op].format(*parts)
+    function = _WORDS.get(op, op)
+    if write is latex:
+        function = _FUNCTIONS.get(op, rf"\operatorname{{{op}}}")
+    return f"{function}({', '.join(parts)})"
+
+
+def _tight(x: str | Node, text: str, loose: Collection[str] = _LOOSE) -> str:
+    return f"({text})" if isinstance(x, list) and x[0] in loose else text
 
 
 def _factors(product: list[str | Node]) -> list[str]:
     """Set the factors of a product, numbers first, each with what joins it to the one before."""
-    tight = [_bracketed(one, latex(one)) for one in product[1:]]
+    tight = [_tight(one, latex(one)) for one in product[1:]]
     ordered = sorted(tight, key=lambda text: not text[:1].isdigit())
     return [
         text if not k else (r" \cdot " if text[:1].isdigit() else r"\,") + text
@@ -267,27 +284,3 @@ def of_eq_13(joint: Joint) -> bool:
     lossy = [one.name for one in joint.elements if one.load_loss != "none"]
     shaped = any(p.owner in lossy and p.row.role == "form" for p in joint.parameters)
     return len(lossy) == 1 and not shaped
-
-
-def plain(x: str | Node) -> str:
-    """Write an expression as text."""
-    if isinstance(x, Name):
-        return x.plain
-    if not isinstance(x, list):
-        return f"{x:g}"
-    op, parts = x[0], [plain(one) for one in x[1:]]
-    tight = [
-        f"({text})" if isinstance(one, list) and one[0] in (*_LOOSE, "divide") else text
-        for one, text in zip(x[1:], parts, strict=True)
-    ]
-    if op == "add":
-        return " + ".join(parts)
-    if op == "subtract":
-        return f"{parts[0]} - {tight[1]}"
-    if op in ("multiply", "divide"):
-        return {"multiply": " * ", "divide": "/"}[str(op)].join(tight)
-    if op == "power":
-        return f"({parts[0]})**({parts[1]})"
-    known = {"negative": f"-({parts[0]})", "absolute": f"abs({parts[0]})"}
-    words = {"maximum": "max", "minimum": "min"}
-    return known.get(str(op), f"{words.get(str(op), op)}({', '.join(parts)})")
