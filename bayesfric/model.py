@@ -410,7 +410,7 @@ class Model:
         target, point, local = self._local_picture(progress)
         with self.config.named(), few_threads(self.observations):
             rng = self._stream(5)
-            others = points_around(target, point, local, rng, around=_AROUND, prior=0)
+            others = points_around(target, point, local, rng, around=_AROUND)
             options = self.config.tables.advice
             points = [point, *others]
             return ranking(

@@ -120,7 +120,7 @@ def whole_fit(
         "may_be_simulated": _may_be_simulated(model),
     }
     with suppress(BadInput):  # a simulation that fails there takes no result away
-        here = identify(begun.target, [Point("estimate", found.posterior.median)])
+        here = identify(begun.target, [Point(found.posterior.median)])
         update["identifiability"] = Identifiability.model_validate(
             summary.identifiability.as_dict() | {"directions": plain(here.directions)}
         )

@@ -45,10 +45,8 @@ class BackDriving:
     """How often the load drives one element, as a share of the moving outputs."""
 
     element: str
-    two: bool  # whether it has two load losses, one for each who drives
     at_estimate: float
     plausible: tuple[float, float]  # least and largest over the points that suit the data
-    anywhere: tuple[float, float]  # and over all points
 
 
 def coverage_of(
@@ -98,21 +96,13 @@ def back_driven(
 
 
 def back_driving(
-    chain: Joint,
-    observations: Sequence[Observation],
-    vectors: Array,
-    plausible: NDArray[np.bool_],
+    chain: Joint, observations: Sequence[Observation], vectors: Array
 ) -> tuple[BackDriving, ...]:
-    """Look at vectors ``(n, n_parameters)``, the estimate first; ``plausible`` suit the data."""
-    two = {element.name: element.load_loss == "two" for element in chain.elements}
+    """Look at vectors ``(n, n_parameters)`` that suit the data, the estimate first."""
     return tuple(
-        BackDriving(name, two[name], float(share[0]), _ends(share[plausible]), _ends(share))
+        BackDriving(name, float(share[0]), (float(share.min()), float(share.max())))
         for name, share in back_driven(chain, observations, vectors).items()
     )
-
-
-def _ends(share: Array) -> tuple[float, float]:
-    return float(share.min()), float(share.max())
 
 
 def _behind(

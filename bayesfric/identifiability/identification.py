@@ -9,8 +9,7 @@ data leave the logarithm of a parameter more than 0.5.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -19,10 +18,8 @@ from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
 from bayesfric.estimates.torque import typical_load
-from bayesfric.identifiability.correlated import Correlated, widened
 from bayesfric.identifiability.coverage import BackDriving, Coverage, back_driving, coverage_of
 from bayesfric.identifiability.known_quantities import (
-    Ripple,
     SpeedTerm,
     UnknownMass,
     gravity_ripple,
@@ -37,7 +34,7 @@ from bayesfric.identifiability.local import (
     verdict,
 )
 from bayesfric.identifiability.open_directions import OpenDirection, open_directions
-from bayesfric.identifiability.plausible import Origin, Point
+from bayesfric.identifiability.plausible import Point
 from bayesfric.identifiability.remedies import HARDLY, trials
 from bayesfric.identifiability.sentences import Statement, plain, stated
 from bayesfric.inference.prior.priors import KNOWN
@@ -61,9 +58,7 @@ class Prospect:
     unit: str
     meaning: str
     value: float  # at the estimate; it means nothing where data_sd is infinite
-    # what the data alone would leave, the noise being what fit takes it for; of what is then still
-    # correlated, the larger sd of those for independent and for correlated residuals
-    data_sd: float
+    data_sd: float  # what the data alone would leave, the noise being what fit takes it for
     expected_sd: float  # data and prior together, with bounds that the estimate stands on
     prior_sd: float = float("nan")  # and these two of parameters alone
     verdict: Verdict | None = None  # to be expected of the posterior
@@ -78,10 +73,7 @@ class Identification:
     noise: str  # what it takes the noise for
     # whether it may be correlated: estimates weigh all residuals alike, and have other sds then
     memory: bool
-    still_correlated: bool  # whether what such a noise leaves goes together, and sds are widened
-    origins: tuple[Origin, ...]  # where each point comes from; the estimate first
-    singular_values: Array  # (n_points, d), largest first
-    null_counts: tuple[int, ...]  # number of null directions at each point
+    points: int  # parameter vectors looked at, the estimate first
     local: LocalInformation  # the local picture at the estimate
     directions: tuple[OpenDirection, ...]  # null ones first, then weak ones, the weakest first
     parameters: tuple[Prospect, ...]  # the free ones
@@ -90,8 +82,7 @@ class Identification:
     back_driving: tuple[BackDriving, ...]  # how often the load drove
     known_mass: UnknownMass | None  # what rests on the added mass being known
     voltage: SpeedTerm | None  # what a back-EMF cannot be told from
-    ripple: Ripple | None  # of the motor's torque, that cannot be told from gravity
-    notes: tuple[Statement, ...]  # what changes from point to point
+    ripple: Statement | None  # of the motor's torque, that cannot be told from gravity
 
     @property
     def frame(self) -> pd.DataFrame:
@@ -126,17 +117,10 @@ class Identification:
         ]
 
     @property
-    def ranges(self) -> list[tuple[float, float, float]]:
-        """Singular values: at the estimate, least and largest."""
-        values = self.singular_values
-        return list(zip(values[0], values.min(axis=0), values.max(axis=0), strict=True))
-
-    @property
     def remarks(self) -> list[Statement]:
         """What is to be said of back-driving, of the known mass, of a voltage and of a ripple."""
         found = [*map(self._seen, self.back_driving), self._mass_meaning, self._voltage_meaning]
-        found += [self.ripple.meaning] if self.ripple else []
-        return [one for one in found if one]
+        return [one for one in [*found, self.ripple] if one]
 
     def _seen(self, one: BackDriving) -> Statement:
         """Say how often the load drives an element."""
@@ -160,29 +144,22 @@ class Identification:
 
     def as_json(self) -> dict[str, Any]:
         """Give what ``bayesfric identify --json`` prints; what is infinite is ``None``."""
-        columns = [list(column) for column in zip(*self.ranges, strict=True)]
-        values = dict(zip(("at_estimate", "least", "largest"), columns, strict=False))
-        null = {"null": self.local.directions.tolerance}
         mass, voltage = self.known_mass, self.voltage
         found = {
             "method": self.method,
             "noise": self.noise,
-            "still_correlated": self.still_correlated,
-            "points": Counter(self.origins),
-            "thresholds": {**null, "weak_log_sd": WEAK, "hardly_ever": HARDLY},
+            "points": self.points,
             "directions": self.directions,
-            "singular_values": {**values, "null_at_each_point": self.null_counts},
             "combinations": {p.name: _without(p, "name", "prior_sd") for p in self.combinations},
             "parameters": {p.name: _without(p, "name") for p in self.parameters},
             "back_driving": {
-                one.element: _without(one, "element", "two") | {"meaning": self._seen(one)}
+                one.element: _without(one, "element") | {"meaning": self._seen(one)}
                 for one in self.back_driving
             },
             "recordings": self.recordings,
             "known_mass": mass and {**vars(mass), "meaning": self._mass_meaning or ""},
             "voltage": voltage and {**vars(voltage), "meaning": self._voltage_meaning},
-            "ripple": self.ripple and {**vars(self.ripple), "meaning": self.ripple.meaning},
-            "notes": self.notes,
+            "ripple": self.ripple,
         }
         return {name: plain(value) for name, value in found.items()}
 
@@ -212,34 +189,28 @@ def identify(
     vectors = target.chain_values(np.stack([p.parameters for p in points]))
     noise = target.noise.scales(estimate[None, len(target.free) :])[0]
     coverage = coverage_of(chain, observations, vectors[0], noise[:, 0])
-    plausible = np.array([p.origin != "prior" for p in points])
-    back = back_driving(chain, observations, vectors, plausible)
+    back = back_driving(chain, observations, vectors)
     rare = any(one.plausible[0] < HARDLY for one in back)
     tried = trials(target, estimate, local, coverage, rare=rare)
     free = [p for p in chain.parameters if p.name in target.free]
-    correlated = Correlated(target, estimate, local)
     bounds = _bounds_met(target, estimate)
     covariance = _cut(expected_covariance(target, local), bounds)
-    parameters = _parameters(target, estimate, local, correlated, bounds, covariance)
+    parameters = _parameters(target, estimate, local, bounds, covariance)
     load = typical_load(chain, observations, vectors[0])
     return Identification(
         target.likelihood.method,
         target.likelihood.noise.description,
         target.likelihood.noise.accounts_for_correlation,
-        correlated.found,
-        tuple(p.origin for p in points),
-        np.abs([one.directions.singular_values for one in locals_]),
-        tuple(int(one.directions.null.sum()) for one in locals_),
+        len(points),
         local,
         tuple(open_directions(locals_, free, coverage, back, tried, _told(target, estimate))),
         parameters,
-        _combinations(target, estimate, local, load, correlated, parameters, covariance),
+        _combinations(target, estimate, local, load, parameters, covariance),
         coverage,
         back,
         unknown_mass(target, estimate, local),
         speed,
-        gravity_ripple(target, local),
-        tuple(_changes(locals_, back, plausible)),
+        gravity_ripple(target),
     )
 
 
@@ -315,7 +286,6 @@ def _parameters(
     target: Target,
     estimate: Array,
     local: LocalInformation,
-    correlated: Correlated,
     bounds: Sequence[str | None],
     covariance: Array,
 ) -> tuple[Prospect, ...]:
@@ -325,17 +295,10 @@ def _parameters(
     rows = []
     for j, (name, prior, bound) in enumerate(zip(target.free, target.priors, bounds, strict=False)):
         prior_sd, data_sd = float(prior.sd()), float(local.data_sd[j])
-        times = correlated.times(np.eye(len(target.free))[j])
-        both_sd = widened(float(expected[j]), data_sd, times)
         # whether data or prior tell how far from its bound a value may be
-        judged = widened(float(whole[j]), data_sd, times) if bound else both_sd
-        found = verdict(judged, prior_sd, times * data_sd)
-        p, value = described[name], float(estimate[j])
-        rows.append(
-            Prospect(
-                name, p.unit, p.meaning, value, times * data_sd, both_sd, prior_sd, found, bound
-            )
-        )
+        found = verdict(float(whole[j] if bound else expected[j]), prior_sd, data_sd)
+        p, sds = described[name], (data_sd, float(expected[j]), prior_sd)
+        rows.append(Prospect(name, p.unit, p.meaning, float(estimate[j]), *sds, found, bound))
     return tuple(rows)
 
 
@@ -353,7 +316,6 @@ def _combinations(
     estimate: Array,
     local: LocalInformation,
     load: float,
-    correlated: Correlated,
     parameters: Sequence[Prospect],
     covariance: Array,
 ) -> tuple[Prospect, ...]:
@@ -371,8 +333,7 @@ def _combinations(
         used = scaled != 0.0
         expected = float(scaled[used] @ covariance[np.ix_(used, used)] @ scaled[used])
         expected_sd = float(np.sqrt(expected)) if expected >= 0.0 else float("inf")
-        data_sd, times = local.data_sd_of(gradient), correlated.times(gradient)
-        expected_sd = widened(expected_sd, data_sd, times)
+        data_sd = local.data_sd_of(gradient)
         ends = [p.on_bound for p, some in zip(parameters, used, strict=True) if some]
         found.append(
             Prospect(
@@ -380,25 +341,11 @@ def _combinations(
                 q.unit,
                 q.meaning,
                 value,
-                times * data_sd,
+                data_sd,
                 expected_sd,
                 # its prior is not looked at here
-                verdict=verdict(expected_sd, float("inf"), times * data_sd),
+                verdict=verdict(expected_sd, float("inf"), data_sd),
                 on_bound=ends[0] if bounds[used].all() else None,
             )
         )
     return tuple(sorted(found, key=lambda one: one.data_sd / max(abs(one.value), 1e-300)))
-
-
-def _changes(
-    locals_: Sequence[LocalInformation], back: Sequence[BackDriving], plausible: NDArray[np.bool_]
-) -> Iterator[Statement]:
-    """Say where the local picture at the estimate is not that of other points."""
-    counts = [int(one.directions.null.sum()) for one in locals_]
-    near = [count for count, one in zip(counts, plausible, strict=True) if one]
-    if min(counts) < max(counts):
-        yield stated("note", "null_counts", near=near, all=counts)
-    for one in back:
-        least, most = one.anywhere
-        if one.two and least == 0.0 < most:
-            yield stated("note", "back_driving", element=one.element, most=most)

@@ -29,8 +29,6 @@ _SAME = 1e-6
 _OWES = 3.0
 # Ratios this close to a whole number are one, written with few digits.
 _WHOLE = 1e-3
-# Root mean square of a motor's ripple over that of its torque, as data sheets promise at best.
-_RIPPLE = 0.01
 
 
 def gravity_like(chain: Joint) -> int:
@@ -80,42 +78,18 @@ class SpeedTerm:
         return stated("voltage", "back_emf", among=among, **vars(self))
 
 
-@dataclass(frozen=True)
-class Ripple:
-    """A ripple of the motor's torque that cannot be told from gravity."""
-
-    times: int  # a turn of the motor; then it is once a turn of the joint
-    name: str  # of gravity's first moment
-    per_torque: float  # kg m that the sine of a ripple of 1 N m at the motor adds to it
-    share: float  # of the torque's root mean square that a ripple is taken to have
-    amplitude: float  # N m at the motor, of a ripple of that share
-    moves: float | None  # by how many sds of the data that moves it; none where they leave it open
-    angle_free: bool  # whether gravity's angle takes the cosine up too
-
-    @property
-    def meaning(self) -> Statement:
-        """Say what it does, and what would tell it from gravity."""
-        return stated("ripple", "gravity", **vars(self))
-
-
-def gravity_ripple(target: Target, local: LocalInformation) -> Ripple | None:
-    """Look for a ripple that gravity's first moment takes up.
+def gravity_ripple(target: Target) -> Statement | None:
+    """Say that gravity's first moment takes a ripple up.
 
     ``None`` where nothing that the motor does has the pace of gravity, or the moment is known.
     """
-    chain, observations = target.likelihood.chain, target.likelihood.observations
+    chain = target.likelihood.chain
     free = {p.quantity: p.name for p in chain.parameters if p.name in target.free}
     times, name = gravity_like(chain), free.get("first_moment")
     if not times or name is None:
         return None
-    torque = np.concatenate([o.measured for o in observations])
-    amplitude = _RIPPLE * float(np.sqrt(2.0 * np.mean(torque**2)))
-    per_torque = chain.ratio / abs(chain.load.gravity)
-    sd = float(local.data_sd[target.free.index(name)])
-    told = np.isfinite(sd) and sd > 0.0
-    moves = per_torque * amplitude / sd if told else None
-    angle = "gravity_angle" in free
-    return Ripple(times, name, per_torque, _RIPPLE, amplitude, moves, angle)
+    told = {"per_torque": chain.ratio / abs(chain.load.gravity), "name": name, "times": times}
+    return stated("ripple", "gravity", **told, angle_free="gravity_angle" in free)
 
 
 def _heavier(o: Observation, factor: float) -> Observation:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,6 @@ from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.target import Target
 
 Array = NDArray[np.float64]
-Origin = Literal["estimate", "data and prior", "prior"]
 
 # Grid of the search for noise scales: points a scale, and how often it is made finer.
 _GRID = 7
@@ -31,9 +29,8 @@ _SUITS = 4.0
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """One vector of sampled parameters, and where it comes from."""
+    """One vector of sampled parameters that may be true."""
 
-    origin: Origin  # the estimate; drawn around it as far as both leave open; from priors alone
     parameters: Array  # (d,) noise scales last
 
 
@@ -49,7 +46,7 @@ def estimate_point(target: Target, estimate: Mapping[str, float]) -> Point:
             for name, prior in zip(target.free, target.priors, strict=False)
         ]
     )
-    return Point("estimate", np.concatenate([values, _likely_scales(target, values)]))
+    return Point(np.concatenate([values, _likely_scales(target, values)]))
 
 
 def points_around(
@@ -57,16 +54,14 @@ def points_around(
     estimate: Point,
     local: LocalInformation,
     rng: np.random.Generator,
-    *,
     around: int = 8,
-    prior: int = 8,
 ) -> list[Point]:
     """Draw other vectors that may be true.
 
     So many ``around`` the estimate, whose picture is ``local``: from the normal distribution that
     data and priors leave there, in logarithms. They are then moved by the least that makes their
-    output that of the estimate again, which straight lines in logarithms do not keep. So many from
-    each ``prior``. Only those the priors allow and the model has finite outputs for: maybe fewer.
+    output that of the estimate again, which straight lines in logarithms do not keep. Only those
+    the priors allow and the model has finite outputs for: maybe fewer.
     """
     k = len(target.free)
     sds = np.array([p.sd() for p in target.priors[:k]])
@@ -83,11 +78,7 @@ def points_around(
         drawn = np.concatenate([local.moved(estimate.parameters[:k], step), noise])
         suiting = _refitted(target, drawn, goal)
         if suiting is not None:
-            found.append(Point("data and prior", suiting))
-    for row in np.stack([p.draw(prior, rng) for p in target.priors[:k]], axis=1):
-        drawn = np.concatenate([row, noise])
-        if _possible(target, drawn) is not None:
-            found.append(Point("prior", drawn))
+            found.append(Point(suiting))
     return found
 
 

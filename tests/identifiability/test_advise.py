@@ -60,7 +60,7 @@ def problem(*observations, texts=None, chain=CHAIN, preset=KNEE, sigma=SIGMA):
     priors = read_priors(chain, texts or {}, observations)
     target = make_target(chain, observations, priors, "shared")
     parameters = np.array([preset.values[name] for name in target.free] + [sigma])
-    return target, Point("estimate", parameters), local_information(target, parameters)
+    return target, Point(parameters), local_information(target, parameters)
 
 
 def ranked(name, *observations, options=None, others=0, **given):
@@ -68,7 +68,7 @@ def ranked(name, *observations, options=None, others=0, **given):
     points = [point]
     if others:
         rng = np.random.default_rng(3)
-        points += points_around(target, point, local, rng, around=others, prior=0)
+        points += points_around(target, point, local, rng, around=others)
     return ranking(target, points, local, options or AdviceOptions(), name)
 
 
@@ -165,7 +165,7 @@ def test_sds_are_those_of_a_linear_model(make_observation):
 def test_points_are_averaged_as_variances(square):
     target, point, local = problem(square)
     rng = np.random.default_rng(3)
-    points = [point, *points_around(target, point, local, rng, around=2, prior=0)]
+    points = [point, *points_around(target, point, local, rng, around=2)]
     options = AdviceOptions(masses=(), torque_limit=0.5)
     name = "total_drive.inertia"
     whole = ranking(target, points, local, options, name)
