@@ -41,8 +41,6 @@ _FASTER = 1.2
 # No longer than this, s and samples, unless it is asked for: the joint has told by then.
 _LONGEST = 30.0
 _LONGEST_SAMPLES = 60_000
-# Amplitudes to try, as shares of the torque limit.
-_AMPLITUDES = (1.0, 0.6)
 # Frequencies, as multiples of how often the joint went to and fro.
 _PACES = (0.5, 1.0, 2.0)
 _CHIRPS = ((0.25, 2.0), (0.5, 5.0))
@@ -265,10 +263,8 @@ def candidates(
         for form, shape in _shapes(time, hertz):
             # the drive is not left with a torque when the command ends
             shape[-1] = 0.0
-            for share in _AMPLITUDES:
-                peak = share * limits.torque
-                signal = peak, peak * shape, period, limits.lag
-                yield Candidate(kind, form, *signal, bolted, limits.start, 0.0)
+            signal = limits.torque, limits.torque * shape, period, limits.lag
+            yield Candidate(kind, form, *signal, bolted, limits.start, 0.0)
 
 
 def _carrying(

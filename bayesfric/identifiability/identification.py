@@ -59,7 +59,7 @@ class Prospect:
     meaning: str
     value: float  # at the estimate; it means nothing where data_sd is infinite
     data_sd: float  # what the data alone would leave, the noise being what fit takes it for
-    expected_sd: float  # data and prior together, with bounds that the estimate stands on
+    expected_sd: float  # data and prior together
     prior_sd: float = float("nan")  # and these two of parameters alone
     verdict: Verdict | None = None  # to be expected of the posterior
     on_bound: str | None = None  # lower or upper: a limit is what can be told
@@ -194,7 +194,7 @@ def identify(
     tried = trials(target, estimate, local, coverage, rare=rare)
     free = [p for p in chain.parameters if p.name in target.free]
     bounds = _bounds_met(target, estimate)
-    covariance = _cut(expected_covariance(target, local), bounds)
+    covariance = expected_covariance(target, local)
     parameters = _parameters(target, estimate, local, bounds, covariance)
     load = typical_load(chain, observations, vectors[0])
     return Identification(
@@ -263,18 +263,6 @@ def _bounds_met(target: Target, estimate: Array) -> list[str | None]:
     return found
 
 
-def _cut(covariance: Array, bounds: Sequence[str | None]) -> Array:
-    """Halve a normal ``(k, k)`` at the bounds that its middle stands on, one after the other.
-
-    What half a normal has less variance than a whole one, ``2/pi`` of it, is missing from all that
-    goes along with the parameter.
-    """
-    for j in (j for j, bound in enumerate(bounds) if bound and 0.0 < covariance[j, j] < np.inf):
-        along = np.where(np.isfinite(covariance[j]), covariance[j], 0.0)
-        covariance = covariance - 2.0 / np.pi * np.outer(along, along) / covariance[j, j]
-    return covariance
-
-
 def moved_beside(local: LocalInformation, parameters: Array) -> tuple[Array, Array]:
     """Move each free parameter of ``(d,)`` up, then down: ``(2 k, d)``, and the widths ``(k,)``."""
     steps = 1e-5 * np.abs(local.units)
@@ -291,12 +279,10 @@ def _parameters(
 ) -> tuple[Prospect, ...]:
     described = {p.name: p for p in target.likelihood.chain.parameters}
     expected = np.sqrt(np.diag(covariance)) * np.abs(local.units)
-    whole = np.sqrt(np.diag(expected_covariance(target, local))) * np.abs(local.units)
     rows = []
     for j, (name, prior, bound) in enumerate(zip(target.free, target.priors, bounds, strict=False)):
         prior_sd, data_sd = float(prior.sd()), float(local.data_sd[j])
-        # whether data or prior tell how far from its bound a value may be
-        found = verdict(float(whole[j] if bound else expected[j]), prior_sd, data_sd)
+        found = verdict(float(expected[j]), prior_sd, data_sd)
         p, sds = described[name], (data_sd, float(expected[j]), prior_sd)
         rows.append(Prospect(name, p.unit, p.meaning, float(estimate[j]), *sds, found, bound))
     return tuple(rows)

@@ -1,14 +1,12 @@
-"""Which noise identify's sds are for, and what a bound does to them."""
+"""Which noise identify's sds are for, and that a limit is none of the determined."""
 
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from scipy.signal import lfilter
 
 import bayesfric as bf
 from bayesfric.commands.identify import identify_text
-from bayesfric.identifiability.identification import _cut
 
 AXIS = bf.Joint.preset("motor-axis")
 
@@ -24,20 +22,6 @@ def model(memory, seed=1, joint=AXIS, **more):
     recording = bf.Recording.from_arrays(t, q, torque + noise, name="run")
     options = {"noise": {"model": "white"}, "processing": {"band": "10 Hz", "dead_zone": 0}}
     return bf.Model(joint, recording, **(options | more))
-
-
-def test_a_normal_halved_at_a_bound_is_what_draws_beyond_it_leave():
-    rng = np.random.default_rng(2)
-    root = rng.standard_normal((3, 3))
-    draws = rng.standard_normal((400_000, 3)) @ root.T
-    expected = np.cov(draws[draws[:, 1] > 0.0].T)
-    found = _cut(root @ root.T, [None, "lower", None])
-    # an entry of the covariance of n draws is known to about sqrt(2/n) of the sds' product, 0.3 %
-    sds = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(
-        found / np.outer(sds, sds), expected / np.outer(sds, sds), atol=0.012
-    )
-    np.testing.assert_array_equal(_cut(root @ root.T, [None] * 3), root @ root.T)
 
 
 def test_the_footnote_says_which_noise_the_sds_are_for():
@@ -66,12 +50,6 @@ def test_a_limit_is_not_called_determined():
     assert loss.on_bound == "lower"
     named = {one.name: one for one in found.combinations}
     assert named["gearbox.alpha_drive"].on_bound == "lower"
-    # of half a normal 1 - 2/pi of the variance is left, and less is missing of what goes along
-    left = np.sqrt(1.0 - 2.0 / np.pi)
-    whole = np.hypot(1.0 / loss.data_sd, 1.0 / loss.prior_sd) ** -1
-    assert loss.expected_sd == pytest.approx(left * whole, rel=1e-3)
-    drive = named["total_drive.gravity_size"]
-    assert left * 0.99 < drive.expected_sd / drive.data_sd < 0.99
     determined = [one.name for one in found.determined]
     assert "total_drive.gravity_size" in determined
     assert not any("alpha" in name or "efficiency" in name for name in determined)
