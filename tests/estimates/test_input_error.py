@@ -287,7 +287,6 @@ def test_what_the_fit_would_make_negative_stands_on_its_bound(knee):
     assert value.value == 0.0
     assert value.at_bound == "lower"
     assert np.isnan(value.sd)
-    assert "without bounds the fit would make joint.viscous negative" in estimate.notes
     assert all(x.value >= 0.0 for x in estimate.values if x.kind == "parameter")
 
 
