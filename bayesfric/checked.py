@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from bayesfric.config_text import toml_value
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.inference.noise import SCALES
@@ -79,7 +77,6 @@ def _found(model: Model) -> dict[str, Any]:
     # what a fit begins to put in is no doubt; what is left then, it asks anew
     taken = [one for one in explained.findings if auto and one.hint]
     (totals,) = model.estimates(["least-squares"])
-    delays = model.delays()
     known = model.evidence.knowledge
     findings = [one.as_dict() for one in explained.findings if one not in taken]
     doubts = [
@@ -119,16 +116,6 @@ def _found(model: Model) -> dict[str, Any]:
             # whether the noise remembers, the residuals of an estimate will say
             if not (prior.default and name in unsettled)
         },
-        "delays": [
-            {
-                "recordings": list(one.recordings),
-                "delay": one.value,
-                # what nothing tells has none
-                "sd": one.sd if np.isfinite(one.sd) else None,
-                "samples": one.samples,
-            }
-            for one in delays
-        ],
         "doubts": doubts,
         "taken": [one.as_dict() for one in taken],
         "findings": findings,
@@ -228,20 +215,6 @@ def _lines(found: Mapping[str, Any]) -> Iterator[str]:
         yield f"  {name:<28} {v['value']:>12.5g} ± {v['sd']:<9.2g} {v['unit']:<8} {v['meaning']}"
     left = f"{totals['residual_rms']:>12.4g} {'':<11} {totals['residual_unit']:<8}"
     yield f"  {'residual rms':<28} {left} motor torque that these leave, filtered"
-    yield ""
-    unsure = any(one["kind"] == "unexplained" for one in found["doubts"])
-    yield (
-        "Delay of the position after the torque"
-        + (", not to be judged while the model explains so little" if unsure else "")
-    )
-    for one in found["delays"]:
-        alone = len(one["recordings"]) == 1
-        name = one["recordings"][0] if alone else "all together"
-        if one["sd"] is None:
-            yield f"  {name:<28} {'-':>12} not determined by this motion"
-            continue
-        samples = f" ({one['samples']:.2g} samples)" if alone else ""
-        yield f"  {name:<28} {one['delay']:>12.3g} ± {one['sd']:<9.2g} s{samples}"
     for one in found["taken"]:
         yield sentence("put in", one)
     for doubt in found["doubts"]:

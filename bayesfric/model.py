@@ -26,7 +26,6 @@ from bayesfric.diagnostics.explanation import Explanation, explain, unasked
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.policy import MOST
 from bayesfric.errors import BadInput, nearest
-from bayesfric.estimates.delay import Delay, delays
 from bayesfric.estimates.descent import few_threads
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.methods import Given, estimate_by
@@ -278,13 +277,6 @@ class Model:
         """Fitted recordings as a simulation follows them, starting anew every ``segment`` s."""
         pairs = zip(self.recordings, self.observations, strict=True)
         return [trajectory(recording, observation, segment) for recording, observation in pairs]
-
-    def delays(self, estimates: Sequence[Estimate] = ()) -> list[Delay]:
-        """Estimate by how much positions come late: each recording's, then all together.
-
-        Load losses and a Stribeck rise need an input-error estimate, made if none is given.
-        """
-        return delays(self.evidence, self.recordings, _first_point(estimates))
 
     def explain(
         self,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
+from bayesfric.estimates.beside import larger
 from bayesfric.estimates.point_estimate import Estimate
-from bayesfric.estimates.torque_near import larger
 from bayesfric.mechanism.joint import Joint
 
 # A loss is told where its sd is less than this share of all of them together.
