@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from bayesfric.estimates.beside import bends, fitted_beside, larger
 from bayesfric.estimates.input_error import input_error
-from bayesfric.estimates.least_squares import TotalsProjection
+from bayesfric.estimates.least_squares import TotalsProjection, least_squares
 from bayesfric.estimates.methods import Given
-from bayesfric.estimates.torque import places
+from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.measurement import Array, Measurement
 from bayesfric.recordings.observation import Observation
@@ -39,50 +38,31 @@ def own_delay(given: Given, recordings: Sequence[Measurement]) -> float:
         If nothing can be estimated from these recordings.
     """
     chain, pairs = given.chain, list(zip(recordings, given.observations, strict=True))
-    if not bends(chain):
-        return find_delay(chain, recordings, given.observations)
-    plain = replace(chain, delay=False)
-    delay = _first(TotalsProjection(plain, given.observations).regressors, pairs)
-    for _ in range(_ROUNDS):
-        there = [retimed(o, r.segments, r.period, delay, r.back_emf) for r, o in pairs]
-        found = input_error(chain, there, given.knowledge, given.options)[chain.delay_name]
-        before, delay = delay, _within(found.value, pairs)
-        # what has no sd, or is at the end, moves no more
-        if not abs(delay - before) > _STILL * larger(found.sd, found.sd_robust):
-            break
-    return delay
+    if any(p.row.bends for p in chain.parameters):
+        known = given.knowledge, given.options
+        return found_delay(pairs, lambda there: input_error(chain, there, *known), chain)
+    return found_delay(pairs, lambda there: least_squares(chain, there), chain)
 
 
-def find_delay(
-    chain: Joint, recordings: Sequence[Measurement], observations: Sequence[Observation]
+def found_delay(
+    pairs: Sequence[tuple[Measurement, Observation]],
+    estimate: Callable[[Sequence[Observation]], Estimate],
+    chain: Joint,
 ) -> float:
-    """Estimate the one delay of all recordings, s, from the totals of least squares.
+    """Look for the one delay of all recordings, s, that an ``estimate`` of the chain settles at.
 
-    Load losses and a Stribeck rise bend these: there it may be four times the delay of the
-    mechanism (measured, UR10e). It is no longer than a quarter of a second, or a tenth of the
-    recording, and zero where nothing tells. The chain's own, if it has one, is not looked at.
-
-    Raises
-    ------
-    BadInput
-        If nothing can be estimated from these recordings.
+    It is no longer than a quarter of a second, or a tenth of the recording, and zero where least
+    squares tells none.
     """
-    pairs = list(zip(recordings, observations, strict=True))
-    regressors = TotalsProjection(replace(chain, delay=False), observations).regressors
-    where = places(observations)
-    delay = _first(regressors, pairs)
+    delay = _first(TotalsProjection(replace(chain, delay=False), [o for _, o in pairs]), pairs)
     for _ in range(_ROUNDS):
-        before = delay
-        there = [retimed(o, r.segments, r.period, delay, r.back_emf) for r, o in pairs]
-        rate = np.concatenate([_rate(o) for o in there])
-        target = np.concatenate([o.measured for o in there])
-        found = fitted_beside(regressors, rate, target, where) if rate.any() else None
-        if found is None:
-            break
-        if not np.isfinite(found.sd):
+        found = estimate([retimed(o, r.segments, r.period, delay, r.back_emf) for r, o in pairs])
+        value, before = found[chain.delay_name], delay
+        if found.method == "least-squares" and not value.determined:
             return 0.0
-        delay = _within(found.value, pairs)
-        if not abs(delay - before) > _STILL * found.sd:
+        delay = _within(value.value, pairs)
+        # what has no sd, or is at the end, moves no more
+        if not abs(delay - before) > _STILL * value.larger_sd:
             break
     return delay
 
@@ -97,11 +77,11 @@ def _within(delay: float, pairs: Sequence[tuple[Measurement, Observation]]) -> f
     return float(np.clip(delay, -_longest(pairs), _longest(pairs)))
 
 
-def _first(regressors: Array, pairs: Sequence[tuple[Measurement, Observation]]) -> float:
+def _first(projection: TotalsProjection, pairs: Sequence[tuple[Measurement, Observation]]) -> float:
     """Give the delay to begin with: none, or a far one with which far more is explained."""
     near = max(longest_delay(o, r.period) for r, o in pairs)
     beyond = [d for d in FAR_DELAYS if near < d <= _longest(pairs)]
-    basis, _ = np.linalg.qr(regressors)
+    basis, _ = np.linalg.qr(projection.regressors)
 
     def left(delay: float) -> float:
         there = [retimed(o, r.segments, r.period, delay, r.back_emf) for r, o in pairs]
