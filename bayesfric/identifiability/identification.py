@@ -19,12 +19,7 @@ from numpy.typing import NDArray
 from bayesfric.errors import BadInput
 from bayesfric.estimates.torque import typical_load
 from bayesfric.identifiability.coverage import BackDriving, Coverage, back_driving, coverage_of
-from bayesfric.identifiability.known_quantities import (
-    SpeedTerm,
-    UnknownMass,
-    gravity_ripple,
-    unknown_mass,
-)
+from bayesfric.identifiability.known_quantities import SpeedTerm, gravity_ripple
 from bayesfric.identifiability.local import (
     WEAK,
     LocalInformation,
@@ -80,7 +75,6 @@ class Identification:
     combinations: tuple[Prospect, ...]  # what they amount to, best known first
     recordings: tuple[Coverage, ...]  # what the recordings went through
     back_driving: tuple[BackDriving, ...]  # how often the load drove
-    known_mass: UnknownMass | None  # what rests on the added mass being known
     voltage: SpeedTerm | None  # what a back-EMF cannot be told from
     ripple: Statement | None  # of the motor's torque, that cannot be told from gravity
 
@@ -118,8 +112,8 @@ class Identification:
 
     @property
     def remarks(self) -> list[Statement]:
-        """What is to be said of back-driving, of the known mass, of a voltage and of a ripple."""
-        found = [*map(self._seen, self.back_driving), self._mass_meaning, self._voltage_meaning]
+        """What is to be said of back-driving, of a voltage and of a ripple."""
+        found = [*map(self._seen, self.back_driving), self._voltage_meaning]
         return [one for one in [*found, self.ripple] if one]
 
     def _seen(self, one: BackDriving) -> Statement:
@@ -134,17 +128,12 @@ class Identification:
         return stated("back_driving", kind, prior=prior, certain=not unsure, **vars(one))
 
     @property
-    def _mass_meaning(self) -> Statement | None:
-        all_told = not any(one.null for one in self.directions)
-        return self.known_mass.meaning(all_told=all_told) if self.known_mass else None
-
-    @property
     def _voltage_meaning(self) -> Statement | None:
         return self.voltage.meaning(len(self.recordings)) if self.voltage else None
 
     def as_json(self) -> dict[str, Any]:
         """Give what ``bayesfric identify --json`` prints; what is infinite is ``None``."""
-        mass, voltage = self.known_mass, self.voltage
+        voltage = self.voltage
         found = {
             "method": self.method,
             "noise": self.noise,
@@ -157,7 +146,6 @@ class Identification:
                 for one in self.back_driving
             },
             "recordings": self.recordings,
-            "known_mass": mass and {**vars(mass), "meaning": self._mass_meaning or ""},
             "voltage": voltage and {**vars(voltage), "meaning": self._voltage_meaning},
             "ripple": self.ripple,
         }
@@ -208,7 +196,6 @@ def identify(
         _combinations(target, estimate, local, load, parameters, covariance),
         coverage,
         back,
-        unknown_mass(target, estimate, local),
         speed,
         gravity_ripple(target),
     )
