@@ -81,9 +81,9 @@ def init(
 ) -> None:
     """Write a commented configuration."""
     from bayesfric.commands.init import configuration
-    from bayesfric.commands.init_fleet import FLEET, fleet_plan
+    from bayesfric.commands.init_fleet import FLEET, PLAN
     from bayesfric.commands.init_from import configuration_from, guesses_text
-    from bayesfric.commands.keys import reference_text, schema_hint
+    from bayesfric.commands.keys import reference_text
     from bayesfric.report.files import write_beside
 
     asked = "--schema" if schema else "--all-keys" if all_keys else ""
@@ -95,7 +95,7 @@ def init(
     if asked:
         text = reference_text(preset, schema=schema, option=asked)
     elif preset == FLEET:
-        text = fleet_plan()
+        text = PLAN
     elif log is not None:
         found = configuration_from(log, preset, output, table=table, joint=joint)
         text = found["text"]
@@ -107,7 +107,8 @@ def init(
         write_beside({output: text}, replace=force)
     lines = [f"Written to {output}"] if output else [text]
     lines += guesses_text(found) if found and output else ()
-    lines += schema_hint(output) if schema and output else ()
+    if schema and output:
+        lines += [f"Editors with Taplo use it in files that begin with: #:schema ./{output.name}"]
     told = {**(found or {}), "written": str(output) if output else None, "text": text}
     _print(told, as_json, lines)
 
