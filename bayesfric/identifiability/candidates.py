@@ -66,8 +66,6 @@ class Limits:
     recorded_angles: tuple[float, float]  # lowest and highest of the recordings, rad or m
     # whether a controller seems to have held the joint: then what can be played is its motion
     held: bool = False
-    # which of torque and speed are the recordings' own, as the configuration gives none
-    own: tuple[Literal["torque", "speed"], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,10 +175,6 @@ def limits_of(
             f"recording {base.name!r} began",
             "give limits in the recordings' own angle",
         )
-    given: dict[Literal["torque", "speed"], float | None] = {
-        "torque": options.torque_limit,
-        "speed": options.speed_limit,
-    }
     return Limits(
         options.torque_limit or max(float(np.abs(o.measured).max()) for o in observations),
         options.speed_limit or _FASTER * max(fastest(o) for o in observations),
@@ -193,7 +187,6 @@ def limits_of(
         start,
         recorded,
         held,
-        tuple(name for name, limit in given.items() if limit is None),
     )
 
 

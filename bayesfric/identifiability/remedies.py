@@ -37,8 +37,6 @@ HARDLY = 0.01
 _WORTH = 0.5
 # Of the parameters in a direction, those that change at least this share of the most changed.
 _MEMBER = 0.3
-# Turned through less than this, gravity is next to a straight line, rad.
-_SMALL_TURN = 1.0
 
 
 @dataclass(frozen=True)
@@ -112,8 +110,6 @@ def trials(
     if rare or any(one.piecewise_constant for one in coverage):
         shape = peak * square_with_sines(time, hertz, hertz * LINES)
         excite("square_multisine", excitation.current_loop(shape, period, LAG))
-    if rotary and max(one.turn for one in coverage) < _SMALL_TURN:
-        excite("same", 1.5 * measured)
     found = []
     for kind, text, torque, bolted in wanted:
         try:

@@ -342,13 +342,10 @@ def test_the_recording_itself_keeps_the_limits_that_are_taken_from_it(square):
     between = replace(pushed, speed=0.5 * pushed.speed)
     for recording in (square, pushed, between):
         limits = limits_of(AdviceOptions(), CHAIN, [recording], VALUES)
-        assert limits.own == ("torque", "speed")
         first = next(iter(candidates(CHAIN, VALUES, [recording], limits)))
         assert first.kind == "longer"
         tried, _ = try_out(CHAIN, VALUES[None], recording, first, limits)
         assert tried is first
-    told = limits_of(AdviceOptions(speed_limit=1.0), CHAIN, [square], VALUES)
-    assert told.own == ("torque",)
 
 
 def test_a_value_of_zero_has_no_share_and_no_dash(knee):
