@@ -40,15 +40,6 @@ class Coverage:
     radius: float  # m
 
 
-@dataclass(frozen=True)
-class BackDriving:
-    """How often the load drives one element, as a share of the moving outputs."""
-
-    element: str
-    at_estimate: float
-    plausible: tuple[float, float]  # least and largest over the points that suit the data
-
-
 def coverage_of(
     chain: Joint, observations: Sequence[Observation], values: Array, noise: Array
 ) -> tuple[Coverage, ...]:
@@ -93,16 +84,6 @@ def back_driven(
             moving += outputs.size
         found[element.name] = back / max(moving, 1)
     return found
-
-
-def back_driving(
-    chain: Joint, observations: Sequence[Observation], vectors: Array
-) -> tuple[BackDriving, ...]:
-    """Look at vectors ``(n, n_parameters)`` that suit the data, the estimate first."""
-    return tuple(
-        BackDriving(name, float(share[0]), (float(share.min()), float(share.max())))
-        for name, share in back_driven(chain, observations, vectors).items()
-    )
 
 
 def _behind(

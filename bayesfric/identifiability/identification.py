@@ -1,10 +1,9 @@
 """What recordings can and cannot tell, before anything is sampled.
 
-The Jacobian of the observed quantity over its noise, in logarithms of the parameters,
-is taken at the estimate and at other vectors that may be true. A direction is *null*
-where its singular value is below 1e-7 of the largest, which is a thousand times what
-rounding makes of an exact zero (1e-6 for a simulated position); it is *weak* where the
-data leave the logarithm of a parameter more than 0.5.
+The Jacobian of the observed quantity over its noise, in logarithms of the parameters, is taken at
+the estimate. A direction is *null* where its singular value is below 1e-7 of the largest, which is
+a thousand times what rounding makes of an exact zero (1e-6 for a simulated position); it is *weak*
+where the data leave the logarithm of a parameter more than 0.5.
 """
 
 from __future__ import annotations
@@ -16,9 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.errors import BadInput
 from bayesfric.estimates.torque import typical_load
-from bayesfric.identifiability.coverage import BackDriving, Coverage, back_driving, coverage_of
+from bayesfric.identifiability.coverage import Coverage, back_driven, coverage_of
 from bayesfric.identifiability.known_quantities import SpeedTerm, gravity_ripple
 from bayesfric.identifiability.local import (
     WEAK,
@@ -29,7 +27,6 @@ from bayesfric.identifiability.local import (
     verdict,
 )
 from bayesfric.identifiability.open_directions import OpenDirection, open_directions
-from bayesfric.identifiability.plausible import Point
 from bayesfric.identifiability.remedies import HARDLY, trials
 from bayesfric.identifiability.sentences import Statement, plain, stated
 from bayesfric.inference.prior.priors import KNOWN
@@ -68,13 +65,13 @@ class Identification:
     noise: str  # what it takes the noise for
     # whether it may be correlated: estimates weigh all residuals alike, and have other sds then
     memory: bool
-    points: int  # parameter vectors looked at, the estimate first
     local: LocalInformation  # the local picture at the estimate
     directions: tuple[OpenDirection, ...]  # null ones first, then weak ones, the weakest first
     parameters: tuple[Prospect, ...]  # the free ones
     combinations: tuple[Prospect, ...]  # what they amount to, best known first
     recordings: tuple[Coverage, ...]  # what the recordings went through
-    back_driving: tuple[BackDriving, ...]  # how often the load drove
+    # element with a load loss: share of the moving outputs in which the load drives it
+    back_driving: dict[str, float]
     voltage: SpeedTerm | None  # what a back-EMF cannot be told from
     ripple: Statement | None  # of the motor's torque, that cannot be told from gravity
 
@@ -116,16 +113,12 @@ class Identification:
         found = [*map(self._seen, self.back_driving), self._voltage_meaning]
         return [one for one in [*found, self.ripple] if one]
 
-    def _seen(self, one: BackDriving) -> Statement:
+    def _seen(self, element: str) -> Statement:
         """Say how often the load drives an element."""
-        loss = f"{one.element}.load_back"
+        loss, share = f"{element}.load_back", self.back_driving[element]
         prior = any(row.name == loss and row.verdict == "prior" for row in self.parameters)
-        least, most = one.plausible
-        unsure = least == 0.0 and prior
-        kind = "never" if most == 0.0 else "seen"
-        if kind == "seen" and (unsure or one.at_estimate < HARDLY):
-            kind = "hardly"
-        return stated("back_driving", kind, prior=prior, certain=not unsure, **vars(one))
+        kind = "never" if share == 0.0 else "hardly" if share < HARDLY else "seen"
+        return stated("back_driving", kind, prior=prior, element=element, share=share)
 
     @property
     def _voltage_meaning(self) -> Statement | None:
@@ -137,13 +130,12 @@ class Identification:
         found = {
             "method": self.method,
             "noise": self.noise,
-            "points": self.points,
             "directions": self.directions,
             "combinations": {p.name: _without(p, "name", "prior_sd") for p in self.combinations},
             "parameters": {p.name: _without(p, "name") for p in self.parameters},
             "back_driving": {
-                one.element: _without(one, "element") | {"meaning": self._seen(one)}
-                for one in self.back_driving
+                name: {"at_estimate": share, "meaning": self._seen(name)}
+                for name, share in self.back_driving.items()
             },
             "recordings": self.recordings,
             "voltage": voltage and {**vars(voltage), "meaning": self._voltage_meaning},
@@ -156,14 +148,10 @@ def _without(record: Any, *names: str) -> dict[str, Any]:
     return {name: value for name, value in vars(record).items() if name not in names}
 
 
-def identify(
-    target: Target, points: Sequence[Point], *, speed: SpeedTerm | None = None
-) -> Identification:
-    """Find out what the recordings can tell.
+def identify(target: Target, estimate: Array, *, speed: SpeedTerm | None = None) -> Identification:
+    """Find out what the recordings can tell, at an estimate ``(d,)``, noise scales last.
 
-    ``points`` are the estimate, then others that may be true, see
-    :func:`bayesfric.identifiability.plausible.points_around`; ``speed`` is what a back-EMF is
-    confounded with, where the torque comes from a voltage.
+    ``speed`` is what a back-EMF is confounded with, where the torque comes from a voltage.
 
     Raises
     ------
@@ -171,27 +159,25 @@ def identify(
         If a simulation fails beside the estimate.
     """
     chain, observations = target.likelihood.chain, target.likelihood.observations
-    estimate = points[0].parameters
-    points, locals_ = _locals(target, points)
-    local = locals_[0]
-    vectors = target.chain_values(np.stack([p.parameters for p in points]))
+    local = in_natural_units(target, estimate, local_information(target, estimate))
+    values = target.chain_values(estimate[None])
     noise = target.noise.scales(estimate[None, len(target.free) :])[0]
-    coverage = coverage_of(chain, observations, vectors[0], noise[:, 0])
-    back = back_driving(chain, observations, vectors)
-    rare = any(one.plausible[0] < HARDLY for one in back)
+    coverage = coverage_of(chain, observations, values[0], noise[:, 0])
+    shares = back_driven(chain, observations, values)
+    back = {name: float(share[0]) for name, share in shares.items()}
+    rare = any(share < HARDLY for share in back.values())
     tried = trials(target, estimate, local, coverage, rare=rare)
     free = [p for p in chain.parameters if p.name in target.free]
     bounds = _bounds_met(target, estimate)
     covariance = expected_covariance(target, local)
     parameters = _parameters(target, estimate, local, bounds, covariance)
-    load = typical_load(chain, observations, vectors[0])
+    load = typical_load(chain, observations, values[0])
     return Identification(
         target.likelihood.method,
         target.likelihood.noise.description,
         target.likelihood.noise.accounts_for_correlation,
-        len(points),
         local,
-        tuple(open_directions(locals_, free, coverage, back, tried, _told(target, estimate))),
+        tuple(open_directions(local, free, coverage, back, tried, _told(target, estimate))),
         parameters,
         _combinations(target, estimate, local, load, parameters, covariance),
         coverage,
@@ -199,21 +185,6 @@ def identify(
         speed,
         gravity_ripple(target),
     )
-
-
-def _locals(target: Target, points: Sequence[Point]) -> tuple[list[Point], list[LocalInformation]]:
-    """Look at every point; those beside which a simulation fails are left out."""
-    kept, found = [], []
-    for p in points:
-        try:
-            local = local_information(target, p.parameters)
-        except BadInput:
-            if p is points[0]:
-                raise
-            continue
-        kept.append(p)
-        found.append(in_natural_units(target, p.parameters, local))
-    return kept, found
 
 
 def prior_rows(target: Target, local: LocalInformation) -> Array:

@@ -34,7 +34,6 @@ from bayesfric.identifiability.candidates import (
 from bayesfric.identifiability.coverage import back_driven
 from bayesfric.identifiability.identification import moved_beside, prior_rows
 from bayesfric.identifiability.local import LocalInformation, local_information
-from bayesfric.identifiability.plausible import Point
 from bayesfric.identifiability.sentences import Statement, plain, stated
 from bayesfric.identifiability.virtual_recording import TorqueNoise, scaled_jacobian, torque_noise
 from bayesfric.inference.target import Target
@@ -187,7 +186,7 @@ class _At:
 
 def ranking(
     target: Target,
-    points: Sequence[Point],
+    points: Sequence[Array],
     local: LocalInformation,
     options: AdviceOptions,
     name: str,
@@ -207,7 +206,7 @@ def ranking(
         If there is no such quantity, if it is fixed, or if a limit cannot be.
     """
     chain, observations = target.likelihood.chain, target.likelihood.observations
-    first = points[0].parameters
+    first = points[0]
     at_estimate = target.chain_values(first[None])[0]
     load = typical_load(chain, observations, at_estimate)
     unit, meaning = _described(target, name, first, load)
@@ -215,7 +214,7 @@ def ranking(
     there = []
     for p in points:
         try:
-            found = local if p is points[0] else local_information(target, p.parameters)
+            found = local if p is points[0] else local_information(target, p)
             there.append(_at(target, p, found, name, load))
         except BadInput:
             if p is points[0]:
@@ -277,9 +276,9 @@ def _values(target: Target, name: str, parameters: Array, load: float) -> Array:
     return next(q.values for q in made if q.name == name)
 
 
-def _at(target: Target, point: Point, local: LocalInformation, name: str, load: float) -> _At:
+def _at(target: Target, point: Array, local: LocalInformation, name: str, load: float) -> _At:
     # central differences, exact up to rounding for what is next to linear
-    moved, widths = moved_beside(local, point.parameters)
+    moved, widths = moved_beside(local, point)
     up, down = _values(target, name, moved, load).reshape(2, -1)
     gradient = (up - down) / widths * local.units
     if not np.isfinite(gradient).all() or not gradient.any():
@@ -287,7 +286,7 @@ def _at(target: Target, point: Point, local: LocalInformation, name: str, load: 
         raise BadInput(
             f"--advise {name}", what, "give these priors with a width, or ask for another quantity"
         )
-    values = _movable(target, point.parameters, local)
+    values = _movable(target, point, local)
     return _At(values, local, prior_rows(target, local), gradient)
 
 

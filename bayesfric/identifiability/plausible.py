@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,14 +26,7 @@ _REFITS = 8
 _SUITS = 4.0
 
 
-@dataclass(frozen=True, eq=False)
-class Point:
-    """One vector of sampled parameters that may be true."""
-
-    parameters: Array  # (d,) noise scales last
-
-
-def estimate_point(target: Target, estimate: Mapping[str, float]) -> Point:
+def estimate_point(target: Target, estimate: Mapping[str, float]) -> Array:
     """Put a point estimate into sampled parameters, the most likely noise scales added.
 
     Of the ``estimate``, a value of every free parameter of the chain, what lies outside its
@@ -46,16 +38,16 @@ def estimate_point(target: Target, estimate: Mapping[str, float]) -> Point:
             for name, prior in zip(target.free, target.priors, strict=False)
         ]
     )
-    return Point(np.concatenate([values, _likely_scales(target, values)]))
+    return np.concatenate([values, _likely_scales(target, values)])
 
 
 def points_around(
     target: Target,
-    estimate: Point,
+    estimate: Array,
     local: LocalInformation,
     rng: np.random.Generator,
     around: int = 8,
-) -> list[Point]:
+) -> list[Array]:
     """Draw other vectors that may be true.
 
     So many ``around`` the estimate, whose picture is ``local``: from the normal distribution that
@@ -68,17 +60,17 @@ def points_around(
     # beyond a factor e the normal in logarithms is no guide: further draws are the prior's job
     confined = np.maximum(np.nan_to_num(np.abs(local.units) / sds), 1.0 / _WIDEST)
     values, vectors = np.linalg.eigh(local.information + np.diag(confined**2))
-    goal = _outputs(target, estimate.parameters)
-    noise = estimate.parameters[k:]
-    found: list[Point] = []
+    goal = _outputs(target, estimate)
+    noise = estimate[k:]
+    found: list[Array] = []
     for _ in range(_TRIES):
         if len(found) >= around:
             break
         step = vectors @ (rng.standard_normal(k) / np.sqrt(values))
-        drawn = np.concatenate([local.moved(estimate.parameters[:k], step), noise])
+        drawn = np.concatenate([local.moved(estimate[:k], step), noise])
         suiting = _refitted(target, drawn, goal)
         if suiting is not None:
-            found.append(Point(suiting))
+            found.append(suiting)
     return found
 
 

@@ -75,16 +75,8 @@ def relative(sd: float, value: float) -> str:
 
 
 def _to(ends: tuple[float, float]) -> str:
-    """Word two shares as per cent; whole numbers are counts, given once where they agree."""
-    low, high = ends
-    if isinstance(low, int):
-        return f"{low}" if low == high else f"{low} to {high}"
-    return f"{percent(low)} to {percent(high)}"
-
-
-def _span(ends: tuple[float, float]) -> str:
-    low, high = ends
-    return percent(high) if high - low < 1e-4 else _to(ends)
+    """Word two shares as per cent."""
+    return f"{percent(ends[0])} to {percent(ends[1])}"
 
 
 @cache
@@ -94,7 +86,6 @@ def _environment() -> Environment:
         "capital": capital,
         "factor": factor,
         "sd": relative,
-        "span": _span,
         "to": _to,
     }
     made.globals["inf"] = np.inf

@@ -20,7 +20,7 @@ from bayesfric.identifiability.candidates import (
 )
 from bayesfric.identifiability.local import local_information
 from bayesfric.identifiability.next_recording import ranking
-from bayesfric.identifiability.plausible import Point, points_around
+from bayesfric.identifiability.plausible import points_around
 from bayesfric.identifiability.sentences import page
 from bayesfric.identifiability.virtual_recording import HEAVIEST, known_mass, played
 from bayesfric.inference.fitting import make_target, read_priors
@@ -59,7 +59,7 @@ def problem(*observations, texts=None, chain=CHAIN, preset=KNEE, sigma=SIGMA):
     priors = read_priors(chain, texts or {}, observations)
     target = make_target(chain, observations, priors, "shared")
     parameters = np.array([preset.values[name] for name in target.free] + [sigma])
-    return target, Point(parameters), local_information(target, parameters)
+    return target, parameters, local_information(target, parameters)
 
 
 def ranked(name, *observations, options=None, others=0, **given):
@@ -168,9 +168,7 @@ def test_points_are_averaged_as_variances(square):
     options = AdviceOptions(masses=(), torque_limit=0.5)
     name = "total_drive.inertia"
     whole = ranking(target, points, local, options, name)
-    alone = [
-        ranking(target, [p], local_information(target, p.parameters), options, name) for p in points
-    ]
+    alone = [ranking(target, [p], local_information(target, p), options, name) for p in points]
     assert whole.points == len(points) == 3
     assert whole.now.sd == pytest.approx(
         np.sqrt(np.mean([one.now.sd**2 for one in alone])), rel=1e-9
