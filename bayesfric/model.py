@@ -53,6 +53,7 @@ from bayesfric.preparation import prepare, residual_noise
 from bayesfric.progress import by_method, progress_shown, silent
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.trajectory import Trajectory, trajectory
+from bayesfric.report.summary.summary import estimate_summary
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -258,8 +259,6 @@ class Model:
             If there is no such method, or one cannot be used with these recordings.
         """
         import pandas as pd
-
-        from bayesfric.report.summary.summary import estimate_summary
 
         rows = {
             (one.method, name): row

@@ -44,8 +44,8 @@ _CLEARLY = 0.2
 # A search that could still lower the sum of squares by this many residual variances, though
 # no step does, is at no minimum.
 _LEFT = 100.0
-# How many times as much torque another minimum leaves, where noise alone makes hardly a hundredth.
-_MORE = 1.2
+# How many times as much torque another minimum leaves.
+_MORE = 2.0
 # Differences carry errors of 1e-8 of a derivative; what is smaller than this is null.
 _NULL = 1e-6
 
