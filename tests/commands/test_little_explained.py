@@ -131,7 +131,7 @@ def test_check_says_of_what_a_noise_is_and_in_which_unit(measured):
     noise = next(line for line in text.splitlines() if "noise of a sample" in line)
     has(noise, "of the speed" if measured else "of the position")
     assert noise.endswith(" rad/s" if measured else " rad")
-    (rms,) = (line for line in text.splitlines() if line.startswith("  residual rms"))
-    assert rms.split()[3:5] == ["N", "m"]
+    (rms,) = (line for line in text.splitlines() if line.endswith("rms left"))
+    assert rms.split()[1:3] == ["N", "m"]
     (zone,) = (line for line in text.splitlines() if "dead zone" in line)
     has(zone, "rad/s, as at rest")
