@@ -313,18 +313,6 @@ def test_an_open_scale_keeps_to_the_bounds_it_was_given(knee):
     assert np.isinf(value.sd)
 
 
-def test_correlated_residuals_are_told(knee):
-    o = knee(factor=1)
-    rng = np.random.default_rng(1)
-    noise = 0.01 * rng.standard_normal(o.measured.size + 4)
-    smooth = np.convolve(noise, np.ones(5), mode="valid")
-    knowledge = Knowledge(fixed=MOMENT)
-    for added, told in ((noise[:-4], False), (smooth, True)):
-        seen = replace(o, measured=o.measured + added)
-        notes = input_error(KNEE.chain(), [seen], knowledge, FEW).notes
-        assert any("correlated" in note for note in notes) is told
-
-
 def test_the_seed_makes_the_estimate(knee):
     o = knee(sigma=0.01)
     first, second = (input_error(KNEE.chain(), [o], Knowledge(), FEW) for _ in range(2))
