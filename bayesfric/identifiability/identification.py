@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesfric.estimates.assemble import bounds_met
 from bayesfric.estimates.torque import typical_load
 from bayesfric.identifiability.coverage import Coverage, back_driven, coverage_of
 from bayesfric.identifiability.known_quantities import SpeedTerm, gravity_ripple
@@ -37,9 +38,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Array = NDArray[np.float64]
-
-# On a bound, up to rounding.
-_ON_BOUND = 1e-6
 
 
 @dataclass(frozen=True)
@@ -212,13 +210,11 @@ def expected_covariance(target: Target, local: LocalInformation) -> Array:
 
 def _bounds_met(target: Target, estimate: Array) -> list[str | None]:
     """Say of every free parameter on which end of its prior the estimate stands."""
-    found: list[str | None] = []
-    for value, prior in zip(estimate[: len(target.free)].tolist(), target.priors, strict=False):
-        sd, (low, high) = float(prior.sd()), prior.limits
-        width = _ON_BOUND * max(abs(value), sd if np.isfinite(sd) else 0.0)
-        bound = "lower" if value - low <= width else None
-        found.append("upper" if high - value <= width else bound)
-    return found
+    k = len(target.free)
+    low, high = np.array([p.limits for p in target.priors[:k]]).T
+    sds = np.array([p.sd() for p in target.priors[:k]])
+    met = bounds_met(estimate[:k], low, high, np.where(np.isfinite(sds), sds, 0.0))
+    return [{-1: "lower", 1: "upper"}.get(int(end)) for end in met]
 
 
 def moved_beside(local: LocalInformation, parameters: Array) -> tuple[Array, Array]:
