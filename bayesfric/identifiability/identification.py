@@ -27,7 +27,7 @@ from bayesfric.identifiability.local import (
     local_information,
     verdict,
 )
-from bayesfric.identifiability.open_directions import OpenDirection, open_directions
+from bayesfric.identifiability.open_directions import OpenDirection, open_directions, open_rows
 from bayesfric.identifiability.remedies import HARDLY, trials
 from bayesfric.identifiability.sentences import Statement, plain, stated
 from bayesfric.inference.prior.priors import KNOWN
@@ -159,12 +159,12 @@ def identify(target: Target, estimate: Array, *, speed: SpeedTerm | None = None)
     chain, observations = target.likelihood.chain, target.likelihood.observations
     local = in_natural_units(target, estimate, local_information(target, estimate))
     values = target.chain_values(estimate[None])
-    noise = target.noise.scales(estimate[None, len(target.free) :])[0]
-    coverage = coverage_of(chain, observations, values[0], noise[:, 0])
+    coverage = coverage_of(chain, observations, values[0])
     shares = back_driven(chain, observations, values)
     back = {name: float(share[0]) for name, share in shares.items()}
     rare = any(share < HARDLY for share in back.values())
-    tried = trials(target, estimate, local, coverage, rare=rare)
+    open_ = any(open_rows(local))
+    tried = trials(target, estimate, local, rare=rare) if open_ else []
     free = [p for p in chain.parameters if p.name in target.free]
     bounds = _bounds_met(target, estimate)
     covariance = expected_covariance(target, local)

@@ -56,7 +56,7 @@ def open_directions(
     ``local`` is the picture by ``free`` parameters; ``told`` names those whose prior tells them
     already.
     """
-    for number, (row, null) in enumerate(_open_rows(local)):
+    for number, (row, null) in enumerate(open_rows(local)):
         theory = number < local.from_theory
         least = _ROUNDING if null else _NAMED
         named = [j for j, x in enumerate(row) if abs(x) > least]
@@ -87,7 +87,7 @@ def open_directions(
         )
 
 
-def _open_rows(local: LocalInformation) -> Iterator[tuple[Array, bool]]:
+def open_rows(local: LocalInformation) -> Iterator[tuple[Array, bool]]:
     """Null and weak directions in the local units, the largest entry of each one."""
     for row in local.null_rows:
         yield row, True
@@ -133,9 +133,6 @@ def _reasons(
             found.append(stated("reason", "hardly_driven", element=element, share=share))
             if len(members) > 1:
                 found.append(stated("reason", "alike", element=element))
-    if len(members) > 1 and all(one.piecewise_constant for one in coverage):
-        levels = min(one.at_levels or 0.0 for one in coverage)
-        found.append(stated("reason", "piecewise_constant", null=null, at_levels=levels))
     turn = max(one.turn for one in coverage)
     if ("gravity" in shaped or any(p.circular for p in members)) and turn < 1.0:
         found.append(stated("reason", "small_turn", turn=turn))
