@@ -88,6 +88,10 @@ def init(
 
     asked = "--schema" if schema else "--all-keys" if all_keys else ""
     found = None
+    if schema and all_keys:
+        raise BadInput("--all-keys", "is beside --schema", "ask for one")
+    if force and output is None:
+        raise BadInput("--force", "replaces a file", "name it with -o")
     if log is None and (table or joint):
         raise BadInput("--table" if table else "--joint", "is for a log", "add --from LOG")
     if log is not None and (asked or preset == FLEET):

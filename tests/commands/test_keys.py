@@ -204,6 +204,7 @@ def test_the_schema_is_written_with_the_line_that_makes_editors_use_it(bench, va
         (["rabbit-knee", "--all-keys"], "rabbit-knee: --all-keys is the same for every preset"),
         (["--schema", "--from", "run.csv"], "--schema: takes no log"),
         (["fleet", "--from", "run.csv"], "fleet: takes no log"),
+        (["--schema", "--all-keys"], "--all-keys: is beside --schema; ask for one"),
     ],
 )
 def test_what_init_cannot_do_at_once_is_refused(bench, arguments, said):
