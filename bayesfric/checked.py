@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from bayesfric.config_text import toml_value
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.inference.noise import SCALES
@@ -27,12 +25,6 @@ from bayesfric.report.words import line_of
 
 # Recordings, and findings, that are named one by one.
 _MANY = 5
-# What a key of a recording leaves out.
-_LEFT_OUT = {
-    "start": "the joint rests until then; not with rest = true, which makes use of it",
-    "stop": "the joint rests from then on; not with rest = true, which makes use of it",
-    "exclude": "something else acted, as a hand; besides what is excluded already",
-}
 
 
 @dataclass(frozen=True)
@@ -47,7 +39,7 @@ class Checked:
 
     def text(self, *, verbose: bool = False) -> str:
         """Say it for people; ``verbose`` with every step and prior."""
-        return "\n".join(_lines(self.found) if verbose else _brief(self.found))
+        return "\n".join(_lines(self.found, verbose))
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -79,7 +71,6 @@ def _found(model: Model) -> dict[str, Any]:
     # what a fit begins to put in is no doubt; what is left then, it asks anew
     taken = [one for one in explained.findings if auto and one.hint]
     (totals,) = model.estimates(["least-squares"])
-    delays = model.delays()
     known = model.evidence.knowledge
     findings = [one.as_dict() for one in explained.findings if one not in taken]
     doubts = [
@@ -119,16 +110,6 @@ def _found(model: Model) -> dict[str, Any]:
             # whether the noise remembers, the residuals of an estimate will say
             if not (prior.default and name in unsettled)
         },
-        "delays": [
-            {
-                "recordings": list(one.recordings),
-                "delay": one.value,
-                # what nothing tells has none
-                "sd": one.sd if np.isfinite(one.sd) else None,
-                "samples": one.samples,
-            }
-            for one in delays
-        ],
         "doubts": doubts,
         "taken": [one.as_dict() for one in taken],
         "findings": findings,
@@ -162,15 +143,21 @@ def _leave_out(model: Model, findings: Sequence[Finding]) -> dict[str, dict[str,
     return found
 
 
-def _brief(found: Mapping[str, Any]) -> Iterator[str]:
-    recordings = found["recordings"]
-    for one in recordings[:_MANY]:
+def _lines(found: Mapping[str, Any], verbose: bool) -> Iterator[str]:
+    recordings, most = found["recordings"], None if verbose else _MANY
+    for one in recordings[:most]:
         told = one["settings"]
         rate = f" at {told['sampling_rate']:.4g} Hz" if told.get("sampling_rate") else ""
         band = f", compared up to {told['band']:.3g} Hz" if told.get("band") else ""
         held = f", {one['held_out']} held out" if one["held_out"] else ""
         yield shortened(f"{one['name']}: {one['duration']:.4g} s{rate}{band}{held}")
-    if len(recordings) > _MANY:
+        if verbose:
+            yield from _steps(one)
+    if verbose:
+        yield from ("", "Priors")
+        for name, prior in found["priors"].items():
+            yield f"  {name:<28} {prior['prior']}{'  (default)' if prior['default'] else ''}"
+    elif len(recordings) > _MANY:
         yield f"and {len(recordings) - _MANY} more"
     totals = found["least_squares"]
     cells = [("", "least squares", "±", "", "")]
@@ -187,8 +174,28 @@ def _brief(found: Mapping[str, Any]) -> Iterator[str]:
     if (rms := totals["residual_rms"]) is not None:
         yield f"{rms:.3g} {totals['residual_unit']} rms left"
     yield ""
+    if verbose:
+        yield from (sentence("put in", one) for one in found["taken"])
+        yield from (f"WARNING: {doubt_text(doubt)}" for doubt in found["doubts"])
+    else:
+        yield from _doubts(found)
+    for name, keys in list(found["leave_out"].items())[:most]:
+        values = ", ".join(f"{key} = {toml_value(value)}" for key, value in keys.items())
+        yield shortened(f"  {name}: {values} leaves out what is no motion by the motor")
+
+
+def _steps(recording: Mapping[str, Any]) -> Iterator[str]:
+    yield f"  {recording['file']}"
+    if recording["added_mass"]:
+        at = f" at {recording['radius']:g} m" if recording["radius"] else ""
+        yield f"  added mass: {recording['added_mass']:g} kg{at}"
+    yield from (f"  {step}" for step in recording["steps"])
+    yield from (f"  WARNING: {warning}" for warning in recording["warnings"])
+
+
+def _doubts(found: Mapping[str, Any]) -> Iterator[str]:
     lines = [line_of(doubt["kind"], doubt) for doubt in found["doubts"]]
-    said = Counter(text.split(";")[0] for one in recordings for text in one["warnings"])
+    said = Counter(text.split(";")[0] for one in found["recordings"] for text in one["warnings"])
     lines += [text if n == 1 else f"{text} ({n} recordings)" for text, n in said.items()]
     for one in found["taken"]:
         yield from wrapped(f"fit will put in: {line_of(one['kind'], one)}", indent=2)
@@ -198,56 +205,3 @@ def _brief(found: Mapping[str, Any]) -> Iterator[str]:
         yield f"  and {len(lines) - _MANY} more: --verbose"
     if not lines and not found["taken"]:
         yield "Nothing stands out."
-    for name, keys in list(found["leave_out"].items())[:_MANY]:
-        values = ", ".join(f"{key} = {toml_value(value)}" for key, value in keys.items())
-        yield shortened(f"  {name}: {values} leaves out what is no motion by the motor")
-
-
-def _lines(found: Mapping[str, Any]) -> Iterator[str]:
-    for recording in found["recordings"]:
-        held = f", {recording['held_out']} held out" if recording["held_out"] else ""
-        yield f"{recording['name']}{held}  ({recording['file']}, {recording['duration']:.3g} s)"
-        if recording["added_mass"]:
-            at = f" at {recording['radius']:g} m" if recording["radius"] else ""
-            yield f"  added mass: {recording['added_mass']:g} kg{at}"
-        for step in recording["steps"]:
-            yield f"  {step}"
-        for warning in recording["warnings"]:
-            yield f"  WARNING: {warning}"
-        yield ""
-    yield "Priors"
-    for name, prior in found["priors"].items():
-        yield f"  {name:<28} {prior['prior']}{'  (default)' if prior['default'] else ''}"
-    yield ""
-    totals = found["least_squares"]
-    yield "Least squares, eq. (11), seen by the motor (sd for uncorrelated residuals)"
-    for name, v in totals["parameters"].items():
-        if v["sd"] is None:
-            yield f"  {name:<28} {'-':>12} not determined by this motion; {v['meaning']}"
-            continue
-        yield f"  {name:<28} {v['value']:>12.5g} ± {v['sd']:<9.2g} {v['unit']:<8} {v['meaning']}"
-    left = f"{totals['residual_rms']:>12.4g} {'':<11} {totals['residual_unit']:<8}"
-    yield f"  {'residual rms':<28} {left} motor torque that these leave, filtered"
-    yield ""
-    unsure = any(one["kind"] == "unexplained" for one in found["doubts"])
-    yield (
-        "Delay of the position after the torque"
-        + (", not to be judged while the model explains so little" if unsure else "")
-    )
-    for one in found["delays"]:
-        alone = len(one["recordings"]) == 1
-        name = one["recordings"][0] if alone else "all together"
-        if one["sd"] is None:
-            yield f"  {name:<28} {'-':>12} not determined by this motion"
-            continue
-        samples = f" ({one['samples']:.2g} samples)" if alone else ""
-        yield f"  {name:<28} {one['delay']:>12.3g} ± {one['sd']:<9.2g} s{samples}"
-    for one in found["taken"]:
-        yield sentence("put in", one)
-    for doubt in found["doubts"]:
-        yield f"WARNING: {doubt_text(doubt)}"
-    for number, (name, keys) in enumerate(found["leave_out"].items()):
-        if number == 0:
-            yield from ("", "Keys for [[recordings]], to leave out what is no motion by the motor")
-        for key, value in keys.items():
-            yield f"  {name:<28} {key} = {toml_value(value)}  # {_LEFT_OUT[key]}"

@@ -8,7 +8,6 @@ import os
 import shlex
 import sys
 import warnings
-from collections.abc import Callable
 from contextlib import ExitStack
 from enum import StrEnum
 from pathlib import Path
@@ -23,7 +22,6 @@ from bayesfric.progress import Spent, progress_shown
 from bayesfric.threads import QUIET
 
 if TYPE_CHECKING:
-    from bayesfric.config import Config
     from bayesfric.model import Model
 
 # Commands import what they need when they run, so that --help answers at once.
@@ -36,35 +34,35 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
+Option = typer.Option
 ConfigFile = Annotated[Path, typer.Argument(metavar="CONFIG", help="configuration (TOML)")]
-AsJson = Annotated[bool, typer.Option("--json", help="print the machine-readable form")]
-Seed = Annotated[
-    int | None, typer.Option(min=0, max=2**63 - 1, help="replaces the configuration's seed")
-]
-Force = Annotated[bool, typer.Option("--force", help="keep an old run under another name")]
-OutputError = Annotated[
-    bool, typer.Option("--output-error", help="with the output-error estimate, which simulates")
-]
-Resume = Annotated[bool, typer.Option("--resume", help="go on with an interrupted run")]
-Paper = Annotated[
-    bool,
-    typer.Option("--paper", help="with figures as PDF and PNG, and LaTeX; report adds them later"),
-]
-Verbose = Annotated[
-    bool, typer.Option("--verbose", help="print how each number was made, and every finding")
-]
-RunOption = Annotated[Path | None, typer.Option("-o", "--output", help="run directory to make")]
+RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="run directory")]
+AsJson = Annotated[bool, Option("--json", help="print the machine-readable form")]
+Seed = Annotated[int | None, Option(min=0, max=2**63 - 1, help="replaces the configuration's")]
+Force = Annotated[bool, Option("--force", help="keep an old run under another name")]
+OutputError = Annotated[bool, Option("--output-error", help="with that estimate; it simulates")]
+Resume = Annotated[bool, Option("--resume", help="go on with an interrupted run")]
+Paper = Annotated[bool, Option("--paper", help="with figures as PDF and PNG, and LaTeX")]
+Verbose = Annotated[bool, Option("--verbose", help="print how numbers were made, all findings")]
+RunOption = Annotated[Path | None, Option("-o", "--output", help="run directory to make")]
 
+FORMATS = "mujoco, urdf, sdf, drake, pinocchio, isaac, bam, csv, parquet, npz, c or python"
+DEMO = "The demo recording is simulated, from Table 3 of the paper."
 BAD_INPUT, NOT_CONVERGED, INTERRUPTED = 2, 3, 130
 
 
 @app.callback(invoke_without_command=True)
 def _version(
-    version: Annotated[bool, typer.Option("--version", help="print the version")] = False,
+    version: Annotated[bool, Option("--version", help="print the version")] = False,
 ) -> None:
     if version:
         print(bayesfric.__version__)
         raise typer.Exit
+
+
+def _progress() -> Any:
+    """Show a bar where someone sees it."""
+    return progress_shown(sys.stderr.isatty())
 
 
 @app.command()
@@ -72,72 +70,57 @@ def init(
     preset: Annotated[
         str | None, typer.Argument(help="rabbit-knee, motor-axis, servo-pendulum; or fleet")
     ] = None,
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="file to write; printed if left out")
-    ] = None,
-    log: Annotated[
-        Path | None,
-        typer.Option("--from", metavar="LOG", help="recognise the columns of this recording"),
-    ] = None,
-    table: Annotated[
-        str | None, typer.Option(help="with --from: table, group or topic inside the file")
-    ] = None,
-    joint: Annotated[str | None, typer.Option(help="with --from: which joint of several")] = None,
-    all_keys: Annotated[
-        bool, typer.Option("--all-keys", help="every key, its type, default, unit and meaning")
-    ] = False,
-    schema: Annotated[
-        bool, typer.Option("--schema", help="the JSON schema by which editors complete keys")
-    ] = False,
-    force: Annotated[bool, typer.Option("--force", help="replace the file to write")] = False,
+    output: Annotated[Path | None, Option("-o", "--output", help="file to write")] = None,
+    log: Annotated[Path | None, Option("--from", metavar="LOG", help="a recording")] = None,
+    table: Annotated[str | None, Option(help="with --from: table, group or topic in it")] = None,
+    joint: Annotated[str | None, Option(help="with --from: which joint of several")] = None,
+    all_keys: Annotated[bool, Option("--all-keys", help="every key, its type and meaning")] = False,
+    schema: Annotated[bool, Option("--schema", help="the JSON schema, for editors")] = False,
+    force: Annotated[bool, Option("--force", help="replace the file to write")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Write a commented configuration."""
     from bayesfric.commands.init import configuration
-    from bayesfric.commands.init_fleet import FLEET, fleet_plan
+    from bayesfric.commands.init_fleet import FLEET, PLAN
     from bayesfric.commands.init_from import configuration_from, guesses_text
-    from bayesfric.commands.keys import reference_text, schema_hint
+    from bayesfric.commands.keys import reference_text
     from bayesfric.report.files import write_beside
 
-    found = None
     asked = "--schema" if schema else "--all-keys" if all_keys else ""
+    found = None
     if schema and all_keys:
         raise BadInput("--all-keys", "is beside --schema", "ask for one")
     if force and output is None:
         raise BadInput("--force", "replaces a file", "name it with -o")
+    if log is None and (table or joint):
+        raise BadInput("--table" if table else "--joint", "is for a log", "add --from LOG")
     if log is not None and (asked or preset == FLEET):
         raise BadInput(asked or FLEET, "takes no log", "leave --from out")
-    if log is not None:
-        found = configuration_from(log, preset, output, table=table, joint=joint)
-    elif table is not None or joint is not None:
-        key = "--table" if table is not None else "--joint"
-        raise BadInput(key, "is for a log", "add --from LOG")
-    elif preset is None and not asked:
-        raise BadInput("PRESET", "is missing", "name one, or a log with --from LOG")
     if asked:
         text = reference_text(preset, schema=schema, option=asked)
     elif preset == FLEET:
-        text = fleet_plan()
+        text = PLAN
+    elif log is not None:
+        found = configuration_from(log, preset, output, table=table, joint=joint)
+        text = found["text"]
+    elif preset is None:
+        raise BadInput("PRESET", "is missing", "name one, or a log with --from LOG")
     else:
-        text = configuration(preset or "") if found is None else found["text"]
+        text = configuration(preset)
     if output is not None:
         write_beside({output: text}, replace=force)
-    written = [f"Written to {output}"] if output else [text]
-    _print(
-        {**(found or {}), "written": str(output) if output else None, "text": text},
-        as_json,
-        [
-            *written,
-            *(guesses_text(found) if found and output else ()),
-            *(schema_hint(output) if schema and output else ()),
-        ],
-    )
+    lines = [f"Written to {output}"] if output else [text]
+    lines += guesses_text(found) if found and output else ()
+    if schema and output:
+        lines += [f"Editors with Taplo use it in files that begin with: #:schema ./{output.name}"]
+    told = {**(found or {}), "written": str(output) if output else None, "text": text}
+    _print(told, as_json, lines)
 
 
 @app.command()
 def simulate(
     config: ConfigFile,
-    output: Annotated[Path, typer.Option("-o", "--output", help="CSV file to write")],
+    output: Annotated[Path, Option("-o", "--output", help="CSV file to write")],
     seed: Seed = None,
     as_json: AsJson = False,
 ) -> None:
@@ -170,7 +153,7 @@ else:
 @app.command()
 def estimate(
     config: ConfigFile,
-    method: Annotated[MethodChoice, typer.Option(help="which of the paper's methods")] = _ALL,
+    method: Annotated[MethodChoice, Option(help="which of the paper's methods")] = _ALL,
     as_json: AsJson = False,
 ) -> None:
     """Point estimates by the paper's methods, with standard deviations."""
@@ -178,7 +161,7 @@ def estimate(
 
     model = _model(config)
     wanted = [name for name in ESTIMATORS if method in ("all", name)]
-    with progress_shown(sys.stderr.isatty()) as progress:
+    with _progress() as progress:
         found = model.estimates(wanted, progress=progress)
     _print(estimate_record(found, model), as_json, estimate_text(found, model))
 
@@ -187,48 +170,41 @@ def estimate(
 def identify(
     config: ConfigFile,
     advise: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME", help="rank what to record next to know this parameter or quantity"
-        ),
+        str | None, Option(metavar="NAME", help="rank what to record next to know this")
     ] = None,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o", "--output", help="CSV for the best excitation; advice-NAME.csv if left out"
-        ),
+        Path | None, Option("-o", "--output", help="CSV of the best; advice-NAME.csv if left out")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="replace that CSV")] = False,
+    force: Annotated[bool, Option("--force", help="replace that CSV")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Tell what these recordings can and cannot determine, and what would help."""
-    from bayesfric.commands.identify import identify_record, identify_text
+    from bayesfric.commands import identify as command
 
-    if advise is not None:
-        _advise(config, advise, output, force, as_json)
+    if advise is None:
+        if output or force:
+            key = "--output" if output else "--force"
+            raise BadInput(key, "is for the excitation of --advise", "add --advise NAME")
+        model = _model(config)
+        with _progress() as progress:
+            found = model.identification(progress=progress)
+        text = command.identify_text(found, model)
+        _print(command.identify_record(found, model), as_json, text)
         return
-    if output is not None or force:
-        raise BadInput(
-            "--output" if output is not None else "--force",
-            "is for the excitation that --advise finds",
-            "add --advise NAME",
-        )
     model = _model(config)
-    with progress_shown(sys.stderr.isatty()) as progress:
-        found = model.identification(progress=progress)
-    _print(identify_record(found, model), as_json, identify_text(found, model))
+    path = command.advice_file(advise, output, force=force)
+    with _progress() as progress:
+        ranked = model.advise(advise, progress=progress)
+    written = command.write_advice(ranked, path, model, force=force)
+    record = command.advice_record(ranked, model, path if written else None)
+    _print(record, as_json, command.advice_text(ranked, model, path, written=written))
 
 
 @app.command()
 def explain(
     config: ConfigFile,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            help="BETTER.toml: the configuration with what explains the torque put in",
-        ),
+        Path | None, Option("-o", "--output", help="BETTER.toml: with what explains it put in")
     ] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -237,14 +213,14 @@ def explain(
 
     model = _model(config)
     if output is None:
-        with progress_shown(sys.stderr.isatty()) as progress:
+        with _progress() as progress:
             found = model.explain(progress=progress)
         record, text = command.explain_record(found, model), command.explain_text(found, model)
     else:
         from bayesfric.report.files import write_beside
 
         command.refuse_other_place(output, model)
-        with progress_shown(sys.stderr.isatty()) as progress:
+        with _progress() as progress:
             better, taken, left = model.completed(progress=progress)
         write_beside({output: better.config.text})
         record = command.completed_record(better, taken, left, output)
@@ -258,23 +234,11 @@ def pool(config: ConfigFile, seed: Seed = None, as_json: AsJson = False) -> None
     from bayesfric.report.text_templates import filled
 
     model = _model(config)
-    with progress_shown(sys.stderr.isatty()) as progress:
+    with _progress() as progress:
         found = model.pool(seed=seed, progress=progress)
     _print(found.as_json(), as_json, filled("pool.txt.j2", found=found).splitlines())
     if found.status != "reliable":
         raise typer.Exit(NOT_CONVERGED)
-
-
-def _advise(config: Path, name: str, output: Path | None, force: bool, as_json: bool) -> None:
-    from bayesfric.commands.identify import advice_file, advice_record, advice_text, write_advice
-
-    model = _model(config)
-    path = advice_file(name, output, force=force)
-    with progress_shown(sys.stderr.isatty()) as progress:
-        found = model.advise(name, progress=progress)
-    written = write_advice(found, path, model, force=force)
-    record = advice_record(found, model, path if written else None)
-    _print(record, as_json, advice_text(found, model, path, written=written))
 
 
 @app.command()
@@ -290,23 +254,9 @@ def fit(
     as_json: AsJson = False,
 ) -> None:
     """Sample the posterior and write the run directory."""
-
-    def read() -> Config:
-        from bayesfric.config import read_config
-
-        return read_config(config)
-
-    _fit(
-        read,
-        output or Path(f"{config.stem}-run"),
-        as_json,
-        verbose=verbose,
-        seed=seed,
-        resume=resume,
-        force=force,
-        output_error=output_error,
-        paper=paper,
-    )
+    options: dict[str, Any] = {"seed": seed, "resume": resume, "force": force, "paper": paper}
+    options["output_error"] = output_error
+    _fit(config, output or Path(f"{config.stem}-run"), as_json, verbose=verbose, **options)
 
 
 @app.command()
@@ -320,45 +270,33 @@ def demo(
     as_json: AsJson = False,
 ) -> None:
     """Fit the packaged knee: a recording SIMULATED from Table 3 of the paper."""
-
-    def read() -> Config:
-        from bayesfric.commands.fit import demo_config
-
-        return demo_config()
-
-    output = output or Path("demo-run")
-    remark = "The demo recording is simulated, from Table 3 of the paper."
     options: dict[str, Any] = {"seed": seed, "resume": resume, "force": force, "paper": paper}
-    _fit(read, output, as_json, remark, verbose=verbose, **options)
+    _fit(None, output or Path("demo-run"), as_json, verbose=verbose, **options)
 
 
 @app.command()
 def report(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="run directory")],
-    paper: Annotated[
-        bool, typer.Option("--paper", help="with figures as PDF and PNG, drawn anew, and LaTeX")
-    ] = False,
+    run: RunFolder,
+    paper: Paper = False,
     as_json: AsJson = False,
 ) -> None:
     """Make the page and the tables of a finished run again."""
     from bayesfric.commands.report import report as make
 
-    with progress_shown(sys.stderr.isatty()) as progress:
+    with _progress() as progress:
         found = make(run, paper=paper, progress=progress)
     _print(found, as_json, [f"Written to {run}: {', '.join(found['written'])}"])
 
 
 @app.command()
 def rollout(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="run directory")],
+    run: RunFolder,
     config: Annotated[
         Path | None,
         typer.Argument(metavar="CONFIG", help="other recordings (TOML); the run's if left out"),
     ] = None,
-    draws: Annotated[int, typer.Option(min=2, max=10_000, help="of the posterior")] = 100,
-    every: Annotated[
-        bool, typer.Option("--all", help="what was fitted, too, where some was held out")
-    ] = False,
+    draws: Annotated[int, Option(min=2, max=10_000, help="of the posterior")] = 100,
+    every: Annotated[bool, Option("--all", help="also what was fitted, not held out")] = False,
     seed: Seed = None,
     as_json: AsJson = False,
 ) -> None:
@@ -366,7 +304,7 @@ def rollout(
     from bayesfric.commands.rollout import rollout as play
     from bayesfric.commands.rollout import rollout_text
 
-    with progress_shown(sys.stderr.isatty()) as progress:
+    with _progress() as progress:
         found = play(run, config, draws=draws, seed=seed, every=every, progress=progress)
     written = f"Added to {run}: report.html, figures/rollout.pdf, summary.json"
     _print(found.as_dict(), as_json, [*rollout_text(found), written])
@@ -374,67 +312,32 @@ def rollout(
 
 @app.command()
 def export(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="run directory")],
-    to: Annotated[
-        str,
-        typer.Option(
-            metavar="FORMAT",
-            help="mujoco, urdf, sdf, drake, pinocchio, isaac, bam, csv, parquet, npz, c or python",
-        ),
-    ],
+    run: RunFolder,
+    to: Annotated[str, Option(metavar="FORMAT", help=FORMATS)],
     output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", help="folder to make, or main file; RUN-FORMAT if left out"),
+        Path | None, Option("-o", "--output", help="folder or main file; RUN-FORMAT if left out")
     ] = None,
-    joint: Annotated[
-        str | None, typer.Option(metavar="NAME", help="what the simulator calls the joint")
-    ] = None,
+    joint: Annotated[str | None, Option(help="what the simulator calls the joint")] = None,
     at_load: Annotated[
-        float | None,
-        typer.Option(
-            metavar="TORQUE",
-            help="N m at the joint, at which a constant loss stands for a load loss; the mean of "
-            "the recordings if left out",
-        ),
+        float | None, Option(metavar="TORQUE", help="N m at the joint, for a load loss' constant")
     ] = None,
     into: Annotated[
-        Path | None, typer.Option(metavar="MODEL", help="mujoco: model whose joint is changed")
+        Path | None, Option(metavar="MODEL", help="mujoco: model whose joint is changed")
     ] = None,
-    damping_terms: Annotated[
-        int | None, typer.Option(help="mujoco: 3 numbers of damping (from 3.7 on), or 1")
-    ] = None,
-    isaac_sim: Annotated[
-        str | None, typer.Option(metavar="VERSION", help="isaac: 5.0 or 4.5")
-    ] = None,
-    actuator: Annotated[
-        str | None, typer.Option(metavar="NAME", help="bam: its name of the actuator")
-    ] = None,
-    draws: Annotated[
-        int | None, typer.Option(help="csv, parquet, npz: how many draws, a row each")
-    ] = None,
-    seed: Annotated[
-        int | None, typer.Option(min=0, help="csv, parquet, npz: of which draws")
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="keep an old export aside")] = False,
+    damping_terms: Annotated[int | None, Option(help="mujoco: 3 (from 3.7 on), or 1")] = None,
+    isaac_sim: Annotated[str | None, Option(help="isaac: version, 5.0 or 4.5")] = None,
+    actuator: Annotated[str | None, Option(help="bam: its name of the actuator")] = None,
+    draws: Annotated[int | None, Option(help="csv, parquet, npz: how many draws")] = None,
+    seed: Annotated[int | None, Option(min=0, help="csv, parquet, npz: of which draws")] = None,
+    force: Annotated[bool, Option("--force", help="keep an old export aside")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Put a finished run into a simulator's files, and say what these cannot carry."""
     from bayesfric.commands.export import export_run
 
-    found, written = export_run(
-        run,
-        to,
-        output,
-        force=force,
-        joint=joint,
-        at_load=at_load,
-        into=into,
-        damping_terms=damping_terms,
-        isaac_sim=isaac_sim,
-        actuator=actuator,
-        draws=draws,
-        seed=seed,
-    )
+    options: dict[str, Any] = {"joint": joint, "at_load": at_load, "into": into, "draws": draws}
+    options |= {"damping_terms": damping_terms, "isaac_sim": isaac_sim, "actuator": actuator}
+    found, written = export_run(run, to, output, force=force, seed=seed, **options)
     lines = [*found.text().splitlines(), "", f"Written: {', '.join(written)}"]
     _print(found.as_json(), as_json, lines)
 
@@ -443,12 +346,9 @@ def export(
 def compare(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN", help="run directories")],
     output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", help="folder to make: page, tables, forest figure"),
+        Path | None, Option("-o", "--output", help="folder to make: page, tables, figures")
     ] = None,
-    estimates: Annotated[
-        bool, typer.Option("--estimates", help="with several runs: their point estimates too")
-    ] = False,
+    estimates: Annotated[bool, Option("--estimates", help="of several runs, too")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Put runs side by side, or the methods and the posterior of one run."""
@@ -464,17 +364,11 @@ def compare(
 def fleet(
     plan: Annotated[Path, typer.Argument(metavar="FLEET", help="template and units (TOML)")],
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="folder to make; FLEET-fleet if left out")
+        Path | None, Option("-o", "--output", help="folder to make; FLEET-fleet if left out")
     ] = None,
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="processes; as many as cores if left out")
-    ] = None,
-    scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="of a running Dask scheduler")
-    ] = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="do what is missing, or has changed since")
-    ] = False,
+    workers: Annotated[int | None, Option(min=1, help="processes; one a core if left out")] = None,
+    scheduler: Annotated[str | None, Option(help="address of a running Dask scheduler")] = None,
+    resume: Annotated[bool, Option("--resume", help="do what is missing, or has changed")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Fit many units by one template, and say what population they are."""
@@ -482,7 +376,7 @@ def fleet(
     from bayesfric.commands.fleet import fleet_text
 
     try:
-        with progress_shown(sys.stderr.isatty()) as progress:
+        with _progress() as progress:
             found = run(
                 plan,
                 output or Path(f"{plan.stem}-fleet"),
@@ -499,32 +393,29 @@ def fleet(
 
 
 def _fit(
-    config: Callable[[], Config],
-    folder: Path,
-    as_json: bool,
-    remark: str = "",
-    *,
-    verbose: bool = False,
-    **options: Any,
+    config: Path | None, folder: Path, as_json: bool, *, verbose: bool, **options: Any
 ) -> None:
+    """Fit a configuration, or the demo's."""
     spent = Spent()  # before what it imports, which takes time, too
     with ExitStack() as bars:
+        from bayesfric.commands.fit import demo_config, fit_text
         from bayesfric.commands.fit import fit as run
-        from bayesfric.commands.fit import fit_text
+        from bayesfric.config import read_config
 
-        show = bars.enter_context(progress_shown(sys.stderr.isatty()))
+        show = bars.enter_context(_progress())
 
         def tell(found: Any) -> None:
             nonlocal show
             bars.close()  # it would stand amid the numbers
-            if remark:
-                print(remark, file=sys.stderr)
+            if config is None:
+                print(DEMO, file=sys.stderr)
             if not as_json:
                 _print(found, as_json, fit_text(found, verbose=verbose))
-            show = bars.enter_context(progress_shown(sys.stderr.isatty()))
+            show = bars.enter_context(_progress())
 
         try:
-            summary = run(config(), folder, progress=lambda x: show(x), found=tell, **options)
+            read = demo_config() if config is None else read_config(config)
+            summary = run(read, folder, progress=lambda x: show(x), found=tell, **options)
         except Interrupted as stopped:
             raise _Stopped(stopped) from None
     _print(summary, as_json, ["", f"{folder / 'report.html'}   in all {spent}"])

@@ -9,7 +9,6 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from fnmatch import fnmatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
@@ -164,29 +163,24 @@ class Config(BaseModel):
     def folder(self) -> Path:
         """Folder that file names in the configuration are relative to.
 
-        That of a run's configuration is where it lay before, unless all that was fitted is
-        there beside it; bad input if what was fitted is at neither place.
+        That of a run's configuration is where it lay before, or where it is if all that was fitted
+        came along; bad input if what was fitted is at neither place.
         """
         here, origin = self.path.parent, self.origin
-        if origin is None:
+        fitted = origin.recordings if origin else {}
+        missing = [name for name, one in fitted.items() if not _is_there(one.file)]
+        if origin is None or not missing:
+            return origin.folder if origin else here
+        if all(
+            _is_there(here / os.path.relpath(one.file, origin.folder)) for one in fitted.values()
+        ):
             return here
-        patterns = [p for source in self.tables.recordings for p in source.files]
-        absolute = [p for p in patterns if Path(p).is_absolute()]
-        moves = {
-            name: here / os.path.relpath(one.file, origin.folder)
-            for name, one in origin.recordings.items()
-            if not any(str(one.file) == p or fnmatch(str(one.file), p) for p in absolute)
-        }
-        moved = all(_is_there(file) for file in moves.values())
-        for name, one in origin.recordings.items():
-            if not _is_there(one.file) and not (moved and name in moves):
-                beside = f", or beside {self.path}" if name in moves else ""
-                raise BadInput(
-                    f"{self.path}: recording {name!r}",
-                    f"{one.file} is not there any more",
-                    f"put it back{beside}; its SHA-256 is {one.sha256}",
-                )
-        return here if moved else origin.folder
+        one = fitted[missing[0]]
+        raise BadInput(
+            f"{self.path}: recording {missing[0]!r}",
+            f"{one.file} is not there any more",
+            f"put it back, or beside {self.path}; its SHA-256 is {one.sha256}",
+        )
 
     @staticmethod
     def origin_of(recordings: Sequence[Measurement], folder: Path) -> Origin:

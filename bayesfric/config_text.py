@@ -43,30 +43,27 @@ def document_text(document: Mapping[str, Any]) -> str:
 
 def with_terms(config: Config, names: Sequence[str]) -> Config:
     """Give a configuration whose mechanism names terms of one's own."""
-    document = tomllib.loads(config.text)
-    document["mechanism"]["terms"] = list(names)
-    found = parse_config(document_text(document), config.path)
-    return found.model_copy(update={"origin": config.origin})
+    return with_settings(config, [f"mechanism.terms = {toml_value(list(names))}"], extend=False)
 
 
-def with_settings(config: Config, settings: Sequence[str]) -> Config:
+def with_settings(config: Config, settings: Sequence[str], *, extend: bool = True) -> Config:
     """Give a configuration with settings, lines of dotted keys, put in; comments are lost.
 
-    Of a list, such as cycles a turn, what is there stays.
+    Of a list, such as cycles a turn, what is there stays where it is to be ``extend``-ed.
     """
     document = tomllib.loads(config.text)
     for line in settings:
-        _put(document, tomllib.loads(line))
+        _put(document, tomllib.loads(line), extend)
     found = parse_config(document_text(document), config.path)
     return found.model_copy(update={"origin": config.origin})
 
 
-def _put(table: dict[str, Any], more: Mapping[str, Any]) -> None:
+def _put(table: dict[str, Any], more: Mapping[str, Any], extend: bool) -> None:
     for key, value in more.items():
         there = table.get(key)
         if isinstance(value, Mapping):
-            _put(table.setdefault(key, {}), value)
-        elif isinstance(value, list) and isinstance(there, list):
+            _put(table.setdefault(key, {}), value, extend)
+        elif extend and isinstance(value, list) and isinstance(there, list):
             table[key] = [*there, *(x for x in value if x not in there)]
         else:
             table[key] = value

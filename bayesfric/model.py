@@ -26,16 +26,15 @@ from bayesfric.diagnostics.explanation import Explanation, explain, unasked
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.policy import MOST
 from bayesfric.errors import BadInput, nearest
-from bayesfric.estimates.delay import Delay, delays
 from bayesfric.estimates.descent import few_threads
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.methods import Given, estimate_by
 from bayesfric.estimates.point_estimate import METHODS, Estimate, Method
 from bayesfric.identifiability.identification import Identification, identify
 from bayesfric.identifiability.known_quantities import speed_term
-from bayesfric.identifiability.local import LocalInformation, local_information
+from bayesfric.identifiability.local import local_information
 from bayesfric.identifiability.next_recording import Ranking, ranking
-from bayesfric.identifiability.plausible import Point, estimate_point, points_around
+from bayesfric.identifiability.plausible import estimate_point, points_around
 from bayesfric.inference.fitting import make_target, target_of
 from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.likelihood.noise_choice import Choice, choice_at
@@ -54,6 +53,7 @@ from bayesfric.preparation import prepare, residual_noise
 from bayesfric.progress import by_method, progress_shown, silent
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.trajectory import Trajectory, trajectory
+from bayesfric.report.summary.summary import estimate_summary
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -260,8 +260,6 @@ class Model:
         """
         import pandas as pd
 
-        from bayesfric.report.summary.summary import estimate_summary
-
         rows = {
             (one.method, name): row
             for one in self.estimates(methods or METHODS)
@@ -278,13 +276,6 @@ class Model:
         """Fitted recordings as a simulation follows them, starting anew every ``segment`` s."""
         pairs = zip(self.recordings, self.observations, strict=True)
         return [trajectory(recording, observation, segment) for recording, observation in pairs]
-
-    def delays(self, estimates: Sequence[Estimate] = ()) -> list[Delay]:
-        """Estimate by how much positions come late: each recording's, then all together.
-
-        Load losses and a Stribeck rise need an input-error estimate, made if none is given.
-        """
-        return delays(self.evidence, self.recordings, _first_point(estimates))
 
     def explain(
         self,
@@ -374,18 +365,17 @@ class Model:
     def identification(self, *, progress: Shown = silent) -> Identification:
         """Tell what these recordings can and cannot determine, before anything is sampled.
 
-        The likelihood is looked at where an estimate is and at other plausible points.
+        The likelihood is looked at where an estimate is.
 
         Raises
         ------
         BadInput
             If nothing can be estimated from these recordings.
         """
-        target, point, local = self._local_picture(progress)
+        target, point = self._at_estimate(progress)
         with self.config.named(), few_threads(self.observations):
-            others = points_around(target, point, local, self._stream(4))
-            speed = speed_term(target, point.parameters, self.recordings)
-            return identify(target, [point, *others], speed=speed)
+            speed = speed_term(target, point, self.recordings)
+            return identify(target, point, speed=speed)
 
     def advise(self, name: str, *, progress: Shown = silent) -> Ranking:
         """Rank recordings to make next by what they would leave of one quantity.
@@ -407,10 +397,11 @@ class Model:
         BadInput
             If nothing has that name, it is fixed, or nothing can be estimated here.
         """
-        target, point, local = self._local_picture(progress)
+        target, point = self._at_estimate(progress)
         with self.config.named(), few_threads(self.observations):
+            local = local_information(target, point)
             rng = self._stream(5)
-            others = points_around(target, point, local, rng, around=_AROUND, prior=0)
+            others = points_around(target, point, local, rng, around=_AROUND)
             options = self.config.tables.advice
             points = [point, *others]
             return ranking(
@@ -427,7 +418,7 @@ class Model:
         seed = self.config.tables.sampling.seed
         return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(key,)))
 
-    def _local_picture(self, progress: Shown) -> tuple[Target, Point, LocalInformation]:
+    def _at_estimate(self, progress: Shown) -> tuple[Target, Array]:
         """Look at the likelihood at an estimate by the method that it belongs to.
 
         Load losses are held by their priors there. Where the load never drives the motor,
@@ -451,8 +442,7 @@ class Model:
         place = dict(found.point)
         target = self.target(place)
         with self.config.named(), few_threads(self.observations):
-            point = estimate_point(target, place)
-            return target, point, local_information(target, point.parameters)
+            return target, estimate_point(target, place)
 
     # What is believed of it
 

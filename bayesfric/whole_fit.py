@@ -19,7 +19,6 @@ from bayesfric.estimates.methods import ESTIMATORS, estimate_by
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.identifiability.identification import identify
 from bayesfric.identifiability.known_quantities import speed_term
-from bayesfric.identifiability.plausible import Point
 from bayesfric.identifiability.sentences import plain
 from bayesfric.inference.discrepancy import discrepancy
 from bayesfric.inference.fitting import Fit, fit
@@ -111,7 +110,7 @@ def whole_fit(
         "may_be_simulated": _may_be_simulated(model),
     }
     with suppress(BadInput):  # a simulation that fails there takes no result away
-        here = identify(begun.target, [Point("estimate", found.posterior.median)])
+        here = identify(begun.target, found.posterior.median)
         update["identifiability"] = Identifiability.model_validate(
             summary.identifiability.as_dict() | {"directions": plain(here.directions)}
         )

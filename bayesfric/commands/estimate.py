@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.estimates.agreement import TOO_SMALL, Agreement, agreement
 from bayesfric.estimates.methods import ESTIMATORS
-from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
+from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.model import Model
 from bayesfric.report.summary.summary import estimate_summary
-from bayesfric.report.text_templates import sentence
+
+# Robust sds over plain ones beyond which the plain one means nothing.
+_TOO_SMALL = 2.0
 
 
 def estimate_record(found: Sequence[Estimate], model: Model) -> dict[str, Any]:
@@ -21,15 +22,12 @@ def estimate_record(found: Sequence[Estimate], model: Model) -> dict[str, Any]:
         "config": str(model.config.path),
         "estimates": {estimate.method: estimate_summary(estimate) for estimate in found},
         "references": model.references(),
-        **({"agreement": _told(seen)} if (seen := _seen(found, model)) else {}),
     }
 
 
 def estimate_text(found: Sequence[Estimate], model: Model) -> Iterator[str]:
     """Word estimates for a person, line by line."""
     references = model.references()
-    seen = _seen(found, model)
-    doubted = "output-error" if seen and not seen.agree and seen.believed == "input-error" else ""
     for estimate in found:
         yield ESTIMATORS[estimate.method].title
         yield (
@@ -38,37 +36,10 @@ def estimate_text(found: Sequence[Estimate], model: Model) -> Iterator[str]:
         )
         yield f"  {'':<30} {'value':>11}   {'sd':>9}   {'sd HAC':>9}   {'sd %':>6}"
         for v in estimate.values:
-            row = _row(v, references.get(v.name), estimate.converged)
-            yield f"  {row}{_mark(v, estimate.method == doubted)}"
+            yield f"  {_row(v, references.get(v.name), estimate.converged)}"
         for note in estimate.notes:
             yield f"  {note}"
         yield ""
-    if seen is not None:
-        yield sentence("methods apart", _told(seen))
-
-
-def _seen(found: Sequence[Estimate], model: Model) -> Agreement | None:
-    return agreement(found, model.chain, model.observations)
-
-
-def _told(seen: Agreement) -> dict[str, Any]:
-    ratio = seen.ratio if np.isfinite(seen.ratio) else None
-    told = {**vars(seen), "apart": [*seen.apart], "on_bound": [*seen.on_bound]}
-    return told | {
-        "torque": [*seen.torque],
-        "ratio": ratio,
-        "agree": seen.agree,
-        "believed": seen.believed,
-    }
-
-
-def _mark(v: EstimatedValue, doubted: bool) -> str:
-    """Mark a number whose sd is not to be trusted."""
-    if not v.determined or v.at_bound:
-        return ""
-    if doubted:
-        return "   ? another minimum than the torque's: its sds do not hold"
-    return "   ? sd too small, see sd HAC" if v.sd_robust > TOO_SMALL * v.sd else ""
 
 
 def _row(v: Any, reference: dict[str, Any] | None, converged: bool) -> str:
@@ -83,4 +54,6 @@ def _row(v: Any, reference: dict[str, Any] | None, converged: bool) -> str:
         return f"{v.name:<30} {'-':>11}   not determined{span}{unit}{beside}"
     robust = f"{v.sd_robust:>9.2g}" if np.isfinite(v.sd_robust) else f"{'-':>9}"
     percent = f"{v.relative_sd:>6.1f}" if np.isfinite(v.relative_sd) else f"{'-':>6}"
-    return f"{v.name:<30} {v.value:>11.5g} ± {v.sd:>9.2g}   {robust}   {percent}{unit}{beside}"
+    small = "   ? sd too small, see sd HAC" if v.sd_robust > _TOO_SMALL * v.sd else ""
+    row = f"{v.name:<30} {v.value:>11.5g} ± {v.sd:>9.2g}   {robust}   {percent}{unit}{beside}"
+    return row + small

@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 import json
-import textwrap
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
-from typing import Any, get_args
+from typing import Any
 
-from pydantic import BaseModel
-from pydantic_core import PydanticUndefined
-
-from bayesfric.config import Tables
 from bayesfric.errors import BadInput, nearest
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
@@ -114,34 +109,3 @@ def target_line(linear: bool) -> str:
     """Write a position target whose gains are to be filled in."""
     unit, gain = ("m", "8 N/m") if linear else ("rad", "8 N m/rad")
     return f'target = {{ column = "goal", unit = "{unit}", kp = "{gain}" }}'
-
-
-def options(
-    table: str, of: type[BaseModel] = Tables, given: Mapping[str, Any] | None = None
-) -> Iterator[str]:
-    """Write a table of options, with their meanings, and defaults or examples but for the given."""
-    field = of.model_fields[table]
-    given = given or {}
-    yield ""
-    if field.description:
-        yield f"# {field.description}"
-    yield f"[{table}]"
-    kinds = (field.annotation, *get_args(field.annotation))  # [simulation] may be left out
-    model = next(k for k in kinds if isinstance(k, type) and issubclass(k, BaseModel))
-    for key, option in model.model_fields.items():
-        if key == "parameters":
-            continue
-        text = f"{key}: {option.description}"
-        yield from textwrap.wrap(text, 92, initial_indent="# ", subsequent_indent="#   ")
-        example = option.examples[0] if option.examples else option.default
-        yield f"{key} = {_toml(given[key])}" if key in given else f"# {key} = {_toml(example)}"
-
-
-def _toml(value: Any) -> str:
-    if value is None or value is PydanticUndefined:
-        return '"..."  # found by itself when left out'
-    if isinstance(value, tuple):
-        return "[" + ", ".join(_toml(v) for v in value) + "]"
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{json.dumps(k)} = {_toml(v)}" for k, v in value.items()) + " }"
-    return f"{value:g}" if isinstance(value, float) else json.dumps(value)

@@ -2,37 +2,31 @@
 
 from __future__ import annotations
 
-from bayesfric.commands.init import options
-from bayesfric.fleet.plan import FleetTables
-
 # What is written in place of a preset.
 FLEET = "fleet"
-_PRESET = "motor-axis"
+PLAN = """\
+# bayesfric fleet: one configuration, fitted for every file of a folder.
+# What begins with '#' is an example; every key: bayesfric init fleet --all-keys
+[units]
+glob = "recordings/{unit}.csv"  # or a table of them, whose columns the template's texts can hold:
+# table = "units.csv"  # file,mass,robot,day: then added_mass = "{mass} kg" below
+# name = "{robot}-{day}"
+# joint = "robot"  # shared by the days of one joint
+# over = "day"  # to look for a trend over
 
+[runs]
+# light = true  # no figures, tables and pages, and few draws
 
-def fleet_plan() -> str:
-    """Text of a commented ``FLEET.toml`` for a folder of recordings, the template in it."""
-    return "\n".join(
-        [
-            "# bayesfric fleet: one configuration, fitted for every file of a folder.",
-            "# Lines that begin with '#' are defaults or examples; remove the '#' to change them.",
-            "",
-            "# Where a table tells more of each unit, name it in place of the glob: 'table'. Its",
-            '# columns can stand in the template\'s texts, such as added_mass = "{mass} kg".',
-            *options("units", FleetTables, {"glob": "recordings/{unit}.csv"}),
-            *options("runs", FleetTables),
-            *options("cluster", FleetTables),
-            "",
-            "# The configuration; 'bayesfric init' writes all that may stand in one. In place of",
-            '# these tables a file may be named, above [units]: template = "unit.toml".',
-            "[template.mechanism]",
-            f'preset = "{_PRESET}"',
-            "",
-            "[[template.recordings]]",
-            'file = "{file}"',
-            'time = { column = "time", unit = "s" }',
-            'position = { column = "position", unit = "rad" }',
-            'torque = { column = "torque", unit = "N m" }',
-            "",
-        ]
-    )
+[cluster]
+# workers = 4
+
+# The configuration, see 'bayesfric init'; or, above [units]: template = "unit.toml"
+[template.mechanism]
+preset = "motor-axis"
+
+[[template.recordings]]
+file = "{file}"
+time = { column = "time", unit = "s" }
+position = { column = "position", unit = "rad" }
+torque = { column = "torque", unit = "N m" }
+"""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from bayesfric.commands.init_fleet import FLEET
@@ -105,18 +104,6 @@ def keys_text(kind: Kind) -> str:
     return "\n".join([*lines, ""])
 
 
-def schema_text(kind: Kind) -> str:
-    """Write the JSON schema of a kind of file."""
-    return json.dumps(schema_of(kind), indent=1, ensure_ascii=False) + "\n"
-
-
-def schema_hint(schema: Path) -> list[str]:
-    """Say what makes an editor complete files by a schema that was written."""
-    return [
-        f"Editors with Taplo complete files beside it that begin with: #:schema ./{schema.name}"
-    ]
-
-
 def reference_text(asked: str | None, *, schema: bool, option: str) -> str:
     """Write what ``init`` was asked for: keys, or the schema, of a configuration or a fleet.
 
@@ -129,7 +116,9 @@ def reference_text(asked: str | None, *, schema: bool, option: str) -> str:
         mend = f"leave it out, or say {FLEET} for the keys of {_TITLES['fleet']}"
         raise BadInput(str(asked), f"{option} is the same for every preset", mend)
     kind: Kind = "fleet" if asked == FLEET else "configuration"
-    return schema_text(kind) if schema else keys_text(kind)
+    if not schema:
+        return keys_text(kind)
+    return json.dumps(schema_of(kind), indent=1, ensure_ascii=False) + "\n"
 
 
 def _tables_in(field: Mapping[str, Any], models: Models) -> Iterator[tuple[str, str, bool]]:

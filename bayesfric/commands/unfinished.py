@@ -12,11 +12,10 @@ import os
 import platform
 import signal
 import socket
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
@@ -44,57 +43,43 @@ class Asked:
     again: bool = False  # whether they asked a second time, and want no more waiting
 
 
+@dataclass
 class Unfinished:
     """The checkpoints of a run; made by :func:`unfinished`."""
 
-    def __init__(self, folder: Path, place: Path) -> None:
-        self.folder, self._place = folder, place
-        # whether what is there is to be kept under another name
-        self.afresh = False
-        self._samplings: list[Checkpoint] = []
-        self.asked = Asked()
-
-    @property
-    def saved(self) -> int:
-        """Count the steps on disk."""
-        return sum(c.saved for c in self._samplings)
-
-    @property
-    def walking(self) -> bool:
-        """Tell whether a sampler is at work."""
-        return any(c.walking for c in self._samplings)
+    place: Path
+    afresh: bool  # whether what is there is to be kept under another name
+    samplings: list[Checkpoint] = field(default_factory=list)
+    asked: Asked = field(default_factory=Asked)
 
     def sampling(self, model: Model, name: str, settings: Sampling) -> Checkpoint:
         """Give the checkpoint of one sampling; bad input if there is one of something else."""
         if self.afresh:
-            _set_aside(self._place)
+            _set_aside(self.place)
             self.afresh = False
-        tables = json.loads(model.config.tables.model_dump_json())
         # what its steps depend on
+        tables = json.loads(model.config.tables.model_dump_json())
         facts = {
-            "version": _versions(),
+            "version": {
+                "bayesfric": bayesfric.__version__,
+                "python": ".".join(platform.python_version_tuple()[:2]),
+                **{name: version(name) for name in ("numpy", "scipy", "emcee", "numba")},
+            },
             "recording": {r.name: r.sha256 for r in model.recordings},
             "configuration": tables | {"sampling": settings.model_dump(mode="json")},
         }
-        checkpoint = Checkpoint(
-            self._place, name, facts, asked_to_stop=lambda: self.asked.by is not None
-        )
-        self._samplings.append(checkpoint)
-        return checkpoint
-
-    @property
-    def kept(self) -> bool:
-        """Tell whether there is something to go on with."""
-        return any(self._place.glob("*.json"))
+        made = Checkpoint(self.place, name, facts, asked_to_stop=lambda: self.asked.by is not None)
+        self.samplings.append(made)
+        return made
 
     def save(self) -> None:
         """Save what was sampled and is not yet on disk."""
-        for checkpoint in self._samplings:
+        for checkpoint in self.samplings:
             checkpoint.save()
 
     def remove(self) -> None:
         """Remove the checkpoints: the run is written."""
-        for checkpoint in self._samplings:
+        for checkpoint in self.samplings:
             checkpoint.remove()
 
 
@@ -109,66 +94,43 @@ def unfinished(folder: Path, *, resume: bool, force: bool) -> Iterator[Unfinishe
     place = target.with_name(f".{target.name}.checkpoint")
     if resume and force:
         raise BadInput("--resume", "cannot go with --force", "give one of them")
+    kept = False
     try:
         with parents_made(place), alone_in(place, folder):
-            run = Unfinished(folder, place)
-            there = run.kept
+            there = any(place.glob("*.json"))
             if resume and not there:
                 done = (folder / "summary.json").is_file()
-                raise BadInput(
-                    str(folder),
-                    "is finished" if done else "there is no checkpoint to resume",
-                    "leave --resume out" + (" and name another folder with -o" if done else ""),
-                )
+                what = "is finished" if done else "there is no checkpoint to resume"
+                mend = "leave --resume out" + (" and name another folder with -o" if done else "")
+                raise BadInput(str(folder), what, mend)
             if there and not (resume or force):
-                raise BadInput(
-                    str(folder),
-                    "was interrupted, and its checkpoint is there",
-                    "add --resume to go on, or --force to start afresh",
-                )
-            run.afresh = there and force
-            with _ended_well(run):
-                yield run
+                what = "was interrupted, and its checkpoint is there"
+                mend = "add --resume to go on, or --force to start afresh"
+                raise BadInput(str(folder), what, mend)
+            run = Unfinished(place, afresh=there and force)
+            with asked_to_stop(lambda: any(c.walking for c in run.samplings)) as run.asked:
+                try:
+                    yield run
+                except KeyboardInterrupt:
+                    if not run.asked.again:
+                        with suppress(OSError, KeyboardInterrupt):
+                            run.save()
+                    saved = sum(c.saved for c in run.samplings)
+                    raise Interrupted(run.asked.by, saved) from None
+                except OSError:
+                    kept = any(place.glob("*.json"))
+                    raise
+                except BaseException:
+                    with suppress(OSError):
+                        run.save()
+                    raise
     except OSError as error:
-        raise _cannot(error, folder, kept=False) from None
-
-
-@contextmanager
-def _ended_well(run: Unfinished) -> Iterator[None]:
-    """Save on whatever ends the work before it is done, and say what is kept."""
-    with asked_to_stop(lambda: run.walking) as asked:
-        run.asked = asked
-        try:
-            yield
-        except KeyboardInterrupt:
-            if not asked.again:
-                with suppress(OSError, KeyboardInterrupt):
-                    run.save()
-            raise Interrupted(asked.by, saved=run.saved) from None
-        except OSError as error:
-            raise _cannot(error, run.folder, run.kept) from None
-        except BaseException:
-            with suppress(OSError):
-                run.save()
-            raise
-
-
-def _cannot(error: OSError, folder: Path, kept: bool) -> BadInput:
-    """Word an error of the disk."""
-    reason = os.strerror(error.errno) if error.errno else str(error)
-    if kept:
-        mend = "mend that, then go on with --resume from the last checkpoint, which is intact"
-    else:
+        reason = os.strerror(error.errno) if error.errno else str(error)
         mend = "mend that, or name another folder with -o"
-    return BadInput(str(error.filename or folder), f"cannot be written ({reason})", mend)
-
-
-def _versions() -> dict[str, str]:
-    return {
-        "bayesfric": bayesfric.__version__,
-        "python": ".".join(platform.python_version_tuple()[:2]),
-        **{name: version(name) for name in ("numpy", "scipy", "emcee", "numba")},
-    }
+        if kept:
+            mend = "mend that, then go on with --resume from the last checkpoint, which is intact"
+        where = str(error.filename or folder)
+        raise BadInput(where, f"cannot be written ({reason})", mend) from None
 
 
 def _set_aside(place: Path) -> None:
@@ -198,11 +160,11 @@ def asked_to_stop(worth_waiting: Callable[[], bool]) -> Iterator[Asked]:
         if asked.again or not worth_waiting():
             raise KeyboardInterrupt
 
-    before = {}
+    heard = {}
     # Python lets only the main thread have handlers
     if threading.current_thread() is threading.main_thread():
         before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    heard = {n: h for n, h in before.items() if h is not None and h is not signal.SIG_IGN}
+        heard = {n: h for n, h in before.items() if h not in (None, signal.SIG_IGN)}
     try:
         for number in heard:
             signal.signal(number, note)
@@ -226,7 +188,10 @@ def alone_in(folder: Path, run: Path) -> Iterator[None]:
         except FileNotFoundError:
             continue  # its owner just left and removed the folder
         except Timeout:
-            what = f"{_name(owner)} is making this run"
+            name = "another process"
+            with suppress(OSError, UnicodeDecodeError):
+                name = owner.read_text(encoding="utf-8").strip() or name
+            what = f"{name} is making this run"
             raise BadInput(str(run), what, "wait for it, or name another with -o") from None
         except OSError as error:
             if error.errno not in _NO_LOCKS:
@@ -236,8 +201,6 @@ def alone_in(folder: Path, run: Path) -> Iterator[None]:
         owner.write_text(f"process {os.getpid()} on {socket.gethostname()}\n", encoding="utf-8")
         yield
     finally:
-        if sys.platform == "win32":
-            lock.release()  # nothing open can be removed there
         # nobody can take it before it is released, and who waits finds it gone
         for path in (owner, folder / LOCK):
             with suppress(OSError):
@@ -245,9 +208,3 @@ def alone_in(folder: Path, run: Path) -> Iterator[None]:
         with suppress(OSError):
             folder.rmdir()
         lock.release()
-
-
-def _name(owner: Path) -> str:
-    with suppress(OSError, UnicodeDecodeError), owner.open(encoding="utf-8") as file:
-        return file.readline(200).strip() or "another process"
-    return "another process"

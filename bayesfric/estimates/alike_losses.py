@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from bayesfric.estimates.point_estimate import Estimate
-from bayesfric.estimates.torque_near import larger
 from bayesfric.mechanism.joint import Joint
 
 # A loss is told where its sd is less than this share of all of them together.
@@ -28,5 +27,5 @@ def alike_losses(chain: Joint, estimate: Estimate, known: Collection[str]) -> tu
     values = [estimate[n] for n in names]
     whole = sum(abs(v.value) for v in values)
     # what stands on a limit has no sd, and is not told either
-    told = (v.determined and larger(v.sd, v.sd_robust) < _TOLD * whole for v in values)
+    told = (v.determined and v.larger_sd < _TOLD * whole for v in values)
     return () if any(told) else tuple(names)

@@ -13,7 +13,7 @@ from bayesfric.errors import BadInput
 from bayesfric.estimates import assemble as fitted
 from bayesfric.estimates.descent import ROUNDING, Found, Terms, TorqueProblem, descend, few_threads
 from bayesfric.estimates.estimation import Estimation
-from bayesfric.estimates.information import CORRELATED, Information, Scatter, lag_one
+from bayesfric.estimates.information import Information, Scatter
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.estimates.shape_starts import at_tried_shapes
@@ -72,9 +72,9 @@ def _estimate(
     chain, observations = problem.chain, problem.observations
     plain = Terms(np.ones(problem.measured.size))
     if start is None:
-        inside, projected, searched = _starts(problem, plain, options)
+        inside, searched = _starts(problem, plain, options)
     else:
-        inside, projected, searched = [problem.inside(chain.vector(start))], [], ""
+        inside, searched = [problem.inside(chain.vector(start))], ""
     found = sorted((descend(problem, plain, x) for x in inside), key=lambda one: one.height)
     terms, x = _refined(problem, options, found)
     values = fitted.centred(chain, problem.knowledge, observations, problem.vector(x))
@@ -85,9 +85,7 @@ def _estimate(
     residual = problem.residual(x)
     notes = [
         _agreement(problem, found) + searched,
-        *_pushed(problem, terms, [x, *projected], at_bound, information.sigma**2),
         *_scale_notes(problem, information),
-        *_correlation_note(problem, terms.weights * residual),
     ]
     return Estimate(
         method="input-error",
@@ -103,12 +101,10 @@ def _estimate(
     )
 
 
-def _starts(
-    problem: TorqueProblem, plain: Terms, options: Estimation
-) -> tuple[list[Array], list[Array], str]:
+def _starts(problem: TorqueProblem, plain: Terms, options: Estimation) -> tuple[list[Array], str]:
     """Make starts of the variable projection, splits of the totals, random vectors, and shapes.
 
-    Gives free parameters within the limits; as projected; and a note.
+    Gives free parameters within the limits, and a note.
     """
     vectors = [problem.split(mu, share) for mu, share in _SPLITS]
     rng = np.random.default_rng(options.seed)
@@ -119,14 +115,12 @@ def _starts(
     form = torque_form(problem.chain, problem.observations)
     vectors = [scale_known(problem.chain, vector, fixed) for vector in vectors]
     searched = ""
-    projected = []
     if form is not None:
         projection = VariableProjection(form, problem.observations)
         found = projection.minimise([form.thetas(vector)[1] for vector in vectors])
         # the projection has looked everywhere; the splits look for minima that limits make
         vectors = vectors[: len(_SPLITS)]
         vectors.insert(0, form.parameters(found.theta1, found.theta2, fixed))
-        projected = [vectors[0][problem.columns]]
         lowest = (1.0 + _REACHED) * projection.criterion(found.theta2) + problem.rounding
         if _alone(problem, options) and _height(problem, problem.inside(vectors[0])) <= lowest:
             # nothing known is in the way, and from the splits the projection has searched already
@@ -137,7 +131,7 @@ def _starts(
     inside, tried = at_tried_shapes(problem, plain, inside, rng)
     if tried:
         searched = f", those that fitted best of {tried} with shapes held at values to try"
-    return inside, projected, searched
+    return inside, searched
 
 
 def _height(problem: TorqueProblem, x: Array) -> float:
@@ -294,39 +288,6 @@ def _agreement(problem: TorqueProblem, found: Sequence[Found]) -> str:
     return f"{sum(one.height <= limit for one in found)} of {len(found)} starts reached the minimum"
 
 
-def _pushed(
-    problem: TorqueProblem,
-    terms: Terms,
-    starts: Sequence[Array],
-    at_bound: Bounds,
-    variance: float,
-) -> list[str]:
-    """Which parameters the fit, the first of the starts, would take out of their limits."""
-    if not at_bound.any():
-        return []
-    anywhere = np.full(at_bound.size, np.inf)
-    outside = min(
-        (descend(problem, terms, x, lower=-anywhere, upper=anywhere) for x in starts),
-        key=lambda one: one.height,
-    )
-    kept = terms.height(terms.residual(problem, starts[0]))
-    if kept - outside.height <= variance + problem.rounding:
-        return []
-    values = problem.vector(outside.x)
-    for scaling in fitted.open_scalings(problem.chain, problem.knowledge, problem.observations):
-        # a loss that the open scale can make positive has not been pushed anywhere
-        values = scaling.scaled(values, scaling.middle(values))
-    free = problem.knowledge.on_turn(problem.chain, values[problem.columns])
-    negative = (free < problem.lower) & (problem.lower == 0.0)
-    beyond = ((free < problem.lower) & ~negative) | (free > problem.upper)
-    notes = []
-    for found, what in ((negative, "negative"), (beyond, "leave theirs")):
-        names = [name for name, is_it in zip(problem.free, found, strict=True) if is_it]
-        if names:
-            notes.append(f"without bounds the fit would make {', '.join(names)} {what}")
-    return notes
-
-
 def _scale_notes(problem: TorqueProblem, information: Information) -> list[str]:
     """Say what fixes the scale between leg and alpha, or that nothing does."""
     notes = []
@@ -346,15 +307,6 @@ def _scale_notes(problem: TorqueProblem, information: Information) -> list[str]:
         if by:
             notes.append(f"{what} is fixed by {', '.join(by)}")
     return notes
-
-
-def _correlation_note(problem: TorqueProblem, residual: Array) -> list[str]:
-    follows = np.diff(places(problem.observations)) == 1
-    lag = lag_one(residual, follows)
-    rounding = float(np.sum(residual**2)) <= problem.rounding
-    if rounding or not lag >= CORRELATED:
-        return []
-    return [f"neighbouring residuals are correlated ({lag:.2f}): trust sd_robust, not sd"]
 
 
 def _assumption(problem: TorqueProblem, terms: Terms, at_bound: Bounds) -> str:

@@ -26,7 +26,7 @@ from bayesfric.estimates.shooting_fit import (
     residual_of,
     settle_states,
 )  # fmt: skip
-from bayesfric.estimates.torque import torque_jacobian
+from bayesfric.estimates.torque import filtered_torque, torque_jacobian
 from bayesfric.huber import HUBER, robust_sd
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.observation import Observation
@@ -44,6 +44,8 @@ _CLEARLY = 0.2
 # A search that could still lower the sum of squares by this many residual variances, though
 # no step does, is at no minimum.
 _LEFT = 100.0
+# How many times as much torque another minimum leaves.
+_MORE = 2.0
 # Differences carry errors of 1e-8 of a derivative; what is smaller than this is null.
 _NULL = 1e-6
 
@@ -112,7 +114,7 @@ def output_error(
         same = np.array_equal(longer.at_bound, fits[0].at_bound) and longer.solution.converged
         if same and _spread(longer) < _spread(chosen) - _CLEARLY:
             chosen = longer
-    return problem.estimate(chosen, fits)
+    return problem.estimate(chosen, fits, values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,8 +214,8 @@ class OutputError:
         fitting = [length for length in LENGTHS if length >= least and total >= needed * length]
         return tuple(fitting) or (max(LENGTHS[0], least),)
 
-    def estimate(self, fit: Fit, others: Sequence[Fit] = ()) -> Estimate:
-        """State everything a fit says."""
+    def estimate(self, fit: Fit, others: Sequence[Fit], start: Array) -> Estimate:
+        """State everything a fit says, the input error being ``start``."""
         unit = "rad" if self.chain.load.motion == "rotary" else "m"
         solution, shooting = fit.solution, fit.frame.shooting
         given = self.chain, self.observations, self.knowledge
@@ -261,6 +263,13 @@ class OutputError:
                 f"estimation.max_seconds = {self.options.max_seconds:g} ended the search before "
                 "all segment lengths were compared"
             )
+        before, left = self._torque_left(start), self._torque_left(solution.values)
+        if converged and left > _MORE * before:
+            notes.insert(
+                0,
+                f"ANOTHER MINIMUM than the input error's: these numbers leave {left / before:.2g} "
+                "times as much of the torque; believe the input error",
+            )
         return Estimate(
             method="output-error",
             values=values,
@@ -273,6 +282,13 @@ class OutputError:
             point=tuple(zip(self.chain.names, solution.values.tolist(), strict=True)),
             converged=converged,
         )
+
+    def _torque_left(self, values: Array) -> float:
+        """Root mean square of the torque that parameters leave."""
+        pairs = (
+            (o.measured, filtered_torque(self.chain, o, values[None])) for o in self.observations
+        )
+        return float(np.sqrt(np.mean(np.concatenate([y - x[0] for y, x in pairs]) ** 2)))
 
     def _why(self, others: Sequence[Fit]) -> str:
         if self.options.segment is not None:

@@ -42,6 +42,11 @@ class EstimatedValue:
         return 100.0 * self.sd / abs(self.value) if self.value else math.inf
 
     @property
+    def larger_sd(self) -> float:
+        """The larger of both that are known, else zero."""
+        return max((sd for sd in (self.sd, self.sd_robust) if not math.isnan(sd)), default=0.0)
+
+    @property
     def determined(self) -> bool:
         """Whether the data, or what is known besides, determine the number."""
         return math.isfinite(self.sd)

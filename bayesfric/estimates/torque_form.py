@@ -140,12 +140,12 @@ def scale_known(chain: Joint, values: Array, fixed: Mapping[str, float]) -> Arra
     """
     for scaling in scalings(chain):
         names = [name for name in scaling.names if name in fixed]
-        factors = [factor_to(scaling, values, name, fixed[name]) for name in names]
+        factors = [_factor_to(scaling, values, name, fixed[name]) for name in names]
         values = scaling.scaled(values, next(filter(None, factors), 0.0) or scaling.middle(values))
     return values
 
 
-def factor_to(scaling: Scaling, values: Array, name: str, value: float) -> float:
+def _factor_to(scaling: Scaling, values: Array, name: str, value: float) -> float:
     """Factor of a scaling that gives a parameter a value; zero where none does."""
     if name not in scaling.names:
         return 0.0

@@ -41,8 +41,6 @@ _FASTER = 1.2
 # No longer than this, s and samples, unless it is asked for: the joint has told by then.
 _LONGEST = 30.0
 _LONGEST_SAMPLES = 60_000
-# Amplitudes to try, as shares of the torque limit.
-_AMPLITUDES = (1.0, 0.6)
 # Frequencies, as multiples of how often the joint went to and fro.
 _PACES = (0.5, 1.0, 2.0)
 _CHIRPS = ((0.25, 2.0), (0.5, 5.0))
@@ -68,8 +66,6 @@ class Limits:
     recorded_angles: tuple[float, float]  # lowest and highest of the recordings, rad or m
     # whether a controller seems to have held the joint: then what can be played is its motion
     held: bool = False
-    # which of torque and speed are the recordings' own, as the configuration gives none
-    own: tuple[Literal["torque", "speed"], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,10 +175,6 @@ def limits_of(
             f"recording {base.name!r} began",
             "give limits in the recordings' own angle",
         )
-    given: dict[Literal["torque", "speed"], float | None] = {
-        "torque": options.torque_limit,
-        "speed": options.speed_limit,
-    }
     return Limits(
         options.torque_limit or max(float(np.abs(o.measured).max()) for o in observations),
         options.speed_limit or _FASTER * max(fastest(o) for o in observations),
@@ -195,7 +187,6 @@ def limits_of(
         start,
         recorded,
         held,
-        tuple(name for name, limit in given.items() if limit is None),
     )
 
 
@@ -265,10 +256,8 @@ def candidates(
         for form, shape in _shapes(time, hertz):
             # the drive is not left with a torque when the command ends
             shape[-1] = 0.0
-            for share in _AMPLITUDES:
-                peak = share * limits.torque
-                signal = peak, peak * shape, period, limits.lag
-                yield Candidate(kind, form, *signal, bolted, limits.start, 0.0)
+            signal = limits.torque, limits.torque * shape, period, limits.lag
+            yield Candidate(kind, form, *signal, bolted, limits.start, 0.0)
 
 
 def _carrying(

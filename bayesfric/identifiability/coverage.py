@@ -1,4 +1,4 @@
-"""What a recording went through: who drove whom, how far it turned, what shape the torque had."""
+"""What a recording went through: who drove whom, how far it turned, whether it accelerated."""
 
 from __future__ import annotations
 
@@ -15,11 +15,6 @@ from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
 
-# Outputs that lie beside a level of torque, and how many levels make a piecewise constant one.
-_LEVELS = 4
-_LEVEL_WIDTH = 0.02
-# Noise wider than this share of the torque's range hides whether it has levels.
-_TOO_NOISY = 0.05
 # Share of the torque below which inertia does not show.
 _LITTLE = 0.05
 
@@ -32,46 +27,28 @@ class Coverage:
     outputs: int
     moving: float  # share of outputs in which the joint moves
     load_drives: dict[str, float]  # share of those in which the load drives an element with a loss
-    at_levels: float | None  # share at one of at most four levels of torque, if noise lets see it
-    piecewise_constant: bool  # whether nearly all outputs are
     turn: float  # range of the joint's position, rad or m
     steady: float  # share of outputs in which inertia takes less than a twentieth of the torque
     added_mass: float  # kg
     radius: float  # m
 
 
-@dataclass(frozen=True)
-class BackDriving:
-    """How often the load drives one element, as a share of the moving outputs."""
-
-    element: str
-    two: bool  # whether it has two load losses, one for each who drives
-    at_estimate: float
-    plausible: tuple[float, float]  # least and largest over the points that suit the data
-    anywhere: tuple[float, float]  # and over all points
-
-
 def coverage_of(
-    chain: Joint, observations: Sequence[Observation], values: Array, noise: Array
+    chain: Joint, observations: Sequence[Observation], values: Array
 ) -> tuple[Coverage, ...]:
-    """Look at every recording, the chain's parameters being ``values`` ``(n_parameters,)``.
-
-    ``noise`` ``(R,)`` are the scales of the torque's, N m or N.
-    """
+    """Look at every recording, the chain's parameters being ``values`` ``(n_parameters,)``."""
     return tuple(
         Coverage(
             name=o.name,
             outputs=int(o.measured.size),
             moving=float(np.mean(o.qd[o.filter.centres] != 0.0)),
             load_drives={k: float(x[0]) for k, x in back_driven(chain, [o], values[None]).items()},
-            at_levels=(levels := _at_levels(o.measured, sigma)),
-            piecewise_constant=levels is not None and levels > 0.9,
             turn=float(np.ptp(o.q[o.filter.centres])),
             steady=_steady(chain, o, values),
             added_mass=o.inputs.added_mass,
             radius=o.inputs.radius,
         )
-        for o, sigma in zip(observations, noise.tolist(), strict=True)
+        for o in observations
     )
 
 
@@ -97,24 +74,6 @@ def back_driven(
     return found
 
 
-def back_driving(
-    chain: Joint,
-    observations: Sequence[Observation],
-    vectors: Array,
-    plausible: NDArray[np.bool_],
-) -> tuple[BackDriving, ...]:
-    """Look at vectors ``(n, n_parameters)``, the estimate first; ``plausible`` suit the data."""
-    two = {element.name: element.load_loss == "two" for element in chain.elements}
-    return tuple(
-        BackDriving(name, two[name], float(share[0]), _ends(share[plausible]), _ends(share))
-        for name, share in back_driven(chain, observations, vectors).items()
-    )
-
-
-def _ends(share: Array) -> tuple[float, float]:
-    return float(share.min()), float(share.max())
-
-
 def _behind(
     chain: Joint, i: int, o: Observation, outputs: NDArray[np.int64], values: Array
 ) -> Array:
@@ -128,32 +87,6 @@ def _behind(
     rest = Joint(chain.elements[i + 1 :], chain.load)
     columns = [chain.names.index(name) for name in rest.names]
     return inverse_torque(rest, values[:, columns], q, qd, qdd, inputs=o.inputs, time=o.stamps)
-
-
-def _at_levels(torque: Array, sigma: float) -> float | None:
-    """Share of a signal that lies beside its few most frequent values."""
-    low, high = np.quantile(torque, [0.001, 0.999])
-    span = float(high - low)
-    if span <= 0.0:
-        return 1.0
-    if sigma > _TOO_NOISY * span:
-        return None
-    width = max(3.0 * sigma, _LEVEL_WIDTH * span)
-    left = np.sort(torque)
-    total, taken = left.size, 0
-    for _ in range(_LEVELS):
-        if left.size == 0:
-            break
-        ends = np.searchsorted(left, left + 2.0 * width, side="right")
-        best = int(np.argmax(ends - np.arange(left.size)))
-        count = int(ends[best]) - best
-        # a level holds its share; what only happens to pass by does not count
-        if count < 0.1 * total:
-            break
-        taken += count
-        left = np.delete(left, slice(best, int(ends[best])))
-    # a smooth signal fills its range evenly: levels as wide as half of it prove nothing
-    return None if 2.0 * width * _LEVELS > 0.75 * span else taken / total
 
 
 def _steady(chain: Joint, o: Observation, values: Array) -> float:

@@ -1,33 +1,24 @@
 """What recordings can and cannot tell, before anything is sampled.
 
-The Jacobian of the observed quantity over its noise, in logarithms of the parameters,
-is taken at the estimate and at other vectors that may be true. A direction is *null*
-where its singular value is below 1e-7 of the largest, which is a thousand times what
-rounding makes of an exact zero (1e-6 for a simulated position); it is *weak* where the
-data leave the logarithm of a parameter more than 0.5.
+The Jacobian of the observed quantity over its noise, in logarithms of the parameters, is taken at
+the estimate. A direction is *null* where its singular value is below 1e-7 of the largest, which is
+a thousand times what rounding makes of an exact zero (1e-6 for a simulated position); it is *weak*
+where the data leave the logarithm of a parameter more than 0.5.
 """
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.errors import BadInput
+from bayesfric.estimates.assemble import bounds_met
 from bayesfric.estimates.torque import typical_load
-from bayesfric.identifiability.correlated import Correlated, widened
-from bayesfric.identifiability.coverage import BackDriving, Coverage, back_driving, coverage_of
-from bayesfric.identifiability.known_quantities import (
-    Ripple,
-    SpeedTerm,
-    UnknownMass,
-    gravity_ripple,
-    unknown_mass,
-)
+from bayesfric.identifiability.coverage import Coverage, back_driven, coverage_of
+from bayesfric.identifiability.known_quantities import SpeedTerm, gravity_ripple
 from bayesfric.identifiability.local import (
     WEAK,
     LocalInformation,
@@ -36,8 +27,7 @@ from bayesfric.identifiability.local import (
     local_information,
     verdict,
 )
-from bayesfric.identifiability.open_directions import OpenDirection, open_directions
-from bayesfric.identifiability.plausible import Origin, Point
+from bayesfric.identifiability.open_directions import OpenDirection, open_directions, open_rows
 from bayesfric.identifiability.remedies import HARDLY, trials
 from bayesfric.identifiability.sentences import Statement, plain, stated
 from bayesfric.inference.prior.priors import KNOWN
@@ -49,9 +39,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# On a bound, up to rounding.
-_ON_BOUND = 1e-6
-
 
 @dataclass(frozen=True)
 class Prospect:
@@ -61,10 +48,8 @@ class Prospect:
     unit: str
     meaning: str
     value: float  # at the estimate; it means nothing where data_sd is infinite
-    # what the data alone would leave, the noise being what fit takes it for; of what is then still
-    # correlated, the larger sd of those for independent and for correlated residuals
-    data_sd: float
-    expected_sd: float  # data and prior together, with bounds that the estimate stands on
+    data_sd: float  # what the data alone would leave, the noise being what fit takes it for
+    expected_sd: float  # data and prior together
     prior_sd: float = float("nan")  # and these two of parameters alone
     verdict: Verdict | None = None  # to be expected of the posterior
     on_bound: str | None = None  # lower or upper: a limit is what can be told
@@ -78,20 +63,15 @@ class Identification:
     noise: str  # what it takes the noise for
     # whether it may be correlated: estimates weigh all residuals alike, and have other sds then
     memory: bool
-    still_correlated: bool  # whether what such a noise leaves goes together, and sds are widened
-    origins: tuple[Origin, ...]  # where each point comes from; the estimate first
-    singular_values: Array  # (n_points, d), largest first
-    null_counts: tuple[int, ...]  # number of null directions at each point
     local: LocalInformation  # the local picture at the estimate
     directions: tuple[OpenDirection, ...]  # null ones first, then weak ones, the weakest first
     parameters: tuple[Prospect, ...]  # the free ones
     combinations: tuple[Prospect, ...]  # what they amount to, best known first
     recordings: tuple[Coverage, ...]  # what the recordings went through
-    back_driving: tuple[BackDriving, ...]  # how often the load drove
-    known_mass: UnknownMass | None  # what rests on the added mass being known
+    # element with a load loss: share of the moving outputs in which the load drives it
+    back_driving: dict[str, float]
     voltage: SpeedTerm | None  # what a back-EMF cannot be told from
-    ripple: Ripple | None  # of the motor's torque, that cannot be told from gravity
-    notes: tuple[Statement, ...]  # what changes from point to point
+    ripple: Statement | None  # of the motor's torque, that cannot be told from gravity
 
     @property
     def frame(self) -> pd.DataFrame:
@@ -126,33 +106,17 @@ class Identification:
         ]
 
     @property
-    def ranges(self) -> list[tuple[float, float, float]]:
-        """Singular values: at the estimate, least and largest."""
-        values = self.singular_values
-        return list(zip(values[0], values.min(axis=0), values.max(axis=0), strict=True))
-
-    @property
     def remarks(self) -> list[Statement]:
-        """What is to be said of back-driving, of the known mass, of a voltage and of a ripple."""
-        found = [*map(self._seen, self.back_driving), self._mass_meaning, self._voltage_meaning]
-        found += [self.ripple.meaning] if self.ripple else []
-        return [one for one in found if one]
+        """What is to be said of back-driving, of a voltage and of a ripple."""
+        found = [*map(self._seen, self.back_driving), self._voltage_meaning]
+        return [one for one in [*found, self.ripple] if one]
 
-    def _seen(self, one: BackDriving) -> Statement:
+    def _seen(self, element: str) -> Statement:
         """Say how often the load drives an element."""
-        loss = f"{one.element}.load_back"
+        loss, share = f"{element}.load_back", self.back_driving[element]
         prior = any(row.name == loss and row.verdict == "prior" for row in self.parameters)
-        least, most = one.plausible
-        unsure = least == 0.0 and prior
-        kind = "never" if most == 0.0 else "seen"
-        if kind == "seen" and (unsure or one.at_estimate < HARDLY):
-            kind = "hardly"
-        return stated("back_driving", kind, prior=prior, certain=not unsure, **vars(one))
-
-    @property
-    def _mass_meaning(self) -> Statement | None:
-        all_told = not any(one.null for one in self.directions)
-        return self.known_mass.meaning(all_told=all_told) if self.known_mass else None
+        kind = "never" if share == 0.0 else "hardly" if share < HARDLY else "seen"
+        return stated("back_driving", kind, prior=prior, element=element, share=share)
 
     @property
     def _voltage_meaning(self) -> Statement | None:
@@ -160,29 +124,20 @@ class Identification:
 
     def as_json(self) -> dict[str, Any]:
         """Give what ``bayesfric identify --json`` prints; what is infinite is ``None``."""
-        columns = [list(column) for column in zip(*self.ranges, strict=True)]
-        values = dict(zip(("at_estimate", "least", "largest"), columns, strict=False))
-        null = {"null": self.local.directions.tolerance}
-        mass, voltage = self.known_mass, self.voltage
+        voltage = self.voltage
         found = {
             "method": self.method,
             "noise": self.noise,
-            "still_correlated": self.still_correlated,
-            "points": Counter(self.origins),
-            "thresholds": {**null, "weak_log_sd": WEAK, "hardly_ever": HARDLY},
             "directions": self.directions,
-            "singular_values": {**values, "null_at_each_point": self.null_counts},
             "combinations": {p.name: _without(p, "name", "prior_sd") for p in self.combinations},
             "parameters": {p.name: _without(p, "name") for p in self.parameters},
             "back_driving": {
-                one.element: _without(one, "element", "two") | {"meaning": self._seen(one)}
-                for one in self.back_driving
+                name: {"at_estimate": share, "meaning": self._seen(name)}
+                for name, share in self.back_driving.items()
             },
             "recordings": self.recordings,
-            "known_mass": mass and {**vars(mass), "meaning": self._mass_meaning or ""},
             "voltage": voltage and {**vars(voltage), "meaning": self._voltage_meaning},
-            "ripple": self.ripple and {**vars(self.ripple), "meaning": self.ripple.meaning},
-            "notes": self.notes,
+            "ripple": self.ripple,
         }
         return {name: plain(value) for name, value in found.items()}
 
@@ -191,14 +146,10 @@ def _without(record: Any, *names: str) -> dict[str, Any]:
     return {name: value for name, value in vars(record).items() if name not in names}
 
 
-def identify(
-    target: Target, points: Sequence[Point], *, speed: SpeedTerm | None = None
-) -> Identification:
-    """Find out what the recordings can tell.
+def identify(target: Target, estimate: Array, *, speed: SpeedTerm | None = None) -> Identification:
+    """Find out what the recordings can tell, at an estimate ``(d,)``, noise scales last.
 
-    ``points`` are the estimate, then others that may be true, see
-    :func:`bayesfric.identifiability.plausible.points_around`; ``speed`` is what a back-EMF is
-    confounded with, where the torque comes from a voltage.
+    ``speed`` is what a back-EMF is confounded with, where the torque comes from a voltage.
 
     Raises
     ------
@@ -206,56 +157,32 @@ def identify(
         If a simulation fails beside the estimate.
     """
     chain, observations = target.likelihood.chain, target.likelihood.observations
-    estimate = points[0].parameters
-    points, locals_ = _locals(target, points)
-    local = locals_[0]
-    vectors = target.chain_values(np.stack([p.parameters for p in points]))
-    noise = target.noise.scales(estimate[None, len(target.free) :])[0]
-    coverage = coverage_of(chain, observations, vectors[0], noise[:, 0])
-    plausible = np.array([p.origin != "prior" for p in points])
-    back = back_driving(chain, observations, vectors, plausible)
-    rare = any(one.plausible[0] < HARDLY for one in back)
-    tried = trials(target, estimate, local, coverage, rare=rare)
+    local = in_natural_units(target, estimate, local_information(target, estimate))
+    values = target.chain_values(estimate[None])
+    coverage = coverage_of(chain, observations, values[0])
+    shares = back_driven(chain, observations, values)
+    back = {name: float(share[0]) for name, share in shares.items()}
+    rare = any(share < HARDLY for share in back.values())
+    open_ = any(open_rows(local))
+    tried = trials(target, estimate, local, rare=rare) if open_ else []
     free = [p for p in chain.parameters if p.name in target.free]
-    correlated = Correlated(target, estimate, local)
     bounds = _bounds_met(target, estimate)
-    covariance = _cut(expected_covariance(target, local), bounds)
-    parameters = _parameters(target, estimate, local, correlated, bounds, covariance)
-    load = typical_load(chain, observations, vectors[0])
+    covariance = expected_covariance(target, local)
+    parameters = _parameters(target, estimate, local, bounds, covariance)
+    load = typical_load(chain, observations, values[0])
     return Identification(
         target.likelihood.method,
         target.likelihood.noise.description,
         target.likelihood.noise.accounts_for_correlation,
-        correlated.found,
-        tuple(p.origin for p in points),
-        np.abs([one.directions.singular_values for one in locals_]),
-        tuple(int(one.directions.null.sum()) for one in locals_),
         local,
-        tuple(open_directions(locals_, free, coverage, back, tried, _told(target, estimate))),
+        tuple(open_directions(local, free, coverage, back, tried, _told(target, estimate))),
         parameters,
-        _combinations(target, estimate, local, load, correlated, parameters, covariance),
+        _combinations(target, estimate, local, load, parameters, covariance),
         coverage,
         back,
-        unknown_mass(target, estimate, local),
         speed,
-        gravity_ripple(target, local),
-        tuple(_changes(locals_, back, plausible)),
+        gravity_ripple(target),
     )
-
-
-def _locals(target: Target, points: Sequence[Point]) -> tuple[list[Point], list[LocalInformation]]:
-    """Look at every point; those beside which a simulation fails are left out."""
-    kept, found = [], []
-    for p in points:
-        try:
-            local = local_information(target, p.parameters)
-        except BadInput:
-            if p is points[0]:
-                raise
-            continue
-        kept.append(p)
-        found.append(in_natural_units(target, p.parameters, local))
-    return kept, found
 
 
 def prior_rows(target: Target, local: LocalInformation) -> Array:
@@ -283,25 +210,11 @@ def expected_covariance(target: Target, local: LocalInformation) -> Array:
 
 def _bounds_met(target: Target, estimate: Array) -> list[str | None]:
     """Say of every free parameter on which end of its prior the estimate stands."""
-    found: list[str | None] = []
-    for value, prior in zip(estimate[: len(target.free)].tolist(), target.priors, strict=False):
-        sd, (low, high) = float(prior.sd()), prior.limits
-        width = _ON_BOUND * max(abs(value), sd if np.isfinite(sd) else 0.0)
-        bound = "lower" if value - low <= width else None
-        found.append("upper" if high - value <= width else bound)
-    return found
-
-
-def _cut(covariance: Array, bounds: Sequence[str | None]) -> Array:
-    """Halve a normal ``(k, k)`` at the bounds that its middle stands on, one after the other.
-
-    What half a normal has less variance than a whole one, ``2/pi`` of it, is missing from all that
-    goes along with the parameter.
-    """
-    for j in (j for j, bound in enumerate(bounds) if bound and 0.0 < covariance[j, j] < np.inf):
-        along = np.where(np.isfinite(covariance[j]), covariance[j], 0.0)
-        covariance = covariance - 2.0 / np.pi * np.outer(along, along) / covariance[j, j]
-    return covariance
+    k = len(target.free)
+    low, high = np.array([p.limits for p in target.priors[:k]]).T
+    sds = np.array([p.sd() for p in target.priors[:k]])
+    met = bounds_met(estimate[:k], low, high, np.where(np.isfinite(sds), sds, 0.0))
+    return [{-1: "lower", 1: "upper"}.get(int(end)) for end in met]
 
 
 def moved_beside(local: LocalInformation, parameters: Array) -> tuple[Array, Array]:
@@ -315,27 +228,17 @@ def _parameters(
     target: Target,
     estimate: Array,
     local: LocalInformation,
-    correlated: Correlated,
     bounds: Sequence[str | None],
     covariance: Array,
 ) -> tuple[Prospect, ...]:
     described = {p.name: p for p in target.likelihood.chain.parameters}
     expected = np.sqrt(np.diag(covariance)) * np.abs(local.units)
-    whole = np.sqrt(np.diag(expected_covariance(target, local))) * np.abs(local.units)
     rows = []
     for j, (name, prior, bound) in enumerate(zip(target.free, target.priors, bounds, strict=False)):
         prior_sd, data_sd = float(prior.sd()), float(local.data_sd[j])
-        times = correlated.times(np.eye(len(target.free))[j])
-        both_sd = widened(float(expected[j]), data_sd, times)
-        # whether data or prior tell how far from its bound a value may be
-        judged = widened(float(whole[j]), data_sd, times) if bound else both_sd
-        found = verdict(judged, prior_sd, times * data_sd)
-        p, value = described[name], float(estimate[j])
-        rows.append(
-            Prospect(
-                name, p.unit, p.meaning, value, times * data_sd, both_sd, prior_sd, found, bound
-            )
-        )
+        found = verdict(float(expected[j]), prior_sd, data_sd)
+        p, sds = described[name], (data_sd, float(expected[j]), prior_sd)
+        rows.append(Prospect(name, p.unit, p.meaning, float(estimate[j]), *sds, found, bound))
     return tuple(rows)
 
 
@@ -353,7 +256,6 @@ def _combinations(
     estimate: Array,
     local: LocalInformation,
     load: float,
-    correlated: Correlated,
     parameters: Sequence[Prospect],
     covariance: Array,
 ) -> tuple[Prospect, ...]:
@@ -371,8 +273,7 @@ def _combinations(
         used = scaled != 0.0
         expected = float(scaled[used] @ covariance[np.ix_(used, used)] @ scaled[used])
         expected_sd = float(np.sqrt(expected)) if expected >= 0.0 else float("inf")
-        data_sd, times = local.data_sd_of(gradient), correlated.times(gradient)
-        expected_sd = widened(expected_sd, data_sd, times)
+        data_sd = local.data_sd_of(gradient)
         ends = [p.on_bound for p, some in zip(parameters, used, strict=True) if some]
         found.append(
             Prospect(
@@ -380,25 +281,11 @@ def _combinations(
                 q.unit,
                 q.meaning,
                 value,
-                times * data_sd,
+                data_sd,
                 expected_sd,
                 # its prior is not looked at here
-                verdict=verdict(expected_sd, float("inf"), times * data_sd),
+                verdict=verdict(expected_sd, float("inf"), data_sd),
                 on_bound=ends[0] if bounds[used].all() else None,
             )
         )
     return tuple(sorted(found, key=lambda one: one.data_sd / max(abs(one.value), 1e-300)))
-
-
-def _changes(
-    locals_: Sequence[LocalInformation], back: Sequence[BackDriving], plausible: NDArray[np.bool_]
-) -> Iterator[Statement]:
-    """Say where the local picture at the estimate is not that of other points."""
-    counts = [int(one.directions.null.sum()) for one in locals_]
-    near = [count for count, one in zip(counts, plausible, strict=True) if one]
-    if min(counts) < max(counts):
-        yield stated("note", "null_counts", near=near, all=counts)
-    for one in back:
-        least, most = one.anywhere
-        if one.two and least == 0.0 < most:
-            yield stated("note", "back_driving", element=one.element, most=most)

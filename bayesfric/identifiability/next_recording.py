@@ -34,14 +34,10 @@ from bayesfric.identifiability.candidates import (
 from bayesfric.identifiability.coverage import back_driven
 from bayesfric.identifiability.identification import moved_beside, prior_rows
 from bayesfric.identifiability.local import LocalInformation, local_information
-from bayesfric.identifiability.plausible import Point
 from bayesfric.identifiability.sentences import Statement, plain, stated
 from bayesfric.identifiability.virtual_recording import TorqueNoise, scaled_jacobian, torque_noise
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import derive
-from bayesfric.mechanism.experiment import Simulation, measure
-from bayesfric.mechanism.joint import Joint
-from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.observation import Observation
 
 if TYPE_CHECKING:
@@ -55,8 +51,6 @@ _ROUNDING = 1e-13
 WORTH = 0.95
 # Share of what counts as a change of one that is next to zero, but is not.
 _OFF_ZERO = 1e-3
-# Candidates that the text lists; JSON has them all.
-_LISTED = 8
 
 
 @dataclass(frozen=True)
@@ -80,20 +74,6 @@ class Advice:
     load_drives: dict[str, dict[str, float]]
     peak_speed: float  # fastest at any point, rad/s or m/s
     angles: tuple[float, float]  # lowest and highest position at any point, rad or m
-
-    def recording(
-        self, chain: Joint, values: Array, options: Simulation, seed: int
-    ) -> dict[str, Array]:
-        """Simulate what a bench would record, the true parameters being ``(n_parameters,)``.
-
-        Of the ``options`` encoder and noise are used; sample rate, current loop and mass are
-        the candidate's. Gives ``time`` s, ``position`` rad or m on the encoder's side, and
-        ``torque`` N m or N; raises ``ValueError`` if the joint runs away.
-        """
-        one = self.candidate
-        told = {"rate": 1.0 / one.period, "lag": one.lag, **_bolted(one)}
-        options, rng = options.model_copy(update=told), np.random.default_rng(seed)
-        return measure(chain, values, one.command, options, rng, q0=one.q0, qd0=one.qd0)[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,16 +131,6 @@ class Ranking:
         return stated("advice", kind, name=self.quantity, share=share, with_masses=with_masses)
 
     @property
-    def listed(self) -> Iterator[tuple[int, Advice]]:
-        """The first few with their ranks, then the first of each kind that is not there."""
-        seen: set[tuple[str, float]] = set()
-        for rank, one in enumerate(self.advices, start=1):
-            kind = (one.candidate.kind, one.candidate.inputs.added_mass)
-            if rank <= _LISTED or kind not in seen:
-                yield rank, one
-            seen.add(kind)
-
-    @property
     def left_out(self) -> Iterator[tuple[str, int, list[str]]]:
         """Reasons why candidates are no use, with how many there are of each, and what they are."""
         reasons: dict[str, list[str]] = {}
@@ -216,7 +186,7 @@ class _At:
 
 def ranking(
     target: Target,
-    points: Sequence[Point],
+    points: Sequence[Array],
     local: LocalInformation,
     options: AdviceOptions,
     name: str,
@@ -236,7 +206,7 @@ def ranking(
         If there is no such quantity, if it is fixed, or if a limit cannot be.
     """
     chain, observations = target.likelihood.chain, target.likelihood.observations
-    first = points[0].parameters
+    first = points[0]
     at_estimate = target.chain_values(first[None])[0]
     load = typical_load(chain, observations, at_estimate)
     unit, meaning = _described(target, name, first, load)
@@ -244,7 +214,7 @@ def ranking(
     there = []
     for p in points:
         try:
-            found = local if p is points[0] else local_information(target, p.parameters)
+            found = local if p is points[0] else local_information(target, p)
             there.append(_at(target, p, found, name, load))
         except BadInput:
             if p is points[0]:
@@ -255,20 +225,13 @@ def ranking(
     noise = torque_noise(target, first, number)
     vectors = np.stack([one.values for one in there])
     advices, dropped = [], []
-    least: dict[tuple[str, Inputs], float] = {}
     for candidate in candidates(chain, at_estimate, observations, limits):
-        same = candidate.form, candidate.inputs
-        if candidate.amplitude >= least.get(same, np.inf):
-            continue  # more than this breaks a limit, as was found; or this does not move
         progress(f"simulating {candidate.form}")
         tried = try_out(chain, vectors, base, candidate, limits)
         if isinstance(tried, Statement):
             dropped.append((candidate, tried))
-            least[same] = 0.0
             continue
         tried_one, recordings = tried
-        if tried_one.because_of:
-            least[same] = tried_one.amplitude
         pairs = list(zip(there, recordings, strict=True))
         sds = _averaged([_sds(target, at, o, noise) for at, o in pairs], value)
         shares = [back_driven(chain, [o], v.values[None]) for v, o in pairs]
@@ -294,21 +257,14 @@ def _described(target: Target, name: str, parameters: Array, load: float) -> tup
     where = f"--advise {name}"
     described = {p.name: (p.unit, p.meaning) for p in chain.parameters}
     values = target.chain_values(parameters[None])
-    made = {q.name: q for q in derive(chain, values, load)}
-    described |= {q.name: (q.unit, q.meaning) for q in made.values()}
+    described |= {q.name: (q.unit, q.meaning) for q in derive(chain, values, load)}
     if name not in described:
         raise BadInput(
             where, "no parameter or derived quantity has that name", nearest(name, described)
         )
     if name in chain.names and name not in target.free:
-        raise BadInput(
-            where,
-            f"is fixed at {values[0, chain.names.index(name)]:.6g} by its prior, so no experiment "
-            "changes it",
-            f"give priors.{name} a width, or ask for another quantity",
-        )
-    if name in made and not np.isfinite(made[name].values).all():
-        raise BadInput(where, "is not defined at the estimate", "ask for another quantity")
+        what = f"is fixed at {values[0, chain.names.index(name)]:.6g} by its prior"
+        raise BadInput(where, what, f"give priors.{name} a width, or ask for another quantity")
     return described[name]
 
 
@@ -320,22 +276,17 @@ def _values(target: Target, name: str, parameters: Array, load: float) -> Array:
     return next(q.values for q in made if q.name == name)
 
 
-def _at(target: Target, point: Point, local: LocalInformation, name: str, load: float) -> _At:
+def _at(target: Target, point: Array, local: LocalInformation, name: str, load: float) -> _At:
     # central differences, exact up to rounding for what is next to linear
-    moved, widths = moved_beside(local, point.parameters)
+    moved, widths = moved_beside(local, point)
     up, down = _values(target, name, moved, load).reshape(2, -1)
     gradient = (up - down) / widths * local.units
-    if not np.isfinite(gradient).all():
+    if not np.isfinite(gradient).all() or not gradient.any():
+        what = "is not defined at the estimate, or made of fixed values only"
         raise BadInput(
-            f"--advise {name}", "cannot be differentiated here", "ask for another quantity"
+            f"--advise {name}", what, "give these priors with a width, or ask for another quantity"
         )
-    if not gradient.any():
-        raise BadInput(
-            f"--advise {name}",
-            "is made of fixed values only, so no experiment changes it",
-            "give them priors with a width, or ask for another quantity",
-        )
-    values = _movable(target, point.parameters, local)
+    values = _movable(target, point, local)
     return _At(values, local, prior_rows(target, local), gradient)
 
 

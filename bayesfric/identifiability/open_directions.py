@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.identifiability.coverage import BackDriving, Coverage
+from bayesfric.identifiability.coverage import Coverage
 from bayesfric.identifiability.local import WEAK, LocalInformation, NullDirection
 from bayesfric.identifiability.remedies import HARDLY, Remedy, Trial, left_along, remedies
 from bayesfric.identifiability.sentences import Statement, stated
@@ -36,8 +36,6 @@ class OpenDirection:
     meaning: Statement  # what can change
     reasons: tuple[Statement, ...]  # why it does not show
     remedies: tuple[Remedy, ...]  # what lifts it
-    null_at_points: int  # at how many points it is null
-    open_at_points: int  # and at how many it is null or weak
 
     @property
     def null(self) -> bool:
@@ -46,24 +44,20 @@ class OpenDirection:
 
 
 def open_directions(
-    locals_: Sequence[LocalInformation],
+    local: LocalInformation,
     free: Sequence[Parameter],
     coverage: Sequence[Coverage],
-    back: Sequence[BackDriving],
+    back: Mapping[str, float],
     tried: Sequence[Trial],
     told: Collection[str],
 ) -> Iterator[OpenDirection]:
     """List null directions first, then weak ones, the weakest first.
 
-    ``locals_`` are of every point looked at, the estimate first, by ``free`` parameters; ``told``
-    names those whose prior tells them already.
+    ``local`` is the picture by ``free`` parameters; ``told`` names those whose prior tells them
+    already.
     """
-    local = locals_[0]
-    rows = list(_open_rows(local))
-    for number, (row, null) in enumerate(rows):
+    for number, (row, null) in enumerate(open_rows(local)):
         theory = number < local.from_theory
-        others = [one for one, other in rows if other == null or other]
-        at = [(theory, theory) if theory else _open_among(one, others, row) for one in locals_]
         least = _ROUNDING if null else _NAMED
         named = [j for j, x in enumerate(row) if abs(x) > least]
         in_units = {free[j].name: free[j].unit for j in named if local.shifted[j]}
@@ -90,12 +84,10 @@ def open_directions(
             meaning,
             tuple(_reasons(free, row, null, theory, coverage, back)),
             remedies(local, row, tried, told),
-            sum(one for one, _ in at),
-            sum(one for _, one in at),
         )
 
 
-def _open_rows(local: LocalInformation) -> Iterator[tuple[Array, bool]]:
+def open_rows(local: LocalInformation) -> Iterator[tuple[Array, bool]]:
     """Null and weak directions in the local units, the largest entry of each one."""
     for row in local.null_rows:
         yield row, True
@@ -121,29 +113,13 @@ def _without(row: Array, null: Array) -> Array:
     return row
 
 
-def _open_among(there: LocalInformation, rows: Sequence[Array], row: Array) -> tuple[bool, bool]:
-    """Say whether the members of a direction are null, and null or weak, at another point.
-
-    Their powers may differ from point to point; what counts is whether changes of these
-    parameters alone can leave the output as it is, in as many ways as at the estimate.
-    """
-    members = np.abs(row) > _ROUNDING
-    ways = sum(bool(np.all(np.abs(other[~members]) <= _ROUNDING)) for other in rows)
-    d = there.directions
-    told = np.concatenate([there.told[:, members], np.zeros((members.sum(), members.sum()))])
-    values, vectors = np.linalg.svd(told, full_matrices=False)[1:]
-    null = values <= d.tolerance * float(d.singular_values[0])
-    weak = np.abs(vectors).max(axis=1) > WEAK * values
-    return int(null.sum()) >= ways, int((null | weak).sum()) >= ways
-
-
 def _reasons(
     free: Sequence[Parameter],
     row: Array,
     null: bool,
     theory: bool,
     coverage: Sequence[Coverage],
-    back: Sequence[BackDriving],
+    back: Mapping[str, float],
 ) -> list[Statement]:
     """Say why a direction is open; ``theory`` where it is the scaling of section 4.2."""
     members = [p for p, x in zip(free, row, strict=True) if abs(x) > _NAMED]
@@ -152,16 +128,11 @@ def _reasons(
     if theory:
         return [stated("reason", "scaling", with_mass=all(one.added_mass for one in coverage))]
     found = []
-    for one in back:
-        least, most = one.plausible
-        if least < HARDLY:
-            told = {"element": one.element, "at_estimate": one.at_estimate}
-            found.append(stated("reason", "hardly_driven", **told, least=least, most=most))
+    for element, share in back.items():
+        if share < HARDLY:
+            found.append(stated("reason", "hardly_driven", element=element, share=share))
             if len(members) > 1:
-                found.append(stated("reason", "alike", element=one.element))
-    if len(members) > 1 and all(one.piecewise_constant for one in coverage):
-        levels = min(one.at_levels or 0.0 for one in coverage)
-        found.append(stated("reason", "piecewise_constant", null=null, at_levels=levels))
+                found.append(stated("reason", "alike", element=element))
     turn = max(one.turn for one in coverage)
     if ("gravity" in shaped or any(p.circular for p in members)) and turn < 1.0:
         found.append(stated("reason", "small_turn", turn=turn))

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +13,6 @@ from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.target import Target
 
 Array = NDArray[np.float64]
-Origin = Literal["estimate", "data and prior", "prior"]
 
 # Grid of the search for noise scales: points a scale, and how often it is made finer.
 _GRID = 7
@@ -29,15 +26,7 @@ _REFITS = 8
 _SUITS = 4.0
 
 
-@dataclass(frozen=True, eq=False)
-class Point:
-    """One vector of sampled parameters, and where it comes from."""
-
-    origin: Origin  # the estimate; drawn around it as far as both leave open; from priors alone
-    parameters: Array  # (d,) noise scales last
-
-
-def estimate_point(target: Target, estimate: Mapping[str, float]) -> Point:
+def estimate_point(target: Target, estimate: Mapping[str, float]) -> Array:
     """Put a point estimate into sampled parameters, the most likely noise scales added.
 
     Of the ``estimate``, a value of every free parameter of the chain, what lies outside its
@@ -49,45 +38,39 @@ def estimate_point(target: Target, estimate: Mapping[str, float]) -> Point:
             for name, prior in zip(target.free, target.priors, strict=False)
         ]
     )
-    return Point("estimate", np.concatenate([values, _likely_scales(target, values)]))
+    return np.concatenate([values, _likely_scales(target, values)])
 
 
 def points_around(
     target: Target,
-    estimate: Point,
+    estimate: Array,
     local: LocalInformation,
     rng: np.random.Generator,
-    *,
     around: int = 8,
-    prior: int = 8,
-) -> list[Point]:
+) -> list[Array]:
     """Draw other vectors that may be true.
 
     So many ``around`` the estimate, whose picture is ``local``: from the normal distribution that
     data and priors leave there, in logarithms. They are then moved by the least that makes their
-    output that of the estimate again, which straight lines in logarithms do not keep. So many from
-    each ``prior``. Only those the priors allow and the model has finite outputs for: maybe fewer.
+    output that of the estimate again, which straight lines in logarithms do not keep. Only those
+    the priors allow and the model has finite outputs for: maybe fewer.
     """
     k = len(target.free)
     sds = np.array([p.sd() for p in target.priors[:k]])
     # beyond a factor e the normal in logarithms is no guide: further draws are the prior's job
     confined = np.maximum(np.nan_to_num(np.abs(local.units) / sds), 1.0 / _WIDEST)
     values, vectors = np.linalg.eigh(local.information + np.diag(confined**2))
-    goal = _outputs(target, estimate.parameters)
-    noise = estimate.parameters[k:]
-    found: list[Point] = []
+    goal = _outputs(target, estimate)
+    noise = estimate[k:]
+    found: list[Array] = []
     for _ in range(_TRIES):
         if len(found) >= around:
             break
         step = vectors @ (rng.standard_normal(k) / np.sqrt(values))
-        drawn = np.concatenate([local.moved(estimate.parameters[:k], step), noise])
+        drawn = np.concatenate([local.moved(estimate[:k], step), noise])
         suiting = _refitted(target, drawn, goal)
         if suiting is not None:
-            found.append(Point("data and prior", suiting))
-    for row in np.stack([p.draw(prior, rng) for p in target.priors[:k]], axis=1):
-        drawn = np.concatenate([row, noise])
-        if _possible(target, drawn) is not None:
-            found.append(Point("prior", drawn))
+            found.append(suiting)
     return found
 
 

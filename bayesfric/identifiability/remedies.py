@@ -9,7 +9,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.identifiability.coverage import Coverage
 from bayesfric.identifiability.local import WEAK, LocalInformation
 from bayesfric.identifiability.sentences import Statement, stated
 from bayesfric.identifiability.virtual_recording import (
@@ -37,8 +36,6 @@ HARDLY = 0.01
 _WORTH = 0.5
 # Of the parameters in a direction, those that change at least this share of the most changed.
 _MEMBER = 0.3
-# Turned through less than this, gravity is next to a straight line, rad.
-_SMALL_TURN = 1.0
 
 
 @dataclass(frozen=True)
@@ -77,18 +74,17 @@ def trials(
     target: Target,
     parameters: Array,
     local: LocalInformation,
-    coverage: Sequence[Coverage],
     *,
     rare: bool,
 ) -> list[Trial]:
     """Simulate the recordings that could help here.
 
-    At the estimate ``(d,)``, noise scales last. What is worth trying, the ``coverage`` of the
-    recordings there are decides, and whether the load drove the motor ``rare``-ly.
+    At the estimate ``(d,)``, noise scales last; ``rare`` is whether the load hardly drove the
+    motor.
     """
     chain, observations = target.likelihood.chain, target.likelihood.observations
     values = target.chain_values(parameters[None])[0]
-    longest = max(range(len(observations)), key=lambda r: coverage[r].outputs)
+    longest = max(range(len(observations)), key=lambda r: observations[r].measured.size)
     base = observations[longest]
     noise = torque_noise(target, parameters, longest)
     rotary = chain.load.motion == "rotary"
@@ -109,11 +105,8 @@ def trials(
     if rare:
         shape = excitation.square(time, peak, hertz)
         excite("square", excitation.current_loop(shape, period, LAG))
-    if rare or any(one.piecewise_constant for one in coverage):
-        shape = peak * square_with_sines(time, hertz, hertz * LINES)
-        excite("square_multisine", excitation.current_loop(shape, period, LAG))
-    if rotary and max(one.turn for one in coverage) < _SMALL_TURN:
-        excite("same", 1.5 * measured)
+    shape = peak * square_with_sines(time, hertz, hertz * LINES)
+    excite("square_multisine", excitation.current_loop(shape, period, LAG))
     found = []
     for kind, text, torque, bolted in wanted:
         try:

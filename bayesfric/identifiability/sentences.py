@@ -14,9 +14,6 @@ from jinja2 import Environment
 
 from bayesfric.templates import environment, percent
 
-# Sd of a logarithm from which on it is worded as a factor.
-_SHARE = 0.3
-
 
 @dataclass(frozen=True)
 class Statement:
@@ -63,17 +60,6 @@ def factor(log_sd: float) -> str:
     return f"{np.exp(log_sd):.2g}" if log_sd > -np.log(1000.0) else "less than 0.001"
 
 
-def left(singular_value: float) -> str:
-    """Word what is left along a direction of logarithms: a share, or where that is wide a factor.
-
-    ``singular_value`` is the change of the outputs, in sds of their noise, for a change of one.
-    """
-    if singular_value * 1e3 < 1.0:
-        return "nothing told"
-    log_sd = 1.0 / singular_value
-    return f"{100 * log_sd:.2g} %" if log_sd < _SHARE else f"a factor {factor(log_sd)}"
-
-
 def capital(said: object) -> str:
     """Begin a sentence; names of parameters stay as they are written."""
     text = str(said)
@@ -89,16 +75,8 @@ def relative(sd: float, value: float) -> str:
 
 
 def _to(ends: tuple[float, float]) -> str:
-    """Word two shares as per cent; whole numbers are counts, given once where they agree."""
-    low, high = ends
-    if isinstance(low, int):
-        return f"{low}" if low == high else f"{low} to {high}"
-    return f"{percent(low)} to {percent(high)}"
-
-
-def _span(ends: tuple[float, float]) -> str:
-    low, high = ends
-    return percent(high) if high - low < 1e-4 else _to(ends)
+    """Word two shares as per cent."""
+    return f"{percent(ends[0])} to {percent(ends[1])}"
 
 
 @cache
@@ -107,9 +85,7 @@ def _environment() -> Environment:
     made.filters |= {
         "capital": capital,
         "factor": factor,
-        "left": left,
         "sd": relative,
-        "span": _span,
         "to": _to,
     }
     made.globals["inf"] = np.inf

@@ -10,7 +10,7 @@ import numpy as np
 from bayesfric.config import Config, parse_config, read_config
 from bayesfric.inference.fitting import fit
 from bayesfric.mechanism.derived import derive
-from bayesfric.mechanism.experiment import Simulation
+from bayesfric.mechanism.experiment import Simulation, measure
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.model import Model
 
@@ -50,7 +50,18 @@ def experiments(path: Path, name: str, folder: Path) -> dict[str, Any]:
     for number, one in enumerate(found.advices, start=1):
         if number > FIRST and number % ONE_IN:
             continue
-        columns = one.recording(problem.chain, problem.chain.vector(truth), bench, 100 + number)
+        made, bolted = one.candidate, one.candidate.inputs
+        told = {"rate": 1.0 / made.period, "lag": made.lag}
+        told |= {"added_mass": bolted.added_mass, "radius": bolted.radius}
+        columns = measure(
+            problem.chain,
+            problem.chain.vector(truth),
+            made.command,
+            bench.model_copy(update=told),
+            np.random.default_rng(100 + number),
+            q0=made.q0,
+            qd0=made.qd0,
+        )[0]
         file = folder / f"{number}.csv"
         np.savetxt(
             file,
@@ -60,14 +71,14 @@ def experiments(path: Path, name: str, folder: Path) -> dict[str, Any]:
             comments="",
             fmt="%.10g",
         )
-        sd, status = _sampled(config, file, one.candidate, name)
+        sd, status = _sampled(config, file, bolted, name)
         rows.append(
             {
                 "rank": number,
                 "form": one.candidate.form,
                 "amplitude": one.candidate.amplitude,
-                "added_mass": one.candidate.added_mass,
-                "radius": one.candidate.radius,
+                "added_mass": bolted.added_mass,
+                "radius": bolted.radius,
                 "predicted": one.after.sd,
                 "sampled": sd,
                 "status": status,
@@ -84,11 +95,11 @@ def experiments(path: Path, name: str, folder: Path) -> dict[str, Any]:
     }
 
 
-def _sampled(config: Config, file: Path, candidate: Any, name: str) -> tuple[float, str]:
+def _sampled(config: Config, file: Path, bolted: Any, name: str) -> tuple[float, str]:
     """Sample the present recording together with a new one; sd of the quantity."""
     added = RECORDING.format(file=file.as_posix())
-    if candidate.added_mass:
-        added += MASS.format(mass=candidate.added_mass, radius=candidate.radius)
+    if bolted.added_mass:
+        added += MASS.format(mass=bolted.added_mass, radius=bolted.radius)
     text = config.text.replace("\n[sampling]", added + "\n[sampling]")
     problem = Model.from_config(parse_config(text, config.path))
     settings = problem.config.tables.sampling.model_copy(

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from experiments import experiments
-from profile_figure import profile_figure
 
 from bayesfric.config import read_config
 from bayesfric.inference.fitting import Fit, fit
@@ -128,7 +127,6 @@ def main() -> None:
             assert figure is not None
             result["torque_along_the_ridge_changes_by"] = max(along.differences)
             save(figure, figures, "ridge")
-            save(profile_figure(found), figures, "profile")
         if case == "known-mass":
             figure = ridge_figure(found)
             assert figure is not None

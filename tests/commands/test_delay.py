@@ -34,11 +34,6 @@ def late(bench):
 
 def test_check_finds_it_and_warns(late):
     found = json.loads(late().run("check", "c.toml", "--json").out)
-    (delay,) = found["delays"]
-    assert delay["recordings"] == ["small"]
-    assert delay["delay"] == pytest.approx(0.004, rel=0.1)
-    assert delay["samples"] == pytest.approx(2.0, rel=0.1)
-    assert 0.0 < delay["sd"] < 4e-4
     # the servo's only inertia stands before its load loss
     assert [doubt["kind"] for doubt in found["doubts"]] == ["missing", "unseen-inertia"]
     assert [one["kind"] for one in found["findings"]] == ["delay"]
@@ -49,7 +44,6 @@ def test_check_finds_it_and_warns(late):
 def test_a_joint_that_has_it_is_not_warned_of(late):
     found = json.loads(late("delay = true").run("check", "c.toml", "--json").out)
     assert "delay" not in [one["kind"] for one in found["findings"]]
-    assert found["delays"][0]["delay"] == pytest.approx(0.004, rel=0.1)
     assert found["priors"]["drive.delay"]["default"]
     row = found["least_squares"]["parameters"]["drive.delay"]
     assert row["value"] == pytest.approx(0.004, rel=0.1)

@@ -43,8 +43,7 @@ def test_all_methods_agree_with_the_truth(small):
             row = estimate["parameters"][name]
             assert abs(row["value"] - value) < 5 * row["sd_robust"], (method, name)
             assert row["determined"] is True
-    assert (found["agreement"]["apart"], found["agreement"]["on_bound"]) == ([], [])
-    assert "agree within three of their sds" in small.run("estimate", "c.toml").out
+    assert "ANOTHER MINIMUM" not in small.run("estimate", "c.toml").out
     assert found["references"]["motor.inertia"] == {
         "value": 0.0101,
         "sd": 2e-4,

@@ -1,4 +1,4 @@
-"""A noise model and an estimator are one new file each: nothing else has to name them."""
+"""A noise model is one new file: nothing else has to name it."""
 
 import json
 import subprocess
@@ -18,26 +18,11 @@ spec.loader.exec_module(module)
 parent, _, name = package.rpartition(".")
 setattr(sys.modules[parent], name, module)
 """
-COMMAND = """
-from bayesfric.cli import main
-sys.argv[1:] = sys.argv[3:]
-main()
-"""
 SUMMARY = """
 import json
 from pathlib import Path
 from bayesfric.model import Model
 print(json.dumps(Model.from_config(Path("c.toml")).fit().summary.as_dict()))
-"""
-
-ESTIMATOR = """
-from dataclasses import replace
-from bayesfric.estimates.methods import Estimator
-
-def twice(given, found):
-    return replace(found["input-error"], method="twice", notes=("made twice",))
-
-ESTIMATOR = Estimator("twice", "Input error, told twice", 2, twice, starts_from="input-error")
 """
 
 NOISE = """
@@ -68,18 +53,6 @@ def run(package, folder, script, *arguments):
     )
     assert found.returncode == 0, found.stderr
     return json.loads(found.stdout)
-
-
-def test_an_estimator_is_one_file(bench, tmp_path):
-    (tmp_path / "twice.py").write_text(ESTIMATOR)
-    bench.simulated(CONFIG)
-    package = "bayesfric.estimates.methods"
-    arguments = ("estimate", "c.toml", "--json", "--method")
-    found = run(package, tmp_path, COMMAND, *arguments, "twice")
-    assert list(found["estimates"]) == ["twice"]
-    assert found["estimates"]["twice"]["notes"] == ["made twice"]
-    every = run(package, tmp_path, COMMAND, *arguments, "all")
-    assert list(every["estimates"]) == ["least-squares", "input-error", "twice", "output-error"]
 
 
 def test_a_noise_model_is_one_file(bench, tmp_path):

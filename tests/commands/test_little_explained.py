@@ -69,11 +69,7 @@ def test_another_mechanism_is_one_that_is_not_in_use():
 def test_no_delay_is_advised_while_little_is_explained(times, judged):
     """A position 10 samples late, in its own unit and in a wrong one."""
     found = bf.check(pendulum(times, late=10))
-    (delay,) = found.as_json()["delays"]
-    if judged:
-        assert delay["delay"] == pytest.approx(0.02, rel=0.1)
     assert ("delay = true under [mechanism]" in " ".join(found.warnings)) == judged
-    assert ("not to be judged" in found.text(verbose=True)) == (not judged)
 
 
 @pytest.mark.parametrize("late", [60, 100, -100])
@@ -135,7 +131,7 @@ def test_check_says_of_what_a_noise_is_and_in_which_unit(measured):
     noise = next(line for line in text.splitlines() if "noise of a sample" in line)
     has(noise, "of the speed" if measured else "of the position")
     assert noise.endswith(" rad/s" if measured else " rad")
-    (rms,) = (line for line in text.splitlines() if line.startswith("  residual rms"))
-    assert rms.split()[3:5] == ["N", "m"]
+    (rms,) = (line for line in text.splitlines() if line.endswith("rms left"))
+    assert rms.split()[1:3] == ["N", "m"]
     (zone,) = (line for line in text.splitlines() if "dead zone" in line)
     has(zone, "rad/s, as at rest")

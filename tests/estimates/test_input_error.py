@@ -287,7 +287,6 @@ def test_what_the_fit_would_make_negative_stands_on_its_bound(knee):
     assert value.value == 0.0
     assert value.at_bound == "lower"
     assert np.isnan(value.sd)
-    assert "without bounds the fit would make joint.viscous negative" in estimate.notes
     assert all(x.value >= 0.0 for x in estimate.values if x.kind == "parameter")
 
 
@@ -312,18 +311,6 @@ def test_an_open_scale_keeps_to_the_bounds_it_was_given(knee):
     value = estimate["load.first_moment"]
     assert value.value == pytest.approx(np.sqrt(0.40 * 0.45), rel=1e-9)
     assert np.isinf(value.sd)
-
-
-def test_correlated_residuals_are_told(knee):
-    o = knee(factor=1)
-    rng = np.random.default_rng(1)
-    noise = 0.01 * rng.standard_normal(o.measured.size + 4)
-    smooth = np.convolve(noise, np.ones(5), mode="valid")
-    knowledge = Knowledge(fixed=MOMENT)
-    for added, told in ((noise[:-4], False), (smooth, True)):
-        seen = replace(o, measured=o.measured + added)
-        notes = input_error(KNEE.chain(), [seen], knowledge, FEW).notes
-        assert any("correlated" in note for note in notes) is told
 
 
 def test_the_seed_makes_the_estimate(knee):

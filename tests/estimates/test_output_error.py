@@ -200,6 +200,20 @@ def test_what_it_did_is_in_the_notes():
     assert "resolution 1.0e-04 rad" in found.notes[1]
 
 
+@pytest.mark.parametrize("times", [1.0, 2.0])
+def test_another_minimum_than_the_torques_is_said(times):
+    """A motion of twice the inertia, whose torque is not the recorded one."""
+    chain, values, torque, q = simulated("motor-axis")
+    heavy = values | {"motor.inertia": times * values["motor.inertia"]}
+    (trajectory, _), (_, observation) = (
+        prepare(x, torque) for x in (move(chain, heavy, torque).q, q)
+    )
+    options = Estimation(substeps=1, segment=0.2)
+    begin = start(chain, values)
+    found = output_error(chain, [trajectory], [observation], Knowledge(), options, begin)
+    assert ("ANOTHER MINIMUM" in found.notes[0]) == (times > 1.0)
+
+
 def test_a_joint_without_inertia_is_refused():
     chain = Joint(elements=(Element("motor", coulomb="symmetric", viscous=True),), load=Load())
     _, _, torque, q = simulated("motor-axis")

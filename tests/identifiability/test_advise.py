@@ -20,13 +20,12 @@ from bayesfric.identifiability.candidates import (
 )
 from bayesfric.identifiability.local import local_information
 from bayesfric.identifiability.next_recording import ranking
-from bayesfric.identifiability.plausible import Point, points_around
+from bayesfric.identifiability.plausible import points_around
 from bayesfric.identifiability.sentences import page
 from bayesfric.identifiability.virtual_recording import HEAVIEST, known_mass, played
 from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.mechanism import excitation
 from bayesfric.mechanism.element import Load
-from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
@@ -60,7 +59,7 @@ def problem(*observations, texts=None, chain=CHAIN, preset=KNEE, sigma=SIGMA):
     priors = read_priors(chain, texts or {}, observations)
     target = make_target(chain, observations, priors, "shared")
     parameters = np.array([preset.values[name] for name in target.free] + [sigma])
-    return target, Point("estimate", parameters), local_information(target, parameters)
+    return target, parameters, local_information(target, parameters)
 
 
 def ranked(name, *observations, options=None, others=0, **given):
@@ -68,7 +67,7 @@ def ranked(name, *observations, options=None, others=0, **given):
     points = [point]
     if others:
         rng = np.random.default_rng(3)
-        points += points_around(target, point, local, rng, around=others, prior=0)
+        points += points_around(target, point, local, rng, around=others)
     return ranking(target, points, local, options or AdviceOptions(), name)
 
 
@@ -165,13 +164,11 @@ def test_sds_are_those_of_a_linear_model(make_observation):
 def test_points_are_averaged_as_variances(square):
     target, point, local = problem(square)
     rng = np.random.default_rng(3)
-    points = [point, *points_around(target, point, local, rng, around=2, prior=0)]
+    points = [point, *points_around(target, point, local, rng, around=2)]
     options = AdviceOptions(masses=(), torque_limit=0.5)
     name = "total_drive.inertia"
     whole = ranking(target, points, local, options, name)
-    alone = [
-        ranking(target, [p], local_information(target, p.parameters), options, name) for p in points
-    ]
+    alone = [ranking(target, [p], local_information(target, p), options, name) for p in points]
     assert whole.points == len(points) == 3
     assert whole.now.sd == pytest.approx(
         np.sqrt(np.mean([one.now.sd**2 for one in alone])), rel=1e-9
@@ -195,19 +192,6 @@ def test_every_limit_is_kept(square):
         assert -0.4 <= one.angles[0] < one.angles[1] <= 0.9
         assert (one.candidate.lowered < 1.0) == bool(one.candidate.because_of)
     assert any(one.candidate.because_of == "speed" for one in found.advices)
-    # what had to be lowered is not proposed once more with less
-    forms = [
-        (one.candidate.form, one.candidate.inputs)
-        for one in found.advices
-        if one.candidate.because_of
-    ]
-    for form in set(forms):
-        amplitudes = [
-            one.candidate.amplitude
-            for one in found.advices
-            if (one.candidate.form, one.candidate.inputs) == form
-        ]
-        assert len(set(amplitudes)) == len(amplitudes)
     for _, reason in found.dropped:
         assert str(reason)
 
@@ -275,31 +259,6 @@ def test_a_played_recording_is_prepared_like_a_real_one(square):
     np.testing.assert_array_equal(again.filter.starts, square.filter.starts)
     np.testing.assert_allclose(again.qdd, square.qdd, atol=1e-9 * np.abs(square.qdd).max())
     np.testing.assert_array_equal(again.measured, square.measured)
-
-
-def test_an_advice_gives_its_recording_back(knee):
-    best = knee.advices[0]
-    bench = Simulation(encoder_counts=0, torque_noise=0.0)
-    columns = best.recording(CHAIN, VALUES, bench, seed=1)
-    assert set(columns) == {"time", "position", "torque"}
-    expected = simulate(
-        CHAIN,
-        VALUES,
-        columns["torque"],
-        PERIOD,
-        inputs=best.candidate.inputs,
-    )
-    # an encoder on the motor shaft turns fifty times as far
-    np.testing.assert_allclose(columns["position"] / 50.0, expected.q, atol=1e-8)
-    rows = best.candidate.rows
-    np.testing.assert_array_equal(rows[:, 0], columns["time"])
-    np.testing.assert_allclose(
-        excitation.current_loop(rows[:, 1], PERIOD, best.candidate.lag), columns["torque"]
-    )
-    noisy = best.recording(CHAIN, VALUES, Simulation(torque_noise=SIGMA), seed=1)
-    noise = noisy["torque"] - columns["torque"]
-    # the sd of 2000 normal numbers is known to 1.6 %
-    assert np.std(noise) == pytest.approx(SIGMA, rel=5 * 0.016)
 
 
 def test_nothing_depends_on_chance(square):
@@ -381,13 +340,10 @@ def test_the_recording_itself_keeps_the_limits_that_are_taken_from_it(square):
     between = replace(pushed, speed=0.5 * pushed.speed)
     for recording in (square, pushed, between):
         limits = limits_of(AdviceOptions(), CHAIN, [recording], VALUES)
-        assert limits.own == ("torque", "speed")
         first = next(iter(candidates(CHAIN, VALUES, [recording], limits)))
         assert first.kind == "longer"
         tried, _ = try_out(CHAIN, VALUES[None], recording, first, limits)
         assert tried is first
-    told = limits_of(AdviceOptions(speed_limit=1.0), CHAIN, [square], VALUES)
-    assert told.own == ("torque",)
 
 
 def test_a_value_of_zero_has_no_share_and_no_dash(knee):

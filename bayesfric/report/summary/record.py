@@ -467,8 +467,7 @@ class Summary(Part):
 
 _FRAME = ("name", "group", "unit", "symbol", "meaning", "median", "low", "high", "level", "verdict",
     "doubted", "converged", "mean", "sd", "rhat", "ess", "prior", "prior_sd", "data_sd",
-    "contraction", "at_bound", "undefined_share", "prior_sensitivity", "likelihood_sensitivity",
-    "diagnosis", "gauge_free",
+    "contraction", "at_bound", "undefined_share", "gauge_free",
     "posterior_low", "posterior_high", "posterior_sd",
     "bias", "coverage", "corrected", "corrected_low", "corrected_high",
     "current", "current_low", "current_high")  # fmt: skip

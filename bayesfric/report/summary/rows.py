@@ -93,9 +93,6 @@ class PosteriorRow(Spread, Described):
     at_bound: Bound | None = None
     bound: FiniteFloat | None = None
     bound_physical: bool | None = None
-    prior_sensitivity: FiniteFloat | None = None
-    likelihood_sensitivity: FiniteFloat | None = None
-    diagnosis: str | None = None
     period: FiniteFloat | None = None
     of_motion: bool = False
     undefined_share: Share | None = None

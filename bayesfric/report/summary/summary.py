@@ -12,7 +12,6 @@ import bayesfric
 from bayesfric.estimates.information import lag_one
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.identifiability.coverage import back_driven
-from bayesfric.identifiability.influence import influence
 from bayesfric.identifiability.local import LocalInformation, local_information, verdict
 from bayesfric.identifiability.told_scale import given_by
 from bayesfric.inference.fitting import Fit
@@ -48,7 +47,7 @@ Array = NDArray[np.float64]
 _SELDOM = 0.1
 _COLUMNS = ["name", "unit", "mean", "sd", "median", "low", "high", "level", "rhat", "ess",
     "prior", "prior_sd", "contraction", "verdict", "doubted", "at_bound", "converged",
-    "undefined_share", "prior_sensitivity", "likelihood_sensitivity",
+    "undefined_share",
     "posterior_low", "posterior_high", "posterior_sd",
     "bias", "coverage", "corrected", "corrected_low", "corrected_high",
     "current", "current_low", "current_high"]  # fmt: skip
@@ -263,7 +262,6 @@ def _parameters(fit: Fit, local: LocalInformation) -> dict[str, Any]:
         described[name] = {"unit": unit, "symbol": symbol, "meaning": meaning}
         possible[name] = (SCALES[quantity].lower, SCALES[quantity].upper)
     rows = {}
-    moved_by = influence(fit)
     sound = d.sound(d.rhat, d.ess)
     for j, (name, prior) in enumerate(zip(fit.posterior.names, fit.posterior.priors, strict=True)):
         sd, prior_sd = float(flat[:, j].std()), prior.sd()
@@ -287,9 +285,6 @@ def _parameters(fit: Fit, local: LocalInformation) -> dict[str, Any]:
             "data_sd": _number(data_sd),
             **told,
             **leaning(flat[:, j], prior.limits, possible[name]),
-            "prior_sensitivity": _number(moved_by[name].prior),
-            "likelihood_sensitivity": _number(moved_by[name].likelihood),
-            "diagnosis": moved_by[name].diagnosis,
             **({"period": TURN} if prior.circular else {}),
         }
     return rows

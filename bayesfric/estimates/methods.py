@@ -1,14 +1,12 @@
-"""Methods of point estimation, one file each, found here: each has an ``ESTIMATOR``.
+"""The paper's three methods of point estimation, and how they are asked for.
 
-The files import what they need when they run, so that the command line can name them at once.
+They import what they need when they run, so that the command line can name them at once.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib import import_module
-from pkgutil import iter_modules
 from typing import TYPE_CHECKING
 
 from bayesfric.errors import BadInput, nearest
@@ -39,17 +37,52 @@ class Estimator:
 
     name: str  # as asked for
     title: str  # as a heading
-    rank: int  # place in every list; those it starts from have lower ones
     # makes the estimate, from the ones that were made before, by name
     estimate: Callable[[Given, Mapping[str, Estimate]], Estimate]
     starts_from: str = ""  # name of the method whose estimate it needs, if any
     simulates: bool = False  # whether it is dear, and some mechanisms have none
 
 
-_FOUND: list[Estimator] = [
-    import_module(f"{__name__}.{file.name}").ESTIMATOR for file in iter_modules(__path__)
-]
-ESTIMATORS = {one.name: one for one in sorted(_FOUND, key=lambda one: one.rank)}
+def _least_squares(given: Given, _: Mapping[str, Estimate]) -> Estimate:
+    from bayesfric.estimates.least_squares import least_squares
+
+    return least_squares(given.chain, given.observations)
+
+
+def _input_error(given: Given, _: Mapping[str, Estimate]) -> Estimate:
+    from bayesfric.estimates.input_error import input_error
+
+    return input_error(given.chain, given.observations, given.knowledge, given.options)
+
+
+def _output_error(given: Given, found: Mapping[str, Estimate]) -> Estimate:
+    from bayesfric.estimates.output_error import output_error
+
+    known = given.observations, given.knowledge, given.options
+    return output_error(given.chain, given.trajectories(), *known, found["input-error"])
+
+
+# In the order of every list; those that others start from come before them.
+ESTIMATORS = {
+    one.name: one
+    for one in (
+        Estimator(
+            "least-squares",
+            "Least squares, section 4.1, eq. (11): what the motor feels",
+            _least_squares,
+        ),
+        Estimator(
+            "input-error", "Direct minimisation of the input error, section 4.2", _input_error
+        ),
+        Estimator(
+            "output-error",
+            "Output error of a simulation (recursive identification), section 4.3",
+            _output_error,
+            starts_from="input-error",
+            simulates=True,
+        ),
+    )
+}
 
 
 def estimate_by(
@@ -62,7 +95,7 @@ def estimate_by(
     """Estimate by some methods, and by those they start from unless ``found`` has them.
 
     ``progress`` is called with the name of each method before it begins. Gives estimates by every
-    name in ``methods``, in the order of their ranks.
+    name in ``methods``, in the order of :data:`ESTIMATORS`.
 
     Raises
     ------
@@ -74,9 +107,7 @@ def estimate_by(
             raise BadInput(f"method {name!r}", "there is none", nearest(name, ESTIMATORS))
     made = dict(found or {})
     wanted = {name for name in methods if name not in made}
-    for one in reversed(ESTIMATORS.values()):
-        if one.name in wanted and one.starts_from and one.starts_from not in made:
-            wanted.add(one.starts_from)
+    wanted |= {ESTIMATORS[name].starts_from for name in wanted} - made.keys()
     for name, one in ESTIMATORS.items():
         if name in wanted:
             progress(name)

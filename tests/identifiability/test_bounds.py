@@ -1,15 +1,12 @@
-"""Identify goes by the larger of an estimate's sds where residuals are correlated."""
+"""Which noise identify's sds are for, and that a limit is none of the determined."""
 
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from scipy.signal import lfilter
 
 import bayesfric as bf
 from bayesfric.commands.identify import identify_text
-from bayesfric.estimates.torque_near import larger
-from bayesfric.identifiability.identification import _cut
 
 AXIS = bf.Joint.preset("motor-axis")
 
@@ -27,42 +24,11 @@ def model(memory, seed=1, joint=AXIS, **more):
     return bf.Model(joint, recording, **(options | more))
 
 
-@pytest.mark.parametrize("memory", [0.0, 0.97])
-def test_sds_from_the_data_are_the_larger_of_the_estimates(memory):
-    seen = model(memory)
-    found = {p.name: p for p in seen.identification().parameters}
-    (estimate,) = seen.estimates(["input-error"])
-    wider = 0
-    for name, one in found.items():
-        value = estimate[name]
-        # identify has no prior in its data's sd, and counts n for n - d
-        expected = larger(value.sd, value.sd_robust) if memory else value.sd
-        assert one.data_sd == pytest.approx(expected, rel=0.02), name
-        wider += one.data_sd > 1.2 * value.sd
-        # and both with the prior's are no wider than either
-        assert one.expected_sd <= min(one.data_sd, one.prior_sd) * (1.0 + 1e-9)
-    assert (wider > 0) == (memory > 0.0)
-
-
-def test_a_normal_halved_at_a_bound_is_what_draws_beyond_it_leave():
-    rng = np.random.default_rng(2)
-    root = rng.standard_normal((3, 3))
-    draws = rng.standard_normal((400_000, 3)) @ root.T
-    expected = np.cov(draws[draws[:, 1] > 0.0].T)
-    found = _cut(root @ root.T, [None, "lower", None])
-    # an entry of the covariance of n draws is known to about sqrt(2/n) of the sds' product, 0.3 %
-    sds = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(
-        found / np.outer(sds, sds), expected / np.outer(sds, sds), atol=0.012
-    )
-    np.testing.assert_array_equal(_cut(root @ root.T, [None] * 3), root @ root.T)
-
-
 def test_the_footnote_says_which_noise_the_sds_are_for():
-    """Only of white noise are they an estimate's; correlation that is left is named."""
+    """Only of white noise are they an estimate's."""
     seen = model(0.97)
     text = "\n".join(identify_text(seen.identification(), seen))
-    assert "(white), what that leaves being correlated still" in text
+    assert "(white)" in text
     assert "estimate weighs all residuals alike" not in text
     remembers = model(0.97, noise={"model": "auto"})
     text = "\n".join(identify_text(remembers.identification(), remembers))
@@ -84,12 +50,6 @@ def test_a_limit_is_not_called_determined():
     assert loss.on_bound == "lower"
     named = {one.name: one for one in found.combinations}
     assert named["gearbox.alpha_drive"].on_bound == "lower"
-    # of half a normal 1 - 2/pi of the variance is left, and less is missing of what goes along
-    left = np.sqrt(1.0 - 2.0 / np.pi)
-    whole = np.hypot(1.0 / loss.data_sd, 1.0 / loss.prior_sd) ** -1
-    assert loss.expected_sd == pytest.approx(left * whole, rel=1e-3)
-    drive = named["total_drive.gravity_size"]
-    assert left * 0.99 < drive.expected_sd / drive.data_sd < 0.99
     determined = [one.name for one in found.determined]
     assert "total_drive.gravity_size" in determined
     assert not any("alpha" in name or "efficiency" in name for name in determined)
