@@ -77,7 +77,7 @@ def init(
     ] = None,
     log: Annotated[
         Path | None,
-        typer.Option("--from", metavar="LOG", help="recognise the columns of this recording"),
+        typer.Option("--from", metavar="LOG", help="take this recording's columns by their names"),
     ] = None,
     table: Annotated[
         str | None, typer.Option(help="with --from: table, group or topic inside the file")
@@ -95,7 +95,7 @@ def init(
     """Write a commented configuration."""
     from bayesfric.commands.init import configuration
     from bayesfric.commands.init_fleet import FLEET, fleet_plan
-    from bayesfric.commands.init_from import configuration_from, guesses_text
+    from bayesfric.commands.init_from import configuration_from, open_text
     from bayesfric.commands.keys import reference_text, schema_hint
     from bayesfric.report.files import write_beside
 
@@ -128,7 +128,7 @@ def init(
         as_json,
         [
             *written,
-            *(guesses_text(found) if found and output else ()),
+            *(open_text(found) if found and output else ()),
             *(schema_hint(output) if schema and output else ()),
         ],
     )

@@ -12,11 +12,9 @@ from bayesfric.errors import BadInput
 from bayesfric.recordings import units
 from bayesfric.recordings.measurement import Array, Segments
 from bayesfric.recordings.processing import Processing
-from bayesfric.recordings.recognition.values import time_unit
 
 _SLOWEST = 1.0
 _FASTEST = 1e-6
-_SHARES = {"ms": "thousandth", "us": "millionth", "ns": "billionth"}
 # a period outside these is no sampling at all, and its square leaves floating point
 _POSSIBLE = (1e-12, 1e9)
 _MOST_SAMPLES = 10_000_000
@@ -97,10 +95,7 @@ def make_grid(time: Array, chosen: tuple[int, int], processing: Processing, wher
         raise BadInput(where, f"the sampling period is {period:.3g} s", "check the unit of time")
     odd = not _FASTEST <= period <= _SLOWEST
     if odd:
-        likely = time_unit(period)
-        share = f", or a {_SHARES[likely]} of it ({likely} for s)" if likely in _SHARES else ""
-        told = f"the sampling period is {period:.3g} s; is the unit of time right{share}?"
-        warnings.append(f"time: {told}")
+        warnings.append(f"time: the sampling period is {period:.3g} s; is the unit of time right?")
     times = [time[a:b] for a, b in pieces]
     if resampled:
         times = _resampled(times, period, processing.min_samples, where)
