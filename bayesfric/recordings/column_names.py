@@ -12,7 +12,7 @@ _WORDS = {
     "time": "time timestamp t stamp clock seconds zeit received",
     "velocity": "velocity velocities vel qd dq qvel qdot speed omega v",
     "torque": "torque torques tau effort efforts trq moment force load",
-    "current": "current currents iq curr amps ampere i",
+    "current": "current currents iq curr cur amps ampere i",
     "voltage": "voltage volts volt pwm duty u",
     "temperature": "temperature temp",
     "position": "position positions pos q qpos angle theta phi encoder enc qm state winkel",
