@@ -14,7 +14,6 @@ from bayesfric.inference.noise import SCALES
 from bayesfric.model import Model
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
-from bayesfric.recordings.rest import resting_ends
 from bayesfric.report.alerts import doubt_text
 from bayesfric.report.numbers import TEXT, in_tenths
 from bayesfric.report.summary.doubts import doubts_before, few_outputs, little_explained
@@ -113,7 +112,7 @@ def _found(model: Model) -> dict[str, Any]:
         "doubts": doubts,
         "taken": [one.as_dict() for one in taken],
         "findings": findings,
-        "leave_out": _leave_out(model, explained.findings),
+        "leave_out": _leave_out(explained.findings),
         "least_squares": estimate_summary(totals),
     }
 
@@ -126,21 +125,13 @@ def _parts(model: Model) -> Iterator[tuple[Measurement, Observation, str | None]
         yield one.recording, one.observation, one.part
 
 
-def _leave_out(model: Model, findings: Sequence[Finding]) -> dict[str, dict[str, Any]]:
+def _leave_out(findings: Sequence[Finding]) -> dict[str, dict[str, Any]]:
     """Give the keys of recordings that leave out what is no motion of the joint by its motor."""
     pushed: dict[str, list[tuple[float, float]]] = {}
     for push in findings:
         if push.span is not None:
             pushed.setdefault(push.recording, []).append(push.span)
-    divided = {one.observation.name for one in model.held_out}
-    found: dict[str, dict[str, Any]] = {}
-    for one in model.recordings:
-        # of a recording whose end is held out the last motion is not here
-        ends = {} if one.name in divided else resting_ends(one.time, one.position)
-        spans = {"exclude": in_tenths(sorted(pushed[one.name]))} if one.name in pushed else {}
-        if ends or spans:
-            found[one.name] = {**ends, **spans}
-    return found
+    return {name: {"exclude": in_tenths(sorted(spans))} for name, spans in pushed.items()}
 
 
 def _lines(found: Mapping[str, Any], verbose: bool) -> Iterator[str]:

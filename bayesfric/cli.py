@@ -71,7 +71,9 @@ def init(
         str | None, typer.Argument(help="rabbit-knee, motor-axis, servo-pendulum; or fleet")
     ] = None,
     output: Annotated[Path | None, Option("-o", "--output", help="file to write")] = None,
-    log: Annotated[Path | None, Option("--from", metavar="LOG", help="a recording")] = None,
+    log: Annotated[
+        Path | None, Option("--from", metavar="LOG", help="take this recording's columns by name")
+    ] = None,
     table: Annotated[str | None, Option(help="with --from: table, group or topic in it")] = None,
     joint: Annotated[str | None, Option(help="with --from: which joint of several")] = None,
     all_keys: Annotated[bool, Option("--all-keys", help="every key, its type and meaning")] = False,
@@ -82,7 +84,7 @@ def init(
     """Write a commented configuration."""
     from bayesfric.commands.init import configuration
     from bayesfric.commands.init_fleet import FLEET, PLAN
-    from bayesfric.commands.init_from import configuration_from, guesses_text
+    from bayesfric.commands.init_from import configuration_from, open_text
     from bayesfric.commands.keys import reference_text
     from bayesfric.report.files import write_beside
 
@@ -110,7 +112,7 @@ def init(
     if output is not None:
         write_beside({output: text}, replace=force)
     lines = [f"Written to {output}"] if output else [text]
-    lines += guesses_text(found) if found and output else ()
+    lines += open_text(found) if found and output else ()
     if schema and output:
         lines += [f"Editors with Taplo use it in files that begin with: #:schema ./{output.name}"]
     told = {**(found or {}), "written": str(output) if output else None, "text": text}

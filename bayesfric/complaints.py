@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from bayesfric.errors import BadInput, Guess, Unfit, nearest
+from bayesfric.errors import BadInput, LeftOpen, Unfit, nearest
 
 _LONGEST = 60
 
@@ -78,14 +78,14 @@ def complaint(
     what, mend = _worded([e for p, e in deeper if p == place])
     if first["type"].startswith("model_") and (keys := _known_keys([*place, ""], model)):
         mend += f": {', '.join(keys)}"
-    if _guessed(first) and (more := [p for p, e in found if _guessed(e) and p != place]):
+    if _left_open(first) and (more := [p for p, e in found if _left_open(e) and p != place]):
         others = (".".join(str(x + 1) if isinstance(x, int) else x for x in p) for p in more)
         what += f", as {', '.join(dict.fromkeys(others))} are"
     return BadInput(where, what, mend)
 
 
-def _guessed(error: Any) -> bool:
-    return isinstance(error.get("ctx", {}).get("error"), Guess)
+def _left_open(error: Any) -> bool:
+    return isinstance(error.get("ctx", {}).get("error"), LeftOpen)
 
 
 def _place(location: Sequence[int | str], document: Any) -> list[int | str]:

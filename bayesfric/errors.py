@@ -41,8 +41,8 @@ class Unfit(ValueError):
         super().__init__(f"expected {wanted}, {what}")
 
 
-class Guess(Unfit):
-    """A value that ``bayesfric init --from`` guessed, and nobody has looked at since."""
+class LeftOpen(Unfit):
+    """A value that ``bayesfric init --from`` left open, for a user to write."""
 
 
 class Interrupted(KeyboardInterrupt):

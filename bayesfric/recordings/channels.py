@@ -116,33 +116,18 @@ def joint_signal(channel: Position, key: str, table: Table, drive: Drive) -> tup
     return values / drive.ratio if motor else values, step
 
 
-def whole(source: Columns, table: Table, part: slice) -> list[str]:
-    """Name channels of whole numbers in a unit that is not counted in."""
+def counts(source: Columns, table: Table, part: slice) -> list[str]:
+    """Warn of whole numbers in a unit that is not counted in."""
     found = []
     for key, channel in source.channels.items():
-        if channel.unit in _NOT_COUNTED and channel.times is None and key != "temperature":
-            constant = channel.constant if isinstance(channel, Torque) else None
-            if constant is None and checks.whole_numbers(table.column(channel.column)[part]):
-                found.append(key)
-    return found
-
-
-def counts(source: Columns, table: Table, part: slice) -> list[str]:
-    """Warn of whole numbers in a unit that is not counted in, and of a coarse clock."""
-    found = []
-    for key in whole(source, table, part):
-        what = "thousandths" if key == "time" else "encoder counts, or thousandths"
-        found.append(
-            f"{key}: all numbers are whole, and its unit is {source.channels[key].unit}: are they "
-            f"{what}? Its unit is what a raw 1 is worth"
-        )
-    if source.time is not None:
-        time = scaled(source.time, table, "time", "time")[part]
-        if (tick := checks.ticking(time)) is not None:
+        if channel.unit not in _NOT_COUNTED or channel.times is not None or key == "temperature":
+            continue
+        constant = channel.constant if isinstance(channel, Torque) else None
+        if constant is None and checks.whole_numbers(table.column(channel.column)[part]):
+            what = "thousandths" if key == "time" else "encoder counts, or thousandths"
             found.append(
-                f"time: the stamps are multiples of {tick:.3g} s, coarse beside the "
-                f"{float(np.median(np.diff(time))):.3g} s between them; where sampling was regular "
-                "give its rate in place of time"
+                f"{key}: all numbers are whole, and its unit is {channel.unit}: are they {what}? "
+                "Its unit is what a raw 1 is worth"
             )
     return found
 

@@ -10,8 +10,8 @@ from bayesfric.errors import BadInput
 from bayesfric.recordings.measurement import Array, Flags
 from bayesfric.recordings.resolution import finest_step
 
-# A step below this share of the range is rounding of numbers; above the other it is coarse.
-_NO_STEP, COARSE_STEP = 1e-6, 1e-3
+# A step below this share of the range is rounding of numbers.
+_NO_STEP = 1e-6
 # Shorter runs of one value are chance in a quantised signal
 _RUN = 4
 _CLIPPED_SHARE = 0.01
@@ -38,9 +38,6 @@ _TAKEN = {
 }
 # Whole numbers of fewer kinds may be a torque that is switched.
 _COUNTS = 20
-# Of a coarse clock: how many different steps, the largest share of the usual one, the tick over the
-# period, and by how much steps may miss its multiples.
-_FEW_STEPS, _USUAL, _COARSE, _TICKS = 6, 0.9, 0.25, 0.05
 # A torque of two levels: their width, and the share of samples on them and in step with speed.
 _LEVEL, _MOSTLY = 0.05, 0.9
 # Speed, over its root mean square, below which a torque turns that follows the speed.
@@ -82,31 +79,19 @@ def check_size(values: Array, where: str, what: str) -> None:
 
 def clipped(values: Array, what: str) -> list[str]:
     """Warn of each limit of a raw signal at which 1 % of the samples lie, in runs of 4 and more."""
+    most, least = float(values.max()), float(values.min())
     warnings = []
-    for where, share in _limits(values):
-        warnings.append(
-            f"{what}: stays at {where} in this recording, for {100 * share:.2g} % of the samples; "
-            "does the drive or sensor saturate there? A drive that gives no more is measured "
-            "right; of a sensor that shows no more leave those seconds out (exclude)"
-        )
+    for limits in [(most, least)] if most == -least else [(most,), (least,)]:
+        share = sum(_in_runs(values == limit) for limit in limits) / len(values)
+        # nearer to zero than half of all it is an idle drive, not a limited one
+        if share >= _CLIPPED_SHARE and 2 * abs(limits[0]) >= max(abs(most), abs(least)):
+            warnings.append(
+                f"{what}: stays at {'±' * (len(limits) - 1)}{limits[0]:.6g} (raw) in this "
+                f"recording, for {100 * share:.2g} % of the samples; does the drive or sensor "
+                "saturate there? A drive that gives no more is measured right; of a sensor that "
+                "shows no more leave those seconds out (exclude)"
+            )
     return warnings
-
-
-def _limits(values: Array) -> list[tuple[str, float]]:
-    """Name limits of a raw signal, each with the share of the samples that lies there."""
-    most, least = values.max(), values.min()
-    if most == -least:
-        # a limit to both sides alike
-        both = (_in_runs(values == most) + _in_runs(values == least)) / len(values)
-        if both >= _CLIPPED_SHARE:
-            return [(f"±{most:.6g} (raw), its maximum and minimum", both)]
-    # nearer to zero than half of all it is an idle drive, not a limited one
-    found = []
-    for word, limit in (("maximum", most), ("minimum", least)):
-        if 2 * abs(limit) >= np.abs(values).max():
-            share = _in_runs(values == limit) / len(values)
-            found.append((f"{limit:.6g} (raw), its {word}", share))
-    return [(where, share) for where, share in found if share >= _CLIPPED_SHARE]
 
 
 def quantisation(values: Array) -> float | None:
@@ -211,22 +196,6 @@ def taken_for(factor: float, ratio: float) -> str:
 def whole_numbers(values: Array) -> bool:
     """Whether a raw signal holds whole numbers only, and enough of them to be counts."""
     return bool(np.all(values == np.round(values))) and np.unique(values).size > _COUNTS
-
-
-def ticking(time: Array) -> float | None:
-    """Return the step of a clock that is coarse beside the period; ``None`` for a fine one.
-
-    The steps between stamps are then a few multiples of it, and none is the usual one. Where one
-    is, longer ones are samples that are missing.
-    """
-    steps = np.diff(time)
-    median = float(np.median(steps))
-    sizes, counts = np.unique(np.round(steps / median, 4), return_counts=True)
-    if not 2 <= sizes.size <= _FEW_STEPS or counts.max() > _USUAL * steps.size:
-        return None
-    tick = float(np.diff(sizes).min())
-    even = np.abs(sizes / tick - np.round(sizes / tick)) < _TICKS
-    return tick * median if tick > _COARSE and bool(even.all()) else None
 
 
 def feedback(

@@ -13,7 +13,7 @@ from bayesfric.errors import BadInput, Unfit
 from bayesfric.recordings import channels, units
 from bayesfric.recordings.channels import CONSTANT, POSITION, TORQUE, VELOCITY, Drive
 from bayesfric.recordings.measurement import Array, Flags
-from bayesfric.recordings.source import SI, Columns, Effort, Target, Torque
+from bayesfric.recordings.source import Columns, Effort, Target
 from bayesfric.recordings.tables.table import Table
 from bayesfric.recordings.timebase import Grid
 
@@ -97,7 +97,6 @@ def measured_law(source: Columns, table: Table, drive: Drive) -> Told:
     kind = TORQUE[drive.motor_motion]
     constant_kind = CONSTANT[drive.motor_motion]
     if source.torque is not None:
-        _check_torque(source.torque, table, drive)
         constant = [] if source.torque.constant is None else [source.torque.constant]
         torque = channels.scaled(source.torque, table, kind, kind, *constant)
         step, made_of = f"{kind}: as measured", dict[str, str]()
@@ -136,22 +135,6 @@ def measured_law(source: Columns, table: Table, drive: Drive) -> Told:
         "motor_resistance": source.voltage.resistance,
     }
     return Told(source.voltage, "voltage", law, step, made_of=made_of)
-
-
-def _check_torque(torque: Torque, table: Table, drive: Drive) -> None:
-    """Name the key that a signal takes to become a torque, where it is a voltage or current."""
-    if torque.constant is not None or torque.times is not None or torque.unit == SI:
-        return
-    kind = TORQUE[drive.motor_motion]
-    for other in ("voltage", "current"):
-        if units.is_of(torque.unit, other):
-            wanted = f"{units.si(kind)}/{units.si(other)}"
-            raise BadInput(
-                f"{table.label(torque.column)}, unit of {kind}",
-                f"got '{torque.unit}', a {other}, and no constant that makes a {kind} of it",
-                f"give '{units.si(kind)}' if it is one, "
-                f'or add constant = "... {wanted}" to torque',
-            )
 
 
 def position_law(target: Target, table: Table, drive: Drive) -> Told:

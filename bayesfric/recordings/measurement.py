@@ -74,7 +74,6 @@ class Measurement:
     ratio: float = 1.0  # of the gear, motor motion per joint motion
     motion: Literal["rotary", "linear"] = "rotary"  # of the joint
     drive: str = "torque"  # what the torque was measured as: torque, force, current or voltage
-    doubted_units: tuple[str, ...] = ()  # channels of the motion whose unit a warning doubts
     torque_constant: float | None = None  # N m/A or N/A, where a current was measured
     # how a torque came about that was not measured as one: `signal_unit` and `signal_constant` that
     # it was multiplied by, or `motor_constant` and `motor_resistance` of a voltage, as given

@@ -154,7 +154,6 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
     compared = made.compared & ~recording.excluded
     warnings = [*recording.warnings, *_band_warnings(numbers)]
     warnings += too_coarse(numbers.resolution, recording)
-    doubted = [*recording.doubted_units]
     mismatch: dict[str, float] = {}
     if recording.velocity is not None:
         speed = derivative(q, segments, period, numbers.reach)
@@ -164,8 +163,7 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         # a smaller one may come of filters
         if factor is not None and not 0.5 < factor < 2.0:
             mismatch["velocity_factor"] = factor
-        if late is not None or mismatch:
-            doubted.append("velocity")
+    constant = recording.torque_constant
     law = checks.feedback(recording.torque, q, qd, compared)
     found = numbers.resolution
     ratios = {"speed_ratio": found.speed_ratio, "acceleration_ratio": found.acceleration_ratio}
@@ -185,9 +183,8 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         # no noise seen is no number
         **{key: ratio for key, ratio in ratios.items() if np.isfinite(ratio)},
         **({} if law is None else {"feedback": law[0]}),
-        **({"doubted_units": ", ".join(doubted)} if doubted else {}),
         **mismatch,
-        **_constant(recording),
+        **({} if constant is None else {"torque_constant": constant}),
         "torque_lag": recording.torque_lag.cutoff if recording.torque_lag else 0.0,
         **recording.made_of,
         "dead_zone": made.dead_zone,
@@ -513,12 +510,6 @@ def _velocity_warnings(factor: float | None, late: float | None, ratio: float) -
 def _end_of_band(numbers: _Numbers) -> float:
     """Highest frequency that is compared, Hz."""
     return numbers.used_band or numbers.cutoff or 0.25 * numbers.fs
-
-
-def _constant(recording: Measurement) -> dict[str, float]:
-    """Keep the torque constant, by which a torque is told in amperes, too."""
-    constant = recording.torque_constant
-    return {} if constant is None else {"torque_constant": constant}
 
 
 def _told(

@@ -24,11 +24,8 @@ from bayesfric.recordings.source import Columns, Source
 from bayesfric.recordings.tables import Table, is_recording, read_table, sha256
 from bayesfric.recordings.timebase import Grid, check_order, make_grid
 
-_SAMPLED = {
-    "average": "{}: means over the sample about the stamp; position averaged alike",
-    "start": "{}: means over the sample that begins at the stamp; position averaged alike",
-    "end": "{}: means over the sample that ends at the stamp; position averaged alike",
-}
+# What the stamp of a mean is of its sample.
+_SAMPLED = {"average": "the middle", "start": "the start", "end": "the end"}
 
 
 def read_recordings(
@@ -83,8 +80,6 @@ def _sha256(source: Columns, table: Table) -> str:
 @np.errstate(all="ignore")
 def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -> Measurement:
     steps = list(table.notes)
-    if source.time is not None:
-        table = table.sampled_as(source.time.column)
     channels.check_columns(source, table)
     position, step = channels.joint_signal(source.position, "position", table, drive)
     steps.append(step)
@@ -111,16 +106,9 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     if not told.law.closed:
         warnings += checks.clipped(channels.signed(channel, table)[part], kind)
     if (read_in := checks.quantisation(position[part])) is not None:
-        unit, range_ = "rad" if drive.motion == "rotary" else "m", float(np.ptp(position[part]))
+        unit = "rad" if drive.motion == "rotary" else "m"
         steps.append(f"position: read in steps of {read_in:.3g} {unit} at the joint")
-        if read_in > checks.COARSE_STEP * range_:
-            warnings.append(
-                f"position: read in steps of {read_in:.3g} {unit}, coarse beside the {range_:.3g} "
-                f"{unit} that the joint moves through; move it further, or read it more finely"
-            )
     warnings += channels.counts(source, table, part)
-    whole = channels.whole(source, table, part)
-    doubted = {*(["time"] if grid.odd else []), *whole} & {"time", "position", "velocity"}
     steps.extend(grid.steps)
 
     joint = grid.smooth(position)
@@ -132,7 +120,8 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         # what the torque has passed the motion passes too
         joint = filters.averaged(joint, grid.segments, length)
         speed = None if speed is None else filters.averaged(speed, grid.segments, length)
-        steps.append(_SAMPLED[channel.sampled].format(kind))
+        whose = _SAMPLED[channel.sampled]
+        steps.append(f"{kind}: means over samples, stamped at {whose}; position averaged alike")
     torque, back_emf, step = _torque(told, law, joint, speed, grid, processing)
     steps.append(step)
     checks.check_size(joint, table.label(source.position.column), "position")
@@ -184,7 +173,6 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         velocity_lag=source.velocity.lag if source.velocity else None,
         motion=drive.motion,
         drive=kind,
-        doubted_units=tuple(sorted(doubted)),
         torque_constant=told.torque_constant,
         made_of=dict(told.made_of),
         law=law,
@@ -328,15 +316,10 @@ def recorded_files(source: Source, folder: Path) -> list[Path]:
 def _matching(pattern: str, folder: Path) -> Iterator[Path]:
     """Find files as the shell does; ** enters no linked folder, which may hold itself."""
     anchor = Path(pattern).anchor
-    root = Path(anchor) if anchor else folder
-    relative = pattern[len(anchor) :]
-    # a last ** means folders only in some versions of Python
-    parts = Path(relative).parts
-    if parts and parts[-1] == "**":
-        relative += "/*"
-    hidden = any(part.startswith(".") for part in parts)
+    root, relative = Path(anchor) if anchor else folder, pattern[len(anchor) :]
+    hidden = any(part.startswith(".") for part in Path(relative).parts)
     try:
-        if any("**" in part and part != "**" for part in parts):
+        if any("**" in part and part != "**" for part in Path(relative).parts):
             # from Python 3.13 on it would be a single *
             raise ValueError("** stands for whole folders")
         for path in root.glob(relative):

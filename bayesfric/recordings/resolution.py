@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -51,8 +51,6 @@ _ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 # Root mean square of acceleration over its noise below which a user is warned: an inertia then
 # comes out too small by about the inverse of its square.
 LEAST_RATIO = 10.0
-# The position alone is called finer where it makes that ratio so many times as large.
-_FINER = 1.5
 
 
 @dataclass(frozen=True)
@@ -117,17 +115,11 @@ def resolve(recording: Measurement, band: float | None = None) -> Resolution:
 def too_coarse(found: Resolution, recording: Measurement) -> Iterator[str]:
     """Warn where the acceleration is not large beside its noise."""
     if found.acceleration_ratio < LEAST_RATIO:
-        mend = ""
-        if recording.velocity is not None:
-            alone = resolve(replace(recording, velocity=None), found.band).acceleration_ratio
-            if alone > _FINER * found.acceleration_ratio:
-                times = f"is {alone:.2g} times" if np.isfinite(alone) else "has no noise to see"
-                mend = f"leave its line out, as of the position alone it {times}, "
         yield (
             f"{'position' if recording.velocity is None else 'velocity'}: its noise or steps "
             f"({found.noise:.2g}, one sd) make the acceleration in the band "
             f"to {found.band:.3g} Hz only {found.acceleration_ratio:.2g} times as large as its own "
-            f"noise, at least {LEAST_RATIO:g} are wanted: inertia comes out too small; {mend}"
+            f"noise, at least {LEAST_RATIO:g} are wanted: inertia comes out too small; "
             "lower band, or record a faster motion or a finer position"
         )
 

@@ -20,8 +20,6 @@ from bayesfric.recordings.resolution import finest_step
 _MOST = 200
 # Differences of positions below this share of the largest are rounding.
 _ROUNDING = 1e-9
-# Rests at the ends that are told: in s, over the recording's length, and within what of its range.
-_LONG, _LONG_SHARE, _STILL = 1.0, 0.1, 1e-3
 # What steps may differ by.
 _UNEVEN = 0.05
 
@@ -57,24 +55,6 @@ def at_rest(position: Array, segments: Segments, least: int) -> Flags:
         np.add.at(counts, begins + least, -1)
         flags[a:b] = np.cumsum(counts[:-1]) > 0
     return flags
-
-
-def resting_ends(time: Array, position: Array) -> dict[str, float]:
-    """Give ``start`` and ``stop`` in s that leave long rests at the ends out; none where none is.
-
-    As a configuration has them, to hundredths: the joint rests before its first motion, and after
-    its last.
-    """
-    least = max(_LONG, _LONG_SHARE * float(time[-1] - time[0]))
-    away = _STILL * float(np.ptp(position))
-    first = int(np.argmax(np.abs(position - position[0]) > away))
-    last = position.size - 1 - int(np.argmax(np.abs(position[::-1] - position[-1]) > away))
-    found = {}
-    if time[first] - time[0] > least:
-        found["start"] = round(float(time[first]), 2)
-    if time[-1] - time[last] > least:
-        found["stop"] = round(float(time[last]), 2)
-    return found
 
 
 def rests(

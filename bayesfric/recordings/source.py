@@ -156,19 +156,6 @@ class Current(Lagged, Effort):
 class Voltage(Effort):
     """The motor voltage; torque = kt V/R - kt**2 (motor speed)/R."""
 
-    @model_validator(mode="before")
-    @classmethod
-    def _of_a_motor(cls, given: Any) -> Any:
-        missing = [key for key in ("torque_constant", "resistance") if key not in given]
-        # what is misspelt is named first
-        if missing and set(given) <= set(cls.model_fields) and {"column", "unit"} <= set(given):
-            raise Unfit(
-                "the motor's if this is its own voltage; in place of voltage, for a signal that "
-                'commands it, torque = { ..., constant = "... N m/V" } (N/V of what slides)',
-                f"{' and '.join(missing)} missing",
-            )
-        return given
-
     torque_constant: TorqueConstant = Field(
         description="Torque per current kt, such as '0.354 N m/A'."
     )

@@ -12,11 +12,9 @@ from bayesfric.errors import BadInput
 from bayesfric.recordings import units
 from bayesfric.recordings.measurement import Array, Segments
 from bayesfric.recordings.processing import Processing
-from bayesfric.recordings.recognition.values import time_unit
 
 _SLOWEST = 1.0
 _FASTEST = 1e-6
-_SHARES = {"ms": "thousandth", "us": "millionth", "ns": "billionth"}
 # a period outside these is no sampling at all, and its square leaves floating point
 _POSSIBLE = (1e-12, 1e9)
 _MOST_SAMPLES = 10_000_000
@@ -39,7 +37,6 @@ class Grid:
     resampled: bool
     steps: tuple[str, ...]
     warnings: tuple[str, ...]
-    odd: bool = False  # whether the period is so unlikely that the unit of time is doubted
 
     def linear(self, values: Array) -> Array:
         """Bring a signal ``(n,)`` onto the grid ``(m,)`` by linear interpolation."""
@@ -91,23 +88,19 @@ def make_grid(time: Array, chosen: tuple[int, int], processing: Processing, wher
     inside = np.concatenate([np.diff(time[a:b]) for a, b in pieces])
     mean = float(np.mean(inside))
     jitter = float(np.sqrt(np.mean((inside - mean) ** 2)) / mean)
-    period, resampled, told = _choose(jitter, mean, median, processing, warnings)
-    steps.append(f"time: {chosen[1] - chosen[0]} samples, {told}")
+    period, resampled, how = _choose(jitter, mean, median, processing, warnings)
+    steps.append(f"time: {chosen[1] - chosen[0]} samples, {how}")
     if not _POSSIBLE[0] <= period <= _POSSIBLE[1]:
         raise BadInput(where, f"the sampling period is {period:.3g} s", "check the unit of time")
-    odd = not _FASTEST <= period <= _SLOWEST
-    if odd:
-        likely = time_unit(period)
-        share = f", or a {_SHARES[likely]} of it ({likely} for s)" if likely in _SHARES else ""
-        told = f"the sampling period is {period:.3g} s; is the unit of time right{share}?"
-        warnings.append(f"time: {told}")
+    if not _FASTEST <= period <= _SLOWEST:
+        warnings.append(f"time: the sampling period is {period:.3g} s; is the unit of time right?")
     times = [time[a:b] for a, b in pieces]
     if resampled:
         times = _resampled(times, period, processing.min_samples, where)
     ends = np.cumsum([len(part) for part in times]).tolist()
     segments = tuple(pairwise([0, *ends]))
-    told_all = (tuple(steps), tuple(warnings))
-    return Grid(time, pieces, np.concatenate(times), segments, period, resampled, *told_all, odd)
+    told = (tuple(steps), tuple(warnings))
+    return Grid(time, pieces, np.concatenate(times), segments, period, resampled, *told)
 
 
 def _pieces(
@@ -162,18 +155,12 @@ def _resampled(stamps: list[Array], period: float, least: int, where: str) -> li
     for part in stamps:
         # the tolerance keeps a last stamp that lies on the grid but for rounding
         n = int(np.floor((part[-1] - part[0]) / period + 1e-9)) + 1
-        if sum(map(len, times)) + n > _MOST_SAMPLES:
+        if n < least or sum(map(len, times)) + n > _MOST_SAMPLES:
             raise BadInput(
                 where,
-                f"resampling to {period:.3g} s makes more than {_MOST_SAMPLES} samples",
-                "choose a longer period in resample",
-            )
-        if n < least:
-            raise BadInput(
-                where,
-                f"resampling to {period:.3g} s leaves {n} samples in a segment, fewer than "
-                f"min_samples = {least}",
-                "choose a shorter period in resample",
+                f"resampling to {period:.3g} s makes {n} samples of a segment, fewer than "
+                f"min_samples = {least} or more than {_MOST_SAMPLES} in all",
+                "choose another period in resample",
             )
         times.append(np.minimum(part[0] + period * np.arange(n), part[-1]))
     return times
@@ -187,15 +174,10 @@ def _choose(
     percent = f"jitter {100 * jitter:.2g} %"
     if processing.resample not in ("auto", "never"):
         period = units.quantity(processing.resample, "time")
-        if period < 0.5 * median:
+        if not 0.5 <= period / median <= 1.5:
             warnings.append(
-                f"time: resampled to {1e3 * period:.3g} ms, much finer than the measured "
-                f"{1e3 * median:.3g} ms; the samples in between are invented"
-            )
-        elif period > 1.5 * median:
-            warnings.append(
-                f"time: resampled to {1e3 * period:.3g} ms, coarser than the measured "
-                f"{1e3 * median:.3g} ms without a filter; use decimate instead"
+                f"time: resampled to {1e3 * period:.3g} ms, measured every {1e3 * median:.3g} ms: "
+                "samples in between are invented, and coarser ones are not filtered (use decimate)"
             )
         return period, True, f"{percent}, resampled as asked to {1e3 * period:.3g} ms {how}"
     if jitter <= processing.jitter:

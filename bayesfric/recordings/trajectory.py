@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,52 +62,39 @@ def trajectory(recording: Measurement, observation: Observation, length: float) 
             "give torque or current, or leave output-error out",
         )
     parts = without_excluded(recording.segments, recording.excluded)
-    segments = _cut(parts, recording.period, length, observation.qd)
-    if not len(segments):
-        raise BadInput(
-            f"recording '{recording.name}'",
-            f"has no stretch of {_LEAST_SAMPLES} samples to simulate",
-            "use longer segments, exclude less, or record longer",
-        )
-    starts = segments[:, 0]
     return Trajectory(
         name=recording.name,
         time=recording.time,
         position=recording.position,
         torque=recording.torque,
         period=recording.period,
-        segments=segments,
-        q0=observation.q[starts],
-        qd0=observation.qd[starts],
         inputs=observation.inputs,
         hold=recording.hold,
+        **_cut(parts, recording.name, recording.period, length, observation),
     )
 
 
 def divided(whole: Trajectory, observation: Observation, length: float) -> Trajectory:
     """Cut the segments of a trajectory into shorter ones, as in :func:`trajectory`."""
     pieces = [(int(a), int(b)) for a, b in whole.segments]
-    segments = _cut(pieces, whole.period, length, observation.qd)
-    if not len(segments):
-        raise BadInput(
-            f"recording '{whole.name}', segment",
-            f"{length:g} s is fewer than {_LEAST_SAMPLES} samples",
-            f"give at least {_LEAST_SAMPLES * whole.period:.3g} s",
-        )
-    starts = segments[:, 0]
-    return replace(whole, segments=segments, q0=observation.q[starts], qd0=observation.qd[starts])
+    return replace(whole, **_cut(pieces, whole.name, whole.period, length, observation))
 
 
 def _cut(
-    stretches: Sequence[tuple[int, int]], period: float, length: float, speed: Array
-) -> NDArray[np.int64]:
-    """Divide stretches about evenly, ``(K, 2)``; too short pieces are left out.
+    stretches: Sequence[tuple[int, int]],
+    name: str,
+    period: float,
+    length: float,
+    observation: Observation,
+) -> dict[str, Any]:
+    """Divide stretches about evenly, ``(K, 2)``, and give their starts; too short ones go.
 
     Borders are put where the joint is fastest within a quarter of a piece of the even
     ones: at rest, whether it moves off depends on its state in no way that could be
     linearised.
     """
     pieces: list[tuple[int, int]] = []
+    speed = observation.qd
     for a, b in stretches:
         if length < _LEAST_SAMPLES * period:
             break
@@ -124,4 +112,12 @@ def _cut(
             for first, last in zip(borders[:-1].tolist(), borders[1:].tolist(), strict=True)
             if last - first >= _LEAST_SAMPLES
         ]
-    return np.array(pieces, dtype=np.int64).reshape(-1, 2)
+    if not pieces:
+        raise BadInput(
+            f"recording '{name}', segment",
+            f"has no stretch of {_LEAST_SAMPLES} samples to simulate",
+            f"give at least {_LEAST_SAMPLES * period:.3g} s, exclude less, or record longer",
+        )
+    segments = np.array(pieces, dtype=np.int64)
+    starts = segments[:, 0]
+    return {"segments": segments, "q0": observation.q[starts], "qd0": observation.qd[starts]}

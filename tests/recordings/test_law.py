@@ -125,15 +125,12 @@ def test_a_target_without_gains_is_refused():
 @pytest.mark.parametrize(
     ("motion", "unit", "said"),
     [
-        ("linear", "V", "got 'V', a voltage, and no constant that makes a force of it; "
-         "give 'N' if it is one, or "
-         'add constant = "... N/V" to torque'),
-        ("rotary", "mA", "no constant that makes a torque of it; give 'N m' if it is one, or "
-         'add constant = "... N m/A" to torque'),
+        ("linear", "V", "got 'V'; give a force like 'N'"),
+        ("rotary", "mA", "got 'mA'; give a torque like 'N m'"),
         ("linear", "kg", "a force like 'N'"),
     ],
 )  # fmt: skip
-def test_a_signal_in_place_of_a_torque_is_told_its_constant(motion, unit, said):
+def test_a_signal_in_place_of_a_torque_is_refused(motion, unit, said):
     t, q, _ = swing()
     given = {"units": {"torque": unit, "position": "m" if motion == "linear" else "rad"}}
     recording = bf.Recording.from_arrays(t, q, np.sin(t), **given)
@@ -142,11 +139,3 @@ def test_a_signal_in_place_of_a_torque_is_told_its_constant(motion, unit, said):
             recording, ratio=1, motion=motion, motor_motion=motion, processing=Processing()
         )
     assert said in str(caught.value)
-
-
-def test_a_voltage_of_no_motor_is_told_the_other_key():
-    t, q, _ = swing()
-    with pytest.raises(BadInput) as caught:
-        bf.Recording.from_arrays(t, q, voltage=np.sin(t))
-    assert "torque_constant and resistance missing" in str(caught.value)
-    assert 'torque = { ..., constant = "... N m/V" }' in str(caught.value)

@@ -58,7 +58,7 @@ def test_bad_processing(key, value, message):
         ({"exclude": [[3, 2]]}, "must end after"),
         ({"exclude": [[3]]}, "exclude"),
         ({"delimiter": ",", "decimal": ","}, "both"),
-        ({"delimiter": "::"}, "one character"),
+        ({"delimiter": "::"}, "delimiter"),
         ({"file": []}, "names no file"),
         ({"file": ""}, "names no file"),
         ({"added_mass": "2 m"}, "expected a mass like '2 kg', got '2 m'"),

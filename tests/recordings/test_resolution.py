@@ -1,7 +1,5 @@
 """What a position resolves, where a torque has power: recordings whose spectra are known."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -132,18 +130,6 @@ def test_an_acceleration_that_is_noise_is_warned_of():
     assert observe(noisy, Processing()).warnings == ()
     told = " ".join(observe(noisy, wide).steps)
     assert f"{observe(noisy, wide).settings['acceleration_ratio']:.3g}" in told
-
-
-@pytest.mark.parametrize(("noise", "finer"), [(1e-6, True), (3e-2, False)])
-def test_a_noisy_velocity_is_to_be_left_out_only_beside_a_finer_position(noise, finer):
-    """Measured, ddp: 8.7 times with its velocity, 67 without, and a delay of 9 ms or none."""
-    made = swing(noise=noise)
-    w = 2 * np.pi * 0.8
-    speed = w * np.cos(w * made.time) + np.random.default_rng(7).normal(0.0, 1.0, made.time.size)
-    seen = observe(replace(made, velocity=speed), Processing(lowpass=50.0))
-    (told,) = (text for text in seen.warnings if "its own noise" in text)
-    assert told.startswith("velocity: ")
-    assert ("leave its line out" in told) == finer
 
 
 def test_an_inertia_is_not_lost_in_the_noise_of_its_acceleration():

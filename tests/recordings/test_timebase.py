@@ -71,7 +71,7 @@ def test_resampling_on_request(tmp_path):
     finer = read(tmp_path, from_npz(), processing=Processing(resample="1 ms"))[0]
     assert any("invented" in warning for warning in finer.warnings)
     coarse = read(tmp_path, from_npz(), processing=Processing(resample="40 ms"))[0]
-    assert any("coarser" in warning for warning in coarse.warnings)
+    assert any("not filtered" in warning for warning in coarse.warnings)
     for period in ("1 ps", "1 s"):
         with pytest.raises(BadInput, match="resample"):
             read(tmp_path, from_npz(), processing=Processing(resample=period))
@@ -93,13 +93,13 @@ def test_strange_periods_warn(tmp_path, unit):
     assert any("unit of time" in warning for warning in recording.warnings)
 
 
-@pytest.mark.parametrize(("times", "unit"), [(1e3, "ms"), (1e6, "us")])
-def test_stamps_taken_for_seconds_are_told_from_their_period(tmp_path, times, unit):
-    """Such a recording is read, with the likely unit, however slow it is taken to be."""
+@pytest.mark.parametrize("times", [1e3, 1e6])
+def test_stamps_taken_for_seconds_are_told_from_their_period(tmp_path, times):
+    """Such a recording is read, however slow it is taken to be."""
     t, q, tau = swing(200)
     save(tmp_path, times * t, q, tau)
     recording = read(tmp_path, from_npz(time=Channel(column="t", unit="s")))[0]
-    assert any(f"({unit} for s)" in warning for warning in recording.warnings)
+    assert any("unit of time" in warning for warning in recording.warnings)
     assert observe(recording, Processing()).measured.size > 0
 
 
@@ -174,17 +174,16 @@ def test_twos_complement_and_further_column(tmp_path):
     np.testing.assert_allclose(found, -0.5 * signed / 885 * np.linspace(7, 8, 200))
 
 
-def test_saturation_and_quantisation_warn(tmp_path):
+def test_saturation_warns(tmp_path):
     t, q, tau = swing(1000)
     step = 2 * np.pi / 64
     save(tmp_path, t, np.round(q / step) * step, np.clip(tau, -0.2, 0.2))
     warnings = " ".join(read(tmp_path, from_npz())[0].warnings)
-    assert "torque: stays at ±0.2 (raw), its maximum and minimum" in warnings
-    assert "position: read in steps of 0.0982 rad, coarse beside the" in warnings
+    assert "torque: stays at ±0.2 (raw)" in warnings
     save(tmp_path, t, q, np.clip(tau, -0.1, 0.2))
     warnings = " ".join(read(tmp_path, from_npz())[0].warnings)
-    assert "torque: stays at 0.2 (raw), its maximum" in warnings
-    assert "torque: stays at -0.1 (raw), its minimum" in warnings
+    assert "torque: stays at 0.2 (raw)" in warnings
+    assert "torque: stays at -0.1 (raw)" in warnings
     save(tmp_path, t, q, tau)
     (plain,) = read(tmp_path, from_npz())
     assert not plain.warnings
@@ -213,5 +212,4 @@ def test_logs_of_one_measured_encoder_are_told_alike(data):
         )
         (found,) = read(data, wanted)
         told.add(next(said for said in found.steps if "in steps of" in said))
-        assert not [said for said in found.warnings if "in steps of" in said]
     assert told == {"position: read in steps of 0.00291 rad at the joint"}

@@ -151,20 +151,3 @@ def test_a_number_in_front_is_a_factor(number, unit):
 
 def test_heavy_libraries_are_loaded_only_when_needed():
     assert brought("bayesfric.recordings", "pint", "pandas", "pyarrow", "scipy.io") == "[]"
-
-
-@pytest.mark.parametrize(
-    ("text", "kind"),
-    [("s", "time"), ("turn/4096", "angle"), ("deg", "angle"), ("rad/s", "angular_speed"),
-     ("N m", "torque"), ("A", "current"), ("m", "length")],
-)  # fmt: skip
-def test_what_a_guessed_unit_could_be_instead_is_of_its_kind(text, kind):
-    others = units.alternatives(text)
-    assert 0 < len(others) <= 3
-    sizes = [units.scale([one], kind) for one in (text, *others)]
-    assert len(set(sizes)) == len(sizes)
-
-
-def test_what_no_other_unit_is_known_for_has_none():
-    for text in ("0.1 N m/A", "no unit", "ohm"):
-        assert units.alternatives(text) == ()

@@ -34,7 +34,7 @@ def first_joint(text):
     at = [
         text.index(words)
         for words in (
-            "is the unit of time right, or a thousandth of it (ms for s)?",
+            "is the unit of time right?",
             "or the position in deg and taken for rad?",
             "Delay of the position after the torque",  # the whole of what check prints
         )

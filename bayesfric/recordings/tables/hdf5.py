@@ -9,13 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
-from bayesfric.recordings.tables.npz import LARGEST_COLUMN
 from bayesfric.recordings.tables.reader import Reader, TableOptions
 from bayesfric.recordings.tables.table import Table
 
-# Groups inside groups, and links of a file.
-_DEEPEST = 20
-_MOST_LINKS = 20_000
 # MATLAB's text and cells: numbers to HDF5, and no columns.
 _NO_NUMBERS = ("char", "cell", "function_handle")
 
@@ -32,9 +28,7 @@ def read_hdf5(path: Path, options: TableOptions) -> Table:
 
     ``options.table`` is the path of that group; if left out the only group that holds datasets,
     else all of the file. A dataset of rows with named fields is a group of such columns.
-
-    Promised to hostile input: nothing is unpacked before its size is known (256 MiB a column), and
-    no link to another file is followed.
+    No link is followed, to another file least of all.
     """
     return _read(path, "" if options.table is None else options.table, matlab=False)
 
@@ -49,54 +43,30 @@ def _read(path: Path, table: str, matlab: bool) -> Table:
     # h5py takes long to import, which only reading HDF5 should cost
     import h5py
 
-    def damaged(error: Exception) -> BadInput:
-        kind = "MATLAB 7.3" if matlab else "HDF5"
-        return BadInput(
-            str(path),
-            f"is not a readable {kind} file ({type(error).__name__}: {error})",
-            "export it again; the file may be cut off",
-        )
-
-    try:
-        with h5py.File(path, "r") as file:
-            found = list(_columns(file, "", [_MOST_LINKS]))
-    except (FileNotFoundError, PermissionError):
-        raise
-    except Exception as error:  # h5py raises RuntimeError, KeyError, UnicodeError ... when damaged
-        raise damaged(error) from error
+    with h5py.File(path, "r") as file:
+        found = _columns(file)
     if not found:
         raise BadInput(str(path), "holds no datasets of numbers", "check the export")
     columns, names = _inside(path, found, table.strip("/"))
 
     def load(index: int) -> NDArray[Any]:
-        try:
-            with h5py.File(path, "r") as file:
-                return _values(file, columns[index], f"{path}, column '{names[index]}'", matlab)
-        except BadInput:
-            raise
-        except Exception as error:
-            raise damaged(error) from error
+        with h5py.File(path, "r") as file:
+            return _values(file, columns[index], f"{path}, column '{names[index]}'", matlab)
 
     return Table(str(path), names, load, names_at="datasets")
 
 
-def _columns(group: Any, prefix: str, left: list[int], depth: int = 0) -> list[_Column]:
-    """List datasets and their fields below a group, without following links to elsewhere."""
+def _columns(file: Any) -> list[_Column]:
+    """List datasets and their fields, without those that MATLAB keeps for itself."""
     import h5py
 
     found: list[_Column] = []
-    for name in group:
-        left[0] -= 1
-        if left[0] < 0 or depth > _DEEPEST:
-            raise ValueError(f"more than {_MOST_LINKS} links, or deeper than {_DEEPEST} groups")
-        # what MATLAB keeps for itself, and other names of what is listed, or is in another file
-        if name.startswith("#") or group.get(name, getlink=True).__class__ is not h5py.HardLink:
-            continue
-        item, path = group[name], f"{prefix}{name}"
-        if isinstance(item, h5py.Group):
-            found += _columns(item, f"{path}/", left, depth + 1)
-        elif isinstance(item, h5py.Dataset):
-            found += [_Column(path, field) for field in item.dtype.names or (None,)]
+
+    def visit(path: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset) and not path.startswith("#"):
+            found.extend(_Column(path, field) for field in item.dtype.names or (None,))
+
+    file.visititems(visit)
     return found
 
 
@@ -127,13 +97,6 @@ def _values(file: Any, column: _Column, where: str, matlab: bool) -> NDArray[Any
     if words in [word.encode() for word in _NO_NUMBERS] or kind.base.kind not in "biuf":
         name = words.decode() if isinstance(words, bytes) and words else kind.base.name
         raise BadInput(where, f"holds {name[:60]}, not numbers", "export it as numbers")
-    size = int(dataset.size or 0) * dataset.dtype.itemsize
-    if size > LARGEST_COLUMN:
-        raise BadInput(
-            where,
-            f"would unpack to {size / 2**20:.0f} MiB, more than {LARGEST_COLUMN / 2**20:.0f} MiB",
-            "split the recording",
-        )
     if dataset.shape is None or dataset.attrs.get("MATLAB_empty", 0):
         return np.empty(0)
     values = np.asarray(dataset[()] if column.field is None else dataset[column.field])

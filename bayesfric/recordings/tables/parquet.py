@@ -9,42 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
-from bayesfric.recordings.tables.npz import LARGEST_COLUMN, check_unpacked
 from bayesfric.recordings.tables.reader import Reader, TableOptions
 from bayesfric.recordings.tables.table import Table
 
 
 def read_parquet(path: Path, _: TableOptions) -> Table:
-    """Read a file, one column a field, each when asked for.
-
-    Promised to hostile input: nothing is unpacked before its size is known (4 GiB, 2**25 rows).
-    """
+    """Read a file, one column a field, each when asked for."""
     # pyarrow takes long to import, which only reading Parquet should cost
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    def damaged(error: Exception) -> BadInput:
-        return BadInput(
-            str(path),
-            f"is not a readable Parquet file ({type(error).__name__}: {error})",
-            "export it again; the file may be cut off",
-        )
-
-    try:
-        with pq.ParquetFile(path) as file:
-            names = [str(name) for name in file.schema_arrow.names]
-            groups = [file.metadata.row_group(i) for i in range(file.metadata.num_row_groups)]
-            size = sum(int(group.total_byte_size) for group in groups)
-            rows = int(file.metadata.num_rows)
-            types = list(file.schema_arrow.types)
-    except (pa.ArrowException, OSError, ValueError) as error:
-        raise damaged(error) from error
-    # repeated values take no room in the file, but their rows do in memory
-    if rows > LARGEST_COLUMN // 8:
-        raise BadInput(
-            str(path), f"has {rows} rows, more than {LARGEST_COLUMN // 8}", "split the recording"
-        )
-    check_unpacked(path, size)
+    with pq.ParquetFile(path) as file:
+        names = [str(name) for name in file.schema_arrow.names]
+        types = list(file.schema_arrow.types)
 
     def load(index: int) -> NDArray[Any]:
         kind = types[index]
@@ -58,19 +35,16 @@ def read_parquet(path: Path, _: TableOptions) -> Table:
                 f"holds {str(kind)[:60]}, not numbers",
                 "export it as numbers",
             )
-        try:
-            with pq.ParquetFile(path) as file:
-                # by name: a name with a dot also selects a field inside a table
-                column = file.read(columns=[names[index]]).column(names[index])
-            if lists:
-                return _matrix(column)
-            if column.null_count:
-                return np.array(column.to_pylist(), dtype=object)
-            if pa.types.is_decimal(column.type):
-                return np.array([float(value) for value in column.to_pylist()])
-            return np.asarray(column.to_numpy())
-        except (pa.ArrowException, OSError, ValueError, KeyError) as error:
-            raise damaged(error) from error
+        with pq.ParquetFile(path) as file:
+            # by name: a name with a dot also selects a field inside a table
+            column = file.read(columns=[names[index]]).column(names[index])
+        if lists:
+            return _matrix(column)
+        if column.null_count:
+            return np.array(column.to_pylist(), dtype=object)
+        if pa.types.is_decimal(column.type):
+            return np.array([float(value) for value in column.to_pylist()])
+        return np.asarray(column.to_numpy())
 
     return Table(str(path), names, load, names_at="schema", by_rows=True)
 

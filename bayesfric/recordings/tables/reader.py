@@ -5,28 +5,20 @@ from __future__ import annotations
 import hashlib
 import pkgutil
 import stat
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal, Self
 
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from bayesfric.errors import BadInput, Unfit
 from bayesfric.recordings.tables.table import Table
 from bayesfric.recordings.units import in_unit
-
-_LARGEST_WHOLE = 2**30
-# Opening a pipe waits for ever, and a device never ends.
-_NO_FILES = (
-    (stat.S_ISFIFO, "a named pipe"),
-    (stat.S_ISCHR, "a device"),
-    (stat.S_ISBLK, "a device"),
-    (stat.S_ISSOCK, "a socket"),
-)
-_DELIMITERS = "\t !#$%&'()*,/:;<=>?@[\\]^_`{|}~"
 
 
 class Options(BaseModel):
@@ -47,7 +39,7 @@ class TableOptions(Options):
         description="File format; found from the suffix if left out.",
         json_schema_extra=_name_formats,
     )
-    delimiter: str | None = Field(
+    delimiter: Literal[",", ";", ":", "|", " ", "\t", "tab", "whitespace"] | None = Field(
         None,
         description="Text: the character between columns, or 'tab' or 'whitespace'; found by "
         "itself if left out.",
@@ -77,15 +69,6 @@ class TableOptions(Options):
             raise Unfit(f"one of {', '.join(readers())}", f"got '{value}'")
         return value
 
-    @field_validator("delimiter")
-    @classmethod
-    def _one_character(cls, value: str | None) -> str | None:
-        if value is not None and len(value) != 1 and value not in ("tab", "whitespace"):
-            raise Unfit("one character, 'tab' or 'whitespace'", f"got '{value}'")
-        if value is not None and len(value) == 1 and value not in _DELIMITERS:
-            raise ValueError(f"'{value}' is part of numbers, or no delimiter of text files")
-        return value
-
     @model_validator(mode="after")
     def _two_marks(self) -> Self:
         if self.delimiter is not None and self.delimiter == self.decimal:
@@ -97,14 +80,12 @@ class TableOptions(Options):
 class Reader:
     """A format of files: its name, its suffixes, and what reads it.
 
-    ``whole`` tells that a file is read at once, which takes several times its size in memory;
     ``mark`` is the file that a folder holds which is read as one.
     """
 
     name: str
     suffixes: tuple[str, ...]
     read: Callable[[Path, TableOptions], Table]
-    whole: bool = False
     mark: str | None = None
 
 
@@ -121,7 +102,7 @@ def read_table(path: Path, options: TableOptions) -> Table:
     """Open a recorded file; its columns are checked when asked for.
 
     The format goes by the suffix if ``options`` do not tell it. What is missing, not allowed, no
-    ordinary file, empty, too large, of unknown format, or damaged is bad input.
+    ordinary file, empty, of unknown format, or damaged is bad input.
     """
     known = readers()
     by_suffix = {suffix: one for one in known.values() for suffix in one.suffixes}
@@ -129,23 +110,41 @@ def read_table(path: Path, options: TableOptions) -> Table:
         by_folder = next((one for one in known.values() if _is_folder_of(one, path)), None)
         given = known[options.format] if options.format else None
         reader = given or by_folder or by_suffix.get(path.suffix.lower())
-        size = 0 if reader is not None and _is_folder_of(reader, path) else _size(path)
+        if reader is None or not _is_folder_of(reader, path):
+            _check_file(path)
         if reader is None:
             raise BadInput(
                 str(path),
                 f"the suffix '{path.suffix}' says nothing about its format",
                 f"set format to {', '.join(known)}",
             )
-        if reader.whole and size > _LARGEST_WHOLE:
-            raise BadInput(
-                str(path),
-                f"has {size / 2**30:.1f} GiB, more than {_LARGEST_WHOLE / 2**30:.0f} GiB",
-                "split it, or save its columns as "
-                + " or ".join(name for name, one in known.items() if not one.whole),
-            )
-        return reader.read(path, options).only(options.where)
+        with _damage_named(path, reader.name):
+            table = reader.read(path, options)
+
+        def load(index: int) -> NDArray[Any]:
+            with _damage_named(path, reader.name, table.label(table.names[index] or index + 1)):
+                return table.load(index)
+
+        return replace(table, load=load).only(options.where)
     except OSError as error:
         raise _unreadable(path, error) from error
+
+
+@contextmanager
+def _damage_named(path: Path, kind: str, where: str = "") -> Iterator[None]:
+    """Name the file whatever a library raises: of damaged files they raise dozens of types."""
+    try:
+        yield
+    except (BadInput, FileNotFoundError, PermissionError):
+        raise
+    except Exception as error:
+        text = str(error).replace(f"{path}/", "")
+        text = text if " object at 0x" not in text else "damaged header"
+        raise BadInput(
+            where or str(path),
+            f"is not a readable {kind} file ({type(error).__name__}: {text})",
+            "export it again; it may be cut off",
+        ) from error
 
 
 def is_recording(path: Path) -> bool:
@@ -175,25 +174,21 @@ def _is_folder_of(reader: Reader, path: Path) -> bool:
     return reader.mark is not None and path.is_dir() and (path / reader.mark).is_file()
 
 
-def _size(path: Path) -> int:
-    """Size in bytes of an ordinary file that is not empty; what else there is is refused."""
-    found = path.stat()
-    for is_kind, word in _NO_FILES:
-        if is_kind(found.st_mode):
-            raise BadInput(
-                str(path), f"is {word}, no file", "save what it gives to a file, and name that"
-            )
-    if path.is_dir():
+def _check_file(path: Path) -> None:
+    """Refuse what is no ordinary file: opening a pipe waits for ever, a device never ends."""
+    mode = path.stat().st_mode
+    if stat.S_ISDIR(mode):
         marks = ", ".join(one.mark for one in readers().values() if one.mark)
         raise BadInput(
             str(path),
             f"is a directory without {marks}",
             "give a file, a pattern such as '*.csv', or the folder of a ROS 2 bag",
         )
+    if not stat.S_ISREG(mode):
+        raise BadInput(str(path), "is no ordinary file", "save what it gives to a file")
     with path.open("rb") as file:
         if not file.read(1):
             raise BadInput(str(path), "is empty", "check whether the recorder wrote anything")
-    return found.st_size
 
 
 def _unreadable(path: Path, error: OSError) -> BadInput:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -19,7 +18,6 @@ from numpy.typing import NDArray
 from bayesfric.errors import BadInput
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
-_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
 _MOST_NAMES = 20
 _MOST_COLUMNS = 10_000
 _LONGEST_NAME = 60
@@ -58,8 +56,8 @@ class Table:
     notes: tuple[str, ...] = ()  # one sentence for every choice made in reading
     units: Sequence[str] = ()  # one a column as it is written in the file, empty for none
     by_rows: bool = False  # whether the first axis of an array is that of the samples in any case
-    samples: int | None = None  # how many there are, where that is known
-    kept: NDArray[np.intp] | None = None  # rows that are used, all where None
+    rows: int | None = None  # how many there are, where only some are used
+    kept: NDArray[np.intp] | None = None  # those that are used, all where None
     _columns: dict[tuple[int, int | None], NDArray[np.float64]] = field(
         default_factory=dict, init=False
     )
@@ -69,9 +67,7 @@ class Table:
 
     def row(self, index: int) -> str:
         """Name a row, given from 0, the way a user counts: ``"row 17 (line 31)"``."""
-        index = index if self.kept is None else int(self.kept[index])
-        line = "" if self.lines is None else f" (line {self.lines[index]})"
-        return f"row {index + 1}{line}"
+        return row_name(index if self.kept is None else int(self.kept[index]), self.lines)
 
     def label(self, key: str | int) -> str:
         """Return ``"file, column 'name'"`` for messages."""
@@ -88,16 +84,6 @@ class Table:
             self._columns[place] = self._checked(self._cells(key), key)
         return self._columns[place]
 
-    def sampled_as(self, key: str | int) -> Table:
-        """Tell by a column of one value a sample how many samples there are."""
-        if self.by_rows or self.samples is not None:
-            return self
-        with suppress(BadInput):  # what cannot be read is refused where it is used
-            place, index = self.place(key)
-            if index is None and (cells := self.load(place)).ndim == 1:
-                return replace(self, samples=cells.size)
-        return self
-
     def only(self, conditions: Mapping[str, bool | int | float | str]) -> Table:
         """Keep the rows in which columns equal values; bad input where there are none."""
         table = self
@@ -111,17 +97,12 @@ class Table:
             found = np.flatnonzero(cells == value)
             if not found.size:
                 there = list(dict.fromkeys(cells.tolist()))
-                shown = [
-                    repr(v) if isinstance(v, str) else f"{v:.10g}" for v in there[:_MOST_NAMES]
-                ]
-                more = f" and {len(there) - _MOST_NAMES} more" if len(there) > _MOST_NAMES else ""
+                shown = [repr(v) if isinstance(v, str) else f"{v:.10g}" for v in there]
                 raise BadInput(
-                    f"{table.label(key)}, where",
-                    f"is {_shown(value)} in no row",
-                    f"it has {', '.join(text[:_LONGEST_NAME] for text in shown)}{more}",
+                    f"{table.label(key)}, where", f"is {_shown(value)} in no row", _listed(shown)
                 )
             if table.kept is None:
-                table = replace(table, kept=found, samples=len(cells))
+                table = replace(table, kept=found, rows=len(cells))
             else:
                 table = replace(table, kept=table.kept[found])
         return table
@@ -134,10 +115,10 @@ class Table:
             cells = self._signal(cells, index, key)
         if self.kept is None or cells.ndim != 1:
             return cells
-        if len(cells) != self.samples:
+        if len(cells) != self.rows:
             raise BadInput(
                 self.label(key),
-                f"has {len(cells)} values, the column in where has {self.samples}",
+                f"has {len(cells)} values, the column in where has {self.rows}",
                 "give columns of one length",
             )
         return cells[self.kept]
@@ -149,7 +130,8 @@ class Table:
         if cells.ndim != 2:
             what = "one value a sample" if cells.ndim == 1 else f"{cells.ndim} axes"
             raise BadInput(self.label(key), f"holds {what}", "leave the index in brackets out")
-        if not self.by_rows and self._samples_last(cells.shape, key):
+        # of samples there are more than signals
+        if not self.by_rows and cells.shape[1] > cells.shape[0]:
             cells = cells.T
         count = cells.shape[1]
         if index >= count:
@@ -159,20 +141,6 @@ class Table:
                 f"give an index from 0 to {count - 1}" if count else "choose another column",
             )
         return cells[:, index]
-
-    def _samples_last(self, shape: tuple[int, ...], key: str | int) -> bool:
-        """Tell which axis of a matrix is that of the samples: as many as are known, the longer."""
-        fits = [n == self.samples for n in shape]
-        if fits[0] != fits[1]:
-            return fits[1]
-        if self.samples is not None or shape[0] == shape[1]:
-            known = f", {self.samples} samples" if self.samples is not None else ""
-            raise BadInput(
-                self.label(key),
-                f"is {shape[0]} x {shape[1]}{known}: which axis is time cannot be told",
-                "save every signal as a vector of its own",
-            )
-        return shape[1] > shape[0]
 
     def _matrix(self, cells: NDArray[Any], key: str | int) -> NDArray[Any]:
         """Put lists of one length under each other; other cells are refused with their row."""
@@ -225,8 +193,6 @@ class Table:
         mend = ""
         if isinstance(cell, list | tuple | np.ndarray):
             mend = f"name one of its values {_INDEX}, such as '{self._first_of(key)}'"
-        elif self.decimal == "." and isinstance(cell, str) and _DECIMAL_COMMA.fullmatch(cell):
-            mend = 'set decimal = "," if the comma is the decimal mark'
         raise self._bad_cell(key, index, f"holds {_shown(cell)}, not a number", mend)
 
     def _bad_cell(
@@ -260,9 +226,16 @@ class Table:
         else:
             line = f" (header in line {self.header_line})" if self.header_line is not None else ""
             raise BadInput(
-                self.label(key), f"does not exist{line}", f"{_nearest(key, named)}{_listed(named)}"
+                self.label(key),
+                f"does not exist{line}",
+                _nearest(key, named) + _listed([repr(name) for name in named]),
             )
         raise BadInput(self.label(key), what, f"give a number from 1 to {count}")
+
+
+def row_name(index: int, lines: Sequence[int] | None) -> str:
+    """Name a row, given from 0, and the line of a text file that it stands in."""
+    return f"row {index + 1}" + ("" if lines is None else f" (line {lines[index]})")
 
 
 def _item(value: Any) -> Any:
@@ -304,7 +277,7 @@ def _nearest(key: str, names: Sequence[str]) -> str:
 
 
 def _listed(names: Sequence[str]) -> str:
-    shown = ", ".join(f"'{name[:_LONGEST_NAME]}'" for name in names[:_MOST_NAMES])
+    shown = ", ".join(name[:_LONGEST_NAME] for name in names[:_MOST_NAMES])
     more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
     return f"it has {shown}{more}"
 

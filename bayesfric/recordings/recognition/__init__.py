@@ -1,1 +1,0 @@
-"""Recognising what the columns of a log are, by their names and by their values."""
