@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,8 +14,6 @@ from bayesfric.export.law import Language, law
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import Motion
 
-# How many times larger than recorded a torque may be before its fixed-point form saturates.
-_ROOM = 8.0
 _TOLD = ("armature", "damping", "quadratic", "friction", "link_inertia", "link_moment", "gain")
 
 
@@ -35,21 +32,14 @@ def _torque(chain: Joint, vector: Array, motions: Sequence[Moved]) -> Array:
     return np.asarray(torque_along(chain, np.where(kept, vector, 0.0)[None], motions)[0])
 
 
-def torque_bits(content: Content) -> int:
-    """Bits behind the point of a torque in fixed point."""
-    largest = _ROOM * max(float(np.abs(content.wrong.whole).max()), 2.0**-20)
-    return max(0, min(30, 31 - math.ceil(math.log2(largest))))
-
-
 def _write_c(content: Content) -> Files:
     chain, vector = content.found.joint, content.vectors.middle
-    languages: tuple[Language, ...] = ("double", "float", "fixed")
+    languages: tuple[Language, ...] = ("double", "float")
     name = plain_name(content.options.joint)
     given = {
         "remarks": content.remarks,
         "name": name,
         "laws": {language: law(chain, vector, language) for language in languages},
-        "bits": torque_bits(content),
         "unit": "N m" if chain.motor_motion == "rotary" else "N",
         "position": "rad" if content.rotary else "m",
     }
