@@ -41,15 +41,11 @@ class Number:
     units: tuple[str, str]  # where the joint turns, where it slides
     meaning: str
 
-    def unit(self, motion: Motion) -> str:
-        """Look up the unit of a joint that turns or slides."""
-        return self.units[0 if motion == "rotary" else 1]
-
-    def unit_of(self, joint: Joint) -> str:
-        """Look up the same of a joint, whose motor may turn where the joint slides."""
+    def unit(self, joint: Joint) -> str:
+        """Look up its unit for a joint, whose motor may turn where the joint slides."""
         if self.name == "gain" and joint.load.motion != joint.motor_motion:
             return "N per N m"
-        return self.unit(joint.load.motion)
+        return self.units[0 if joint.load.motion == "rotary" else 1]
 
 
 NUMBERS: dict[str, Number] = {
