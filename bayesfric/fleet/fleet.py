@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
@@ -138,7 +137,7 @@ class Fleet:
         folder: Path | str,
         *,
         workers: int | None = None,
-        scheduler: str | None = None,
+        scheduler: Any = None,
         resume: bool = False,
         progress: bool | Callable[[Progress], None] = False,
     ) -> FleetRun:
@@ -151,7 +150,8 @@ class Fleet:
         workers
             Processes on this machine.
         scheduler
-            Address of a running Dask scheduler, whose workers see the same files.
+            Address of a running Dask scheduler, or in Python a cluster object of Dask's, such as
+            dask-jobqueue's ``SLURMCluster``; its workers see the same files.
         resume
             Do only what is missing, or has changed since.
         progress
@@ -169,7 +169,7 @@ class Fleet:
         _check(folder, resume=resume)
         check_engine(options)
         try:
-            with parents_made(folder), _nothing_begun_left(folder, resume=resume):
+            with parents_made(folder):
                 folder.mkdir(exist_ok=True)
                 with FileLock(folder / LOCK).acquire(timeout=0), progress_shown(progress) as tell:
                     write_beside({folder / PLAN: _text(self.plan)}, replace=True)
@@ -208,20 +208,6 @@ def _check(folder: Path, *, resume: bool) -> None:
     if not resume and folder.exists() and any(folder.iterdir()):
         mend = "add --resume to do what is missing, or name another with -o" if there else ""
         raise BadInput(str(folder), "is not empty", mend or "name another folder with -o")
-
-
-@contextmanager
-def _nothing_begun_left(folder: Path, *, resume: bool) -> Iterator[None]:
-    """Leave nothing behind of a new fleet that ends in bad input before any unit was begun."""
-    try:
-        yield
-    except BadInput:
-        if not resume and not (folder / UNITS).exists():
-            for name in (PLAN, LOCK):
-                (folder / name).unlink(missing_ok=True)
-            with suppress(OSError):
-                folder.rmdir()
-        raise
 
 
 def _write(folder: Path, plan: Plan, records: Mapping[str, Record], found: FleetPopulation) -> None:

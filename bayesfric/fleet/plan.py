@@ -17,7 +17,6 @@ from bayesfric.errors import BadInput, Unfit, nearest
 from bayesfric.fleet.results import COLUMNS
 from bayesfric.fleet.units import PLACEHOLDER, Unit, find_units, places_of, put_in, read_units
 from bayesfric.recordings.tables.reader import Options
-from bayesfric.recordings.units import in_unit
 
 
 class UnitsOptions(Options):
@@ -75,43 +74,12 @@ class ClusterOptions(Options):
         description="processes on this machine; as many as cores if left out",
     )
     memory_limit: str = Field("4 GiB", description="of a worker, which is started anew beyond it")
-    slurm: int | None = Field(
-        None,
-        ge=1,
-        le=10_000,
-        description="jobs of one core to ask SLURM for; queue, account and time as dask-jobqueue "
-        "is configured",
-        examples=[20],
-    )
     scheduler: str | None = Field(
         None,
         examples=["tls://host:8786"],
-        description="address of a running Dask scheduler, such as tls://host:8786",
+        description="address of a running Dask scheduler; certificates are those of Dask's own "
+        "configuration",
     )
-    ca: str | None = Field(
-        None,
-        examples=["ca.pem"],
-        description="PEM file: who signed the cluster's certificates",
-    )
-    certificate: str | None = Field(
-        None, examples=["client.pem"], description="PEM file: this client's certificate"
-    )
-    key: str | None = Field(None, examples=["client-key.pem"], description="PEM file: its key")
-    patience: float = Field(
-        300.0,
-        ge=0,
-        le=1e6,
-        description="s to wait for a scheduler that is gone to come back",
-        json_schema_extra=in_unit("s"),
-    )
-
-    @model_validator(mode="after")
-    def _all_of_tls(self) -> Self:
-        if len({one is None for one in (self.ca, self.certificate, self.key)}) > 1:
-            raise Unfit("'ca', 'certificate' and 'key' together", "got one of them")
-        if self.slurm is not None and self.scheduler is not None:
-            raise Unfit("'slurm' or 'scheduler'", "got both")
-        return self
 
 
 class FleetTables(Options):
