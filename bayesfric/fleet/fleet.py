@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -176,16 +177,13 @@ class Fleet:
                     course = _Course(self.plan, Results(folder / TABLE, self.plan.units), tell)
                     tasks = course.tasks(folder / UNITS)
                     work_through(tasks, options, course.arrived)
-                    course.results.write()
-                    found = course.end(folder, began)
-                    _write(folder, self.plan, course.results.records, found.population)
+                    return course.end(folder, began)
         except Timeout:
             what = "another process works on this fleet"
             raise BadInput(str(folder), what, "wait for it, or name another folder") from None
         except OSError as error:
             what = f"cannot be written ({error.strerror or error})"
             raise BadInput(str(folder), what, "mend that, then go on with --resume") from None
-        return found
 
 
 Chosen = TypeVar("Chosen", bound=BaseModel)
@@ -208,15 +206,6 @@ def _check(folder: Path, *, resume: bool) -> None:
     if not resume and folder.exists() and any(folder.iterdir()):
         mend = "add --resume to do what is missing, or name another with -o" if there else ""
         raise BadInput(str(folder), "is not empty", mend or "name another folder with -o")
-
-
-def _write(folder: Path, plan: Plan, records: Mapping[str, Record], found: FleetPopulation) -> None:
-    """Write what the units are together: tables, figures, the page."""
-    from bayesfric.fleet.page import draw, fleet_page
-
-    figures = draw(folder, found)
-    texts = found.texts() | {"fleet.html": fleet_page(folder, plan.units, records, found, figures)}
-    write_beside({folder / name: text for name, text in texts.items()}, replace=True)
 
 
 def _text(plan: Plan) -> str:
@@ -246,10 +235,14 @@ class _Course:
             except BadInput as error:
                 self.results.records[unit.name] = failure(str(error))
                 continue
-            place = str(self.plan.template.path)
-            where = str(folder / unit.name)
             tasks.append(
-                {"name": unit.name, "text": text, "place": place, "folder": where, "draws": draws}
+                {
+                    "name": unit.name,
+                    "text": text,
+                    "place": str(self.plan.template.path),
+                    "folder": str(folder / unit.name),
+                    "draws": draws,
+                }
             )
         return tasks
 
@@ -276,21 +269,28 @@ class _Course:
         return words
 
     def end(self, folder: Path, began: float) -> FleetRun:
-        """Sum it up, and say what the units are together."""
+        """Sum it up, and write what the units are together: tables, figures, the page."""
+        from bayesfric.fleet.page import draw, fleet_page
+
         self._tell(Progress("population"))
-        plan = self.plan
-        population = fleet_population(folder / UNITS, plan.units, joint=plan.joint, over=plan.over)
-        records = {u.name: self.results.records[u.name] for u in self.plan.units}
-        failed = {name: r["error"] for name, r in records.items() if r["status"] == FAILED}
-        status: dict[str, int] = {}
-        for record in records.values():
-            status[record["status"]] = status.get(record["status"], 0) + 1
-        gone = {name: why for name, why in failed.items() if name not in self.left}
-        seconds = time.monotonic() - began
-        cpu_seconds = self._cpu_seconds + time.process_time()
+        self.results.write()
+        plan, records = self.plan, self.results.records
+        found = fleet_population(folder / UNITS, plan.units, joint=plan.joint, over=plan.over)
+        page = fleet_page(folder, plan.units, records, found, draw(folder, found))
+        texts = found.texts() | {"fleet.html": page}
+        write_beside({folder / name: text for name, text in texts.items()}, replace=True)
+        ordered = [(unit.name, records[unit.name]) for unit in plan.units]
+        failed = {name: r["error"] for name, r in ordered if r["status"] == FAILED}
         return FleetRun(
-            *(folder, len(records), self.again, gone, self.left, status),
-            *(seconds, cpu_seconds, population),
+            folder=folder,
+            units=len(ordered),
+            again=self.again,
+            failed={name: why for name, why in failed.items() if name not in self.left},
+            left=self.left,
+            status=dict(Counter(record["status"] for _, record in ordered)),
+            seconds=time.monotonic() - began,
+            cpu_seconds=self._cpu_seconds + time.process_time(),
+            population=found,
         )
 
 
