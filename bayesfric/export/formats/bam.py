@@ -99,23 +99,24 @@ def _torque(chain: Joint, vector: Array, motions: Sequence[Moved]) -> Array:
     external = -(gain * torque_along(plain, there, still)[0] - offset)
     speed = np.concatenate([m.qd for m in motions])
 
-    def value(name: str) -> float:
-        return float(p.get(name, 0.0))
+    def value(name: str) -> Array:
+        return np.full_like(speed, p.get(name, 0.0))
 
-    low: Array = np.zeros_like(speed)
+    low = np.zeros_like(speed)
     if "alpha" in p:
         low = np.exp(-(np.abs(speed / value("dtheta_stribeck")) ** value("alpha")))
-    base = value("friction_base") + low * value("friction_stribeck")
-    base = base + value("friction_viscous") * np.abs(speed)
+
+    def risen(name: str) -> Array:
+        return value(f"{name}_base") + low * value(f"{name}_stribeck")
+
     torque = free
     for _ in range(_ROUNDS):
-        both = (value("load_friction_base") + low * value("load_friction_stribeck")) * np.abs(
-            external - torque
-        )
+        loss = risen("friction") + value("friction_viscous") * np.abs(speed)
+        loss = loss + risen("load_friction") * np.abs(external - torque)
         for extra, weight in (("", 1.0), ("_stribeck", low)):
             motor, outside = (value(f"load_friction_{x}{extra}") for x in ("motor", "external"))
-            both = both + weight * np.abs(external * outside - torque * motor)
-        torque = free + np.sign(speed) * (base + both)
+            loss = loss + weight * np.abs(external * outside - torque * motor)
+        torque = free + np.sign(speed) * loss
     return np.asarray((torque + offset) / gain)
 
 
