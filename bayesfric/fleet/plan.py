@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
@@ -109,33 +109,33 @@ class Template:
         BadInput
             Naming the key, if a placeholder has no column, or an empty cell.
         """
-        return document_text(self._filled(self.document, unit, ""))
 
-    def placeholders(self) -> Iterator[tuple[str, str]]:
+        def put(place: str, text: str) -> Any:
+            filled = put_in(text, unit.text, f"{self.path}: {place}", f"unit {unit.name!r}")
+            alone = PLACEHOLDER.fullmatch(text)
+            return unit.values[alone[1]] if alone and alone[1] is not None else filled
+
+        return document_text(_mapped(self.document, put))
+
+    def placeholders(self) -> list[tuple[str, str]]:
         """Name every placeholder, with the key it stands in."""
-        waiting: list[tuple[str, Any]] = [("", self.document)]
-        while waiting:
-            place, value = waiting.pop()
-            inner = place and f"{place}."
-            if isinstance(value, Mapping):
-                waiting += [(f"{inner}{key}", x) for key, x in value.items()]
-            elif isinstance(value, list):
-                waiting += [(f"{inner}{k}", x) for k, x in enumerate(value, start=1)]
-            elif isinstance(value, str):
-                yield from ((place, m[1]) for m in PLACEHOLDER.finditer(value) if m[1] is not None)
+        found: list[tuple[str, str]] = []
 
-    def _filled(self, value: Any, unit: Unit, place: str) -> Any:
-        if isinstance(value, Mapping):
-            inner = place and f"{place}."
-            return {key: self._filled(x, unit, f"{inner}{key}") for key, x in value.items()}
-        if isinstance(value, list):
-            return [self._filled(x, unit, f"{place}.{k}") for k, x in enumerate(value, start=1)]
-        if not isinstance(value, str):
-            return value
-        where = f"{self.path}: {place}"
-        text = put_in(value, unit.text, where, f"unit {unit.name!r}")
-        alone = PLACEHOLDER.fullmatch(value)
-        return unit.values[alone[1]] if alone and alone[1] is not None else text
+        def put(place: str, text: str) -> None:
+            found.extend((place, m[1]) for m in PLACEHOLDER.finditer(text) if m[1] is not None)
+
+        _mapped(self.document, put)
+        return found
+
+
+def _mapped(value: Any, put: Callable[[str, str], Any], place: str = "") -> Any:
+    """Put something in place of every text, by its key and the text."""
+    inner = place and f"{place}."
+    if isinstance(value, Mapping):
+        return {key: _mapped(x, put, f"{inner}{key}") for key, x in value.items()}
+    if isinstance(value, list):
+        return [_mapped(x, put, f"{inner}{k}") for k, x in enumerate(value, start=1)]
+    return put(place, value) if isinstance(value, str) else value
 
 
 @dataclass(frozen=True)
