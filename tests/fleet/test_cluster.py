@@ -144,7 +144,10 @@ def test_ctrl_c_leaves_a_fleet_to_go_on_with(tmp_path):
 def workers_of(pid):
     """Processes of a local cluster's workers, of those that work."""
     listed = subprocess.run(
-        ["ps", "--ppid", str(pid), "-o", "pid=,args="], capture_output=True, text=True, check=False
+        ["ps", "--ppid", str(pid), "-ww", "-o", "pid=,args="],
+        capture_output=True,
+        text=True,
+        check=False,
     ).stdout
     return [int(line.split()[0]) for line in listed.splitlines() if "spawn_main" in line]
 
