@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.errors import BadInput
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
@@ -41,15 +40,11 @@ class Number:
     units: tuple[str, str]  # where the joint turns, where it slides
     meaning: str
 
-    def unit(self, motion: Motion) -> str:
-        """Look up the unit of a joint that turns or slides."""
-        return self.units[0 if motion == "rotary" else 1]
-
-    def unit_of(self, joint: Joint) -> str:
-        """Look up the same of a joint, whose motor may turn where the joint slides."""
+    def unit(self, joint: Joint) -> str:
+        """Look up its unit for a joint, whose motor may turn where the joint slides."""
         if self.name == "gain" and joint.load.motion != joint.motor_motion:
             return "N per N m"
-        return self.unit(joint.load.motion)
+        return self.units[0 if joint.load.motion == "rotary" else 1]
 
 
 NUMBERS: dict[str, Number] = {
@@ -88,17 +83,10 @@ _LOAD_PLACES: Mapping[str, str] = {
     "spring": "stiffness",
     "spring_cubic": "stiffness_cubic",
 }
-# Rows that say how the drive's torque is measured, and rows that shape others and are looked up.
+# Rows that say how the drive's torque is measured, and rows that shape others.
 _DRIVE = ("gain", "offset", "delay")
 _RISES = ("stribeck_ratio", "stribeck_change", "stribeck_constant")
 _LOAD_RISES = ("stribeck_ratio", "stribeck_change", "stribeck_load")
-_LOOKED_UP = frozenset(
-    (
-        *_RISES, *_LOAD_RISES, "stribeck_velocity", "stribeck_exponent", "load", "load_drive",
-        "load_back", "load_difference", "load_drive_difference", "load_back_difference",
-        "load_speed", "load_square", "power_exponent", "warming_time",
-    )
-)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,11 +142,6 @@ def at_joint(
         and what a simulator has no number for is fitted by a constant and a viscous loss.
     at_load
         Torque at the joint at which load losses are met, N m or N.
-
-    Raises
-    ------
-    BadInput
-        If a quantity of the chain has no place here.
     """
     column = dict(zip(chain.names, values.T, strict=True))
     found = {name: np.zeros(len(values)) for name in NUMBERS}
@@ -207,13 +190,9 @@ def at_joint(
                 add(number, amount, p.name)
                 if number == "friction":
                     add("static_friction", amount * rise, *rising)
-            elif p.row.role != "own" and quantity not in _LOOKED_UP:
-                raise _unknown(p)
     for p in chain.parameters:
         if p.owner == "load" and p.quantity in _LOAD_PLACES:
             add(_LOAD_PLACES[p.quantity], column[p.name], p.name)
-        elif p.owner == "load" and p.row.role != "own":
-            raise _unknown(p)
     whole = column.get("drive.gain", np.ones(len(values)))
     add("gain", chain.ratio * whole / passed, *(["drive.gain"] if "drive.gain" in column else []))
     made["gain"] += [p.name for p in chain.parameters if p.quantity in ("load_drive", "load_back")]
@@ -235,10 +214,6 @@ def without_load_losses(chain: Joint, values: Array) -> Array:
     """Take load losses out of parameter vectors ``(n, d)``, for formats that have their own."""
     lossy = [p.quantity.startswith("load") for p in chain.parameters]
     return np.where(lossy, 0.0, values)
-
-
-def _unknown(p: Parameter) -> BadInput:
-    return BadInput(p.name, "is not known to the export", "leave it out of the mechanism")
 
 
 def _transmitted(chain: Joint, values: Array, k: int, motions: Sequence[Moved]) -> Array:

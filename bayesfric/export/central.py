@@ -44,7 +44,7 @@ class Vectors:
 
     scalings: tuple[Scaling, ...]
     middle: Array  # (d,), see :func:`central`
-    kind: Literal["medians", "draw"]  # what it is
+    kind: Literal["reported", "draw"]  # what it is: the run's reported values, where they fit
     draws: Array  # (n, d)
 
 
@@ -56,15 +56,13 @@ def vectors(
     picked = found.picked(most)
     if seed is not None:
         size = min(most, len(found.draws))
-        chosen = np.random.default_rng(seed).choice(len(found.draws), size, replace=False)
-        picked = found.draws[chosen]
-    many = _evened(found.values(found.picked(_MANY)), moved)
+        picked = found.draws[np.random.default_rng(seed).choice(len(found.draws), size, False)]
+    draws, many = (_evened(_unbiased(found, x), moved) for x in (picked, found.picked(_MANY)))
     middle = _evened(_middle(found, _medians(chain, many), moved)[None], moved)[0]
     better = central(chain, many, middle, motions)
-    draws = _evened(found.values(picked), moved)
-    return Vectors(
-        moved, middle if better is None else better, "medians" if better is None else "draw", draws
-    )
+    if better is not None:
+        return Vectors(moved, better, "draw", draws)
+    return Vectors(moved, middle, "reported", draws)
 
 
 def central(chain: Joint, draws: Array, middle: Array, motions: Sequence[Moved]) -> Array | None:
@@ -95,12 +93,22 @@ def _evened(values: Array, moved: tuple[Scaling, ...]) -> Array:
     return values
 
 
+def _unbiased(found: Finished, draws: Array) -> Array:
+    """Move draws by what was taken off the reported values as bias, within their bounds."""
+    values = found.values(draws)
+    for k, p in enumerate(found.joint.parameters):
+        row = found.summary.parameters.get(p.name)
+        if row is not None and row.value != row.middle:
+            values[:, k] = np.clip(values[:, k] + (row.value - row.middle), p.lower, p.upper)
+    return values
+
+
 def _middle(found: Finished, medians: Array, moved: Sequence[Scaling]) -> Array:
-    """Put the medians of the run's tables in place of those of some draws, where none is moved."""
+    """Put the run's reported values in place of medians of some draws, where none is moved."""
     out, scaled = medians.copy(), {name for one in moved for name in one.names}
     for k, name in enumerate(found.joint.names):
         if name in found.summary.parameters and name not in scaled:
-            out[k] = found.summary.parameters[name].middle
+            out[k] = found.summary.parameters[name].value
     return out
 
 

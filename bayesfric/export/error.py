@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,15 +24,6 @@ from bayesfric.report.summary.derived_quantities import rms_of
 SPAN = 2.0
 
 
-@dataclass(frozen=True)
-class Size:
-    """How large a difference is over the recordings."""
-
-    rms: float
-    p90: float  # 90th percentile of its size
-    largest: float
-
-
 @dataclass(frozen=True, eq=False)
 class Wrong:
     """What a format's joint does to torque and motion."""
@@ -41,23 +32,16 @@ class Wrong:
     whole: Array  # (M,) torque of the fitted joint, as above
     free: Array  # (M,) what inertia, gravity and springs alone take of it
     load: Array  # (M,) torque of the link at the joint
-    motor: Size
-    joint: Size  # the same at the joint, times the gain
-    # rad or m, SPAN s from the same state, of all stretches together and of the middle one; None
-    # where none could be run
-    motion_rms: float | None
-    motion_median: float | None
-    torque_rms: float  # of the fitted joint, to compare with
+    motion_rms: float | None  # rad or m, SPAN s from the same state; None where none could be run
 
     def as_dict(self) -> dict[str, Any]:
         """Give the numbers as JSON holds them."""
+        size = {"rms": rms_of(self.difference), "largest": float(np.abs(self.difference).max())}
         return {
-            "motor": asdict(self.motor),
-            "joint": asdict(self.joint),
+            "motor": size,
             "motion_rms": self.motion_rms,
-            "motion_median": self.motion_median,
             "motion_span": SPAN,
-            "torque_rms": self.torque_rms,
+            "torque_rms": rms_of(self.whole),
         }
 
 
@@ -67,6 +51,7 @@ def wrong(
     numbers: dict[str, Array],
     motions: Sequence[Moved],
     trajectories: Sequence[Trajectory],
+    torque: Array | None = None,
 ) -> Wrong:
     """Replay recorded motion through the fitted joint and through a format's, and let both run.
 
@@ -78,65 +63,28 @@ def wrong(
         Of the format, ``(1,)`` each.
     motions, trajectories
         Of the recordings.
+    torque
+        Motor torque ``(M,)`` by a law of the format's own, which is not let run.
     """
-    here, whole = _fitted(chain, vector, motions)
-    plain = simulator_joint(chain.load.motion, chain.load.gravity)
-    there = simulator_vectors(plain, numbers)
-    difference = torque_along(plain, there, motions)[0] - whole
-    motion = _motion(chain, here, plain, there, trajectories)
-    return _wrong(plain, difference, whole, numbers, motions, motion)
-
-
-def wrong_by(
-    chain: Joint,
-    vector: Array,
-    torque: Array,
-    numbers: dict[str, Array],
-    motions: Sequence[Moved],
-) -> Wrong:
-    """Compare the fitted joint with motor torque ``(M,)`` of a law of its own."""
-    _, whole = _fitted(chain, vector, motions)
-    plain = simulator_joint(chain.load.motion, chain.load.gravity)
-    return _wrong(plain, torque - whole, whole, numbers, motions, ())
-
-
-def _fitted(chain: Joint, vector: Array, motions: Sequence[Moved]) -> tuple[Array, Array]:
     here = vector[None].copy()
     if chain.delay_name:
         here[0, chain.names.index(chain.delay_name)] = 0.0
-    return here, torque_along(chain, here, motions)[0]
+    whole = torque_along(chain, here, motions)[0]
+    plain = simulator_joint(chain.load.motion, chain.load.gravity)
 
+    def taken(**other: Array) -> Array:
+        there = simulator_vectors(plain, {**numbers, **other})
+        return np.asarray(torque_along(plain, there, motions)[0])
 
-def _wrong(
-    plain: Joint,
-    difference: Array,
-    whole: Array,
-    numbers: dict[str, Array],
-    motions: Sequence[Moved],
-    motion: Sequence[Array],
-) -> Wrong:
     none = np.zeros(1)
-    free = {**numbers, "friction": none, "damping": none, "quadratic": none}
+    free = {"friction": none, "damping": none, "quadratic": none}
     link = {**free, "armature": none, "torque_offset": none, "gain": np.ones(1)}
-    without, load = (
-        torque_along(plain, simulator_vectors(plain, one), motions)[0] for one in (free, link)
-    )
-    return Wrong(
-        difference,
-        whole,
-        without,
-        load,
-        _size(difference),
-        _size(float(numbers["gain"][0]) * difference),
-        rms_of(np.concatenate(motion)) if motion else None,
-        float(np.median([rms_of(x) for x in motion])) if motion else None,
-        rms_of(whole),
-    )
-
-
-def _size(x: Array) -> Size:
-    big = np.abs(x)
-    return Size(rms_of(x), float(np.quantile(big, 0.9)), float(big.max()))
+    motion: list[Array] = []
+    if torque is None:
+        there = simulator_vectors(plain, numbers)
+        torque, motion = taken(), _motion(chain, here, plain, there, trajectories)
+    rms = rms_of(np.concatenate(motion)) if motion else None
+    return Wrong(torque - whole, whole, taken(**free), taken(**link), rms)
 
 
 def _motion(

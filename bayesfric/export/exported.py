@@ -14,25 +14,20 @@ import numpy as np
 import bayesfric
 from bayesfric.errors import BadInput
 from bayesfric.export.at_joint import NUMBERS, Array, AtJoint, Moved, at_joint, without_load_losses
-from bayesfric.export.carried import Lost, carried, law_lost, lost_terms
+from bayesfric.export.carried import carried, law_lost, lost_terms
 from bayesfric.export.central import Vectors, vectors
-from bayesfric.export.error import SPAN, Wrong, wrong, wrong_by
+from bayesfric.export.error import SPAN, wrong
 from bayesfric.export.figure import ExportPicture, export_figure
-from bayesfric.export.format import (
-    Content,
-    Files,
-    Format,
-    Options,
-    filled,
-    format_of,
-    sentence,
-)
+from bayesfric.export.format import Content, Files, Format, Options, filled, format_of
+from bayesfric.export.law import unwritten
 from bayesfric.export.pendulum import pendulum
 from bayesfric.finished import Finished, finished
 from bayesfric.recordings.trajectory import trajectory
 from bayesfric.report.figures.style import save
 from bayesfric.report.files import check_free, made_beside, parents_made, unwritable
+from bayesfric.report.summary.reported import put_reported
 from bayesfric.report.summary.summary import LEVEL
+from bayesfric.results.reported import ORDER
 
 # Draws that intervals are told from.
 _DRAWS = 400
@@ -161,6 +156,7 @@ def export(
     if output is not None:
         check_output(Path(output), force=False)
     found = posterior if isinstance(posterior, Finished) else finished(posterior)
+    found = replace(found, summary=put_reported(found.summary))
     made = _exported(found, form, chosen)
     if output is not None:
         made.write(output)
@@ -192,42 +188,51 @@ def _exported(found: Finished, form: Format, options: Options) -> Exported:
         form.check(options)
     chain, motions = found.joint, [Moved.of(o) for o in found.model.observations]
     told = vectors(found, motions, options.draws or _DRAWS, options.seed)
-    own_loads = "load loss" in form.keeps
-    middle, each = (
-        at_joint(
-            chain,
-            without_load_losses(chain, values) if own_loads else values,
-            motions,
-            options.at_load,
-        )
-        for values in (told.middle[None], told.draws)
-    )
-    carries, motion = form.carries(options), chain.load.motion
-    kept = carried(middle, carries, form.supplied, motions, motion)
-    spread = carried(each, carries, form.supplied, motions, motion)
-    if form.torque is None:
-        # both joints under one torque: that a delay moves a back-EMF makes no difference there
-        pairs = zip(found.model.recordings, found.model.observations, strict=True)
-        trajectories = [trajectory(replace(r, back_emf=None), o, SPAN) for r, o in pairs]
-        error = wrong(chain, told.middle, kept.values, motions, trajectories)
-    else:
-        own = form.torque(chain, told.middle, motions)
-        error = wrong_by(chain, told.middle, own, kept.values, motions)
-    terms = lost_terms(chain, middle, told.middle, carries)
-    lost = (*(x for x in terms if x.kind not in form.keeps), *kept.lost)
+    own_loads = "load" in form.keeps
+
+    def here(values: Array) -> AtJoint:
+        kept = without_load_losses(chain, values) if own_loads else values
+        return at_joint(chain, kept, motions, options.at_load)
+
+    middle, each = here(told.middle[None]), here(told.draws)
+    carries = form.names(options).values()
+    kept = carried(middle, carries, motions, chain)
+    spread = carried(each, carries, motions, chain).values
+    # both joints under one torque: that a delay moves a back-EMF makes no difference there
+    pairs = zip(found.model.recordings, found.model.observations, strict=True)
+    trajectories = [trajectory(replace(r, back_emf=None), o, SPAN) for r, o in pairs]
+    own = form.torque and form.torque(chain, told.middle, motions)
+    error = wrong(chain, told.middle, kept.values, motions, trajectories, own)
+    lost = (*lost_terms(chain, middle, told.middle, carries, form.keeps), *kept.lost)
     if form.whole:
         lost = law_lost(chain, told.middle)
     numbers = {name: float(x[0]) for name, x in kept.values.items()}
-    rows = _rows(found, form, options, numbers, spread.values, middle, told)
-    record = _record(found, form, options, rows, lost, error, middle, told)
-    remarks = map(_harmless, filled("remarks.txt.j2", **record).splitlines())
-    content = Content(
-        found, options, told, numbers, spread.values, motions, error, [r for r in remarks if r]
-    )
-    files = form.write(content)
+    rotary = chain.load.motion == "rotary"
+    record: dict[str, Any] = {
+        "bayesfric": bayesfric.__version__,
+        "run": found.name,
+        "format": form.name,
+        "meaning": form.meaning,
+        "joint": options.joint,
+        "numbers": _rows(found, form, options, numbers, spread, middle, told),
+        "at_load": options.at_load,
+        "reference": {name: float(x[0]) for name, x in middle.reference.items()},
+        "lost": [
+            {**x.as_dict(), "says": filled("lost.txt.j2", **vars(x), **x.numbers).strip()}
+            for x in lost
+        ],
+        "notes": _notes(found, form, options, numbers, middle, told),
+        "error": error.as_dict(),
+        "unit": "N m" if chain.motor_motion == "rotary" else "N",
+        "joint_unit": "N m" if rotary else "N",
+        "position_unit": "rad" if rotary else "m",
+        "draws": len(told.draws),
+        "central": told.kind,
+    }
+    remarks = [_harmless(x) for x in filled("remarks.txt.j2", **record).splitlines() if x]
+    files = form.write(Content(found, options, told, numbers, spread, motions, remarks))
     record["files"] = list(files)
-    picture = ExportPicture(chain, motions, error, form.name)
-    return Exported(record, files, picture)
+    return Exported(record, files, ExportPicture(chain, motions, error, form.name))
 
 
 def _harmless(remark: str) -> str:
@@ -236,78 +241,37 @@ def _harmless(remark: str) -> str:
     return kept.replace('"', "'").replace("\\", "/").replace("*/", "* /").replace("--", "- -")
 
 
-def _record(
+def _notes(
     found: Finished,
     form: Format,
     options: Options,
-    rows: list[dict[str, Any]],
-    lost: tuple[Lost, ...],
-    error: Wrong,
+    numbers: Mapping[str, float],
     middle: AtJoint,
     told: Vectors,
-) -> dict[str, Any]:
-    rotary = found.joint.load.motion == "rotary"
-    open_names = [name for one in told.scalings for name in one.names]
-    said = {**vars(options), "gravity": found.joint.load.gravity, "slides": not rotary}
-    kinds = form.notes(options, found.joint)
-    notes = [sentence("notes.txt.j2", kind, said) for kind in kinds]
-    if "body" in kinds and "rotor in link" not in kinds and not middle.values["link_inertia"][0]:
-        body = pendulum({name: float(x[0]) for name, x in middle.values.items()}, rotary)
-        told_of = {"mass": body.mass, "weighs": bool(np.any(body.com))}
-        notes.append(sentence("notes.txt.j2", "no link", told_of))
-    if any(o.inputs.known_load for o in found.model.observations):
-        notes.insert(0, sentence("notes.txt.j2", "known load", {}))
-    if (emf := found.summary.fit.back_emf) is not None:
-        notes.append(sentence("notes.txt.j2", "back emf", emf.model_dump()))
-    if found.summary.fit.rests:
-        beyond = max(one.beyond for one in found.summary.fit.rests)
-        worst = {"beyond": beyond, "unit": found.summary.fit.unit}
-        notes.append(sentence("notes.txt.j2", "rests", worst))
-    if found.summary.fit.residual_rms is not None:
-        notes.append(sentence("notes.txt.j2", "of fit", _of_fit(found)))
-    status, doubted = _status(found), found.summary.only_doubted
-    if status != "reliable":
-        notes.insert(0, sentence("notes.txt.j2", "status", {"status": status, "doubted": doubted}))
-    reported = {name: row.reported for name, row in found.summary.rows.items()}
-    biased = [name for name, one in reported.items() if one and one.how.bias]
-    notes.insert(0, sentence("notes.txt.j2", told.kind, {"biased": biased}))
-    if told.scalings:
-        notes.insert(0, sentence("notes.txt.j2", "open scale", {"names": open_names}))
-    return {
-        "bayesfric": bayesfric.__version__,
-        "run": found.name,
-        "format": form.name,
-        "meaning": form.meaning,
-        "joint": options.joint,
-        "numbers": rows,
-        "at_load": options.at_load,
-        "reference": {name: float(x[0]) for name, x in middle.reference.items()},
-        "lost": [
-            {**one.as_dict(), "says": sentence("lost.txt.j2", one.kind, vars(one))} for one in lost
-        ],
-        "notes": notes,
-        "error": error.as_dict(),
-        "unit": "N m" if found.joint.motor_motion == "rotary" else "N",
-        "joint_unit": "N m" if rotary else "N",
-        "position_unit": "rad" if rotary else "m",
-        "draws": len(told.draws),
-        "central": told.kind,
-    }
-
-
-def _of_fit(found: Finished) -> dict[str, Any]:
-    """Give what the fitted joint leaves of the recordings, and how fast these are."""
-    fit, seen = found.summary.fit, found.model.observations
-    return {
-        "rms": fit.residual_rms,
-        "unit": fit.unit,
-        "quantity": f"measured {fit.quantity}",
-        "speed": max(float(np.abs(o.qd[o.filter.centres]).max()) for o in seen),
-        "of_speed": "rad/s" if found.joint.load.motion == "rotary" else "m/s",
-        "of_position": "rad" if found.joint.load.motion == "rotary" else "m",
-        "position": [pick(pick(o.q[o.filter.centres]) for o in seen) for pick in (min, max)],
-        "wrong": found.summary.widened,
-    }
+) -> list[str]:
+    """Say what to know of the format, and of the run, beside the numbers."""
+    chain, seen = found.joint, found.model.observations
+    rotary = chain.load.motion == "rotary"
+    placeholder = None
+    if form.notes & {"body", "mujoco"} and options.into is None:
+        whole = {name: float(x[0]) for name, x in middle.values.items()}
+        # what a rotor's inertia is added to has one
+        if not numbers["link_inertia"]:
+            placeholder = pendulum(whole, rotary)
+    positions = [o.q[o.filter.centres] for o in seen]
+    text = filled(
+        "notes.txt.j2",
+        **{**vars(options), "words": form.notes, "numbers": numbers, "told": told},
+        summary=found.summary,
+        rotary=rotary,
+        gravity=chain.load.gravity,
+        known_load=any(o.inputs.known_load for o in seen),
+        own_term=unwritten(chain) is not None,
+        placeholder=placeholder,
+        speed=max(float(np.abs(o.qd[o.filter.centres]).max()) for o in seen),
+        position=[min(float(q.min()) for q in positions), max(float(q.max()) for q in positions)],
+    )
+    return [line for line in text.splitlines() if line]
 
 
 def _rows(
@@ -320,55 +284,43 @@ def _rows(
     told: Vectors,
 ) -> list[dict[str, Any]]:
     """Tabulate the numbers as the simulator calls them, with intervals and what made them."""
-    rotary = found.joint.load.motion == "rotary"
     ends = [50.0 - 50.0 * LEVEL, 50.0 + 50.0 * LEVEL]
+    unusable = found.summary.sampler.status == "unusable"
     rows = []
-    for one in form.attributes(options, rotary):
-        if not middle.made_from[one.number] and one.number != "gain":
+    for attribute, number in form.names(options).items():
+        names = middle.made_from[number]
+        if not names and number != "gain":
             continue  # the joint has none
-        value, spread = one.factor * numbers[one.number], one.factor * draws[one.number]
-        names = middle.made_from[one.number]
-        low, high = np.percentile(spread, ends)
-        fixed = float(np.ptp(spread)) <= 1e-9 * abs(value) or _status(found) == "unusable"
+        value, spread = numbers[number], draws[number]
+        fixed = float(np.ptp(spread)) <= 1e-9 * abs(value) or unusable
         rows.append(
             {
-                "attribute": one.name,
+                "attribute": attribute,
                 "value": value,
-                "interval": None if fixed else [float(low), float(high)],
-                "unit": NUMBERS["gain"].unit_of(found.joint) if one.number == "gain" else one.unit,
-                "meaning": NUMBERS[one.number].meaning,
+                "interval": None if fixed else np.percentile(spread, ends).tolist(),
+                "unit": NUMBERS[number].unit(found.joint),
+                "meaning": NUMBERS[number].meaning,
                 "made_from": list(names),
-                **_unsettled(found, names, told),
+                "not_identified": _not_identified(found, names, told),
             }
         )
     return rows
 
 
-def _status(found: Finished) -> str:
-    return found.summary.sampler.status
-
-
-def _unsettled(found: Finished, names: tuple[str, ...], told: Vectors) -> dict[str, Any]:
-    """Name what a number is made of that the data do not determine, or only weakly.
-
-    ``doubtful`` is what may not be what they determine, however much they say of it.
-    """
-    summary = found.summary
+def _not_identified(found: Finished, names: tuple[str, ...], told: Vectors) -> dict[str, str]:
+    """Give the reported status of what a number is made of, where that is another."""
     scaled = {name for one in told.scalings for name in one.names}
     rows = {p.name: p.row for p in found.joint.parameters}
-    verdicts, doubtful = {}, []
+    found_statuses = {}
     for name in names:
+        made, table = [name], found.summary.parameters
         if name in scaled:
             # the scale is chosen, and then they are what the motor feels of them
             kinds = (*(rows[name].totals or (rows[name].name,)), *(rows[name].by_direction or ()))
             made = [f"total_{side}.{kind}" for side in ("drive", "back") for kind in kinds]
-            found_here = [summary.derived[x] for x in made if x in summary.derived]
-        else:
-            found_here = [summary.parameters[name]] if name in summary.parameters else []
-        said = {"doubtful" if row.doubtful else row.verdict for row in found_here}
-        worst = next((v for v in ("prior", "doubtful", "weak") if v in said), "data")
-        if worst == "doubtful":
-            doubtful.append(name)
-        elif worst != "data":
-            verdicts[name] = worst
-    return {"not_from_data": verdicts, "doubtful": doubtful}
+            table = found.summary.derived
+        reported = [table[x].reported for x in made if x in table]
+        status = max((x.status for x in reported if x), key=ORDER.index, default="identified")
+        if status != "identified":
+            found_statuses[name] = status
+    return found_statuses

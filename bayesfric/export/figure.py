@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from bayesfric.export.at_joint import Array, Moved
+from bayesfric.export.at_joint import Moved
 from bayesfric.export.error import Wrong
 from bayesfric.mechanism.joint import Joint
 from bayesfric.report.figures import style
@@ -42,28 +42,28 @@ def export_figure(picture: ExportPicture) -> Figure:
     """
     chain, motions, found = picture.chain, picture.motions, picture.wrong
     kind, unit = ("torque", "N m") if chain.motor_motion == "rotary" else ("force", "N")
+    speed = np.concatenate([m.qd for m in motions])
+    way = np.sign(speed)
+    place, per = speed, "rad/s" if chain.load.motion == "rotary" else "m/s"
+    label = rf"joint speed $\dot q$ ({per})"
+    if any(element.load_loss != "none" for element in chain.elements):
+        place, per = way * found.load, "N m" if chain.load.motion == "rotary" else "N"
+        label = f"load at the joint, against the motion ({per})"
+    fitted = way * (found.whole - found.free)
     with paper_figure(style.COLUMN, _HEIGHT) as figure:
         above, below = figure.subplots(2, 1)
         lines = _over_time(above, picture)
         above.set_ylabel(f"motor {kind} ({unit})")
-        way = np.sign(np.concatenate([m.qd for m in motions]))
-        place = _friction_label(below, chain, motions, found)
-        fitted = way * (found.whole - found.free)
         look: Look = {"linestyle": "none", "rasterized": True, "zorder": 2.0}
-        for values, marker, size, colour, words in (
-            (fitted, "o", 2.2, style.PALETTE[3], "friction of the fitted joint"),
-            (
-                fitted + way * found.difference,
-                ".",
-                2.0,
-                style.PALETTE[0],
-                f"friction of {picture.name}",
-            ),
-        ):
-            look |= {"marker": marker, "markersize": size, "color": colour, "label": words}
-            lines += below.plot(place, values, **look)
+        look |= {"marker": "o", "markersize": 2.2, "color": style.PALETTE[3]}
+        lines += below.plot(place, fitted, label="friction of the fitted joint", **look)
+        look |= {"marker": ".", "markersize": 2.0, "color": style.PALETTE[0]}
+        lines += below.plot(
+            place, fitted + way * found.difference, label=f"friction of {picture.name}", **look
+        )
         below.set_ylim(bottom=min(0.0, below.get_ylim()[0]))
         below.set_ylabel(f"friction {kind} ({unit})")
+        below.set_xlabel(label)
         for ax in (above, below):
             few_ticks(ax.xaxis, 6)
             few_ticks(ax.yaxis, 5)
@@ -75,7 +75,6 @@ def _over_time(ax: Axes, picture: ExportPicture) -> list[Line2D]:
     sizes = [m.q.size for m in picture.motions]
     longest = int(np.argmax(sizes))
     end = int(np.cumsum(sizes)[longest])
-    part = slice(end - sizes[longest], end)
     time = picture.motions[longest].time
     gaps = np.flatnonzero(np.diff(time) > _GAP * np.median(np.diff(time))) + 1
     lines = []
@@ -83,18 +82,8 @@ def _over_time(ax: Axes, picture: ExportPicture) -> list[Line2D]:
         (picture.wrong.whole, style.PALETTE[3], "fitted joint, unfiltered"),
         (picture.wrong.difference, style.PALETTE[0], f"error of {picture.name}"),
     ):
-        x, y = np.insert(time, gaps, np.nan), np.insert(values[part], gaps, np.nan)
+        part = values[end - time.size : end]
+        x, y = np.insert(time, gaps, np.nan), np.insert(part, gaps, np.nan)
         lines += ax.plot(x, y, color=colour, label=words)
     ax.set_xlabel("time (s)")
     return lines
-
-
-def _friction_label(ax: Axes, chain: Joint, motions: Sequence[Moved], found: Wrong) -> Array:
-    """Name the axis that friction is shown over, and give its values."""
-    speed = np.concatenate([m.qd for m in motions])
-    turns = chain.load.motion == "rotary"
-    if all(element.load_loss == "none" for element in chain.elements):
-        ax.set_xlabel(rf"joint speed $\dot q$ ({'rad/s' if turns else 'm/s'})")
-        return speed
-    ax.set_xlabel(f"load at the joint, against the motion ({'N m' if turns else 'N'})")
-    return np.asarray(np.sign(speed) * found.load)

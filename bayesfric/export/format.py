@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -13,7 +14,7 @@ from typing import Any
 from bayesfric.errors import BadInput, nearest
 from bayesfric.export.at_joint import Array, Moved
 from bayesfric.export.central import Vectors
-from bayesfric.export.error import Wrong
+from bayesfric.export.pendulum import Pendulum, pendulum
 from bayesfric.finished import Finished
 from bayesfric.mechanism.joint import Joint
 from bayesfric.templates import environment
@@ -35,16 +36,6 @@ class Options:
     seed: int | None = None  # of which draws
 
 
-@dataclass(frozen=True)
-class Attribute:
-    """A number as a simulator calls it."""
-
-    name: str
-    number: str  # of bayesfric.export.at_joint.NUMBERS; a parameter's name in a format of laws
-    unit: str
-    factor: float = 1.0  # from the number in SI to the attribute
-
-
 @dataclass(frozen=True, eq=False)
 class Content:
     """All that a format writes its files from."""
@@ -55,13 +46,33 @@ class Content:
     numbers: Mapping[str, float]  # of the joint, as the format carries them
     draws: Mapping[str, Array]  # the same for each draw
     motions: Sequence[Moved]
-    wrong: Wrong
     remarks: Sequence[str]  # what every file says of itself, one line each
+
+    @property
+    def stem(self) -> str:
+        """The joint's name as that of a file or variable."""
+        return re.sub(r"\W", "_", self.options.joint)
 
     @property
     def rotary(self) -> bool:
         """Whether the joint turns."""
         return self.found.joint.load.motion == "rotary"
+
+    @property
+    def body(self) -> Pendulum:
+        """A link for models that want a whole one."""
+        return pendulum(self.numbers, self.rotary)
+
+    def filled(self, template: str, **more: Any) -> str:
+        """Fill a template of this folder."""
+        given = {
+            "remarks": self.remarks,
+            "name": self.options.joint,
+            "numbers": self.numbers,
+            "rotary": self.rotary,
+            "gravity": self.found.joint.load.gravity,
+        }
+        return filled(template, **given | more)
 
 
 @dataclass(frozen=True)
@@ -70,16 +81,13 @@ class Format:
 
     name: str
     meaning: str  # what it is for, as it stands in a sentence
-    # Names of numbers it has, and of those that the model or the drive around it brings
-    carries: Callable[[Options], frozenset[str]]
-    supplied: frozenset[str]
-    attributes: Callable[[Options, bool], Sequence[Attribute]]  # of options, and whether it turns
+    # what it calls each of bayesfric.export.at_joint.NUMBERS that it has
+    names: Callable[[Options], Mapping[str, str]]
     write: Callable[[Content], Files]  # the main file first
     options: frozenset[str] = frozenset()  # of Options it knows, beside joint and at_load
-    # kinds of sentences of templates/notes.txt.j2
-    notes: Callable[[Options, Joint], Sequence[str]] = lambda *_: ()
+    notes: frozenset[str] = frozenset()  # words that templates/notes.txt.j2 asks for
     whole: bool = False  # whether it carries the law itself, and no number in its place
-    keeps: frozenset[str] = frozenset()  # kinds of Lost that it does carry
+    keeps: frozenset[str] = frozenset()  # quantities that it has in its own way
     # motor torque along the recordings by a law of its own, of the fitted joint and its vector
     torque: Callable[[Joint, Array, Sequence[Moved]], Array] | None = None
     # refuses options that do not go together, before anything is computed
@@ -105,12 +113,6 @@ def format_of(name: str) -> Format:
 def filled(template: str, **values: Any) -> str:
     """Fill a template of this folder."""
     return str(_environment().get_template(template).render(**values))
-
-
-def sentence(template: str, kind: str, values: Mapping[str, Any]) -> str:
-    """Word one kind by its macro in a template; spaces stand for underscores."""
-    module: Any = _environment().get_template(template).module
-    return str(getattr(module, kind.replace(" ", "_"))(values)).strip()
 
 
 @cache

@@ -3,22 +3,17 @@
 Dask pickles what goes through its scheduler: here the name of one function of this package, and
 dicts of text and numbers both ways (:class:`~bayesfric.fleet.work.Task`,
 :class:`~bayesfric.fleet.work.Done`), whatever the recordings' size; no file is ever unpickled. Who
-may connect to a scheduler can have any code run by its workers. So a local cluster speaks TLS with
-certificates made for it alone, and one on a network should.
+may connect to a scheduler can have any code run by its workers: a local one takes Dask's temporary
+credentials, and one on a network what Dask's own configuration says (``distributed.comm.tls``).
 """
 
 from __future__ import annotations
 
-import importlib.util
 import logging
 import os
-import shutil
-import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
-from pathlib import Path
-from tempfile import TemporaryDirectory
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from bayesfric import threads
@@ -27,10 +22,11 @@ from bayesfric.fleet.plan import ClusterOptions
 from bayesfric.fleet.work import Done, Task, do_unit
 
 if TYPE_CHECKING:
-    from distributed import Client, Future, LocalCluster
+    from distributed import Client, Future
 
-# How often what is the machine's fault is tried again, and how often a unit's worker may die.
-_RETRIES, _DEATHS = 2, 5
+# How often what is the machine's fault is tried again, how often a unit's worker may die, and how
+# often a scheduler may be gone with nothing done in between.
+_RETRIES, _DEATHS, _GONE = 2, 5, 2
 # Units handed out at once, and for each thread if that is more: the rest waits here, where it
 # takes no memory of the scheduler's.
 _HANDED_OUT, _PER_THREAD = 256, 4
@@ -42,6 +38,14 @@ _ENVIRONMENT = {
     "MALLOC_TRIM_THRESHOLD_": "65536",
     "MALLOC_ARENA_MAX": "2",
 }
+_SETTINGS = {
+    "distributed.scheduler.allowed-failures": _DEATHS,
+    "distributed.nanny.pre-spawn-environ": _ENVIRONMENT,
+    # what it samples of every fit stays in a worker's memory
+    "distributed.worker.profile.enabled": False,
+    # a fit holds Python's lock for seconds while it compiles
+    "distributed.admin.tick.limit": "1 h",
+}
 
 # Takes a unit's name and what came of it; words instead where the machine failed it.
 Arrived = Callable[[str, Done | str], None]
@@ -52,36 +56,25 @@ class _Gone(Exception):
 
 
 def work_through(tasks: Sequence[Task], options: ClusterOptions, arrived: Arrived) -> None:
-    """Have every task done, and tell of each; a scheduler that is gone is waited for.
+    """Have every task done, and tell of each.
 
     Raises
     ------
     BadInput
         If no scheduler answers.
     """
-    waiting = deque(tasks)
-    lost: float | None = None
+    waiting, idle = deque(tasks), 0
     while waiting:
         left = len(waiting)
         try:
-            with _crew(options, Path(tasks[0]["folder"]).parent) as client:
+            with _crew(options) as client:
                 _serve(client, waiting, arrived)
         except _Gone:
-            if len(waiting) < left or lost is None:
-                # before anything was done the address is wrong, not the scheduler gone
-                wrong = options.scheduler and lost is None and len(waiting) == len(tasks)
-                lost = time.monotonic() - (options.patience if wrong else 0.0)
-            if time.monotonic() - lost >= options.patience:
-                raise _unanswered(options) from None
-            time.sleep(1.0)
-
-
-def _unanswered(options: ClusterOptions) -> BadInput:
-    if options.scheduler is None:
-        mend = "see whether memory and processes are left; then go on with --resume"
-        return BadInput("bayesfric fleet", "its workers do not start", mend)
-    mend = "check address and certificates, or start one; then go on with --resume"
-    return BadInput(options.scheduler, "no scheduler answers", mend)
+            idle = idle + 1 if len(waiting) == left else 0
+            if idle == _GONE:
+                where = str(options.scheduler or "bayesfric fleet")
+                mend = "see whether it runs, and has memory; then go on with --resume"
+                raise BadInput(where, "no scheduler answers", mend) from None
 
 
 def check_engine(options: ClusterOptions) -> None:
@@ -93,19 +86,12 @@ def check_engine(options: ClusterOptions) -> None:
         If Dask is not installed, or the limit of memory is none.
     """
     try:
-        import cryptography  # noqa: F401 (makes a local cluster's certificates)
+        import cryptography  # noqa: F401 (makes a local cluster's credentials)
         import distributed  # noqa: F401
         from dask.utils import parse_bytes
     except ImportError:
         what = "works with Dask distributed, which is not installed"
         raise BadInput("bayesfric fleet", what, "pip install 'bayesfric[fleet]'") from None
-    if options.slurm is not None:
-        if importlib.util.find_spec("dask_jobqueue") is None:
-            what = "works with dask-jobqueue, which is not installed"
-            raise BadInput("cluster.slurm", what, "pip install dask-jobqueue")
-        if shutil.which("sbatch") is None:
-            mend = "start the fleet on a machine that submits jobs"
-            raise BadInput("cluster.slurm", "there is no sbatch here", mend)
     try:
         enough = parse_bytes(options.memory_limit) > 0
     except ValueError:
@@ -116,95 +102,34 @@ def check_engine(options: ClusterOptions) -> None:
 
 
 @contextmanager
-def _crew(options: ClusterOptions, place: Path) -> Iterator[Client]:
+def _crew(options: ClusterOptions) -> Iterator[Client]:
     import dask
-    from distributed import Client
-    from distributed.security import Security
+    from distributed import Client, LocalCluster
 
-    if options.scheduler is not None:
-        security = Security(
-            tls_ca_file=options.ca,
-            tls_client_cert=options.certificate,
-            tls_client_key=options.key,
-            require_encryption=options.ca is not None,
-        )
+    cluster: Any = options.scheduler
+    with dask.config.set({} if cluster else _SETTINGS):
         try:
-            client = Client(
-                options.scheduler, security=security, timeout=_CONNECT, set_as_default=False
-            )
-        except (OSError, ValueError, TypeError) as error:
-            raise _Gone from error
+            if not cluster:
+                cluster = LocalCluster(
+                    n_workers=options.workers or _cores(),
+                    threads_per_worker=1,
+                    memory_limit=options.memory_limit,
+                    dashboard_address=None,
+                    security=True,
+                    host="127.0.0.1",
+                    silence_logs=logging.CRITICAL,
+                )
+            client = Client(cluster, timeout=_CONNECT, set_as_default=False)
+        except (RuntimeError, OSError, ValueError, TypeError) as error:
+            if cluster is not options.scheduler:
+                cluster.close()
+            raise _Gone from error  # no address, say, or a worker that died while it started
         try:
             yield client
         finally:
-            with suppress(OSError):
-                client.close(timeout=2.0)
-        return
-    chosen = {
-        "distributed.scheduler.allowed-failures": _DEATHS,
-        "distributed.nanny.pre-spawn-environ": _ENVIRONMENT,
-        # what it samples of every fit stays in a worker's memory
-        "distributed.worker.profile.enabled": False,
-        # a fit holds Python's lock for seconds while it compiles
-        "distributed.admin.tick.limit": "1 h",
-    }
-    with dask.config.set(chosen), ExitStack() as stack:
-        try:
-            if options.slurm is None:
-                cluster = stack.enter_context(_processes(options))
-            else:
-                certificates = stack.enter_context(_aside(place))
-                cluster = stack.enter_context(_jobs(options, certificates))
-            client = stack.enter_context(Client(cluster, set_as_default=False))
-        except (RuntimeError, OSError) as error:
-            raise _Gone from error  # a worker that died while it started, say
-        yield client
-
-
-def _processes(options: ClusterOptions) -> LocalCluster:
-    from distributed import LocalCluster
-
-    return LocalCluster(
-        n_workers=options.workers or _cores(),
-        threads_per_worker=1,
-        memory_limit=options.memory_limit,
-        dashboard_address=None,
-        security=True,
-        protocol="tls://",
-        host="127.0.0.1",
-        silence_logs=logging.CRITICAL,
-    )
-
-
-@contextmanager
-def _aside(place: Path) -> Iterator[str]:
-    place.mkdir(exist_ok=True)
-    # dask-jobqueue removes its own files late, or twice
-    with TemporaryDirectory(prefix=".certificates-", dir=place, ignore_cleanup_errors=True) as name:
-        yield name
-
-
-def _jobs(options: ClusterOptions, certificates: str) -> Any:
-    """Ask SLURM for workers; what is not said here, dask-jobqueue's own configuration says.
-
-    Their certificates are in a folder that they see.
-    """
-    import dask
-    from dask_jobqueue.slurm import SLURMCluster
-
-    # no port that another may have
-    told = dask.config.get("jobqueue.slurm.scheduler-options", {}) | {"dashboard_address": ":0"}
-    cluster: Any = SLURMCluster(
-        cores=1,
-        processes=1,
-        memory=options.memory_limit,
-        security=True,
-        shared_temp_directory=certificates,
-        scheduler_options=told,
-        job_script_prologue=[f"export {name}={value}" for name, value in _ENVIRONMENT.items()],
-    )
-    cluster.scale(jobs=options.slurm)
-    return cluster
+            client.close(timeout=2.0)
+            if cluster is not options.scheduler:
+                cluster.close()
 
 
 def _cores() -> int:
@@ -234,7 +159,8 @@ def _serve(client: Client, waiting: deque[Task], arrived: Arrived) -> None:
                 raise _Gone
             task = flying.pop(future)
             done = future.result() if future.status == "finished" else _told(future.exception())
-            compiled = compiled or (not isinstance(done, str) and _sampled(done))
+            if not isinstance(done, str) and not done["again"] and done["record"]["rows"]:
+                compiled = True
             arrived(task["name"], done)
             future.release()
     except (OSError, TimeoutError) as error:
@@ -250,10 +176,6 @@ def do_unit_here(task: Task) -> Done:
 
     with dask.config.set(scheduler="synchronous"):
         return do_unit(task)
-
-
-def _sampled(done: Done) -> bool:
-    return not done["again"] and bool(done["record"]["rows"])
 
 
 def _told(error: Any) -> str:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -26,61 +26,67 @@ _VECTOR = 300
 _CENTRAL, _REACH = "90 %", 1.645
 
 
-@dataclass(frozen=True)
-class FleetFigure:
-    """What a figure of a fleet says of itself."""
-
-    stem: str
-    title: str
-    caption: str
-    draw: Callable[[FleetPopulation], Figure | None]
-    alternative: Callable[[FleetPopulation], str]
-
-
 def shown(found: FleetPopulation) -> Sequence[FleetQuantity]:
     """Pick parameters and what no scaling changes; totals say the same in other words."""
     told = [one for one in found.quantities if not one.name.startswith("total.")]
     return (told or list(found.quantities))[:_MOST]
 
 
-def distribution(found: FleetPopulation) -> Figure | None:
-    """Draw each quantity's units by rank; ``None`` where there is none."""
-
-    def places(one: FleetQuantity) -> dict[str, float]:
-        order = sorted(one.units, key=lambda name: one.units[name].middle)
-        return {name: float(rank) for rank, name in enumerate(order, start=1)}
-
-    return _panels(found, places, "units by rank", trend=False)
-
-
-def control_chart(found: FleetPopulation) -> Figure | None:
-    """Draw each quantity over time or what else is named; ``None`` where nothing is."""
+def fleet_figures(found: FleetPopulation) -> Iterator[tuple[Figure, str, str, str, str]]:
+    """Draw what there is to draw: figures with stem, title, caption and the same in words."""
+    quantities = shown(found)
+    if not quantities:
+        return
+    ranks = []
+    for one in quantities:
+        order = sorted(one.units, key=lambda name: one.units[name].value)
+        ranks.append({name: float(rank) for rank, name in enumerate(order, start=1)})
+    means = (
+        f"{one.name}: mean {one.pool.mean.median:.4g}, sd between units "
+        f"{one.pool.spread.median:.2g}{f' {one.told.unit}' if one.told.unit else ''}"
+        for one in quantities
+    )
+    yield (
+        _panels(quantities, ranks, "units by rank", trend=False),
+        "distribution",
+        "Each quantity over the units",
+        "Units by rank, each with its own 90 % interval, the population’s mean (line) and its "
+        "central 90 % (dashed), outliers apart. Diamonds: likelier an outlier than not.",
+        f"{'. '.join(means)}.",
+    )
     if len(set(found.over.values())) < 2:
-        return None
-
-    def places(one: FleetQuantity) -> dict[str, float]:
-        return {name: found.over[name] for name in one.units if name in found.over}
-
+        return
     per = "days since the first" if found.per == "day" else found.per
-    return _panels(found, places, style.shortened(per), trend=True)
+    places = [{n: found.over[n] for n in one.units if n in found.over} for one in quantities]
+    trends = (
+        f"{one.name}: trend {s.median:.3g} from {s.low:.3g} to {s.high:.3g} "
+        f"{one.told.unit} per {found.per}"
+        for one in quantities
+        if (s := one.levels.slope) is not None
+    )
+    yield (
+        _panels(quantities, places, style.shortened(per), trend=True),
+        "control-chart",
+        "Each quantity over time",
+        "Units with their own 90 % intervals, the population’s mean (line) and its central 90 % "
+        "(dashed), and the trend (dotted), outliers apart.",
+        f"{'. '.join(trends)}.",
+    )
 
 
 def _panels(
-    found: FleetPopulation,
-    places: Callable[[FleetQuantity], Mapping[str, float]],
+    quantities: Sequence[FleetQuantity],
+    places: Sequence[Mapping[str, float]],
     label: str,
     *,
     trend: bool,
-) -> Figure | None:
-    quantities = shown(found)
-    if not quantities:
-        return None
+) -> Figure:
     rows = math.ceil(len(quantities) / _ACROSS)
     with style.paper_figure(style.PAGE, rows * _HIGH + 0.3) as figure:
         axes = style.panel_grid(figure, len(quantities), _ACROSS)
         handles: list[Artist] = []
-        for ax, one in zip(axes, quantities, strict=True):
-            drawn = _panel(ax, one, places(one), trend=trend)
+        for ax, one, place in zip(axes, quantities, places, strict=True):
+            drawn = _panel(ax, one, place, trend=trend)
             handles = drawn if len(drawn) > len(handles) else handles
         for ax in axes[-_ACROSS:]:
             ax.set_xlabel(label)
@@ -95,36 +101,37 @@ def _panel(
     x = np.array([places[name] for name in names])
     ends = np.array([one.units[name].told_interval for name in names])
     exponent = style.power_of_ten(float(ends.min()), float(ends.max()))
-    ends = ends / 10.0**exponent
-    y = np.array([one.units[name].middle for name in names]) / 10.0**exponent
+    scale = 10.0**exponent
+    y = np.array([one.units[name].value for name in names]) / scale
     out = np.array([one.outlying[name] >= OUTLIER for name in names])
     many = len(names) > _VECTOR
-    bars = LineCollection(
-        [[(a, low), (a, high)] for a, (low, high) in zip(x, ends, strict=True)],
-        colors="#b4b4b4", linewidths=0.5, rasterized=many,
-    )  # fmt: skip
-    ax.add_collection(bars)
-    drawn: list[Artist] = list(
-        ax.plot(x[~out], y[~out], "o", color=style.POSTERIOR, ms=1.8, rasterized=many, label="unit")
-    )
-    mean, spread = (v.median / 10.0**exponent for v in (one.pool.mean, one.pool.spread))
-    drawn += ax.plot(
-        [0.0, 1.0], [mean, mean], color=style.MEASURED, transform=ax.get_yaxis_transform(),
-        label="population mean",
-    )  # fmt: skip
+    bars = [[(a, low), (a, high)] for a, (low, high) in zip(x, ends / scale, strict=True)]
+    ax.add_collection(LineCollection(bars, colors="#b4b4b4", linewidths=0.5, rasterized=many))
+    dots: dict[str, Any] = {
+        "color": style.POSTERIOR,
+        "ms": 1.8,
+        "rasterized": many,
+        "label": "unit",
+    }
+    drawn: list[Artist] = list(ax.plot(x[~out], y[~out], "o", **dots))
+    mean, spread = one.pool.mean.median / scale, one.pool.spread.median / scale
+    drawn.append(ax.axhline(mean, color=style.MEASURED, label="population mean"))
     for k, end in enumerate((mean - _REACH * spread, mean + _REACH * spread)):
         line = ax.axhline(end, color=style.MEASURED, ls=style.DASHED, lw=0.7)
         if k == 0:
             line.set_label(f"{_CENTRAL} of the population")
             drawn.append(line)
-    slope = one.levels.slope
-    if trend and slope is not None:
+    if trend and (slope := one.levels.slope) is not None:
         middle = float(np.mean(x[~out])) if (~out).any() else 0.0
         reach = np.array([x.min(), x.max()])
-        drawn += ax.plot(
-            reach, mean + slope.median / 10.0**exponent * (reach - middle),
-            color=style.PALETTE[3], ls=style.DOTTED, lw=1.4, label="trend",
-        )  # fmt: skip
+        rise = mean + slope.median / scale * (reach - middle)
+        dotted: dict[str, Any] = {
+            "color": style.PALETTE[3],
+            "ls": style.DOTTED,
+            "lw": 1.4,
+            "label": "trend",
+        }
+        drawn += ax.plot(reach, rise, **dotted)
     if out.any():
         drawn += ax.plot(x[out], y[out], "D", color=style.PALETTE[2], ms=3.2, label="outlier")
     ax.margins(x=0.02, y=0.06)
@@ -132,42 +139,3 @@ def _panel(
     style.few_ticks(ax.xaxis, 5)
     ax.set_ylabel(style.axis_label(one.told.symbol, one.name, exponent, one.told.unit))
     return drawn
-
-
-def _means(found: FleetPopulation) -> str:
-    said = (
-        f"{one.name}: mean {one.pool.mean.median:.4g}, sd between units "
-        f"{one.pool.spread.median:.2g}{f' {one.told.unit}' if one.told.unit else ''}"
-        for one in shown(found)
-    )
-    return f"{'. '.join(said)}."
-
-
-def _trends(found: FleetPopulation) -> str:
-    said = (
-        f"{one.name}: trend {s.median:.3g} from {s.low:.3g} to {s.high:.3g} "
-        f"{one.told.unit} per {found.per}"
-        for one in shown(found)
-        if (s := one.levels.slope) is not None
-    )
-    return f"{'. '.join(said)}."
-
-
-FIGURES = (
-    FleetFigure(
-        "distribution",
-        "Each quantity over the units",
-        "Units by rank, each with its own 90 % interval, the population’s mean (line) and its "
-        "central 90 % (dashed), outliers apart. Diamonds: likelier an outlier than not.",
-        distribution,
-        _means,
-    ),
-    FleetFigure(
-        "control-chart",
-        "Each quantity over time",
-        "Units with their own 90 % intervals, the population’s mean (line) and its central 90 % "
-        "(dashed), and the trend (dotted), outliers apart.",
-        control_chart,
-        _trends,
-    ),
-)

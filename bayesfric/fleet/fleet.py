@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
@@ -138,7 +138,7 @@ class Fleet:
         folder: Path | str,
         *,
         workers: int | None = None,
-        scheduler: str | None = None,
+        scheduler: Any = None,
         resume: bool = False,
         progress: bool | Callable[[Progress], None] = False,
     ) -> FleetRun:
@@ -151,7 +151,8 @@ class Fleet:
         workers
             Processes on this machine.
         scheduler
-            Address of a running Dask scheduler, whose workers see the same files.
+            Address of a running Dask scheduler, or in Python a cluster object of Dask's, such as
+            dask-jobqueue's ``SLURMCluster``; its workers see the same files.
         resume
             Do only what is missing, or has changed since.
         progress
@@ -169,23 +170,20 @@ class Fleet:
         _check(folder, resume=resume)
         check_engine(options)
         try:
-            with parents_made(folder), _nothing_begun_left(folder, resume=resume):
+            with parents_made(folder):
                 folder.mkdir(exist_ok=True)
                 with FileLock(folder / LOCK).acquire(timeout=0), progress_shown(progress) as tell:
                     write_beside({folder / PLAN: _text(self.plan)}, replace=True)
                     course = _Course(self.plan, Results(folder / TABLE, self.plan.units), tell)
                     tasks = course.tasks(folder / UNITS)
                     work_through(tasks, options, course.arrived)
-                    course.results.write()
-                    found = course.end(folder, began)
-                    _write(folder, self.plan, course.results.records, found.population)
+                    return course.end(folder, began)
         except Timeout:
             what = "another process works on this fleet"
             raise BadInput(str(folder), what, "wait for it, or name another folder") from None
         except OSError as error:
             what = f"cannot be written ({error.strerror or error})"
             raise BadInput(str(folder), what, "mend that, then go on with --resume") from None
-        return found
 
 
 Chosen = TypeVar("Chosen", bound=BaseModel)
@@ -208,29 +206,6 @@ def _check(folder: Path, *, resume: bool) -> None:
     if not resume and folder.exists() and any(folder.iterdir()):
         mend = "add --resume to do what is missing, or name another with -o" if there else ""
         raise BadInput(str(folder), "is not empty", mend or "name another folder with -o")
-
-
-@contextmanager
-def _nothing_begun_left(folder: Path, *, resume: bool) -> Iterator[None]:
-    """Leave nothing behind of a new fleet that ends in bad input before any unit was begun."""
-    try:
-        yield
-    except BadInput:
-        if not resume and not (folder / UNITS).exists():
-            for name in (PLAN, LOCK):
-                (folder / name).unlink(missing_ok=True)
-            with suppress(OSError):
-                folder.rmdir()
-        raise
-
-
-def _write(folder: Path, plan: Plan, records: Mapping[str, Record], found: FleetPopulation) -> None:
-    """Write what the units are together: tables, figures, the page."""
-    from bayesfric.fleet.page import draw, fleet_page
-
-    figures = draw(folder, found)
-    texts = found.texts() | {"fleet.html": fleet_page(folder, plan.units, records, found, figures)}
-    write_beside({folder / name: text for name, text in texts.items()}, replace=True)
 
 
 def _text(plan: Plan) -> str:
@@ -260,10 +235,14 @@ class _Course:
             except BadInput as error:
                 self.results.records[unit.name] = failure(str(error))
                 continue
-            place = str(self.plan.template.path)
-            where = str(folder / unit.name)
             tasks.append(
-                {"name": unit.name, "text": text, "place": place, "folder": where, "draws": draws}
+                {
+                    "name": unit.name,
+                    "text": text,
+                    "place": str(self.plan.template.path),
+                    "folder": str(folder / unit.name),
+                    "draws": draws,
+                }
             )
         return tasks
 
@@ -290,21 +269,28 @@ class _Course:
         return words
 
     def end(self, folder: Path, began: float) -> FleetRun:
-        """Sum it up, and say what the units are together."""
+        """Sum it up, and write what the units are together: tables, figures, the page."""
+        from bayesfric.fleet.page import draw, fleet_page
+
         self._tell(Progress("population"))
-        plan = self.plan
-        population = fleet_population(folder / UNITS, plan.units, joint=plan.joint, over=plan.over)
-        records = {u.name: self.results.records[u.name] for u in self.plan.units}
-        failed = {name: r["error"] for name, r in records.items() if r["status"] == FAILED}
-        status: dict[str, int] = {}
-        for record in records.values():
-            status[record["status"]] = status.get(record["status"], 0) + 1
-        gone = {name: why for name, why in failed.items() if name not in self.left}
-        seconds = time.monotonic() - began
-        cpu_seconds = self._cpu_seconds + time.process_time()
+        self.results.write()
+        plan, records = self.plan, self.results.records
+        found = fleet_population(folder / UNITS, plan.units, joint=plan.joint, over=plan.over)
+        page = fleet_page(folder, plan.units, records, found, draw(folder, found))
+        texts = found.texts() | {"fleet.html": page}
+        write_beside({folder / name: text for name, text in texts.items()}, replace=True)
+        ordered = [(unit.name, records[unit.name]) for unit in plan.units]
+        failed = {name: r["error"] for name, r in ordered if r["status"] == FAILED}
         return FleetRun(
-            *(folder, len(records), self.again, gone, self.left, status),
-            *(seconds, cpu_seconds, population),
+            folder=folder,
+            units=len(ordered),
+            again=self.again,
+            failed={name: why for name, why in failed.items() if name not in self.left},
+            left=self.left,
+            status=dict(Counter(record["status"] for _, record in ordered)),
+            seconds=time.monotonic() - began,
+            cpu_seconds=self._cpu_seconds + time.process_time(),
+            population=found,
         )
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import bayesfric
-from bayesfric.fleet.figures import FIGURES, shown
+from bayesfric.fleet.figures import fleet_figures, shown
 from bayesfric.fleet.population import OUTLIER, FleetPopulation, sure
 from bayesfric.fleet.results import COLUMNS, FAILED, Record
 from bayesfric.fleet.units import Unit
@@ -36,15 +36,11 @@ def draw(folder: Path, found: FleetPopulation) -> list[PageFigure]:
     """Write the figures into ``figures/``, and give them for the page."""
     (folder / "figures").mkdir(exist_ok=True)
     made = []
-    for one in FIGURES:
-        if (figure := one.draw(found)) is None:
-            continue
-        save(figure, folder / "figures", one.stem)
-        text = (folder / "figures" / f"{one.stem}.svg").read_text(encoding="utf-8")
-        words = f"{one.title}. {one.alternative(found)}"
-        made.append(
-            PageFigure(one.stem, one.title, one.caption, inline_svg(text, f"{one.stem}-", words))
-        )
+    for figure, stem, title, caption, words in fleet_figures(found):
+        save(figure, folder / "figures", stem)
+        text = (folder / "figures" / f"{stem}.svg").read_text(encoding="utf-8")
+        svg = inline_svg(text, f"{stem}-", f"{title}. {words}")
+        made.append(PageFigure(stem, title, caption, svg))
     return made
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
@@ -17,7 +17,6 @@ from bayesfric.errors import BadInput, Unfit, nearest
 from bayesfric.fleet.results import COLUMNS
 from bayesfric.fleet.units import PLACEHOLDER, Unit, find_units, places_of, put_in, read_units
 from bayesfric.recordings.tables.reader import Options
-from bayesfric.recordings.units import in_unit
 
 
 class UnitsOptions(Options):
@@ -75,43 +74,12 @@ class ClusterOptions(Options):
         description="processes on this machine; as many as cores if left out",
     )
     memory_limit: str = Field("4 GiB", description="of a worker, which is started anew beyond it")
-    slurm: int | None = Field(
-        None,
-        ge=1,
-        le=10_000,
-        description="jobs of one core to ask SLURM for; queue, account and time as dask-jobqueue "
-        "is configured",
-        examples=[20],
-    )
     scheduler: str | None = Field(
         None,
         examples=["tls://host:8786"],
-        description="address of a running Dask scheduler, such as tls://host:8786",
+        description="address of a running Dask scheduler; certificates are those of Dask's own "
+        "configuration",
     )
-    ca: str | None = Field(
-        None,
-        examples=["ca.pem"],
-        description="PEM file: who signed the cluster's certificates",
-    )
-    certificate: str | None = Field(
-        None, examples=["client.pem"], description="PEM file: this client's certificate"
-    )
-    key: str | None = Field(None, examples=["client-key.pem"], description="PEM file: its key")
-    patience: float = Field(
-        300.0,
-        ge=0,
-        le=1e6,
-        description="s to wait for a scheduler that is gone to come back",
-        json_schema_extra=in_unit("s"),
-    )
-
-    @model_validator(mode="after")
-    def _all_of_tls(self) -> Self:
-        if len({one is None for one in (self.ca, self.certificate, self.key)}) > 1:
-            raise Unfit("'ca', 'certificate' and 'key' together", "got one of them")
-        if self.slurm is not None and self.scheduler is not None:
-            raise Unfit("'slurm' or 'scheduler'", "got both")
-        return self
 
 
 class FleetTables(Options):
@@ -141,33 +109,33 @@ class Template:
         BadInput
             Naming the key, if a placeholder has no column, or an empty cell.
         """
-        return document_text(self._filled(self.document, unit, ""))
 
-    def placeholders(self) -> Iterator[tuple[str, str]]:
+        def put(place: str, text: str) -> Any:
+            filled = put_in(text, unit.text, f"{self.path}: {place}", f"unit {unit.name!r}")
+            alone = PLACEHOLDER.fullmatch(text)
+            return unit.values[alone[1]] if alone and alone[1] is not None else filled
+
+        return document_text(_mapped(self.document, put))
+
+    def placeholders(self) -> list[tuple[str, str]]:
         """Name every placeholder, with the key it stands in."""
-        waiting: list[tuple[str, Any]] = [("", self.document)]
-        while waiting:
-            place, value = waiting.pop()
-            inner = place and f"{place}."
-            if isinstance(value, Mapping):
-                waiting += [(f"{inner}{key}", x) for key, x in value.items()]
-            elif isinstance(value, list):
-                waiting += [(f"{inner}{k}", x) for k, x in enumerate(value, start=1)]
-            elif isinstance(value, str):
-                yield from ((place, m[1]) for m in PLACEHOLDER.finditer(value) if m[1] is not None)
+        found: list[tuple[str, str]] = []
 
-    def _filled(self, value: Any, unit: Unit, place: str) -> Any:
-        if isinstance(value, Mapping):
-            inner = place and f"{place}."
-            return {key: self._filled(x, unit, f"{inner}{key}") for key, x in value.items()}
-        if isinstance(value, list):
-            return [self._filled(x, unit, f"{place}.{k}") for k, x in enumerate(value, start=1)]
-        if not isinstance(value, str):
-            return value
-        where = f"{self.path}: {place}"
-        text = put_in(value, unit.text, where, f"unit {unit.name!r}")
-        alone = PLACEHOLDER.fullmatch(value)
-        return unit.values[alone[1]] if alone and alone[1] is not None else text
+        def put(place: str, text: str) -> None:
+            found.extend((place, m[1]) for m in PLACEHOLDER.finditer(text) if m[1] is not None)
+
+        _mapped(self.document, put)
+        return found
+
+
+def _mapped(value: Any, put: Callable[[str, str], Any], place: str = "") -> Any:
+    """Put something in place of every text, by its key and the text."""
+    inner = place and f"{place}."
+    if isinstance(value, Mapping):
+        return {key: _mapped(x, put, f"{inner}{key}") for key, x in value.items()}
+    if isinstance(value, list):
+        return [_mapped(x, put, f"{inner}{k}") for k, x in enumerate(value, start=1)]
+    return put(place, value) if isinstance(value, str) else value
 
 
 @dataclass(frozen=True)

@@ -111,12 +111,9 @@ class FleetPopulation:
             told = one.as_json(self.per)
             line = {key: told[key] for key in ("name", "unit", "units", "level")}
             for key in ("mean", "spread", "between_joints", "within_joints", "trend"):
-                ends = told[key] or dict.fromkeys(("median", "low", "high"))
-                line |= {
-                    key: ends["median"],
-                    f"{key}_low": ends["low"],
-                    f"{key}_high": ends["high"],
-                }
+                for end in ("median", "low", "high"):
+                    column = key if end == "median" else f"{key}_{end}"
+                    line[column] = told[key] and told[key][end]
             lines.append(line | {"outliers": len(told["outlying"])})
         columns = list(lines[0]) if lines else ["name"]
         return str(pd.DataFrame(lines, columns=columns).to_csv(index=False))

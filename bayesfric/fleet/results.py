@@ -118,13 +118,9 @@ class Results:
         import pyarrow as pa
 
         own = [name for name in self._units[0].values if name not in COLUMNS]
-        kinds = {name: self._kind(name) for name in own}
-        schema = pa.schema([(n, pa.type_for_alias(k)) for n, k in (COLUMNS | kinds).items()])
-        columns: dict[str, list[Any]] = {name: [] for name in (*COLUMNS, *own)}
-        for row in self._rows():
-            for name, cells in columns.items():
-                cells.append(row.get(name))
-        return pa.table(columns, schema=schema)
+        kinds = COLUMNS | {name: self._kind(name) for name in own}
+        schema = pa.schema([(name, pa.type_for_alias(kind)) for name, kind in kinds.items()])
+        return pa.Table.from_pylist(list(self._rows()), schema=schema)
 
     def _kind(self, column: str) -> str:
         kinds = {type(unit.values[column]) for unit in self._units} - {type(None)}

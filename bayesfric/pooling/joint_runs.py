@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from bayesfric.inference.coordinates import BoundedCoordinates
 from bayesfric.inference.posterior import Posterior
-from bayesfric.inference.prior.priors import Prior, read_prior
-from bayesfric.inference.sampling.sampling import Sampling, sample
+from bayesfric.inference.prior.priors import read_prior
 from bayesfric.inference.sampling.start import Start
 from bayesfric.inference.target import LogPosterior, Target
 from bayesfric.pooling.population import Varying, interval
@@ -30,8 +29,8 @@ Array = NDArray[np.float64]
 # Draws of runs that starts are made from; and share of the overall scatter that a spread is near
 # at least.
 _DRAWS, _NEAR = 2000, 0.3
-# Stream of the seed that they are drawn from.
-_STARTS = 15
+# Stream of the seed that they are drawn from; and what no spread comes near.
+_STARTS, _WIDEST = 15, 1e300
 
 
 class JointTarget(LogPosterior):
@@ -61,59 +60,33 @@ class JointTarget(LogPosterior):
     ) -> None:
         first = targets[0]
         self.targets = list(targets)
-        free = first.free
-        shared = [name for name in free if name not in varying]
+        shared = [name for name in first.free if name not in varying]
         priors = dict(zip(first.names, first.priors, strict=True))
-        own = [*varying, *first.noise.names]
-        self.names = (
-            *shared,
-            *(f"{name}.{run}" for run in recordings for name in own),
-            *(f"{name}.spread" for name in varying),
-        )
-        self.priors: tuple[Prior, ...] = (
-            *(priors[name] for name in shared),
-            *(priors[name] for _ in recordings for name in own),
-            # shown nowhere: the density has a prior of its own
-            *(
-                read_prior(
-                    name,
-                    {"distribution": "uniform", "loc": 0.0, "scale": 1e300},
-                    lower=0.0,
-                    upper=np.inf,
-                )
-                for name in varying
-            ),
-        )
+        # shown nowhere: the density has a prior of its own
+        flat = {"distribution": "uniform", "loc": 0.0, "scale": _WIDEST}
+        told = {name: priors[name] for name in shared}
+        for run in recordings:
+            told |= {f"{name}.{run}": priors[name] for name in (*varying, *first.noise.names)}
+        for name in varying:
+            told[f"{name}.spread"] = read_prior(name, flat, lower=0.0, upper=np.inf)
+        self.names, self.priors = tuple(told), tuple(told.values())
         self.dimension = len(self.names)
+        at = {name: j for j, name in enumerate(self.names)}
         self._places = [
-            np.array(
-                [
-                    shared.index(n) if n in shared else len(shared) + r * len(own) + own.index(n)
-                    for n in first.names
-                ]
-            )
-            for r in range(len(targets))
+            np.array([at[n] if n in shared else at[f"{n}.{run}"] for n in first.names])
+            for run in recordings
         ]
-        self._own = np.array(
-            [
-                [len(shared) + r * len(own) + k for r in range(len(targets))]
-                for k in range(len(varying))
-            ]
-        )  # (varying, R)
-        self._spreads = np.arange(self.dimension - len(varying), self.dimension)
+        self._own = np.array([[at[f"{n}.{run}"] for run in recordings] for n in varying])  # (., R)
+        self._spreads = np.array([at[f"{name}.spread"] for name in varying])
         # priors that count: the population is that of what varies
-        self._counted = [
-            (j, prior)
-            for j, prior in enumerate(self.priors)
-            if j not in self._spreads and j not in self._own
-        ]
-        at = [[first.names.index(name) for name in varying] for _ in targets]
-        sds = np.array([p.flat()[:, k].std(axis=0) for p, k in zip(posteriors, at, strict=True)])
-        self._sds = sds.T  # (varying, R)
+        apart = {*self._spreads.tolist(), *self._own.ravel().tolist()}
+        self._counted = [(j, prior) for j, prior in enumerate(self.priors) if j not in apart]
+        own = [first.names.index(name) for name in varying]
+        self._sds = np.array([p.flat()[:, own].std(axis=0) for p in posteriors]).T  # (varying, R)
         draws = self._begin(posteriors, np.random.default_rng([seed, _STARTS]))
         self.coordinates = BoundedCoordinates(
             [p.lower for p in self.priors],
-            [p.upper if np.isfinite(p.upper) and p.upper < 1e299 else np.inf for p in self.priors],
+            [p.upper if p.upper < _WIDEST else np.inf for p in self.priors],
             draws.std(axis=0),
         )
         self.likelihood = SimpleNamespace(
@@ -179,11 +152,6 @@ class JointTarget(LogPosterior):
         for target, places in zip(self.targets, self._places, strict=True):
             found += target.log_likelihood(parameters[:, places])
         return found
-
-
-def sample_jointly(target: JointTarget, settings: Sampling) -> Posterior:
-    """Sample the joint posterior; its names are ``motor.viscous.<recording>`` and the like."""
-    return sample(target, target.start, settings)  # type: ignore[arg-type]
 
 
 def varying_parts(

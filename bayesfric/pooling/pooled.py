@@ -15,12 +15,8 @@ import numpy as np
 from bayesfric.errors import BadInput, nearest
 from bayesfric.inference.fitting import fit, make_target
 from bayesfric.inference.posterior import Posterior, Status
-from bayesfric.inference.sampling.sampling import Progress, Sampling
-from bayesfric.pooling.joint_runs import (
-    JointTarget,
-    sample_jointly,
-    varying_parts,
-)
+from bayesfric.inference.sampling.sampling import Progress, Sampling, sample
+from bayesfric.pooling.joint_runs import JointTarget, varying_parts
 from bayesfric.pooling.population import (
     Interval,
     Population,
@@ -113,7 +109,8 @@ def pooled(model: Model, seed: int | None, progress: Callable[[Progress], None])
         alone.append(found.posterior)
     names = [o.name for o in model.observations]
     progress(Progress("all recordings together"))
-    posterior = sample_jointly(JointTarget(targets, names, vary, alone, settings.seed), settings)
+    together = JointTarget(targets, names, vary, alone, settings.seed)
+    posterior = sample(together, together.start, settings)  # type: ignore[arg-type]
     units = {p.name: p.unit for p in model.chain.parameters}
     jointly = varying_parts(posterior, names, vary, LEVEL)
     flat = posterior.flat()

@@ -15,6 +15,9 @@ Array = NDArray[np.float64]
 # What drives a recording, and what it was to the run.
 Input = Literal["torque", "voltage", "target"]
 Part = Literal["fitted", "held out", "new"]
+# What is compared, and what its unit is per.
+Which = Literal["at_position", "at_speed"]
+WHICH: dict[Which, str] = {"at_position": "", "at_speed": "/s"}
 
 LEVEL = 0.9
 # Share of the time in which bands may be as wide as anything that moves, before they tell nothing.
@@ -87,18 +90,14 @@ class RollOut:
     level: float = LEVEL
 
     @property
-    def pooled(self) -> dict[Literal["at_position", "at_speed"], Error]:
+    def pooled(self) -> dict[Which, Error]:
         """Means over the recordings; root mean squares of what is a root mean square."""
-        found: dict[Literal["at_position", "at_speed"], Error] = {}
-        for which in ("at_position", "at_speed"):
-            rows = [getattr(one, which) for one in self.rolled]
-            found[which] = Error(
-                float(np.mean([r.mae for r in rows])),
-                float(np.sqrt(np.mean([r.rmse**2 for r in rows]))),
-                float(np.mean([r.inside for r in rows])),
-                float(np.mean([r.inside_alone for r in rows])),
-                float(np.mean([r.width for r in rows])),
-            )
+        found: dict[Which, Error] = {}
+        for which in WHICH:
+            rows = [vars(getattr(one, which)) for one in self.rolled]
+            mean = {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
+            mean["rmse"] = float(np.sqrt(np.mean([row["rmse"] ** 2 for row in rows])))
+            found[which] = Error(**mean)
         return found
 
     @property
@@ -107,9 +106,7 @@ class RollOut:
         import pandas as pd
 
         rows = {}
-        quantities: tuple[tuple[Literal["at_position", "at_speed"], str], ...]
-        quantities = (("at_position", ""), ("at_speed", "/s"))
-        for which, per in quantities:
+        for which, per in WHICH.items():
             quantity = which.removeprefix("at_")
             named = [(one.name, getattr(one, which)) for one in self.rolled]
             for name, error in [*named, ("all together", self.pooled[which])]:

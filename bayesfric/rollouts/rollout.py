@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -55,11 +55,12 @@ def rollout(
         From :meth:`bayesfric.Model.sample`, or the folder of a finished run.
     recordings
         Others than the run's: recordings, or a configuration that names them. If left out, what
-        the run held out, or else what it fitted.
+        the run held out, or else what it fitted. Each begins in its own measured state, and anew
+        behind gaps and excluded spans.
     every
         What was fitted, too, where some was held out.
     draws
-        Of the posterior.
+        Of the posterior, each with its own unexplained torque.
     seed
         Of the torques that stand for what the model leaves unexplained; that of the run if left
         out.
@@ -74,7 +75,7 @@ def rollout(
     Raises
     ------
     BadInput
-        If there is no such run, or a recording cannot be played.
+        If there is no such run, a recording has no stretch to play, or no draw has a motion.
     """
     run = finished(posterior)
     if recordings is None:
@@ -82,61 +83,23 @@ def rollout(
     elif isinstance(recordings, str | Path):
         recorded = of_config(run, Path(recordings))
     else:
-        recorded = of_recordings(
-            run, [recordings] if isinstance(recordings, Recording) else recordings
-        )
+        given = [recordings] if isinstance(recordings, Recording) else recordings
+        recorded = of_recordings(run, given)
     seed = run.model.config.tables.sampling.seed if seed is None else seed
-    return roll_out(run, recorded, draws=draws, seed=seed, progress=progress)
-
-
-def roll_out(
-    posterior: Finished,
-    recorded: Sequence[Recorded],
-    *,
-    draws: int = 100,
-    seed: int = 0,
-    progress: Callable[[Progress], None] = lambda _: None,
-) -> RollOut:
-    """Play recordings' inputs to draws of a posterior.
-
-    Parameters
-    ----------
-    posterior
-        A finished run.
-    recorded
-        What to play; each begins in its own measured state, and anew behind gaps and excluded
-        spans.
-    draws
-        Of the posterior, each with its own unexplained torque.
-    seed
-        Of the choice of these torques.
-    progress
-        Called before each recording.
-
-    Raises
-    ------
-    BadInput
-        If a recording has no stretch to play, or no draw has a motion.
-    """
-    series = unexplained(posterior)
+    series = unexplained(run)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(13,)))
-    picked = posterior.values(posterior.picked(draws))
-    few = posterior.values(posterior.picked(min(_FEW, draws)))
-    known = [
-        Recorded(m, o, "fitted")
-        for m, o in zip(posterior.model.recordings, posterior.model.observations, strict=True)
-    ]
-    spread = known[:: -(-len(known) // _CALIBRATED)]
+    picked = run.values(run.picked(draws))
+    few = run.values(run.picked(min(_FEW, draws)))
+    known = own(run, every=True)[len(run.model.held_out) :]
     factors = {}
-    for one in spread:
+    for one in known[:: -(-len(known) // _CALIBRATED)]:
         m = one.measurement
         progress(Progress(f"unexplained torque: {m.name}"))
-        alone = _play(posterior, one, few, None, rng)
-        moved = _play(
-            posterior, one, few, played(series, len(few), m.time.size, m.period, rng), rng
-        )
+        alone = _play(run, one, few, None, rng)
+        push = played(series, len(few), m.time.size, m.period, rng)
+        moved = _play(run, one, few, push, rng)
         rounding = _ROUNDED * one.observation.position_step
-        stays = ~_over(posterior.joint, m.position, alone[0], moved[0])
+        stays = ~_over(run.joint, m.position, alone[0], moved[0])
         factors[m.name] = moving_share(m.position, alone[0][stays], moved[0][stays], rounding)
     # each as often as the others
     each = rng.permutation(np.resize(list(factors.values()), len(picked)))
@@ -144,14 +107,14 @@ def roll_out(
     for one in recorded:
         m = one.measurement
         progress(Progress(f"roll-out: {m.name}"))
-        alone = _play(posterior, one, picked, None, rng)
+        alone = _play(run, one, picked, None, rng)
         push = each[:, None] * played(series, len(picked), m.time.size, m.period, rng)
-        moved = _play(posterior, one, picked, push, rng)
-        found.append(_rolled(posterior, one, alone, moved))
+        moved = _play(run, one, picked, push, rng)
+        found.append(_rolled(run, one, alone, moved))
     left = np.concatenate([one.values for one in series])
-    unit = "N m" if posterior.joint.motor_motion == "rotary" else "N"
+    unit = "N m" if run.joint.motor_motion == "rotary" else "N"
     rms = float(np.sqrt(np.mean(left**2)))
-    return RollOut(posterior.name, tuple(found), len(picked), seed, factors, rms, unit)
+    return RollOut(run.name, tuple(found), len(picked), seed, factors, rms, unit)
 
 
 def _segments(one: Recorded) -> NDArray[np.int64]:
@@ -186,13 +149,12 @@ def _play(
     start = segments[:, 0]
     q, qd = np.full((2, len(values), m.time.size), np.nan)
     # what each recording has of its own, a new one borrows from any
-    own = chain.own_offsets
-    like = np.zeros(len(values), dtype=np.int64)
-    if own and m.name not in own:
-        like = rng.integers(len(own), size=len(values))
-    for k in np.unique(like):
+    offsets = chain.own_offsets
+    borrows = bool(offsets) and m.name not in offsets
+    like = rng.integers(len(offsets), size=len(values)) if borrows else np.zeros(len(values))
+    for k in np.unique(like).astype(int):
         rows = like == k
-        inputs = replace(o.inputs, recording=own[k]) if own and m.name not in own else o.inputs
+        inputs = replace(o.inputs, recording=offsets[k]) if borrows else o.inputs
         q[rows], qd[rows] = follow(
             chain,
             values[rows],
@@ -262,10 +224,9 @@ def _weighed(joint: Joint) -> bool:
 def _rolled(
     posterior: Finished, one: Recorded, alone: tuple[Array, Array], moved: tuple[Array, Array]
 ) -> Rolled:
-    m, o = one.measurement, one.observation
-    segments = _segments(one)
+    m, o, chain = one.measurement, one.observation, posterior.joint
     used = np.zeros(m.time.size, dtype=np.bool_)
-    for a, b in segments:
+    for a, b in _segments(one):
         used[a:b] = True
     lost = ~np.isfinite(moved[0][:, used]).all(axis=1) | ~np.isfinite(alone[0][:, used]).all(axis=1)
     if lost.all():
@@ -274,72 +235,63 @@ def _rolled(
             "no draw of the posterior moves under its input without running away",
             "exclude what pushes the joint from outside, or record in a closed loop",
         )
-    step = _ROUNDED * o.position_step
-    over = _over(posterior.joint, m.position, alone[0], moved[0]) & ~lost
+    over = _over(chain, m.position, alone[0], moved[0]) & ~lost
     share = float(over.sum() / (~lost).sum())
     kept = ~lost & ~over if share <= MOST_OVER else ~lost
-    q_band, q_alone, q_middle = _bands(moved[0][kept], alone[0][kept], used, step)
-    v_band, v_alone, v_middle = _bands(moved[1][kept], alone[1][kept], used, 0.0)
     speed = m.velocity if m.velocity is not None else o.qd
-    law = m.law
+    # the encoder's step is wider than the band where the joint hardly moves
+    step = _ROUNDED * o.position_step
+    band, q_alone, middle, at_position = _compared(
+        m.position, moved[0][kept], alone[0][kept], used, step
+    )
+    *_, at_speed = _compared(speed, moved[1][kept], alone[1][kept], used, 0.0)
     kind: Input = "torque"
-    if law is not None and law.follows:
-        kind = "target" if law.closed else "voltage"
-    chain, room = posterior.joint, float(np.ptp(m.position[used]))
-    turns = chain.load.motion == "rotary"
+    if m.law is not None and m.law.follows:
+        kind = "target" if m.law.closed else "voltage"
+    room = float(np.ptp(m.position[used]))
     if _weighed(chain):
         room = min(room, np.pi)
     return Rolled(
         name=m.name,
         part=one.part,
         input=kind,
-        unit="rad" if turns else "m",
+        unit="rad" if chain.load.motion == "rotary" else "m",
         time=m.time,
         position=m.position,
         speed=speed,
-        middle=q_middle,
-        band=q_band,
+        middle=middle,
+        band=band,
         alone=q_alone,
-        at_position=_error(m.position, q_middle, q_band, q_alone, used),
-        at_speed=_error(speed, v_middle, v_band, v_alone, used),
+        at_position=at_position,
+        at_speed=at_speed,
         runaway=float(lost.mean()),
         room=room,
-        blind=float(np.mean((q_band[1] - q_band[0])[used] > room)),
+        blind=float(np.mean((band[1] - band[0])[used] > room)),
         over=share,
     )
 
 
-def _bands(
-    moved: Array, alone: Array, used: NDArray[np.bool_], step: float
-) -> tuple[tuple[Array, Array], tuple[Array, Array], Array]:
-    """Bands with unexplained torque and of the parameters alone, and the middle of these."""
-    ends = [0.5 - LEVEL / 2.0, 0.5 + LEVEL / 2.0]
-
-    def of(values: Array, quantiles: list[float]) -> Iterator[Array]:
-        for row in np.quantile(values[:, used], quantiles, axis=0):
-            out = np.full(used.size, np.nan)
-            out[used] = row
-            yield out
-
-    (middle,) = of(alone, [0.5])
-    # the encoder's step is wider than the band where the joint hardly moves
-    low, high = of(moved, ends)
-    first, last = of(alone, ends)
-    return (low - step, high + step), (first - step, last + step), middle
+_Band = tuple[Array, Array]
 
 
-def _error(
-    measured: Array,
-    middle: Array,
-    band: tuple[Array, Array],
-    alone: tuple[Array, Array],
-    used: NDArray[np.bool_],
-) -> Error:
+def _compared(
+    measured: Array, moved: Array, alone: Array, used: NDArray[np.bool_], step: float
+) -> tuple[_Band, _Band, Array, Error]:
+    """Bands with unexplained torque and of the parameters alone, their middle, and its error."""
+
+    def quantile(values: Array, share: float) -> Array:
+        out = np.full(used.size, np.nan)
+        out[used] = np.quantile(values[:, used], share, axis=0)
+        return out
+
+    low, high = 0.5 - LEVEL / 2.0, 0.5 + LEVEL / 2.0
+    band, narrow = ((quantile(x, low) - step, quantile(x, high) + step) for x in (moved, alone))
+    middle = quantile(alone, 0.5)
     left = (measured - middle)[used]
-
-    def inside(ends: tuple[Array, Array]) -> float:
-        return float(np.mean((measured >= ends[0])[used] & (measured <= ends[1])[used]))
-
-    rms = float(np.sqrt(np.mean(left**2)))
-    width = float(np.median((band[1] - band[0])[used]))
-    return Error(float(np.mean(np.abs(left))), rms, inside(band), inside(alone), width)
+    inside, inside_alone = (
+        float(np.mean((measured >= ends[0])[used] & (measured <= ends[1])[used]))
+        for ends in (band, narrow)
+    )
+    rms, width = np.sqrt(np.mean(left**2)), np.median((band[1] - band[0])[used])
+    error = Error(float(np.mean(np.abs(left))), float(rms), inside, inside_alone, float(width))
+    return band, narrow, middle, error

@@ -95,7 +95,6 @@ def test_keys_are_told_with_type_default_unit_and_meaning():
     assert rows["[mechanism.load]", "gravity"].default == "9.80665"
     assert rows["[[advice.masses]]", "mass"].unit == "kg"
     assert rows["[references.NAME]", "source"].type == "text"
-    assert rows["[cluster]", "patience"].unit == "s"
 
 
 def models_in(annotation):

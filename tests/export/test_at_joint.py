@@ -212,8 +212,8 @@ def test_static_friction_is_what_the_stribeck_rise_ends_at():
 @pytest.mark.parametrize("name", ["urdf", "drake", "mujoco"])
 def test_what_is_folded_keeps_the_torque_of_a_joint_alone(name):
     numbers = at_joint(*_knee(), wave())
-    form = formats()[name]
-    kept = carried(numbers, form.carries(Options()), form.supplied, wave(), "rotary")
+    carries = formats()[name].names(Options()).values()
+    kept = carried(numbers, carries, wave(), _knee()[0])
     whole = numbers.values["armature"] + numbers.values["link_inertia"]
     np.testing.assert_allclose(kept.values["armature"] + kept.values["link_inertia"], whole)
 
@@ -276,9 +276,9 @@ def test_an_interval_of_what_the_data_leave_open_says_so():
     done = made(joint, values, 0.6, verdicts={"motor.inertia": "prior"})
     exported = bf.export(done, "mujoco")
     row = next(x for x in exported.record["numbers"] if x["attribute"] == "joint armature")
-    assert row["not_from_data"] == {"motor.inertia": "prior"}
-    assert "NOT from the data alone: motor.inertia (prior)" in exported.text()
-    assert "motor.inertia (prior)" in exported.main
+    assert row["not_identified"] == {"motor.inertia": "unidentified"}
+    assert "NOT identified: motor.inertia (unidentified)" in exported.text()
+    assert "motor.inertia (unidentified)" in exported.main
 
 
 @pytest.mark.parametrize("form", ["mujoco", "c"])
@@ -289,12 +289,10 @@ def test_what_is_doubted_is_called_doubtful_and_not_the_priors(form):
     summary = done.summary.with_rows({"motor.inertia": doubted})
     exported = bf.export(replace(done, summary=summary), form)
     rows = [x for x in exported.record["numbers"] if "motor.inertia" in x["made_from"]]
-    assert [(x["doubtful"], x["not_from_data"]) for x in rows] == [(["motor.inertia"], {})]
-    assert "DOUBTFUL, see what the run warns of: motor.inertia" in exported.text()
-    assert "weak" not in exported.text()
-    told = [x for x in exported.files.values() if "doubtful, see what the run warns" in x]
-    assert told
-    assert not any("(weak)" in x for x in exported.files.values())
+    assert [x["not_identified"] for x in rows] == [{"motor.inertia": "doubtful"}]
+    assert "NOT identified: motor.inertia (doubtful)" in exported.text()
+    assert [x for x in exported.files.values() if "motor.inertia (doubtful)" in x]
+    assert not any(word in exported.text() for word in ("(prior)", "(unidentified)"))
 
 
 @pytest.mark.parametrize(
@@ -378,7 +376,7 @@ def test_the_gain_has_the_units_of_motor_and_joint(motor, joint, unit):
         elements=(Element("motor", motion=motor, viscous=True),),
         load=Load(motion=joint, inertia=True),
     )
-    assert NUMBERS["gain"].unit_of(made) == unit
+    assert NUMBERS["gain"].unit(made) == unit
 
 
 def test_the_torque_beside_an_error_is_the_unfiltered_one_and_is_said_to_be():

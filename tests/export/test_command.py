@@ -67,19 +67,26 @@ def test_python_returns_what_the_command_prints(bench):
     assert ended.out.startswith(found.text())
 
 
-def test_the_numbers_are_the_tables_medians_and_say_what_is_to_be_cited(bench):
+def test_the_numbers_are_those_that_the_run_reports(bench):
     """The draws that intervals are of are fewer, and have other medians."""
     record = json.loads((bench.folder / "c-run" / "summary.json").read_text())
     row = record["parameters"]["motor.inertia"]
-    found = bf.export("c-run", "mujoco").as_json()
-    rows = {one["attribute"]: one["value"] for one in found["numbers"]}
-    assert rows["joint armature"] == pytest.approx(row["median"], rel=1e-9)
-    assert not any("corrected" in note for note in found["notes"])
-    # the same run, had its self-check found a bias of an sd
-    row["reported"]["how"]["bias"] = -1.0
+
+    def armature():
+        found = bf.export("c-run", "mujoco").as_json()
+        assert found["central"] == "reported"
+        return next(x for x in found["numbers"] if x["attribute"] == "joint armature")
+
+    before = armature()
+    assert before["value"] == pytest.approx(row["reported"]["value"], rel=1e-9)
+    # the same run, had its self-check taken off a bias of 20 sds
+    off = 20.0 * row["sd"]
+    row["reported"]["value"] += off
     (bench.folder / "c-run" / "summary.json").write_text(json.dumps(record))
-    notes = bf.export("c-run", "mujoco").as_json()["notes"]
-    assert any("the bias of filters and encoder in motor.inertia" in note for note in notes)
+    after = armature()
+    assert after["value"] == pytest.approx(row["reported"]["value"], rel=1e-9)
+    moved = np.subtract(after["interval"], before["interval"])
+    assert moved == pytest.approx([off, off], rel=1e-6)
 
 
 def test_a_file_is_written_with_the_others_beside(bench):

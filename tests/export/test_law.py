@@ -103,18 +103,16 @@ def compiled(compiler, files, folder, *more):
     return call
 
 
-def c_files(joint, vector, bits=24):
+def c_files(joint, vector):
     """Write a joint as the format does, of a vector alone."""
-    laws = {x: law(joint, vector, x) for x in ("double", "float", "fixed")}
-    given = {"remarks": [], "name": "j", "laws": laws, "bits": bits, "unit": "N m"}
+    laws = {x: law(joint, vector, x) for x in ("double", "float")}
+    given = {"remarks": [], "name": "j", "laws": laws, "unit": "N m"}
     names = ("feedforward.c", "feedforward.h")
     return {f"j_{name}": filled(f"{name}.j2", position="rad", **given) for name in names}
 
 
-def along(function, q, qd, qdd, scale=None):
-    convert = float if scale is None else lambda x: round(x * scale)
-    rows = zip(q, qd, qdd, strict=True)
-    return np.array([function(*map(convert, row))[0] for row in rows], dtype=float)
+def along(function, q, qd, qdd):
+    return np.array([function(*map(float, row))[0] for row in zip(q, qd, qdd, strict=True)])
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -131,11 +129,6 @@ def test_the_feed_forward_is_the_inverse_model_over_the_recorded_range(name, com
     np.testing.assert_allclose(double, wanted, rtol=1e-6)
     single = along(call("joint_torque_f", ctypes.c_float), *moving)
     np.testing.assert_allclose(single, wanted, atol=1e-6 * largest)
-    bits = int(re.search(r"TORQUE_BITS (\d+)", files["joint_feedforward.h"])[1])
-    fixed = along(call("joint_torque_q", ctypes.c_int32), *moving, scale=2**16) / 2**bits
-    np.testing.assert_allclose(fixed, wanted, atol=3e-5 * largest)
-    # eight times the torque does not saturate
-    assert 8.0 * largest < 2 ** (31 - bits) <= 32.0 * largest
     python = {}
     exec(bf.export(done, "python").main, python)
     again = [python["torque"](*row) for row in zip(*moving, strict=True)]  # NumPy's floats, too
@@ -149,14 +142,12 @@ def test_every_term_is_written_out(case, compiler, tmp_path):
     q, qd, qdd = motion()
     # at room temperature as a recording begins, of a torque that does not change
     wanted = inverse_torque(joint, vector, q, qd, qdd, inputs=AT_ROOM, time=np.zeros(q.size))
-    call = compiled(compiler, c_files(joint, vector, 20), tmp_path)
+    call = compiled(compiler, c_files(joint, vector), tmp_path)
     double = along(call("j_torque", ctypes.c_double), q, qd, qdd)
     np.testing.assert_allclose(double, wanted, rtol=1e-9, atol=1e-12)
     largest = np.abs(wanted).max()
     single = along(call("j_torque_f", ctypes.c_float), q, qd, qdd)
     np.testing.assert_allclose(single, wanted, atol=3e-6 * largest)
-    fixed = along(call("j_torque_q", ctypes.c_int32), q, qd, qdd, scale=2**16) / 2**20
-    np.testing.assert_allclose(fixed, wanted, atol=1e-4 * largest)
 
 
 def test_friction_is_what_losses_add():
@@ -185,12 +176,10 @@ def test_an_offset_is_no_friction(compiler, tmp_path):
     vector = joint.vector(values | {"offset": -3.1, "drive.gain": 2.0})
     files = c_files(joint, vector)
     call = compiled(compiler, files, tmp_path)
-    for suffix, kind, scale in (
-        ("", ctypes.c_double, 1.0), ("_f", ctypes.c_float, 1.0), ("_q", ctypes.c_int32, 2**24),
-    ):  # fmt: skip
+    for suffix, kind in (("", ctypes.c_double), ("_f", ctypes.c_float)):
         rest = kind(0).value
         assert call(f"j_friction{suffix}", kind)(rest, rest, rest)[0] == 0.0
-        torque = call(f"j_torque{suffix}", kind)(rest, rest, rest)[0] / scale
+        torque = call(f"j_torque{suffix}", kind)(rest, rest, rest)[0]
         assert torque == pytest.approx(-1.55, rel=1e-6)
     (told,) = re.findall(r"#define J_OFFSET \((.*)\)", files["j_feedforward.h"])
     assert float(told) == pytest.approx(-1.55)
@@ -229,44 +218,16 @@ def test_nothing_but_numbers_comes_out_whatever_goes_in(compiler, tmp_path):
     assert seen == {0, 1, 2}
 
 
-def test_fixed_point_saturates_and_says_so(compiler, tmp_path):
-    joint = everything()
-    vector = joint.vector(EVERYTHING)
-    call = compiled(compiler, c_files(joint, vector), tmp_path, "-fsanitize=undefined",
-                    "-fno-sanitize-recover=all", "-static-libubsan")  # fmt: skip
-    function = call("j_torque_q", ctypes.c_int32)
-    rng = np.random.default_rng(9)
-    ends = [-(2**31), 2**31 - 1, 0, 1, -1]
-    rows = [[int(ends[k]) for k in rng.integers(len(ends), size=3)] for _ in range(100)]
-    rows += [[int(x) for x in rng.integers(-(2**31), 2**31, size=3)] for _ in range(250)]
-    rows += [[int(x) for x in rng.integers(-(2**19), 2**19, size=3)] for _ in range(250)]
-    states = set()
-    for row in rows:
-        value, status = function(*row)
-        q, qd, qdd = (np.array([x / 2**16]) for x in row)
-        wanted = float(inverse_torque(joint, vector, q, qd, qdd)[0])
-        states.add(status)
-        if status == 2:
-            assert value == 0
-            assert abs(wanted) > 0.99 * 2**7
-        else:
-            assert value / 2**24 == pytest.approx(wanted, rel=1e-4, abs=2e-3)
-    assert states == {0, 2}
-
-
 def test_smoothing_makes_losses_grow_from_rest(compiler, tmp_path):
     joint = everything()
     files = c_files(joint, joint.vector(EVERYTHING))
     sharp = compiled(compiler, files, tmp_path)("j_friction", ctypes.c_double)
     call = compiled(compiler, files, tmp_path, "-DJ_SMOOTH=0.5")
-    smooth, fixed = call("j_friction", ctypes.c_double), call("j_friction_q", ctypes.c_int32)
+    smooth = call("j_friction", ctypes.c_double)
     assert sharp(0.3, 0.0, 0.0)[0] == smooth(0.3, 0.0, 0.0)[0]
     jump = sharp(0.3, 1e-9, 0.0)[0] - sharp(0.3, -1e-9, 0.0)[0]
     step = smooth(0.3, 1e-9, 0.0)[0] - smooth(0.3, -1e-9, 0.0)[0]
     assert abs(step) < 1e-6 * abs(jump)
-    for speed in (0.1, -0.4, 0.6):
-        got = fixed(round(0.3 * 2**16), round(speed * 2**16), 0)[0] / 2**24
-        assert got == pytest.approx(smooth(0.3, speed, 0.0)[0], abs=1e-3)
     assert smooth(0.3, 0.6, 0.0)[0] == sharp(0.3, 0.6, 0.0)[0]
 
 

@@ -1,7 +1,5 @@
-"""Whole fleets on processes: the command, killed workers, a cluster of its own with TLS."""
+"""Whole fleets on processes: the command, killed workers, a cluster of its own."""
 
-import datetime
-import ipaddress
 import json
 import os
 import shutil
@@ -143,170 +141,49 @@ def test_ctrl_c_leaves_a_fleet_to_go_on_with(tmp_path):
     assert {name: later[name] for name in done} == done
 
 
-SBATCH = """#!{python}
-# Stands in for SLURM's: the job script runs as a process of its own on this machine.
-import os, subprocess, sys
-print(open(sys.argv[1]).read(), file=open("jobs", "a"))
-job = subprocess.Popen(["bash", sys.argv[1]], start_new_session=True,
-                       stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-print(f"Submitted batch job {{job.pid}}")
-"""
-SCANCEL = """#!{python}
-import os, signal, sys
-for job in sys.argv[1:]:
-    os.killpg(int(job), signal.SIGTERM)
-"""
-
-
-# dask-jobqueue leaves it to the collector to close and remove its certificates
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.slow
-def test_slurm_jobs_give_the_table_that_local_workers_give(tmp_path, monkeypatch):
-    """The queue is a stand-in; jobs, their scripts, TLS and the fits are real."""
-    pytest.importorskip("dask_jobqueue")
-    import dask
-
-    write_fleet(tmp_path)
-    (tmp_path / "bin").mkdir()
-    for name, text in {"sbatch": SBATCH, "scancel": SCANCEL}.items():
-        (tmp_path / "bin" / name).write_text(text.format(python=sys.executable))
-        (tmp_path / "bin" / name).chmod(0o755)
-    monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}:{os.environ['PATH']}")
-    monkeypatch.chdir(tmp_path)
-    with dask.config.set({"jobqueue.slurm.walltime": "00:20:00"}):  # what a cluster's users have
-        found = made(tmp_path, {"slurm": 2, "patience": 30.0}).run(tmp_path / "out")
-    assert found.left == {}
-    assert found.status == {"reliable": 3, "failed": 2}
-    jobs = (tmp_path / "jobs").read_text()
-    assert jobs.count("#SBATCH -t 00:20:00") == 2
-    assert "tls://" in jobs
-    assert not [one for one in (tmp_path / "out").rglob("*") if "PRIVATE KEY" in text_of(one)]
-    made(tmp_path, {"workers": 1}).run(tmp_path / "local")
-    tables = [(tmp_path / name / "results.parquet").read_bytes() for name in ("out", "local")]
-    assert tables[0] == tables[1]
-
-
-def text_of(path):
-    return path.read_text(errors="replace") if path.is_file() else ""
-
-
 def workers_of(pid):
     """Processes of a local cluster's workers, of those that work."""
     listed = subprocess.run(
-        ["ps", "--ppid", str(pid), "-o", "pid=,args="], capture_output=True, text=True, check=False
+        ["ps", "--ppid", str(pid), "-ww", "-o", "pid=,args="],
+        capture_output=True,
+        text=True,
+        check=False,
     ).stdout
     return [int(line.split()[0]) for line in listed.splitlines() if "spawn_main" in line]
 
 
-def write_certificates(folder):
-    """Write an authority, and a certificate for localhost that it has signed."""
-    from cryptography import x509
-    from cryptography.hazmat.primitives import hashes, serialization
-    from cryptography.hazmat.primitives.asymmetric import ec
-
-    now = datetime.datetime.now(datetime.UTC)
-
-    def named(words):
-        return x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, words)])
-
-    def made(words, key, by, signed_with, authority):
-        names = [x509.DNSName("localhost"), x509.IPAddress(ipaddress.ip_address("127.0.0.1"))]
-        return (
-            x509.CertificateBuilder()
-            .subject_name(named(words))
-            .issuer_name(named(by))
-            .public_key(key.public_key())
-            .serial_number(x509.random_serial_number())
-            .not_valid_before(now - datetime.timedelta(days=1))
-            .not_valid_after(now + datetime.timedelta(days=1))
-            .add_extension(x509.BasicConstraints(ca=authority, path_length=None), critical=True)
-            .add_extension(x509.SubjectAlternativeName(names), critical=False)
-            .sign(signed_with, hashes.SHA256())
-        )
-
-    keys = [ec.generate_private_key(ec.SECP256R1()) for _ in range(2)]
-    pem = serialization.Encoding.PEM
-    private = (pem, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
-    files = {
-        "ca.pem": made("authority", keys[0], "authority", keys[0], True).public_bytes(pem),
-        "cert.pem": made("fleet", keys[1], "authority", keys[0], False).public_bytes(pem),
-        "key.pem": keys[1].private_bytes(*private),
-    }
-    for name, text in files.items():
-        (folder / name).write_bytes(text)
-
-
 @pytest.mark.slow
-def test_a_cluster_of_its_own_speaks_tls_only_and_may_be_restarted(tmp_path):
-    write_fleet(tmp_path, good=4)
-    write_certificates(tmp_path)
-    tls = ["--tls-ca-file", "ca.pem", "--tls-cert", "cert.pem", "--tls-key", "key.pem"]
-    dask = [sys.executable, "-m", "dask"]
+@pytest.mark.parametrize("told", ["address", "cluster"])
+def test_a_cluster_of_its_own_gives_the_table_that_local_workers_give(tmp_path, told):
+    from distributed import LocalCluster
 
-    def begin(*words):
-        return subprocess.Popen(
-            [*dask, *words, *tls],
-            cwd=tmp_path,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
-
-    def scheduler():
-        place = ["--protocol", "tls", "--host", "127.0.0.1", "--port", str(port)]
-        return begin("scheduler", *place, "--no-dashboard")
-
-    def worker():
-        words = ["--nthreads", "1", "--no-dashboard", "--memory-limit", "2GiB"]
-        return begin("worker", address, *words)
-
-    port = free_port()
-    address = f"tls://127.0.0.1:{port}"
-    given = {"scheduler": address, "ca": "ca.pem", "certificate": "cert.pem", "key": "key.pem"}
-    files = {k: str(tmp_path / v) for k, v in given.items() if k != "scheduler"}
-    started = [scheduler(), worker()]
-    try:
-        fleet = made(tmp_path, {**files, "scheduler": address})
-        # without a certificate, and with one of another authority
-        with pytest.raises(BadInput, match="no scheduler answers"):
-            made(tmp_path, {"scheduler": address}).run(tmp_path / "refused")
-        (tmp_path / "other").mkdir()
-        write_certificates(tmp_path / "other")
-        others = {k: str(tmp_path / "other" / given[k]) for k in files}
-        with pytest.raises(BadInput, match="no scheduler answers"):
-            made(tmp_path, {**others, "scheduler": address}).run(tmp_path / "refused-too")
-        assert not (tmp_path / "refused").exists()
-
-        units = []
-
-        def restart(progress):
-            """Kill the scheduler when the first units are there, and start another."""
-            units.append(progress.phase)
-            if len(units) == 2:
-                for one in started:
-                    os.killpg(one.pid, signal.SIGKILL)
-                    one.wait()
-                started[:] = [scheduler(), worker()]
-
-        found = fleet.run(tmp_path / "out", progress=restart)
-        assert found.left == {}
-        assert set(found.failed) == {"broken", "missing"}, found.failed
-        assert found.status == {"reliable": 4, "failed": 2}
-    finally:
-        for one in started:
-            os.killpg(one.pid, signal.SIGKILL)
-            one.wait()
-    # a local cluster gives the same table
-    local = made(tmp_path, {"workers": 1}).run(tmp_path / "local")
+    write_fleet(tmp_path)
+    given = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None}
+    # whoever cannot show its credentials is refused
+    with LocalCluster(**given, security=told == "cluster") as cluster:
+        scheduler = cluster if told == "cluster" else cluster.scheduler_address
+        if told == "cluster":
+            with pytest.raises(BadInput, match="no scheduler answers"):
+                made(tmp_path).run(tmp_path / "refused", scheduler=cluster.scheduler_address)
+        found = made(tmp_path).run(tmp_path / "out", scheduler=scheduler)
+    assert found.left == {}
+    assert found.status == {"reliable": 3, "failed": 2}
+    local = made(tmp_path).run(tmp_path / "local", workers=1)
     assert local.status == found.status
     tables = [(tmp_path / name / "results.parquet").read_bytes() for name in ("out", "local")]
     assert tables[0] == tables[1]
 
 
-def made(folder, cluster):
-    return bf.Fleet(
-        folder / "unit.toml", folder / "units.csv", joint="joint", over="km", cluster=cluster
-    )
+def made(folder):
+    return bf.Fleet(folder / "unit.toml", folder / "units.csv", joint="joint", over="km")
+
+
+def test_a_scheduler_that_does_not_answer_is_said_and_the_fleet_can_go_on(tmp_path):
+    write_fleet(tmp_path, good=1)
+    address = f"tcp://127.0.0.1:{free_port()}"
+    with pytest.raises(BadInput, match=f"{address}: no scheduler answers"):
+        made(tmp_path).run(tmp_path / "out", scheduler=address)
+    assert (tmp_path / "out" / "fleet.toml").exists()
 
 
 def free_port():

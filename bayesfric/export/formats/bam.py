@@ -17,7 +17,6 @@ import numpy as np
 
 from bayesfric.errors import BadInput
 from bayesfric.export.at_joint import (
-    NUMBERS,
     Array,
     Moved,
     at_joint,
@@ -26,8 +25,7 @@ from bayesfric.export.at_joint import (
     torque_along,
     without_load_losses,
 )
-from bayesfric.export.carried import DRIVE, LINK
-from bayesfric.export.format import Attribute, Content, Files, Format, Options
+from bayesfric.export.format import Content, Files, Format
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.joint import Joint
 
@@ -41,8 +39,10 @@ def parameters(chain: Joint, vector: Array, motions: Sequence[Moved]) -> dict[st
     Raises
     ------
     BadInput
-        If several elements have a load loss, of which BAM knows one.
+        If it slides, or several elements have a load loss, of which BAM knows one.
     """
+    if chain.load.motion != "rotary":
+        raise BadInput("--to bam", "knows joints that turn", "export another format")
     elements = chain.tables(vector[None]).elements[0]
     at = {slot: elements[:, k] for k, slot in enumerate(kernels.ELEMENT_SLOTS)}
     lossy = np.flatnonzero((at["load_drive"] != 0.0) | (at["load_back"] != 0.0))
@@ -67,21 +67,20 @@ def parameters(chain: Joint, vector: Array, motions: Sequence[Moved]) -> dict[st
     directional = apart and motor > 0.0 and external > 0.0
     mean = 0.5 * (drive / (2.0 + drive) + back / (2.0 - back))
     grown = float(at["stribeck_load_ratio"][lossy[0]]) if lossy.size else 0.0
+    rising = rises or directional
     if directional:
         found |= {"load_friction_motor": motor, "load_friction_external": external}
         found |= {"load_friction_motor_stribeck": grown * motor}
         found |= {"load_friction_external_stribeck": grown * external}
     elif lossy.size:
         found["load_friction_base"] = mean
-    if rises or directional:
+        found |= {"load_friction_stribeck": grown * mean} if rising else {}
+    if rising:
         reach = chain.reaches[chain.elements[low].name]
         found["friction_stribeck"] = rise
-        if lossy.size and not directional:
-            found["load_friction_stribeck"] = grown * mean
         found["dtheta_stribeck"] = float(at["stribeck_velocity"][low]) / reach
         found["alpha"] = float(at["stribeck_exponent"][low])
-    loaded = 2 * bool(lossy.size)
-    found["model"] = "m5" if directional else f"m{1 + loaded + rises}"
+    found["model"] = "m5" if directional else f"m{1 + 2 * bool(lossy.size) + rises}"
     return found
 
 
@@ -100,34 +99,25 @@ def _torque(chain: Joint, vector: Array, motions: Sequence[Moved]) -> Array:
     external = -(gain * torque_along(plain, there, still)[0] - offset)
     speed = np.concatenate([m.qd for m in motions])
 
-    def value(name: str) -> float:
-        return float(p.get(name, 0.0))
+    def value(name: str) -> Array:
+        return np.full_like(speed, p.get(name, 0.0))
 
-    low: Array = np.zeros_like(speed)
+    low = np.zeros_like(speed)
     if "alpha" in p:
         low = np.exp(-(np.abs(speed / value("dtheta_stribeck")) ** value("alpha")))
-    base = value("friction_base") + low * value("friction_stribeck")
-    base = base + value("friction_viscous") * np.abs(speed)
+
+    def risen(name: str) -> Array:
+        return value(f"{name}_base") + low * value(f"{name}_stribeck")
+
     torque = free
     for _ in range(_ROUNDS):
-        both = (value("load_friction_base") + low * value("load_friction_stribeck")) * np.abs(
-            external - torque
-        )
+        loss = risen("friction") + value("friction_viscous") * np.abs(speed)
+        loss = loss + risen("load_friction") * np.abs(external - torque)
         for extra, weight in (("", 1.0), ("_stribeck", low)):
             motor, outside = (value(f"load_friction_{x}{extra}") for x in ("motor", "external"))
-            both = both + weight * np.abs(external * outside - torque * motor)
-        torque = free + np.sign(speed) * (base + both)
+            loss = loss + weight * np.abs(external * outside - torque * motor)
+        torque = free + np.sign(speed) * loss
     return np.asarray((torque + offset) / gain)
-
-
-def _attributes(_: Options, rotary: bool) -> Sequence[Attribute]:
-    if not rotary:
-        raise BadInput("--to bam", "knows joints that turn", "export another format")
-    return [
-        Attribute("armature", "armature", NUMBERS["armature"].units[0]),
-        Attribute("friction_base", "friction", NUMBERS["friction"].units[0]),
-        Attribute("friction_viscous", "damping", NUMBERS["damping"].units[0]),
-    ]
 
 
 def _write(content: Content) -> Files:
@@ -140,13 +130,18 @@ FORMATS = (
     Format(
         name="bam",
         meaning="BAM",
-        carries=lambda _: frozenset({"armature", "damping", "friction", "static_friction"}),
-        supplied=frozenset((*LINK, *DRIVE)),
-        attributes=_attributes,
+        names=lambda _: {
+            "armature": "armature",
+            "friction_base": "friction",
+            "friction_viscous": "damping",
+        },
         write=_write,
         options=frozenset({"actuator"}),
-        notes=lambda *_: ("joint torque", "bam load", "bam drive"),
+        notes=frozenset({"joint torque", "bam"}),
         torque=_torque,
-        keeps=frozenset({"load loss", "load losses", "stribeck", "stribeck speed"}),
+        keeps=frozenset(
+            ("load", "load_drive", "stribeck_ratio", "stribeck_change", "stribeck_constant",
+             "stribeck_load")
+        ),
     ),
-)
+)  # fmt: skip

@@ -2,31 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from bayesfric.export.at_joint import NUMBERS, Array, Moved, torque_along
 from bayesfric.export.carried import left_out
-from bayesfric.export.format import Attribute, Content, Files, Format, Options, filled
-from bayesfric.export.formats.urdf import plain_name
+from bayesfric.export.format import Content, Files, Format
 from bayesfric.export.law import Language, law
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.quantities import Motion
 
-# How many times larger than recorded a torque may be before its fixed-point form saturates.
-_ROOM = 8.0
-_TOLD = ("armature", "damping", "quadratic", "friction", "link_inertia", "link_moment", "gain")
-
-
-def _notes(_: Options, chain: Joint) -> Sequence[str]:
-    return ["law rest", *["law room"] * any(left_out(p.row) for p in chain.parameters)]
-
-
-def _attributes(_: Options, rotary: bool) -> Sequence[Attribute]:
-    motion: Motion = "rotary" if rotary else "linear"
-    return [Attribute(f"about: {x}", x, NUMBERS[x].unit(motion)) for x in _TOLD]
+_ABOUT = {f"about: {number}": number for number in NUMBERS}
 
 
 def _torque(chain: Joint, vector: Array, motions: Sequence[Moved]) -> Array:
@@ -35,51 +21,36 @@ def _torque(chain: Joint, vector: Array, motions: Sequence[Moved]) -> Array:
     return np.asarray(torque_along(chain, np.where(kept, vector, 0.0)[None], motions)[0])
 
 
-def torque_bits(content: Content) -> int:
-    """Bits behind the point of a torque in fixed point."""
-    largest = _ROOM * max(float(np.abs(content.wrong.whole).max()), 2.0**-20)
-    return max(0, min(30, 31 - math.ceil(math.log2(largest))))
-
-
-def _write_c(content: Content) -> Files:
+def _c(content: Content) -> Files:
     chain, vector = content.found.joint, content.vectors.middle
-    languages: tuple[Language, ...] = ("double", "float", "fixed")
-    name = plain_name(content.options.joint)
+    languages: tuple[Language, ...] = ("double", "float")
     given = {
-        "remarks": content.remarks,
-        "name": name,
+        "name": content.stem,
         "laws": {language: law(chain, vector, language) for language in languages},
-        "bits": torque_bits(content),
         "unit": "N m" if chain.motor_motion == "rotary" else "N",
         "position": "rad" if content.rotary else "m",
     }
-    return {
-        f"{name}_feedforward.c": filled("feedforward.c.j2", **given),
-        f"{name}_feedforward.h": filled("feedforward.h.j2", **given),
-    }
+    names = (f"feedforward.{suffix}" for suffix in ("c", "h"))
+    return {f"{content.stem}_{name}": content.filled(f"{name}.j2", **given) for name in names}
 
 
-def _write_python(content: Content) -> Files:
+def _python(content: Content) -> Files:
     made = law(content.found.joint, content.vectors.middle, "python")
-    name = plain_name(content.options.joint)
-    text = filled("feedforward.py.j2", remarks=content.remarks, name=name, law=made)
-    return {f"{name}_feedforward.py": text}
+    text = content.filled("feedforward.py.j2", law=made)
+    return {f"{content.stem}_feedforward.py": text}
 
 
 FORMATS = tuple(
     Format(
         name=name,
         meaning=meaning,
-        carries=lambda _: frozenset(NUMBERS),
-        supplied=frozenset(),
-        attributes=_attributes,
+        names=lambda _: _ABOUT,
         write=write,
-        notes=_notes,
         whole=True,
         torque=_torque,
     )
     for name, meaning, write in (
-        ("c", "feed-forward in C99", _write_c),
-        ("python", "feed-forward in Python", _write_python),
+        ("c", "feed-forward in C99", _c),
+        ("python", "feed-forward in Python", _python),
     )
 )
