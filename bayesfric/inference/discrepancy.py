@@ -3,8 +3,8 @@ r"""How far the numbers may be off because the model is not exactly right: model
 A posterior takes the model for true. What else may explain the torque stands in a table of
 candidates (:mod:`bayesfric.diagnostics.candidates`), each a few columns beside the model's own.
 Here they are marginalised: each kind of candidate has one of its shapes and a size of unknown
-scale, half Student's t around one scale for all kinds, which is half Cauchy, so that most are
-nothing and a few may be large [1]_; and with some probability none is there at all. Given the
+scale, half Cauchy around one scale for all kinds, so that most are nothing and one may be large
+rather than several of the same size that look like it [1]_; and with some probability none is there at all. Given the
 scales, sizes are normal and integrated out; scales and shapes are on a grid and drawn by Gibbs
 sampling from one Gram matrix, whatever the length of the recordings.
 
@@ -46,8 +46,8 @@ _DRAWS, _STEP = 4000, 0.3
 _ALLOWED, _HALVINGS = 10.0, 12
 # Scales of a candidate, as shares of the torque's rms.
 _GRID = np.geomspace(3e-5, 0.5, 24)
-# Scale of the half-Cauchy that scales are drawn around, and degrees of freedom of their half t.
-_TYPICAL, _TAIL = 0.003, 4.0
+# Scale of the half-Cauchy of the scale that all others are around.
+_TYPICAL = 0.003
 # Chance that something is missing, before the recording is asked; where it is less afterwards, the
 # recording speaks against it, and intervals stay the posterior's own.
 _CHANCE = 0.1
@@ -198,7 +198,7 @@ class Sizes:
             for shapes in one.kinds.values()
         ]
         ratio = _GRID[:, None] / _GRID
-        around = np.log(ratio) - 0.5 * (_TAIL + 1.0) * np.log1p(ratio**2 / _TAIL)
+        around = np.log(ratio) - np.log1p(ratio**2)  # half Cauchy, a logarithm's
         around -= logsumexp(around, axis=0)  # (scale, typical scale)
         x = _GRID / _TYPICAL
         prior = np.log(x / (1.0 + x * x))

@@ -45,7 +45,7 @@ def test_sizes_are_those_of_the_integral():
     variance = (one.power - b**2 / n) / one.free
     grid = np.geomspace(3e-5, 0.5, 24)
     ratio = grid[:, None] / grid
-    prior = np.log(ratio) - 2.5 * np.log1p(ratio**2 / 4.0)
+    prior = np.log(ratio) - np.log1p(ratio**2)
     prior -= logsumexp(prior, axis=0)
     x = grid / 0.003
     joint = prior + np.log(x / (1.0 + x**2))
