@@ -4,9 +4,9 @@ A posterior takes the model for true. What else may explain the torque stands in
 candidates (:mod:`bayesfric.diagnostics.candidates`), each a few columns beside the model's own.
 Here they are marginalised: each kind of candidate has one of its shapes and a size of unknown
 scale, half Cauchy around one scale for all kinds, so that most are nothing and one may be large
-rather than several of the same size that look like it [1]_; and with some probability none is there at all. Given the
-scales, sizes are normal and integrated out; scales and shapes are on a grid and drawn by Gibbs
-sampling from one Gram matrix, whatever the length of the recordings.
+rather than several of the same size that look like it [1]_; and with some probability none is
+there at all. Given the scales, sizes are normal and integrated out; scales and shapes are on a
+grid and drawn by Gibbs sampling from one Gram matrix, whatever the length of the recordings.
 
 What a candidate of size :math:`\gamma` with column :math:`z` does to the model's own estimate is
 :math:`-(X'WX + P)^{-1} X'Wz\gamma`, of the likelihood's weights and the prior's: along what the
@@ -210,7 +210,7 @@ class Sizes:
             columns, shapes = kinds[g]
             others = self._active(taken, scale, variance, without=g)
             precision, pull = self._left(columns, others, variance)
-            return self._evidence(columns, shapes, precision, pull) + around[:, typical]
+            return np.asarray(self._evidence(columns, shapes, precision, pull) + around[:, typical])
 
         def take(g: int, place: int) -> None:
             taken[g], scale[g] = kinds[g][1][place // _GRID.size], place % _GRID.size
