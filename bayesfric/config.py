@@ -172,9 +172,11 @@ class Config(BaseModel):
         if origin is None or not missing:
             return origin.folder if origin else here
         if all(
-            _is_there(here / os.path.relpath(one.file, origin.folder)) for one in fitted.values()
+            _is_there(here / os.path.relpath(one.file, origin.folder))
+            for name, one in fitted.items()
+            if name in missing
         ):
-            return here
+            return here  # what is still where it was is named in full
         one = fitted[missing[0]]
         raise BadInput(
             f"{self.path}: recording {missing[0]!r}",

@@ -12,7 +12,9 @@ from bayesfric.errors import BadInput
 from bayesfric.model import Model
 from bayesfric.report.alerts import doubt_text
 from bayesfric.report.summary.doubts import little_explained
+from bayesfric.report.terminal import wrapped
 from bayesfric.report.text_templates import filled, sentence
+from bayesfric.report.words import line_of, words_of
 
 
 def explain_record(found: Explanation, model: Model) -> dict[str, Any]:
@@ -31,13 +33,22 @@ def explain_text(
         "explain.txt.j2",
         found=found,
         warnings=map(doubt_text, little_explained(model.chain, model.observations)),
-        lines=[sentence("missing", one.as_dict()) for one in found.findings],
-        taken=[sentence("put in", one.as_dict()) for one in taken],
+        lines=[_line(one) for one in found.findings],
+        taken=[f"Put in: {_line(one)}" for one in taken],
         untold=sentence("untold", {"kinds": found.untold}),
         path=path,
         names=model.chain.names,
     )
-    return text.splitlines()
+    return [part for line in text.splitlines() for part in wrapped(line, indent=3)]
+
+
+def _line(one: Finding) -> str:
+    """Say a finding, what it moves and what looks like it in this motion."""
+    told = one.as_dict()
+    moves = ", ".join(f"{name} {by:+.1f}" for name, by in list(one.moves.items())[:3])
+    more = f"; moves {moves} standard deviations" if moves else ""
+    rivals = ", ".join(words_of(kind).what for kind in one.rivals[:3])
+    return line_of(one.kind, told) + more + (f"; looks like {rivals}" if rivals else "")
 
 
 def refuse_other_place(path: Path, given: Model) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -139,9 +140,10 @@ def _gathered(summary: Summary) -> Iterator[str]:
     recordings = summary.fit.recordings
     told: dict[str, list[str]] = {}
     for text in summary.warnings:
-        # as summarise writes what an observation warns of
+        # as summarise writes what an observation warns of; what differs in numbers is alike
         name, colon, rest = text.partition(": ")
-        told.setdefault(rest if colon and name in recordings else text, []).append(text)
-    for rest, lines in told.items():
+        kind = re.sub(r"[\d.]+", "#", rest) if colon and name in recordings else text
+        told.setdefault(kind, []).append(text)
+    for lines in told.values():
         of = f" ({len(lines)} of {len(recordings)} recordings)"
-        yield lines[0] if len(lines) == 1 else rest + of
+        yield lines[0] if len(lines) == 1 else lines[0].partition(": ")[2] + of

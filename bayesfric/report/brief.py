@@ -83,7 +83,9 @@ def brief(summary: Readable, alerts: Sequence[Alert] | None = None) -> Brief:
         lines=tuple(_line(name, rows[name], read.rows[name].unit) for name in shown[:ROWS]),
         more=max(len(shown) - ROWS, 0),
         unidentified=tuple(n for n in read.joint if n in rows and n not in {*shown, *lost}),
-        why="one factor on all of them changes no torque" if scaled else "the motion hides them",
+        why="together they can be scaled, which changes no torque"
+        if scaled
+        else "the motion hides them",
         lost=lost,
         findings=tuple(found[:FINDINGS]),
         others=max(len(found) - FINDINGS, 0),

@@ -40,7 +40,7 @@ def line_of(kind: str, values: Mapping[str, Any] | None = None) -> str:
     what, do = (part.format_map(_Shown(told)) for part in (known.what, known.do))
     if "hint" not in told:
         return f"{what}: {do}" if do else what
-    share = f"{percent(told['share'])} %"
+    share = f"{percent(told['share'])} % rms"
     if told.get("span"):
         low, high = told["span"]
         return f"{what} ({share}): exclude = [[{low:.1f}, {high:.1f}]] of {told['recording']}"

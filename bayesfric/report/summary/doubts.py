@@ -244,7 +244,7 @@ def _acceleration(fit: Fit, summary: Summary, told: list[str]) -> Iterator[dict[
         name
         for name in told
         if _accelerates(own.get(name) or QUANTITIES.get(quantity_of(name)))
-        and summary.rows[name].sd < lost * abs(summary.rows[name].middle)
+        and summary.rows[name].told_sd < lost * abs(summary.rows[name].middle)
     ]
     if names and lost > 1.0 / LEAST_RATIO**2:
         yield {"kind": "acceleration", "ratio": float(lost**-0.5), "of": names}

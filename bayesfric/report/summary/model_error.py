@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import norm
 
 from bayesfric.inference.fitting import Fit
-from bayesfric.report.summary.bounds import leaning
+from bayesfric.report.summary.bounds import held, leaning
 from bayesfric.report.summary.derived_quantities import Groups, spread
 from bayesfric.report.summary.record import ModelError, Summary, of_noise
 
@@ -48,7 +48,8 @@ def add_model_error(summary: Summary, fit: Fit, derived: Groups) -> Summary:
 def _change(summary: Summary, name: str, draws: np.ndarray) -> dict[str, Any]:
     """Say what changes of a row; nothing of one that the data leave open anyway."""
     row = summary.rows[name]
-    if row.verdict == "prior" or np.isfinite(draws).sum() < 0.5 * draws.size:
+    is_open = row.verdict == "prior" and not held(row)
+    if is_open or np.isfinite(draws).sum() < 0.5 * draws.size:
         return {}
     wide = spread(draws)
     low, high = wide["interval"]
