@@ -171,15 +171,16 @@ class Config(BaseModel):
         missing = [name for name, one in fitted.items() if not _is_there(one.file)]
         if origin is None or not missing:
             return origin.folder if origin else here
-        if all(
-            _is_there(here / os.path.relpath(one.file, origin.folder))
-            for name, one in fitted.items()
-            if name in missing
-        ):
+        gone = [
+            name
+            for name in missing
+            if not _is_there(here / os.path.relpath(fitted[name].file, origin.folder))
+        ]
+        if not gone:
             return here  # what is still where it was is named in full
-        one = fitted[missing[0]]
+        one = fitted[gone[0]]
         raise BadInput(
-            f"{self.path}: recording {missing[0]!r}",
+            f"{self.path}: recording {gone[0]!r}",
             f"{one.file} is not there any more",
             f"put it back, or beside {self.path}; its SHA-256 is {one.sha256}",
         )
