@@ -17,7 +17,7 @@ import typer
 
 import bayesfric
 from bayesfric.errors import BadInput, Interrupted
-from bayesfric.estimates.methods import ESTIMATORS
+from bayesfric.estimates.point_estimate import METHODS
 from bayesfric.progress import Spent, progress_shown
 from bayesfric.threads import QUIET
 
@@ -148,7 +148,7 @@ if TYPE_CHECKING:
     MethodChoice = str
     _ALL = "all"
 else:
-    MethodChoice = StrEnum("MethodChoice", {name: name for name in (*ESTIMATORS, "all")})
+    MethodChoice = StrEnum("MethodChoice", {name: name for name in (*METHODS, "all")})
     _ALL = MethodChoice("all")
 
 
@@ -162,7 +162,7 @@ def estimate(
     from bayesfric.commands.estimate import estimate_record, estimate_text
 
     model = _model(config)
-    wanted = [name for name in ESTIMATORS if method in ("all", name)]
+    wanted = [name for name in METHODS if method in ("all", name)]
     with _progress() as progress:
         found = model.estimates(wanted, progress=progress)
     _print(estimate_record(found, model), as_json, estimate_text(found, model))

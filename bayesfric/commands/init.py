@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from bayesfric.errors import BadInput, nearest
-from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.presets import PRESETS
 
 
@@ -41,7 +41,7 @@ def configuration(preset: str, recordings: Sequence[str] | None = None) -> str:
     )
 
 
-def _mechanism(preset: str, chain: Joint, moved: Collection[str]) -> Iterator[str]:
+def _mechanism(preset: str, chain: Chain, moved: Collection[str]) -> Iterator[str]:
     others = " or ".join(json.dumps(name) for name in other_presets(preset))
     yield f'preset = "{preset}"  # or {others}'
     yield 'terms = "auto"  # puts in what else explains the torque; or "as written"'
@@ -63,12 +63,12 @@ def _mechanism(preset: str, chain: Joint, moved: Collection[str]) -> Iterator[st
         yield "inertia = true  # the load loss sees it here; the motor's own is seldom told apart"
 
 
-def may_slide(chain: Joint) -> bool:
+def may_slide(chain: Chain) -> bool:
     """Whether it may be an axis that slides as well: it has no gear, and gravity does not act."""
     return chain.ratio == 1.0 and "first_moment" not in chain.load.choices
 
 
-def _with_load_behind(chain: Joint, moved: Collection[str]) -> Joint:
+def _with_load_behind(chain: Chain, moved: Collection[str]) -> Chain:
     """Put inertia into the load, so that a load loss sees what accelerates it, too."""
     if not moved:
         return chain
@@ -87,7 +87,7 @@ def other_presets(preset: str) -> list[str]:
     return sorted(others, key=lambda name: PRESETS[name].chain().ratio)
 
 
-def _recordings(chain: Joint) -> Iterator[str]:
+def _recordings(chain: Chain) -> Iterator[str]:
     linear = chain.motor_motion == "linear"
     side = ', side = "motor"' if chain.ratio != 1 else ""
     yield "[[recordings]]"

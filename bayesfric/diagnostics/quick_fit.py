@@ -11,7 +11,7 @@ from bayesfric.estimates.torque import filtered_torque
 from bayesfric.identifiability.local import units_of
 from bayesfric.identifiability.virtual_recording import scaled_jacobian, torque_noise
 from bayesfric.inference.target import Target
-from bayesfric.recordings.measurement import Array
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
 # Longest step, in units of the parameters, along which quantities are taken to be linear.

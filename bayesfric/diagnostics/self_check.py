@@ -23,7 +23,8 @@ from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.forward import simulate
-from bayesfric.recordings.measurement import Array, Measurement
+from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.tables.reader import Options

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from bayesfric.recordings.measurement import Segments
+from bayesfric.recordings.arrays import Segments
 
 Array = NDArray[np.float64]
 

@@ -29,8 +29,9 @@ from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
 from bayesfric.mechanism.quantities import State
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import later, lowpass
-from bayesfric.recordings.measurement import Array, Measurement
+from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation, observe
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.resolution import finest_step

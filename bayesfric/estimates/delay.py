@@ -12,7 +12,8 @@ from bayesfric.estimates.least_squares import TotalsProjection, least_squares
 from bayesfric.estimates.methods import Given
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.mechanism.joint import Joint
-from bayesfric.recordings.measurement import Array, Measurement
+from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.timing import FAR_DELAYS, longest_delay, retimed
 

@@ -32,8 +32,9 @@ from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import lowpass
-from bayesfric.recordings.measurement import Array, Measurement
+from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.moving import resting
 from bayesfric.recordings.observation import Observation, refinable, with_motion
 

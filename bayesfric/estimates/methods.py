@@ -1,23 +1,20 @@
-"""The paper's three methods of point estimation, and how they are asked for.
-
-They import what they need when they run, so that the command line can name them at once.
-"""
+"""The paper's three methods of point estimation, and how they are asked for."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from bayesfric.errors import BadInput, nearest
-
-if TYPE_CHECKING:
-    from bayesfric.estimates.estimation import Estimation
-    from bayesfric.estimates.knowledge import Knowledge
-    from bayesfric.estimates.point_estimate import Estimate
-    from bayesfric.mechanism.joint import Joint
-    from bayesfric.recordings.observation import Observation
-    from bayesfric.recordings.trajectory import Trajectory
+from bayesfric.estimates.estimation import Estimation
+from bayesfric.estimates.input_error import input_error
+from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.least_squares import least_squares
+from bayesfric.estimates.output_error import output_error
+from bayesfric.estimates.point_estimate import Estimate, Method
+from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
@@ -35,34 +32,28 @@ class Given:
 class Estimator:
     """A method of point estimation."""
 
-    name: str  # as asked for
+    name: Method
     title: str  # as a heading
     # makes the estimate, from the ones that were made before, by name
-    estimate: Callable[[Given, Mapping[str, Estimate]], Estimate]
-    starts_from: str = ""  # name of the method whose estimate it needs, if any
+    estimate: Callable[[Given, Mapping[Method, Estimate]], Estimate]
+    starts_from: Method | None = None  # whose estimate it needs, if any
     simulates: bool = False  # whether it is dear, and some mechanisms have none
 
 
-def _least_squares(given: Given, _: Mapping[str, Estimate]) -> Estimate:
-    from bayesfric.estimates.least_squares import least_squares
-
+def _least_squares(given: Given, _: Mapping[Method, Estimate]) -> Estimate:
     return least_squares(given.chain, given.observations)
 
 
-def _input_error(given: Given, _: Mapping[str, Estimate]) -> Estimate:
-    from bayesfric.estimates.input_error import input_error
-
+def _input_error(given: Given, _: Mapping[Method, Estimate]) -> Estimate:
     return input_error(given.chain, given.observations, given.knowledge, given.options)
 
 
-def _output_error(given: Given, found: Mapping[str, Estimate]) -> Estimate:
-    from bayesfric.estimates.output_error import output_error
-
+def _output_error(given: Given, found: Mapping[Method, Estimate]) -> Estimate:
     known = given.observations, given.knowledge, given.options
     return output_error(given.chain, given.trajectories(), *known, found["input-error"])
 
 
-# In the order of every list; those that others start from come before them.
+# In the order of METHODS.
 ESTIMATORS = {
     one.name: one
     for one in (
@@ -86,12 +77,12 @@ ESTIMATORS = {
 
 
 def estimate_by(
-    methods: Sequence[str],
+    methods: Sequence[Method],
     given: Given,
-    found: Mapping[str, Estimate] | None = None,
+    found: Mapping[Method, Estimate] | None = None,
     *,
     progress: Callable[[str], None] = lambda _: None,
-) -> dict[str, Estimate]:
+) -> dict[Method, Estimate]:
     """Estimate by some methods, and by those they start from unless ``found`` has them.
 
     ``progress`` is called with the name of each method before it begins. Gives estimates by every
@@ -107,7 +98,8 @@ def estimate_by(
             raise BadInput(f"method {name!r}", "there is none", nearest(name, ESTIMATORS))
     made = dict(found or {})
     wanted = {name for name in methods if name not in made}
-    wanted |= {ESTIMATORS[name].starts_from for name in wanted} - made.keys()
+    starts = (ESTIMATORS[name].starts_from for name in wanted)
+    wanted |= {one for one in starts if one is not None} - made.keys()
     for name, one in ESTIMATORS.items():
         if name in wanted:
             progress(name)

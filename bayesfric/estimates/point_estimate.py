@@ -4,16 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal, get_args
 
-from bayesfric.estimates.methods import ESTIMATORS
-
-METHODS = tuple(ESTIMATORS)
-if TYPE_CHECKING:
-    Method = str
-else:
-    Method = Literal[METHODS]
-
+# In the order of every list; those that others start from come before them.
+Method = Literal["least-squares", "input-error", "output-error"]
+METHODS: tuple[Method, ...] = get_args(Method)
 Kind = Literal["total", "derived", "parameter"]
 Bound = Literal["lower", "upper"]
 

@@ -8,10 +8,10 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import ArrayLike, NDArray
 
+from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.dynamics import CarriedValues, carried_by, moved
 from bayesfric.mechanism.forward import carried_values, possible
 from bayesfric.mechanism.integrate import integrate
-from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.law import Law
 
@@ -31,7 +31,7 @@ class _Drive(NamedTuple):
 
 
 def follow(
-    chain: Joint,
+    chain: Chain,
     values: ArrayLike,
     law: Law,
     period: float,

@@ -17,6 +17,7 @@ from pydantic import (
 )
 
 from bayesfric.errors import BadInput, Unfit, nearest
+from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import STANDARD_GRAVITY, Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
@@ -170,7 +171,7 @@ class MechanismOptions(_Options):
                 "fit it in Python: bayesfric.Model.from_config(path, terms=[bayesfric.Term(...)])",
             )
         if self.preset is None:
-            base = Joint(elements=(Element("motor"),), load=Load())
+            base = Chain(elements=(Element("motor"),), load=Load())
             elements = [Element(name, **o.model_dump()) for name, o in self.elements.items()]
             if not elements:
                 raise BadInput(

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.parameter import Parameter, effort_words, parameter
 from bayesfric.mechanism.quantities import QUANTITIES, TOTALS, Quantity
 
@@ -73,7 +73,7 @@ def efficiencies(
     return drive, np.where(back >= 0.0, back, np.nan)
 
 
-def derive(chain: Joint, values: Array, load_torque: float) -> tuple[Derived, ...]:
+def derive(chain: Chain, values: Array, load_torque: float) -> tuple[Derived, ...]:
     """Derive everything the chain allows from parameter vectors.
 
     Parameters
@@ -89,7 +89,7 @@ def derive(chain: Joint, values: Array, load_torque: float) -> tuple[Derived, ..
     return (*_totals(chain, at, values.shape[0]), *_coefficients(chain, at, load_torque))
 
 
-def _totals(chain: Joint, at: dict[str, Array], n: int) -> Iterator[Derived]:
+def _totals(chain: Chain, at: dict[str, Array], n: int) -> Iterator[Derived]:
     """Sum up what the motor feels, Theta1 +- Theta2 of eq. (13) and their mean."""
     lossy = [element for element in chain.elements if element.load_loss != "none"]
     if any(element.has("load_speed", "load_square") for element in lossy):
@@ -133,7 +133,7 @@ def _totals(chain: Joint, at: dict[str, Array], n: int) -> Iterator[Derived]:
             )
 
 
-def _kinds(chain: Joint, p: Parameter) -> tuple[str, ...]:
+def _kinds(chain: Chain, p: Parameter) -> tuple[str, ...]:
     """Name the totals that a parameter adds to; most have one, some none."""
     # Load losses are in what passes through them, a low-speed rise is none of what is felt at
     # speed, and a term with a shape of its own adds to no other.
@@ -146,7 +146,7 @@ def _kinds(chain: Joint, p: Parameter) -> tuple[str, ...]:
     return row.totals or (row.name,)
 
 
-def _coefficients(chain: Joint, at: dict[str, Array], load_torque: float) -> Iterator[Derived]:
+def _coefficients(chain: Chain, at: dict[str, Array], load_torque: float) -> Iterator[Derived]:
     for element in chain.elements:
         if element.load_loss == "none":
             continue
@@ -230,7 +230,7 @@ def _coefficients(chain: Joint, at: dict[str, Array], load_torque: float) -> Ite
             )
 
 
-def _counted(chain: Joint, name: str) -> str:
+def _counted(chain: Chain, name: str) -> str:
     """Name what an efficiency is of, as :func:`_constant_loss` sums it."""
     at = [element.name for element in chain.elements].index(name)
     behind = chain.elements[at + 1 :]
@@ -238,7 +238,7 @@ def _counted(chain: Joint, name: str) -> str:
     return f"{name} with the constant loss behind it" if lossy else f"{name} alone"
 
 
-def _not_counted(chain: Joint, name: str) -> str:
+def _not_counted(chain: Chain, name: str) -> str:
     """Say which losses are outside an efficiency: what the motor feels is less efficient."""
     names = [element.name for element in chain.elements]
     before = names[: names.index(name)]
@@ -246,7 +246,7 @@ def _not_counted(chain: Joint, name: str) -> str:
     return f"viscous loss{more} not counted"
 
 
-def _constant_loss(chain: Joint, name: str, at: dict[str, Array]) -> Array:
+def _constant_loss(chain: Chain, name: str, at: dict[str, Array]) -> Array:
     """Sum the constant losses in and behind the element, brought to the joint: ``Fr`` of eq. (4).
 
     Section 4.4 takes the bearing's loss for it, which stands behind the gearbox.

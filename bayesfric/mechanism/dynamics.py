@@ -48,7 +48,7 @@ class CarriedValues(NamedTuple):
 class Moved(NamedTuple):
     """What the compiled functions of the forward model need of a joint; one parameter vector."""
 
-    elements: NDArray[np.float64]  # elements, load: tables of Joint.tables
+    elements: NDArray[np.float64]  # elements, load: tables of Chain.tables
     load: NDArray[np.float64]
     inertia: float  # of the load, added mass included, kg m² or kg
     # weight, angle: amplitude and angle of its gravity torque, added mass included, N m and

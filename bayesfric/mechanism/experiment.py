@@ -10,8 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from bayesfric.errors import BadInput, nearest
 from bayesfric.mechanism import excitation
+from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.forward import Motion, simulate
-from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.measurement import Hold
@@ -75,7 +75,7 @@ class Simulation(BaseModel):
         json_schema_extra=in_unit("SI"),
     )
 
-    def true_values(self, chain: Joint) -> dict[str, float]:
+    def true_values(self, chain: Chain) -> dict[str, float]:
         """Values of every parameter of the chain.
 
         Raises
@@ -110,7 +110,7 @@ class Simulation(BaseModel):
 
 
 def record(
-    chain: Joint, options: Simulation
+    chain: Chain, options: Simulation
 ) -> tuple[dict[str, NDArray[np.float64]], Motion, dict[str, float]]:
     """Simulate a joint on a bench.
 
@@ -161,7 +161,7 @@ def record(
 
 
 def measure(
-    chain: Joint,
+    chain: Chain,
     values: NDArray[np.float64],
     command: NDArray[np.float64],
     options: Simulation,

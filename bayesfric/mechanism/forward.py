@@ -16,9 +16,9 @@ from typing import get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bayesfric.mechanism.chain import Chain, Tables
 from bayesfric.mechanism.dynamics import CarriedValues, Moved, carried_by, moved
 from bayesfric.mechanism.integrate import RUNAWAY, integrate, integrate_segments
-from bayesfric.mechanism.joint import Joint, Tables
 from bayesfric.mechanism.kernels import (
     GAIN,
     INERTIA,
@@ -75,7 +75,7 @@ class Motion:
 
 
 def simulate(
-    chain: Joint,
+    chain: Chain,
     values: ArrayLike,
     torque: ArrayLike,
     period: float,
@@ -165,7 +165,7 @@ def simulate(
         coarse = found
 
 
-def _joint(chain: Joint, vector: NDArray[np.float64], inputs: Inputs) -> Moved:
+def _joint(chain: Chain, vector: NDArray[np.float64], inputs: Inputs) -> Moved:
     """Lay a joint out to be moved; refuse values that have no, or no one, motion."""
     if vector.shape != (len(chain.names),):
         raise ValueError(f"values must have the shape ({len(chain.names)},), not {vector.shape}")
@@ -219,7 +219,7 @@ def _motion(
 
 
 def simulate_segments(
-    chain: Joint,
+    chain: Chain,
     values: ArrayLike,
     torque: ArrayLike,
     period: float,
@@ -299,7 +299,7 @@ def simulate_segments(
 
 
 def carried_values(
-    chain: Joint, values: NDArray[np.float64], inputs: Inputs
+    chain: Chain, values: NDArray[np.float64], inputs: Inputs
 ) -> CarriedValues | None:
     """Gather the terms without a slot, their table ``(n, n_carried, 2)``.
 
@@ -343,7 +343,7 @@ def carried_values(
 
 
 def _acting(
-    chain: Joint, vectors: NDArray[np.float64], torque: NDArray[np.float64], period: float
+    chain: Chain, vectors: NDArray[np.float64], torque: NDArray[np.float64], period: float
 ) -> NDArray[np.float64]:
     """Torque that acts when the recorded motion shows it: one for all, or each vector's own.
 
@@ -372,7 +372,7 @@ def _finer(torque: NDArray[np.float64], finer: int) -> NDArray[np.float64]:
 
 
 def possible(
-    chain: Joint,
+    chain: Chain,
     vectors: NDArray[np.float64],
     tables: Tables,
     added_inertia: float,

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayesfric.mechanism import kernels
-from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.chain import Chain
 from bayesfric.recordings.inputs import Inputs
 
 
 def inverse_torque(
-    chain: Joint,
+    chain: Chain,
     values: ArrayLike,
     q: ArrayLike,
     qd: ArrayLike,
@@ -49,7 +49,7 @@ def inverse_torque(
 
 
 def load_torque(
-    chain: Joint,
+    chain: Chain,
     values: ArrayLike,
     q: ArrayLike,
     qdd: ArrayLike,
@@ -77,7 +77,7 @@ def load_torque(
 
 
 def load_reach(
-    chain: Joint, values: NDArray[np.float64], *, open_scale: bool
+    chain: Chain, values: NDArray[np.float64], *, open_scale: bool
 ) -> NDArray[np.float64]:
     """Factors ``(n,)`` from the load's torque at the joint to its loss-free torque at the motor.
 

@@ -1,12 +1,10 @@
-"""A joint: a chain of elements from the motor to the load."""
+"""A joint: a chain of elements, and what people ask of it."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,204 +12,22 @@ from pydantic import ValidationError
 
 from bayesfric.complaints import complaint
 from bayesfric.errors import BadInput, nearest
-from bayesfric.mechanism.element import Element, Load
-from bayesfric.mechanism.kernels import ELEMENT_SLOTS, LOAD_SLOTS, Samples
-from bayesfric.mechanism.own_term import CarriedTerm, Term, along
-from bayesfric.mechanism.parameter import Parameter, parameter
-from bayesfric.mechanism.quantities import QUANTITIES, SHAPES, Motion
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.experiment import Simulation, record
+from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.presets import PRESETS
 from bayesfric.notebook import html_table
-from bayesfric.recordings.inputs import AT_ROOM, Inputs
+from bayesfric.recordings.inputs import AT_ROOM
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
-class Tables(NamedTuple):
-    """Parameter vectors laid out for the compiled kernels."""
-
-    elements: NDArray[np.float64]  # (n, n_elements, n_slots); columns are kernels.ELEMENT_SLOTS
-    load: NDArray[np.float64]  # (n, n_slots); columns are kernels.LOAD_SLOTS
-    # (n, n_carried, 2) of the terms that have no slot, Joint.carried: the coefficient, and the
-    # value that shapes it, 0 where none does; behind them a measured load torque, 1 and 0
-    carried: NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Joint:
-    """Motor to load, any number of elements (section 2.2 of the paper).
-
-    Attributes
-    ----------
-    elements
-        From the motor to the load; names differ.
-    load
-        What the last element moves.
-    offset
-        Whether the measured motor torque holds an unknown constant.
-    own_offsets
-        Names of the recordings that have a constant of their own, ``offset.<recording>``;
-        with none, ``offset`` is one for all.
-    gain
-        Whether the factor from the torque computed from current or voltage to
-        the true motor torque is unknown (``drive.gain``).
-    delay
-        Whether the time by which the recorded position comes after the torque is unknown
-        (``drive.delay``).
-    made_from
-        Name of the preset it was made from, for the record.
-    terms
-        Of one's own; see :meth:`with_term`.
-
-    Raises
-    ------
-    ValueError
-        If names repeat or a ratio is not positive.
-    KeyError
-        If no form of the model knows a quantity.
-    """
-
-    elements: Sequence[Element]
-    load: Load = field(default_factory=Load)
-    offset: bool = False
-    own_offsets: tuple[str, ...] = ()
-    gain: bool = False
-    delay: bool = False
-    made_from: str = ""
-    terms: tuple[Term, ...] = ()
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "elements", tuple(self.elements))
-        names = [element.name for element in self.elements]
-        if not names:
-            raise ValueError("a chain needs at least one element")
-        if len(set(names)) < len(names) or {"load", "drive", "total", ""} & set(names):
-            raise ValueError(
-                "element names must differ and must not be empty, 'load', 'drive' or 'total'"
-            )
-        for element in self.elements:
-            if not (np.isfinite(element.ratio) and element.ratio > 0):
-                raise ValueError(f"{element.name}.ratio must be a positive number")
-        owners = [*names, self.load.name]
-        for term in self.terms:
-            if term.owner not in owners:
-                mend = nearest(term.owner, owners)
-                raise ValueError(f"{term.name}: there is no element {term.owner!r}; {mend}")
-        _ = self._layout  # refuses what it does not know
-
-    @cached_property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """All parameters, motor first."""
-        # the paper writes mu_1, mu_2 without a name behind them
-        several = sum(element.load_loss != "none" for element in self.elements) > 1
-        found: list[Parameter] = []
-        bearers: list[Element | Load] = [*self.elements, self.load]
-        held = Counter(q.name for bearer in bearers for q in bearer.quantities)
-        for bearer in bearers:
-            subscript = bearer.subscript or bearer.name
-            own = tuple(term.row for term in self.terms if term.owner == bearer.name)
-            for q in (*bearer.quantities, *own):
-                bare = q.role == "loss" and not several
-                mark, alone = "" if bare else subscript, held[q.name] == 1
-                found.append(parameter(bearer.name, q, bearer.motion, mark, alone=alone))
-        offset = parameter("", QUANTITIES["offset"], self.motor_motion, "")
-        if self.offset and not self.own_offsets:
-            found.append(offset)
-        for number, recording in enumerate(self.own_offsets, start=1):
-            symbol = rf"\Gamma_{{0,{number}}}"
-            found.append(replace(offset, name=f"offset.{recording}", symbol=symbol))
-        if self.gain:
-            found.append(parameter("drive", QUANTITIES["gain"], self.motor_motion, ""))
-        if self.delay:
-            found.append(parameter("drive", QUANTITIES["delay"], self.motor_motion, ""))
-        return tuple(found)
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Parameter names in the order of :attr:`parameters`."""
-        return tuple(p.name for p in self.parameters)
-
-    @cached_property
-    def offset_names(self) -> tuple[str, ...]:
-        """Names of the constants in the measured torque: one for all, or each recording's own."""
-        return tuple(p.name for p in self.parameters if p.quantity == "offset")
-
-    @cached_property
-    def delay_name(self) -> str:
-        """Name of the delay between torque and position; empty where the joint has none."""
-        return next((p.name for p in self.parameters if p.quantity == "delay"), "")
-
-    def delays(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Delay of each parameter vector ``(n, n_parameters)``, s; none counts as zero."""
-        name = self.delay_name
-        return values[:, self.names.index(name)] if name else np.zeros(len(values))
-
-    @property
-    def motor_motion(self) -> Motion:
-        """Whether the motor turns or slides."""
-        return self.elements[0].motion
-
-    @cached_property
-    def ratio(self) -> float:
-        """Motor speed over joint speed."""
-        return float(np.prod([element.ratio for element in self.elements]))
-
-    @cached_property
-    def reaches(self) -> dict[str, float]:
-        """Speed over the joint's, of every element's input and of ``load``; by owner's name.
-
-        What the whole chain has, by its empty name and ``drive``, is at the motor.
-        """
-        found, reach = {"load": 1.0}, 1.0
-        for element in reversed(self.elements):
-            reach *= element.ratio
-            found[element.name] = reach
-        return {**found, "": self.ratio, "drive": self.ratio}
-
-    @cached_property
-    def carried(self) -> tuple[CarriedTerm, ...]:
-        """Terms that the kernels do not write out."""
-        places = {e.name: k for k, e in enumerate(self.elements)}
-        places |= {"load": len(self.elements), "drive": len(self.elements) + 1}
-        return tuple(
-            CarriedTerm(
-                i,
-                places[p.owner],
-                self.reaches[p.owner],
-                p.row,
-                self.names.index(f"{p.owner}.{p.row.shape}") if p.row.shape else -1,
-            )
-            for i, p in enumerate(self.parameters)
-            if p.owner in places and p.row.role == "own" and not _slots(p)
-        )
-
-    @property
-    def unseen_inertia(self) -> tuple[str, ...]:
-        """Inertias that a load loss does not see, all of them standing before it; else empty."""
-        lossy = [k for k, e in enumerate(self.elements) if e.load_loss != "none"]
-        if not lossy or self.load.has("inertia"):
-            return ()
-        held = [k for k, e in enumerate(self.elements) if e.has("inertia")]
-        if any(k > lossy[-1] for k in held):
-            return ()
-        return tuple(f"{self.elements[k].name}.inertia" for k in held)
-
-    def with_term(self, term: Term) -> Joint:
-        """Add a term of one's own to an element or the load, in place of one of the same name.
-
-        Raises
-        ------
-        ValueError
-            If there is no such element.
-        """
-        kept = tuple(one for one in self.terms if one.name != term.name)
-        return replace(self, terms=(*kept, term))
-
-    def terms_of(self, bearer: Element | Load) -> list[str]:
-        """List what an element, or the load, has, each as it stands in a sentence."""
-        return bearer.phrases + [term.meaning for term in self.terms if term.owner == bearer.name]
+class Joint(Chain):
+    """A :class:`Chain`, by its elements or by name, that can be moved, simulated and shown."""
 
     @classmethod
-    def preset(cls, name: str) -> Joint:
+    def preset(cls, name: str) -> Self:
         """Make the joint of that name, such as ``rabbit-knee``.
 
         Raises
@@ -219,11 +35,10 @@ class Joint:
         BadInput
             If there is none.
         """
-        from bayesfric.mechanism.presets import PRESETS  # made of joints itself
-
         if name not in PRESETS:
             raise BadInput("preset", f"there is no preset {name!r}", nearest(name, PRESETS))
-        return PRESETS[name].chain()
+        chain = PRESETS[name].chain()
+        return cls(**{one.name: getattr(chain, one.name) for one in fields(chain)})
 
     def _repr_html_(self) -> str:
         return html_table((p.name, p.unit, p.meaning) for p in self.parameters)
@@ -253,8 +68,6 @@ class Joint:
             If a value is impossible or the simulation runs away.
         """
         import pandas as pd
-
-        from bayesfric.mechanism.experiment import Simulation, record  # simulates joints itself
 
         given = {**options, "parameters": dict(parameters or {})}
         try:
@@ -301,159 +114,8 @@ class Joint:
         ValueError
             If lengths differ.
         """
-        from bayesfric.mechanism.inverse import inverse_torque  # computes joints itself
-
         draws = np.broadcast_arrays(*values.values())
         vectors = self.vector(dict(zip(values, draws, strict=True)))
         motion = np.broadcast_arrays(*np.atleast_1d(position, speed, acceleration))
         stamps = None if time is None else np.asarray(time, dtype=np.float64)
         return inverse_torque(self, vectors, *motion, inputs=AT_ROOM, time=stamps)
-
-    def vector(self, values: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
-        """Put named values in the order of :attr:`names`, one each or ``(n,)``, a row each.
-
-        Those of the noise may be among them, and are left out.
-
-        Raises
-        ------
-        KeyError
-            If a parameter is missing or a name is unknown.
-        """
-        # draws of a posterior hold the noise's, too, which no torque knows
-        unknown = {name for name in values if not name.startswith("noise.")} - set(self.names)
-        missing = set(self.names) - set(values)
-        if unknown or missing:
-            raise KeyError(f"unknown: {sorted(unknown)}, missing: {sorted(missing)}")
-        return np.array([values[name] for name in self.names], dtype=np.float64).T
-
-    def tables(self, values: NDArray[np.float64], inputs: Inputs | None = None) -> Tables:
-        """Lay parameter vectors out for the compiled kernels.
-
-        Parameters
-        ----------
-        values
-            ``(n, n_parameters)`` in the order of :attr:`names`.
-        inputs
-            Of a recording, whose own offset is meant; without them there is none.
-        """
-        defaults, sources, targets = self._layout
-        flat = np.tile(defaults, (values.shape[0], 1))
-        flat[:, targets] = values[:, sources]
-        if inputs is not None and inputs.recording in self.own_offsets:
-            own = self.names.index(f"offset.{inputs.recording}")
-            flat[:, LOAD_SLOTS.index("offset") - len(LOAD_SLOTS)] = values[:, own]
-        split = len(self.elements) * len(ELEMENT_SLOTS)
-        elements = flat[:, :split].reshape(-1, len(self.elements), len(ELEMENT_SLOTS))
-        loaded = inputs is not None and inputs.load_torque is not None
-        carried = np.zeros((len(values), len(self.carried) + loaded, 2))
-        carried[:, len(self.carried) :, 0] = 1.0
-        for k, term in enumerate(self.carried):
-            carried[:, k, 0] = values[:, term.index]
-            if term.shape >= 0:
-                carried[:, k, 1] = values[:, term.shape]
-        return Tables(
-            np.ascontiguousarray(elements), np.ascontiguousarray(flat[:, split:]), carried
-        )
-
-    def samples(
-        self,
-        q: ArrayLike,
-        qd: ArrayLike,
-        qdd: ArrayLike,
-        inputs: Inputs,
-        time: NDArray[np.float64] | None = None,
-    ) -> Samples:
-        """Lay a motion of the joint out for the compiled kernels.
-
-        Parameters
-        ----------
-        q, qd, qdd
-            ``(N,)`` rad or m and s.
-        inputs
-            What the joint feels besides.
-        time
-            ``(N,)`` s; without it a term that depends on time is NaN.
-
-        Raises
-        ------
-        ValueError
-            If a term is a signal that the inputs do not hold.
-        """
-        position, speed, acceleration = (
-            np.ascontiguousarray(x, dtype=np.float64) for x in (q, qd, qdd)
-        )
-        stamps = np.full(speed.size, np.nan) if time is None else time
-        # the kernels work out what a parameter shapes
-        columns = [
-            along(c.row, c.reach, position, speed, stamps, inputs)
-            if c.shape < 0
-            else np.zeros_like(speed)
-            for c in self.carried
-        ]
-        places = [c.place for c in self.carried]
-        reaches = [c.reach for c in self.carried]
-        addresses = [c.address if c.shape >= 0 else 0 for c in self.carried]
-        if inputs.load_torque is not None:  # what pushes the load, the motor need not
-            columns.append(-inputs.load_torque.at(stamps))
-            places, reaches = [*places, len(self.elements)], [*reaches, 1.0]
-            addresses = [*addresses, 0]
-        return Samples(
-            *inputs.load(self.load.motion),
-            np.sin(position),
-            np.cos(position),
-            speed,
-            acceleration,
-            position,
-            np.ascontiguousarray(stamps, dtype=np.float64),
-            np.stack(columns) if columns else np.empty((0, speed.size)),
-            np.array(places, dtype=np.int64),
-            np.array(reaches, dtype=np.float64),
-            np.array(addresses, dtype=np.int64),
-        )
-
-    @cached_property
-    def _layout(self) -> tuple[NDArray[np.float64], Sequence[int], Sequence[int]]:
-        slots = [f"{e.name}.{slot}" for e in self.elements for slot in ELEMENT_SLOTS]
-        slots += [f"load.{slot}" for slot in LOAD_SLOTS]
-        where = {slot: i for i, slot in enumerate(slots)}
-        defaults = np.zeros(len(slots))
-        for element in self.elements:
-            defaults[where[f"{element.name}.ratio"]] = element.ratio
-            for slot in ELEMENT_SLOTS:
-                if slot in QUANTITIES:
-                    defaults[where[f"{element.name}.{slot}"]] = QUANTITIES[slot].default
-        defaults[where["load.gravity"]] = self.load.gravity
-        defaults[where["load.gain"]] = 1.0
-
-        sources: list[int] = []
-        targets: list[int] = []
-        for source, p in enumerate(self.parameters):
-            if p.quantity == "offset" and self.own_offsets:
-                continue  # whose it is, only the recording says
-            for slot in _slots(p):
-                sources.append(source)
-                targets.append(where[f"{_bearer(p)}.{slot}"])
-        return defaults, sources, targets
-
-
-def _bearer(p: Parameter) -> str:
-    return "load" if p.owner in ("", "drive") else p.owner
-
-
-def _slots(p: Parameter) -> tuple[str, ...]:
-    """Slots of the kernels that a parameter fills; none for what its column, or another's, takes.
-
-    Raises
-    ------
-    KeyError
-        If neither the kernels nor a column know the quantity: dropped, it would count as zero.
-    """
-    known = LOAD_SLOTS if _bearer(p) == "load" else ELEMENT_SLOTS
-    slots = (p.quantity,) if p.row.slots is None else p.row.slots
-    if slots and set(slots) <= set(known):
-        return slots
-    if p.quantity in SHAPES:
-        return ()
-    if p.row.role != "own" or (p.row.column is None and not p.row.signal):
-        raise KeyError(f"{p.name}: neither the kernels nor a column know {p.quantity!r}")
-    return ()

@@ -1,7 +1,7 @@
 """The element equation, compiled: everything that evaluates the model calls these.
 
 Inverse and forward model share them, so they cannot disagree. Rows of
-``elements`` and entries of ``load`` are laid out by :meth:`Joint.tables`.
+``elements`` and entries of ``load`` are laid out by :meth:`Chain.tables`.
 """
 
 from __future__ import annotations

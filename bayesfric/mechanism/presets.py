@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import Element, Load
-from bayesfric.mechanism.joint import Joint
 
 
 @dataclass(frozen=True)
@@ -16,14 +16,14 @@ class Preset:
     name: str  # as written in a configuration
     meaning: str  # one line for people
     when: str  # what kind of joint to choose it for
-    chain: Callable[[], Joint]  # makes the chain
+    chain: Callable[[], Chain]  # makes the chain
     values: dict[str, float]  # parameter values for simulation, with their source in source
     source: str  # where the values come from
 
 
-def rabbit_knee() -> Joint:
+def rabbit_knee() -> Chain:
     """Build the knee of the biped robot Rabbit, eqs. (3) to (9)."""
-    return Joint(
+    return Chain(
         elements=(
             Element("motor", inertia=True, coulomb="by-direction", viscous=True, subscript="m"),
             Element("gearbox", ratio=50.0, load_loss="two"),
@@ -34,9 +34,9 @@ def rabbit_knee() -> Joint:
     )
 
 
-def motor_axis() -> Joint:
+def motor_axis() -> Chain:
     """Build a plain axis: inertia, Coulomb and viscous friction, torque offset."""
-    return Joint(
+    return Chain(
         elements=(
             Element("motor", inertia=True, coulomb="symmetric", viscous=True, subscript="m"),
         ),
@@ -46,9 +46,9 @@ def motor_axis() -> Joint:
     )
 
 
-def servo_pendulum() -> Joint:
+def servo_pendulum() -> Chain:
     """Build a servo that swings a pendulum, everything referred to its output shaft."""
-    return Joint(
+    return Chain(
         elements=(
             Element("motor", inertia=True, coulomb="symmetric", viscous=True, subscript="m"),
             Element("gearbox", load_loss="one"),

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.chain import Chain
 
 Array = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ class Scaling:
         where every recording has the same added mass, load and mass are scaled as one.
     """
 
-    chain: Joint
+    chain: Chain
     element: str
     behind: tuple[str, ...]
     added: tuple[float, ...] = ()
@@ -155,7 +155,7 @@ class Scaling:
 
 
 def scalings(
-    chain: Joint, added_inertia: float = 0.0, added_moment: float = 0.0
+    chain: Chain, added_inertia: float = 0.0, added_moment: float = 0.0
 ) -> tuple[Scaling, ...]:
     """Find the scalings a chain has while nothing behind the gearbox is known.
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from bayesfric.errors import BadInput
 from bayesfric.recordings import checks, units
-from bayesfric.recordings.measurement import Array
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.source import (
     SI,
     Channel,

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from bayesfric.errors import BadInput
-from bayesfric.recordings.measurement import Array, Flags
+from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.resolution import finest_step
 
 # A step below this share of the range is rounding of numbers.

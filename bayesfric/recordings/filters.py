@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
-from bayesfric.recordings.measurement import Array, Flags, Segments
+from bayesfric.recordings.arrays import Array, Flags, Segments
 
 # A cut-off this small a share of the sampling rate leaves nothing but rounding.
 _LOWEST_CUTOFF = 1e-6

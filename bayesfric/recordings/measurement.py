@@ -5,22 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from bayesfric.recordings.arrays import Array, Flags, Segments
 from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.law import Law
 
-if TYPE_CHECKING:
-    from bayesfric.recordings.law import Law
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 # How a torque goes between its samples.
 Hold = Literal["zero", "linear", "cubic"]
-# Half-open ranges of samples.
-Segments = tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesfric.recordings.measurement import Array, Flags, Measurement, Segments
+from bayesfric.recordings.arrays import Array, Flags, Segments
+from bayesfric.recordings.measurement import Measurement
 
 
 def compared_parts(recording: Measurement, trim: int) -> Segments:

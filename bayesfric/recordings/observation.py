@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from bayesfric.errors import BadInput
 from bayesfric.recordings import checks, units
 from bayesfric.recordings.acting import acting, unlagged
+from bayesfric.recordings.arrays import Array, Flags, Segments
 from bayesfric.recordings.filters import (
     FOLDING,
     LARGE_SHARE,
@@ -29,7 +30,7 @@ from bayesfric.recordings.filters import (
     reach_of,
 )
 from bayesfric.recordings.inputs import Inputs, Signal
-from bayesfric.recordings.measurement import Array, Flags, LeftOut, Measurement, Segments
+from bayesfric.recordings.measurement import LeftOut, Measurement
 from bayesfric.recordings.moving import compared_parts, moving_samples, near, too_slow
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.resolution import (

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from bayesfric.errors import BadInput, nearest
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.column_names import Named, name_words, named
-from bayesfric.recordings.measurement import Array
 from bayesfric.recordings.tables.table import Table
 
 # Signals of one column that are looked at.

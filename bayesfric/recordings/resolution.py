@@ -14,7 +14,8 @@ from typing import Literal
 
 import numpy as np
 
-from bayesfric.recordings.measurement import Array, Measurement
+from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.measurement import Measurement
 
 Reason = Literal["sampling", "position", "torque", "length", "model", "asked"]
 

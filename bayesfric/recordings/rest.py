@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from bayesfric.recordings.arrays import Array, Flags, Segments
 from bayesfric.recordings.filters import lay_windows
-from bayesfric.recordings.measurement import Array, Flags, Segments
 from bayesfric.recordings.resolution import finest_step
 
 # Outputs that are kept of one recording's rests, evenly: more say the same again.

@@ -10,7 +10,7 @@ import numpy as np
 
 from bayesfric.errors import BadInput
 from bayesfric.recordings import units
-from bayesfric.recordings.measurement import Array, Segments
+from bayesfric.recordings.arrays import Array, Segments
 from bayesfric.recordings.processing import Processing
 
 _SLOWEST = 1.0

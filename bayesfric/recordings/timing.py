@@ -14,9 +14,10 @@ from dataclasses import replace
 import numpy as np
 
 from bayesfric.errors import BadInput
+from bayesfric.recordings.arrays import Array, Segments
 from bayesfric.recordings.filters import derivative, later, lowpass
 from bayesfric.recordings.inputs import Signal
-from bayesfric.recordings.measurement import Array, Measurement, Segments
+from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation, as_position
 
 # Delays in s, either way, between which a torque is about linear in them.

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.inputs import Inputs
-from bayesfric.recordings.measurement import Array, Hold, Measurement
+from bayesfric.recordings.measurement import Hold, Measurement
 from bayesfric.recordings.moving import without_excluded
 from bayesfric.recordings.observation import Observation
 

@@ -75,7 +75,7 @@ def test_every_estimate_finds_it_and_what_it_would_have_moved(late):
 @pytest.mark.parametrize("late", [0.0, 0.02])
 def test_load_losses_do_not_bend_the_delay_that_recordings_are_timed_by(late):
     """SIMULATED: a heavy arm whose gears lose a quarter, which totals take for a delay in part."""
-    joint = replace(PRESETS["servo-pendulum"].chain(), delay=True)
+    joint = replace(bf.Joint.preset("servo-pendulum"), delay=True)
     values = {
         "motor.inertia": 18.0,
         "motor.viscous": 18.0,

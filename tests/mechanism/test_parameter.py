@@ -2,8 +2,8 @@
 
 import pytest
 
-from bayesfric.mechanism.element import Element
-from bayesfric.mechanism.joint import Joint, Load
+from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import effort_words, parameter
 from bayesfric.mechanism.quantities import QUANTITIES, State
 

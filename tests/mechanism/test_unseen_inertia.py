@@ -5,11 +5,10 @@ import numpy as np
 import bayesfric as bf
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.summary.summary import summarise
 from tests.report.conftest import build
 
-SERVO = PRESETS["servo-pendulum"].chain()
+SERVO = Joint.preset("servo-pendulum")
 
 
 def meaning(joint, name):
@@ -18,7 +17,7 @@ def meaning(joint, name):
 
 def test_the_only_inertia_is_told_as_that_of_everything():
     assert meaning(SERVO, "motor.inertia") == "inertia of everything that moves, seen by the motor"
-    knee = PRESETS["rabbit-knee"].chain()
+    knee = Joint.preset("rabbit-knee")
     assert "everything" not in meaning(knee, "motor.inertia") + meaning(knee, "load.inertia")
 
 
@@ -28,7 +27,7 @@ def test_it_is_unseen_where_the_load_loss_does_not_change_with_it():
     behind = Joint((Element("motor"), geared), Load(inertia=True, first_moment=True))
     both = Joint((Element("motor", inertia=True), geared), Load(inertia=True, first_moment=True))
     bearing = Joint((Element("motor"), geared, Element("bearing", inertia=True)))
-    joints = [SERVO, PRESETS["rabbit-knee"].chain(), PRESETS["motor-axis"].chain(), behind, both]
+    joints = [SERVO, Joint.preset("rabbit-knee"), Joint.preset("motor-axis"), behind, both]
     for joint in (*joints, bearing):
         values = dict.fromkeys(joint.names, 0.3)
         lossless = {n: 0.0 if n.startswith("gearbox.load") else x for n, x in values.items()}
@@ -50,7 +49,7 @@ def test_check_says_so_before_anything_is_fitted():
     recording = bf.Recording.from_arrays(time, q, tau)
     said = " ".join(bf.check(bf.Model(SERVO, recording)).warnings)
     assert "motor.inertia is all the inertia there is and stands before the load loss" in said
-    plain = PRESETS["motor-axis"].chain()
+    plain = Joint.preset("motor-axis")
     assert "before the load loss" not in " ".join(bf.check(bf.Model(plain, recording)).warnings)
 
 

@@ -26,7 +26,7 @@ EVERYTHING = Joint(
     offset=True,
     gain=True,
 )  # fmt: skip
-CHAINS = {**{name: preset.chain() for name, preset in PRESETS.items()}, "everything": EVERYTHING}
+CHAINS = {**{name: Joint.preset(name) for name in PRESETS}, "everything": EVERYTHING}
 FUNCTIONS = {name: getattr(np, name) for name in ("sin", "cos", "exp", "expm1", "sign")}
 FUNCTIONS |= {"abs": np.abs, "max": np.maximum, "min": np.minimum}
 

@@ -12,7 +12,7 @@ import numpy as np
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings import units
-from bayesfric.recordings.measurement import Array
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
 _ANGLES = ("rad", "deg", "turn")
