@@ -132,8 +132,7 @@ def one(task: tuple[str, str, Path, str]) -> dict[str, Any]:
     for name, row in summary.joint.items():
         robust = estimates[name].sd_robust if name in estimates else None
         rows[name] = {
-            "value": row.mean,
-            "white": row.sd if row.white_sd is None else row.white_sd,
+            "value": {"auto": row.mean, "HAC": row.mean, "told": row.value},
             "auto": row.sd,
             "HAC": max(row.sd, robust) if robust is not None else row.sd,
             "told": row.told_sd,
@@ -147,7 +146,8 @@ def one(task: tuple[str, str, Path, str]) -> dict[str, Any]:
         "case": case,
         "run": run,
         "noise": summary.noise.model,
-        "model_error": error.found if error else [],
+        "chance": error.chance if error else None,
+        "findings": [finding.kind for finding in summary.findings],
         "rows": rows,
     }
 
@@ -159,7 +159,7 @@ def differences(runs: list[dict[str, Any]], kind: str, *, doubted: bool) -> list
         for name in a["rows"].keys() & b["rows"].keys():
             rows = a["rows"][name], b["rows"][name]
             if all(_told(row, kind) and (doubted or not row["doubted"]) for row in rows):
-                apart = rows[0]["value"] - rows[1]["value"]
+                apart = rows[0]["value"][kind] - rows[1]["value"][kind]
                 found.append(float(apart / np.hypot(rows[0][kind], rows[1][kind])))
     return found
 
@@ -192,7 +192,7 @@ def main() -> None:
     for case in dict.fromkeys(fit["case"] for fit in fits):
         runs = [fit for fit in fits if fit["case"] == case]
         row = {}
-        for kind in ("white", "auto", "HAC", "told"):
+        for kind in ("auto", "HAC", "told"):
             for doubted in (True, False):
                 z = differences(runs, kind, doubted=doubted)
                 every.setdefault((kind, doubted), []).extend(z)
@@ -206,7 +206,7 @@ def main() -> None:
             f"{row[k]['rms']:.2f}, {100 * row[k]['held']:.0f} % of {row[k]['n']}"
             if row[k]["n"]
             else "–"
-            for k in ("white", "auto", "HAC", "told", "told, undoubted")
+            for k in ("auto", "HAC", "told", "told, undoubted")
         ]
         print(f"| {case} | " + " | ".join(cells) + " |", flush=True)
     text = json.dumps(result, indent=1).replace("NaN", "null")
