@@ -2,7 +2,7 @@
 
 ``python studies/replication/lacking.py`` fits recordings of :mod:`joints`, each with one thing that
 the model does not have and is not given, and counts how often intervals hold the true values of
-what model and joint share. Writes ``lacking.json``; ``--recordings N`` and ``--cases A B`` for less.
+what model and joint share. Writes ``lacking.json``; ``--recordings N``, ``--cases A B`` for less.
 """
 
 from __future__ import annotations
