@@ -283,7 +283,8 @@ class Regression:
         """
         d = self.data.whitened
         base = basis_of(d.base)
-        size = np.sqrt((self.data.others**2).mean(axis=0))
+        # what is there for a moment only is no larger for that
+        size = np.abs(self.data.others).max(axis=0)
         size = np.where(size > 0.0, self.scales.torque / np.where(size > 0.0, size, 1.0), 0.0)
         rest, left = without(base, without(base, d.others * size)), without(base, d.left)
         seen = (rest**2).sum(axis=0) >= TESTABLE**2 * ((d.others * size) ** 2).sum(axis=0)

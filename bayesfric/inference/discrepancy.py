@@ -68,7 +68,7 @@ class Missing:
     Attributes
     ----------
     columns
-        ``(n, m)`` of all outputs, filtered as they are; each as large as the torque.
+        ``(n, m)`` of all outputs, filtered as they are; at most as large as the torque's rms.
     kinds
         Names of candidates, and of each the columns of every shape that it may have.
     gram, scores, power

@@ -13,7 +13,7 @@ from bayesfric.report.summary.record import Readable, Summary
 from bayesfric.report.summary.reference_check import references_off
 from bayesfric.report.summary.rollout import FEWEST, RollOutPart
 from bayesfric.report.text_templates import sentence
-from bayesfric.report.words import line_of
+from bayesfric.report.words import line_of, words
 
 # Kinds of doubts, see bayesfric.report.summary.doubts; each has a macro that words it.
 DOUBTS = (
@@ -47,6 +47,8 @@ def doubt_text(doubt: Mapping[str, Any]) -> str:
     """Word one of ``summary["doubts"]``; one that only a newer version knows by its parameters."""
     if doubt["kind"] in DOUBTS:
         return sentence(doubt["kind"], doubt)
+    if doubt["kind"] in words():
+        return line_of(doubt["kind"], doubt)
     return f"{doubt['kind']}: {', '.join(doubt.get('parameters', ()))}"
 
 

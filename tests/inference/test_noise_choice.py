@@ -57,27 +57,9 @@ def test_a_memory_that_moves_the_estimate_is_refused():
     bound = choose_order([residual], [follows], True, effects=[5.0 * seen[:, None]])
     assert free.order == 4
     assert bound.order == 0
-    assert bound.refused
     assert all(one.shift > 3.0 for one in bound.tried[1:])
     # residuals rise with it, as much as the estimate moves
     assert bound.tried[4].rise > 1.1
-
-
-def test_a_memory_is_said_to_move_parameters_by_what_they_are_in():
-    """Weighted least squares in the units of the columns, computed here by itself."""
-    torque, seen = closed_loop_like(1)
-    effects = np.c_[5.0 * seen, 2.0 * np.cos(np.arange(seen.size) / 9.0)]
-    left = torque + 0.6 * np.roll(torque, 40)
-    left -= effects @ np.linalg.lstsq(effects, left, rcond=None)[0]
-    follows = np.ones(left.size - 1, dtype=bool)
-    one = choose_order([left], [follows], True, effects=[effects]).tried[1]
-    rho = float(left[1:] @ left[:-1] / (left @ left))
-
-    def weighed(x):
-        return np.concatenate([x[:1] * np.sqrt(1.0 - rho**2), x[1:] - rho * x[:-1]])
-
-    expected = np.linalg.lstsq(weighed(effects), weighed(left), rcond=None)[0]
-    np.testing.assert_allclose(one.moves, expected, rtol=0.02, atol=1e-3 * abs(expected).max())
 
 
 def test_a_right_memory_is_kept_and_said_to_do_no_harm():
@@ -88,7 +70,6 @@ def test_a_right_memory_is_kept_and_said_to_do_no_harm():
     residual = noise - column * (column @ noise) / (column @ column)
     found = choose_order([residual], [follows], True, effects=[50.0 * column[:, None]])
     assert found.order == 1
-    assert not found.refused
     # a shift of one sd and more comes one time in three; of three, in four hundred
     assert found.tried[1].shift < 3.0
     assert found.tried[1].rise == pytest.approx(1.0, abs=0.01)

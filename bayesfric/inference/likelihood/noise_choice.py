@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,8 +52,6 @@ class Evidence:
     # square of the residuals that it then has, over that of least squares
     shift: float = 0.0
     rise: float = 1.0
-    # by how much it moves what each column of the effects is of, in their units
-    moves: tuple[float, ...] = ()
 
     @property
     def harmless(self) -> bool:
@@ -67,19 +65,6 @@ class Choice:
 
     order: int
     tried: tuple[Evidence, ...]
-    # by how much what is asked for would move parameters, in their units
-    moves: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def asked(self) -> Evidence:
-        """What the residuals ask for."""
-        return min(self.tried, key=lambda one: one.bic)
-
-    @property
-    def refused(self) -> bool:
-        """Whether that is another order, which would move the estimates."""
-        asked = self.asked
-        return asked.order != self.order and not asked.harmless and asked.bic < -EVIDENCE
 
     @property
     def white(self) -> bool:
@@ -103,14 +88,12 @@ def choice_at(
     sds = np.where(np.isfinite(sds), sds, 1.0)
     steps = np.where(sds > 0.0, 1e-6 * np.maximum(np.abs(values), 1e-3 * sds), 0.0)
     effects = torque_jacobian(chain, observations, values, steps) * sds
-    found = choose_order(
+    return choose_order(
         residuals,
         [follows(o) for o in observations],
         per_recording,
         effects=np.split(effects, np.cumsum([r.size for r in residuals])[:-1]),
     )
-    moves = zip(chain.names, found.asked.moves, sds.tolist(), strict=False)
-    return replace(found, moves={name: move * sd for name, move, sd in moves})
 
 
 def choose_order(
@@ -167,11 +150,9 @@ class _Plain:
         self._follows = follows
         self._ends = np.cumsum([r.size for r in residuals])[:-1]
         self._residual = np.concatenate(residuals)
-        basis, singular, rows = np.linalg.svd(np.concatenate(effects), full_matrices=False)
+        basis, singular, _ = np.linalg.svd(np.concatenate(effects), full_matrices=False)
         told = singular > _TOLD
         self._basis = basis[:, told]
-        # from the directions that data tell to what each column is of
-        self._back = rows[told].T / singular[told]
         steps = [np.concatenate([[_APART], np.where(f, 1, _APART)]) for f in follows]
         places = np.cumsum(np.concatenate(steps))
         scores = self._basis.T * self._residual
@@ -179,10 +160,10 @@ class _Plain:
         variance = float(np.mean(self._residual**2))
         self._sds = np.sqrt([max(long_run_variance(s, places), variance) for s in scores])
 
-    def compared(self, partial: Array) -> tuple[float, float, tuple[float, ...]]:
-        """Give ``shift``, ``rise`` and ``moves`` of :class:`Evidence` for a memory ``(p,)``."""
+    def compared(self, partial: Array) -> tuple[float, float]:
+        """Give ``shift`` and ``rise`` of :class:`Evidence` for a memory ``(p,)``."""
         if not self._sds.size:
-            return 0.0, 1.0, ()
+            return 0.0, 1.0
         rows = np.vstack([self._residual, self._basis.T])
         pieces = zip(np.split(rows, self._ends, axis=1), self._follows, strict=True)
         weighted = np.concatenate([ar.whitened(part, partial, f) for part, f in pieces], axis=1)
@@ -191,8 +172,7 @@ class _Plain:
         left = self._residual - self._basis @ step
         least = self._residual - self._basis @ (self._basis.T @ self._residual)
         rise = math.sqrt(float(left @ left) / max(float(least @ least), 1e-300))
-        moves = tuple((self._back @ apart).tolist())
-        return float(np.max(np.abs(apart) / self._sds)), rise, moves
+        return float(np.max(np.abs(apart) / self._sds)), rise
 
 
 def _log_sds(partial: Array, follows: Flags) -> Array:

@@ -365,11 +365,6 @@ class Summary(Part):
         return any(doubt.kind == "unexplained" for doubt in self.doubts)
 
     @property
-    def lacks(self) -> list[FindingRow]:
-        """What a line of the configuration would put in, the strongest first."""
-        return [one for one in self.findings if one.hint]
-
-    @property
     def reasons(self) -> list[str]:
         """Why numbers are doubtful, each in one clause, for print."""
         told = (reason(one.kind, one.model_dump()) for one in self.doubts if one.parameters)
