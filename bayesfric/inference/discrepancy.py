@@ -41,9 +41,8 @@ Index = NDArray[np.intp]
 
 # Draws that tell where the posterior lies; and step to either side, in its sds.
 _DRAWS, _STEP = 4000, 0.3
-# What chi squared of a moved draw may be of what is predicted of it, an order of magnitude; and how
-# often a move that fits worse is halved.
-_ALLOWED, _HALVINGS = 10.0, 12
+# How often a move to where nothing can be is halved.
+_HALVINGS = 12
 # Scales of a candidate, as shares of the torque's rms.
 _GRID = np.geomspace(3e-5, 0.5, 24)
 # Scale of the half-Cauchy of the scale that all others are around.
@@ -95,7 +94,6 @@ class Discrepancy:
 
     chance: float  # that something is missing
     moves: Array  # (n, d) draws of how far the numbers then are off
-    misfit: Array  # (d, d) chi squared of a move, were the torque linear in these coordinates
 
     @property
     def shown(self) -> bool:
@@ -114,7 +112,6 @@ class Discrepancy:
         u, _ = target.straighten(target.from_parameters(parameters))
         step = self.moves[rng.integers(len(self.moves), size=len(u))]
         found, left = parameters.copy(), np.flatnonzero(rng.uniform(size=len(u)) < self.chance)
-        before = target.log_likelihood(parameters)
         for _ in range(_HALVINGS):
             if not left.size:
                 break
@@ -122,15 +119,8 @@ class Discrepancy:
             possible = np.isfinite(slope) & np.isfinite(moved).all(axis=1)
             # not every coordinate ends where a prior does
             possible[possible] = np.isfinite(target.log_prior(moved[possible]))
-            worse = np.full(left.size, np.inf)
-            if possible.any():
-                likely = target.log_likelihood(moved[possible])
-                worse[possible] = 2.0 * (before[left[possible]] - likely)
-            predicted = np.einsum("ni,ij,nj->n", step[left], self.misfit, step[left])
-            # besides, the move meets what a draw's own misfit is
-            fine = worse <= _ALLOWED * (predicted + u.shape[1])
-            found[left[fine]] = moved[fine]
-            left = left[~fine]
+            found[left[possible]] = moved[possible]
+            left = left[~possible]
             step[left] *= 0.5
         # so far out that it has no counterpart: stays where it was
         return found
@@ -139,7 +129,7 @@ class Discrepancy:
 def discrepancy(target: Target, posterior: Posterior, missing: Missing | None) -> Discrepancy:
     """Marginalise what may be missing; nothing is where nobody could ask."""
     d = len(target.names)
-    none = Discrepancy(0.0, np.zeros((1, d)), np.zeros((d, d)))
+    none = Discrepancy(0.0, np.zeros((1, d)))
     known = isinstance(target.likelihood, TorqueLikelihood)
     if missing is None or not known or posterior.diagnostics.status == "unusable":
         return none
@@ -152,10 +142,9 @@ def discrepancy(target: Target, posterior: Posterior, missing: Missing | None) -
     k, mean = off.shape[1], off.mean(axis=0)
     # the mean is taken in part, and for the rest may be there or not, to either side
     spread = (1.0 - _TAKEN) * rng.standard_normal((len(off), 1)) * mean
-    moves, misfit = np.zeros((len(off), d)), np.zeros((d, d))
+    moves = np.zeros((len(off), d))
     moves[:, :k] = (off - (1.0 - _TAKEN) * mean + spread) @ around.root.T
-    misfit[:k, :k] = around.misfit
-    return Discrepancy(chance, moves, misfit)
+    return Discrepancy(chance, moves)
 
 
 def chance_missing(missing: Missing) -> float:
@@ -322,12 +311,6 @@ class _Around:
         changes = [(p[:k] - p[k : 2 * k]) / (2.0 * _STEP) for p in predicted]
         rows = np.concatenate(likelihood.innovations(changes, scales), axis=1).T
         return cls(likelihood, scales, rows, root)
-
-    @property
-    def misfit(self) -> Array:
-        """Chi squared of a move in straight coordinates, ``(k, k)``."""
-        back = np.linalg.inv(self.root)
-        return np.asarray(back.T @ (self.rows.T @ self.rows) @ back)
 
     def follows(self, columns: Array) -> Array:
         """Give what the estimate moves by for columns ``(n, m)`` of outputs: ``(k, m)``.

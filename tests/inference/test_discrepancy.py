@@ -139,7 +139,7 @@ def test_draws_are_moved_by_the_shift_alone_where_nothing_is_spread(right):
     d = draws.shape[1]
     shift = np.zeros(d)
     shift[0] = 2.0 * straight[:, 0].std()
-    room = Discrepancy(1.0, shift[None], 1e12 * np.eye(d))
+    room = Discrepancy(1.0, shift[None])
     moved = room.widened(target, draws, np.random.default_rng(0))
     after = target.straighten(target.from_parameters(moved))[0]
     np.testing.assert_allclose(after, straight + shift, rtol=1e-6, atol=1e-9)

@@ -149,9 +149,8 @@ def test_what_is_as_wide_as_its_prior_is_no_longer_data(wrong):
     root = np.zeros((len(names), len(names)))
     u = fit.target.from_parameters(fit.posterior.flat(500))
     root[at, at] = 3.0 * prior * u[:, at].std() / fit.posterior.flat(500)[:, at].std()
-    # however badly a draw then fits
     moves = np.random.default_rng(7).standard_normal((4000, len(names))) @ root.T
-    room = Discrepancy(1.0, moves, 1e12 * np.eye(len(names)))
+    room = Discrepancy(1.0, moves)
     fit = replace(fit, discrepancy=room)
     found = add_model_error(plain, fit, groups(fit))
     assert found.parameters["motor.coulomb"].verdict == "weak"

@@ -22,7 +22,7 @@ from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.quantities import QUANTITIES, Quantity, State
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.resolution import LEAST_RATIO
-from bayesfric.report.summary.bounds import held, leaning, noise_cut
+from bayesfric.report.summary.bounds import held, noise_cut
 from bayesfric.report.summary.position_unit import best_share, other_units
 from bayesfric.report.summary.record import Doubt, Summary, quantity_of
 from bayesfric.report.summary.reference_check import references_off
@@ -53,7 +53,7 @@ def find_doubts(
         # before what else may be wrong: it may all come of this
         *_strange_velocity(fit.observations),
         *_missing(summary, resting),
-        *_squeezed(fit, summary),
+        *_squeezed(summary),
         *_unexplained(fit, summary),
         *doubts_before(fit.estimates[0], fit.observations),
         *_cut(summary),
@@ -97,22 +97,17 @@ def _missing(summary: Summary, resting: Sequence[str]) -> Iterator[dict[str, Any
             yield {key: x for key, x in told.items() if key != "parameters"}
 
 
-def _squeezed(fit: Fit, summary: Summary) -> Iterator[dict[str, Any]]:
+def _squeezed(summary: Summary) -> Iterator[dict[str, Any]]:
     """Doubt what a bound holds where the model lacks something: it may be far from there.
 
     No room for what is missing reaches a number that cannot move.
     """
-    if not (summary.widened and summary.findings):
-        return
-    support = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
     names = [
         name
-        for name, prior in zip(fit.posterior.names, fit.posterior.priors, strict=True)
-        if name in support
-        and held(summary.rows[name])
-        and leaning(fit.posterior[name].ravel(), prior.limits, support[name])["at_bound"]
+        for name, row in summary.joint.items()
+        if held(row) and min(abs(end - (row.bound or 0.0)) for end in row.interval) < row.sd
     ]
-    if names:
+    if summary.widened and summary.findings and names:
         yield {"kind": "squeezed", "names": names, "of": names}
 
 
