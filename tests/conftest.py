@@ -12,6 +12,8 @@ if WORKER:
     # those of another. So each keeps to a core, and what it starts does too.
     for variable in ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
+    # and compiles for itself: what two write into one cache at once may be the other's function
+    os.environ["NUMBA_CACHE_DIR"] = f"{Path(__file__).resolve().parents[1]}/.numba-cache/{WORKER}"
     if hasattr(os, "sched_setaffinity"):
         cores = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {cores[int(WORKER) % len(cores)]})
@@ -25,8 +27,6 @@ from bayesfric.recordings.filters import lay_windows, parallel_taps
 from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
-
-from .kernels import compile_likelihood, compile_simulation
 
 # a busy machine is no defect of what is tested
 settings.register_profile("untimed", deadline=None)
@@ -61,15 +61,6 @@ def made_recording(time, position, torque, period, **more):
         "warnings": (),
     }
     return Measurement(time=time, position=position, torque=torque, period=period, **(given | more))
-
-
-@pytest.fixture(scope="session", autouse=True)
-def kernels(make_observation):
-    """Compile the half of the kernels that the worker beside does not; its half is then cached."""
-    if WORKER == "0":
-        compile_simulation()
-    elif WORKER == "1":
-        compile_likelihood(make_observation)
 
 
 @pytest.fixture(scope="session", autouse=True)
