@@ -59,8 +59,14 @@ def test_fleets_hold_what_they_say(committed):
 
 
 def invented(case, value, sd, **more):
-    row = {"value": value, "determined": True, "doubted": False, "prior": 100.0}
-    row |= dict.fromkeys(("white", "auto", "HAC", "told"), sd) | more
+    kinds = "auto", "HAC", "told"
+    row = {
+        "value": dict.fromkeys(kinds, value),
+        "determined": True,
+        "doubted": False,
+        "prior": 100.0,
+    }
+    row |= dict.fromkeys(kinds, sd) | more
     return {"case": case, "rows": {"motor.viscous": row}}
 
 
