@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -82,9 +81,10 @@ def whole_fit(
     begun = begin(model, output_error=output_error, progress=progress)
     _refuse_alike_losses(model, begun)
     explained = explained or model.explain(begun.estimates, progress=progress)
-    sample = partial(fit, estimates=begun.estimates, progress=progress)
     with model.config.named():
-        found = sample(begun.target, sampling, checkpoint=kept)
+        found = fit(
+            begun.target, sampling, estimates=begun.estimates, progress=progress, checkpoint=kept
+        )
     if model.held_out:
         held_out = predict_held_out(found.target, found.posterior, model.held_out)
         found = replace(found, held_out=held_out)

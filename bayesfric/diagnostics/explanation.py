@@ -82,11 +82,6 @@ class Explanation:
         told |= {"cpu_seconds": self.cpu_seconds, "reason": self.reason}
         return {"findings": [one.as_dict() for one in self.findings], **told}
 
-    @property
-    def wrong(self) -> bool | None:
-        """Whether the model is wrong by as much as matters; ``None`` where it was not asked."""
-        return any(one.severity == "doubt" for one in self.findings) if self.asked else None
-
 
 def unasked(
     chain: Joint, recordings: Sequence[Measurement], observations: Sequence[Observation]

@@ -297,11 +297,9 @@ class Regression:
                 kinds.setdefault(kind, []).append(own)
         free = left.size - base.shape[1]
         power = float(left @ left)
-        alone = np.array([_alone(twin.whitened, size) for twin in self.twins])
-        mean = alone[:, 0].mean(axis=0)
-        # in those of white noise
-        sd = alone[:, 0].std(axis=0, ddof=1) / alone[:, 1].mean()
-        bias = mean / alone[:, 1].mean()
+        scores, sds = zip(*(_alone(twin.whitened, size) for twin in self.twins), strict=True)
+        mean, white = np.mean(scores, axis=0), float(np.mean(sds))
+        sd, bias = np.std(scores, axis=0, ddof=1) / white, mean / white
         unit = np.sqrt((rest**2).sum(axis=0))
         return Missing(
             columns=self.data.others * size,
@@ -490,13 +488,13 @@ def _memory(d: Columns, extra: Sequence[int]) -> tuple[Memory, float]:
     return memory_of(d.rest(extra), d.layout)
 
 
-def _alone(d: Columns, size: Array) -> Array:
+def _alone(d: Columns, size: Array) -> tuple[Array, float]:
     """Give scores of unit columns beside the model's own, of a whitened twin, and their sd."""
     base = basis_of(d.base)
     rest, left = without(base, d.others * size), without(base, d.left)
     unit = np.sqrt((rest**2).sum(axis=0))
     scores = rest.T @ left / np.where(unit > 0.0, unit, np.inf)
-    return np.stack([scores, np.full(unit.size, math.sqrt(mean_square(left, base.shape[1])))])
+    return np.asarray(scores), math.sqrt(mean_square(left, base.shape[1]))
 
 
 def _made(along: Along) -> Iterator[tuple[Key, Array]]:

@@ -216,9 +216,7 @@ class Sizes:
             typical = _drawn(prior + around[scale].sum(axis=0), rng)
             active, sd = self._active(taken, scale, variance)
             size = self._sizes(active, sd, variance, rng)
-            left = one.power - 2.0 * size @ one.scores[active]
-            left += size @ one.gram[np.ix_(active, active)] @ size
-            variance = max(float(left), _LEAST * one.power) / float(rng.chisquare(one.free))
+            variance = self._rest(active, size) / float(rng.chisquare(one.free))
             sizes[sweep, active] = size
         return sizes[_BURN:]
 
@@ -232,16 +230,25 @@ class Sizes:
                  if without < 0 or _GRID[s] ** 2 * diagonal[i] > _IDLE * variance]  # fmt: skip
         return np.array([i for i, _ in pairs], dtype=np.intp), np.array([s for _, s in pairs])
 
+    def _inner(self, active: Index, sd: Array, variance: float) -> Array:
+        """Give the precision of sizes over their sds, ``(m, m)``."""
+        inner = sd[:, None] * self.missing.gram[np.ix_(active, active)] * sd / variance
+        inner[np.diag_indices(active.size)] += 1.0
+        return np.asarray(inner)
+
+    def _rest(self, active: Index, size: Array) -> float:
+        """Give the power that sizes leave of the residual."""
+        one = self.missing
+        left = one.power - 2.0 * size @ one.scores[active]
+        left += size @ one.gram[np.ix_(active, active)] @ size
+        return max(float(left), _LEAST * one.power)
+
     def _variance(self, taken: list[tuple[int, ...]], scale: Array, variance: float) -> float:
         """Give the noise's variance beside the sizes' mean."""
         active, sd = self._active(taken, scale, variance)
-        one = self.missing
-        inner = sd[:, None] * one.gram[np.ix_(active, active)] * sd / variance
-        inner[np.diag_indices(active.size)] += 1.0
-        size = sd * np.linalg.solve(inner, sd * one.scores[active]) / variance
-        left = one.power - 2.0 * size @ one.scores[active]
-        left += size @ one.gram[np.ix_(active, active)] @ size
-        return max(float(left), _LEAST * one.power) / one.free
+        pull = sd * self.missing.scores[active]
+        size = sd * np.linalg.solve(self._inner(active, sd, variance), pull) / variance
+        return self._rest(active, size) / self.missing.free
 
     def _left(
         self, columns: Index, others: tuple[Index, Array], variance: float
@@ -250,10 +257,8 @@ class Sizes:
         gram, scores, (active, sd) = self.missing.gram, self.missing.scores, others
         own, pull = gram[np.ix_(columns, columns)], scores[columns]
         if active.size:
-            inner = sd[:, None] * gram[np.ix_(active, active)] * sd / variance
-            inner[np.diag_indices(active.size)] += 1.0
             cross = sd[:, None] * np.column_stack([gram[np.ix_(active, columns)], scores[active]])
-            solved = np.linalg.solve(inner, cross)
+            solved = np.linalg.solve(self._inner(active, sd, variance), cross)
             own = own - cross[:, :-1].T @ solved[:, :-1] / variance
             pull = pull - cross[:, :-1].T @ solved[:, -1] / variance
         return own / variance, pull / variance
@@ -274,8 +279,7 @@ class Sizes:
         return found
 
     def _sizes(self, active: Index, sd: Array, variance: float, rng: np.random.Generator) -> Array:
-        inner = sd[:, None] * self.missing.gram[np.ix_(active, active)] * sd / variance
-        root = np.linalg.cholesky(inner + np.eye(active.size))
+        root = np.linalg.cholesky(self._inner(active, sd, variance))
         pull = sd * self.missing.scores[active] / variance
         mean = np.linalg.solve(root @ root.T, pull)
         return np.asarray(sd * (mean + np.linalg.solve(root.T, rng.standard_normal(active.size))))
