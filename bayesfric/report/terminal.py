@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.brief import Brief, brief
-from bayesfric.report.summary.caveats import constant_sentence
 from bayesfric.report.summary.noise import noise_lines
 from bayesfric.report.summary.record import Readable, Summary
 from bayesfric.report.summary.reported import put_reported
@@ -29,10 +28,9 @@ def fit_text(summary: Readable, *, verbose: bool = False) -> Iterator[str]:
             summary=read,
             alerts=alerts,
             rows={n: r for n, r in read.rows.items() if r.reported and not r.of_motion},
-            noise=list(noise_lines(read.noise, allowed=read.widened)),
+            noise=list(noise_lines(read.noise)),
             held_out=list(validation_lines(read.validation)) if read.validation else [],
             self_check=list(self_check_lines(read)),
-            constant=constant_sentence(read),
         ).splitlines()
 
 

@@ -35,7 +35,6 @@ FIGURE = RunFigure(
     section="friction",
     draw=draw,
     caption=lambda run: f"Torque of {run.fit.observations[0].name}: nothing is seen.",
-    alternative=lambda judged: f"{len(judged.table.rows)} rows.",
 )
 """
 

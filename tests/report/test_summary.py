@@ -17,8 +17,8 @@ from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.comparison.cell import posterior_cells
-from bayesfric.report.paper.tables import parameter_table
-from bayesfric.report.summary.summary import summarise, summary_table
+from bayesfric.report.paper.tables import parameter_table, summary_table
+from bayesfric.report.summary.summary import summarise
 
 KNEE, AXIS = PRESETS["rabbit-knee"], PRESETS["motor-axis"]
 ROTARY_UNITS = {

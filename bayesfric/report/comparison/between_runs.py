@@ -14,7 +14,6 @@ from bayesfric.pooling.population import (
     normal,
     population,
 )
-from bayesfric.report.comparison.cell import has_converged
 from bayesfric.report.comparison.comparison import on_one_turn
 from bayesfric.report.comparison.run_draws import RunDraws
 from bayesfric.report.summary.record import Summary, of_noise, quantity_of
@@ -109,9 +108,7 @@ def told_by_runs(
         rows = {
             run: table[name]
             for run, table in tables.items()
-            if name in table
-            and table[name].sd
-            and has_converged(table[name], runs[run].sampler.status)
+            if name in table and table[name].sd and _converged(table[name])
         }
         if of_noise(name) or sum(map(_told, rows.values())) < _LEAST:
             continue
@@ -121,6 +118,10 @@ def told_by_runs(
         }
         kept = {run: one for run, one in each.items() if one is not None}
         yield Told(name, {run: rows[run] for run in kept}, kept)
+
+
+def _converged(row: PosteriorRow) -> bool:
+    return row.reported is not None and row.reported.how.converged
 
 
 def _told(row: PosteriorRow) -> bool:

@@ -33,9 +33,8 @@ from bayesfric.report.figures.style import (
     few_ticks,
     paper_figure,
 )
-from bayesfric.report.page.values import rows_in_words
+from bayesfric.report.summary.derived_quantities import LEVEL
 from bayesfric.report.summary.record import Summary
-from bayesfric.report.summary.summary import LEVEL
 
 # Combinations that come first; parameters want to be seen too.
 _COMBINATIONS = 5
@@ -221,8 +220,5 @@ FIGURE = RunFigure(
         "no interval and is not filled in its pairs: there prior and bounds are seen. So is "
         "everything where the sampling has not converged. A limit has one dotted end."
         + which_posterior(run.summary)
-    ),
-    alternative=lambda judged: rows_in_words(
-        row for row in judged.table.rows if row.group in ("free", "parameter")
     ),
 )

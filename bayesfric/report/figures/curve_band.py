@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from bayesfric.identifiability.local import LocalInformation, local_information, verdict
 from bayesfric.inference.fitting import Fit
 from bayesfric.report.figures.style import OPEN_HATCH, Array, Look
-from bayesfric.report.summary.summary import LEVEL
+from bayesfric.report.summary.derived_quantities import LEVEL, around_median, prior_values
 
 Flags = NDArray[np.bool_]
 # Joint parameters (n, n_parameters) to the curve's points (n, N)
-Curve = Callable[[Array], Array]
+Of = Callable[[Array], Array]
 
 # Outputs that must be near a place for it to count as recorded.
 FEWEST = 3
@@ -31,34 +31,30 @@ _OUTSIDE: Look = {"linestyle": (0, (3.0, 2.0)), "linewidth": 0.6}
 
 
 @dataclass(frozen=True, eq=False)
-class CurveBand:
-    """A function of the parameters at ``N`` places."""
+class Curve:
+    """A function of the parameters at ``N`` places, ``(N,)`` each."""
 
-    # `(N,)` of the posterior; the ends of its central 90 % interval. Over the draws that have a
-    # value; `nan` where fewer than half of them do.
+    speed: Array  # the motor's; none of an efficiency
+    load: Array  # loss-free, see :mod:`bayesfric.report.figures.friction_curve`
+    # of the posterior, with the ends of its central 90 % interval, over the draws that have a
+    # value; `nan` where fewer than half of them do
     median: Array
     low: Array
     high: Array
-    determined: Flags  # `(N,)` whether the data had a say: false where the verdict is `prior`
-
-    def part(self, where: Flags, sign: float = 1.0) -> CurveBand:
-        """Take some of the places, times plus or minus one."""
-        median, low, high = (sign * x[where] for x in (self.median, self.low, self.high))
-        return CurveBand(median, low, high, self.determined[where])
-
-
-@dataclass(frozen=True, eq=False)
-class LoadCurve:
-    """A band over, or at, loads ``(N,)``, and whether ``FEWEST`` outputs were near ``(N,)``."""
-
-    load: Array  # loss-free, see :mod:`bayesfric.report.figures.friction_curve`
-    band: CurveBand
-    covered: Flags
+    determined: Flags  # whether the data had a say: false where the verdict is `prior`
+    covered: Flags  # whether `FEWEST` outputs were near
 
     @property
     def shown(self) -> Flags:
         """Where there is a band to see."""
-        return np.asarray(self.covered & np.isfinite(self.band.median))
+        return np.asarray(self.covered & np.isfinite(self.median))
+
+    def part(self, where: Flags, sign: float = 1.0) -> Curve:
+        """Take some of the places, the curve times plus or minus one."""
+        median, low, high = (sign * x[where] for x in (self.median, self.low, self.high))
+        speed = self.speed[where] if self.speed.size else self.speed
+        flags = self.determined[where], self.covered[where]
+        return Curve(speed, self.load[where], median, low, high, *flags)
 
 
 @dataclass(frozen=True)
@@ -93,25 +89,22 @@ class CurveJudge:
     """
 
     def __init__(self, fit: Fit) -> None:
-        posterior, target = fit.posterior, fit.target
-        sampled = posterior.median
+        sampled = fit.posterior.median
         self._fit = fit
-        self.local: LocalInformation = local_information(target, sampled)
-        self.median: Array = target.chain_values(sampled[None])[0]
-        k = len(target.free)
-        self._steps = 1e-5 * np.maximum(np.abs(sampled[:k]), 1e-9)
-        self._moved = target.chain_values(_both_ways(sampled, self._steps))
-        rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(4,)))
-        drawn = np.stack([p.draw(_PRIOR_DRAWS, rng) for p in posterior.priors], axis=1)
-        self._prior = target.chain_values(drawn)
+        self.local: LocalInformation = local_information(fit.target, sampled)
+        self.median: Array = fit.target.chain_values(sampled[None])[0]
+        self._moved, self._steps = around_median(fit)
+        self._prior = prior_values(fit, _PRIOR_DRAWS, 4)
 
     @property
     def open_scale(self) -> bool:
         """Whether theory leaves a scale between leg and alpha open."""
         return self.local.from_theory > 0
 
-    def band(self, curve: Curve, *, gauge_free: bool, draws: int = _DRAWS) -> CurveBand:
-        """Evaluate a curve over at most ``draws`` of the posterior and judge every point of it.
+    def band(
+        self, curve: Of, *, gauge_free: bool, draws: int = _DRAWS
+    ) -> tuple[Array, Array, Array, Flags]:
+        """Give median, ends and ``determined`` of a curve over ``draws`` of the posterior.
 
         Points are judged as single quantities are in ``summary.json``: by the posterior's
         sd against the prior's and the one that the data alone would leave. The curve is ``nan``
@@ -138,40 +131,38 @@ class CurveJudge:
             != "prior"
             for one, before, gradient in zip(sd, prior_sd, gradients.T, strict=True)
         ]
-        return CurveBand(middle, low, high, np.array(determined, dtype=np.bool_))
+        return middle, low, high, np.array(determined, dtype=np.bool_)
 
 
-def draw_curve(
-    ax: Axes, x: Array, curve: LoadCurve, look: CurveLook, label: str | None = None
-) -> None:
+def draw_curve(ax: Axes, x: Array, curve: Curve, look: CurveLook, label: str | None = None) -> None:
     """Draw median and band where recordings were, and beyond that a dashed median alone.
 
     Where the data do not determine the curve its band is hatched.
     """
-    band, shown = curve.band, curve.shown
+    shown = curve.shown
     for open_ in (False, True):
-        where = shown & (band.determined != open_)
+        where = shown & (curve.determined != open_)
         if where.any():
             area = _area(look.colour, look.hatch if open_ else None)
             inside = _joined(where, shown).tolist()
             gid = "open" if open_ else "band"
-            ax.fill_between(x, band.low, band.high, where=inside, gid=gid, **area)
-    ax.plot(x, band.median, color=look.colour, gid="outside", **_OUTSIDE)
-    seen = np.where(_joined(shown, np.isfinite(band.median)), band.median, np.nan)
+            ax.fill_between(x, curve.low, curve.high, where=inside, gid=gid, **area)
+    ax.plot(x, curve.median, color=look.colour, gid="outside", **_OUTSIDE)
+    seen = np.where(_joined(shown, np.isfinite(curve.median)), curve.median, np.nan)
     marks: Look = {"marker": look.marker, "markersize": 2.6, "markevery": (look.start, look.every)}
     ax.plot(x, seen, color=look.colour, linewidth=look.width, label=label, gid="median", **marks)
 
 
-def curve_handles(curves: Sequence[LoadCurve], band: str, other: str) -> list[Artist]:
+def curve_handles(curves: Sequence[Curve], band: str, other: str) -> list[Artist]:
     """List what a legend explains of curves; colours of the band and of the rest."""
     handles: list[Artist] = []
-    if any((c.shown & c.band.determined).any() for c in curves):
+    if any((c.shown & c.determined).any() for c in curves):
         handles.append(Patch(label=f"{100 * LEVEL:.0f} % band", **_area(band, None)))
-    if any((~c.covered & np.isfinite(c.band.median)).any() for c in curves):
+    if any((~c.covered & np.isfinite(c.median)).any() for c in curves):
         handles.append(
             Line2D([], [], color=other, label=f"fewer than {FEWEST} outputs near", **_OUTSIDE)
         )
-    if any((c.shown & ~c.band.determined).any() for c in curves):
+    if any((c.shown & ~c.determined).any() for c in curves):
         handles.append(Patch(label="NOT determined by the data", **_area(other, OPEN_HATCH)))
     return handles
 
@@ -188,12 +179,6 @@ def _joined(flags: Flags, within: Flags) -> Flags:
     grown[1:] |= flags[:-1]
     grown[:-1] |= flags[1:]
     return grown & within
-
-
-def _both_ways(centre: Array, steps: Array) -> Array:
-    """Vectors a step to either side in each free parameter, ``(2k, d)``."""
-    moves = np.pad(np.diag(steps), ((0, 0), (0, centre.size - steps.size)))
-    return np.concatenate([centre + moves, centre - moves])
 
 
 def _finite(x: Array) -> Array:

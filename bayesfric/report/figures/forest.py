@@ -16,8 +16,8 @@ from bayesfric.report.comparison.comparison import REFERENCE, Column, Comparison
 from bayesfric.report.figures import style
 from bayesfric.report.figures.registry import ComparisonFigure, RunFigure
 from bayesfric.report.figures.style import Look, power_of_ten, remark_below, run_colour, shortened
+from bayesfric.report.summary.derived_quantities import LEVEL
 from bayesfric.report.summary.rows import HALF
-from bayesfric.report.summary.summary import LEVEL
 
 # Up to so many panels stand below each other in one column of a paper.
 _FEW = 4
@@ -274,23 +274,6 @@ def _legend(figure: Figure, rows: list[Row], columns: list[Column]) -> None:
         figure.legend(handles=handles, loc="outside upper right", ncols=across, **look)
 
 
-def forest_words(found: Comparison) -> str:
-    """Say what a forest figure shows: every quantity by every column, open ones as open."""
-    parts = []
-    for row in found.rows:
-        cells = ", ".join(f"{label} {_cell_words(cell)}" for label, cell in row.cells.items())
-        parts.append(f"{row.name}{f' in {row.unit}' if row.unit else ''}: {cells}")
-    return "; ".join(parts) + "."
-
-
-def _cell_words(cell: Cell) -> str:
-    if cell.status == "undetermined":
-        return "not determined" if cell.converged else cell.remark
-    if cell.status == "limit":
-        return cell.remark
-    return f"{cell.value:.5g}" + (f" ± {cell.sd:.2g}" if cell.sd else "")
-
-
 _BARS = (
     f"Thick: {100 * LEVEL:.0f} %, accounting for correlated residuals; thin: taking them for "
     "uncorrelated; open symbols: not determined, dotted what fits as well. Posteriors have room "
@@ -303,7 +286,6 @@ METHODS = RunFigure(
     # of a single run, whose name is nowhere shown
     draw=lambda run: forest_figure(comparison({"run": run.summary})),
     caption=f"Every quantity by every method and by the posterior. {_BARS}",
-    alternative=lambda judged: forest_words(judged.methods),
 )
 FOREST = ComparisonFigure(
     stem="forest",
@@ -311,5 +293,4 @@ FOREST = ComparisonFigure(
     section="side-by-side",
     draw=lambda compared: forest_figure(compared.found),
     caption=_BARS,
-    alternative=lambda compared: forest_words(compared.found),
 )

@@ -19,7 +19,6 @@ from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism.parameter import effort_words
 from bayesfric.report.comparison.between_runs import PooledQuantity
 from bayesfric.report.comparison.comparison import Comparison
-from bayesfric.report.paper.tables import ParameterTable
 from bayesfric.report.summary.record import Summary
 
 # Of the pages of a run and of a comparison, in their order.
@@ -38,15 +37,6 @@ class FinishedRun:
 
 
 @dataclass(frozen=True, eq=False)
-class JudgedRun:
-    """What text alternatives are made of, all of it from ``summary.json`` alone."""
-
-    summary: Summary
-    table: ParameterTable
-    methods: Comparison
-
-
-@dataclass(frozen=True, eq=False)
 class ComparedRuns:
     """What the figures of a comparison are made of; see ``bayesfric.report.comparison``."""
 
@@ -56,11 +46,10 @@ class ComparedRuns:
 
 
 Drawn = TypeVar("Drawn")
-Judged = TypeVar("Judged")
 
 
 @dataclass(frozen=True)
-class Declared(Generic[Drawn, Judged]):
+class Declared(Generic[Drawn]):
     """All that is known of one figure."""
 
     stem: str  # its files' name
@@ -70,23 +59,17 @@ class Declared(Generic[Drawn, Judged]):
     draw: Callable[[Drawn], Figure | None]  # gives `None` where there is nothing to show
     # what is drawn, and what it says; words where it is the same for all
     caption: str | Callable[[Drawn], str]
-    # the numbers it shows, for who cannot see them; none of what the data leave open
-    alternative: Callable[[Judged], str]
 
     def caption_of(self, drawn: Drawn) -> str:
         """Give the caption of one drawing."""
         return self.caption if isinstance(self.caption, str) else self.caption(drawn)
 
-    def words(self, judged: Judged) -> str:
-        """Say title and numbers in place of the drawing."""
-        return f"{self.title}. {self.alternative(judged)}".strip()
 
-
-class RunFigure(Declared[FinishedRun, JudgedRun]):
+class RunFigure(Declared[FinishedRun]):
     """A figure of a run."""
 
 
-class ComparisonFigure(Declared[ComparedRuns, ComparedRuns]):
+class ComparisonFigure(Declared[ComparedRuns]):
     """A figure of a comparison of runs."""
 
 

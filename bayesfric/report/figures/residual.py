@@ -6,12 +6,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
-from scipy import stats
 
 from bayesfric.inference.fitting import Fit
 from bayesfric.report.figures import style
-from bayesfric.report.figures.prediction import residuals_in_words
-from bayesfric.report.figures.registry import FinishedRun, JudgedRun, RunFigure
+from bayesfric.report.figures.registry import RunFigure
+from bayesfric.report.figures.residual_analysis import (
+    HALF,
+    Binned,
+    ResidualAnalysis,
+    residual_analysis,
+)
 from bayesfric.report.figures.style import (
     Array,
     Look,
@@ -20,20 +24,9 @@ from bayesfric.report.figures.style import (
     power_of_ten,
     scaled_unit,
 )
-from bayesfric.report.numbers import p_text
-from bayesfric.report.summary.residual_analysis import (
-    Binned,
-    ResidualAnalysis,
-    residual_analysis,
-    residual_words,
-)
 from bayesfric.report.summary.summary import torque_constant
-from bayesfric.report.text_templates import white_words
 
 _HEIGHT = 3.6
-_STRANGE = {"depends": ", NOT chance", "open": ", chance?", "none": ""}
-# Half width of a normal's 95 % interval, in sds.
-_HALF = float(stats.norm.ppf(0.975))
 
 
 def residual_figure(fit: Fit) -> Figure:
@@ -136,7 +129,7 @@ def _draw_amperes(ax: Axes, constant: float | None, reach: float, factor: float)
 
 def _bar(b: Binned) -> Array:
     """Half the length of the longer of a bin's two bars."""
-    return np.fmax(b.sd, _HALF * b.error)
+    return np.fmax(b.sd, HALF * b.error)
 
 
 def _draw_binned(ax: Axes, b: Binned, factor: float) -> None:
@@ -146,34 +139,14 @@ def _draw_binned(ax: Axes, b: Binned, factor: float) -> None:
         elinewidth=0.8, gid="spread",
     )  # fmt: skip
     ax.errorbar(
-        b.centre, b.mean / factor, yerr=_HALF * b.error / factor, color=style.PALETTE[0],
+        b.centre, b.mean / factor, yerr=HALF * b.error / factor, color=style.PALETTE[0],
         linestyle="none", marker="o", markersize=2.4, elinewidth=1.6, gid="mean",
     )  # fmt: skip
     ax.set_xlabel(f"{b.what} ({b.unit})")
     few_ticks(ax.xaxis, 5)
-    said = f"{100 * b.explained:.2g} % of variance{_STRANGE[b.outcome]}"
+    said = f"{100 * b.explained:.2g} % of variance"
     place: Look = {"transform": ax.transAxes, "va": "top", "fontsize": style.SMALL}
     ax.text(0.03, 0.97, said, **place).set_in_layout(False)
-
-
-def _caption(run: FinishedRun) -> str:
-    return (
-        "What the posterior mean leaves unexplained: autocorrelation, quantiles against those of a "
-        "normal, and residuals against motion and load, as far as they vary (thin: one sd; "
-        "thick: 95 % interval of the bin's mean; the share of variance that the bins' means hold "
-        "is written in each panel). " + " ".join(residual_words(run.fit))
-    )
-
-
-def _words(judged: JudgedRun) -> str:
-    noise = judged.summary.noise
-    parts = [residuals_in_words(judged)]
-    if noise.residual_lag1 is not None:
-        parts.append(f"Lag-1 autocorrelation of the residuals: {noise.residual_lag1:.2f}.")
-    test = noise.innovation_whiteness
-    if test is not None and test.p_value is not None:
-        parts.append(f"Innovations {white_words(test.white)} ({p_text(test.p_value)}).")
-    return " ".join(parts)
 
 
 FIGURE = RunFigure(
@@ -181,6 +154,10 @@ FIGURE = RunFigure(
     title="What is left unexplained",
     section="prediction",
     draw=lambda run: residual_figure(run.fit),
-    caption=_caption,
-    alternative=_words,
+    caption=(
+        "What the posterior mean leaves unexplained: autocorrelation, quantiles against those of a "
+        "normal, and residuals against motion and load, as far as they vary (thin: one sd; "
+        "thick: 95 % interval of the bin's mean; the share of variance that the bins' means hold "
+        "is written in each panel)."
+    ),
 )

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bayesfric.report.figures import style
-from bayesfric.report.figures.registry import Declared, JudgedRun
+from bayesfric.report.figures.registry import Declared
 from bayesfric.report.figures.style import few_ticks, legend_above, paper_figure, shortened
 from bayesfric.rollouts.rolled import Rolled, RollOut
 
@@ -68,25 +68,11 @@ def _caption(found: RollOut) -> str:
     )
 
 
-def _words(judged: JudgedRun) -> str:
-    found = judged.summary.rollout
-    if found is None:
-        return ""
-    rows = {**found.recordings, "all together": found.pooled}
-    parts = [
-        f"{name}: mean absolute error {1e3 * row.position.mae:.3g} m{found.unit}, "
-        f"{100 * row.position.inside:.0f} % inside{', too wide to tell' if row.wide else ''}"
-        for name, row in rows.items()
-    ]
-    return "; ".join(parts) + "."
-
-
 # Of the roll-outs of a run, which are asked for when it is finished.
-FIGURE: Declared[RollOut, JudgedRun] = Declared(
+FIGURE: Declared[RollOut] = Declared(
     stem="rollout",
     title="Recordings played to the joint",
     section="roll-out",
     draw=rollout_figure,
     caption=_caption,
-    alternative=_words,
 )

@@ -10,7 +10,7 @@ from bayesfric.inference.fitting import Fit
 from bayesfric.inference.predictive import Prediction
 from bayesfric.report.figures import style
 from bayesfric.report.figures.over_time import as_pixels, broken, draw_band, draw_measured
-from bayesfric.report.figures.registry import FinishedRun, JudgedRun, RunFigure
+from bayesfric.report.figures.registry import FinishedRun, RunFigure
 from bayesfric.report.figures.style import (
     Array,
     Look,
@@ -126,25 +126,10 @@ def _caption(run: FinishedRun) -> str:
     )
 
 
-def _words(judged: JudgedRun) -> str:
-    found = judged.summary.validation
-    if found is None:
-        return ""
-    parts = []
-    for name, row in {**found.parts, "all together": found.pooled}.items():
-        shares = ", ".join(
-            f"{100 * c.share:.1f} % in {100 * float(level):g} % intervals"
-            for level, c in row.coverage.items()
-        )
-        parts.append(f"{name}: {row.verdict}, {row.outputs} outputs, {shares}")
-    return "; ".join(parts) + "."
-
-
 FIGURE = RunFigure(
     stem="validation",
     title="What was held out, predicted",
     section="held-out",
     draw=lambda run: validation_figure(run.fit, run.summary.validation),
     caption=_caption,
-    alternative=_words,
 )

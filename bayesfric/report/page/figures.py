@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
-from bayesfric.report.figures.registry import Declared, Judged, Section
+from bayesfric.report.figures.registry import Declared, Section
 from bayesfric.report.page.inline_svg import Drawing, inline_svg
 
 # Points; wider than a column of a paper, a figure needs a page's width to be read.
@@ -32,23 +32,22 @@ class PageFigure:
 
 def page_figures(
     folder: Path,
-    figures: Iterable[Declared[Any, Judged]],
+    figures: Iterable[Declared[Any]],
     captions: Mapping[str, str],
-    judged: Judged,
 ) -> dict[str, list[PageFigure]]:
     """Read the figures that the folder has, by section of the page.
 
-    ``captions``, by stem, come before what a figure declares of itself; ``judged`` is what text
-    alternatives are made of.
+    ``captions``, by stem, come before what a figure declares of itself. What a figure says to who
+    cannot see it is its caption: the numbers are in the page's tables.
     """
     sections: dict[str, list[PageFigure]] = {section: [] for section in get_args(Section)}
     for one in figures:
         try:
             text = (folder / "figures" / f"{one.stem}.svg").read_text(encoding="utf-8")
-            drawing = inline_svg(text, f"{one.stem}-", one.words(judged))
+            # older runs wrote only some captions down
+            caption = captions.get(one.stem, one.caption if isinstance(one.caption, str) else "")
+            drawing = inline_svg(text, f"{one.stem}-", f"{one.title}. {caption}".strip())
         except (OSError, ValueError):
             continue
-        # older runs wrote only some captions down
-        caption = captions.get(one.stem, one.caption if isinstance(one.caption, str) else "")
         sections[one.section].append(PageFigure(one.stem, one.title, caption, drawing))
     return sections

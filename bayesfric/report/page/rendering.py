@@ -55,9 +55,9 @@ def _environment() -> Environment:
     made.filters |= FILTERS | {
         "spaced": numbers.spaced,
         "unit": numbers.html_unit,
-        "interval": numbers.html_interval,
+        "interval": numbers.HTML.interval,
         "p": numbers.html_p,
-        "sig": lambda x, digits=4: numbers.html_number(f"{x:.{digits}g}"),
+        "sig": numbers.HTML.number,
         "fixed": lambda x, digits=2: numbers.html_number(f"{x:.{digits}f}"),
         "capital": capital,
         "factor": factor,
@@ -69,5 +69,5 @@ def _environment() -> Environment:
         "verdict_of": values.verdict_words,
         "kind_of": values.verdict_kind,
     }
-    made.globals |= {"symbol": html_symbol, "number": numbers.html_value}
+    made.globals |= {"symbol": html_symbol, "number": numbers.HTML.value}
     return made

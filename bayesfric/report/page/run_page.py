@@ -13,7 +13,7 @@ from bayesfric.report.answers.record import Calculator, read_calculator
 from bayesfric.report.brief import brief
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.comparison.table import explained
-from bayesfric.report.figures.registry import JudgedRun, read_captions, run_figures
+from bayesfric.report.figures.registry import read_captions, run_figures
 from bayesfric.report.figures.rollout import FIGURE as ROLL_OUT
 from bayesfric.report.page.figures import page_figures
 from bayesfric.report.page.findings import findings
@@ -21,7 +21,6 @@ from bayesfric.report.page.provenance import read_provenance
 from bayesfric.report.page.rendering import render
 from bayesfric.report.paper.tables import ParameterTable, parameter_table
 from bayesfric.report.summary.record import Readable, Summary
-from bayesfric.report.text_templates import sentence
 
 
 def run_page(folder: Path, summary: Readable, name: str) -> str:
@@ -37,7 +36,6 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         read = read.model_copy(update={"may_be_simulated": _simulated(config)})
     table = parameter_table(read, name)
     methods = comparison({name: read})
-    judged = JudgedRun(read, table, methods)
     told = alerts(read, methods.contested)
     captions = read_captions(_text(folder / "text" / "captions.md"))
     return render(
@@ -54,12 +52,9 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         notes=table.notes_where(marked=False),
         methods=methods,
         explained=list(explained(methods)),
-        figures=page_figures(folder, [*run_figures().values(), ROLL_OUT], captions, judged),
+        figures=page_figures(folder, [*run_figures().values(), ROLL_OUT], captions),
         provenance=read_provenance(folder),
         config=config,
-        no_self_check=sentence("no self-check", read.self_check.model_dump())
-        if read.self_check and read.self_check.reason
-        else "",
         methods_text=_text(folder / "text" / "methods.txt").strip(),
     )
 

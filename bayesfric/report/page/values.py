@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 from markupsafe import Markup
 
 from bayesfric.report.comparison.cell import NOT_CONVERGED, Cell, settled_by
-from bayesfric.report.numbers import HTML, TEXT, finer, html_interval, html_number
+from bayesfric.report.numbers import HTML, finer, html_number
 from bayesfric.report.paper.tables import ParameterRow
 
 NOT_DETERMINED = "not determined by the data"
@@ -48,7 +46,7 @@ def interval_html(row: ParameterRow) -> Markup:
         return Markup('<span class="open">none: the ensembles disagree, or stand still</span>')
     if row.by == "open" and row.row is not None:
         return Markup('<span class="open">prior and bounds leave {} to {}</span>').format(
-            *(html_number(f"{end:.3g}") for end in row.row.interval)
+            *(HTML.number(end, 3) for end in row.row.interval)
         )
     return Markup(row.shown(HTML)[1])
 
@@ -60,7 +58,7 @@ def were_right_html(row: ParameterRow) -> Markup | None:
         return None
     low, high = told.interval
     fine = finer(told.middle, low, high, told.sd)
-    return Markup(row.with_doubt(html_interval(low, high, fine))) if told.sd else None
+    return Markup(row.with_doubt(HTML.interval(low, high, fine))) if told.sd else None
 
 
 def cell_html(cell: Cell | None) -> Markup:
@@ -74,7 +72,7 @@ def cell_html(cell: Cell | None) -> Markup:
         shown = Markup(cell.written(HTML))
         lines.append(shown + mark)
     if cell.interval is not None and cell.fine:
-        lines.append(html_interval(*cell.interval, cell.fine))
+        lines.append(HTML.interval(*cell.interval, cell.fine))
     if cell.disagreement is not None:
         away = html_number(f"{round(cell.disagreement, 1) + 0.0:+.1f}")
         lines.append(Markup('<span class="quiet">{} sd away</span>').format(away))
@@ -82,21 +80,3 @@ def cell_html(cell: Cell | None) -> Markup:
         kind = "open" if cell.status == "undetermined" else "quiet"
         lines.append(Markup('<span class="{}">{}</span>').format(kind, cell.remark))
     return Markup("<br>").join(lines)
-
-
-def rows_in_words(rows: Iterable[ParameterRow]) -> str:
-    """Say numbers without markup, each with its verdict."""
-    return "; ".join(map(_in_words, rows)) + "."
-
-
-def _in_words(row: ParameterRow) -> str:
-    if row.cell.status == "undetermined":
-        return f"{row.name}: {verdict_words(row)}"
-    value, ends = row.shown(TEXT)
-    said = f"{row.name}: {value}"
-    if row.cell.status == "determined" and ends != TEXT.none:
-        said += f", interval {ends}"
-    said += f" {row.unit}" if row.unit else ""
-    if row.row is None:
-        return said
-    return f"{said}, {'' if row.row.doubted else 'determined by '}{verdict_words(row)}"

@@ -15,24 +15,19 @@ from bayesfric.report.comparison.cell import Cell, posterior_cell
 from bayesfric.report.comparison.comparison import Comparison, comparison
 from bayesfric.report.comparison.table import comparison_csv, comparison_markdown, markdown_table
 from bayesfric.report.numbers import (
-    HTML,
     LATEX,
     TEXT,
     Medium,
     finer,
-    latex_interval,
-    latex_number,
     text_rounded,
 )
 from bayesfric.report.paper import latex
 from bayesfric.report.summary.bounds import bound_mend
-from bayesfric.report.summary.caveats import constant_sentence
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Readable, Summary, of_noise
 from bayesfric.report.summary.reported import put_reported
 from bayesfric.report.summary.rows import KnownRow, PosteriorRow, is_skewed
 from bayesfric.report.summary.self_check import seldom_held_sentence
-from bayesfric.report.summary.summary import summary_table
 from bayesfric.report.text_templates import filled
 
 # Of a normal's 90 % interval, by which its ends are rounded.
@@ -56,6 +51,12 @@ _VERDICTS = {
 }
 # where a prior on another gives its scale
 _GIVEN_LIMIT = "data and prior, on one side"
+_SUMMARY_COLUMNS =  ["name", "unit", "mean", "sd", "median", "low", "high", "level", "rhat", "ess",
+    "prior", "prior_sd", "contraction", "verdict", "doubted", "at_bound", "converged",
+    "undefined_share",
+    "posterior_low", "posterior_high", "posterior_sd",
+    "bias", "coverage", "corrected", "corrected_low", "corrected_high",
+    "current", "current_low", "current_high"]  # fmt: skip
 COLUMNS = [
     "group", "name", "symbol", "meaning", "unit", "status", "verdict",
     "value", "sd", "low", "high", "level", "limit", "remark",
@@ -155,8 +156,8 @@ class ParameterRow:
         middle, low, high, sd = self.cited
         fine = finer(middle, low, high, sd)
         ends = self.with_doubt(medium.interval(low, high, fine))
-        # a paper's table has intervals only; the page has room for sds where they name both sides
-        if self.skewed or medium is not HTML:
+        # an sd has to name both sides
+        if self.skewed or not medium.sds:
             return medium.ends(middle, low, high, fine), ends
         return medium.value(middle, sd), ends
 
@@ -186,7 +187,7 @@ class ParameterTable:
             reasons=self.summary.reasons,
             level=self.level,
             wide=self.summary.widened,
-            caveats=[constant_sentence(self.summary)],
+            rests_on=self.summary.rests_on,
             sampler=self.summary.sampler,
             correlated=correlation_warning(self.summary),
             marked=marked,
@@ -214,7 +215,7 @@ def parameter_table(summary: Readable, run: str = "summary.json") -> ParameterTa
         "derived": {name: row for name, row in read.derived.items() if not row.gauge_free},
     }
     rows = [
-        ParameterRow(group, name, row, posterior_cell(row, read.accounts, read.sampler.status))
+        ParameterRow(group, name, row, posterior_cell(row, read.accounts))
         for group, members in groups.items()
         for name, row in members.items()
     ]
@@ -332,7 +333,6 @@ def _table(
 
 def methods_latex(found: Comparison) -> str:
     """Lay a comparison of methods, or of runs, out as a ``table*``."""
-    runs = len({column.run for column in found.columns} - {""})
     body: list[str] = []
     group = None
     for row in found.rows:
@@ -344,51 +344,18 @@ def methods_latex(found: Comparison) -> str:
         name += r"\textsuperscript{m}" if row.of_motion else ""
         body.append(" & ".join([name, latex.unit(row.unit), *cells]) + r" \\")
     head = " & ".join(["", "Unit", *(latex.escaped(c.label) for c in found.columns)]) + r" \\"
-    every = [row.cells.get(column.label) for row in found.rows for column in found.columns]
-    cells_ = [cell for cell in every if cell is not None]
-    wide = [column.run for column in found.columns if column.widened]
-    beside = {cell.remark for cell in cells_ if not cell.alike}
-    sources = [column.told for column in found.columns if column.kind == "reference"]
-    told = {
-        "†: residuals taken for uncorrelated, too small where they are correlated": any(
-            c.status == "determined" and not c.accounts for c in cells_
-        ),
-        "---: not determined by the data": any(
-            c.status == "undetermined" and c.converged for c in cells_
-        ),
-        "n.c.: not converged": any(not c.converged for c in cells_),
-        **{f"s: {words}": True for words in beside},
-        **{f"Reference: {words}": True for words in sources if words},
-        "b: on its bound": any(c.status == "bound" for c in cells_),
-        "super- and subscripts: distances to the ends of the 90 % interval, of what is skewed": any(
-            "^{+" in line for line in body
-        ),
-        "a limit, with ≤ or ≥: 5 % lie beyond": any(c.limit is not None for c in cells_),
-        f"d: doubtful, {_why(found)}": any(c.doubted for c in cells_),
-        f"Empty: the {'run' if runs > 1 else 'method'} does not tell it": None in every,
-        f"m: as a fit without load losses would find it along {'each' if runs > 1 else 'the'} "
-        "run's own motion, another motion gives other values": any(r.of_motion for r in found.rows),
-        f"Posterior of {', '.join(wide)}: widened for a model that is not exactly right"
-        if runs > 1
-        else "Posterior: widened for a model that is not exactly right": bool(wide),
-    }
-    notes = [
-        "One standard deviation in parentheses, accounting for correlated residuals",
-        *(note for note, applies in told.items() if applies),
-        *(sentence.rstrip(".") for sentence in (*found.runs_apart, *found.beyond_noise)),
-    ]
+    told = [cell for row in found.rows for cell in row.cells.values()]
+    notes = filled(
+        "methods_notes.txt.j2",
+        found=found,
+        cells=told,
+        empty=len(told) < len(found.rows) * len(found.columns),
+        skewed=any("^{+" in line for line in body),
+    ).splitlines()
     columns = "@{}ll" + "l" * len(found.columns) + "@{}"
-    words = (
-        ("Runs side by side", "tab:runs") if runs > 1 else ("Estimates by method", "tab:methods")
-    )
-    return _table(words[0], notes, words[1], columns, head, body)
-
-
-def _why(found: Comparison) -> str:
-    """Say why numbers are doubtful, of several runs run by run."""
-    several = len({column.run for column in found.columns} - {""}) > 1
-    told = ("; ".join(why) + f" (in {run})" * several for run, why in found.reasons.items())
-    return f"because {'; '.join(told)}"
+    title = "Runs side by side" if found.several else "Estimates by method"
+    label = "tab:runs" if found.several else "tab:methods"
+    return _table(title, notes, label, columns, head, body)
 
 
 def between_runs_latex(found: Sequence[PooledQuantity]) -> str:
@@ -399,8 +366,8 @@ def between_runs_latex(found: Sequence[PooledQuantity]) -> str:
     for one in found:
         intervals = (one.pool.mean, one.pool.following, one.pool.spread)
         cells = [latex.symbol(one.told.symbol, one.name), latex.unit(one.told.unit)]
-        cells += [latex_interval(x.low, x.high, _WIDTHS * (x.high - x.low)) for x in intervals]
-        cells += [str(len(one.runs)), latex_number(one.pool.p_value, 2)]
+        cells += [LATEX.interval(x.low, x.high, _WIDTHS * (x.high - x.low)) for x in intervals]
+        cells += [str(len(one.runs)), LATEX.number(one.pool.p_value, 2)]
         body.append(" & ".join(cells) + r" \\")
     head = r"& Unit & Population mean & Next recording & Sd between runs & Runs & $p$ \\"
     notes = [f"Intervals hold {100 * found[0].told.level:g} %"]
@@ -420,7 +387,7 @@ def _cell(cell: Cell | None) -> str:
         return "---" if cell.converged else "n.c."
     if cell.limit is not None:
         mark = r"\textsuperscript{d}" if cell.doubted else ""
-        return LATEX.limits[cell.at_bound == "upper"] + latex_number(cell.limit, 3) + mark
+        return LATEX.limits[cell.at_bound == "upper"] + LATEX.number(cell.limit, 3) + mark
     shown = cell.written(LATEX)
     if cell.status == "bound":
         return shown + r"\textsuperscript{b}"
@@ -428,6 +395,16 @@ def _cell(cell: Cell | None) -> str:
     shown += "" if cell.alike else r"\textsuperscript{s}"
     plain = cell.status == "determined" and not cell.accounts
     return shown + (r"\textsuperscript{\dag}" if plain else "")
+
+
+def summary_table(summary: Readable) -> str:
+    """Lay the parameters and derived quantities of a summary out as CSV text."""
+    read = Summary.read(summary)
+    rows = read.rows
+    table = read.frame
+    # the word that every other table has for it
+    table.loc[[rows[name].doubtful for name in table["name"]], "verdict"] = "doubtful"
+    return str(table.to_csv(index=False, columns=_SUMMARY_COLUMNS))
 
 
 def summary_texts(summary: Readable, run: str) -> dict[str, str]:

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.inference.noise import SCALES
-from bayesfric.mechanism.quantities import QUANTITIES
-from bayesfric.report.summary.record import of_noise, quantity_of
+from bayesfric.report.summary.record import of_noise
 from bayesfric.report.summary.rows import PosteriorRow
-from bayesfric.report.text_templates import sentence
+from bayesfric.report.words import line_of
 
 
 def leaning(
@@ -53,10 +52,7 @@ def bound_mend(name: str, row: PosteriorRow) -> str:
     kind = "physical bound" if row.bound_physical else "set bound"
     if of_noise(name) and (scale := SCALES.get(name.split(".")[1])) and scale.at_bound:
         kind = scale.at_bound
-    quantity = QUANTITIES.get(quantity_of(name))
-    # of a velocity, an exponent or a torque factor there is no more and less
-    shape = quantity is None or quantity.role == "form"
-    return sentence(kind, {"name": name, "bound": bound, "side": row.at_bound, "shape": shape})
+    return line_of(kind, {"name": name, "bound": bound})
 
 
 def noise_cut(name: str, row: PosteriorRow) -> bool:
@@ -77,4 +73,4 @@ def bound_warning(name: str, row: PosteriorRow) -> str | None:
     """
     if row.bound_physical or noise_cut(name, row) or not (mend := bound_mend(name, row)):
         return None
-    return sentence("bound", {"name": name, "row": row, "mend": mend})
+    return line_of("bound", {"name": name, "side": row.at_bound, "mend": mend})

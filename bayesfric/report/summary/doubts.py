@@ -24,8 +24,8 @@ from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.resolution import LEAST_RATIO
 from bayesfric.report.summary.bounds import held, noise_cut
 from bayesfric.report.summary.position_unit import best_share, other_units
-from bayesfric.report.summary.record import Doubt, Summary, quantity_of
-from bayesfric.report.summary.reference_check import references_off
+from bayesfric.report.summary.record import Doubt, Own, Summary, quantity_of
+from bayesfric.report.summary.reference_check import priors_off
 from bayesfric.report.summary.rows import PosteriorRow
 
 # Share of the torque's variance that a model of the joint should explain, where what it leaves
@@ -63,7 +63,7 @@ def find_doubts(
     return [{"kind": one.pop("kind"), "parameters": one.pop("of", resting), **one} for one in found]
 
 
-def put_doubts(summary: Summary, doubts: Sequence[Mapping[str, Any]]) -> Summary:
+def put_doubts(summary: Own, doubts: Sequence[Mapping[str, Any]]) -> Own:
     """Put doubts into a summary: what they are of is not ``data``, the run not ``reliable``.
 
     ``undoubted`` keeps what else would be said of a number.
@@ -121,8 +121,7 @@ def _unexplained(fit: Fit, summary: Summary) -> list[dict[str, Any]]:
 
 def _against_prior(summary: Summary) -> Iterator[dict[str, Any]]:
     """Doubt what a told prior makes of data that contradict it: neither supports the compromise."""
-    off = (references_off(summary) or {"off": ()})["off"]
-    if priors := {one["name"]: one["times"] for one in off if one["by"] == "prior"}:
+    if priors := priors_off(summary):
         yield {"kind": "prior", "priors": priors}
 
 

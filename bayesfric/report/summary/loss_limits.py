@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from bayesfric.report.summary.part import Bound
-from bayesfric.report.summary.record import Summary
+from bayesfric.report.summary.record import Own
 from bayesfric.report.summary.rows import PosteriorRow
 
 # Quantities that a loss per torque makes by itself, and on which side of one they are, eq. (6).
@@ -19,7 +19,7 @@ _EFFICIENCY = {"alpha_drive": "efficiency_drive", "alpha_back": "efficiency_back
 _SAME = 1e-9
 
 
-def limits_of_losses(summary: Summary) -> Summary:
+def limits_of_losses(summary: Own) -> Own:
     """Say that a torque factor is known from one side only where its loss is.
 
     As two-sided, ``alpha`` in [0.93, 0.98] would shut out what "at most 0.06" of the loss does not.

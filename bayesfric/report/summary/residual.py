@@ -45,6 +45,11 @@ class RestsPart(Part):
     stop: FiniteFloat
     beyond: NotNegative
 
+    @property
+    def place(self) -> str:
+        """Where it is, in words."""
+        return f"{self.recording} at {self.start:.3g} s"
+
 
 class Residual(Part):
     """What the posterior leaves unexplained, recording by recording."""

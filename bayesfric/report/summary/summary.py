@@ -22,6 +22,7 @@ from bayesfric.inference.noise import SCALES
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.prior.priors import Prior
 from bayesfric.mechanism.parameter import TURN
+from bayesfric.report.shown import Summary
 from bayesfric.report.summary import noise as noise_part
 from bayesfric.report.summary.bounds import bound_warning, leaning
 from bayesfric.report.summary.derived_quantities import (
@@ -34,23 +35,15 @@ from bayesfric.report.summary.derived_quantities import (
     spread,
     weakly_given,
 )
-from bayesfric.report.summary.record import Readable, Summary, of_noise
+from bayesfric.report.summary.record import of_noise
 from bayesfric.report.summary.rows import EstimatedRow
 from bayesfric.report.summary.validation import validation_record
-from bayesfric.report.text_templates import sentence
-
-__all__ = ["LEVEL", "estimate_summary", "summarise", "summary_table"]
+from bayesfric.report.words import line_of
 
 Array = NDArray[np.float64]
 
 # Of a way of driving that fewer of the outputs see, one load loss for both says what it loses.
 _SELDOM = 0.1
-_COLUMNS = ["name", "unit", "mean", "sd", "median", "low", "high", "level", "rhat", "ess",
-    "prior", "prior_sd", "contraction", "verdict", "doubted", "at_bound", "converged",
-    "undefined_share",
-    "posterior_low", "posterior_high", "posterior_sd",
-    "bias", "coverage", "corrected", "corrected_low", "corrected_high",
-    "current", "current_low", "current_high"]  # fmt: skip
 
 
 def summarise(
@@ -121,7 +114,7 @@ def summarise(
     unseen = fit.chain.unseen_inertia
     warnings = [
         *posterior.diagnostics.warnings,
-        sentence("unseen inertia", {"names": unseen}) if unseen else "",
+        line_of("unseen-inertia") if unseen else "",
         *(bound_warning(name, row) for name, row in sound.items()),
         noise_part.correlation_warning(summary),
         noise_part.linearisation_warning(summary.likelihood),
@@ -207,16 +200,6 @@ def _explained(fit: Fit) -> dict[str, float]:
     whole = sum(float(np.sum((o.measured - o.measured.mean()) ** 2)) for o in fit.observations)
     left = sum(float(r @ r) for r in fit.residuals)
     return {"explained": 1.0 - left / whole} if whole > 0.0 else {}
-
-
-def summary_table(summary: Readable) -> str:
-    """Lay the parameters and derived quantities of a summary out as CSV text."""
-    read = Summary.read(summary)
-    rows = read.rows
-    table = read.frame
-    # the word that every other table has for it
-    table.loc[[rows[name].doubtful for name in table["name"]], "verdict"] = "doubtful"
-    return str(table.to_csv(index=False, columns=_COLUMNS))
 
 
 def _discretisation(likelihood: Likelihood) -> dict[str, Any]:

@@ -1,10 +1,12 @@
-"""What the posterior leaves unexplained: is it noise, or is it friction that the model lacks."""
+"""What the posterior leaves unexplained, from several sides.
+
+What else explains it, the fit asks by itself (:mod:`bayesfric.diagnostics`); this is to be seen.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,29 +16,19 @@ from bayesfric.estimates.torque import load_at_outputs
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.likelihood import Outputs
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.report.summary.dependence import smooth_p_value
+from bayesfric.report.figures.style import Array
 from bayesfric.report.summary.derived_quantities import rms_of
-from bayesfric.report.text_templates import filled
 
-Array = NDArray[np.float64]
 Places = NDArray[np.int64]
 
-_POSITION = "q"  # the symbol of where the joint stands
 _LAGS = 40
 _BINS = 16
 # Outputs a bin needs, or its mean says nothing.
 _LEAST = 5
 # Points that are shown of the quantiles; more lie on top of each other.
 _POINTS = 200
-_WHITE = float(stats.norm.ppf(0.975))
-# A dependence is told where one as large comes by chance in one of a thousand recordings.
-_BY_CHANCE = 1e-3
-# Share beyond the one expected of chance that is too large to be passed over.
-_LARGE = 0.05
-# Step of the derivatives of the predictions, in posterior sds.
-_STEP = 1e-3
-# Excess kurtosis worth a word.
-_TAILS = 0.5
+# Half width of a normal's 95 % interval, in sds.
+HALF = float(stats.norm.ppf(0.975))
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,21 +43,11 @@ class Binned:
     sd: Array
     error: Array  # sd of the mean, wider where residuals are correlated
     explained: float  # share of the residuals' variance that the bins' means hold
-    chance: float  # share that means of residuals with this memory are expected to hold by chance
-    # that the bins' means differ, and that there is a smooth curve: of the two tests together
-    p_value: float
 
     @property
     def what(self) -> str:
         """The quantity with its symbol, for an axis."""
         return f"{self.name} ${self.symbol}$"
-
-    @property
-    def outcome(self) -> Literal["depends", "open", "none"]:
-        """Whether the mean depends on the quantity; ``open`` where that cannot be told."""
-        if self.p_value < _BY_CHANCE:
-            return "depends"
-        return "open" if self.explained > self.chance + _LARGE else "none"
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +58,7 @@ class ResidualAnalysis:
     lags: Array  # (L,) in outputs
     correlation: Array  # (L,) over all runs without a gap
     white: Array  # (L,) half width of the 95 % band that white residuals keep to
-    # (L,) of what the noise's memory does not foretell; None where the model has no memory
+    # (L,) of what the noise's memory does not predict; None where the model has no memory
     innovations: Array | None
     # (K,) quantiles of a standard normal, and of residuals (or innovations) over their rms
     normal: Array
@@ -96,9 +78,8 @@ def residual_analysis(fit: Fit) -> ResidualAnalysis:
     # the tails tell most: all of their points
     spaced = np.linspace(0, n - 1, min(n, _POINTS)).astype(int)
     shown = np.unique(np.r_[spaced, : min(20, n), max(n - 20, 0) : n])
-    columns = _columns(fit)
     against = [
-        _binned((name, symbol, unit), np.concatenate(x), outputs, left, columns)
+        _binned((name, symbol, unit), np.concatenate(x), outputs, left)
         for name, symbol, unit, x in _abscissae(fit, outputs)
         if np.ptp(np.concatenate(x)) > 0.0
     ]
@@ -116,23 +97,13 @@ def residual_analysis(fit: Fit) -> ResidualAnalysis:
 
 
 def _innovations(fit: Fit, left: list[Array]) -> list[Array] | None:
-    """Take from residuals what the noise model foretells, where it foretells anything."""
+    """Take from residuals what the noise model predicts, where it predicts anything."""
     likelihood = fit.target.likelihood
     if not isinstance(likelihood, TorqueLikelihood) or not likelihood.noise.order:
         return None
     median = fit.posterior.median
     scales = fit.target.noise.scales(median[None, len(fit.target.free) :])[0]
     return likelihood.innovations(left, scales)
-
-
-def _columns(fit: Fit) -> Array:
-    """Differentiate the predictions by the free parameters, ``(M, k)``."""
-    median = fit.posterior.median
-    k = len(fit.target.free)
-    moved = np.tile(median, (k + 1, 1))
-    moved[np.arange(k), np.arange(k)] += _STEP * fit.posterior.flat().std(axis=0)[:k]
-    predicted = fit.target.likelihood.predict(fit.target.chain_values(moved))
-    return np.concatenate([rows[:-1] - rows[-1] for rows in predicted], axis=1).T
 
 
 def _autocorrelation(outputs: tuple[Outputs, ...], left: list[Array]) -> tuple[Array, Array, Array]:
@@ -156,8 +127,7 @@ def _autocorrelation(outputs: tuple[Outputs, ...], left: list[Array]) -> tuple[A
             pairs[k] += here.size
     seen = (pairs > 0) & (power > 0.0)
     correlation = (products[seen] / pairs[seen]) / (power / total if power > 0.0 else 1.0)
-    white = _WHITE / np.sqrt(pairs[seen])
-    return lags[seen].astype(np.float64), correlation, np.asarray(white)
+    return lags[seen].astype(np.float64), correlation, np.asarray(HALF / np.sqrt(pairs[seen]))
 
 
 def _pairs(o: Outputs, most: int) -> Iterator[tuple[Places, Places]]:
@@ -190,96 +160,32 @@ def _abscissae(fit: Fit, outputs: tuple[Outputs, ...]) -> list[tuple[str, str, s
     return [
         ("joint speed", r"\dot q", "rad/s" if rotary else "m/s", speed),
         ("load", r"\Gamma", "N m" if rotary else "N", load),
-        ("joint angle" if rotary else "position", _POSITION, "rad" if rotary else "m", angle),
+        ("joint angle" if rotary else "position", "q", "rad" if rotary else "m", angle),
     ]
 
 
 def _binned(
-    quantity: tuple[str, str, str],
-    x: Array,
-    outputs: tuple[Outputs, ...],
-    left: list[Array],
-    columns: Array,
+    quantity: tuple[str, str, str], x: Array, outputs: tuple[Outputs, ...], left: list[Array]
 ) -> Binned:
-    """Mean and spread in bins, and whether the means are more than chance.
+    """Mean and spread in bins; outputs that repeat what the ones before said count once.
 
-    Residuals that repeat what the ones before them said count once. That is measured with
-    the bins' means taken off, or a dependence on ``x`` would pass for memory and hide itself.
+    How often they do is measured with the means taken off: a dependence is no memory.
     """
     r = np.concatenate(left)
-    order = np.argsort(x, kind="stable")
-    bins = max(1, min(_BINS, r.size // _LEAST))
-    parts = np.array_split(order, bins)
-    centre = np.array([x[p].mean() for p in parts])
-    mean = np.array([r[p].mean() for p in parts])
-    sd = np.array([r[p].std() for p in parts])
-    sizes = np.array([p.size for p in parts])
-    bin_of = np.empty(r.size, dtype=np.int64)
-    bin_of[order] = np.repeat(np.arange(bins), sizes)
-    inside = r - mean[bin_of]
+    parts = np.array_split(np.argsort(x, kind="stable"), max(1, min(_BINS, r.size // _LEAST)))
+    centre, mean, sd, size = (
+        np.array([of(p) for p in parts])
+        for of in (lambda p: x[p].mean(), lambda p: r[p].mean(), lambda p: r[p].std(), np.size)
+    )
+    inside = r.copy()
+    for part, one in zip(parts, mean, strict=True):
+        inside[part] -= one
     ends = np.cumsum([one.size for one in left])[:-1]
-    centred = [one - one.mean() for one in np.split(inside, ends)]
-    lags, correlation, white = _autocorrelation(outputs, centred)
-    # up to the first that chance explains
+    _, correlation, white = _autocorrelation(outputs, np.split(inside, ends))
+    # up to the first lag that chance explains
     few = int(np.argmin(np.append(correlation > white, False)))
-    memory = dict(zip(lags[:few].astype(int).tolist(), correlation[:few].tolist(), strict=True))
-    independent = 1.0 + 2.0 * sum(memory.values())
-    # of a bin's outputs only those that are near in time too say the same
-    repeated = np.ones(bins)
-    for o, where in zip(outputs, np.split(bin_of, ends), strict=True):
-        for lag, (here, there) in enumerate(_pairs(o, max(memory, default=0)), start=1):
-            both = where[here][where[here] == where[there]]
-            repeated += 2.0 * memory.get(lag, 0.0) * np.bincount(both, minlength=bins) / sizes
+    repeated = 1.0 + 2.0 * float(correlation[:few].sum())
     total = float(((r - r.mean()) ** 2).sum())
-    between = float((sizes * (mean - r.mean()) ** 2).sum())
-    explained = between / total if total > 0.0 else 0.0
-    p_value = 1.0
-    if 0.0 < explained < 1.0 and bins > 1:
-        freedom = r.size / independent - bins
-        if freedom > 0.0:
-            ratio = (explained / (bins - 1)) / ((1.0 - explained) / freedom)
-            p_value = float(stats.f.sf(ratio, bins - 1, freedom))
-        # one for sharp dependences, one for smooth ones that a memory would hide; recordings
-        # may differ in noise
-        size = np.concatenate([np.full(one.size, max(rms_of(one), 1e-300)) for one in left])
-        smooth = smooth_p_value(r / size, x, columns / size[:, None])
-        p_value = min(1.0, 2.0 * min(p_value, smooth))
-    return Binned(
-        *quantity,
-        centre,
-        mean,
-        sd,
-        sd * np.sqrt(repeated / sizes),
-        explained,
-        max(0.0, float(repeated.sum()) - independent) / r.size,
-        p_value,
-    )
-
-
-def residual_words(fit: Fit) -> tuple[str, ...]:
-    """Say what the residual figure shows, one sentence each."""
-    found = residual_analysis(fit)
-    text = filled(
-        "residual.txt.j2",
-        found=found,
-        residuals=_outside(found.correlation, found.white),
-        innovations=_outside(found.innovations, found.white),
-        drifts=fit.target.likelihood.method == "output-error",
-        tails=_TAILS,
-    )
-    return tuple(text.splitlines())
-
-
-def _outside(correlation: Array | None, white: Array) -> dict[str, Any] | None:
-    """Count the lags outside the white band, and tell whether they are too many for chance."""
-    if correlation is None or not correlation.size:
-        return None
-    outside = int((np.abs(correlation) > white).sum())
-    # too many, or one that is too large for the largest of so many
-    largest = float((np.abs(correlation) / white).max()) * _WHITE
-    by_chance = float(stats.binom.sf(outside - 1, white.size, 0.05))
-    some = bool(by_chance < _BY_CHANCE or 2.0 * white.size * stats.norm.sf(largest) < _BY_CHANCE)
-    return {
-        "first": correlation[0], "outside": outside, "lags": white.size, "some": some,
-        "by_chance": by_chance,
-    }  # fmt: skip
+    between = float((size * (mean - r.mean()) ** 2).sum())
+    error = sd * np.sqrt(np.minimum(repeated, size) / size)
+    return Binned(*quantity, centre, mean, sd, error, between / total if total > 0.0 else 0.0)
