@@ -21,7 +21,7 @@ from bayesfric.inference.sampling.sampling import Progress
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.report.answers.calculator import calculator
 from bayesfric.report.answers.record import FILE, calculator_json
-from bayesfric.report.figures.registry import FinishedRun, RunFigure, captions, run_figures
+from bayesfric.report.figures.registry import Declared, FinishedRun, captions, run_figures
 from bayesfric.report.figures.style import ALL_KINDS, ON_PAGE, save
 from bayesfric.report.files import made_beside
 from bayesfric.report.page.run_page import run_page
@@ -100,7 +100,7 @@ def draw(
     run: FinishedRun,
     kinds: Sequence[str],
     progress: Callable[[Progress], None],
-) -> list[RunFigure]:
+) -> list[Declared]:
     """Draw a run's figures into ``folder``, and give those that show anything."""
     folder.mkdir(exist_ok=True)
     drawn = []

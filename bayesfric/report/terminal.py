@@ -35,34 +35,11 @@ def fit_text(summary: Readable, *, verbose: bool = False) -> Iterator[str]:
 
 
 def _brief(told: Brief) -> Iterator[str]:
-    if told.read:
-        yield shortened(told.read)
-    yield from wrapped(told.verdict)
-    for one in told.taken:
-        yield from wrapped(one, indent=2)
-    if told.lines:
-        yield ""
-        yield from aligned(
-            [
-                ("", "value", "±", told.level, "", ""),
-                *((x.name, x.value, x.sd, x.interval, x.unit, x.beside) for x in told.lines),
-            ]
-        )
-    if told.more:
-        yield f"and {told.more} more: --verbose, or the report"
-    if told.unidentified:
-        names = ", ".join(told.unidentified)
-        yield from wrapped(f"Unidentified ({told.why}): {names}", indent=2)
-    if told.lost:
-        yield from wrapped(f"Not converged: {', '.join(told.lost)}", indent=2)
-    if told.findings:
-        yield ""
-        for line in told.findings:
-            yield from wrapped(f"! {line}", indent=2)
-    if told.others:
-        yield f"  and {told.others} more: --verbose, or the report"
-    if told.following:
-        yield from wrapped(f"Next: {told.following}", indent=2)
+    head = ("", "value", "±", told.level, "", "")
+    lines = [(x.name, x.value, x.sd, x.interval, x.unit, x.beside) for x in told.lines]
+    for line in filled("brief.txt.j2", b=told, table=aligned([head, *lines])).splitlines():
+        # rows of the table keep their spaces
+        yield from wrapped(line, indent=2) if len(line) > WIDTH else [line]
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any
 
@@ -16,6 +17,13 @@ from bayesfric.templates import environment
 def filled(template: str, **values: Any) -> str:
     """Fill a template of plain text; lines that only hold markup leave nothing."""
     return text_environment().get_template(template).render(**values)
+
+
+def csv_text(lines: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> str:
+    """Lay a table out as CSV, every number in full."""
+    import pandas as pd  # takes half a second, which not every command has to wait
+
+    return str(pd.DataFrame(list(lines), columns=list(columns)).to_csv(index=False))
 
 
 def white_words(white: bool) -> str:

@@ -139,7 +139,7 @@ def test_what_every_torque_rests_on_is_said_unless_its_factor_is_fitted(knee):
     measured = read.fit.model_copy(update={"torque_constant": 0.32})
     current = read.model_copy(update={"fit": measured})
     told = "Torque is a current times 0.32 N m/A, taken as exact"
-    assert any(told in note for note in parameter_table(current).notes)
+    assert any(told in note for note in parameter_table(current).notes())
     row = read.parameters["motor.inertia"]
     fitted = current.model_copy(update={"parameters": current.parameters | {"drive.gain": row}})
     assert not fitted.rests_on

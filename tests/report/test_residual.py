@@ -236,7 +236,7 @@ def test_torques_of_the_motor_are_told_in_amperes_and_no_others(knee, tmp_path):
     ends = frame.loc["motor.coulomb_positive", ["low", "high", "current_low", "current_high"]]
     np.testing.assert_allclose(ends.iloc[:2].astype(float), 0.32 * ends.iloc[2:].astype(float))
     table = parameter_table(summary)
-    (note,) = [x for x in table.notes if "in A" in x]
+    (note,) = [x for x in table.notes() if "in A" in x]
     assert f"noise.sigma is {told['noise.sigma'][0]:.3g}" in note
     rows = pd.read_csv(io.StringIO(parameters_csv(table))).set_index("name")
     assert set(rows.index[rows["current"].notna()]) <= set(told)

@@ -95,7 +95,7 @@ def test_what_is_seldom_held_stands_under_table_and_in_the_methods(result):
     seldom, often = (told(result, checked(result, missed)) for missed in ([3.0, -3.0], [0.1]))
     words = "90 % intervals hold less: "
     for medium in (
-        lambda summary: "\n".join(parameter_table(summary).notes),
+        lambda summary: "\n".join(parameter_table(summary).notes()),
         lambda summary: latex_texts(summary, "run")["tables/parameters.tex"].replace("\\%", "%"),
         lambda summary: methods_text(result.fit, summary).plain,
     ):

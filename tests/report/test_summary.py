@@ -462,7 +462,7 @@ def test_one_loss_for_both_ways_says_which_was_seen(make_fit, monkeypatch):
     # here nothing tells the scale of the load; where a known weight does, it is said beside it
     found = found.with_rows({sides["back"]: {"verdict": "weak"}})
     assert "taken to lose alike" in posterior_cells(found)[sides["back"]].remark
-    assert any("gearbox.efficiency_back follows" in one for one in parameter_table(found).notes)
+    assert any("gearbox.efficiency_back follows" in one for one in parameter_table(found).notes())
     # two losses speak for themselves
     two = summarise(make_fit(samples=600, ensembles=2))
     assert not any(row.mirrored for row in two.derived.values())

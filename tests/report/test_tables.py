@@ -99,7 +99,7 @@ def test_latex_is_the_summary_to_its_last_digit(summary):
 
 
 def test_notes_speak_of_intervals_and_of_their_level(summary):
-    (first, *others) = parameter_table(summary).notes
+    (first, *others) = parameter_table(summary).notes()
     assert first.startswith("Values are medians; intervals, and distances from a value to their")
     assert "hold 90 %" in first
     assert not [note for note in (first, *others) if "standard deviation" in note]
@@ -167,7 +167,7 @@ def test_correlated_residuals_are_confessed():
     run = knee()
     run["noise"] |= {"innovation_lag1": 0.67, "accounts_for_correlation": False}
     run["warnings"] = ["knee: the encoder is coarse"]
-    notes = parameter_table(run).notes
+    notes = parameter_table(run).notes()
     warning = "Residuals count as independent, but are correlated (lag 1: 0.67)"
     assert warning in " ".join(notes)
     assert "encoder" not in " ".join(notes)
@@ -334,7 +334,7 @@ def test_latex_notes_have_the_symbols_of_the_table():
     for one in (name, other):
         run["parameters"][one] |= {"torque_constant": 2.0}
     table = parameter_table(run)
-    (note,) = [text for text in table.notes if "current was measured" in text]
+    (note,) = [text for text in table.notes() if "current was measured" in text]
     assert f"{name} is " in note
     below = parameters_latex(table).partition(r"\bottomrule")[2]
     rows = {r.name: r for r in table.rows}

@@ -18,7 +18,9 @@ from bayesfric.report.comparison.comparison import on_one_turn
 from bayesfric.report.comparison.run_draws import RunDraws
 from bayesfric.report.summary.record import Summary, of_noise, quantity_of
 from bayesfric.report.summary.rows import PosteriorRow
+from bayesfric.report.text_templates import csv_text
 
+_NONE = Interval(0.0, 0.0, 0.0)
 # Fewer runs whose data determine a quantity are no population.
 _LEAST = 2
 
@@ -50,6 +52,11 @@ class Told:
     runs: Mapping[str, PosteriorRow]
     likelihoods: Mapping[str, Likelihood]
 
+    @property
+    def level(self) -> float:
+        """Share of the posterior that intervals hold."""
+        return next(iter(self.runs.values())).level
+
 
 def between_runs(
     runs: Mapping[str, Summary], draws: Mapping[str, RunDraws] | None = None
@@ -59,17 +66,15 @@ def between_runs(
     See :func:`told_by_runs` for what counts. What another motion changes is not pooled: runs of one
     joint may differ in it.
     """
-    return [
-        PooledQuantity(
-            one.name,
-            one.runs,
-            _possible(
-                one.name,
-                population(list(one.likelihoods.values()), next(iter(one.runs.values())).level),
-            ),
-        )
+    told = [
+        one
         for one in told_by_runs(runs, draws)
         if not any(row.of_motion for row in one.runs.values())
+    ]
+    pools = (population(list(one.likelihoods.values()), one.level) for one in told)
+    return [
+        PooledQuantity(one.name, one.runs, _possible(one.name, pool))
+        for one, pool in zip(told, pools, strict=True)
     ]
 
 
@@ -152,12 +157,6 @@ def _likelihood(
 
 def between_runs_csv(found: Sequence[PooledQuantity]) -> str:
     """Lay pooled values out as CSV text, every number in full."""
-    import pandas as pd
-
-    columns = ["name", "unit", "runs", "doubted", "level", "median", "low", "high"]
-    columns += [f"between_sd{end}" for end in ("", "_low", "_high")]
-    columns += [f"next{end}" for end in ("", "_low", "_high")]
-    columns += ["q", "p_value", "agree"]
     lines = [
         {"name": one.name, "unit": one.told.unit, "runs": len(one.runs), "doubted": one.doubted}
         | {"level": one.told.level}
@@ -167,15 +166,13 @@ def between_runs_csv(found: Sequence[PooledQuantity]) -> str:
         | {"q": one.pool.q, "p_value": one.pool.p_value, "agree": one.pool.agree}
         for one in found
     ]
-    return str(pd.DataFrame(lines, columns=columns).to_csv(index=False))
+    between, following = (list(_ends(key, _NONE)) for key in ("between_sd", "next"))
+    columns = ["name", "unit", "runs", "doubted", "level", "median", "low", "high", *between]
+    return csv_text(lines, [*columns, *following, "q", "p_value", "agree"])
 
 
 def each_run_csv(found: Sequence[PooledQuantity]) -> str:
     """Lay every run's own value and that in view of the others out as CSV text."""
-    import pandas as pd
-
-    columns = ["name", "unit", "run", "median", "low", "high"]
-    columns += [f"pooled{end}" for end in ("", "_low", "_high")]
     lines = [
         {"name": one.name, "unit": one.told.unit, "run": run, "median": row.middle}
         | dict(zip(("low", "high"), row.told_interval, strict=True))
@@ -183,7 +180,9 @@ def each_run_csv(found: Sequence[PooledQuantity]) -> str:
         for one in found
         for (run, row), pooled in zip(one.runs.items(), one.pool.runs, strict=True)
     ]
-    return str(pd.DataFrame(lines, columns=columns).to_csv(index=False))
+    return csv_text(
+        lines, ["name", "unit", "run", "median", "low", "high", *_ends("pooled", _NONE)]
+    )
 
 
 def _ends(key: str, interval: Interval) -> dict[str, float]:

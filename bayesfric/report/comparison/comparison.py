@@ -128,10 +128,11 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
     columns: list[Column] = []
     for name, run in runs.items():
         mine = list(_columns(name if len(runs) > 1 else "", name, run, estimates=shown))
+        if not mine:
+            raise BadInput(name, "holds no result to compare", "name a finished run")
         _fill(rows, mine, run)
-        _check_common(rows, name, mine)
         columns += mine
-    _check_overlap(rows, columns)
+    _check_common(rows, columns)
     notes = [*_of_runs(runs), *_of_motion(rows, runs)]
     sources, more = _add_references(rows, runs)
     if sources:
@@ -281,25 +282,12 @@ def _of_total(summary: Summary, name: str, unit: str) -> str:
     return share if bent and name in summary.parameters else ""
 
 
-def _results(rows: Mapping[str, Row], labels: set[str]) -> set[str]:
-    """Name what columns tell, more than what was taken as known."""
-    return {
-        name
-        for name, row in rows.items()
-        if any(c.status != "known" for label, c in row.cells.items() if label in labels)
-    }
-
-
-def _check_common(rows: Mapping[str, Row], run: str, columns: list[Column]) -> None:
-    if not _results(rows, {column.label for column in columns}):
-        raise BadInput(run, "holds no result to compare", "name a finished run")
-
-
-def _check_overlap(rows: Mapping[str, Row], columns: list[Column]) -> None:
-    labels: dict[str, set[str]] = {}
+def _check_common(rows: Mapping[str, Row], columns: list[Column]) -> None:
+    """Refuse runs that tell nothing, or nothing that another tells, but what was taken as known."""
+    has: dict[str, set[str]] = {column.run: set() for column in columns}
     for column in columns:
-        labels.setdefault(column.run, set()).add(column.label)
-    has = {run: _results(rows, one) for run, one in labels.items()}
+        cells = {name: row.cells.get(column.label) for name, row in rows.items()}
+        has[column.run] |= {name for name, c in cells.items() if c and c.status != "known"}
     # of two, the second is the one out of place
     for run, names in reversed(has.items()):
         others = set[str]().union(*(theirs for other, theirs in has.items() if other != run))

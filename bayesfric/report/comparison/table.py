@@ -16,7 +16,7 @@ from rich.text import Text
 from bayesfric.report.comparison.cell import Cell
 from bayesfric.report.comparison.comparison import Comparison
 from bayesfric.report.numbers import TEXT
-from bayesfric.report.text_templates import filled
+from bayesfric.report.text_templates import csv_text, filled
 
 _WIDTH = 120
 # Characters of a cell's line: at least [0.00046688, 0.00046933], and words on few lines.
@@ -81,8 +81,6 @@ def markdown_table(
 
 def comparison_csv(found: Comparison) -> str:
     """Lay a comparison out as CSV text, one line for each quantity and column."""
-    import pandas as pd
-
     lines = []
     for row in found.rows:
         for column in found.columns:
@@ -99,7 +97,7 @@ def comparison_csv(found: Comparison) -> str:
             told["low"], told["high"] = cell.interval or (None, None)
             told["span_low"], told["span_high"] = cell.span or (None, None)
             lines.append(told)
-    return str(pd.DataFrame(lines, columns=_COLUMNS).to_csv(index=False))
+    return csv_text(lines, _COLUMNS)
 
 
 def comparison_dict(found: Comparison) -> dict[str, Any]:

@@ -135,7 +135,7 @@ def _over_speed(ax: Axes, fit: Fit, found: FrictionCurves) -> None:
                 _draw(ax, curve, curve.speed, mine, k, side, label, mark)
                 label = None
     ax.axhline(0.0, color="0.6", linewidth=0.5, zorder=0.5)
-    ax.set_xlabel(_speed_label(fit))
+    ax.set_xlabel(rf"motor speed $\dot q_m$ ({_units(fit)[2]})")
     _friction_axis(ax, fit, 6, "at load" if several else "")
 
 
@@ -152,7 +152,7 @@ def _over_load(ax: Axes, fit: Fit, found: FrictionCurves) -> None:
     said: Look = {"fontsize": style.SMALL, "color": "0.35", "transform": ax.transAxes}
     ax.text(0.03, 0.03, "load helps", ha="left", va="bottom", **said)
     ax.text(0.97, 0.03, "load resists", ha="right", va="bottom", **said)
-    ax.set_xlabel(_load_label(fit, found))
+    ax.set_xlabel(f"load {load_symbol(fit, open_scale=found.open_scale)} ({_units(fit)[1]})")
     _friction_axis(ax, fit, 5, "at motor speed")
 
 
@@ -191,20 +191,12 @@ def _friction_axis(ax: Axes, fit: Fit, ticks: int, legend: str) -> None:
         ax.legend(loc="upper left", title=legend, title_fontsize=style.SMALL, alignment="left")
 
 
-def _speed_label(fit: Fit) -> str:
-    return rf"motor speed $\dot q_m$ ({_units(fit)[2]})"
-
-
 def load_symbol(fit: Fit, *, open_scale: bool) -> str:
     """Symbol of the loss-free torque of the load at the motor, ready for Matplotlib."""
     if not open_scale:
         return r"$\Gamma/N$"
     two = [element for element in fit.chain.elements if element.load_loss == "two"]
     return r"$\lambda_1\Gamma/N$" if len(two) == 1 else r"$\overline{\Gamma/\alpha N}$"
-
-
-def _load_label(fit: Fit, found: FrictionCurves) -> str:
-    return f"load {load_symbol(fit, open_scale=found.open_scale)} ({_units(fit)[1]})"
 
 
 def friction_caption(fit: Fit) -> str:

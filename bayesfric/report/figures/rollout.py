@@ -69,7 +69,7 @@ def _caption(found: RollOut) -> str:
 
 
 # Of the roll-outs of a run, which are asked for when it is finished.
-FIGURE: Declared[RollOut] = Declared(
+FIGURE = Declared(
     stem="rollout",
     title="Recordings played to the joint",
     section="roll-out",

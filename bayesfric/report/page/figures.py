@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 from bayesfric.report.figures.registry import Declared, Section
 from bayesfric.report.page.inline_svg import Drawing, inline_svg
@@ -32,7 +32,7 @@ class PageFigure:
 
 def page_figures(
     folder: Path,
-    figures: Iterable[Declared[Any]],
+    figures: Iterable[Declared],
     captions: Mapping[str, str],
 ) -> dict[str, list[PageFigure]]:
     """Read the figures that the folder has, by section of the page.

@@ -5,76 +5,30 @@ The template ``findings.html.j2`` words it.
 
 from __future__ import annotations
 
-import re
 import shlex
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from collections.abc import Sequence
+from typing import Any
 
 from bayesfric.report.paper.tables import ParameterRow, ParameterTable
 from bayesfric.report.summary.record import OpenDirectionRow, RemedyRow, Summary
 
 
-@dataclass(frozen=True)
-class OpenGroup:
-    """Parameters that are open for one reason.
-
-    ``lost``: not converged; ``direction``: ``meaning`` says along which, ``reasons`` why;
-    ``prior``: the data alone would leave them wide.
-    """
-
-    kind: Literal["lost", "direction", "prior"]
-    names: tuple[str, ...]
-    meaning: str = ""
-    reasons: tuple[str, ...] = ()
-
-
 def findings(table: ParameterTable, summary: Summary) -> dict[str, Any]:
     """Gather what is open, why, and what lifts it, for the template to word."""
-    joint = table.joint
-    combined = [r for r in table.rows if r.group == "free"]  # what no scaling changes
-    directions = summary.identifiability.directions
+    joint, found = table.joint, summary.identifiability
+    # and what no scaling changes
+    rows = [*joint, *(r for r in table.rows if r.group == "free")]
+    directions = found.directions or []
+    null = found.null_directions if found.directions is None else []
     return {
-        "open": list(_groups([*joint, *combined], summary)),
-        "meanings": {r.name: r.meaning for r in [*joint, *combined]},
+        "lost": [r.name for r in rows if not r.cell.converged],
+        "open": {r.name: r.meaning for r in rows if r.by == "open" and r.cell.converged},
+        "why": [(one.meaning, one.reasons) for one in directions] + [(n.meaning, []) for n in null],
         # remedies, each with how many of the directions it lifts, if any were looked for
-        "steps": _steps(directions or []),
-        "directions": len(directions or []),
+        "steps": _steps(directions),
+        "directions": len(directions),
         "command": _command(joint),
     }
-
-
-def _groups(rows: Sequence[ParameterRow], summary: Summary) -> Iterator[OpenGroup]:
-    """Give each open parameter to the first direction that holds it."""
-    if lost := [r.name for r in rows if not r.cell.converged]:
-        yield OpenGroup("lost", tuple(lost))
-    left = [r.name for r in rows if r.by == "open" and r.cell.converged]
-    for exponents, meaning, reasons in _directions(summary):
-        members = [name for name in left if name in exponents or _alpha_of(name) in exponents]
-        if members:
-            left = [name for name in left if name not in members]
-            others = [name for name in exponents if name not in members]
-            # the names stand above the sentence that may begin with them
-            these = f"together with {', '.join(others)} these " if others else "these "
-            listed = f"{', '.join(exponents)} "
-            said = re.sub(rf"\A{re.escape(listed)}", these, meaning)
-            yield OpenGroup("direction", tuple(members), said, tuple(reasons))
-    if left:
-        yield OpenGroup("prior", tuple(left))
-
-
-def _alpha_of(name: str) -> str:
-    """Name the torque factor that a load loss sets: mu is open where alpha is."""
-    element, _, quantity = name.partition(".")
-    return f"{element}.alpha_{quantity.removeprefix('load_')}" if "load_" in quantity else name
-
-
-def _directions(summary: Summary) -> Iterator[tuple[dict[str, float], str, list[str]]]:
-    found = summary.identifiability
-    for null in found.null_directions if found.directions is None else ():
-        yield null.parameters, null.meaning, []
-    for one in found.directions or ():
-        yield one.exponents, one.meaning, one.reasons
 
 
 def _steps(directions: Sequence[OpenDirectionRow]) -> list[tuple[RemedyRow, int]]:

@@ -49,7 +49,7 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         brief=brief(read, told),
         law=_law(read_calculator(folder), table),
         table=table,
-        notes=table.notes_where(marked=False),
+        notes=table.notes(marked=False),
         methods=methods,
         explained=list(explained(methods)),
         figures=page_figures(folder, [*run_figures().values(), ROLL_OUT], captions),

@@ -4,27 +4,17 @@ from __future__ import annotations
 
 from markupsafe import Markup
 
-from bayesfric.report.comparison.cell import NOT_CONVERGED, Cell, settled_by
+from bayesfric.report.comparison.cell import Cell, settled_by
 from bayesfric.report.numbers import HTML, finer, html_number
 from bayesfric.report.paper.tables import ParameterRow
-
-NOT_DETERMINED = "not determined by the data"
-_VERDICTS = {
-    "data": "data",
-    "limit": "data, on one side only",
-    "open": NOT_DETERMINED,
-    "known": "taken as known",
-}
 
 
 def verdict_words(row: ParameterRow) -> str:
     """Say what determined a number, in words that stand in its line."""
-    if not row.cell.converged:
-        return NOT_CONVERGED
-    if row.row is not None and (row.by == "together" or row.cell.doubted or row.row.given_by):
-        one_side = row.by == "limit" and not row.cell.doubted
-        return settled_by(row.row) + (", on one side only" if one_side else "")
-    return _VERDICTS[row.by]
+    told, settled = row.row, row.by == "together" and not row.cell.doubted
+    if told is None or row.cell.doubted or not (settled or (row.by == "limit" and told.given_by)):
+        return row.verdict
+    return settled_by(told) + ("" if settled else ", on one side only")
 
 
 def verdict_kind(row: ParameterRow) -> str:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from bayesfric.report.comparison.cell import Cell, posterior_cell
+from bayesfric.report.comparison.cell import Cell, posterior_cells
 from bayesfric.report.comparison.comparison import Comparison, comparison
 from bayesfric.report.comparison.table import comparison_csv, comparison_markdown, markdown_table
 from bayesfric.report.numbers import (
@@ -19,16 +19,16 @@ from bayesfric.report.numbers import (
     TEXT,
     Medium,
     finer,
-    text_rounded,
 )
 from bayesfric.report.paper import latex
 from bayesfric.report.summary.bounds import bound_mend
+from bayesfric.report.summary.derived_quantities import described_as
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Readable, Summary, of_noise
 from bayesfric.report.summary.reported import put_reported
-from bayesfric.report.summary.rows import KnownRow, PosteriorRow, is_skewed
+from bayesfric.report.summary.rows import PosteriorRow, is_skewed
 from bayesfric.report.summary.self_check import seldom_held_sentence
-from bayesfric.report.text_templates import filled
+from bayesfric.report.text_templates import csv_text, filled
 
 # Of a normal's 90 % interval, by which its ends are rounded.
 _WIDTHS = 1.0 / 3.29
@@ -71,28 +71,11 @@ class ParameterRow:
     group: str  # `free` (of scaling), `parameter`, `derived` or `known`
     # as in `summary.json`
     name: str
-    told: PosteriorRow | KnownRow
+    unit: str
+    symbol: str  # LaTeX without dollar signs
+    meaning: str
+    row: PosteriorRow | None  # the numbers; `None` of what was taken as known
     cell: Cell  # what may be said of it, as in the comparison of methods
-
-    @property
-    def row(self) -> PosteriorRow | None:
-        """The numbers; ``None`` of what was taken as known."""
-        return self.told if isinstance(self.told, PosteriorRow) else None
-
-    @property
-    def unit(self) -> str:
-        """Empty where it has none."""
-        return self.told.unit
-
-    @property
-    def symbol(self) -> str:
-        """LaTeX without dollar signs; empty where it is not told."""
-        return self.told.symbol
-
-    @property
-    def meaning(self) -> str:
-        """One line; empty where it is not told."""
-        return self.told.meaning
 
     @property
     def cited(self) -> tuple[float, float, float, float] | None:
@@ -103,16 +86,10 @@ class ParameterRow:
         return self.row.value, low, high, self.row.told_sd
 
     @property
-    def current(self) -> tuple[float, float, float] | None:
-        """What value and ends are in A, if of a current."""
-        return self.row.current if self.row is not None else None
-
-    @property
     def skewed(self) -> bool:
         """Whether one sd would misname the interval's two sides."""
-        if self.cited is None or self.row is None or self.row.median is None:
-            return False
-        return is_skewed(*self.cited[:3])
+        told = self.row is not None and self.row.median is not None
+        return told and self.cited is not None and is_skewed(*self.cited[:3])
 
     @property
     def by(self) -> str:
@@ -174,25 +151,15 @@ class ParameterTable:
         """Share of the posterior that intervals hold."""
         return self.summary.level
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What to know besides, for tables that mark open numbers ``(prior)``."""
-        return self.notes_where(marked=True)
-
-    def notes_where(self, *, marked: bool) -> tuple[str, ...]:
+    def notes(self, *, marked: bool = True) -> tuple[str, ...]:
         """Say what to know besides; ``marked`` is whether open numbers are marked ``(prior)``."""
         text = filled(
             "parameter_notes.txt.j2",
             rows=self.rows,
-            reasons=self.summary.reasons,
-            level=self.level,
-            wide=self.summary.widened,
-            rests_on=self.summary.rests_on,
-            sampler=self.summary.sampler,
+            summary=self.summary,
             correlated=correlation_warning(self.summary),
             marked=marked,
             seldom_held=seldom_held_sentence(self.summary, [row.name for row in self.rows]),
-            rounded=text_rounded,
         )
         return tuple(text.splitlines())
 
@@ -209,19 +176,20 @@ def parameter_table(summary: Readable, run: str = "summary.json") -> ParameterTa
     the joint's; ``run`` is what complaints call it.
     """
     read = put_reported(Summary.read(summary, run))
+    cells = posterior_cells(read)
     groups = {
         "free": read.felt,
         "parameter": read.parameters,
         "derived": {name: row for name, row in read.derived.items() if not row.gauge_free},
     }
     rows = [
-        ParameterRow(group, name, row, posterior_cell(row, read.accounts))
+        ParameterRow(group, name, **described_as(row), row=row, cell=cells[name])
         for group, members in groups.items()
         for name, row in members.items()
     ]
     rows += [
-        ParameterRow("known", name, known, Cell(known.value, "known"))
-        for name, known in read.fixed.items()
+        ParameterRow("known", name, **described_as(one), row=None, cell=Cell(one.value, "known"))
+        for name, one in read.fixed.items()
     ]
     return ParameterTable(tuple(rows), read)
 
@@ -250,12 +218,10 @@ def parameters_csv(table: ParameterTable) -> str:
         elif r.by != "open":
             told |= dict(zip(("value", "low", "high", "sd"), r.cited or (), strict=False))
             told["level"] = r.row.level
-            current = r.current or (None, None, None)
-            told["current"], told["current_low"], told["current_high"] = current
+            current = ("current", "current_low", "current_high")
+            told |= dict(zip(current, r.row.current or (), strict=False))
         lines.append(told)
-    import pandas as pd
-
-    return str(pd.DataFrame(lines, columns=COLUMNS).to_csv(index=False))
+    return csv_text(lines, COLUMNS)
 
 
 def parameters_markdown(table: ParameterTable) -> str:
@@ -266,7 +232,7 @@ def parameters_markdown(table: ParameterTable) -> str:
         for r in table.rows
     ]
     rule = ["---", "---", "---:", "---:", "---", "---"]
-    notes = [f"{note}." for note in table.notes]
+    notes = [f"{note}." for note in table.notes()]
     return markdown_table([*head, "determined by"], rule, lines, notes)
 
 
@@ -288,7 +254,7 @@ def parameters_latex(table: ParameterTable) -> str:
     share = rf"\qty{{{100 * table.level:g}}}{{\percent}}"
     head = rf"Symbol & Quantity & Value & {share} interval & Unit & Determined by \\"
     columns = r"@{}l>{\raggedright\arraybackslash}Xllll@{}"
-    words = ("Parameters of the joint", table.notes, "tab:parameters")
+    words = ("Parameters of the joint", table.notes(), "tab:parameters")
     symbols = {r.name: r.symbol for r in table.rows}
     return _table(*words, columns, head, body[1:], symbols)
 

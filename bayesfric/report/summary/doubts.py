@@ -35,10 +35,7 @@ _EXPLAINED = 0.8
 _NEGATIVE = 3.0
 
 
-def find_doubts(
-    fit: Fit,
-    summary: Summary,
-) -> list[dict[str, Any]]:
+def find_doubts(fit: Fit, summary: Summary) -> list[dict[str, Any]]:
     """Look for what makes the numbers of a fit doubtful, for ``summary["doubts"]``.
 
     Gives ``kind``, ``parameters`` and what else tells of each.
@@ -116,7 +113,8 @@ def _unexplained(fit: Fit, summary: Summary) -> list[dict[str, Any]]:
     if share is None or share >= _EXPLAINED or lag is None or lag <= CORRELATED:
         return []
     told = {"kind": "unexplained", "share": share, "quantity": summary.fit.quantity}
-    return [told | _instead(fit.chain, fit.observations, None)]
+    best, _ = best_share(fit.chain, fit.observations)
+    return [told | _instead(fit.chain, fit.observations, best)]
 
 
 def _against_prior(summary: Summary) -> Iterator[dict[str, Any]]:
@@ -128,27 +126,18 @@ def _against_prior(summary: Summary) -> Iterator[dict[str, Any]]:
 def little_explained(chain: Joint, observations: Sequence[Observation]) -> list[dict[str, Any]]:
     """Doubt a mechanism whose best totals leave much of the torque, before there is a fit."""
     share, left = best_share(chain, observations)
-    if (
-        share >= _EXPLAINED
-        or not lag_one(left, np.ones(left.size - 1, dtype=np.bool_)) > CORRELATED
-    ):
+    if share >= _EXPLAINED or not lag_one(left, np.ones(left.size - 1, np.bool_)) > CORRELATED:
         return []
     quantity = effort_words("motor torque", chain.motor_motion)
     told = {"kind": "unexplained", "share": share, "quantity": quantity, "at_best": True}
     return [told | _instead(chain, observations, share)]
 
 
-def _instead(
-    chain: Joint,
-    observations: Sequence[Observation],
-    share: float | None,
-) -> dict[str, Any]:
+def _instead(chain: Joint, observations: Sequence[Observation], share: float) -> dict[str, Any]:
     """Say what may be wrong where little is explained: never the mechanism that is in use.
 
-    ``share`` is what the best totals explain, where it is known already.
+    ``share`` is what the best totals explain.
     """
-    if share is None:
-        share, _ = best_share(chain, observations)
     weighed = "first_moment" in chain.load.choices or chain.load.motion != "rotary"
     known = {} if weighed else {name: preset.chain() for name, preset in PRESETS.items()}
     presets = [
@@ -158,16 +147,10 @@ def _instead(
         and name != chain.made_from
         and other.ratio == chain.ratio
     ]
-    return {
-        "units": other_units(chain, observations, share),
-        "presets": presets,
-    }
+    return {"units": other_units(chain, observations, share), "presets": presets}
 
 
-def doubts_before(
-    totals: Estimate,
-    observations: Sequence[Observation],
-) -> list[dict[str, Any]]:
+def doubts_before(totals: Estimate, observations: Sequence[Observation]) -> list[dict[str, Any]]:
     """Look for what makes any fit doubtful, before there is one, as :func:`find_doubts` does.
 
     ``totals`` are of :func:`bayesfric.estimates.least_squares.least_squares`; no ``parameters`` are

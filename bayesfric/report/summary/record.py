@@ -109,7 +109,7 @@ class Tried(Part):
 
 
 class Whiteness(Part):
-    """Whether what the noise model does not foretell passes as white."""
+    """Whether what the noise model does not predict passes as white."""
 
     test: str = ""
     p_value: FiniteFloat | None = None
