@@ -250,28 +250,26 @@ def _range(row: Row) -> tuple[float, float]:
 def _legend(figure: Figure, rows: list[Row], columns: list[Column]) -> None:
     """Explain what bars and dots mean; rows are named at their side."""
     cells = [row.cells[c.label] for row in rows for c in columns if c.label in row.cells]
-    grey = _ESTIMATES["output-error"][1]
-    capped = Line2D([], [], color=grey, label="90 %, uncorrelated residuals", **_THIN)
-    open_: Look = {"marker": "o", "markersize": 4.0, "markeredgewidth": 0.7}
-    open_["markerfacecolor"] = "white"
-    handles: list[Line2D] = []
-    if any(cell.accounts and cell.sd is not None for cell in cells):
-        posteriors = {c.widened for c in columns if c.kind == "posterior"}
-        room = {1: " (posterior: model's error)"}.get(len(posteriors), " (some: model's error)")
-        room = room if any(posteriors) else ""
-        words = f"90 %, correlated residuals{room}"
-        handles.append(Line2D([], [], color=grey, label=words, **_THICK))
-    if any(cell.sd_plain is not None for cell in cells):
-        handles.append(capped)
-    if any(cell.status == "undetermined" and cell.converged for cell in cells):
-        open_ |= {"color": grey, "label": "not determined: fits as well"}
-        handles.append(Line2D([], [], **_SPAN, **open_))
-    if any(REFERENCE in row.cells for row in rows):
-        handles.append(Line2D([], [], color=_REFERENCE, linewidth=0.8, label="reference"))
-    if handles:
+    widened = {c.widened for c in columns if c.kind == "posterior"}
+    room = " (posterior: model's error)" if widened == {True} else " (some: model's error)"
+    words = f"90 %, correlated residuals{room if any(widened) else ''}"
+    grey: Look = {"color": _ESTIMATES["output-error"][1]}
+    open_ = _SPAN | {"marker": "o", "markersize": 4.0, "markeredgewidth": 0.7}
+    open_ |= {"markerfacecolor": "white", "label": "not determined: fits as well"}
+    capped = Line2D([], [], label="90 %, uncorrelated residuals", **_THIN, **grey)
+    line = Line2D([], [], color=_REFERENCE, linewidth=0.8, label="reference")
+    handles = {
+        Line2D([], [], label=words, **_THICK, **grey): any(c.accounts and c.sd for c in cells),
+        capped: any(c.sd_plain is not None for c in cells),
+        Line2D([], [], **open_, **grey): any(
+            c.status == "undetermined" and c.converged for c in cells
+        ),
+        line: any(REFERENCE in row.cells for row in rows),
+    }
+    if shown := [handle for handle, needed in handles.items() if needed]:
         look: Look = {"handler_map": {capped: HandlerLine2D(numpoints=2)}}
         across = 2 if figure.get_figwidth() == style.COLUMN else 4
-        figure.legend(handles=handles, loc="outside upper right", ncols=across, **look)
+        figure.legend(handles=shown, loc="outside upper right", ncols=across, **look)
 
 
 _BARS = (

@@ -10,7 +10,8 @@ from bayesfric.inference.fitting import Fit
 from bayesfric.inference.prior.priors import Prior
 from bayesfric.mechanism.derived import derive
 from bayesfric.report.figures.style import Array, mathtext, power_of_ten, scaled_unit
-from bayesfric.report.summary.noise import noise_unit
+from bayesfric.report.summary.derived_quantities import described_as
+from bayesfric.report.summary.noise import noise_described
 from bayesfric.report.summary.record import Summary
 
 
@@ -56,14 +57,10 @@ class Quantity:
 
 def quantities(fit: Fit) -> list[Quantity]:
     """List the sampled parameters of a fit, noise scales last."""
-    posterior, noise = fit.posterior, fit.target.noise
-    said = {p.name: (p.symbol, p.unit) for p in fit.chain.parameters}
-    said |= {
-        name: (symbol, noise_unit(fit, kind))
-        for name, symbol, kind in zip(noise.names, noise.symbols, noise.quantities, strict=True)
-    }
+    posterior = fit.posterior
+    said = {p.name: described_as(p) for p in fit.chain.parameters} | noise_described(fit)
     return [
-        Quantity(name, mathtext(said[name][0], name), said[name][1], draws, prior)
+        Quantity(name, mathtext(said[name]["symbol"], name), said[name]["unit"], draws, prior)
         for name, draws, prior in zip(
             posterior.names, posterior.flat().T, posterior.priors, strict=True
         )

@@ -28,18 +28,20 @@ Flags = NDArray[np.bool_]
 _LAGS = 10
 
 
-def noise_unit(fit: Fit, quantity: str) -> str:
-    """Name the unit of a noise scale, such as ``sigma``, ``torque`` or ``position``."""
-    unit = SCALES[quantity].unit
-    if unit == "position":
-        return fit.target.likelihood.outputs[0].unit
-    return unit and ("N m" if fit.chain.motor_motion == "rotary" else "N")
-
-
-def noise_meaning(fit: Fit, quantity: str) -> str:
-    """Say in a line what a noise scale is."""
-    (scale,) = (s for s in fit.target.likelihood.noise.scales if s.name == quantity)
-    return effort_words(scale.meaning, fit.chain.motor_motion)
+def noise_described(fit: Fit) -> dict[str, dict[str, str]]:
+    """Say what every noise parameter is: unit, symbol and meaning, by name."""
+    noise, effort = fit.target.noise, "N m" if fit.chain.motor_motion == "rotary" else "N"
+    units = {"position": fit.target.likelihood.outputs[0].unit, "": ""}
+    meanings = {one.name: one.meaning for one in fit.target.likelihood.noise.scales}
+    found = {}
+    for name, symbol, kind in zip(noise.names, noise.symbols, noise.quantities, strict=True):
+        # one scale a recording, by its name
+        _, _, recording = name.removeprefix("noise.").partition(".")
+        meaning = effort_words(meanings[kind], fit.chain.motor_motion)
+        meaning += f", {recording}" if recording else ""
+        unit = units.get(SCALES[kind].unit, effort)
+        found[name] = {"unit": unit, "symbol": symbol, "meaning": meaning}
+    return found
 
 
 def noise_record(fit: Fit, residuals: list[Array], choice: Choice | None) -> dict[str, Any]:

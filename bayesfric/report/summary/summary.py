@@ -233,17 +233,10 @@ def _parameters(fit: Fit, local: LocalInformation) -> dict[str, Any]:
     d, flat = fit.posterior.diagnostics, fit.posterior.flat()
     described = {p.name: described_as(p) for p in fit.chain.parameters}
     possible = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
+    described |= noise_part.noise_described(fit)
     noise = fit.target.noise
-    for name, symbol, quantity in zip(noise.names, noise.symbols, noise.quantities, strict=True):
-        unit, meaning = (
-            noise_part.noise_unit(fit, quantity),
-            noise_part.noise_meaning(fit, quantity),
-        )
-        # one scale a recording, by its name
-        _, _, recording = name.removeprefix("noise.").partition(".")
-        meaning += f", {recording}" if recording else ""
-        described[name] = {"unit": unit, "symbol": symbol, "meaning": meaning}
-        possible[name] = (SCALES[quantity].lower, SCALES[quantity].upper)
+    scales = dict(zip(noise.names, (SCALES[kind] for kind in noise.quantities), strict=True))
+    possible |= {name: (scale.lower, scale.upper) for name, scale in scales.items()}
     rows = {}
     sound = d.sound(d.rhat, d.ess)
     for j, (name, prior) in enumerate(zip(fit.posterior.names, fit.posterior.priors, strict=True)):
