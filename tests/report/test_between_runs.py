@@ -143,7 +143,7 @@ def test_parts_of_one_recording_that_do_not_overlap_are_two():
     """Older runs do not tell which part they saw: then it may be the same."""
     first, second, both, old = (
         Provenance(recordings={"r": "ab"}, spans=spans)
-        for spans in ({"r": (8.0, 34.0)}, {"r": (34.1, 60.0)}, {"r": (8.0, 60.0)}, {})
+        for spans in ({"r": [8.0, 34.0]}, {"r": [34.1, 60.0]}, {"r": [8.0, 60.0]}, {})
     )
     runs = {"first": first, "second": second, "both": both, "old": old}
     pairs = {frozenset(pair) for pair in shared_recordings(runs)}
