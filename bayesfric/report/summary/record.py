@@ -25,13 +25,13 @@ from bayesfric.report.summary.part import (
     Part,
     Share,
 )
-from bayesfric.report.summary.residual import Residual
 from bayesfric.report.summary.rollout import RollOutPart
 from bayesfric.report.summary.rows import (
     EstimatedRow,
     KnownRow,
     PosteriorRow,
     ReferenceRow,
+    Residual,
 )
 from bayesfric.report.words import clause, line_of
 from bayesfric.results.verdict import Verdict, verdict
