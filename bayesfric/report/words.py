@@ -41,7 +41,7 @@ def words() -> Mapping[str, Words]:
 
 def words_of(kind: str) -> Words:
     """Give what is said of a kind; one that only another version knows by name and parameters."""
-    return words().get(kind, Words(kind, "{parameters}", {}))
+    return words().get(kind, Words("{kind}", "{parameters}", {}))
 
 
 def line_of(kind: str, values: Mapping[str, Any] | None = None) -> str:
@@ -49,7 +49,7 @@ def line_of(kind: str, values: Mapping[str, Any] | None = None) -> str:
 
     Of a finding the ``values`` tell its share of the torque (rms), and the key that puts it in.
     """
-    told = dict(values or {})
+    told = {"kind": kind, **(values or {})}
     if kind == "put in":
         return f"put in: {line_of(told['kind'], told)}"
     known = words_of(_kind(kind, told))
@@ -65,11 +65,12 @@ def doubt_text(doubt: Mapping[str, Any]) -> str:
     return line_of(doubt["kind"], doubt)
 
 
-def clause(kind: str, values: Mapping[str, Any]) -> str:
-    """Say what it is alone, to stand behind "because"."""
-    what = _FILL.vformat(words_of(_kind(kind, values)).what, (), values)
+def clause(kind: str, values: Mapping[str, Any] | None = None) -> str:
+    """Say what it is alone, as behind "because"."""
+    told = {"kind": kind, **(values or {})}
+    what = _FILL.vformat(words_of(_kind(kind, told)).what, (), told)
     if kind == "missing":
-        what += f" explains {percent(values['share'])} % of the torque"
+        what += f" explains {percent(told['share'])} % of the torque"
     return what
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -95,6 +96,22 @@ class Cell:
         if self.interval is not None and is_skewed(self.value, *self.interval):
             return medium.ends(self.value, *self.interval, self.fine or self.sd)
         return medium.value(self.value, self.sd)
+
+    @property
+    def plain(self) -> bool:
+        """Whether its sd takes residuals for uncorrelated."""
+        return self.status == "determined" and not self.accounts
+
+    def parts(self, medium: Medium) -> Iterator[tuple[str, str]]:
+        """Write what a table has of it, each with its kind; an open one in words only."""
+        if self.status not in ("undetermined", "limit"):
+            yield "plain" if self.plain else "value", self.written(medium)
+        if self.interval is not None and self.fine:
+            yield "interval", medium.interval(*self.interval, self.fine)
+        if self.disagreement is not None:
+            yield "quiet", f"{round(self.disagreement, 1) + 0.0:+.1f} sd"  # no -0.0
+        if self.remark:
+            yield "open" if self.status == "undetermined" else "quiet", self.remark
 
     @property
     def fine(self) -> float | None:

@@ -119,19 +119,8 @@ def comparison_dict(found: Comparison) -> dict[str, Any]:
 
 
 def _cell_parts(cell: Cell | None) -> list[str]:
-    """Word a cell; an open one in words only."""
-    if cell is None:
-        return []
-    parts = []
-    if cell.status not in ("undetermined", "limit"):
-        plain = cell.status == "determined" and not cell.accounts
-        parts.append(cell.written(TEXT) + (_PLAIN if plain else ""))
-    if cell.interval is not None and cell.fine:
-        parts.append(TEXT.interval(*cell.interval, cell.fine))
-    if cell.disagreement is not None:
-        # no -0.0
-        parts.append(f"{round(cell.disagreement, 1) + 0.0:+.1f} sd")
-    return [*parts, *([cell.remark] if cell.remark else [])]
+    parts = cell.parts(TEXT) if cell else ()
+    return [f"{text}{_PLAIN}" if kind == "plain" else text for kind, text in parts]
 
 
 def explained(found: Comparison) -> Iterator[str]:
@@ -140,7 +129,7 @@ def explained(found: Comparison) -> Iterator[str]:
     yield from filled(
         "explained.txt.j2",
         found=found,
-        plain=any(cell.status == "determined" and not cell.accounts for cell in cells),
+        plain=any(cell.plain for cell in cells),
         levels=sorted({cell.level for cell in cells if cell.interval is not None and cell.level}),
         dagger=_PLAIN,
     ).splitlines()

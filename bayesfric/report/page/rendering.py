@@ -19,7 +19,7 @@ from bayesfric.report.page.symbol import html_symbol
 from bayesfric.report.paper.tables import counts, parameter_table
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.text_templates import FILTERS
-from bayesfric.report.words import words_of
+from bayesfric.report.words import clause
 from bayesfric.templates import environment
 
 
@@ -61,7 +61,7 @@ def _environment() -> Environment:
         "sig": numbers.HTML.number,
         "fixed": lambda x, digits=2: numbers.html_number(f"{x:.{digits}f}"),
         "capital": capital,
-        "named": lambda kind: words_of(kind).what,
+        "named": clause,
         "factor": factor,
         "cell": values.cell_html,
         "counts": counts,

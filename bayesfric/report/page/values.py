@@ -5,7 +5,7 @@ from __future__ import annotations
 from markupsafe import Markup
 
 from bayesfric.report.comparison.cell import Cell, settled_by
-from bayesfric.report.numbers import HTML, finer, html_number
+from bayesfric.report.numbers import HTML, finer
 from bayesfric.report.paper.tables import ParameterRow
 
 
@@ -55,18 +55,10 @@ def cell_html(cell: Cell | None) -> Markup:
     """Write one cell of a comparison; an open one in words only."""
     if cell is None:
         return Markup('<span class="quiet">–</span>')
-    lines: list[Markup] = []
-    if cell.status not in ("undetermined", "limit"):
-        plain_sd = cell.status == "determined" and not cell.accounts and cell.sd
-        mark = Markup('<sup class="mark">†</sup>') if plain_sd else Markup()
-        shown = Markup(cell.written(HTML))
-        lines.append(shown + mark)
-    if cell.interval is not None and cell.fine:
-        lines.append(HTML.interval(*cell.interval, cell.fine))
-    if cell.disagreement is not None:
-        away = html_number(f"{round(cell.disagreement, 1) + 0.0:+.1f}")
-        lines.append(Markup('<span class="quiet">{} sd away</span>').format(away))
-    if cell.remark:
-        kind = "open" if cell.status == "undetermined" else "quiet"
-        lines.append(Markup('<span class="{}">{}</span>').format(kind, cell.remark))
+    shown = {
+        "plain": '{}<sup class="mark">†</sup>',
+        "open": '<span class="open">{}</span>',
+        "quiet": '<span class="quiet">{}</span>',
+    }
+    lines = [Markup(shown.get(kind, "{}")).format(text) for kind, text in cell.parts(HTML)]
     return Markup("<br>").join(lines)

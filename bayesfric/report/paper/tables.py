@@ -359,8 +359,7 @@ def _cell(cell: Cell | None) -> str:
         return shown + r"\textsuperscript{b}"
     shown += r"\textsuperscript{d}" if cell.doubted else ""
     shown += "" if cell.alike else r"\textsuperscript{s}"
-    plain = cell.status == "determined" and not cell.accounts
-    return shown + (r"\textsuperscript{\dag}" if plain else "")
+    return shown + (r"\textsuperscript{\dag}" if cell.plain else "")
 
 
 def summary_table(summary: Readable) -> str:
