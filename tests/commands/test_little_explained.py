@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.report.summary.position_unit import other_units
+from bayesfric.report.summary.doubts import other_units
 from bayesfric.report.words import doubt_text
 from tests.recordings.samples import has
 

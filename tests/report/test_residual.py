@@ -14,8 +14,7 @@ from bayesfric.inference.fitting import read_priors, target_of
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.recordings import Processing
-from bayesfric.report.figures.residual import residual_figure
-from bayesfric.report.figures.residual_analysis import residual_analysis
+from bayesfric.report.figures.residual import residual_analysis, residual_figure
 from bayesfric.report.figures.style import PAGE
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.methods_text import methods_text
