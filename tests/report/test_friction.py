@@ -11,9 +11,8 @@ from bayesfric.mechanism.inverse import inverse_torque, load_reach
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
-from bayesfric.report.figures.curve_band import CurveJudge
+from bayesfric.report.figures.curve_band import Covered, CurveJudge, covered, friction_torque
 from bayesfric.report.figures.friction import friction_caption, friction_curves, friction_figure
-from bayesfric.report.figures.friction_curve import Covered, covered, friction_torque
 from bayesfric.report.figures.style import COLUMN, PAGE
 
 from .conftest import SLIDE, draw_fast

@@ -18,10 +18,10 @@ from bayesfric.report.figures.curve_band import (
     CurveJudge,
     CurveLook,
     Flags,
+    covered,
     curve_handles,
     draw_curve,
 )
-from bayesfric.report.figures.friction_curve import covered
 from bayesfric.report.figures.registry import RunFigure
 from bayesfric.report.figures.style import Array, Look, few_ticks, legend_above, paper_figure
 from bayesfric.report.summary.derived_quantities import LEVEL

@@ -14,14 +14,17 @@ from bayesfric.inference.fitting import Fit
 from bayesfric.report.figures import style
 from bayesfric.report.figures.curve_band import (
     FEWEST,
+    NEAR,
+    Covered,
     Curve,
     CurveJudge,
     CurveLook,
     Flags,
+    covered,
     curve_handles,
     draw_curve,
+    friction_torque,
 )
-from bayesfric.report.figures.friction_curve import NEAR, Covered, covered, friction_torque
 from bayesfric.report.figures.registry import RunFigure
 from bayesfric.report.figures.style import (
     Array,

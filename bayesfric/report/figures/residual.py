@@ -1,4 +1,7 @@
-"""The figure of residuals: autocorrelation, quantiles, and against speed, load and angle."""
+"""The figure of residuals: autocorrelation, quantiles, and against speed, load and angle.
+
+What else explains them, a fit asks by itself (:mod:`bayesfric.diagnostics`); this is to be seen.
+"""
 
 from __future__ import annotations
 
