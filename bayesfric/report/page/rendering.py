@@ -1,4 +1,7 @@
-"""Templates, style and script put together into one file that fetches nothing."""
+"""Templates, style and script put together into one file that fetches nothing.
+
+With numbers, verdicts and the paper's symbols as a page shows them: never a bare open interval.
+"""
 
 from __future__ import annotations
 

@@ -51,12 +51,6 @@ _VERDICTS = {
 }
 # where a prior on another gives its scale
 _GIVEN_LIMIT = "data and prior, on one side"
-_SUMMARY_COLUMNS =  ["name", "unit", "mean", "sd", "median", "low", "high", "level", "rhat", "ess",
-    "prior", "prior_sd", "contraction", "verdict", "doubted", "at_bound", "converged",
-    "undefined_share",
-    "posterior_low", "posterior_high", "posterior_sd",
-    "bias", "coverage", "corrected", "corrected_low", "corrected_high",
-    "current", "current_low", "current_high"]  # fmt: skip
 COLUMNS = [
     "group", "name", "symbol", "meaning", "unit", "status", "verdict",
     "value", "sd", "low", "high", "level", "limit", "remark",
@@ -369,7 +363,7 @@ def summary_table(summary: Readable) -> str:
     table = read.frame
     # the word that every other table has for it
     table.loc[[rows[name].doubtful for name in table["name"]], "verdict"] = "doubtful"
-    return str(table.to_csv(index=False, columns=_SUMMARY_COLUMNS))
+    return str(table.to_csv(index=False))
 
 
 def summary_texts(summary: Readable, run: str) -> dict[str, str]:
