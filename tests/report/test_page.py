@@ -280,7 +280,7 @@ def test_what_ensembles_make_that_disagree_is_nowhere_shown_as_a_result(tmp_path
     assert "no number is a posterior" in first.text
     assert not list(first.all("table"))
     assert "raise max_steps" in why.text
-    for wrong in ("--advise", "explains a torque", "pass as white"):
+    for wrong in ("--advise", "% rms)", "autocorrelated"):
         assert wrong not in first.text + why.text
     was = lines(sound)
     for name, row in lines(failed).items():

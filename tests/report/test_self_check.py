@@ -100,7 +100,7 @@ def test_what_is_seldom_held_stands_under_table_and_in_the_methods(result):
         lambda summary: methods_text(result.fit, summary).plain,
     ):
         assert words in medium(seldom).replace("\\,", " ")
-        assert "holds the truth in" not in medium(often)
+        assert words not in medium(often).replace("\\,", " ")
 
 
 def test_what_filters_leave_of_the_torque_is_no_noise(result):

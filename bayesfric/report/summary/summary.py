@@ -114,7 +114,7 @@ def summarise(
     unseen = fit.chain.unseen_inertia
     warnings = [
         *posterior.diagnostics.warnings,
-        line_of("unseen-inertia") if unseen else "",
+        line_of("unseen-inertia", {"names": unseen}) if unseen else "",
         *(bound_warning(name, row) for name, row in sound.items()),
         noise_part.correlation_warning(summary),
         noise_part.linearisation_warning(summary.likelihood),
