@@ -171,8 +171,8 @@ FIGURE = RunFigure(
     draw=lambda run: prediction_figure(run.fit),
     caption=(
         "What was measured and what the posterior predicts, noise included, with residuals below. "
-        "Dashed beside them: two sds of the noise, with what its memory adds where it has one; the "
-        "tables' scale is then that of its innovations, which is smaller. "
+        "Dashed beside them: two standard deviations of the noise, its autocorrelation included; "
+        "the tables' scale is then that of its innovations, which is smaller. "
         f"Gaps that are not hatched have no samples, or are not compared: {too_slow()}."
     ),
 )

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from bayesfric.report.comparison.between_runs import PooledQuantity
 
 _GROUPS = {
-    "free": "What the motor feels, whatever the scale of load and gearbox",
+    "free": "Quantities seen at the motor (base parameters)",
     "parameter": "Parameters",
     "derived": "Derived, of the scale of load and gearbox",
     "known": "Taken as known",
