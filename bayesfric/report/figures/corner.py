@@ -143,8 +143,7 @@ def _marginal(ax: Axes, q: Quantity, limits: tuple[float, float], cell: Cell) ->
         highest = max(peak, min(2.0 * peak, highest))
     else:
         ax.axvline(float(draws[0]), color=POSTERIOR)
-    ax.set_xlim(limits)
-    ax.set_ylim(0.0, 1.12 * highest or 1.0)
+    ax.set(xlim=limits, ylim=(0.0, 1.12 * highest or 1.0))
     ax.set_yticks([])
 
 
@@ -174,8 +173,7 @@ def _pair(
             for v in pair
         ]
         ax.plot(*ends, color=POSTERIOR, marker=".", markersize=3.0)
-    ax.set_xlim(limits[0])
-    ax.set_ylim(limits[1])
+    ax.set(xlim=limits[0], ylim=limits[1])
     few_ticks(ax.yaxis, 3, inner=True)
 
 

@@ -39,8 +39,7 @@ def rollout_figure(found: RollOut) -> Figure:
                 gid="measured",
                 rasterized=pixels,
             )
-            ax.set_xlim(float(one.time[0]), float(one.time[-1]))
-            ax.set_ylabel(f"position ({one.unit})")
+            ax.set(xlim=(float(one.time[0]), float(one.time[-1])), ylabel=f"position ({one.unit})")
             share = f"{100 * one.at_position.inside:.0f} % inside"
             share += " a band too wide to tell" if one.wide else ""
             ax.set_title(f"{shortened(one.name)}: {share}", fontsize=style.SMALL, pad=2.5)

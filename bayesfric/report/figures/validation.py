@@ -51,8 +51,7 @@ def validation_figure(fit: Fit, validation: Validation | None) -> Figure | None:
         above.tick_params(labelbottom=False)
         _torque(above, beneath, worst)
         above.set_ylabel(f"{outputs.quantity} ({outputs.unit})")
-        beneath.set_ylabel(f"residual ({outputs.unit})")
-        beneath.set_xlabel("time (s)")
+        beneath.set(ylabel=f"residual ({outputs.unit})", xlabel="time (s)")
         legend_above(figure, above.get_legend_handles_labels()[0])
         words = f"{shortened(worst.held_out.name)}, {worst.held_out.part}"
         if len(fit.held_out) > 1:
@@ -87,9 +86,7 @@ def _transform(ax: Axes, pit: Array) -> None:
     look: Look = {"fill": True, "color": style.BAND, "edgecolor": style.PALETTE[1], "gid": "pit"}
     ax.stairs(counts * _BINS / pit.size, edges, **look)
     ax.axhline(1.0, color=style.PALETTE[2], linewidth=0.9, linestyle=style.DASHED)
-    ax.set_xlim(0.0, 1.0)
-    ax.set_xlabel("predicted probability of less")
-    ax.set_ylabel("density")
+    ax.set(xlim=(0.0, 1.0), xlabel="predicted probability of less", ylabel="density")
     ax.set_xticks([0.0, 0.5, 1.0], labels=["0", "0.5", "1"])
     few_ticks(ax.yaxis, 4)
 
@@ -107,10 +104,7 @@ def _coverage(ax: Axes, pooled: HeldOut, pit: Array) -> None:
         bar = 200.0 * one.standard_error
         x, y = 100.0 * float(level), 100.0 * one.share
         ax.errorbar(x, y, yerr=bar, color=style.PALETTE[0], **look)
-    ax.set_xlim(0.0, 103.0)
-    ax.set_ylim(0.0, 105.0)
-    ax.set_xlabel("predicted (%)")
-    ax.set_ylabel("inside (%)")
+    ax.set(xlim=(0.0, 103.0), ylim=(0.0, 105.0), xlabel="predicted (%)", ylabel="inside (%)")
     for axis in (ax.xaxis, ax.yaxis):
         axis.set_ticks([0.0, 50.0, 100.0])
 
