@@ -26,12 +26,12 @@ _LEAST = 2
 
 
 @dataclass(frozen=True)
-class PooledQuantity:
-    """One quantity that the data of two runs or more determine; ``runs`` are the rows pooled."""
+class Told:
+    """What several runs say of one quantity, each by itself."""
 
     name: str
     runs: Mapping[str, PosteriorRow]
-    pool: Population
+    likelihoods: Mapping[str, Likelihood]
 
     @property
     def told(self) -> PosteriorRow:
@@ -45,17 +45,10 @@ class PooledQuantity:
 
 
 @dataclass(frozen=True)
-class Told:
-    """What several runs say of one quantity, each by itself."""
+class PooledQuantity(Told):
+    """One quantity that the data of two runs or more determine; ``runs`` are the rows pooled."""
 
-    name: str
-    runs: Mapping[str, PosteriorRow]
-    likelihoods: Mapping[str, Likelihood]
-
-    @property
-    def level(self) -> float:
-        """Share of the posterior that intervals hold."""
-        return next(iter(self.runs.values())).level
+    pool: Population
 
 
 def between_runs(
@@ -66,16 +59,12 @@ def between_runs(
     See :func:`told_by_runs` for what counts. What another motion changes is not pooled: runs of one
     joint may differ in it.
     """
-    told = [
-        one
-        for one in told_by_runs(runs, draws)
-        if not any(row.of_motion for row in one.runs.values())
-    ]
-    pools = (population(list(one.likelihoods.values()), one.level) for one in told)
-    return [
-        PooledQuantity(one.name, one.runs, _possible(one.name, pool))
-        for one, pool in zip(told, pools, strict=True)
-    ]
+    found = []
+    for one in told_by_runs(runs, draws):
+        if not any(row.of_motion for row in one.runs.values()):
+            pool = population(list(one.likelihoods.values()), one.told.level)
+            found.append(PooledQuantity(**vars(one), pool=_possible(one.name, pool)))
+    return found
 
 
 def _possible(name: str, pool: Population) -> Population:
