@@ -14,13 +14,12 @@ from bayesfric.inference.noise import SCALES
 from bayesfric.model import Model
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
-from bayesfric.report.alerts import doubt_text
 from bayesfric.report.numbers import TEXT, in_tenths
 from bayesfric.report.summary.doubts import doubts_before, few_outputs, little_explained
 from bayesfric.report.summary.summary import estimate_summary
 from bayesfric.report.terminal import aligned, shortened, wrapped
-from bayesfric.report.text_templates import sentence
-from bayesfric.report.words import line_of
+from bayesfric.report.words import doubt_text, line_of
+from bayesfric.report.words import line_of as sentence
 
 # Recordings, and findings, that are named one by one.
 _MANY = 5

@@ -17,7 +17,8 @@ from bayesfric.inference.sampling.sampling import Progress
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.tables import sha256
 from bayesfric.report.files import check_free
-from bayesfric.report.summary.record import Summary, read_summary_file
+from bayesfric.report.shown import Summary
+from bayesfric.report.summary.record import read_summary_file
 
 if TYPE_CHECKING:
     from bayesfric.model import Model

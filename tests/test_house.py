@@ -27,10 +27,7 @@ FLOORS = (
 TOP = "the files beside the rooms"
 CIRCLES = {
     name: pytest.mark.xfail(strict=True, raises=pytest.fail.Exception, reason=reason)
-    for name, reason in (
-        ("report", "a summary words itself by terminal and page, which are made of summaries"),
-        (TOP, "a Model makes what whole_fit and result make of a Model"),
-    )
+    for name, reason in ((TOP, "a Model makes what whole_fit and result make of a Model"),)
 }
 
 

@@ -10,11 +10,10 @@ from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.errors import BadInput
 from bayesfric.model import Model
-from bayesfric.report.alerts import doubt_text
 from bayesfric.report.summary.doubts import little_explained
 from bayesfric.report.terminal import wrapped
-from bayesfric.report.text_templates import filled, sentence
-from bayesfric.report.words import line_of, words_of
+from bayesfric.report.text_templates import filled
+from bayesfric.report.words import clause, doubt_text, line_of
 
 
 def explain_record(found: Explanation, model: Model) -> dict[str, Any]:
@@ -35,7 +34,7 @@ def explain_text(
         warnings=map(doubt_text, little_explained(model.chain, model.observations)),
         lines=[_line(one) for one in found.findings],
         taken=[f"Put in: {_line(one)}" for one in taken],
-        untold=sentence("untold", {"kinds": found.untold}),
+        untold=", ".join(clause(kind) for kind in found.untold),
         path=path,
         names=model.chain.names,
     )
@@ -47,7 +46,7 @@ def _line(one: Finding) -> str:
     told = one.as_dict()
     moves = ", ".join(f"{name} {by:+.1f}" for name, by in list(one.moves.items())[:3])
     more = f"; moves {moves} standard deviations" if moves else ""
-    rivals = ", ".join(words_of(kind).what for kind in one.rivals[:3])
+    rivals = ", ".join(clause(kind) for kind in one.rivals[:3])
     return line_of(one.kind, told) + more + (f"; looks like {rivals}" if rivals else "")
 
 

@@ -16,9 +16,9 @@ from bayesfric.identifiability.identification import Identification
 from bayesfric.identifiability.next_recording import Ranking
 from bayesfric.identifiability.sentences import page
 from bayesfric.model import Model
-from bayesfric.report.alerts import doubt_text
 from bayesfric.report.files import write_beside
 from bayesfric.report.summary.doubts import little_explained
+from bayesfric.report.words import doubt_text
 
 
 def identify_record(found: Identification, model: Model) -> dict[str, Any]:

@@ -11,14 +11,15 @@ from typing import Any
 from bayesfric.commands.report import report
 from bayesfric.errors import BadInput
 from bayesfric.inference.sampling.sampling import Progress
-from bayesfric.report.alerts import roll_out_doubt, roll_out_wide
+from bayesfric.report.alerts import roll_out_alerts
 from bayesfric.report.figures.registry import read_captions
 from bayesfric.report.figures.rollout import FIGURE, rollout_figure
 from bayesfric.report.figures.style import save
 from bayesfric.report.files import write_beside
 from bayesfric.report.summary.record import read_summary_file
 from bayesfric.report.summary.rollout import RollOutPart, rollout_part
-from bayesfric.report.text_templates import filled, sentence
+from bayesfric.report.text_templates import filled
+from bayesfric.report.words import line_of
 from bayesfric.rollouts.rolled import RollOut
 from bayesfric.rollouts.rollout import rollout as played
 
@@ -46,10 +47,7 @@ def rollout(
 def rollout_text(found: RollOutPart) -> Iterator[str]:
     """Word it for a terminal, line by line."""
     yield from filled("rollout.txt.j2", found=found).splitlines()
-    if doubt := roll_out_doubt(found):
-        yield f"WARNING: {sentence('roll-out', doubt)}"
-    if wide := roll_out_wide(found):
-        yield f"WARNING: {sentence('wide bands', wide)}"
+    yield from (f"WARNING: {line_of(*one)}" for one in roll_out_alerts(found).items())
 
 
 def _write(run: Path, found: RollOut, told: RollOutPart) -> None:

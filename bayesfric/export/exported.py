@@ -25,8 +25,8 @@ from bayesfric.finished import Finished, finished
 from bayesfric.recordings.trajectory import trajectory
 from bayesfric.report.figures.style import save
 from bayesfric.report.files import check_free, made_beside, parents_made, unwritable
+from bayesfric.report.summary.derived_quantities import LEVEL
 from bayesfric.report.summary.reported import put_reported
-from bayesfric.report.summary.summary import LEVEL
 from bayesfric.results.reported import ORDER
 
 # Draws that intervals are told from.

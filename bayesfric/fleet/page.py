@@ -13,8 +13,7 @@ from bayesfric.fleet.population import OUTLIER, FleetPopulation, sure
 from bayesfric.fleet.results import COLUMNS, FAILED, Record
 from bayesfric.fleet.units import Unit
 from bayesfric.report.figures.style import save
-from bayesfric.report.page.figures import PageFigure
-from bayesfric.report.page.inline_svg import inline_svg
+from bayesfric.report.page.figures import PageFigure, inline_svg
 from bayesfric.report.page.rendering import render
 
 # Columns of the units that there is room for.

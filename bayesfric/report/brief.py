@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from bayesfric.report.alerts import Alert, alerts_of
-from bayesfric.report.numbers import TEXT, finer
+from bayesfric.report.numbers import TEXT, finer, text_rounded
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.record import Readable, Summary, of_noise
 from bayesfric.report.words import line_of
@@ -149,7 +149,7 @@ def _line(name: str, one: Reported, unit: str) -> Line:
         return Line(name, f"{one.value:.5g}", "", "", unit, beside)
     low, high = one.interval
     fine = finer(one.value, low, high, one.sd)
-    value, sd = (TEXT.ends(x, low, high, fine) for x in (one.value, one.sd))
+    value, sd = (text_rounded(x, fine) for x in (one.value, one.sd))
     return Line(name, value, sd, TEXT.interval(low, high, fine), unit, beside)
 
 

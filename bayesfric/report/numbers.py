@@ -7,9 +7,9 @@ posterior the nearer end of its interval does (:func:`finer`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable
 from decimal import ROUND_HALF_EVEN, Decimal
+from typing import Protocol
 
 from markupsafe import Markup, escape
 
@@ -21,19 +21,27 @@ _FINEST = 1e-3
 _PLAIN = (-3, 4)
 
 
-@dataclass(frozen=True)
-class Medium:
-    """How one medium writes an exact number, a value with its sd, skewed ones, and intervals.
+class Medium(Protocol):
+    """How one medium writes numbers, by an uncertainty that sets the last digit of all.
 
     ``limits`` are the signs of an upper and a lower limit, ``none`` what stands for no number.
     """
 
-    number: Callable[[float, int], str]
-    value: Callable[[float, float], str]
-    ends: Callable[[float, float, float, float], str]
-    interval: Callable[[float, float, float], str]
     limits: tuple[str, str]
     none: str
+    sds: bool  # whether its tables have room for sds beside intervals
+
+    def number(self, value: float, digits: int = 4, /) -> str:
+        """Write an exact number."""
+
+    def value(self, value: float, sd: float, /) -> str:
+        """Write a value with its standard deviation."""
+
+    def ends(self, value: float, low: float, high: float, sd: float, /) -> str:
+        """Write a value with its distances to both ends of an interval, for a skewed posterior."""
+
+    def interval(self, low: float, high: float, sd: float, /) -> str:
+        """Write both ends of an interval."""
 
 
 def last_digit(uncertainty: float) -> int:
@@ -108,31 +116,26 @@ def _interval(low: float, high: float, sd: float) -> tuple[list[str], int]:
     return [_digits(end, last, exponent) for end in (low, high)], exponent
 
 
-# -- plain text
+class _Text:
+    limits, none, sds = ("≤ ", "≥ "), "–", False
 
+    def number(self, value: float, digits: int = 4) -> str:
+        return f"{value:.{digits}g}"
 
-def text_value(value: float, sd: float | None) -> str:
-    """Print a value to the second digit of its standard deviation, and that with two."""
-    if not sd:
-        return f"{value:.5g}"
-    return f"{text_rounded(value, sd)} ± {text_rounded(sd, sd)}"
+    def value(self, value: float, sd: float) -> str:
+        return f"{text_rounded(value, sd)} ± {text_rounded(sd, sd)}"
+
+    def ends(self, value: float, low: float, high: float, sd: float) -> str:  # noqa: ARG002
+        return text_rounded(value, sd)
+
+    def interval(self, low: float, high: float, sd: float) -> str:
+        return f"[{text_rounded(low, sd)}, {text_rounded(high, sd)}]"
 
 
 def text_rounded(value: float, sd: float | None) -> str:
-    """Print a value to the second digit of a standard deviation."""
-    if not sd or not value:
-        return f"{value:.5g}"
-    before, last = math.floor(math.log10(abs(value))), math.floor(math.log10(sd)) - 1
-    digits = before - last + 1
-    if digits < 1:
-        return f"{round(value, -last) + 0.0:.1g}"
-    if 0 <= before < 6:  # no 1.2e+02
-        digits = max(digits, before + 1)
-    return f"{value:#.{min(digits, 9)}g}".removesuffix(".")
-
-
-def _text_digits(value: float, sd: float) -> str:
     """Print a value to the last digit that a standard deviation sets, exponent and all."""
+    if not sd:
+        return f"{value:.5g}"
     last = last_digit(sd)
     if _rounded(value, last).is_zero():
         return "0"
@@ -150,72 +153,68 @@ def spaced(x: float) -> str:
     return f"{x:,.0f}".replace(",", "\u202f")
 
 
-# -- LaTeX
-
-
-def latex_number(value: float, digits: int = 4) -> str:
-    r"""Write ``\num{...}`` with at most four digits."""
-    return rf"\num{{{value:.{min(digits, 4)}g}}}"
-
-
-def latex_value(value: float, sd: float) -> str:
-    r"""Write ``\num{4.618(36)e-4}``: the uncertainty in units of the last digits."""
-    shown, beside, exponent = _with_sd(value, sd)
-    last = last_digit(sd)
-    # the uncertainty in parentheses counts last digits; above the point it is written out
-    own = "." in shown or last == exponent
-    said = int(_rounded(sd, last).scaleb(-last)) if own else beside
-    return rf"\num{{{shown}({said}){_power(exponent)}}}"
-
-
-def latex_ends(value: float, low: float, high: float, sd: float) -> str:
-    """Write a value with its distances to both ends of an interval, for a skewed posterior."""
-    middle, above, below, exponent = _with_ends(value, low, high, sd)
-    shown = rf"\num{{{middle}}}^{{+\num{{{above}}}}}_{{-\num{{{below}}}}}"
-    return f"${shown}$" if not exponent else rf"$({shown})\times 10^{{{exponent}}}$"
-
-
-def latex_interval(low: float, high: float, sd: float) -> str:
-    """Write both ends to the digit that the sd sets."""
-    shown, exponent = _interval(low, high, sd)
-    # \num groups digits as it does in the value beside it
-    ends = ", ".join(rf"\num{{{end}}}" for end in shown)
-    return f"$[{ends}]$" if not exponent else rf"$[{ends}]\times 10^{{{exponent}}}$"
-
-
 def _power(exponent: int) -> str:
     return f"e{exponent}" if exponent else ""
 
 
-# -- HTML
+class _Latex:
+    limits, none = (r"$\leq$ ", r"$\geq$ "), "---"
+    sds = False
+
+    def number(self, value: float, digits: int = 4) -> str:
+        return rf"\num{{{value:.{min(digits, 4)}g}}}"
+
+    def value(self, value: float, sd: float) -> str:
+        shown, beside, exponent = _with_sd(value, sd)
+        last = last_digit(sd)
+        # the uncertainty in parentheses counts last digits; above the point it is written out
+        own = "." in shown or last == exponent
+        said = int(_rounded(sd, last).scaleb(-last)) if own else beside
+        return rf"\num{{{shown}({said}){_power(exponent)}}}"
+
+    def ends(self, value: float, low: float, high: float, sd: float) -> str:
+        middle, above, below, exponent = _with_ends(value, low, high, sd)
+        shown = rf"\num{{{middle}}}^{{+\num{{{above}}}}}_{{-\num{{{below}}}}}"
+        return f"${shown}$" if not exponent else rf"$({shown})\times 10^{{{exponent}}}$"
+
+    def interval(self, low: float, high: float, sd: float) -> str:
+        shown, exponent = _interval(low, high, sd)
+        # \num groups digits as it does in the value beside it
+        ends = ", ".join(rf"\num{{{end}}}" for end in shown)
+        return f"$[{ends}]$" if not exponent else rf"$[{ends}]\times 10^{{{exponent}}}$"
+
+
+class _Html:
+    limits: tuple[str, str] = (Markup("≤\u00a0"), Markup("≥\u00a0"))
+    none: str = Markup("–")
+    sds = True
+
+    def number(self, value: float, digits: int = 4) -> Markup:
+        return html_number(f"{value:.{digits}g}")
+
+    def value(self, value: float, sd: float) -> Markup:
+        shown, beside, exponent = _with_sd(value, sd)
+        return _scaled(Markup("{} ± {}").format(_signed(shown), beside), exponent)
+
+    def ends(self, value: float, low: float, high: float, sd: float) -> Markup:
+        middle, above, below, exponent = _with_ends(value, low, high, sd)
+        ends = Markup('<span class="ends"><sup>+{}</sup><sub>\u2212{}</sub></span>')
+        shown = Markup("{} {}").format(_signed(middle), ends.format(above, below))
+        return _scaled(shown, exponent)
+
+    def interval(self, low: float, high: float, sd: float) -> Markup:
+        shown, exponent = _interval(low, high, sd)
+        ends = Markup("[{}, {}]").format(*map(_signed, shown))
+        return _scaled(ends, exponent, brackets=False)
+
+
+TEXT, LATEX, HTML = _Text(), _Latex(), _Html()
 
 
 def html_number(text: str) -> Markup:
     """Set a number such as ``-1.2e-05`` with a minus sign and a power of ten."""
     digits, _, power = text.partition("e")
     return _scaled(escape(_signed(digits)), int(power or 0), brackets=False)
-
-
-def html_value(value: float, sd: float) -> Markup:
-    """Write a value to the second digit of its standard deviation, and that with two."""
-    shown, beside, exponent = _with_sd(value, sd)
-    return _scaled(Markup("{} ± {}").format(_signed(shown), beside), exponent)
-
-
-def html_ends(value: float, low: float, high: float, sd: float) -> Markup:
-    """Write a value with its distances to both ends of an interval, for a skewed posterior."""
-    middle, above, below, exponent = _with_ends(value, low, high, sd)
-    ends = Markup('<span class="ends"><sup>+{}</sup><sub>\u2212{}</sub></span>').format(
-        above, below
-    )
-    return _scaled(Markup("{} {}").format(_signed(middle), ends), exponent)
-
-
-def html_interval(low: float, high: float, sd: float) -> Markup:
-    """Write both ends of an interval to the digit that the standard deviation sets."""
-    shown, exponent = _interval(low, high, sd)
-    ends = Markup("[{}, {}]").format(*map(_signed, shown))
-    return _scaled(ends, exponent, brackets=False)
 
 
 def html_unit(unit: str) -> Markup:
@@ -238,24 +237,3 @@ def _scaled(shown: Markup, exponent: int, *, brackets: bool = True) -> Markup:
         return shown
     power = Markup("\u00a0×\u00a010<sup>{}</sup>").format(_signed(str(exponent)))
     return (Markup("({})").format(shown) if brackets else shown) + power
-
-
-TEXT = Medium(
-    lambda value, digits: f"{value:.{digits}g}",
-    text_value,
-    lambda value, _, __, sd: _text_digits(value, sd),
-    lambda low, high, sd: f"[{_text_digits(low, sd)}, {_text_digits(high, sd)}]",
-    ("≤ ", "≥ "),
-    "–",
-)
-LATEX = Medium(
-    latex_number, latex_value, latex_ends, latex_interval, (r"$\leq$ ", r"$\geq$ "), "---"
-)
-HTML = Medium(
-    lambda value, digits: html_number(f"{value:.{digits}g}"),
-    html_value,
-    html_ends,
-    html_interval,
-    (Markup("≤\u00a0"), Markup("≥\u00a0")),
-    Markup("–"),
-)

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 import bayesfric
 from bayesfric.inference.archive import as_chains, write_archive
 from bayesfric.inference.fitting import Fit
+from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.sampling.sampling import Progress
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.report.answers.calculator import calculator
 from bayesfric.report.answers.record import FILE, calculator_json
-from bayesfric.report.figures.registry import FinishedRun, RunFigure, captions, run_figures
+from bayesfric.report.figures.registry import Declared, FinishedRun, captions, run_figures
 from bayesfric.report.figures.style import ALL_KINDS, ON_PAGE, save
 from bayesfric.report.files import made_beside
 from bayesfric.report.page.run_page import run_page
@@ -69,15 +70,13 @@ def write_run(
             + "\n",
             encoding="utf-8",
         )
+        progress(Progress("draws"))
+        archive = archived(fit, summary, config_text, recordings, draws)
+        write_archive(beside / "posterior.nc", **archive)
         if draws is not None:
-            write_archive(
-                beside / "posterior.nc", **thinned(fit, summary, config_text, recordings, draws)
-            )
             return
         run = FinishedRun(fit, summary)
         kinds = ALL_KINDS if paper else ON_PAGE
-        progress(Progress("draws"))
-        write_archive(beside / "posterior.nc", **archived(fit, summary, config_text, recordings))
         drawn = draw(beside / "figures", run, kinds, progress)
         said = methods_text(fit, summary)
         texts = summary_texts(summary, folder.name) | {
@@ -101,7 +100,7 @@ def draw(
     run: FinishedRun,
     kinds: Sequence[str],
     progress: Callable[[Progress], None],
-) -> list[RunFigure]:
+) -> list[Declared]:
     """Draw a run's figures into ``folder``, and give those that show anything."""
     folder.mkdir(exist_ok=True)
     drawn = []
@@ -123,7 +122,11 @@ def paper_texts(summary: Summary, name: str, said: MethodsText) -> dict[str, str
 
 
 def archived(
-    fit: Fit, summary: Summary, config_text: str, recordings: list[Measurement]
+    fit: Fit,
+    summary: Summary,
+    config_text: str,
+    recordings: list[Measurement],
+    draws: int | None = None,
 ) -> dict[str, Any]:
     """Put together what :func:`~bayesfric.inference.archive.make_archive` takes of a run.
 
@@ -131,65 +134,51 @@ def archived(
     it; their variables carry units, symbol, meaning and verdict. ``told`` holds draws with room for
     the model's error, where recordings show any: what simulations go on with. ``ensemble`` of
     ``sample_stats`` says which walkers belong together. ``log_likelihood`` and
-    ``posterior_predictive`` hold a number for each output and a part of the draws.
+    ``posterior_predictive`` hold a number for each output and a part of the draws. A light run has
+    so many ``draws`` of the posterior and its prior, and nothing else: a comparison derives it.
     """
-    posterior = fit.posterior
-    chains = {name: as_chains(posterior[name]) for name in posterior.names}
-    n_chains, n_draws = next(iter(chains.values())).shape
-    told = {name: _told(row) for name, row in summary.rows.items()}
-    walkers = posterior.draws.shape[1]
-    ensemble = np.repeat(np.arange(n_chains) // walkers, n_draws).reshape(n_chains, n_draws)
+    posterior, outputs = fit.posterior, fit.target.likelihood.outputs
     rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(1,)))
-    log_likelihood, predictive = _pointwise(fit, rng)
-    outputs = fit.target.likelihood.outputs
-    derived = _derived_draws(fit)
+    told = {name: _told(row) for name, row in summary.rows.items()}
+    groups = _every_draw(fit, rng) if draws is None else {"posterior": _flat(posterior, draws)}
+    if fit.wide is not fit:
+        groups["told"] = _flat(fit.wide.posterior, draws or _TOLD_DRAWS)
+    groups["prior"] = {
+        # of a light run for a density that is smoothed anyway
+        name: prior.draw(draws or 2000, rng)[None].astype(np.float32 if draws else np.float64)
+        for name, prior in zip(posterior.names, posterior.priors, strict=True)
+    }
     return {
-        "groups": {
-            "posterior": chains,
-            **({"derived": derived} if derived else {}),
-            **({"told": _told_draws(fit)} if fit.wide is not fit else {}),
-            "log_likelihood": log_likelihood,
-            "sample_stats": {"lp": as_chains(posterior.log_density), "ensemble": ensemble},
-            "posterior_predictive": predictive,
-            "observed_data": {o.name: o.measured for o in outputs},
-            "prior": {
-                name: prior.draw(2000, rng)[None]
-                for name, prior in zip(posterior.names, posterior.priors, strict=True)
-            },
-        },
-        "dims": {o.name: [f"time_{o.name}"] for o in outputs},
-        "coords": {f"time_{o.name}": o.time for o in outputs},
+        "groups": groups,
+        "dims": {o.name: [f"time_{o.name}"] for o in outputs} if draws is None else {},
+        "coords": {f"time_{o.name}": o.time for o in outputs} if draws is None else {},
         "attrs": _told_of_run(fit, summary, config_text, recordings),
         "variable_attrs": dict.fromkeys(("posterior", "derived", "prior", "told"), told),
     }
 
 
-def thinned(
-    fit: Fit, summary: Summary, config_text: str, recordings: list[Measurement], draws: int
-) -> dict[str, Any]:
-    """Put together the archive of a light run: so many draws of the posterior and its prior.
-
-    What follows from them is left out; a comparison derives it again.
-    """
-    posterior, told = fit.posterior, {name: _told(row) for name, row in summary.rows.items()}
-    rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(1,)))
-    kept, wide = posterior.flat(draws), fit.wide.posterior.flat(draws)
-    named = list(enumerate(posterior.names))
+def _every_draw(fit: Fit, rng: np.random.Generator) -> dict[str, dict[str, Array]]:
+    posterior = fit.posterior
+    chains = {name: as_chains(posterior[name]) for name in posterior.names}
+    n_chains, n_draws = next(iter(chains.values())).shape
+    walkers = posterior.draws.shape[1]
+    ensemble = np.repeat(np.arange(n_chains) // walkers, n_draws).reshape(n_chains, n_draws)
+    log_likelihood, predictive = _pointwise(fit, rng)
+    derived = _derived_draws(fit)
     return {
-        "groups": {
-            "posterior": {name: kept[None, :, k] for k, name in named},
-            **({"told": {n: wide[None, :, k] for k, n in named}} if fit.wide is not fit else {}),
-            # of a density that is smoothed anyway
-            "prior": {
-                name: posterior.priors[k].draw(draws, rng)[None].astype(np.float32)
-                for k, name in named
-            },
-        },
-        "dims": {},
-        "coords": {},
-        "attrs": _told_of_run(fit, summary, config_text, recordings),
-        "variable_attrs": dict.fromkeys(("posterior", "prior", "told"), told),
+        "posterior": chains,
+        **({"derived": derived} if derived else {}),
+        "log_likelihood": log_likelihood,
+        "sample_stats": {"lp": as_chains(posterior.log_density), "ensemble": ensemble},
+        "posterior_predictive": predictive,
+        "observed_data": {o.name: o.measured for o in fit.target.likelihood.outputs},
     }
+
+
+def _flat(posterior: Posterior, draws: int) -> dict[str, Array]:
+    """Take so many draws of every parameter, ``(1, draws)`` each."""
+    kept = posterior.flat(draws)
+    return {name: kept[None, :, k] for k, name in enumerate(posterior.names)}
 
 
 def _told_of_run(
@@ -212,13 +201,7 @@ def _told_of_run(
     }
 
 
-def _told_draws(fit: Fit) -> dict[str, NDArray[np.float64]]:
-    """Take draws that allow for the model's error, ``(1, draws)`` each."""
-    draws = fit.wide.posterior.flat(_TOLD_DRAWS)
-    return {name: draws[None, :, k] for k, name in enumerate(fit.posterior.names)}
-
-
-def _derived_draws(fit: Fit) -> dict[str, NDArray[np.float64]]:
+def _derived_draws(fit: Fit) -> dict[str, Array]:
     """Derive what follows draw by draw, ``(chains, draws)`` each.
 
     Totals as least squares would see them need the recordings, and are in the summary only.
@@ -241,9 +224,7 @@ def _told(row: PosteriorRow) -> dict[str, str]:
     return {key: text for key, text in told.items() if text}
 
 
-def _pointwise(
-    fit: Fit, rng: np.random.Generator
-) -> tuple[dict[str, NDArray[np.float64]], dict[str, NDArray[np.float64]]]:
+def _pointwise(fit: Fit, rng: np.random.Generator) -> tuple[dict[str, Array], dict[str, Array]]:
     """Log-likelihood and a predictive draw of every output, ``(ensembles, draws, outputs)``."""
     e, w, s, d = fit.posterior.draws.shape
     each = fit.posterior.draws.reshape(e, w * s, d)

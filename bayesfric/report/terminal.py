@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.brief import Brief, brief
-from bayesfric.report.summary.caveats import constant_sentence
 from bayesfric.report.summary.noise import noise_lines
 from bayesfric.report.summary.record import Readable, Summary
 from bayesfric.report.summary.reported import put_reported
@@ -29,42 +28,18 @@ def fit_text(summary: Readable, *, verbose: bool = False) -> Iterator[str]:
             summary=read,
             alerts=alerts,
             rows={n: r for n, r in read.rows.items() if r.reported and not r.of_motion},
-            noise=list(noise_lines(read.noise, allowed=read.widened)),
+            noise=list(noise_lines(read.noise)),
             held_out=list(validation_lines(read.validation)) if read.validation else [],
             self_check=list(self_check_lines(read)),
-            constant=constant_sentence(read),
         ).splitlines()
 
 
 def _brief(told: Brief) -> Iterator[str]:
-    if told.read:
-        yield shortened(told.read)
-    yield from wrapped(told.verdict)
-    for one in told.taken:
-        yield from wrapped(one, indent=2)
-    if told.lines:
-        yield ""
-        yield from aligned(
-            [
-                ("", "value", "±", told.level, "", ""),
-                *((x.name, x.value, x.sd, x.interval, x.unit, x.beside) for x in told.lines),
-            ]
-        )
-    if told.more:
-        yield f"and {told.more} more: --verbose, or the report"
-    if told.unidentified:
-        names = ", ".join(told.unidentified)
-        yield from wrapped(f"Unidentified ({told.why}): {names}", indent=2)
-    if told.lost:
-        yield from wrapped(f"Not converged: {', '.join(told.lost)}", indent=2)
-    if told.findings:
-        yield ""
-        for line in told.findings:
-            yield from wrapped(f"! {line}", indent=2)
-    if told.others:
-        yield f"  and {told.others} more: --verbose, or the report"
-    if told.following:
-        yield from wrapped(f"Next: {told.following}", indent=2)
+    head = ("", "value", "±", told.level, "", "")
+    lines = [(x.name, x.value, x.sd, x.interval, x.unit, x.beside) for x in told.lines]
+    for line in filled("brief.txt.j2", b=told, table=aligned([head, *lines])).splitlines():
+        # rows of the table keep their spaces
+        yield from wrapped(line, indent=2) if len(line) > WIDTH else [line]
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""Sentences and texts out of templates: what a run says is data until it is written."""
+"""Texts out of templates: what a run says is data until it is written."""
 
 from __future__ import annotations
 
@@ -10,25 +10,8 @@ from jinja2 import Environment
 
 from bayesfric.progress import spent_text
 from bayesfric.report.numbers import p_text
-from bayesfric.report.words import words_of
+from bayesfric.report.words import listed
 from bayesfric.templates import environment
-
-
-def sentence(kind: str, values: Mapping[str, Any] | None = None) -> str:
-    """Word one kind of warning or doubt, without a full stop.
-
-    ``kind`` names its macro in ``templates/sentences.txt.j2``; spaces and hyphens stand for
-    underscores.
-    """
-    macro = kind.replace(" ", "_").replace("-", "_")
-    return str(getattr(_sentences(), macro)(values or {})).strip()
-
-
-def reason(kind: str, values: Mapping[str, Any]) -> str:
-    """Say in one clause why numbers are doubtful, for print; in general of kinds not known."""
-    known = text_environment().get_template("reasons.txt.j2").module
-    macro = getattr(known, kind.replace("-", "_"), None) or known.other  # type: ignore[attr-defined]
-    return str(macro(values)).strip()
 
 
 def filled(template: str, **values: Any) -> str:
@@ -36,24 +19,20 @@ def filled(template: str, **values: Any) -> str:
     return text_environment().get_template(template).render(**values)
 
 
-def listed(parts: Sequence[str]) -> str:
-    """Join words: ``a, b and c``."""
-    parts = list(parts)
-    return " and ".join(filter(None, [", ".join(parts[:-1]), *parts[-1:]]))
+def csv_text(lines: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> str:
+    """Lay a table out as CSV, every number in full."""
+    import pandas as pd  # takes half a second, which not every command has to wait
+
+    return str(pd.DataFrame(list(lines), columns=list(columns)).to_csv(index=False))
 
 
-def white_words(white: bool, allowed: bool = False) -> str:
-    """Say of innovations whether they are white noise by their test.
-
-    ``allowed`` tells whether intervals with room for the model's error are shown first.
-    """
-    narrow = "the narrower intervals, told as 'were the model right'," if allowed else "intervals"
-    return "pass as white" if white else f"do NOT pass as white: {narrow} may be too narrow"
+def white_words(white: bool) -> str:
+    """Say of innovations whether they are white noise by their test."""
+    return "pass as white" if white else "do NOT pass as white"
 
 
 # What templates of text and of pages have in common.
 FILTERS = {"p": p_text, "white": white_words, "listed": listed, "spent": spent_text}
-FILTERS |= {"named": lambda kind: words_of(kind).what, "to_do": lambda kind: words_of(kind).do}
 
 
 @cache
@@ -62,8 +41,3 @@ def text_environment() -> Environment:
     made = environment("bayesfric.report")
     made.filters |= FILTERS
     return made
-
-
-@cache
-def _sentences() -> Any:
-    return text_environment().get_template("sentences.txt.j2").module

@@ -1,12 +1,13 @@
-"""What is said by kind: ``words.toml``, in one line each."""
+"""What is said by kind, on terminal, page and in print: ``words.toml``, a line each."""
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from string import Formatter
 from typing import Any
 
 from bayesfric.templates import percent, placed, two
@@ -14,55 +15,105 @@ from bayesfric.templates import percent, placed, two
 
 @dataclass(frozen=True)
 class Words:
-    """Of one kind: what it is, and what to do about it; either may be empty."""
+    """Of one kind: what it is, and what to do about it; either may be empty.
+
+    ``instead`` is what to do where a value of that name is told.
+    """
 
     what: str
     do: str
+    instead: Mapping[str, str]
 
 
 @cache
 def words() -> Mapping[str, Words]:
     """Read the table."""
     text = (files("bayesfric.report") / "words.toml").read_text(encoding="utf-8")
-    return {kind: Words(**entry) for kind, entry in tomllib.loads(text).items()}
+    return {
+        kind: Words(
+            entry.pop("what"),
+            entry.pop("do", ""),
+            {key.removeprefix("do_"): do for key, do in entry.items()},
+        )
+        for kind, entry in tomllib.loads(text).items()
+    }
 
 
 def words_of(kind: str) -> Words:
-    """Give what is said of a kind; one that only another version knows by its name."""
-    return words().get(kind, Words(kind, ""))
+    """Give what is said of a kind; one that only another version knows by name and parameters."""
+    return words().get(kind, Words("{kind}", "{parameters}", {}))
 
 
 def line_of(kind: str, values: Mapping[str, Any] | None = None) -> str:
-    """Say one thing in a line: what it is, the share of the torque (rms), what to do."""
-    told = dict(values or {})
-    kind = str(told.get("what", kind)) if kind == "missing" else kind
-    known = words_of(kind)
-    what, do = (part.format_map(_Shown(told)) for part in (known.what, known.do))
-    if "hint" not in told:
-        return f"{what}: {do}" if do else what
-    share = f"{percent(told['share'])} % rms"
-    if told.get("span"):
-        low, high = told["span"]
-        return f"{what} ({share}): exclude = [[{low:.1f}, {high:.1f}]] of {told['recording']}"
-    if not told.get("physical", True):
-        return f"{what} of the wrong sign ({share}): something that is on no list"
-    what += f" ({share})"
-    if told["hint"]:
-        table, line = placed(told["hint"])
-        do = f"{line} in [{table}]"
+    """Say one thing in a line without a full stop: what it is, and what to do.
+
+    Of a finding the ``values`` tell its share of the torque (rms), and the key that puts it in.
+    """
+    told = {"kind": kind, **(values or {})}
+    if kind == "put in":
+        return f"put in: {line_of(told['kind'], told)}"
+    known = words_of(_kind(kind, told))
+    do = next((text for key, text in known.instead.items() if told.get(key)), known.do)
+    what, do = (_FILL.vformat(text, (), told) for text in (known.what, do))
+    if "hint" in told:
+        what, do = _found(what, do, told)
     return f"{what}: {do}" if do else what
 
 
-class _Shown(dict[str, Any]):
-    """Values as a line shows them; what is not told is left out."""
+def doubt_text(doubt: Mapping[str, Any]) -> str:
+    """Word one of ``summary["doubts"]``."""
+    return line_of(doubt["kind"], doubt)
 
-    def __getitem__(self, key: str) -> str:
-        value = self.get(key, "")
-        if key == "share":
-            return percent(value)
-        if isinstance(value, float):
-            return two(value)
-        if isinstance(value, (Mapping, list, tuple)):
-            some = [f"{x:.4g}" if isinstance(x, float) else str(x) for x in value]
-            return ", ".join(some[:3]) + (f" and {len(some) - 3} more" if len(some) > 3 else "")
-        return str(value)
+
+def clause(kind: str, values: Mapping[str, Any] | None = None) -> str:
+    """Say what it is alone, as behind "because"."""
+    told = {"kind": kind, **(values or {})}
+    what = _FILL.vformat(words_of(_kind(kind, told)).what, (), told)
+    if kind == "missing":
+        what += f" explains {percent(told['share'])} % of the torque"
+    return what
+
+
+def listed(parts: Sequence[str]) -> str:
+    """Join words: ``a, b and c``."""
+    parts = list(parts)
+    return " and ".join(filter(None, [", ".join(parts[:-1]), *parts[-1:]]))
+
+
+def _kind(kind: str, values: Mapping[str, Any]) -> str:
+    """Give a finding by its own kind, which a doubt has as ``what``."""
+    return str(values.get("what", kind)) if kind == "missing" else kind
+
+
+def _found(what: str, do: str, told: Mapping[str, Any]) -> tuple[str, str]:
+    share = f"({percent(told['share'])} % rms)"
+    if told.get("span"):
+        low, high = told["span"]
+        return f"{what} {share}", f"exclude = [[{low:.1f}, {high:.1f}]] of {told['recording']}"
+    if not told.get("physical", True):
+        return f"{what} of the wrong sign {share}", "something that is on no list"
+    if told["hint"]:
+        table, line = placed(told["hint"])
+        do = f"{line} in [{table}]"
+    return f"{what} {share}", do
+
+
+class _Fill(Formatter):
+    """Fills a line; what is not told is left out, a list is cut to three."""
+
+    def get_value(self, key: int | str, _: Sequence[Any], told: Mapping[str, Any]) -> Any:
+        value = told.get(str(key), "")
+        return percent(value) if key == "share" else value
+
+    def format_field(self, value: Any, spec: str) -> str:
+        if spec and value != "":
+            return f"{percent(value)} %" if spec == "%" else format(value, spec)
+        if isinstance(value, Mapping):
+            value = [f"{name} ({two(x)})" for name, x in value.items()]
+        if isinstance(value, list | tuple):
+            more = f" and {len(value) - 3} more" if len(value) > 3 else ""
+            return ", ".join(map(str, value[:3])) + more
+        return two(value) if isinstance(value, float) else str(value)
+
+
+_FILL = _Fill()

@@ -85,10 +85,12 @@ def warnings_text() -> str:
         (f"`{kind}`", one.what, "; else ".join(x for x in (_key(kind), one.do) if x))
         for kind, one in words().items()
     ]
-    many = list(words()).index("sampler")  # the first that is no candidate
+    # the first that is no candidate, and the first that is no warning
+    many, other = (list(words()).index(kind) for kind in ("sampler", "unsure run"))
     head = ("kind", "what it is", "hint")
     lines += [*_table(head, told[:many]), "", "## What else makes numbers doubtful", ""]
-    return "\n".join([*lines, *_table(head, told[many:]), ""])
+    lines += [*_table(head, told[many:other]), "", "## What else a comparison or a run says", ""]
+    return "\n".join([*lines, *_table(head, told[other:]), ""])
 
 
 def _key(kind: str) -> str:

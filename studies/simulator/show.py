@@ -9,7 +9,9 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from bayesfric.report.figures.style import COLUMN, LINE_STYLES, PALETTE, paper_style, save
+from bayesfric.report.figures.style import COLUMN, PALETTE, paper_style, save
+
+_LINES = ("solid", (0, (4.0, 1.5)), (0, (5.0, 1.5, 1.0, 1.5)), (0, (1.0, 1.0)))
 
 METHODS = ("RK45", "DOP853", "LSODA", "Radau")
 
@@ -80,9 +82,7 @@ def draw(panels: Sequence[tuple[str, dict[str, Any]]], encoder: float, folder: P
             for k, method in enumerate(METHODS):
                 those = [p for p in found["points"] if p.options[0] == method]
                 colour = PALETTE[(1, 2, 3, 2)[k]]
-                ax.plot(
-                    *front(those), marker="s^Dv"[k], ms=3, color=colour, ls=LINE_STYLES[k], mfc="w"
-                )
+                ax.plot(*front(those), marker="s^Dv"[k], ms=3, color=colour, ls=_LINES[k], mfc="w")
             for key, fill in (("full", PALETTE[0]), ("bare", "w")):
                 ax.plot(*front(found[key]), marker="o", ms=3.5, color=PALETTE[0], mfc=fill, lw=1.2)
             ax.axvline(encoder, color="0.5", lw=0.6, zorder=0)

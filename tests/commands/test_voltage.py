@@ -10,7 +10,7 @@ from bayesfric.export.exported import export
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.paper.methods_text import methods_text
 from bayesfric.report.paper.tables import parameter_table
-from bayesfric.report.text_templates import listed
+from bayesfric.report.words import listed
 
 T = 0.002 * np.arange(8000)
 KT, R, RATIO = 0.4, 4.0, 10.0

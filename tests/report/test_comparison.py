@@ -22,7 +22,7 @@ from bayesfric.report.comparison.table import (
     comparison_text,
     explained,
 )
-from bayesfric.report.numbers import text_value
+from bayesfric.report.numbers import TEXT
 from bayesfric.report.paper.tables import methods_latex, parameter_table
 from bayesfric.report.summary.summary import summarise
 
@@ -79,7 +79,7 @@ def test_totals_of_the_motion_are_not_measured_between_runs():
     assert found["total.inertia"].cells["b: posterior"].disagreement is None
     assert found["total.viscous"].cells["b: posterior"].disagreement is not None
     (note,) = [note for note in found.notes if "own motion" in note]
-    assert note.startswith("total.inertia: ")
+    assert "total.inertia" in note
     # of one recording the methods have one motion
     alone = comparison({"b": b})
     assert alone["total.inertia"].cells["input-error"].disagreement is not None
@@ -124,8 +124,8 @@ def test_estimates_that_disagree_are_named():
     assert not [note for note in comparison({"knee": run}).notes if "differs" in note]
     row["value"] += 1.0 * TOTALS["total.inertia"][4]
     (note,) = [note for note in comparison({"knee": run}).notes if "differs" in note]
-    assert note.startswith("least-squares differs from the posterior by more than 3 sd")
-    assert "total.inertia:" in note
+    assert note.startswith("Least-squares differs from the posterior by more than 3 sd")
+    assert "total.inertia" in note
     assert comparison({"knee": run}).contested == ("total.inertia",)
 
 
@@ -475,7 +475,7 @@ def test_notes_say_what_must_be_known():
     two["derived"]["gearbox.lambda_ratio"]["meaning"] = "at 2 N m"
     found = comparison({"one": one, "two": two})
     notes = " ".join(found.notes)
-    for part in ("two is unusable", "a drawing gives motor.moment", "0.43", "'at 2 N m' in two"):
+    for part in ("two is unusable", "A drawing gives motor.moment", "0.43", "'at 2 N m' in two"):
         assert part in notes
     assert found["load.first_moment"].cells["reference"].value == 0.41
     told = " ".join(text(found).split())
@@ -526,20 +526,18 @@ def test_csv_and_json_hold_the_same():
 @pytest.mark.parametrize(
     ("value", "sd", "printed"),
     [
-        (4.6179018e-4, 4.07e-7, "0.00046179 ± 4.1e-07"),
-        (0.235988, 0.000943, "0.23599 ± 0.00094"),
-        (-0.0044147, 0.0009, "-0.00441 ± 0.00090"),
+        (4.6179018e-4, 4.07e-7, "4.6179e-4 ± 4.1e-7"),
+        (0.235988, 0.000943, "0.23599 ± 9.4e-4"),
+        (-0.0044147, 0.0009, "-0.00441 ± 9.0e-4"),
         (0.0, 0.01, "0 ± 0.010"),
         (0.008, 0.16, "0.01 ± 0.16"),
         (-0.001, 0.16, "0 ± 0.16"),
-        (1234.5, 120.0, "1234 ± 120"),
+        (1234.5, 120.0, "1.23e3 ± 1.2e2"),
         (3.0, 12.0, "3 ± 12"),
-        (0.41, None, "0.41"),
-        (0.41, 0.0, "0.41"),
     ],
 )
 def test_numbers_are_rounded_by_their_sd(value, sd, printed):
-    assert text_value(value, sd) == printed
+    assert TEXT.value(value, sd) == printed
 
 
 def test_what_bends_a_total_is_named_by_what_the_joint_has():

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesfric.report.figures.corner import corner_figure
-from bayesfric.report.figures.quantity import combinations, quantities
+from bayesfric.report.figures.corner import combinations, corner_figure, quantities
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.summary import summarise

@@ -35,7 +35,6 @@ FIGURE = RunFigure(
     section="friction",
     draw=draw,
     caption=lambda run: f"Torque of {run.fit.observations[0].name}: nothing is seen.",
-    alternative=lambda judged: f"{len(judged.table.rows)} rows.",
 )
 """
 
@@ -46,10 +45,10 @@ def one_more(tmp_path, monkeypatch):
     (tmp_path / "more").mkdir()
     (tmp_path / "more" / "made_up.py").write_text(FILE, encoding="utf-8")
     monkeypatch.setattr(figures, "__path__", [*figures.__path__, str(tmp_path / "more")])
-    registry._found.cache_clear()
+    registry.run_figures.cache_clear()
     yield registry.run_figures()
     sys.modules.pop("bayesfric.report.figures.made_up", None)
-    registry._found.cache_clear()
+    registry.run_figures.cache_clear()
 
 
 def test_one_file_makes_a_figure(one_more, tmp_path, knee, monkeypatch):

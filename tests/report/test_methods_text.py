@@ -13,7 +13,6 @@ from bayesfric.report.paper import latex
 from bayesfric.report.paper.equation import latex_equations, plain_equations
 from bayesfric.report.paper.methods_text import ENTRIES, methods_text
 from bayesfric.report.paper.tables import latex_texts, parameter_table
-from bayesfric.report.summary.caveats import constant_sentence
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.summary import summarise
 
@@ -136,14 +135,14 @@ def test_a_measured_current_is_told(knee):
 def test_what_every_torque_rests_on_is_said_unless_its_factor_is_fitted(knee):
     """0.32 N m/A were one number off, and every other would be."""
     read = Summary.read(summarise(knee).as_dict())
-    assert constant_sentence(read) is None  # a torque as measured
+    assert not read.rests_on  # a torque as measured
     measured = read.fit.model_copy(update={"torque_constant": 0.32})
     current = read.model_copy(update={"fit": measured})
-    told = "All torque is a measured current times 0.32 N m/A, taken as exact"
-    assert any(told in note for note in parameter_table(current).notes)
+    told = "Torque is a current times 0.32 N m/A, taken as exact"
+    assert any(told in note for note in parameter_table(current).notes())
     row = read.parameters["motor.inertia"]
     fitted = current.model_copy(update={"parameters": current.parameters | {"drive.gain": row}})
-    assert constant_sentence(fitted) is None
+    assert not fitted.rests_on
 
 
 def test_what_a_torque_was_made_of_is_told(knee, slide):
@@ -174,7 +173,7 @@ def test_why_numbers_are_doubtful_is_said(knee):
     ]
     row = summary["parameters"][name]
     row |= {"verdict": "weak", "doubted": ["missing"], "converged": True}
-    words = "something else explains 12 % of the torque (torque constant)"
+    words = "another torque constant explains 12 % of the torque"
     assert f"Doubtful they are because {words}." in methods_text(knee, summary).plain
     texts = latex_texts(summary, "run")
     words = words.replace(" %", "\\,\\%")
@@ -200,7 +199,7 @@ def test_what_is_open_and_what_is_wrong_is_said(knee):
     summary["noise"]["innovation_lag1"] = 0.67
     summary["warnings"] = ["run 0: something else"]
     text = methods_text(knee, summary).plain
-    assert "The residuals are correlated (lag 1: 0.67) but are taken for independent" in text
+    assert "Residuals count as independent, but are correlated (lag 1: 0.67)" in text
     assert "something else" not in text
     assert "No recording of this kind can tell: gearbox.alpha_drive" in text
     table = parameter_table(summary)

@@ -8,7 +8,7 @@ import pytest
 
 from bayesfric.inference.discrepancy import Discrepancy
 from bayesfric.report.comparison.cell import posterior_cells
-from bayesfric.report.figures.quantity import quantities
+from bayesfric.report.figures.corner import quantities
 from bayesfric.report.figures.registry import FinishedRun, run_figures
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.methods_text import methods_text

@@ -65,12 +65,12 @@ def test_each_interval_is_too_narrow_by_its_own_factor():
     values = (value("a", 0.1, 0.1), value("b", 0.1, 0.33), value("c", math.inf, 9.0))
     told = Estimate("input-error", values, 0.01, 100, "")
     text = told_of(0.8, (told,))
-    assert "these intervals are up to 3.3 times too narrow" in text
+    assert "intervals are 3.3 times too narrow" in text
     # noise that swings can leave a number better known than white noise would have it
     better = replace(told, values=(value("a", 0.1, 0.05),))
     text = told_of(0.8, (better,))
-    assert "about 3.0 times too narrow" in text
+    assert "3.0 times too narrow" in text
     # without them that of a constant among first-order noise: sqrt(1.8/0.2) = 3
     text = told_of(0.8)
-    assert "about 3.0 times too narrow" in text
+    assert "3.0 times too narrow" in text
     assert told_of(0.02) is None

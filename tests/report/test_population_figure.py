@@ -6,7 +6,7 @@ import pytest
 
 from bayesfric.report.comparison.between_runs import between_runs
 from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.figures.population import FIGURE, population_figure
+from bayesfric.report.figures.population import population_figure
 from bayesfric.report.figures.registry import ComparedRuns
 
 from .made_summaries import knee, loaded
@@ -41,10 +41,3 @@ def test_every_run_has_its_line_whatever_the_others_determine():
     names = [text.get_text() for text in axes[0].get_yticklabels()]
     assert names == ["first", "second", "third", "fourth", "population", "next"]
     plt.close(figure)
-
-
-def test_its_words_give_the_numbers():
-    one = compared({"a": knee(), "b": loaded()})
-    words = FIGURE.words(one)
-    (viscous,) = (p for p in one.pooled if p.name == "motor.viscous")
-    assert f"next recording {viscous.pool.following.median:.4g}" in words

@@ -30,9 +30,10 @@ from bayesfric.report.paper.tables import (
     parameters_csv,
     parameters_latex,
     parameters_markdown,
+    summary_table,
 )
 from bayesfric.report.run_directory import write_run
-from bayesfric.report.summary.summary import summarise, summary_table
+from bayesfric.report.summary.summary import summarise
 
 from .page_reader import read_page
 

@@ -17,8 +17,8 @@ from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.comparison.cell import posterior_cells
-from bayesfric.report.paper.tables import parameter_table
-from bayesfric.report.summary.summary import summarise, summary_table
+from bayesfric.report.paper.tables import parameter_table, summary_table
+from bayesfric.report.summary.summary import summarise
 
 KNEE, AXIS = PRESETS["rabbit-knee"], PRESETS["motor-axis"]
 ROTARY_UNITS = {
@@ -394,7 +394,7 @@ def test_an_irreversible_gearbox_has_no_back_driving_efficiency(make_fit):
 @pytest.mark.parametrize(("changes", "told"), [(None, False), (0.3, False), (57.0, True)])
 def test_a_linearisation_that_matters_is_told(knee_alone, changes, told):
     summary = summarise(replace(knee_alone[0], linearisation=changes)).as_dict()
-    assert any("linearised" in text and "57" in text for text in summary["warnings"]) == told
+    assert any("linearising" in text and "57" in text for text in summary["warnings"]) == told
     assert summary["likelihood"].get("linearisation") == changes
 
 
@@ -462,7 +462,7 @@ def test_one_loss_for_both_ways_says_which_was_seen(make_fit, monkeypatch):
     # here nothing tells the scale of the load; where a known weight does, it is said beside it
     found = found.with_rows({sides["back"]: {"verdict": "weak"}})
     assert "taken to lose alike" in posterior_cells(found)[sides["back"]].remark
-    assert any("gearbox.efficiency_back follows" in one for one in parameter_table(found).notes)
+    assert any("gearbox.efficiency_back follows" in one for one in parameter_table(found).notes())
     # two losses speak for themselves
     two = summarise(make_fit(samples=600, ensembles=2))
     assert not any(row.mirrored for row in two.derived.values())

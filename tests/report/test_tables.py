@@ -99,7 +99,7 @@ def test_latex_is_the_summary_to_its_last_digit(summary):
 
 
 def test_notes_speak_of_intervals_and_of_their_level(summary):
-    (first, *others) = parameter_table(summary).notes
+    (first, *others) = parameter_table(summary).notes()
     assert first.startswith("Values are medians; intervals, and distances from a value to their")
     assert "hold 90 %" in first
     assert not [note for note in (first, *others) if "standard deviation" in note]
@@ -167,8 +167,8 @@ def test_correlated_residuals_are_confessed():
     run = knee()
     run["noise"] |= {"innovation_lag1": 0.67, "accounts_for_correlation": False}
     run["warnings"] = ["knee: the encoder is coarse"]
-    notes = parameter_table(run).notes
-    warning = "The residuals are correlated (lag 1: 0.67) but are taken for independent"
+    notes = parameter_table(run).notes()
+    warning = "Residuals count as independent, but are correlated (lag 1: 0.67)"
     assert warning in " ".join(notes)
     assert "encoder" not in " ".join(notes)
 
@@ -233,7 +233,7 @@ def test_a_table_of_runs_is_the_comparison_and_what_is_pooled():
     st.floats(1e-9, 1e6),
 )
 def test_any_number_reads_back(value, sd):
-    text = numbers.latex_value(value, sd)
+    text = numbers.LATEX.value(value, sd)
     found, uncertainty, _ = num(text)
     last = 10.0 ** numbers.last_digit(sd)
     # beside the rounding to the last digit that of a double
@@ -255,7 +255,7 @@ def test_any_number_reads_back(value, sd):
     ],
 )
 def test_digits_are_set_by_the_uncertainty(value, sd, text):
-    assert numbers.latex_value(value, sd) == text
+    assert numbers.LATEX.value(value, sd) == text
 
 
 @pytest.mark.parametrize(
@@ -318,12 +318,12 @@ def test_a_skewed_interval_is_rounded_by_its_nearer_end(middle, low, high, sd, s
     interval, ends_ = shown
     assert numbers.TEXT.interval(low, high, fine) == interval
     if ends_ is not None:
-        assert numbers.latex_ends(middle, low, high, fine) == ends_
+        assert numbers.LATEX.ends(middle, low, high, fine) == ends_
 
 
 def test_a_value_far_below_its_sd_takes_the_sds_power_of_ten():
-    assert numbers.html_value(1.35, 690.0) == "(0.0 ± 6.9)\u00a0×\u00a010<sup>2</sup>"
-    assert numbers.latex_value(1.35, 690.0) == r"\num{0.0(69)e2}"
+    assert numbers.HTML.value(1.35, 690.0) == "(0.0 ± 6.9)\u00a0×\u00a010<sup>2</sup>"
+    assert numbers.LATEX.value(1.35, 690.0) == r"\num{0.0(69)e2}"
     assert numbers.TEXT.interval(-1.2e4, 1.0, 6900.0) == "[-1.20e4, 0]"
 
 
@@ -334,7 +334,7 @@ def test_latex_notes_have_the_symbols_of_the_table():
     for one in (name, other):
         run["parameters"][one] |= {"torque_constant": 2.0}
     table = parameter_table(run)
-    (note,) = [text for text in table.notes if "current was measured" in text]
+    (note,) = [text for text in table.notes() if "current was measured" in text]
     assert f"{name} is " in note
     below = parameters_latex(table).partition(r"\bottomrule")[2]
     rows = {r.name: r for r in table.rows}

@@ -15,7 +15,7 @@ from bayesfric.finished import finished
 from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.law import Law
-from bayesfric.report.alerts import roll_out_doubt, roll_out_wide
+from bayesfric.report.alerts import roll_out_alerts
 from bayesfric.report.figures.rollout import rollout_figure
 from bayesfric.report.summary.rollout import rollout_part
 from bayesfric.result import result_of
@@ -193,10 +193,9 @@ def test_a_joint_that_lacks_a_torque_is_said_to(made, joint, tmp_path):
     other = bf.Recording.from_dataframe(
         frame, time="t", position="q", target="goal", kp="4 N m/rad", kd="0.05 N m s/rad"
     )
-    doubt = roll_out_doubt(rollout_part(rollout(found, other, draws=30)))
-    assert doubt is not None
+    doubt = roll_out_alerts(rollout_part(rollout(found, other, draws=30)))["roll-out"]
     assert doubt["inside"] < 0.5
-    assert roll_out_doubt(rollout_part(rollout(found, draws=30))) is None
+    assert "roll-out" not in roll_out_alerts(rollout_part(rollout(found, draws=30)))
 
 
 def test_bands_wider_than_the_motion_are_said_to_tell_nothing(made):
@@ -211,16 +210,16 @@ def test_bands_wider_than_the_motion_are_said_to_tell_nothing(made):
     assert two.at_position.width == pytest.approx(np.median((two.band[1] - two.band[0])[fine]))
     assert not two.wide
     told = rollout_part(played)
-    assert roll_out_wide(told) is None
-    assert not any("tell nothing" in line for line in rollout_text(told))
+    assert "wide bands" not in roll_out_alerts(told)
+    assert not any("tell anything" in line for line in rollout_text(told))
     # at what half of all bands are wider than
     small = replace(two, room=two.at_position.width, blind=0.5)
     told = rollout_part(replace(played, rolled=(small,)))
-    assert list(roll_out_wide(told)["wide"]) == ["two"]
+    assert roll_out_alerts(told)["wide bands"] == {"wide": ["two"]}
     lines = list(rollout_text(told))
     marked = [line for line in lines if line.endswith("too wide to tell")]
     assert [line.split()[0] for line in marked] == ["two", "all"]
-    assert "for 50 % of the time" in lines[-1]
+    assert "tell anything (two)" in lines[-1]
     figure = rollout_figure(replace(played, rolled=(small,)))
     assert figure.axes[0].get_title().endswith("too wide to tell")
 
@@ -272,10 +271,10 @@ def test_recordings_that_tell_nothing_decide_nothing(made):
     (one,) = played.rolled
     wide = replace(one, name="wide", over=0.5, at_position=replace(one.at_position, inside=1.0))
     left = replace(one, name="left", at_position=replace(one.at_position, inside=0.67))
-    doubt = roll_out_doubt(rollout_part(replace(played, rolled=(wide, left))))
+    doubt = roll_out_alerts(rollout_part(replace(played, rolled=(wide, left))))["roll-out"]
     assert doubt["inside"] == pytest.approx(0.67)
-    assert list(doubt["narrow"]) == ["left"]
-    assert roll_out_doubt(rollout_part(replace(played, rolled=(wide,)))) is None
+    assert doubt["narrow"] == ["left"]
+    assert "roll-out" not in roll_out_alerts(rollout_part(replace(played, rolled=(wide,))))
 
 
 def test_one_play_over_the_top_does_not_say_how_much_torque_moves_the_joint(made, joint):

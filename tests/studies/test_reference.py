@@ -3,8 +3,6 @@
 import pytest
 
 from bayesfric.commands.keys import key_tables
-from bayesfric.report.alerts import DOUBTS
-from bayesfric.report.text_templates import text_environment
 from bayesfric.report.words import words
 from tests.conftest import REPOSITORY, imported
 
@@ -33,10 +31,3 @@ def test_every_key_is_there(texts):
 def test_every_kind_is_there(texts):
     for kind, one in words().items():
         assert f"|`{kind}`|{one.what}|" in texts["warnings.md"], kind
-
-
-def test_every_doubt_has_its_line_and_its_sentence():
-    sentences = text_environment().get_template("sentences.txt.j2").module
-    for kind in DOUBTS:
-        assert kind in words() or kind == "missing"  # which is told by the finding's kind
-        assert hasattr(sentences, kind.replace("-", "_")), kind

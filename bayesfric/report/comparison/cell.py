@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
 from bayesfric.report.numbers import Medium, finer
-from bayesfric.report.summary.bounds import told_by_data
 from bayesfric.report.summary.part import Bound
 from bayesfric.report.summary.record import Readable, Summary
 from bayesfric.report.summary.reported import put_reported
@@ -98,6 +98,22 @@ class Cell:
         return medium.value(self.value, self.sd)
 
     @property
+    def plain(self) -> bool:
+        """Whether its sd takes residuals for uncorrelated."""
+        return self.status == "determined" and not self.accounts
+
+    def parts(self, medium: Medium) -> Iterator[tuple[str, str]]:
+        """Write what a table has of it, each with its kind; an open one in words only."""
+        if self.status not in ("undetermined", "limit"):
+            yield "plain" if self.plain else "value", self.written(medium)
+        if self.interval is not None and self.fine:
+            yield "interval", medium.interval(*self.interval, self.fine)
+        if self.disagreement is not None:
+            yield "quiet", f"{round(self.disagreement, 1) + 0.0:+.1f} sd"  # no -0.0
+        if self.remark:
+            yield "open" if self.status == "undetermined" else "quiet", self.remark
+
+    @property
     def fine(self) -> float | None:
         """What to round the interval by, where there is one."""
         if self.interval is None or not self.sd:
@@ -129,47 +145,34 @@ def left_open(value: float, span: list[float] | None, why: str = "") -> Cell:
     return Cell(value, "undetermined", span=(low, high), remark=remark)
 
 
-def has_converged(row: PosteriorRow, status: str) -> bool:
-    """Tell whether a number may be told: what ensembles that disagree make is no posterior.
+def posterior_cell(row: PosteriorRow, accounts: bool) -> Cell:
+    """Judge one number of a posterior, as reported.
 
-    Of a sampling that did not converge as a whole, some numbers may have; older runs do not say
-    which.
+    ``accounts`` is whether the noise model accounts for correlated residuals.
     """
-    told = status != "unusable" if row.converged is None else row.converged
-    return status == "reliable" or told
-
-
-def posterior_cell(row: PosteriorRow, accounts: bool, status: str = "reliable") -> Cell:
-    """Judge one number of a posterior.
-
-    ``accounts`` is whether the noise model accounts for correlated residuals, ``status`` that of
-    the sampling; see :func:`has_converged`.
-    """
-    low, high = row.told_interval
-    if not has_converged(row, status):
+    one = row.reported
+    assert one is not None  # put_reported concludes of every run
+    if not one.how.converged:
         return Cell(row.value, "undetermined", remark=NOT_CONVERGED, converged=False)
-    # as in the words of ``bayesfric fit``: the data say how far from the bound it may be
-    if row.at_bound is not None and (row.verdict == "data" or told_by_data(row)):
-        limit = high if row.at_bound == "lower" else low
-        words = f"{'at most' if row.at_bound == 'lower' else 'at least'} {limit:.3g}"
+    if one.bound is not None:
+        words = f"{'at most' if one.at_most else 'at least'} {one.bound:.3g}"
         words += f"; {DOUBTFUL}" if row.doubted else ""
         return Cell(
-            row.value, "limit", level=row.level, limit=limit, at_bound=row.at_bound,
+            row.value, "limit", level=row.level, limit=one.bound, at_bound=row.at_bound,
             bound=row.bound, remark=words, doubted=bool(row.doubted),
         )  # fmt: skip
     if row.verdict == "prior":
         return left_open(row.value, None, ": prior and bounds")
-    remarks = [settled_by(row)] if row.verdict == "weak" else []
-    remarks += row.beside
+    low, high = one.interval
     return Cell(
         row.value,
         "determined",
-        sd=row.told_sd,
+        sd=one.sd,
         sd_plain=None if accounts else row.sd,
         accounts=accounts,
         interval=(low, high),
         level=row.level,
-        remark="; ".join(remarks),
+        remark="; ".join([settled_by(row)] * (row.verdict == "weak") + row.beside),
         doubted=bool(row.doubted),
     )
 
@@ -177,7 +180,4 @@ def posterior_cell(row: PosteriorRow, accounts: bool, status: str = "reliable") 
 def posterior_cells(summary: Readable) -> dict[str, Cell]:
     """Judge every parameter and derived quantity of a summary."""
     read = put_reported(Summary.read(summary))
-    return {
-        name: posterior_cell(row, read.accounts, read.sampler.status)
-        for name, row in read.rows.items()
-    }
+    return {name: posterior_cell(row, read.accounts) for name, row in read.rows.items()}

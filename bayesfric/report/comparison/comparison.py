@@ -13,24 +13,19 @@ from typing import Any, Literal
 
 from bayesfric.errors import BadInput
 from bayesfric.estimates.point_estimate import METHODS, Kind, Method
+from bayesfric.identifiability.sentences import capital
 from bayesfric.mechanism.parameter import scales_with_torque, turned
 from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.report.comparison.cell import Cell, estimate_cell, left_open, posterior_cell
 from bayesfric.report.summary.record import Readable, Summary, of_noise, quantity_of
 from bayesfric.report.summary.reported import put_reported
 from bayesfric.report.summary.rows import PosteriorRow, ReferenceRow
-from bayesfric.report.text_templates import listed
+from bayesfric.report.words import line_of, listed
 
 REFERENCE = "reference"
 # Standard deviations of the posterior beyond which an estimate is another one.
 _FAR = 3.0
-# What a total of least squares is that goes by a parameter's name.
-_OF_ALL = "with the share of %s in it"
-_NOTHING_SHARED = (
-    "No quantity is told by two of these runs, or each doubts what it tells: whether they agree "
-    "cannot be said."
-)
-_GAIN, _AS_TOLD = "drive.gain", "of the torque as told, without its gain"
+_GAIN = "drive.gain"
 
 
 @dataclass(frozen=True)
@@ -48,7 +43,7 @@ class Column:
     widened: bool = False  # whether its sds and intervals have room for the model's error
 
 
-@dataclass(frozen=True)
+@dataclass
 class Row:
     """One quantity; ``cells`` by column label, those that have it.
 
@@ -62,8 +57,8 @@ class Row:
     symbol: str
     meaning: str
     kind: Kind
-    gauge_free: bool
-    cells: Mapping[str, Cell]
+    gauge_free: bool = True
+    cells: dict[str, Cell] = field(default_factory=dict)
     of_motion: bool = False
 
 
@@ -77,46 +72,21 @@ class Comparison:
     baseline: str | None  # label of the posterior that disagreement is measured against, if any
     notes: tuple[str, ...]  # what a reader must know besides, one sentence each
     # names of the rows in which an estimate of the first posterior's run is far from it
-    contested: tuple[str, ...] = ()
+    contested: tuple[str, ...]
     # why numbers are doubtful, by run of which some are, a clause each
-    reasons: Mapping[str, list[str]] = field(default_factory=dict)
+    reasons: Mapping[str, list[str]]
     # the first notes: in what other runs are far from the first
-    runs_apart: tuple[str, ...] = ()
+    runs_apart: tuple[str, ...]
     # the next notes: in what they differ beyond noise, and not beyond room for the models' errors
-    beyond_noise: tuple[str, ...] = ()
+    beyond_noise: tuple[str, ...]
 
     def __getitem__(self, name: str) -> Row:
-        for row in self.rows:
-            if row.name == name:
-                return row
-        raise KeyError(name)
-
-
-@dataclass
-class _Facts:
-    """What is gathered about one quantity."""
-
-    unit: str
-    told_by: str
-    kind: Kind
-    symbol: str = ""
-    meaning: str = ""
-    # whether no scaling changes it: as files say, and as may be guessed where none does
-    said: list[bool] = field(default_factory=list)
-    guessed: list[bool] = field(default_factory=list)
-    cells: dict[str, Cell] = field(default_factory=dict)
-    of_motion: bool = False
-    # words of each run's posterior, which state for example the load of an efficiency
-    meanings: dict[str, str] = field(default_factory=dict)
+        return {row.name: row for row in self.rows}[name]
 
     @property
-    def gauge_free(self) -> bool:
-        return all(self.said or self.guessed)
-
-    @property
-    def found(self) -> bool:
-        """Whether any column holds more than what was taken as known."""
-        return any(cell.status != "known" for cell in self.cells.values())
+    def several(self) -> bool:
+        """Whether it is of several runs."""
+        return len({column.run for column in self.columns} - {""}) > 1
 
 
 def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = None) -> Comparison:
@@ -154,80 +124,45 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
     """
     runs = on_one_turn({name: Summary.read(one, name) for name, one in summaries.items()})
     shown = len(runs) == 1 if estimates is None else estimates
-    facts: dict[str, _Facts] = {}
+    rows = {row.name: row for row in _rows(runs)}
     columns: list[Column] = []
     for name, run in runs.items():
-        _gather(facts, name, run)
-    for name, run in runs.items():
-        mine = list(_columns(name, run, alone=len(runs) == 1, estimates=shown))
+        mine = list(_columns(name if len(runs) > 1 else "", name, run, estimates=shown))
+        if not mine:
+            raise BadInput(name, "holds no result to compare", "name a finished run")
+        _fill(rows, mine, run)
         columns += mine
-        labels = [column.label for column in mine]
-        posteriors = [column.label for column in mine if column.kind == "posterior"]
-        for column in mine:
-            for quantity, cell in _cells(column, run):
-                if not of_noise(quantity):
-                    facts[quantity].cells[column.label] = cell
-        for fact in facts.values():
-            if not fact.gauge_free:
-                _withhold(fact.cells, labels, posteriors)
-    _check_common(facts, runs, columns)
-    notes = [
-        f"The posterior of {name} is {run.sampler.status}: "
-        + ("it has converged, but is doubted." if run.only_doubted else "it has not converged.")
-        for name, run in runs.items()
-        if run.sampler.status != "reliable"
-    ]
-    notes += _meanings(facts)
-    notes += _of_motion(facts, runs)
-    reference = _add_references(facts, runs, notes)
-    if reference is not None:
-        columns.append(reference)
+    _check_common(rows, columns)
+    notes = [*_of_runs(runs), *_of_motion(rows, runs)]
+    sources, more = _add_references(rows, runs)
+    if sources:
+        columns.append(Column(REFERENCE, "reference", "", told=", ".join(sources)))
     baseline = next((c for c in columns if c.kind == "posterior"), None)
-    rows = [
-        Row(
-            name=name,
-            unit=fact.unit,
-            symbol=fact.symbol,
-            meaning=fact.meaning,
-            kind=fact.kind,
-            gauge_free=fact.gauge_free,
-            cells=_measured(fact, columns, baseline),
-            of_motion=fact.of_motion,
-        )
-        for name, fact in facts.items()
-        if fact.found
-    ]
-    rows.sort(key=_order)  # keeps the order of the files within each group
-    between, beyond = map(tuple, _runs_apart(runs, rows, columns))
-    if len(runs) > 1 and not any(_told_twice(row, columns) for row in rows):
-        notes.insert(0, _NOTHING_SHARED)
-    apart = {
-        c.label: [
-            row.name
-            for row in rows
-            if (one := row.cells.get(c.label)) is not None
-            and one.status == "determined"
-            and abs(one.disagreement or 0.0) > _FAR
-        ]
-        for c in columns
-        if c.kind == "estimate" and baseline is not None and c.run == baseline.run
-    }
-    notes += [
-        f"{label} differs from the posterior by more than {_FAR:g} sd in {', '.join(names)}: the "
-        "two take different things for granted, and of one of them they do not hold."
-        for label, names in apart.items()
-        if names
-    ]
+    found = [row for row in rows.values() if any(c.status != "known" for c in row.cells.values())]
+    found.sort(key=_order)  # keeps the order of the files within each group
+    for row in found:
+        _measure(row, columns, baseline)
+    between, beyond = _runs_apart(runs, found, columns)
+    if len(runs) > 1 and not any(_told_twice(row, columns) for row in found):
+        notes.insert(0, _note("nothing shared"))
+    far = _far_estimates(found, columns, baseline)
+    notes += more + [_note("far estimate", label=one, names=names) for one, names in far.items()]
     return Comparison(
         tuple(columns),
-        tuple(rows),
+        tuple(found),
         baseline.label if baseline else None,
         (*between, *beyond, *notes),
-        tuple(row.name for row in rows if any(row.name in names for names in apart.values())),
+        tuple(row.name for row in found if any(row.name in names for names in far.values())),
         {name: run.reasons for name, run in runs.items() if run.reasons},
-        between,
-        beyond,
+        tuple(between),
+        tuple(beyond),
     )
+
+
+def _note(kind: str, **values: Any) -> str:
+    """Say what must be known besides; names are all given."""
+    values = {key: ", ".join(x) if isinstance(x, list) else x for key, x in values.items()}
+    return f"{capital(line_of(kind, values))}."
 
 
 def _order(row: Row) -> int:
@@ -238,136 +173,123 @@ def _order(row: Row) -> int:
     return 3 if row.kind == "parameter" else 4
 
 
-def _gather(facts: dict[str, _Facts], run: str, summary: Summary) -> None:
+def _rows(runs: Mapping[str, Summary]) -> Iterator[Row]:
     """Collect what each quantity is, also from estimates that are not shown."""
+    rows: dict[str, Row] = {}
+    told_by: dict[str, str] = {}
+    # whether no scaling changes it: as files say, and as may be guessed where none does
+    said: dict[str, list[bool]] = {}
+    guessed: dict[str, list[bool]] = {}
+    for run, summary in runs.items():
+        for name, one, kind in _told(summary):
+            row = rows.setdefault(name, Row(name, one.unit, "", "", kind))
+            _check_unit(f"{run}: {name}", one.unit, row, told_by.setdefault(name, run))
+            posterior = isinstance(one, PosteriorRow)
+            # the joint's own symbol before that of what least squares sees
+            row.symbol = one.symbol if posterior and one.symbol else row.symbol or one.symbol
+            row.meaning = row.meaning or one.meaning
+            if (free := getattr(one, "gauge_free", None)) is not None:
+                said.setdefault(name, []).append(free)
+            if posterior:
+                row.of_motion |= one.of_motion
+                # the data alone leave what a scaling changes without any sd
+                derived = name in summary.derived and name not in summary.parameters
+                guessed.setdefault(name, []).append(derived or one.data_sd is not None)
+    for name, row in rows.items():
+        row.gauge_free = all(said.get(name) or guessed.get(name) or [True])
+        yield row
 
-    def tell(name: str, row: Any, kind: Kind, gauge_free: bool | None) -> _Facts:
-        fact = facts.setdefault(name, _Facts(row.unit, run, kind))
-        if row.unit != fact.unit:
-            raise BadInput(
-                f"{run}: {name}",
-                f"is in {row.unit or 'no unit'!r}, but in {fact.unit or 'no unit'!r} in "
-                f"{fact.told_by}",
-                "compare runs of the same kind of joint",
-            )
-        fact.symbol = fact.symbol or getattr(row, "symbol", "")
-        fact.meaning = fact.meaning or getattr(row, "meaning", "")
-        if gauge_free is not None:
-            fact.said.append(gauge_free)
-        return fact
+
+def _told(summary: Summary) -> Iterator[tuple[str, Any, Kind]]:
+    """All that a run tells of its joint: name, row and kind."""
+
+    def kind(name: str) -> Kind:
+        if name.partition(".")[0] == "total":
+            return "total"
+        return "parameter" if name in summary.parameters else "derived"
 
     for method in sorted(summary.estimates, key=METHODS.index):
         for name, value in summary.estimates[method].parameters.items():
-            tell(name, value, value.kind or _kind(name, summary), value.gauge_free)
-    for group in (summary.derived, summary.parameters):
-        for name, row in group.items():
-            if of_noise(name):
-                continue
-            fact = tell(name, row, _kind(name, summary), row.gauge_free)
-            fact.meanings[run] = row.meaning
-            fact.of_motion |= row.of_motion
-            # the joint's own symbol before that of what least squares sees
-            fact.symbol = row.symbol or fact.symbol
-            # the data alone leave what a scaling changes without any sd
-            fact.guessed.append(group is summary.derived or row.data_sd is not None)
+            yield name, value, value.kind or kind(name)
+    for name, row in [*summary.derived.items(), *summary.joint.items()]:
+        yield name, row, kind(name)
     for name, known in summary.fixed.items():
-        tell(name, known, "parameter", None)
+        yield name, known, "parameter"
 
 
-def _kind(name: str, summary: Summary) -> Kind:
-    if name.partition(".")[0] == "total":
-        return "total"
-    return "parameter" if name in summary.parameters else "derived"
+def _check_unit(where: str, unit: str, row: Row, told_by: str) -> None:
+    if unit != row.unit:
+        what = f"is in {unit or 'no unit'!r}, but in {row.unit or 'no unit'!r} in {told_by}"
+        raise BadInput(where, what, "compare runs of the same kind of joint, in one unit")
 
 
-def _columns(run: str, summary: Summary, *, alone: bool, estimates: bool) -> Iterator[Column]:
-    before = "" if alone else f"{run}: "
+def _columns(before: str, run: str, summary: Summary, *, estimates: bool) -> Iterator[Column]:
+    before = f"{before}: " if before else ""
     for method in METHODS:
         if estimates and method in summary.estimates:
-            told = summary.estimates[method]
-            yield Column(
-                f"{before}{method}",
-                "estimate",
-                run,
-                method,
-                "; ".join(filter(None, [told.assumption, *told.notes])),
-                told.residual_rms,
-                told.residual_unit,
-            )
+            one = summary.estimates[method]
+            told = "; ".join(filter(None, [one.assumption, *one.notes]))
+            rms = one.residual_rms, one.residual_unit
+            yield Column(f"{before}{method}", "estimate", run, method, told, *rms)
     if summary.parameters or summary.derived:
-        lag = summary.noise.residual_lag1
-        yield Column(
-            f"{before}posterior",
-            "posterior",
-            run,
-            None,
-            f"{summary.likelihood.method}; noise {summary.noise.model}"
-            + (f"; its residuals' lag-1 correlation is {lag:.2f}" if lag is not None else ""),
-            summary.fit.residual_rms,
-            summary.fit.unit,
-            summary.widened,
-        )
+        lag, rms = summary.noise.residual_lag1, (summary.fit.residual_rms, summary.fit.unit)
+        told = f"{summary.likelihood.method}; noise {summary.noise.model}"
+        told += f"; its residuals' lag-1 correlation is {lag:.2f}" if lag is not None else ""
+        yield Column(f"{before}posterior", "posterior", run, None, told, *rms, summary.widened)
+
+
+def _fill(rows: Mapping[str, Row], columns: list[Column], summary: Summary) -> None:
+    """Put a run's cells in, but for scales that one of its columns leaves open."""
+    for column in columns:
+        for name, cell in _cells(column, summary):
+            if not of_noise(name):
+                rows[name].cells[column.label] = cell
+    for row in rows.values():
+        mine = [c for c in columns if c.label in row.cells]
+        cells = {c.label: row.cells[c.label] for c in mine}
+        # of a posterior or a search that is none, nothing follows for the others
+        open_ = [n for n, c in cells.items() if c.status == "undetermined" and c.converged]
+        for column in mine if open_ and not row.gauge_free else ():
+            cell = cells[column.label]
+            # a posterior's own verdict stands: it knows the priors, which settle what is open
+            if column.kind == "estimate" and cell.status not in ("undetermined", "known"):
+                row.cells[column.label] = left_open(cell.value, None, f" (see {open_[0]})")
 
 
 def _cells(column: Column, summary: Summary) -> Iterator[tuple[str, Cell]]:
-    if column.kind == "posterior":
+    if column.method is None:
         for name, row in summary.rows.items():
-            yield name, posterior_cell(row, summary.accounts, summary.sampler.status)
+            yield name, posterior_cell(row, summary.accounts)
         for name, known in summary.fixed.items():
             yield name, Cell(known.value, "known", remark="taken as known")
         return
-    if column.method is not None:
-        estimate = summary.estimates[column.method]
-        bent = _bent(summary) if column.method == "least-squares" else None
-        for name, value in estimate.parameters.items():
-            cell = estimate_cell(value, estimate.converged)
-            why = "" if bent is None else _of_total(summary, name, value.unit, bent)
-            yield name, replace(cell, alike=False, remark=cell.remark or why) if why else cell
+    estimate = summary.estimates[column.method]
+    for name, value in estimate.parameters.items():
+        cell = estimate_cell(value, estimate.converged)
+        why = _of_total(summary, name, value.unit) if column.method == "least-squares" else ""
+        yield name, replace(cell, alike=False, remark=cell.remark or why) if why else cell
 
 
-def _of_total(summary: Summary, name: str, unit: str, bent: list[str]) -> str:
+def _of_total(summary: Summary, name: str, unit: str) -> str:
     """Say why a total of least squares is not what a posterior has by its name; else nothing."""
     if _GAIN in summary.parameters and scales_with_torque(unit):
-        return _AS_TOLD
-    return _OF_ALL % listed(bent) if bent and name in summary.parameters else ""
+        return "of the torque as told, without its gain"
+    # load losses bend the totals, or what shapes other terms
+    known = {one for one, row in summary.fixed.items() if row.value != 0.0}
+    rows = (QUANTITIES.get(quantity_of(one)) for one in {*summary.parameters, *known})
+    bent = sorted({row.bent_by for row in rows if row is not None and row.bends}, reverse=True)
+    share = f"with the share of {listed(bent)} in it"
+    return share if bent and name in summary.parameters else ""
 
 
-def _bent(summary: Summary) -> list[str]:
-    """Name what bends the totals of least squares: load losses, or what shapes other terms."""
-    known = {name for name, row in summary.fixed.items() if row.value != 0.0}
-    rows = (QUANTITIES.get(quantity_of(name)) for name in {*summary.parameters, *known})
-    return sorted({row.bent_by for row in rows if row is not None and row.bends}, reverse=True)
-
-
-def _withhold(cells: dict[str, Cell], labels: list[str], posteriors: list[str]) -> None:
-    """Show an estimate that a scaling changes only where no column of the run leaves it open.
-
-    A posterior's own verdict stands: it knows the priors, which settle what the data leave open.
-    """
-    mine = {label: cells[label] for label in labels if label in cells}
-    # of a posterior or a search that is none, nothing follows for the others
-    open_ = (label for label, c in mine.items() if c.status == "undetermined" and c.converged)
-    first = next(open_, None)
-    for label, cell in mine.items():
-        shown = cell.status in ("undetermined", "known") or label in posteriors
-        if first is not None and not shown:
-            cells[label] = left_open(cell.value, None, f" (see {first})")
-
-
-def _check_common(
-    facts: Mapping[str, _Facts], runs: Mapping[str, Summary], columns: list[Column]
-) -> None:
-    has: dict[str, set[str]] = {run: set() for run in runs}
+def _check_common(rows: Mapping[str, Row], columns: list[Column]) -> None:
+    """Refuse runs that tell nothing, or nothing that another tells, but what was taken as known."""
+    has: dict[str, set[str]] = {column.run: set() for column in columns}
     for column in columns:
-        has[column.run] |= {
-            name
-            for name, fact in facts.items()
-            if column.label in fact.cells and fact.cells[column.label].status != "known"
-        }
+        cells = {name: row.cells.get(column.label) for name, row in rows.items()}
+        has[column.run] |= {name for name, c in cells.items() if c and c.status != "known"}
     # of two, the second is the one out of place
     for run, names in reversed(has.items()):
-        if not names:
-            raise BadInput(run, "holds no result to compare", "name a finished run")
         others = set[str]().union(*(theirs for other, theirs in has.items() if other != run))
         if len(has) > 1 and not names & others:
             raise BadInput(
@@ -377,24 +299,22 @@ def _check_common(
             )
 
 
-def _meanings(facts: Mapping[str, _Facts]) -> Iterator[str]:
-    for name, fact in facts.items():
-        said = {run: words for run, words in fact.meanings.items() if words}
+def _of_runs(runs: Mapping[str, Summary]) -> Iterator[str]:
+    """Say which runs are not to be relied on, and where words differ, as the load of a number."""
+    for name, run in runs.items():
+        if run.sampler.status != "reliable":
+            yield _note("unsure run", run=name, status=run.sampler.status)
+    for name in dict.fromkeys(name for run in runs.values() for name in run.rows):
+        said = {key: run.rows[name].meaning for key, run in runs.items() if name in run.rows}
+        said = {key: words for key, words in said.items() if words and not of_noise(name)}
         if len(set(said.values())) > 1:
-            each = ", ".join(f"{words!r} in {run}" for run, words in said.items())
-            yield f"{name} is not the same everywhere: {each}."
+            each = [f"{words!r} in {key}" for key, words in said.items()]
+            yield _note("meanings", name=name, each=each)
 
 
-def _of_motion(facts: Mapping[str, _Facts], runs: Mapping[str, Summary]) -> Iterator[str]:
-    names = [name for name, fact in facts.items() if fact.of_motion]
-    if names:
-        several = len(runs) > 1
-        yield (
-            f"{', '.join(names)}: what a fit without load losses would find along "
-            f"{'each' if several else 'the'} run's own motion; another motion of the same joint "
-            "gives other values"
-            + (", so runs are not measured against each other by them." if several else ".")
-        )
+def _of_motion(rows: Mapping[str, Row], runs: Mapping[str, Summary]) -> Iterator[str]:
+    if names := [name for name, row in rows.items() if row.of_motion]:
+        yield _note("of motion", names=names, several=len(runs) > 1)
 
 
 def _told_twice(row: Row, columns: list[Column]) -> bool:
@@ -402,6 +322,24 @@ def _told_twice(row: Row, columns: list[Column]) -> bool:
     cells = [row.cells.get(c.label) for c in columns if c.kind == "posterior"]
     told = [c for c in cells if c and c.status in ("determined", "limit") and not c.doubted]
     return len(told) > 1
+
+
+def _far_estimates(
+    rows: list[Row], columns: list[Column], baseline: Column | None
+) -> dict[str, list[str]]:
+    """Name what estimates of the first posterior's run give otherwise, by label."""
+    mine = [c for c in columns if c.kind == "estimate" and baseline and c.run == baseline.run]
+    far = {
+        c.label: [
+            row.name
+            for row in rows
+            if (one := row.cells.get(c.label)) is not None
+            and one.status == "determined"
+            and abs(one.disagreement or 0.0) > _FAR
+        ]
+        for c in mine
+    }
+    return {label: names for label, names in far.items() if names}
 
 
 def _runs_apart(
@@ -429,62 +367,50 @@ def _runs_apart(
                 continue
             own = (b.middle - a.middle) / math.hypot(a.sd, b.sd)
             beyond += [f"{apart}, {own:+.1f} were the models right)"] if abs(own) > _FAR else []
-        if far:
-            said[0].append(
-                f"{column.run} and {first.run} disagree in {', '.join(far)}: joint, motion or "
-                "what the model lacks is not the same in both, and the intervals of one do not "
-                "hold for the other."
-            )
-        if beyond:
-            said[1].append(
-                f"{column.run} and {first.run} are further apart than by noise in "
-                f"{', '.join(beyond)}, which is put down to the model's error. Where both motions "
-                "are alike they may share that error, and then this is a real difference."
-            )
+        for kind, names, into in zip(
+            ("runs apart", "beyond noise"), (far, beyond), said, strict=True
+        ):
+            into += [_note(kind, run=column.run, first=first.run, names=names)] if names else []
     return said
 
 
 def _add_references(
-    facts: Mapping[str, _Facts], runs: Mapping[str, Summary], notes: list[str]
-) -> Column | None:
-    """Add the column of values from elsewhere, where they concern anything that is shown."""
+    rows: Mapping[str, Row], runs: Mapping[str, Summary]
+) -> tuple[list[str], list[str]]:
+    """Add values from elsewhere to what is shown; give their sources, and what must be known."""
     found: dict[str, tuple[str, ReferenceRow]] = {}
+    notes = []
     for run, summary in runs.items():
         for name, row in summary.references.items():
-            if name not in facts or not facts[name].found:
-                notes.append(f"{row.source} gives {name}, which no run estimates.")
+            if name not in rows or all(c.status == "known" for c in rows[name].cells.values()):
+                notes.append(_note("no such number", source=row.source, name=name))
                 continue
-            if row.unit != facts[name].unit:
-                raise BadInput(
-                    f"{run}: references.{name}",
-                    f"is in {row.unit or 'no unit'!r}, but in "
-                    f"{facts[name].unit or 'no unit'!r} in {facts[name].told_by}",
-                    "give it in the quantity's unit",
-                )
+            _check_unit(f"{run}: references.{name}", row.unit, rows[name], "the runs")
             first, told = found.setdefault(name, (run, row))
             if told != row:
+                values = [
+                    f"{x.value:.5g} ({x.source}) in {at}" for at, x in ((first, told), (run, row))
+                ]
                 notes.append(
-                    f"{name} is {told.value:.5g} ({told.source}) in {first}, which is shown, but "
-                    f"{row.value:.5g} ({row.source}) in {run}."
+                    _note("references differ", name=name, shown=values[0], other=values[1])
                 )
     for name, (_, row) in found.items():
-        facts[name].cells[REFERENCE] = Cell(row.value, "known", sd=row.sd, remark=row.source)
-    sources = dict.fromkeys(row.source for _, row in found.values())
-    return Column(REFERENCE, "reference", "", None, ", ".join(sources)) if found else None
+        rows[name].cells[REFERENCE] = Cell(row.value, "known", sd=row.sd, remark=row.source)
+    return list(dict.fromkeys(row.source for _, row in found.values())), notes
 
 
-def _measured(fact: _Facts, columns: list[Column], baseline: Column | None) -> dict[str, Cell]:
+def _measure(row: Row, columns: list[Column], baseline: Column | None) -> None:
     """Put the cells into the columns' order and measure them against the first posterior."""
-    ordered = {c.label: fact.cells[c.label] for c in columns if c.label in fact.cells}
-    base = ordered.get(baseline.label) if baseline else None
+    row.cells = {c.label: row.cells[c.label] for c in columns if c.label in row.cells}
+    base = row.cells.get(baseline.label) if baseline else None
     if baseline is None or base is None or base.status not in ("determined", "limit"):
-        return ordered
+        return
     for column in columns:
-        cell = ordered.get(column.label)
+        cell = row.cells.get(column.label)
         if cell is None or column is baseline or not cell.alike:
             continue
         # two motions need not agree
-        if fact.of_motion and column.run not in ("", baseline.run):
+        if row.of_motion and column.run not in ("", baseline.run):
             continue
         # an estimate has other limits than a posterior
         if column.kind == "estimate" and "limit" in (base.status, cell.status):
@@ -495,10 +421,8 @@ def _measured(fact: _Facts, columns: list[Column], baseline: Column | None) -> d
             own = cell.sd_towards(base.value) or 0.0
             # two estimates from one recording share its noise: their variances do not add
             same = column.kind == "estimate" and column.run == baseline.run
-            scale = max(sd, own) if same else math.hypot(sd, own)
-            apart = (cell.value - base.value) / scale
-            ordered[column.label] = replace(cell, disagreement=apart)
-    return ordered
+            apart = (cell.value - base.value) / (max(sd, own) if same else math.hypot(sd, own))
+            row.cells[column.label] = replace(cell, disagreement=apart)
 
 
 def on_one_turn(runs: Mapping[str, Summary]) -> dict[str, Summary]:

@@ -5,17 +5,22 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
+from io import StringIO
 from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
 from bayesfric.report.comparison.cell import Cell
 from bayesfric.report.comparison.comparison import Comparison
-from bayesfric.report.numbers import TEXT, text_rounded
-from bayesfric.report.text_templates import filled
+from bayesfric.report.numbers import TEXT
+from bayesfric.report.text_templates import csv_text, filled
 
 _WIDTH = 120
 # Characters of a cell's line: at least [0.00046688, 0.00046933], and words on few lines.
 _NARROWEST, _WIDEST = 24, 30
-_BETWEEN = "  "
 _PLAIN = "†"
 _COLUMNS = ["name", "unit", "symbol", "meaning", "kind", "gauge_free", "column", "run",
     "column_kind", "status", "value", "sd", "sd_uncorrelated", "accounts_for_correlation", "low",
@@ -24,34 +29,28 @@ _COLUMNS = ["name", "unit", "symbol", "meaning", "kind", "gauge_free", "column",
 
 def comparison_text(found: Comparison, width: int = _WIDTH) -> Iterator[str]:
     """Lay a comparison out for a terminal; columns that do not fit come in further blocks."""
-    names = [[row.name, *([f"  {row.unit}"] if row.unit else [])] for row in found.rows]
-    left = max((len(line) for lines in names for line in lines), default=0)
-    each = max(1, (width - left) // (_NARROWEST + len(_BETWEEN)))
-    for k, first in enumerate(range(0, len(found.columns), each)):
-        if k:
-            yield ""
+    console = Console(width=width, file=StringIO(), color_system=None)
+    left = max((len(row.name) for row in found.rows), default=0)
+    each = max(1, (width - left) // (_NARROWEST + 2))
+    for first in range(0, len(found.columns), each):
         columns = found.columns[first : first + each]
-        cell = min(_WIDEST, (width - left) // len(columns) - len(_BETWEEN))
-        head = [textwrap.wrap(column.label, cell) for column in columns]
-        yield from _lines([""], head, left, cell, bottom=True)
-        yield "-" * (left + len(columns) * (cell + len(_BETWEEN)))
+        shown = Table(box=SIMPLE_HEAD, pad_edge=False)
+        shown.add_column(no_wrap=True)
+        for column in columns:
+            shown.add_column(Text(column.label), max_width=_WIDEST)
         group = None
-        for row, name in zip(found.rows, names, strict=True):
-            cells = [
-                [
-                    line
-                    for part in _cell_parts(row.cells.get(column.label))
-                    for line in textwrap.wrap(part, cell)
-                ]
-                for column in columns
-            ]
+        for row in found.rows:
+            cells = ["\n".join(_cell_parts(row.cells.get(c.label))) for c in columns]
             if not any(cells):
                 continue
             if group is not None and group != (row.kind, row.gauge_free):
-                yield ""
+                shown.add_row()
             group = (row.kind, row.gauge_free)
-            yield from _lines(name, cells, left, cell)
-    yield ""
+            name = f"{row.name}\n  {row.unit}" if row.unit else row.name
+            shown.add_row(*map(Text, (name, *cells)))
+        with console.capture() as captured:
+            console.print(shown)
+        yield from (line.rstrip() for line in captured.get().splitlines())
     for line in explained(found):
         yield from textwrap.wrap(line, width, subsequent_indent="  ")
 
@@ -82,8 +81,6 @@ def markdown_table(
 
 def comparison_csv(found: Comparison) -> str:
     """Lay a comparison out as CSV text, one line for each quantity and column."""
-    import pandas as pd
-
     lines = []
     for row in found.rows:
         for column in found.columns:
@@ -100,7 +97,7 @@ def comparison_csv(found: Comparison) -> str:
             told["low"], told["high"] = cell.interval or (None, None)
             told["span_low"], told["span_high"] = cell.span or (None, None)
             lines.append(told)
-    return str(pd.DataFrame(lines, columns=_COLUMNS).to_csv(index=False))
+    return csv_text(lines, _COLUMNS)
 
 
 def comparison_dict(found: Comparison) -> dict[str, Any]:
@@ -122,40 +119,8 @@ def comparison_dict(found: Comparison) -> dict[str, Any]:
 
 
 def _cell_parts(cell: Cell | None) -> list[str]:
-    """Word a cell; an open one in words only."""
-    if cell is None:
-        return []
-    parts = []
-    if cell.status not in ("undetermined", "limit"):
-        plain = cell.status == "determined" and not cell.accounts
-        parts.append(cell.written(TEXT) + (_PLAIN if plain else ""))
-    if cell.interval is not None:
-        low, high = (text_rounded(end, cell.fine) for end in cell.interval)
-        parts.append(f"[{low}, {high}]")
-    if cell.disagreement is not None:
-        # no -0.0
-        parts.append(f"{round(cell.disagreement, 1) + 0.0:+.1f} sd")
-    return [*parts, *([cell.remark] if cell.remark else [])]
-
-
-def _lines(
-    name: Sequence[str],
-    cells: Sequence[Sequence[str]],
-    left: int,
-    wide: int,
-    *,
-    bottom: bool = False,
-) -> Iterator[str]:
-    """Set a name and cells of several lines side by side."""
-    high = max(len(part) for part in (name, *cells))
-    for i in range(high):
-        parts = [
-            part[j] if 0 <= (j := i - (high - len(part) if bottom else 0)) < len(part) else ""
-            for part in cells
-        ]
-        start = name[i] if i < len(name) else ""
-        line = "".join(f"{_BETWEEN}{part:<{wide}}" for part in parts)
-        yield f"{start:<{left}}{line}".rstrip()
+    parts = cell.parts(TEXT) if cell else ()
+    return [f"{text}{_PLAIN}" if kind == "plain" else text for kind, text in parts]
 
 
 def explained(found: Comparison) -> Iterator[str]:
@@ -164,7 +129,7 @@ def explained(found: Comparison) -> Iterator[str]:
     yield from filled(
         "explained.txt.j2",
         found=found,
-        plain=any(cell.status == "determined" and not cell.accounts for cell in cells),
+        plain=any(cell.plain for cell in cells),
         levels=sorted({cell.level for cell in cells if cell.interval is not None and cell.level}),
         dagger=_PLAIN,
     ).splitlines()

@@ -16,8 +16,8 @@ from bayesfric.report.comparison.comparison import REFERENCE, Column, Comparison
 from bayesfric.report.figures import style
 from bayesfric.report.figures.registry import ComparisonFigure, RunFigure
 from bayesfric.report.figures.style import Look, power_of_ten, remark_below, run_colour, shortened
+from bayesfric.report.summary.derived_quantities import LEVEL
 from bayesfric.report.summary.rows import HALF
-from bayesfric.report.summary.summary import LEVEL
 
 # Up to so many panels stand below each other in one column of a paper.
 _FEW = 4
@@ -250,45 +250,26 @@ def _range(row: Row) -> tuple[float, float]:
 def _legend(figure: Figure, rows: list[Row], columns: list[Column]) -> None:
     """Explain what bars and dots mean; rows are named at their side."""
     cells = [row.cells[c.label] for row in rows for c in columns if c.label in row.cells]
-    grey = _ESTIMATES["output-error"][1]
-    capped = Line2D([], [], color=grey, label="90 %, uncorrelated residuals", **_THIN)
-    open_: Look = {"marker": "o", "markersize": 4.0, "markeredgewidth": 0.7}
-    open_["markerfacecolor"] = "white"
-    handles: list[Line2D] = []
-    if any(cell.accounts and cell.sd is not None for cell in cells):
-        posteriors = {c.widened for c in columns if c.kind == "posterior"}
-        room = {1: " (posterior: model's error)"}.get(len(posteriors), " (some: model's error)")
-        room = room if any(posteriors) else ""
-        words = f"90 %, correlated residuals{room}"
-        handles.append(Line2D([], [], color=grey, label=words, **_THICK))
-    if any(cell.sd_plain is not None for cell in cells):
-        handles.append(capped)
-    if any(cell.status == "undetermined" and cell.converged for cell in cells):
-        open_ |= {"color": grey, "label": "not determined: fits as well"}
-        handles.append(Line2D([], [], **_SPAN, **open_))
-    if any(REFERENCE in row.cells for row in rows):
-        handles.append(Line2D([], [], color=_REFERENCE, linewidth=0.8, label="reference"))
-    if handles:
+    widened = {c.widened for c in columns if c.kind == "posterior"}
+    room = " (posterior: model's error)" if widened == {True} else " (some: model's error)"
+    words = f"90 %, correlated residuals{room if any(widened) else ''}"
+    grey: Look = {"color": _ESTIMATES["output-error"][1]}
+    open_ = _SPAN | {"marker": "o", "markersize": 4.0, "markeredgewidth": 0.7}
+    open_ |= {"markerfacecolor": "white", "label": "not determined: fits as well"}
+    capped = Line2D([], [], label="90 %, uncorrelated residuals", **_THIN, **grey)
+    line = Line2D([], [], color=_REFERENCE, linewidth=0.8, label="reference")
+    handles = {
+        Line2D([], [], label=words, **_THICK, **grey): any(c.accounts and c.sd for c in cells),
+        capped: any(c.sd_plain is not None for c in cells),
+        Line2D([], [], **open_, **grey): any(
+            c.status == "undetermined" and c.converged for c in cells
+        ),
+        line: any(REFERENCE in row.cells for row in rows),
+    }
+    if shown := [handle for handle, needed in handles.items() if needed]:
         look: Look = {"handler_map": {capped: HandlerLine2D(numpoints=2)}}
         across = 2 if figure.get_figwidth() == style.COLUMN else 4
-        figure.legend(handles=handles, loc="outside upper right", ncols=across, **look)
-
-
-def forest_words(found: Comparison) -> str:
-    """Say what a forest figure shows: every quantity by every column, open ones as open."""
-    parts = []
-    for row in found.rows:
-        cells = ", ".join(f"{label} {_cell_words(cell)}" for label, cell in row.cells.items())
-        parts.append(f"{row.name}{f' in {row.unit}' if row.unit else ''}: {cells}")
-    return "; ".join(parts) + "."
-
-
-def _cell_words(cell: Cell) -> str:
-    if cell.status == "undetermined":
-        return "not determined" if cell.converged else cell.remark
-    if cell.status == "limit":
-        return cell.remark
-    return f"{cell.value:.5g}" + (f" ± {cell.sd:.2g}" if cell.sd else "")
+        figure.legend(handles=shown, loc="outside upper right", ncols=across, **look)
 
 
 _BARS = (
@@ -303,7 +284,6 @@ METHODS = RunFigure(
     # of a single run, whose name is nowhere shown
     draw=lambda run: forest_figure(comparison({"run": run.summary})),
     caption=f"Every quantity by every method and by the posterior. {_BARS}",
-    alternative=lambda judged: forest_words(judged.methods),
 )
 FOREST = ComparisonFigure(
     stem="forest",
@@ -311,5 +291,4 @@ FOREST = ComparisonFigure(
     section="side-by-side",
     draw=lambda compared: forest_figure(compared.found),
     caption=_BARS,
-    alternative=lambda compared: forest_words(compared.found),
 )

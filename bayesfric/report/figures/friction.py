@@ -11,20 +11,21 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from bayesfric.inference.fitting import Fit
-from bayesfric.mechanism.quantities import CHOICES, LOAD_CHOICES, QUANTITIES
 from bayesfric.report.figures import style
 from bayesfric.report.figures.curve_band import (
     FEWEST,
-    CurveBand,  # noqa: F401  (of an inherited field, for the reference)
+    NEAR,
+    Covered,
+    Curve,
     CurveJudge,
     CurveLook,
     Flags,
-    LoadCurve,
+    covered,
     curve_handles,
     draw_curve,
+    friction_torque,
 )
-from bayesfric.report.figures.friction_curve import NEAR, Covered, covered, friction_torque
-from bayesfric.report.figures.registry import JudgedRun, RunFigure
+from bayesfric.report.figures.registry import RunFigure
 from bayesfric.report.figures.style import (
     Array,
     Look,
@@ -32,9 +33,7 @@ from bayesfric.report.figures.style import (
     legend_above,
     paper_figure,
 )
-from bayesfric.report.page.values import rows_in_words
-from bayesfric.report.paper.tables import ParameterRow
-from bayesfric.report.summary.summary import LEVEL
+from bayesfric.report.summary.derived_quantities import LEVEL
 
 _POINTS = 121
 _HEIGHT = 2.4
@@ -42,19 +41,12 @@ _MARKS = ("o", "s", "^")
 
 
 @dataclass(frozen=True, eq=False)
-class FrictionCurve(LoadCurve):
-    """Friction, N m or N against the motion, along a line in the plane of speed and load."""
-
-    speed: Array  # the motor's
-
-
-@dataclass(frozen=True, eq=False)
 class FrictionCurves:
     """Everything the friction figure shows."""
 
     open_scale: bool  # whether loads are the mean of what driving and back-driving feel
-    over_speed: tuple[FrictionCurve, ...]  # at no load, at a driven and at a driving load
-    over_load: tuple[FrictionCurve, ...]  # at a low and a high speed; empty without load losses
+    over_speed: tuple[Curve, ...]  # at no load, at a driven and at a driving load
+    over_load: tuple[Curve, ...]  # at a low and a high speed; empty without load losses
 
 
 def friction_curves(fit: Fit) -> FrictionCurves:
@@ -64,13 +56,13 @@ def friction_curves(fit: Fit) -> FrictionCurves:
     lossy = any(element.load_loss != "none" for element in fit.chain.elements)
     lossy = lossy and float(np.ptp(place.load)) > 0.0
 
-    def along(speed: Array, load: Array) -> FrictionCurve:
+    def along(speed: Array, load: Array) -> Curve:
         band = judge.band(
             lambda x: friction_torque(fit.chain, x, speed, load, open_scale=judge.open_scale),
             gauge_free=judge.open_scale,
         )
         near = place.near(speed, load if lossy else None)
-        return FrictionCurve(load, band, near, speed)
+        return Curve(speed, load, *band, near)
 
     low, high = (float(x) for x in (place.speed.min(), place.speed.max()))
     # friction jumps at rest: no point there
@@ -146,7 +138,7 @@ def _over_speed(ax: Axes, fit: Fit, found: FrictionCurves) -> None:
                 _draw(ax, curve, curve.speed, mine, k, side, label, mark)
                 label = None
     ax.axhline(0.0, color="0.6", linewidth=0.5, zorder=0.5)
-    ax.set_xlabel(_speed_label(fit))
+    ax.set_xlabel(rf"motor speed $\dot q_m$ ({_units(fit)[2]})")
     _friction_axis(ax, fit, 6, "at load" if several else "")
 
 
@@ -163,13 +155,13 @@ def _over_load(ax: Axes, fit: Fit, found: FrictionCurves) -> None:
     said: Look = {"fontsize": style.SMALL, "color": "0.35", "transform": ax.transAxes}
     ax.text(0.03, 0.03, "load helps", ha="left", va="bottom", **said)
     ax.text(0.97, 0.03, "load resists", ha="right", va="bottom", **said)
-    ax.set_xlabel(_load_label(fit, found))
+    ax.set_xlabel(f"load {load_symbol(fit, open_scale=found.open_scale)} ({_units(fit)[1]})")
     _friction_axis(ax, fit, 5, "at motor speed")
 
 
 def _draw(
     ax: Axes,
-    curve: FrictionCurve,
+    curve: Curve,
     x: Array,
     mine: Flags,
     k: int,
@@ -179,9 +171,8 @@ def _draw(
 ) -> None:
     every = max(1, int(mine.sum()) // 6)
     start = max(0, every // 2 - k * every // 4)
-    part = curve.band.part(mine, side)
     look = CurveLook(style.PALETTE[k], mark, start=start, every=every)
-    draw_curve(ax, x[mine], LoadCurve(curve.load[mine], part, curve.covered[mine]), look, label)
+    draw_curve(ax, x[mine], curve.part(mine, side), look, label)
 
 
 def _signed(x: float, unit: str) -> str:
@@ -203,20 +194,12 @@ def _friction_axis(ax: Axes, fit: Fit, ticks: int, legend: str) -> None:
         ax.legend(loc="upper left", title=legend, title_fontsize=style.SMALL, alignment="left")
 
 
-def _speed_label(fit: Fit) -> str:
-    return rf"motor speed $\dot q_m$ ({_units(fit)[2]})"
-
-
 def load_symbol(fit: Fit, *, open_scale: bool) -> str:
     """Symbol of the loss-free torque of the load at the motor, ready for Matplotlib."""
     if not open_scale:
         return r"$\Gamma/N$"
     two = [element for element in fit.chain.elements if element.load_loss == "two"]
     return r"$\lambda_1\Gamma/N$" if len(two) == 1 else r"$\overline{\Gamma/\alpha N}$"
-
-
-def _load_label(fit: Fit, found: FrictionCurves) -> str:
-    return f"load {load_symbol(fit, open_scale=found.open_scale)} ({_units(fit)[1]})"
 
 
 def friction_caption(fit: Fit) -> str:
@@ -243,25 +226,10 @@ def friction_caption(fit: Fit) -> str:
     return start + load + true
 
 
-def _words(judged: JudgedRun) -> str:
-    rows = [row for row in judged.table.rows if row.group != "derived" and _is_loss(row)]
-    return f"Losses that the curves follow from: {rows_in_words(rows)}"
-
-
-def _is_loss(row: ParameterRow) -> bool:
-    """Whether it is what only elements have, or a total of that; or a term of the user's own."""
-    owner, _, name = row.name.rpartition(".")
-    if name not in QUANTITIES:
-        return row.group == "parameter" and owner not in ("noise", *QUANTITIES)
-    option = QUANTITIES[name].option
-    return option in CHOICES and option not in LOAD_CHOICES
-
-
 FIGURE = RunFigure(
     stem="friction",
     title="Friction of the joint",
     section="friction",
     draw=lambda run: friction_figure(run.fit.wide),
     caption=lambda run: friction_caption(run.fit.wide),
-    alternative=_words,
 )

@@ -91,18 +91,6 @@ def _panel(ax: Axes, one: PooledQuantity, places: Mapping[str, float], lines: in
     return bars
 
 
-def _words(compared: ComparedRuns) -> str:
-    said = []
-    for one in _shown(compared):
-        unit = f" {one.told.unit}" if one.told.unit else ""
-        told = {"mean": one.pool.mean, "next recording": one.pool.following}
-        each = ", ".join(
-            f"{k} {x.median:.4g} from {x.low:.4g} to {x.high:.4g}" for k, x in told.items()
-        )
-        said.append(f"{one.name}: {each}{unit}")
-    return f"{'. '.join(said)}." if said else ""
-
-
 FIGURE = ComparisonFigure(
     stem="population",
     title="The population, each run in it, and the next recording",
@@ -111,5 +99,4 @@ FIGURE = ComparisonFigure(
     caption="Each run by itself (grey), the same in view of the others (circles), the mean of the "
     "population they are drawn from (diamond) and where the true value of the next recording lies "
     "(square); 90 % intervals of the normal hierarchical model.",
-    alternative=_words,
 )

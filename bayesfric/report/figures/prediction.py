@@ -15,9 +15,9 @@ from bayesfric.recordings.moving import too_slow
 from bayesfric.recordings.observation import Observation
 from bayesfric.report.figures import style
 from bayesfric.report.figures.over_time import as_pixels, broken, draw_band, draw_measured
-from bayesfric.report.figures.registry import JudgedRun, RunFigure
+from bayesfric.report.figures.registry import RunFigure
 from bayesfric.report.figures.style import Array, Look, few_ticks, remark_below, shortened
-from bayesfric.report.summary.summary import LEVEL
+from bayesfric.report.summary.derived_quantities import LEVEL
 
 _MOST = 3
 # The same draws as the residuals of the summary.
@@ -164,20 +164,6 @@ def _dots(broken: Array, most: float) -> list[int]:
     return [int(i) for i in np.flatnonzero(present)]
 
 
-def residuals_in_words(judged: JudgedRun) -> str:
-    """Say how large residuals are, recording by recording."""
-    fit = judged.summary.fit
-    said = f"Measured {fit.quantity} with predictive mean and 90 % band, and residuals below"
-    if fit.residual_rms is not None:
-        said += f"; residual rms {fit.residual_rms:.4g} {fit.unit}"
-    each = [
-        f"{name}: {row.outputs} outputs, rms {row.residual_rms:.4g} {fit.unit}"
-        for name, row in fit.recordings.items()
-        if row.outputs is not None and row.residual_rms is not None
-    ]
-    return ". ".join([said, *each]) + "."
-
-
 FIGURE = RunFigure(
     stem="prediction",
     title="Measured and predicted",
@@ -185,9 +171,8 @@ FIGURE = RunFigure(
     draw=lambda run: prediction_figure(run.fit),
     caption=(
         "What was measured and what the posterior predicts, noise included, with residuals below. "
-        "Dashed beside them: two sds of the noise, with what its memory adds where it has one; the "
-        "tables' scale is then that of its innovations, which is smaller. "
+        "Dashed beside them: two standard deviations of the noise, its autocorrelation included; "
+        "the tables' scale is then that of its innovations, which is smaller. "
         f"Gaps that are not hatched have no samples, or are not compared: {too_slow()}."
     ),
-    alternative=residuals_in_words,
 )

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from pkgutil import iter_modules
-from typing import Generic, Literal, TypeVar, get_args
+from typing import Any, Literal, get_args
 
 from matplotlib.figure import Figure
 
@@ -19,7 +19,6 @@ from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism.parameter import effort_words
 from bayesfric.report.comparison.between_runs import PooledQuantity
 from bayesfric.report.comparison.comparison import Comparison
-from bayesfric.report.paper.tables import ParameterTable
 from bayesfric.report.summary.record import Summary
 
 # Of the pages of a run and of a comparison, in their order.
@@ -38,15 +37,6 @@ class FinishedRun:
 
 
 @dataclass(frozen=True, eq=False)
-class JudgedRun:
-    """What text alternatives are made of, all of it from ``summary.json`` alone."""
-
-    summary: Summary
-    table: ParameterTable
-    methods: Comparison
-
-
-@dataclass(frozen=True, eq=False)
 class ComparedRuns:
     """What the figures of a comparison are made of; see ``bayesfric.report.comparison``."""
 
@@ -55,65 +45,53 @@ class ComparedRuns:
     pooled: Sequence[PooledQuantity] = ()
 
 
-Drawn = TypeVar("Drawn")
-Judged = TypeVar("Judged")
-
-
 @dataclass(frozen=True)
-class Declared(Generic[Drawn, Judged]):
-    """All that is known of one figure."""
+class Declared:
+    """All that is known of one figure, which is drawn of one thing."""
 
     stem: str  # its files' name
     # what the page calls it, and where it stands there
     title: str
     section: Section
-    draw: Callable[[Drawn], Figure | None]  # gives `None` where there is nothing to show
+    draw: Callable[[Any], Figure | None]  # gives `None` where there is nothing to show
     # what is drawn, and what it says; words where it is the same for all
-    caption: str | Callable[[Drawn], str]
-    # the numbers it shows, for who cannot see them; none of what the data leave open
-    alternative: Callable[[Judged], str]
+    caption: str | Callable[[Any], str]
 
-    def caption_of(self, drawn: Drawn) -> str:
+    def caption_of(self, drawn: Any) -> str:
         """Give the caption of one drawing."""
         return self.caption if isinstance(self.caption, str) else self.caption(drawn)
 
-    def words(self, judged: Judged) -> str:
-        """Say title and numbers in place of the drawing."""
-        return f"{self.title}. {self.alternative(judged)}".strip()
+
+class RunFigure(Declared):
+    """A figure of a :class:`FinishedRun`."""
 
 
-class RunFigure(Declared[FinishedRun, JudgedRun]):
-    """A figure of a run."""
+class ComparisonFigure(Declared):
+    """A figure of :class:`ComparedRuns`."""
 
 
-class ComparisonFigure(Declared[ComparedRuns, ComparedRuns]):
-    """A figure of a comparison of runs."""
-
-
-Kind = TypeVar("Kind", RunFigure, ComparisonFigure)
-
-
-def run_figures() -> dict[str, RunFigure]:
+@cache
+def run_figures() -> dict[str, Declared]:
     """Find the figures of a run, by stem in the order of the page."""
     return _found(RunFigure)
 
 
-def comparison_figures() -> dict[str, ComparisonFigure]:
+@cache
+def comparison_figures() -> dict[str, Declared]:
     """Find the figures of a comparison, by stem in the order of the page."""
     return _found(ComparisonFigure)
 
 
-@cache
-def _found(kind: type[Kind]) -> dict[str, Kind]:
+def _found(kind: type[Declared]) -> dict[str, Declared]:
     folder = import_module(__package__)
     modules = (import_module(f"{__package__}.{m.name}") for m in iter_modules(folder.__path__))
     figures = {one for m in modules for one in vars(m).values() if isinstance(one, kind)}
     order = get_args(Section)
-    rank = {one: (order.index(one.section), one.stem) for one in figures}
-    return {one.stem: one for one in sorted(figures, key=rank.__getitem__)}
+    ranked = sorted(figures, key=lambda one: (order.index(one.section), one.stem))
+    return {one.stem: one for one in ranked}
 
 
-def captions(run: FinishedRun, figures: Sequence[RunFigure]) -> str:
+def captions(run: FinishedRun, figures: Sequence[Declared]) -> str:
     """Write the captions of a run's figures as Markdown, one line each."""
     lines = (f"**{one.stem}**: {one.caption_of(run)}\n" for one in figures)
     return effort_words("\n".join(lines), run.fit.chain.motor_motion)

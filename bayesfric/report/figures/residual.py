@@ -1,17 +1,25 @@
-"""The figure of residuals: autocorrelation, quantiles, and against speed, load and angle."""
+"""The figure of residuals: autocorrelation, quantiles, and against speed, load and angle.
+
+What else explains them, a fit asks by itself (:mod:`bayesfric.diagnostics`); this is to be seen.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
+from bayesfric.estimates.torque import load_at_outputs
 from bayesfric.inference.fitting import Fit
+from bayesfric.inference.likelihood.likelihood import Outputs
+from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.report.figures import style
-from bayesfric.report.figures.prediction import residuals_in_words
-from bayesfric.report.figures.registry import FinishedRun, JudgedRun, RunFigure
+from bayesfric.report.figures.registry import RunFigure
 from bayesfric.report.figures.style import (
     Array,
     Look,
@@ -20,20 +28,21 @@ from bayesfric.report.figures.style import (
     power_of_ten,
     scaled_unit,
 )
-from bayesfric.report.numbers import p_text
-from bayesfric.report.summary.residual_analysis import (
-    Binned,
-    ResidualAnalysis,
-    residual_analysis,
-    residual_words,
-)
+from bayesfric.report.summary.derived_quantities import rms_of
 from bayesfric.report.summary.summary import torque_constant
-from bayesfric.report.text_templates import white_words
 
-_HEIGHT = 3.6
-_STRANGE = {"depends": ", NOT chance", "open": ", chance?", "none": ""}
+Places = NDArray[np.int64]
+
+_LAGS = 40
+_BINS = 16
+# Outputs a bin needs, or its mean says nothing.
+_LEAST = 5
+# Points that are shown of the quantiles; more lie on top of each other.
+_POINTS = 200
 # Half width of a normal's 95 % interval, in sds.
 _HALF = float(stats.norm.ppf(0.975))
+
+_HEIGHT = 3.6
 
 
 def residual_figure(fit: Fit) -> Figure:
@@ -151,29 +160,169 @@ def _draw_binned(ax: Axes, b: Binned, factor: float) -> None:
     )  # fmt: skip
     ax.set_xlabel(f"{b.what} ({b.unit})")
     few_ticks(ax.xaxis, 5)
-    said = f"{100 * b.explained:.2g} % of variance{_STRANGE[b.outcome]}"
+    said = f"{100 * b.explained:.2g} % of variance"
     place: Look = {"transform": ax.transAxes, "va": "top", "fontsize": style.SMALL}
     ax.text(0.03, 0.97, said, **place).set_in_layout(False)
 
 
-def _caption(run: FinishedRun) -> str:
-    return (
-        "What the posterior mean leaves unexplained: autocorrelation, quantiles against those of a "
-        "normal, and residuals against motion and load, as far as they vary (thin: one sd; "
-        "thick: 95 % interval of the bin's mean; the share of variance that the bins' means hold "
-        "is written in each panel). " + " ".join(residual_words(run.fit))
+@dataclass(frozen=True, eq=False)
+class Binned:
+    """Residuals against one quantity, in bins of equally many outputs, ``(bins,)`` each."""
+
+    name: str
+    symbol: str  # LaTeX without dollar signs
+    unit: str
+    centre: Array
+    mean: Array
+    sd: Array
+    error: Array  # sd of the mean, wider where residuals are correlated
+    explained: float  # share of the residuals' variance that the bins' means hold
+
+    @property
+    def what(self) -> str:
+        """The quantity with its symbol, for an axis."""
+        return f"{self.name} ${self.symbol}$"
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualAnalysis:
+    """Residuals of all recordings, looked at from several sides."""
+
+    unit: str
+    lags: Array  # (L,) in outputs
+    correlation: Array  # (L,) over all runs without a gap
+    white: Array  # (L,) half width of the 95 % band that white residuals keep to
+    # (L,) of what the noise's memory does not predict; None where the model has no memory
+    innovations: Array | None
+    # (K,) quantiles of a standard normal, and of residuals (or innovations) over their rms
+    normal: Array
+    quantiles: Array
+    kurtosis: float  # excess of theirs over a normal's
+    against: tuple[Binned, ...]  # speed, load and joint angle, where they vary
+
+
+def residual_analysis(fit: Fit) -> ResidualAnalysis:
+    """Look at what the posterior mean leaves of the measurements."""
+    outputs, left = fit.target.likelihood.outputs, fit.residuals
+    lags, correlation, white = _autocorrelation(outputs, left)
+    inner = _innovations(fit, left)
+    # each recording over its own rms: they may differ in noise
+    scaled = np.concatenate([r / max(rms_of(r), 1e-300) for r in inner or left])
+    n = scaled.size
+    # the tails tell most: all of their points
+    spaced = np.linspace(0, n - 1, min(n, _POINTS)).astype(int)
+    shown = np.unique(np.r_[spaced, : min(20, n), max(n - 20, 0) : n])
+    against = [
+        _binned((name, symbol, unit), np.concatenate(x), outputs, left)
+        for name, symbol, unit, x in _abscissae(fit, outputs)
+        if np.ptp(np.concatenate(x)) > 0.0
+    ]
+    return ResidualAnalysis(
+        outputs[0].unit,
+        lags,
+        correlation,
+        white,
+        _autocorrelation(outputs, inner)[1] if inner else None,
+        np.asarray(stats.norm.ppf((shown + 0.5) / n)),
+        np.sort(scaled)[shown],
+        float(stats.kurtosis(scaled)),
+        tuple(b for b in against if b.centre.size > 1),
     )
 
 
-def _words(judged: JudgedRun) -> str:
-    noise = judged.summary.noise
-    parts = [residuals_in_words(judged)]
-    if noise.residual_lag1 is not None:
-        parts.append(f"Lag-1 autocorrelation of the residuals: {noise.residual_lag1:.2f}.")
-    test = noise.innovation_whiteness
-    if test is not None and test.p_value is not None:
-        parts.append(f"Innovations {white_words(test.white)} ({p_text(test.p_value)}).")
-    return " ".join(parts)
+def _innovations(fit: Fit, left: list[Array]) -> list[Array] | None:
+    """Take from residuals what the noise model predicts, where it predicts anything."""
+    likelihood = fit.target.likelihood
+    if not isinstance(likelihood, TorqueLikelihood) or not likelihood.noise.order:
+        return None
+    median = fit.posterior.median
+    scales = fit.target.noise.scales(median[None, len(fit.target.free) :])[0]
+    return likelihood.innovations(left, scales)
+
+
+def _autocorrelation(outputs: tuple[Outputs, ...], left: list[Array]) -> tuple[Array, Array, Array]:
+    """Correlate residuals at even distances in time about zero, gaps left out.
+
+    About zero, as noise is modelled, and as lag 1 is told elsewhere.
+    """
+    longest = max(r.size for r in left)
+    lags = np.arange(1, min(_LAGS, max(longest // 4, 1)) + 1)
+    products, pairs = np.zeros(lags.size), np.zeros(lags.size)
+    power, total = 0.0, 0
+    for o, r in zip(outputs, left, strict=True):
+        rms = rms_of(r)
+        if not rms > 0.0:
+            continue
+        scaled = r / rms
+        power += float(scaled @ scaled)
+        total += r.size
+        for k, (here, there) in enumerate(_pairs(o, lags.size)):
+            products[k] += scaled[here] @ scaled[there]
+            pairs[k] += here.size
+    seen = (pairs > 0) & (power > 0.0)
+    correlation = (products[seen] / pairs[seen]) / (power / total if power > 0.0 else 1.0)
+    return lags[seen].astype(np.float64), correlation, np.asarray(_HALF / np.sqrt(pairs[seen]))
+
+
+def _pairs(o: Outputs, most: int) -> Iterator[tuple[Places, Places]]:
+    """Give the outputs that are 1, 2, .., ``most`` periods apart, gaps left out."""
+    # place on an even grid of time; segments are not in step with each other
+    begin = o.time[np.searchsorted(o.segment_of, o.segment_of)]
+    place = np.rint((begin - o.time[0]) / o.period) + np.rint((o.time - begin) / o.period)
+    place = place.astype(np.int64) + o.segment_of * (most + 1)
+    number = np.full(int(place.max()) + 1 + most, -1)
+    number[place] = np.arange(place.size)
+    for lag in range(1, most + 1):
+        there = number[place + lag]
+        here = np.flatnonzero(there >= 0)
+        yield here, there[here]
+
+
+def _abscissae(fit: Fit, outputs: tuple[Outputs, ...]) -> list[tuple[str, str, str, list[Array]]]:
+    """Speed, load torque and angle at every output."""
+    median = fit.target.chain_values(fit.posterior.median[None])[0]
+    speed: list[Array] = []
+    load: list[Array] = []
+    angle: list[Array] = []
+    for o, seen in zip(outputs, fit.observations, strict=True):
+        q, gamma = seen.q[seen.filter.centres], load_at_outputs(fit.chain, seen, median)
+        # outputs of a simulation are at other times than those of the filter
+        same = np.array_equal(seen.time, o.time)
+        for kept, x in ((speed, seen.speed), (load, gamma), (angle, q)):
+            kept.append(x if same else np.interp(o.time, seen.time, x))
+    rotary = fit.chain.load.motion == "rotary"
+    return [
+        ("joint speed", r"\dot q", "rad/s" if rotary else "m/s", speed),
+        ("load", r"\Gamma", "N m" if rotary else "N", load),
+        ("joint angle" if rotary else "position", "q", "rad" if rotary else "m", angle),
+    ]
+
+
+def _binned(
+    quantity: tuple[str, str, str], x: Array, outputs: tuple[Outputs, ...], left: list[Array]
+) -> Binned:
+    """Mean and spread in bins; outputs that repeat what the ones before said count once.
+
+    How often they do is measured with the means taken off: a dependence is no memory.
+    """
+    r = np.concatenate(left)
+    parts = np.array_split(np.argsort(x, kind="stable"), max(1, min(_BINS, r.size // _LEAST)))
+    centre, mean, sd, size = (
+        np.array([of(p) for p in parts])
+        for of in (lambda p: x[p].mean(), lambda p: r[p].mean(), lambda p: r[p].std(), np.size)
+    )
+    inside = r.copy()
+    for part, one in zip(parts, mean, strict=True):
+        inside[part] -= one
+    ends = np.cumsum([one.size for one in left])[:-1]
+    _, correlation, white = _autocorrelation(outputs, np.split(inside, ends))
+    # up to the first lag that chance explains
+    few = int(np.argmin(np.append(correlation > white, False)))
+    repeated = 1.0 + 2.0 * float(correlation[:few].sum())
+    total = float(((r - r.mean()) ** 2).sum())
+    between = float((size * (mean - r.mean()) ** 2).sum())
+    error = sd * np.sqrt(np.minimum(repeated, size) / size)
+    return Binned(*quantity, centre, mean, sd, error, between / total if total > 0.0 else 0.0)
 
 
 FIGURE = RunFigure(
@@ -181,6 +330,10 @@ FIGURE = RunFigure(
     title="What is left unexplained",
     section="prediction",
     draw=lambda run: residual_figure(run.fit),
-    caption=_caption,
-    alternative=_words,
+    caption=(
+        "What the posterior mean leaves unexplained: autocorrelation, quantiles against those of a "
+        "normal, and residuals against motion and load, as far as they vary (thin: one sd; "
+        "thick: 95 % interval of the bin's mean; the share of variance that the bins' means hold "
+        "is written in each panel)."
+    ),
 )

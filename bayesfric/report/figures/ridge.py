@@ -22,7 +22,7 @@ from bayesfric.mechanism.quantities import CHOICES, QUANTITIES
 from bayesfric.mechanism.scaling import Scaling, scalings
 from bayesfric.report.figures import style
 from bayesfric.report.figures.over_time import broken
-from bayesfric.report.figures.registry import JudgedRun, RunFigure
+from bayesfric.report.figures.registry import RunFigure
 from bayesfric.report.figures.style import Array, Look, few_ticks, power_of_ten, scaled_unit
 
 _MOST_DRAWS = 1500
@@ -273,17 +273,6 @@ def _handles(found: Ridge) -> list[Artist]:
     return handles
 
 
-def _words(judged: JudgedRun) -> str:
-    meanings = "; ".join(one.meaning for one in judged.summary.identifiability.null_directions)
-    if not meanings:
-        return "The data hold the scale between gearbox and load; no null direction is left."
-    open_ = [
-        r.name for r in judged.table.rows if r.cell.status == "undetermined" and r.cell.converged
-    ]
-    left = f" Not determined by the data: {', '.join(open_)}." if open_ else ""
-    return f"Null directions: {meanings}.{left}"
-
-
 FIGURE = RunFigure(
     stem="ridge",
     title="The ridge: what can be scaled together without changing any torque",
@@ -294,5 +283,4 @@ FIGURE = RunFigure(
         "that a passive gearbox sets. Below: the torque at both ends of the line and in its "
         "middle, of the recording in which they differ most."
     ),
-    alternative=_words,
 )

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bayesfric.report.figures import style
-from bayesfric.report.figures.registry import Declared, JudgedRun
+from bayesfric.report.figures.registry import Declared
 from bayesfric.report.figures.style import few_ticks, legend_above, paper_figure, shortened
 from bayesfric.rollouts.rolled import Rolled, RollOut
 
@@ -39,8 +39,7 @@ def rollout_figure(found: RollOut) -> Figure:
                 gid="measured",
                 rasterized=pixels,
             )
-            ax.set_xlim(float(one.time[0]), float(one.time[-1]))
-            ax.set_ylabel(f"position ({one.unit})")
+            ax.set(xlim=(float(one.time[0]), float(one.time[-1])), ylabel=f"position ({one.unit})")
             share = f"{100 * one.at_position.inside:.0f} % inside"
             share += " a band too wide to tell" if one.wide else ""
             ax.set_title(f"{shortened(one.name)}: {share}", fontsize=style.SMALL, pad=2.5)
@@ -68,25 +67,11 @@ def _caption(found: RollOut) -> str:
     )
 
 
-def _words(judged: JudgedRun) -> str:
-    found = judged.summary.rollout
-    if found is None:
-        return ""
-    rows = {**found.recordings, "all together": found.pooled}
-    parts = [
-        f"{name}: mean absolute error {1e3 * row.position.mae:.3g} m{found.unit}, "
-        f"{100 * row.position.inside:.0f} % inside{', too wide to tell' if row.wide else ''}"
-        for name, row in rows.items()
-    ]
-    return "; ".join(parts) + "."
-
-
 # Of the roll-outs of a run, which are asked for when it is finished.
-FIGURE: Declared[RollOut, JudgedRun] = Declared(
+FIGURE = Declared(
     stem="rollout",
     title="Recordings played to the joint",
     section="roll-out",
     draw=rollout_figure,
     caption=_caption,
-    alternative=_words,
 )

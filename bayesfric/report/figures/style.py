@@ -36,12 +36,6 @@ WORDS = 6.0  # of words inside small panels
 # Told apart by every common colour vision, and by lightness (CIE L* 14, 35, 53, 73)
 # once a page is copied in grey.
 PALETTE = ("#12233f", "#0a5694", "#cb631a", "#62b8e2")
-LINE_STYLES: tuple[LineStyle, ...] = (
-    "solid",
-    (0, (4.0, 1.5)),
-    (0, (5.0, 1.5, 1.0, 1.5)),
-    (0, (1.0, 1.0)),
-)
 MEASURED = "#3a3a3a"
 BAND = "#a9d3ec"
 PRIOR = PALETTE[2]

@@ -10,7 +10,7 @@ from bayesfric.inference.fitting import Fit
 from bayesfric.inference.predictive import Prediction
 from bayesfric.report.figures import style
 from bayesfric.report.figures.over_time import as_pixels, broken, draw_band, draw_measured
-from bayesfric.report.figures.registry import FinishedRun, JudgedRun, RunFigure
+from bayesfric.report.figures.registry import FinishedRun, RunFigure
 from bayesfric.report.figures.style import (
     Array,
     Look,
@@ -51,8 +51,7 @@ def validation_figure(fit: Fit, validation: Validation | None) -> Figure | None:
         above.tick_params(labelbottom=False)
         _torque(above, beneath, worst)
         above.set_ylabel(f"{outputs.quantity} ({outputs.unit})")
-        beneath.set_ylabel(f"residual ({outputs.unit})")
-        beneath.set_xlabel("time (s)")
+        beneath.set(ylabel=f"residual ({outputs.unit})", xlabel="time (s)")
         legend_above(figure, above.get_legend_handles_labels()[0])
         words = f"{shortened(worst.held_out.name)}, {worst.held_out.part}"
         if len(fit.held_out) > 1:
@@ -87,9 +86,7 @@ def _transform(ax: Axes, pit: Array) -> None:
     look: Look = {"fill": True, "color": style.BAND, "edgecolor": style.PALETTE[1], "gid": "pit"}
     ax.stairs(counts * _BINS / pit.size, edges, **look)
     ax.axhline(1.0, color=style.PALETTE[2], linewidth=0.9, linestyle=style.DASHED)
-    ax.set_xlim(0.0, 1.0)
-    ax.set_xlabel("predicted probability of less")
-    ax.set_ylabel("density")
+    ax.set(xlim=(0.0, 1.0), xlabel="predicted probability of less", ylabel="density")
     ax.set_xticks([0.0, 0.5, 1.0], labels=["0", "0.5", "1"])
     few_ticks(ax.yaxis, 4)
 
@@ -107,10 +104,7 @@ def _coverage(ax: Axes, pooled: HeldOut, pit: Array) -> None:
         bar = 200.0 * one.standard_error
         x, y = 100.0 * float(level), 100.0 * one.share
         ax.errorbar(x, y, yerr=bar, color=style.PALETTE[0], **look)
-    ax.set_xlim(0.0, 103.0)
-    ax.set_ylim(0.0, 105.0)
-    ax.set_xlabel("predicted (%)")
-    ax.set_ylabel("inside (%)")
+    ax.set(xlim=(0.0, 103.0), ylim=(0.0, 105.0), xlabel="predicted (%)", ylabel="inside (%)")
     for axis in (ax.xaxis, ax.yaxis):
         axis.set_ticks([0.0, 50.0, 100.0])
 
@@ -126,25 +120,10 @@ def _caption(run: FinishedRun) -> str:
     )
 
 
-def _words(judged: JudgedRun) -> str:
-    found = judged.summary.validation
-    if found is None:
-        return ""
-    parts = []
-    for name, row in {**found.parts, "all together": found.pooled}.items():
-        shares = ", ".join(
-            f"{100 * c.share:.1f} % in {100 * float(level):g} % intervals"
-            for level, c in row.coverage.items()
-        )
-        parts.append(f"{name}: {row.verdict}, {row.outputs} outputs, {shares}")
-    return "; ".join(parts) + "."
-
-
 FIGURE = RunFigure(
     stem="validation",
     title="What was held out, predicted",
     section="held-out",
     draw=lambda run: validation_figure(run.fit, run.summary.validation),
     caption=_caption,
-    alternative=_words,
 )

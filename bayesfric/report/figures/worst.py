@@ -15,7 +15,6 @@ from bayesfric.report.figures.prediction import (
     Predictive,
     draw_left_out,
     draw_predicted,
-    residuals_in_words,
 )
 from bayesfric.report.figures.registry import FinishedRun, RunFigure
 from bayesfric.report.figures.style import Array, few_ticks
@@ -117,5 +116,4 @@ FIGURE = RunFigure(
     section="worst",
     draw=lambda run: worst_figure(run.fit),
     caption=_caption,
-    alternative=residuals_in_words,
 )

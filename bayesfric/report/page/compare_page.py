@@ -48,6 +48,6 @@ def compare_page(
         unknown=[run for run, one in provenance.items() if not (one and one.known)],
         methods=found,
         explained=list(explained(found)),
-        figures=page_figures(folder, comparison_figures().values(), captions, compared),
+        figures=page_figures(folder, comparison_figures().values(), captions),
         version=next(iter(runs.values())).bayesfric,
     )

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import shlex
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +15,13 @@ from bayesfric.report.answers.record import Calculator, read_calculator
 from bayesfric.report.brief import brief
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.comparison.table import explained
-from bayesfric.report.figures.registry import JudgedRun, read_captions, run_figures
+from bayesfric.report.figures.registry import read_captions, run_figures
 from bayesfric.report.figures.rollout import FIGURE as ROLL_OUT
 from bayesfric.report.page.figures import page_figures
-from bayesfric.report.page.findings import findings
 from bayesfric.report.page.provenance import read_provenance
 from bayesfric.report.page.rendering import render
-from bayesfric.report.paper.tables import ParameterTable, parameter_table
-from bayesfric.report.summary.record import Readable, Summary
-from bayesfric.report.text_templates import sentence
+from bayesfric.report.paper.tables import ParameterRow, ParameterTable, parameter_table
+from bayesfric.report.summary.record import OpenDirectionRow, Readable, RemedyRow, Summary
 
 
 def run_page(folder: Path, summary: Readable, name: str) -> str:
@@ -37,7 +37,6 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         read = read.model_copy(update={"may_be_simulated": _simulated(config)})
     table = parameter_table(read, name)
     methods = comparison({name: read})
-    judged = JudgedRun(read, table, methods)
     told = alerts(read, methods.contested)
     captions = read_captions(_text(folder / "text" / "captions.md"))
     return render(
@@ -51,15 +50,12 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         brief=brief(read, told),
         law=_law(read_calculator(folder), table),
         table=table,
-        notes=table.notes_where(marked=False),
+        notes=table.notes(marked=False),
         methods=methods,
         explained=list(explained(methods)),
-        figures=page_figures(folder, [*run_figures().values(), ROLL_OUT], captions, judged),
+        figures=page_figures(folder, [*run_figures().values(), ROLL_OUT], captions),
         provenance=read_provenance(folder),
         config=config,
-        no_self_check=sentence("no self-check", read.self_check.model_dump())
-        if read.self_check and read.self_check.reason
-        else "",
         methods_text=_text(folder / "text" / "methods.txt").strip(),
     )
 
@@ -97,3 +93,53 @@ def _simulated(config: str) -> bool:
         return bool(tomllib.loads(config).get("simulation"))
     except tomllib.TOMLDecodeError:
         return False
+
+
+def findings(table: ParameterTable, summary: Summary) -> dict[str, Any]:
+    """Gather what is open, why, and what lifts it, for the template to word."""
+    joint, found = table.joint, summary.identifiability
+    # and what no scaling changes
+    rows = [*joint, *(r for r in table.rows if r.group == "free")]
+    directions = found.directions or []
+    null = found.null_directions if found.directions is None else []
+    return {
+        "lost": [r.name for r in rows if not r.cell.converged],
+        "open": {r.name: r.meaning for r in rows if r.by == "open" and r.cell.converged},
+        "why": [(one.meaning, one.reasons) for one in directions] + [(n.meaning, []) for n in null],
+        # remedies, each with how many of the directions it lifts, if any were looked for
+        "steps": _steps(directions),
+        "directions": len(directions),
+        "command": _command(joint),
+    }
+
+
+def _steps(directions: Sequence[OpenDirectionRow]) -> list[tuple[RemedyRow, int]]:
+    """List remedies, those that leave fewest directions open first, each one once."""
+    found: dict[str, tuple[RemedyRow, int]] = {}
+    for direction in directions:
+        for remedy in direction.remedies:
+            first, lifted = found.get(remedy.text, (remedy, 0))
+            found[remedy.text] = first, lifted + 1
+
+    def order(one: tuple[RemedyRow, int]) -> tuple[int, int, bool]:
+        remedy, lifted = one
+        after = len(directions) if remedy.open_after is None else remedy.open_after
+        # an experiment was simulated; a value from elsewhere has to be believed
+        return after, -lifted, remedy.kind == "known value"
+
+    return sorted(found.values(), key=order)
+
+
+def _command(joint: Sequence[ParameterRow]) -> str:
+    """Ask for advice on what is open, or else on what is known least."""
+    if not joint or not all(row.cell.converged for row in joint):
+        return ""
+
+    def known(row: ParameterRow) -> tuple[bool, float]:
+        spread = row.row.told_sd / abs(row.row.mean) if row.row and row.row.mean else 0.0
+        return row.by != "open", -spread
+
+    # a constant in the measurement is asked for last
+    asked = [row for row in joint if row.name.partition(".")[0] != "offset"] or joint
+    name = min(asked, key=known).name
+    return f"bayesfric identify YOUR-CONFIGURATION.toml --advise {shlex.quote(name)}"

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from importlib.resources import files
+from typing import NamedTuple
 
 import bayesfric
 from bayesfric.inference.fitting import Fit
@@ -32,22 +33,17 @@ from bayesfric.report.text_templates import filled
 _ENTRY = re.compile(r"^% ([^\n]+)\n(@\w+\{(\w+),\n.*?^\}\n)", re.MULTILINE | re.DOTALL)
 
 
-@dataclass(frozen=True)
-class Entry:
+class Entry(NamedTuple):
     """One reference: ``short`` as written in plain text, ``text`` its BibTeX."""
 
     short: str
     text: str
 
 
-def _read() -> dict[str, Entry]:
-    text = (files("bayesfric.report.paper") / "references.bib").read_text(encoding="utf-8")
-    # this package's own entry names its version
-    found = _ENTRY.findall(text.replace("VERSION", bayesfric.__version__))
-    return {key: Entry(short, entry) for short, entry, key in found}
-
-
-ENTRIES = _read()
+# this package's own entry names its version
+_BIB = (files("bayesfric.report.paper") / "references.bib").read_text(encoding="utf-8")
+_BIB = _BIB.replace("VERSION", bayesfric.__version__)
+ENTRIES = {key: Entry(short, entry) for short, entry, key in _ENTRY.findall(_BIB)}
 
 
 def bibliography(keys: Sequence[str]) -> str:

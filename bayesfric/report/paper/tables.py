@@ -11,29 +11,24 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from bayesfric.report.comparison.cell import Cell, posterior_cell
+from bayesfric.report.comparison.cell import Cell, posterior_cells
 from bayesfric.report.comparison.comparison import Comparison, comparison
 from bayesfric.report.comparison.table import comparison_csv, comparison_markdown, markdown_table
 from bayesfric.report.numbers import (
-    HTML,
     LATEX,
     TEXT,
     Medium,
     finer,
-    latex_interval,
-    latex_number,
-    text_rounded,
 )
 from bayesfric.report.paper import latex
 from bayesfric.report.summary.bounds import bound_mend
-from bayesfric.report.summary.caveats import constant_sentence
+from bayesfric.report.summary.derived_quantities import described_as
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Readable, Summary, of_noise
 from bayesfric.report.summary.reported import put_reported
-from bayesfric.report.summary.rows import KnownRow, PosteriorRow, is_skewed
+from bayesfric.report.summary.rows import PosteriorRow, is_skewed
 from bayesfric.report.summary.self_check import seldom_held_sentence
-from bayesfric.report.summary.summary import summary_table
-from bayesfric.report.text_templates import filled
+from bayesfric.report.text_templates import csv_text, filled
 
 # Of a normal's 90 % interval, by which its ends are rounded.
 _WIDTHS = 1.0 / 3.29
@@ -41,7 +36,7 @@ if TYPE_CHECKING:
     from bayesfric.report.comparison.between_runs import PooledQuantity
 
 _GROUPS = {
-    "free": "What the motor feels, whatever the scale of load and gearbox",
+    "free": "Quantities seen at the motor (base parameters)",
     "parameter": "Parameters",
     "derived": "Derived, of the scale of load and gearbox",
     "known": "Taken as known",
@@ -70,28 +65,11 @@ class ParameterRow:
     group: str  # `free` (of scaling), `parameter`, `derived` or `known`
     # as in `summary.json`
     name: str
-    told: PosteriorRow | KnownRow
+    unit: str
+    symbol: str  # LaTeX without dollar signs
+    meaning: str
+    row: PosteriorRow | None  # the numbers; `None` of what was taken as known
     cell: Cell  # what may be said of it, as in the comparison of methods
-
-    @property
-    def row(self) -> PosteriorRow | None:
-        """The numbers; ``None`` of what was taken as known."""
-        return self.told if isinstance(self.told, PosteriorRow) else None
-
-    @property
-    def unit(self) -> str:
-        """Empty where it has none."""
-        return self.told.unit
-
-    @property
-    def symbol(self) -> str:
-        """LaTeX without dollar signs; empty where it is not told."""
-        return self.told.symbol
-
-    @property
-    def meaning(self) -> str:
-        """One line; empty where it is not told."""
-        return self.told.meaning
 
     @property
     def cited(self) -> tuple[float, float, float, float] | None:
@@ -102,16 +80,10 @@ class ParameterRow:
         return self.row.value, low, high, self.row.told_sd
 
     @property
-    def current(self) -> tuple[float, float, float] | None:
-        """What value and ends are in A, if of a current."""
-        return self.row.current if self.row is not None else None
-
-    @property
     def skewed(self) -> bool:
         """Whether one sd would misname the interval's two sides."""
-        if self.cited is None or self.row is None or self.row.median is None:
-            return False
-        return is_skewed(*self.cited[:3])
+        told = self.row is not None and self.row.median is not None
+        return told and self.cited is not None and is_skewed(*self.cited[:3])
 
     @property
     def by(self) -> str:
@@ -155,8 +127,8 @@ class ParameterRow:
         middle, low, high, sd = self.cited
         fine = finer(middle, low, high, sd)
         ends = self.with_doubt(medium.interval(low, high, fine))
-        # a paper's table has intervals only; the page has room for sds where they name both sides
-        if self.skewed or medium is not HTML:
+        # an sd has to name both sides
+        if self.skewed or not medium.sds:
             return medium.ends(middle, low, high, fine), ends
         return medium.value(middle, sd), ends
 
@@ -173,25 +145,15 @@ class ParameterTable:
         """Share of the posterior that intervals hold."""
         return self.summary.level
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What to know besides, for tables that mark open numbers ``(prior)``."""
-        return self.notes_where(marked=True)
-
-    def notes_where(self, *, marked: bool) -> tuple[str, ...]:
+    def notes(self, *, marked: bool = True) -> tuple[str, ...]:
         """Say what to know besides; ``marked`` is whether open numbers are marked ``(prior)``."""
         text = filled(
             "parameter_notes.txt.j2",
             rows=self.rows,
-            reasons=self.summary.reasons,
-            level=self.level,
-            wide=self.summary.widened,
-            caveats=[constant_sentence(self.summary)],
-            sampler=self.summary.sampler,
+            summary=self.summary,
             correlated=correlation_warning(self.summary),
             marked=marked,
             seldom_held=seldom_held_sentence(self.summary, [row.name for row in self.rows]),
-            rounded=text_rounded,
         )
         return tuple(text.splitlines())
 
@@ -208,19 +170,20 @@ def parameter_table(summary: Readable, run: str = "summary.json") -> ParameterTa
     the joint's; ``run`` is what complaints call it.
     """
     read = put_reported(Summary.read(summary, run))
+    cells = posterior_cells(read)
     groups = {
         "free": read.felt,
         "parameter": read.parameters,
         "derived": {name: row for name, row in read.derived.items() if not row.gauge_free},
     }
     rows = [
-        ParameterRow(group, name, row, posterior_cell(row, read.accounts, read.sampler.status))
+        ParameterRow(group, name, **described_as(row), row=row, cell=cells[name])
         for group, members in groups.items()
         for name, row in members.items()
     ]
     rows += [
-        ParameterRow("known", name, known, Cell(known.value, "known"))
-        for name, known in read.fixed.items()
+        ParameterRow("known", name, **described_as(one), row=None, cell=Cell(one.value, "known"))
+        for name, one in read.fixed.items()
     ]
     return ParameterTable(tuple(rows), read)
 
@@ -249,12 +212,10 @@ def parameters_csv(table: ParameterTable) -> str:
         elif r.by != "open":
             told |= dict(zip(("value", "low", "high", "sd"), r.cited or (), strict=False))
             told["level"] = r.row.level
-            current = r.current or (None, None, None)
-            told["current"], told["current_low"], told["current_high"] = current
+            current = ("current", "current_low", "current_high")
+            told |= dict(zip(current, r.row.current or (), strict=False))
         lines.append(told)
-    import pandas as pd
-
-    return str(pd.DataFrame(lines, columns=COLUMNS).to_csv(index=False))
+    return csv_text(lines, COLUMNS)
 
 
 def parameters_markdown(table: ParameterTable) -> str:
@@ -265,7 +226,7 @@ def parameters_markdown(table: ParameterTable) -> str:
         for r in table.rows
     ]
     rule = ["---", "---", "---:", "---:", "---", "---"]
-    notes = [f"{note}." for note in table.notes]
+    notes = [f"{note}." for note in table.notes()]
     return markdown_table([*head, "determined by"], rule, lines, notes)
 
 
@@ -287,7 +248,7 @@ def parameters_latex(table: ParameterTable) -> str:
     share = rf"\qty{{{100 * table.level:g}}}{{\percent}}"
     head = rf"Symbol & Quantity & Value & {share} interval & Unit & Determined by \\"
     columns = r"@{}l>{\raggedright\arraybackslash}Xllll@{}"
-    words = ("Parameters of the joint", table.notes, "tab:parameters")
+    words = ("Parameters of the joint", table.notes(), "tab:parameters")
     symbols = {r.name: r.symbol for r in table.rows}
     return _table(*words, columns, head, body[1:], symbols)
 
@@ -332,7 +293,6 @@ def _table(
 
 def methods_latex(found: Comparison) -> str:
     """Lay a comparison of methods, or of runs, out as a ``table*``."""
-    runs = len({column.run for column in found.columns} - {""})
     body: list[str] = []
     group = None
     for row in found.rows:
@@ -344,51 +304,18 @@ def methods_latex(found: Comparison) -> str:
         name += r"\textsuperscript{m}" if row.of_motion else ""
         body.append(" & ".join([name, latex.unit(row.unit), *cells]) + r" \\")
     head = " & ".join(["", "Unit", *(latex.escaped(c.label) for c in found.columns)]) + r" \\"
-    every = [row.cells.get(column.label) for row in found.rows for column in found.columns]
-    cells_ = [cell for cell in every if cell is not None]
-    wide = [column.run for column in found.columns if column.widened]
-    beside = {cell.remark for cell in cells_ if not cell.alike}
-    sources = [column.told for column in found.columns if column.kind == "reference"]
-    told = {
-        "†: residuals taken for uncorrelated, too small where they are correlated": any(
-            c.status == "determined" and not c.accounts for c in cells_
-        ),
-        "---: not determined by the data": any(
-            c.status == "undetermined" and c.converged for c in cells_
-        ),
-        "n.c.: not converged": any(not c.converged for c in cells_),
-        **{f"s: {words}": True for words in beside},
-        **{f"Reference: {words}": True for words in sources if words},
-        "b: on its bound": any(c.status == "bound" for c in cells_),
-        "super- and subscripts: distances to the ends of the 90 % interval, of what is skewed": any(
-            "^{+" in line for line in body
-        ),
-        "a limit, with ≤ or ≥: 5 % lie beyond": any(c.limit is not None for c in cells_),
-        f"d: doubtful, {_why(found)}": any(c.doubted for c in cells_),
-        f"Empty: the {'run' if runs > 1 else 'method'} does not tell it": None in every,
-        f"m: as a fit without load losses would find it along {'each' if runs > 1 else 'the'} "
-        "run's own motion, another motion gives other values": any(r.of_motion for r in found.rows),
-        f"Posterior of {', '.join(wide)}: widened for a model that is not exactly right"
-        if runs > 1
-        else "Posterior: widened for a model that is not exactly right": bool(wide),
-    }
-    notes = [
-        "One standard deviation in parentheses, accounting for correlated residuals",
-        *(note for note, applies in told.items() if applies),
-        *(sentence.rstrip(".") for sentence in (*found.runs_apart, *found.beyond_noise)),
-    ]
+    told = [cell for row in found.rows for cell in row.cells.values()]
+    notes = filled(
+        "methods_notes.txt.j2",
+        found=found,
+        cells=told,
+        empty=len(told) < len(found.rows) * len(found.columns),
+        skewed=any("^{+" in line for line in body),
+    ).splitlines()
     columns = "@{}ll" + "l" * len(found.columns) + "@{}"
-    words = (
-        ("Runs side by side", "tab:runs") if runs > 1 else ("Estimates by method", "tab:methods")
-    )
-    return _table(words[0], notes, words[1], columns, head, body)
-
-
-def _why(found: Comparison) -> str:
-    """Say why numbers are doubtful, of several runs run by run."""
-    several = len({column.run for column in found.columns} - {""}) > 1
-    told = ("; ".join(why) + f" (in {run})" * several for run, why in found.reasons.items())
-    return f"because {'; '.join(told)}"
+    title = "Runs side by side" if found.several else "Estimates by method"
+    label = "tab:runs" if found.several else "tab:methods"
+    return _table(title, notes, label, columns, head, body)
 
 
 def between_runs_latex(found: Sequence[PooledQuantity]) -> str:
@@ -399,8 +326,8 @@ def between_runs_latex(found: Sequence[PooledQuantity]) -> str:
     for one in found:
         intervals = (one.pool.mean, one.pool.following, one.pool.spread)
         cells = [latex.symbol(one.told.symbol, one.name), latex.unit(one.told.unit)]
-        cells += [latex_interval(x.low, x.high, _WIDTHS * (x.high - x.low)) for x in intervals]
-        cells += [str(len(one.runs)), latex_number(one.pool.p_value, 2)]
+        cells += [LATEX.interval(x.low, x.high, _WIDTHS * (x.high - x.low)) for x in intervals]
+        cells += [str(len(one.runs)), LATEX.number(one.pool.p_value, 2)]
         body.append(" & ".join(cells) + r" \\")
     head = r"& Unit & Population mean & Next recording & Sd between runs & Runs & $p$ \\"
     notes = [f"Intervals hold {100 * found[0].told.level:g} %"]
@@ -420,14 +347,23 @@ def _cell(cell: Cell | None) -> str:
         return "---" if cell.converged else "n.c."
     if cell.limit is not None:
         mark = r"\textsuperscript{d}" if cell.doubted else ""
-        return LATEX.limits[cell.at_bound == "upper"] + latex_number(cell.limit, 3) + mark
+        return LATEX.limits[cell.at_bound == "upper"] + LATEX.number(cell.limit, 3) + mark
     shown = cell.written(LATEX)
     if cell.status == "bound":
         return shown + r"\textsuperscript{b}"
     shown += r"\textsuperscript{d}" if cell.doubted else ""
     shown += "" if cell.alike else r"\textsuperscript{s}"
-    plain = cell.status == "determined" and not cell.accounts
-    return shown + (r"\textsuperscript{\dag}" if plain else "")
+    return shown + (r"\textsuperscript{\dag}" if cell.plain else "")
+
+
+def summary_table(summary: Readable) -> str:
+    """Lay the parameters and derived quantities of a summary out as CSV text."""
+    read = Summary.read(summary)
+    rows = read.rows
+    table = read.frame
+    # the word that every other table has for it
+    table.loc[[rows[name].doubtful for name in table["name"]], "verdict"] = "doubtful"
+    return str(table.to_csv(index=False))
 
 
 def summary_texts(summary: Readable, run: str) -> dict[str, str]:

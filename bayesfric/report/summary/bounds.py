@@ -9,10 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.inference.noise import SCALES
-from bayesfric.mechanism.quantities import QUANTITIES
-from bayesfric.report.summary.record import of_noise, quantity_of
+from bayesfric.report.summary.part import Bound
+from bayesfric.report.summary.record import Own, of_noise
 from bayesfric.report.summary.rows import PosteriorRow
-from bayesfric.report.text_templates import sentence
+from bayesfric.report.words import line_of
+
+# Quantities that a loss per torque makes by itself, and on which side of one they are, eq. (6).
+_SIDES: dict[str, dict[str, Bound]] = {
+    "load": {"alpha_drive": "upper", "alpha_back": "lower"},
+    "load_drive": {"alpha_drive": "upper"},
+    "load_back": {"alpha_back": "lower"},
+}
+# Efficiencies, which are those factors where no constant loss counts in them.
+_EFFICIENCY = {"alpha_drive": "efficiency_drive", "alpha_back": "efficiency_back"}
+_SAME = 1e-9
 
 
 def leaning(
@@ -53,10 +63,7 @@ def bound_mend(name: str, row: PosteriorRow) -> str:
     kind = "physical bound" if row.bound_physical else "set bound"
     if of_noise(name) and (scale := SCALES.get(name.split(".")[1])) and scale.at_bound:
         kind = scale.at_bound
-    quantity = QUANTITIES.get(quantity_of(name))
-    # of a velocity, an exponent or a torque factor there is no more and less
-    shape = quantity is None or quantity.role == "form"
-    return sentence(kind, {"name": name, "bound": bound, "side": row.at_bound, "shape": shape})
+    return line_of(kind, {"name": name, "bound": bound})
 
 
 def noise_cut(name: str, row: PosteriorRow) -> bool:
@@ -77,4 +84,32 @@ def bound_warning(name: str, row: PosteriorRow) -> str | None:
     """
     if row.bound_physical or noise_cut(name, row) or not (mend := bound_mend(name, row)):
         return None
-    return sentence("bound", {"name": name, "row": row, "mend": mend})
+    return line_of("bound", {"name": name, "side": row.at_bound, "mend": mend})
+
+
+def limits_of_losses(summary: Own) -> Own:
+    """Say that a torque factor is known from one side only where its loss is.
+
+    As two-sided, ``alpha`` in [0.93, 0.98] would shut out what "at most 0.06" of the loss does not.
+    """
+    changes: dict[str, dict[str, Any]] = {}
+    for name, row in summary.parameters.items():
+        element, _, quantity = name.partition(".")
+        if row.at_bound != "lower" or row.bound != 0.0:
+            continue
+        for alpha, side in _SIDES.get(quantity, {}).items():
+            factor = summary.derived.get(f"{element}.{alpha}")
+            if factor is None:
+                continue
+            limit = {"bound": 1.0, "bound_physical": True}
+            changes[f"{element}.{alpha}"] = {"at_bound": side, **limit}
+            efficiency = f"{element}.{_EFFICIENCY[alpha]}"
+            if _same(summary.derived.get(efficiency), factor.middle, side):
+                changes[efficiency] = {"at_bound": "upper", **limit}
+    return summary.with_rows(changes) if changes else summary
+
+
+def _same(efficiency: PosteriorRow | None, factor: float, side: Bound) -> bool:
+    """Whether an efficiency is nothing but a torque factor, or one over it."""
+    share = factor if side == "upper" else 1.0 / factor
+    return efficiency is not None and abs(efficiency.middle - share) < _SAME

@@ -17,7 +17,7 @@ from bayesfric.inference.fitting import Fit
 from bayesfric.inference.sampling import convergence
 from bayesfric.mechanism.derived import Derived, derive
 from bayesfric.report.summary.part import Described
-from bayesfric.report.text_templates import listed
+from bayesfric.report.words import listed
 
 Array = NDArray[np.float64]
 
@@ -82,19 +82,30 @@ def spread(x: Array) -> dict[str, Any]:
     }
 
 
-def _rows(fit: Fit, local: LocalInformation, group: Group) -> Iterator[tuple[str, dict[str, Any]]]:
-    if not group.found:
-        return
+def around_median(fit: Fit) -> tuple[Array, Array]:
+    """Chain parameters a step above, then below the posterior's median, and the ``(k,)`` steps."""
     median, k = fit.posterior.median, len(fit.target.free)
     steps = 1e-5 * np.maximum(np.abs(median[:k]), 1e-9)
     either = np.concatenate([np.diag(steps), -np.diag(steps)])
     moved = median + np.pad(either, ((0, 0), (0, median.size - k)))
-    n, key = group.prior
+    return fit.target.chain_values(moved), steps
+
+
+def prior_values(fit: Fit, draws: int, key: int) -> Array:
+    """Draw chain parameters from the prior; ``key`` is that of the random numbers."""
     rng = np.random.default_rng(np.random.SeedSequence(fit.posterior.seed, spawn_key=(key,)))
-    drawn = np.stack([prior.draw(n, rng) for prior in fit.posterior.priors], axis=1)
+    drawn = np.stack([prior.draw(draws, rng) for prior in fit.posterior.priors], axis=1)
+    return fit.target.chain_values(drawn)
+
+
+def _rows(fit: Fit, local: LocalInformation, group: Group) -> Iterator[tuple[str, dict[str, Any]]]:
+    if not group.found:
+        return
+    moved, steps = around_median(fit)
+    k = steps.size
     with np.errstate(divide="ignore", invalid="ignore"):
-        in_prior = group.values(fit.target.chain_values(drawn))
-        change = group.values(fit.target.chain_values(moved))
+        in_prior = group.values(prior_values(fit, *group.prior))
+        change = group.values(moved)
     gradients = (change[:, :k] - change[:, k:]) / (2.0 * steps)
     sound = sound_quantities(fit, group.values, len(group.found), group.most)
     for q, prior, gradient, converged in zip(group.found, in_prior, gradients, sound, strict=True):

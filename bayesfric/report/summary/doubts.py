@@ -8,25 +8,34 @@ the run is not reliable.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import permutations
 from typing import Any
 
 import numpy as np
 
 from bayesfric.diagnostics.policy import LEAST_OUTPUTS
 from bayesfric.estimates.information import CORRELATED, lag_one
+from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import effort_words
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.quantities import QUANTITIES, Quantity, State
+from bayesfric.recordings import units
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.resolution import LEAST_RATIO
 from bayesfric.report.summary.bounds import held, noise_cut
-from bayesfric.report.summary.position_unit import best_share, other_units
-from bayesfric.report.summary.record import Doubt, Summary, quantity_of
-from bayesfric.report.summary.reference_check import references_off
+from bayesfric.report.summary.record import Doubt, Own, Summary, quantity_of
+from bayesfric.report.summary.reference_check import priors_off
 from bayesfric.report.summary.rows import PosteriorRow
+
+_ANGLES = ("rad", "deg", "turn")
+# What another reading leaves of the torque at most, over what this one leaves. Of the measured
+# pendulums that spin the right unit leaves 0.03 to 0.4, and none leaves less than a right one does.
+FAR_LESS = 0.5
 
 # Share of the torque's variance that a model of the joint should explain, where what it leaves
 # is no white noise.
@@ -35,10 +44,7 @@ _EXPLAINED = 0.8
 _NEGATIVE = 3.0
 
 
-def find_doubts(
-    fit: Fit,
-    summary: Summary,
-) -> list[dict[str, Any]]:
+def find_doubts(fit: Fit, summary: Summary) -> list[dict[str, Any]]:
     """Look for what makes the numbers of a fit doubtful, for ``summary["doubts"]``.
 
     Gives ``kind``, ``parameters`` and what else tells of each.
@@ -63,7 +69,7 @@ def find_doubts(
     return [{"kind": one.pop("kind"), "parameters": one.pop("of", resting), **one} for one in found]
 
 
-def put_doubts(summary: Summary, doubts: Sequence[Mapping[str, Any]]) -> Summary:
+def put_doubts(summary: Own, doubts: Sequence[Mapping[str, Any]]) -> Own:
     """Put doubts into a summary: what they are of is not ``data``, the run not ``reliable``.
 
     ``undoubted`` keeps what else would be said of a number.
@@ -116,40 +122,31 @@ def _unexplained(fit: Fit, summary: Summary) -> list[dict[str, Any]]:
     if share is None or share >= _EXPLAINED or lag is None or lag <= CORRELATED:
         return []
     told = {"kind": "unexplained", "share": share, "quantity": summary.fit.quantity}
-    return [told | _instead(fit.chain, fit.observations, None)]
+    best, _ = best_share(fit.chain, fit.observations)
+    return [told | _instead(fit.chain, fit.observations, best)]
 
 
 def _against_prior(summary: Summary) -> Iterator[dict[str, Any]]:
     """Doubt what a told prior makes of data that contradict it: neither supports the compromise."""
-    off = (references_off(summary) or {"off": ()})["off"]
-    if priors := {one["name"]: one["times"] for one in off if one["by"] == "prior"}:
+    if priors := priors_off(summary):
         yield {"kind": "prior", "priors": priors}
 
 
 def little_explained(chain: Joint, observations: Sequence[Observation]) -> list[dict[str, Any]]:
     """Doubt a mechanism whose best totals leave much of the torque, before there is a fit."""
     share, left = best_share(chain, observations)
-    if (
-        share >= _EXPLAINED
-        or not lag_one(left, np.ones(left.size - 1, dtype=np.bool_)) > CORRELATED
-    ):
+    if share >= _EXPLAINED or not lag_one(left, np.ones(left.size - 1, np.bool_)) > CORRELATED:
         return []
     quantity = effort_words("motor torque", chain.motor_motion)
     told = {"kind": "unexplained", "share": share, "quantity": quantity, "at_best": True}
     return [told | _instead(chain, observations, share)]
 
 
-def _instead(
-    chain: Joint,
-    observations: Sequence[Observation],
-    share: float | None,
-) -> dict[str, Any]:
+def _instead(chain: Joint, observations: Sequence[Observation], share: float) -> dict[str, Any]:
     """Say what may be wrong where little is explained: never the mechanism that is in use.
 
-    ``share`` is what the best totals explain, where it is known already.
+    ``share`` is what the best totals explain.
     """
-    if share is None:
-        share, _ = best_share(chain, observations)
     weighed = "first_moment" in chain.load.choices or chain.load.motion != "rotary"
     known = {} if weighed else {name: preset.chain() for name, preset in PRESETS.items()}
     presets = [
@@ -159,16 +156,10 @@ def _instead(
         and name != chain.made_from
         and other.ratio == chain.ratio
     ]
-    return {
-        "units": other_units(chain, observations, share),
-        "presets": presets,
-    }
+    return {"units": other_units(chain, observations, share), "presets": presets}
 
 
-def doubts_before(
-    totals: Estimate,
-    observations: Sequence[Observation],
-) -> list[dict[str, Any]]:
+def doubts_before(totals: Estimate, observations: Sequence[Observation]) -> list[dict[str, Any]]:
     """Look for what makes any fit doubtful, before there is one, as :func:`find_doubts` does.
 
     ``totals`` are of :func:`bayesfric.estimates.least_squares.least_squares`; no ``parameters`` are
@@ -274,3 +265,46 @@ def _accelerates(row: Quantity | None) -> bool:
     shape = (1.0,) if row.shape else ()
     faster = still._replace(acceleration=1.0)
     return bool(row.column(still, *shape) != row.column(faster, *shape))
+
+
+def best_share(chain: Joint, observations: Sequence[Observation]) -> tuple[float, Array]:
+    """Give the share of the torque's variance that the best totals explain, and what they leave."""
+    projection = TotalsProjection(chain, observations)
+    measured = np.concatenate([o.measured for o in observations])
+    left = measured - projection.regressors @ projection.solve(measured)
+    return 1.0 - float(np.var(left) / np.var(measured)), left
+
+
+def other_units(
+    chain: Joint, observations: Sequence[Observation], explained: float | None = None
+) -> list[dict[str, Any]]:
+    """List units of the position that explain far more, the best first.
+
+    Each ``is`` a unit that was ``taken`` for another, with the ``share`` of the torque that totals
+    then explain; ``explained`` is that as it was read, where it is known already. Only what
+    depends on the angle itself, such as gravity, tells: nothing else changes with its scale.
+    """
+    if chain.load.motion != "rotary":
+        return []
+    if explained is None:
+        explained = best_share(chain, observations)[0]
+    least = 1.0 - FAR_LESS * (1.0 - explained)
+    found = [one for one in _tried(chain, observations) if one["share"] > least]
+    return sorted(found, key=lambda one: -float(one["share"]))
+
+
+def _tried(chain: Joint, observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
+    for one, other in permutations(_ANGLES, 2):
+        times = units.scale([one], "angle") / units.scale([other], "angle")
+        scaled = [
+            replace(
+                o,
+                q=times * o.q,
+                qd=times * o.qd,
+                qdd=times * o.qdd,
+                smooth=None,
+                speed=times * o.speed,
+            )
+            for o in observations
+        ]
+        yield {"is": one, "taken": other, "share": best_share(chain, scaled)[0]}

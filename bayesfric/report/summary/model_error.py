@@ -10,14 +10,14 @@ from scipy.stats import norm
 from bayesfric.inference.fitting import Fit
 from bayesfric.report.summary.bounds import held, leaning
 from bayesfric.report.summary.derived_quantities import Groups, spread
-from bayesfric.report.summary.record import ModelError, Summary, of_noise
+from bayesfric.report.summary.record import ModelError, Own, Summary, of_noise
 
 # Share of the prior's sd from which on data do not determine a number, as in
 # bayesfric.identifiability.local.verdict.
 _WIDE = 0.5
 
 
-def add_model_error(summary: Summary, fit: Fit, derived: Groups) -> Summary:
+def add_model_error(summary: Own, fit: Fit, derived: Groups) -> Own:
     """Put intervals with room for what the model may lack into a summary, and judge by them.
 
     ``derived`` are the fit's :func:`~bayesfric.report.summary.derived_quantities.groups`.

@@ -18,7 +18,8 @@ from bayesfric.inference.noise import SCALES
 from bayesfric.mechanism.parameter import effort_words
 from bayesfric.report.summary.derived_quantities import rms_of
 from bayesfric.report.summary.record import Likelihood, Noise, Summary
-from bayesfric.report.text_templates import filled, sentence
+from bayesfric.report.text_templates import filled
+from bayesfric.report.words import line_of
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -27,18 +28,20 @@ Flags = NDArray[np.bool_]
 _LAGS = 10
 
 
-def noise_unit(fit: Fit, quantity: str) -> str:
-    """Name the unit of a noise scale, such as ``sigma``, ``torque`` or ``position``."""
-    unit = SCALES[quantity].unit
-    if unit == "position":
-        return fit.target.likelihood.outputs[0].unit
-    return unit and ("N m" if fit.chain.motor_motion == "rotary" else "N")
-
-
-def noise_meaning(fit: Fit, quantity: str) -> str:
-    """Say in a line what a noise scale is."""
-    (scale,) = (s for s in fit.target.likelihood.noise.scales if s.name == quantity)
-    return effort_words(scale.meaning, fit.chain.motor_motion)
+def noise_described(fit: Fit) -> dict[str, dict[str, str]]:
+    """Say what every noise parameter is: unit, symbol and meaning, by name."""
+    noise, effort = fit.target.noise, "N m" if fit.chain.motor_motion == "rotary" else "N"
+    units = {"position": fit.target.likelihood.outputs[0].unit, "": ""}
+    meanings = {one.name: one.meaning for one in fit.target.likelihood.noise.scales}
+    found = {}
+    for name, symbol, kind in zip(noise.names, noise.symbols, noise.quantities, strict=True):
+        # one scale a recording, by its name
+        _, _, recording = name.removeprefix("noise.").partition(".")
+        meaning = effort_words(meanings[kind], fit.chain.motor_motion)
+        meaning += f", {recording}" if recording else ""
+        unit = units.get(SCALES[kind].unit, effort)
+        found[name] = {"unit": unit, "symbol": symbol, "meaning": meaning}
+    return found
 
 
 def noise_record(fit: Fit, residuals: list[Array], choice: Choice | None) -> dict[str, Any]:
@@ -81,9 +84,9 @@ def noise_record(fit: Fit, residuals: list[Array], choice: Choice | None) -> dic
     return record
 
 
-def noise_lines(noise: Noise | Mapping[str, Any], *, allowed: bool = False) -> Iterator[str]:
-    """Word the noise of a summary for a person; ``allowed`` as of :func:`white_words`."""
-    yield from filled("noise.txt.j2", noise=Noise.read(noise), allowed=allowed).splitlines()
+def noise_lines(noise: Noise | Mapping[str, Any]) -> Iterator[str]:
+    """Word the noise of a summary for a person."""
+    yield from filled("noise.txt.j2", noise=Noise.read(noise)).splitlines()
 
 
 # A log-likelihood this uncertain moves an interval by about a standard deviation.
@@ -95,7 +98,7 @@ def linearisation_warning(likelihood: Likelihood) -> str | None:
     change = likelihood.linearisation
     if change is None or change < _LINEAR:
         return None
-    return sentence("linearised", {"change": change, "least": _LINEAR})
+    return line_of("linearised", {"change": change})
 
 
 def correlation_warning(summary: Summary) -> str | None:
@@ -113,12 +116,10 @@ def correlation_warning(summary: Summary) -> str | None:
         for v in (beside.parameters.values() if beside and not memory else ())
         if v.determined and v.sd and v.sd_robust is not None
     ]
-    robust = max(ratios, default=0.0) > 1.0
-    # the factor of a first-order autoregression
-    times = max(ratios) if robust else np.sqrt((1.0 + lag) / (1.0 - min(lag, 0.99)))
-    values = {"memory": memory, "lag": lag, "times": times, "robust": robust}
-    values["allowed"] = summary.widened
-    return sentence("independent", values)
+    # else the factor of a first-order autoregression
+    first_order = np.sqrt((1.0 + lag) / (1.0 - min(lag, 0.99)))
+    times = most if (most := max(ratios, default=0.0)) > 1.0 else first_order
+    return line_of("independent", {"lag": lag, "times": times})
 
 
 def mean_lag(residuals: Sequence[Array], follows: Sequence[Flags]) -> float | None:

@@ -9,7 +9,7 @@ import json
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
 
 from pydantic import Field, FiniteFloat
 
@@ -25,15 +25,15 @@ from bayesfric.report.summary.part import (
     Part,
     Share,
 )
-from bayesfric.report.summary.residual import Residual
 from bayesfric.report.summary.rollout import RollOutPart
 from bayesfric.report.summary.rows import (
     EstimatedRow,
     KnownRow,
     PosteriorRow,
     ReferenceRow,
+    Residual,
 )
-from bayesfric.report.text_templates import reason
+from bayesfric.report.words import clause, line_of
 from bayesfric.results.verdict import Verdict, verdict
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ class Tried(Part):
 
 
 class Whiteness(Part):
-    """Whether what the noise model does not foretell passes as white."""
+    """Whether what the noise model does not predict passes as white."""
 
     test: str = ""
     p_value: FiniteFloat | None = None
@@ -144,6 +144,11 @@ class Coverage(Part):
     share: FiniteFloat
     standard_error: NotNegative
     effective_outputs: FiniteFloat | None = None
+
+    @property
+    def text(self) -> str:
+        """In per cent, with its error."""
+        return f"{100 * self.share:.1f} ± {100 * self.standard_error:.1f} %"
 
 
 class Discrepancy(Part):
@@ -257,6 +262,11 @@ class SelfCheck(Part):
     seconds: NotNegative
     cpu_seconds: NotNegative
 
+    @property
+    def why(self) -> str:
+        """Why there is none; empty where there is."""
+        return line_of(f"no self-check, {self.reason}", self.model_dump()) if self.reason else ""
+
 
 class ModelError(Part):
     """Whether intervals have room for what the model may lack.
@@ -360,6 +370,14 @@ class Summary(Part):
         return _GAIN in self.parameters or _GAIN in self.fixed
 
     @property
+    def rests_on(self) -> str:
+        """What every torque rests on, where it was a current and its factor is not fitted."""
+        constant = self.fit.torque_constant
+        if constant is None or self.scaled:
+            return ""
+        return line_of("constant", {"constant": constant, "unit": self.fit.unit})
+
+    @property
     def unexplained(self) -> bool:
         """Whether the model explains little of what was measured."""
         return any(doubt.kind == "unexplained" for doubt in self.doubts)
@@ -367,7 +385,7 @@ class Summary(Part):
     @property
     def reasons(self) -> list[str]:
         """Why numbers are doubtful, each in one clause, for print."""
-        told = (reason(one.kind, one.model_dump()) for one in self.doubts if one.parameters)
+        told = (clause(one.kind, one.model_dump()) for one in self.doubts if one.parameters)
         return list(dict.fromkeys(told))
 
     @cached_property
@@ -398,7 +416,7 @@ class Summary(Part):
         """Share of the posterior that its intervals hold."""
         return next((row.level for row in self.rows.values()), 0.9)
 
-    def with_rows(self, changes: Mapping[str, Mapping[str, Any]], **update: Any) -> Summary:
+    def with_rows(self, changes: Mapping[str, Mapping[str, Any]], **update: Any) -> Self:
         """Change keys of rows, by name of parameter or derived quantity, and other parts."""
         tables = {
             group: {
@@ -447,18 +465,6 @@ class Summary(Part):
             "corrected_high": high,
         }
 
-    def __str__(self) -> str:
-        """Say it as the terminal does."""
-        from bayesfric.report.terminal import fit_text
-
-        return "\n".join(fit_text(self))
-
-    def _repr_html_(self) -> str:
-        """Show the table with its verdicts in a notebook."""
-        from bayesfric.report.page.rendering import notebook_table
-
-        return notebook_table(self)
-
 
 _FRAME = ("name", "group", "unit", "symbol", "meaning", "median", "low", "high", "level", "verdict",
     "doubted", "converged", "mean", "sd", "rhat", "ess", "prior", "prior_sd", "data_sd",
@@ -466,6 +472,8 @@ _FRAME = ("name", "group", "unit", "symbol", "meaning", "median", "low", "high",
     "posterior_low", "posterior_high", "posterior_sd",
     "bias", "coverage", "corrected", "corrected_low", "corrected_high",
     "current", "current_low", "current_high")  # fmt: skip
+# One that shows itself stays one.
+Own = TypeVar("Own", bound=Summary)
 Readable = Summary | Mapping[str, Any]
 
 

@@ -2,33 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from bayesfric.inference.prior.priors import KNOWN
 from bayesfric.mechanism.parameter import scales_with_torque
-from bayesfric.mechanism.quantities import QUANTITIES
-from bayesfric.report.summary.record import Summary, quantity_of
+from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.rows import PosteriorRow, sd_towards
 
 # Sds between a reference and what was found that are no chance.
 _FAR = 3.0
 # What data say of a posterior of which they have less than this share is hardly told by it.
 _LEAST_SHARE = 0.1
-# Options of the losses that every published law has.
-_OF_LAW = ("coulomb", "viscous")
 
 
-def references_off(summary: Summary) -> Mapping[str, Any] | None:
-    """Name references far from what was found, and the one factor of all, for its sentence.
+def references_off(summary: Summary) -> dict[str, Any] | None:
+    """Name references far from what was found, and the one factor of all.
 
     So are priors that the data contradict. Far counts the sd of the told interval and the
-    reference's own. ``None`` where none is; what the data leave open contradicts nothing. Where a
-    gain that is not fitted would bring all into agreement, ``settle`` is what would give it its
-    scale; ``one_loss`` are elements whose load loss is the same both ways, which could be to blame,
-    and ``law`` losses of references whose law may have no load loss.
+    reference's own. ``None`` where none is; what the data leave open contradicts nothing.
     """
     compared = list(_compared(summary))
     off = [one for one in compared if one["times"] > _FAR]
@@ -37,25 +31,13 @@ def references_off(summary: Summary) -> Mapping[str, Any] | None:
     scaled = [one for one in compared if one["scaled"]]
     # a gain that is fitted is that factor already
     factor = _common(scaled) if not summary.scaled and any(one in off for one in scaled) else None
-    one_loss = [n.partition(".")[0] for n in summary.parameters if quantity_of(n) == "load"]
-    told = {"off": off, "factor": factor, "one_loss": one_loss, "law": list(_of_law(summary, off))}
-    settle = min(
-        (one for one in scaled if one["name"] in summary.parameters),
-        key=lambda one: float(one["known"] or KNOWN * abs(one["value"])) / abs(one["value"]),
-        default=None,
-    )
-    advised = settle if factor else None
-    return {**told, "settle": advised}
+    return {"off": {one["name"]: one["times"] for one in off}, "compared": off, "factor": factor}
 
 
-def _of_law(summary: Summary, off: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """Name losses that are off a reference whose law may have no load loss, as most have."""
-    rows = (QUANTITIES.get(quantity_of(name)) for name in summary.parameters)
-    if any(row is not None and row.role == "loss" for row in rows):
-        for one in off:
-            row = QUANTITIES.get(quantity_of(one["name"]))
-            if one["by"] == "reference" and row is not None and row.option in _OF_LAW:
-                yield one["name"]
+def priors_off(summary: Summary) -> dict[str, float]:
+    """Name told priors that the data contradict, with how many sds they are off."""
+    found = references_off(summary) or {"compared": ()}
+    return {one["name"]: one["times"] for one in found["compared"] if one["by"] == "prior"}
 
 
 def _compared(summary: Summary) -> Iterator[dict[str, Any]]:
@@ -63,13 +45,13 @@ def _compared(summary: Summary) -> Iterator[dict[str, Any]]:
         row = summary.rows.get(name)
         if row is not None and row.verdict != "prior" and row.converged is not False:
             sd = sd_towards(reference.value, row.middle, row.told_interval, row.told_sd)
-            found = row.middle, sd
-            yield _beside("reference", name, row, reference.value, reference.sd, *found)
+            found = _beside(row, reference.value, reference.sd, row.middle, sd)
+            yield {"name": name, "by": "reference"} | found
     for name, row in summary.joint.items():
         if name in summary.references or row.converged is False:
             continue
         if told := _of_data(row):
-            yield _beside("prior", name, row, *told)
+            yield {"name": name, "by": "prior"} | _beside(row, *told)
 
 
 def _of_data(row: PosteriorRow) -> tuple[float, float, float, float] | None:
@@ -91,26 +73,14 @@ def _of_data(row: PosteriorRow) -> tuple[float, float, float, float] | None:
 
 
 def _beside(
-    by: str,
-    name: str,
-    row: PosteriorRow,
-    value: float,
-    known: float | None,
-    found: float,
-    found_sd: float,
+    row: PosteriorRow, value: float, known: float | None, found: float, found_sd: float
 ) -> dict[str, Any]:
-    """Put what was found beside what ``by`` says, ``known`` so well."""
+    """Put what was found beside a value that is ``known`` so well."""
     away = found - value
     if row.period:
         away -= row.period * round(away / row.period)
     sd = float(np.hypot(found_sd, known or 0.0))
     return {
-        "name": name,
-        "by": by,
-        "unit": row.unit,
-        "found": found,
-        "value": value,
-        "known": known,
         "times": abs(away) / sd if sd > 0.0 else 0.0,
         "factor": found / value if value * found > 0.0 and not row.period else None,
         "relative": sd / abs(found) if found else 0.0,

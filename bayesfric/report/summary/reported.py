@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 from bayesfric.report.summary.bounds import told_by_data
-from bayesfric.report.summary.record import Summary
+from bayesfric.report.summary.record import Own, Summary
 from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.summary.self_check import cited
 from bayesfric.results.reported import Reported, Spread, concluded
 
 
-def put_reported(summary: Summary) -> Summary:
+def put_reported(summary: Own) -> Own:
     """Put the one value, interval and status into every row; the last thing that is done.
 
     Runs of older versions, which have none, are concluded as they are read; what has all stays.

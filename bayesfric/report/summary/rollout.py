@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import FiniteFloat
 
@@ -68,33 +68,18 @@ class RollOutPart(Part):
 
 def rollout_part(found: RollOut) -> RollOutPart:
     """Sum roll-outs up."""
+    rows = {
+        one.name: vars(one) | {"position": vars(one.at_position), "speed": vars(one.at_speed)}
+        for one in found.rolled
+    }
+    pooled: dict[str, Any] = {
+        key: sum(row[key] for row in rows.values()) / len(rows) for key in ("blind", "over")
+    }
+    motion = {
+        "position": vars(found.pooled["at_position"]),
+        "speed": vars(found.pooled["at_speed"]),
+    }
+    told = {"unit": found.rolled[0].unit, "recordings": rows, "pooled": pooled | motion}
     return RollOutPart.model_validate(
-        {
-            "level": found.level,
-            "draws": found.draws,
-            "seed": found.seed,
-            "unit": found.rolled[0].unit,
-            "recordings": {
-                one.name: {
-                    "part": one.part,
-                    "input": one.input,
-                    "position": vars(one.at_position),
-                    "speed": vars(one.at_speed),
-                    "runaway": one.runaway,
-                    "room": one.room,
-                    "blind": one.blind,
-                    "over": one.over,
-                }
-                for one in found.rolled
-            },
-            "pooled": {
-                "position": vars(found.pooled["at_position"]),
-                "speed": vars(found.pooled["at_speed"]),
-                "blind": sum(one.blind for one in found.rolled) / len(found.rolled),
-                "over": sum(one.over for one in found.rolled) / len(found.rolled),
-            },
-            "unexplained": found.unexplained,
-            "left": found.left,
-            "torque_unit": found.torque_unit,
-        }
+        told | {key: getattr(found, key) for key in RollOutPart.model_fields if key not in told}
     )

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,29 +17,22 @@ from scipy.stats import norm
 
 from bayesfric.diagnostics.self_check import Checked
 from bayesfric.inference.fitting import Fit
-from bayesfric.report.numbers import text_rounded
 from bayesfric.report.summary.derived_quantities import LEVEL, Groups
 from bayesfric.report.summary.record import SelfCheck, SelfCheckRow, Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow
-from bayesfric.report.text_templates import filled, sentence
+from bayesfric.report.text_templates import filled
+from bayesfric.report.words import line_of
 
 Array = NDArray[np.float64]
 
 # Bias in posterior sds that is corrected; its own error must be this many times smaller.
 BIASED, _SURE = 0.3, 2.0
+# Share of an sd of two digits that changes none of them.
+_DIGIT = 0.005
 # Change of a logarithm beyond which its first order says nothing.
 _FIRST_ORDER = 1.0
 # Coverage of 90 % intervals below which a number is doubtful, and below which it is told.
 POOR, LOW = 0.75, 0.80
-
-
-@dataclass(frozen=True, eq=False)
-class _Errors:
-    """By how much fits miss one quantity; ``(n,)``, a replay each."""
-
-    name: str
-    truth: Array
-    missed: Array  # in the quantity's unit, without noise
 
 
 def self_check_part(fit: Fit, summary: Summary, checked: Checked, derived: Groups) -> SelfCheck:
@@ -57,13 +49,13 @@ def self_check_part(fit: Fit, summary: Summary, checked: Checked, derived: Group
     unexplained = np.array([one.unexplained for one in checked.fits])
     support = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
     rows = {}
-    for errors in _errors(fit, checked, derived):
-        row = summary.rows[errors.name]
+    for name, truth, missed in _errors(fit, checked, derived):
+        row = summary.rows[name]
         if row.of_motion:  # no table shows it
             continue
-        if row.sd > 0.0 and np.isfinite(errors.missed).sum() >= max(2.0, 0.5 * made):
-            limits = support.get(errors.name, (-np.inf, np.inf))
-            rows[errors.name] = _row(row, errors, unexplained, limits)
+        if row.sd > 0.0 and np.isfinite(missed).sum() >= max(2.0, 0.5 * made):
+            limits = support.get(name, (-np.inf, np.inf))
+            rows[name] = _row(row, truth, missed, unexplained, limits)
     return SelfCheck(
         **told,
         rows=rows,
@@ -73,71 +65,45 @@ def self_check_part(fit: Fit, summary: Summary, checked: Checked, derived: Group
     )
 
 
-def poor(row: SelfCheckRow) -> bool:
-    """Whether an interval, corrected where it is, holds too few truths, beyond chance."""
-    coverage = row.coverage if row.corrected_coverage is None else row.corrected_coverage
-    return coverage + _SURE * row.coverage_error < POOR
+def _held(row: SelfCheckRow) -> float:
+    """How often the interval, corrected where it is, holds the truth."""
+    return row.coverage if row.corrected_coverage is None else row.corrected_coverage
 
 
 def self_check_doubts(summary: Summary) -> list[dict[str, Any]]:
     """Name what the data seem to determine and the self-check does not find again."""
-    if summary.self_check is None:
-        return []
-    found = {
-        name: row
-        for name, row in summary.self_check.rows.items()
-        if summary.rows[name].verdict == "data" and poor(row)
-    }
-    if not found:
-        return []
     coverage = {
-        name: row.coverage if row.corrected_coverage is None else row.corrected_coverage
-        for name, row in found.items()
+        name: _held(row)
+        for name, row in _rows(summary).items()
+        # beyond chance
+        if summary.rows[name].verdict == "data" and _held(row) + _SURE * row.coverage_error < POOR
     }
-    return [{"kind": "self-check", "parameters": list(found), "coverage": coverage}]
+    found = {"kind": "self-check", "parameters": list(coverage), "coverage": coverage}
+    return [found] if coverage else []
 
 
-def off_rows(summary: Summary) -> dict[str, SelfCheckRow]:
-    """Pick what is not found again: biased, or in too few intervals; not what is open anyway."""
-    check = summary.self_check
-    return {
-        name: row
-        for name, row in (check.rows.items() if check else ())
-        if summary.rows[name].verdict != "prior"
-        and (_corrects(summary.rows[name], row) or row.coverage < LOW)
-    }
+def _rows(summary: Summary) -> dict[str, SelfCheckRow]:
+    """Give what was found of all that is not open anyway."""
+    rows = summary.self_check.rows if summary.self_check else {}
+    return {name: row for name, row in rows.items() if summary.rows[name].verdict != "prior"}
 
 
 def biased(summary: Summary) -> list[str]:
-    """Name what is biased enough to be corrected; not what is open anyway."""
-    rows = summary.self_check.rows if summary.self_check else {}
-    return [
-        n for n, r in rows.items() if r.corrected_interval and summary.rows[n].verdict != "prior"
-    ]
-
-
-def _corrects(row: PosteriorRow, checked: SelfCheckRow) -> bool:
-    """Whether it is corrected, and printed otherwise than it was; a limit is told as it is."""
-    if checked.corrected is None or checked.corrected_interval is None or row.at_bound is not None:
-        return False
-    before = row.middle, *row.interval
-    after = checked.corrected, *checked.corrected_interval
-    return any(
-        text_rounded(a, row.told_sd) != text_rounded(b, row.told_sd)
-        for a, b in zip(before, after, strict=True)
-    )
+    """Name what is biased enough to be corrected."""
+    return [name for name, row in _rows(summary).items() if row.corrected_interval]
 
 
 def cited(summary: Summary) -> dict[str, tuple[float, float, float, float]]:
     """Give corrected values: value, ends of the interval and sd, by name.
 
-    What is not among them is reported as the posterior has it.
+    What is not among them is reported as the posterior has it, as a limit is.
     """
     found = {}
-    for name, checked in off_rows(summary).items():
-        row = summary.rows[name]
-        value, ends = checked.corrected, checked.corrected_interval
-        if not _corrects(row, checked) or value is None or ends is None:
+    for name, checked in _rows(summary).items():
+        row, value, ends = summary.rows[name], checked.corrected, checked.corrected_interval
+        if value is None or ends is None or row.at_bound is not None:
+            continue
+        if abs(value - row.middle) < _DIGIT * row.told_sd:
             continue
         low, high = ends
         sd = row.sd * (high - low) / ((row.interval[1] - row.interval[0]) or 1.0)
@@ -150,40 +116,36 @@ def cited(summary: Summary) -> dict[str, tuple[float, float, float, float]]:
     return found
 
 
-def seldom_held(summary: Summary) -> dict[str, float]:
-    """Give how often intervals that are printed hold the truth, of those that do so too seldom."""
-    shown, found = cited(summary), {}
-    for name, row in off_rows(summary).items():
-        coverage = row.corrected_coverage if name in shown else row.coverage
-        if coverage is not None and coverage < LOW:
-            found[name] = coverage
-    return found
+def off_rows(summary: Summary) -> dict[str, SelfCheckRow]:
+    """Pick what is not found again: biased, or in too few intervals."""
+    shown = cited(summary)
+    return {n: row for n, row in _rows(summary).items() if n in shown or row.coverage < LOW}
 
 
 def seldom_held_sentence(summary: Summary, names: Collection[str]) -> str:
-    """Say of ``names`` whose intervals hold the truth too seldom that they do; or empty."""
-    held = {name: share for name, share in seldom_held(summary).items() if name in names}
-    told = {"held": held, "level": LEVEL, "allowed": summary.widened}
-    return sentence("seldom held", told) if held else ""
+    """Say of ``names`` whose printed intervals hold the truth too seldom that they do; or empty."""
+    shown = cited(summary)
+    held = {n: _held(r) if n in shown else r.coverage for n, r in _rows(summary).items()}
+    held = {name: share for name, share in held.items() if share < LOW and name in names}
+    shares = [f"{name} {100 * share:.0f} %" for name, share in held.items()]
+    return line_of("seldom held", {"held": shares, "level": LEVEL}) if held else ""
 
 
 def self_check_lines(summary: Summary) -> Iterator[str]:
     """Word it for a terminal, line by line."""
     if (check := summary.self_check) is not None:
-        why = sentence("no self-check", check.model_dump()) if check.reason else ""
-        told = {"check": check, "why": why, "off": off_rows(summary), "allowed": summary.widened}
-        told["corrected"] = set(cited(summary))
-        text = filled("self_check.txt.j2", **told)
-        yield from text.splitlines()
+        told = {"check": check, "off": off_rows(summary), "corrected": set(cited(summary))}
+        yield from filled("self_check.txt.j2", **told).splitlines()
 
 
-def _errors(fit: Fit, checked: Checked, derived: Groups) -> Iterator[_Errors]:
+def _errors(fit: Fit, checked: Checked, derived: Groups) -> Iterator[tuple[str, Array, Array]]:
+    """Give each quantity's name, its true values and by how much fits miss them, a replay each."""
     nearby = np.stack([one.nearby for one in checked.fits])
     shares = np.array([one.share for one in checked.fits])
     for j, name in enumerate(fit.posterior.names):
         if not of_noise(name):
             truth = checked.truth[:, j]
-            yield _Errors(name, truth, (nearby[:, j] - truth) / shares)
+            yield name, truth, (nearby[:, j] - truth) / shares
     with np.errstate(divide="ignore", invalid="ignore"):
         for group in derived:
             if not group.found:
@@ -191,14 +153,14 @@ def _errors(fit: Fit, checked: Checked, derived: Groups) -> Iterator[_Errors]:
             true = group.values(fit.target.chain_values(checked.truth))
             moved = group.values(fit.target.chain_values(nearby))
             for q, before, after in zip(group.found, true, moved, strict=True):
-                yield _Errors(q.name, before, (after - before) / shares)
+                yield q.name, before, (after - before) / shares
 
 
 def _row(
-    row: PosteriorRow, errors: _Errors, unexplained: Array, limits: tuple[float, float]
+    row: PosteriorRow, truth: Array, missed: Array, share: Array, limits: tuple[float, float]
 ) -> SelfCheckRow:
-    known = np.isfinite(errors.missed) & np.isfinite(errors.truth)
-    truth, missed, share = errors.truth[known], errors.missed[known], unexplained[known]
+    known = np.isfinite(missed) & np.isfinite(truth)
+    truth, missed, share = truth[known], missed[known], share[known]
     z = missed / row.sd
     bias, error = float(z.mean()), float(z.std(ddof=1) / np.sqrt(z.size))
     hit = _coverage(z, share)

@@ -22,6 +22,7 @@ from bayesfric.inference.noise import SCALES
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.prior.priors import Prior
 from bayesfric.mechanism.parameter import TURN
+from bayesfric.report.shown import Summary
 from bayesfric.report.summary import noise as noise_part
 from bayesfric.report.summary.bounds import bound_warning, leaning
 from bayesfric.report.summary.derived_quantities import (
@@ -34,23 +35,15 @@ from bayesfric.report.summary.derived_quantities import (
     spread,
     weakly_given,
 )
-from bayesfric.report.summary.record import Readable, Summary, of_noise
+from bayesfric.report.summary.record import of_noise
 from bayesfric.report.summary.rows import EstimatedRow
 from bayesfric.report.summary.validation import validation_record
-from bayesfric.report.text_templates import sentence
-
-__all__ = ["LEVEL", "estimate_summary", "summarise", "summary_table"]
+from bayesfric.report.words import line_of
 
 Array = NDArray[np.float64]
 
 # Of a way of driving that fewer of the outputs see, one load loss for both says what it loses.
 _SELDOM = 0.1
-_COLUMNS = ["name", "unit", "mean", "sd", "median", "low", "high", "level", "rhat", "ess",
-    "prior", "prior_sd", "contraction", "verdict", "doubted", "at_bound", "converged",
-    "undefined_share",
-    "posterior_low", "posterior_high", "posterior_sd",
-    "bias", "coverage", "corrected", "corrected_low", "corrected_high",
-    "current", "current_low", "current_high"]  # fmt: skip
 
 
 def summarise(
@@ -121,7 +114,7 @@ def summarise(
     unseen = fit.chain.unseen_inertia
     warnings = [
         *posterior.diagnostics.warnings,
-        sentence("unseen inertia", {"names": unseen}) if unseen else "",
+        line_of("unseen-inertia", {"names": unseen}) if unseen else "",
         *(bound_warning(name, row) for name, row in sound.items()),
         noise_part.correlation_warning(summary),
         noise_part.linearisation_warning(summary.likelihood),
@@ -209,16 +202,6 @@ def _explained(fit: Fit) -> dict[str, float]:
     return {"explained": 1.0 - left / whole} if whole > 0.0 else {}
 
 
-def summary_table(summary: Readable) -> str:
-    """Lay the parameters and derived quantities of a summary out as CSV text."""
-    read = Summary.read(summary)
-    rows = read.rows
-    table = read.frame
-    # the word that every other table has for it
-    table.loc[[rows[name].doubtful for name in table["name"]], "verdict"] = "doubtful"
-    return str(table.to_csv(index=False, columns=_COLUMNS))
-
-
 def _discretisation(likelihood: Likelihood) -> dict[str, Any]:
     """Give steps and error of the simulation, where the likelihood simulates."""
     if not isinstance(likelihood, PositionLikelihood):
@@ -250,17 +233,10 @@ def _parameters(fit: Fit, local: LocalInformation) -> dict[str, Any]:
     d, flat = fit.posterior.diagnostics, fit.posterior.flat()
     described = {p.name: described_as(p) for p in fit.chain.parameters}
     possible = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
+    described |= noise_part.noise_described(fit)
     noise = fit.target.noise
-    for name, symbol, quantity in zip(noise.names, noise.symbols, noise.quantities, strict=True):
-        unit, meaning = (
-            noise_part.noise_unit(fit, quantity),
-            noise_part.noise_meaning(fit, quantity),
-        )
-        # one scale a recording, by its name
-        _, _, recording = name.removeprefix("noise.").partition(".")
-        meaning += f", {recording}" if recording else ""
-        described[name] = {"unit": unit, "symbol": symbol, "meaning": meaning}
-        possible[name] = (SCALES[quantity].lower, SCALES[quantity].upper)
+    scales = dict(zip(noise.names, (SCALES[kind] for kind in noise.quantities), strict=True))
+    possible |= {name: (scale.lower, scale.upper) for name, scale in scales.items()}
     rows = {}
     sound = d.sound(d.rhat, d.ess)
     for j, (name, prior) in enumerate(zip(fit.posterior.names, fit.posterior.priors, strict=True)):

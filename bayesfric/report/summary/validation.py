@@ -19,7 +19,8 @@ from bayesfric.inference.predictive import Prediction
 from bayesfric.report.summary.derived_quantities import rms_of
 from bayesfric.report.summary.noise import mean_lag
 from bayesfric.report.summary.record import Coverage, Validation
-from bayesfric.report.text_templates import filled, sentence
+from bayesfric.report.text_templates import filled
+from bayesfric.report.words import line_of
 
 Array = NDArray[np.float64]
 
@@ -117,9 +118,11 @@ def _numbers(predictions: Sequence[Prediction], outputs: Outputs) -> dict[str, A
         "discrepancy": _discrepancy(residual**2 - variance, at) if finite else None,
     }
     verdict = _verdict(shares[_JUDGED], shares[_HALF], numbers["discrepancy"])
-    judged = {"share": numbers["coverage"][f"{_JUDGED:g}"], "quantity": outputs.quantity}
-    judged["half"] = numbers["coverage"][f"{_HALF:g}"]
-    says = sentence(verdict, numbers | judged | {"unit": outputs.unit})
+    share, off = shares[_JUDGED], numbers["discrepancy"]
+    told = {"covers": share.text, "effective": share.effective_outputs}
+    if off and off["interval"][0] > 0.0:
+        told["beyond"] = f"{off['value']:.3g} {outputs.unit}"
+    says = line_of(verdict, told | {"quantity": outputs.quantity})
     return numbers | {"verdict": verdict, "says": says}
 
 
