@@ -43,9 +43,8 @@ LONG = {
         face own_term""",
     "commands": """
         advise again alerts bad_input bad_output compare complete delay doubts estimate
-        estimate_odd explain fit found_files identify init_from little_explained noise
-        own_offsets pool python report resume simulate_check_init validation
-        viscous_by_direction voltage""",
+        estimate_odd explain fit found_files identify init_from little_explained own_offsets
+        pool report resume simulate_check_init validation viscous_by_direction voltage""",
     "diagnostics": """
         explanation self_check""",
     "estimates": """
@@ -53,7 +52,7 @@ LONG = {
     "export": """
         at_joint command mujoco""",
     "fleet": """
-        population work""",
+        population""",
     "hostile": """
         findings random special_files""",
     "identifiability": """
@@ -61,7 +60,7 @@ LONG = {
     "inference": """
         checkpoint discrepancy fast_moments moves rests_beyond sampling static_friction""",
     "mechanism": """
-        quantities""",
+        closed_loop quantities""",
     "pooling": """
         pooled""",
     "recordings": """
@@ -69,12 +68,12 @@ LONG = {
     "recovery": """
         circular_angle friction_terms output_error""",
     "report": """
-        browser corner dependence figures forest methods_text model_error noise_summary page
-        prediction residual ridge run_directory self_check summary validation""",
+        browser corner dependence figures forest methods_text prediction residual ridge
+        run_directory self_check summary validation""",
     "rollouts": """
         rollout""",
     "studies": """
-        dfki_pendulum held_out real_recordings""",
+        dfki_pendulum real_recordings""",
 }
 
 

@@ -72,9 +72,9 @@ def test_the_example_of_the_reference_is_the_fit(bench, monkeypatch):
     text = (REPOSITORY / "studies/reference/python.md").read_text()
     without_figures(monkeypatch)  # of runs: it is the draws that are compared
     (code,) = re.findall(r"<!-- python-example -->\n```python\n(.*?)```\n<!-- end -->", text, re.S)
-    # a quarter of the recording, and few draws: the two ways are the same at any length
+    # the first 1.5 s, and few draws: the two ways are the same at any length
     knee = (Path(str(files("bayesfric") / "examples")) / "knee.csv").read_text().splitlines()
-    (bench.folder / "knee.csv").write_text("\n".join(knee[:2501]) + "\n")
+    (bench.folder / "knee.csv").write_text("\n".join(knee[:1501]) + "\n")
     monkeypatch.setattr(bf, "Model", partial(bf.Model, sampling={"min_ess": 1000}))
     told = {}
     exec(compile(code, "python.md", "exec"), told)
