@@ -4,6 +4,7 @@ import importlib.util
 import os
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 WORKER = os.environ.get("PYTEST_XDIST_WORKER", "").removeprefix("gw")
@@ -34,6 +35,60 @@ settings.load_profile("untimed")
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 DATA = REPOSITORY.parent / "shared" / "data"
+
+
+# Files that take more than two seconds each: they sample, draw or start processes.
+LONG = {
+    "": """
+        face own_term""",
+    "commands": """
+        advise again alerts bad_input bad_output compare complete delay doubts estimate
+        estimate_odd explain fit found_files identify init_from little_explained own_offsets
+        pool report resume simulate_check_init validation viscous_by_direction voltage""",
+    "diagnostics": """
+        explanation self_check""",
+    "estimates": """
+        attenuation delay input_error output_error""",
+    "export": """
+        at_joint command mujoco""",
+    "fleet": """
+        population""",
+    "hostile": """
+        findings random special_files""",
+    "identifiability": """
+        advise""",
+    "inference": """
+        checkpoint discrepancy fast_moments moves rests_beyond sampling static_friction""",
+    "mechanism": """
+        closed_loop quantities""",
+    "pooling": """
+        pooled""",
+    "recordings": """
+        load_torque temperature""",
+    "recovery": """
+        circular_angle friction_terms output_error""",
+    "report": """
+        browser corner dependence figures forest methods_text prediction residual ridge
+        run_directory self_check summary validation""",
+    "rollouts": """
+        rollout""",
+    "studies": """
+        dfki_pendulum real_recordings""",
+}
+
+
+@pytest.hookimpl(tryfirst=True)  # before pytest chooses by marks
+def pytest_collection_modifyitems(items):
+    """Mark ``quick`` all but the long ones, so that ``-m quick`` is most of the facts soon."""
+    long = {
+        Path(__file__).parent / folder / f"test_{name}.py"
+        for folder, names in LONG.items()
+        for name in names.split()
+    }
+    assert all(path.is_file() for path in long), [path for path in long if not path.is_file()]
+    for item in items:
+        if item.path not in long and not item.get_closest_marker("slow"):
+            item.add_marker("quick")
 
 
 def imported(path):
@@ -68,6 +123,30 @@ def unchecked():
     """Let fits simulate no recordings that do not ask for them: it takes seconds each."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("bayesfric.diagnostics.self_check._RECORDINGS", 0)
+        yield
+
+
+@contextmanager
+def _no_explanation():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bayesfric.diagnostics.explanation.LONGEST", 0)
+        yield
+
+
+@pytest.fixture
+def unexplained():
+    """Let fits and checks simulate no twins, where what else explains a torque is not asked.
+
+    Half of the time of a fit goes there; every recording is taken for too long to be asked.
+    """
+    with _no_explanation():
+        yield
+
+
+@pytest.fixture(scope="module")
+def nothing_explained():
+    """Be ``unexplained`` for a module, and the fits that its tests share."""
+    with _no_explanation():
         yield
 
 

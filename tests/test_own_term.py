@@ -9,6 +9,8 @@ import pytest
 import bayesfric as bf
 from bayesfric.errors import BadInput
 
+pytestmark = pytest.mark.usefixtures("nothing_explained")
+
 COGGING = bf.Term(
     "motor.cogging",
     lambda m: np.sin(6.0 * m.position),

@@ -11,6 +11,8 @@ from bayesfric.config import read_config
 from .bench import SAMPLED, has, simulated, without_figures
 from .test_fit import draws
 
+pytestmark = pytest.mark.usefixtures("nothing_explained")
+
 
 @pytest.fixture
 def run(bench, monkeypatch):

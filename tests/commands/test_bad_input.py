@@ -9,6 +9,8 @@ from scipy.io import savemat
 
 from .bench import CONFIG, PRIOR, RECORDING, cases, has, lines, swing
 
+pytestmark = pytest.mark.usefixtures("nothing_explained")
+
 
 def cell(row, column, text):
     def change(rows):

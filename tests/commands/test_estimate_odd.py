@@ -7,6 +7,8 @@ import pytest
 
 from .bench import SMALL, cases, has
 
+pytestmark = pytest.mark.usefixtures("nothing_explained")
+
 PENDULUM = f"""{SMALL.replace("motor-axis", "servo-pendulum")}
 [simulation]
 duration = 6.0

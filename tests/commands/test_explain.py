@@ -42,16 +42,13 @@ def test_what_is_missing_is_named_with_what_to_write(swing):
     text = swing.run("explain", "c.toml").out
     has(" ".join(text.split()), 'viscous = "by-direction" in [mechanism.elements.motor]')
     assert len(text.splitlines()) < 10
-    found = json.loads(swing.run("explain", "c.toml", "--json").out)
+    found = printed = json.loads(swing.run("explain", "c.toml", "--json").out)
     (one,) = found["findings"]
     assert (one["kind"], one["hint"]) == ("viscous_by_direction", LINE)
     assert not set(found["kinds"]) & set(found["untold"])
     # nothing tells an inertia before the shaft from one behind it
     assert "inertia" in found["untold"]
-
-
-def test_python_returns_what_the_command_prints(swing):
-    printed = json.loads(swing.run("explain", "c.toml", "--json").out)
+    # and Python returns what the command prints
     found = bf.Model.from_config("c.toml").explain()
     same = ("findings", "kinds", "untold", "twins", "reason")
     assert {k: found.as_json()[k] for k in same} == {k: printed[k] for k in same}
@@ -69,10 +66,8 @@ def test_too_few_outputs_are_said_to_be(swing):
     has(swing.run("explain", "c.toml").out, "was not asked", "too few outputs")
 
 
-def test_what_a_fit_finds_is_what_would_put_it_in(swing):
+@pytest.mark.usefixtures("swing")
+def test_what_a_fit_finds_is_what_would_put_it_in():
     found = bf.Model.from_config("c.toml").fit().summary.findings
     assert [one.kind for one in found] == ["viscous_by_direction"]
     assert found[0].hint == LINE
-    # with the term there is nothing left to tell
-    swing.config(JOINT + BY_DIRECTION + recorded())
-    assert not bf.Model.from_config("c.toml").fit().summary.findings

@@ -110,7 +110,12 @@ def test_who_reads_only_the_first_lines_has_the_run(folder):
     """As ``bayesfric fit ... | head`` does: numbers are printed before anything is written."""
     read, write = os.pipe()
     os.close(read)
-    command = [sys.executable, "-m", "bayesfric", "fit", "few.toml", "-o", "piped"]
+    undrawn = (
+        "from bayesfric import cli; from bayesfric.diagnostics import explanation; "
+        "from bayesfric.report import run_directory; "
+        "explanation.LONGEST = 0; run_directory.FIGURES = {}; cli.main()"
+    )
+    command = [sys.executable, "-c", undrawn, "fit", "few.toml", "-o", "piped"]
     (folder / "few.toml").write_text(FEW, encoding="utf-8")
     done = subprocess.run(
         command, cwd=folder, stdout=write, stderr=subprocess.PIPE, text=True, check=False
@@ -153,7 +158,7 @@ def test_another_seed_gives_other_draws_of_the_same(done, folder, again, tmp_pat
         assert abs(row["mean"] - summary["parameters"][name]["mean"]) < 0.2 * row["sd"], name
 
 
-@pytest.mark.usefixtures("no_figures")
+@pytest.mark.usefixtures("no_figures", "unexplained")
 def test_seed_of_the_command_line_comes_first(bench, folder):
     config = folder / "small.toml"
     ended = bench.run("fit", config, "--seed", "41", "--json")
@@ -169,7 +174,7 @@ def few(bench, folder, text=FEW):
     (bench.folder / "small.csv").write_bytes((folder / "small.csv").read_bytes())
 
 
-@pytest.mark.usefixtures("no_figures")
+@pytest.mark.usefixtures("no_figures", "unexplained")
 def test_too_few_steps_end_with_3_and_are_marked(bench, folder):
     few(bench, folder)
     ended = bench.run("fit", "few.toml", "-o", "run")
@@ -196,7 +201,7 @@ def test_too_few_steps_end_with_3_and_are_marked(bench, folder):
     }
 
 
-@pytest.mark.usefixtures("no_figures")
+@pytest.mark.usefixtures("no_figures", "unexplained")
 def test_force_keeps_the_old_run(bench, folder):
     few(bench, folder)
     assert bench.run("fit", "few.toml", "-o", "run").code == 3
@@ -231,7 +236,7 @@ def recording_called(name, folder, bench):
     return bench.run("fit", "few.toml", "-o", "run", "--json")
 
 
-@pytest.mark.usefixtures("no_figures")
+@pytest.mark.usefixtures("no_figures", "unexplained")
 @pytest.mark.parametrize("name", ["Knie rechts, 2 kg", "posterior"])
 def test_recordings_may_have_odd_names(bench, folder, name):
     ended = recording_called(name, folder, bench)
@@ -240,7 +245,7 @@ def test_recordings_may_have_odd_names(bench, folder, name):
     assert list(data["observed_data"].data_vars) == [name]
 
 
-@pytest.mark.usefixtures("no_figures")
+@pytest.mark.usefixtures("no_figures", "unexplained")
 @pytest.mark.parametrize("name", ["chain", "draw", "a/b", "offset"])
 def test_a_name_that_cannot_be_stored_is_refused_or_stored(bench, folder, name):
     """Either is fine; a traceback after all the sampling is not."""
@@ -298,7 +303,7 @@ def estimated(bench, folder, *options, more=""):
     return json.loads(ended.out), draws(bench.folder / run)
 
 
-@pytest.mark.usefixtures("no_figures")
+@pytest.mark.usefixtures("no_figures", "unexplained")
 def test_fit_simulates_for_an_estimate_only_when_asked_and_the_posterior_is_the_same(bench, folder):
     key = "\n[estimation]\noutput_error = true\n"
     (plain, first), *asked = (

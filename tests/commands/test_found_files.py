@@ -21,7 +21,9 @@ setattr(sys.modules[parent], name, module)
 SUMMARY = """
 import json
 from pathlib import Path
+from bayesfric.diagnostics import explanation
 from bayesfric.model import Model
+explanation.LONGEST = 0  # what else explains the torque is not asked
 print(json.dumps(Model.from_config(Path("c.toml")).fit().summary.as_dict()))
 """
 

@@ -18,6 +18,8 @@ from tests.recordings import logs
 
 from .bench import cases, has
 
+pytestmark = pytest.mark.usefixtures("nothing_explained")
+
 SI = {"time": "s", "position": "rad", "velocity": "rad/s", "torque": "N m", "current": "A"}
 T = 0.005 * np.arange(2000)
 Q = 0.8 * np.sin(2 * np.pi * 0.5 * T) + 0.3 * np.sin(2 * np.pi * 1.3 * T)

@@ -25,6 +25,7 @@ def pendulum(times=1.0, preset="servo-pendulum", late=0, spins=True, delay=False
     return bf.Model(replace(bf.Joint.preset(preset), delay=delay), recording)
 
 
+@pytest.mark.usefixtures("unexplained")
 @pytest.mark.parametrize(
     ("times", "unit", "taken"),
     [
@@ -47,6 +48,7 @@ def test_the_right_unit_of_a_position_is_named_first(times, unit, taken):
     assert "servo-pendulum" not in text
 
 
+@pytest.mark.usefixtures("unexplained")
 def test_nothing_is_said_of_units_that_change_nothing():
     """A small swing of another scale has other numbers, not another torque."""
     for model in (pendulum(spins=False), pendulum(np.pi / 180.0, spins=False)):
@@ -54,6 +56,7 @@ def test_nothing_is_said_of_units_that_change_nothing():
     assert other_units(pendulum().chain, pendulum().observations) == []
 
 
+@pytest.mark.usefixtures("unexplained")
 def test_another_mechanism_is_one_that_is_not_in_use():
     (doubt,) = (
         one
@@ -71,7 +74,7 @@ def test_no_delay_is_advised_while_little_is_explained(times, judged):
     assert ("delay = true in [mechanism]" in " ".join(found.warnings)) == judged
 
 
-@pytest.mark.parametrize("late", [60, 100, -100])
+@pytest.mark.parametrize("late", [60, pytest.param(100, marks=pytest.mark.slow), -100])
 def test_a_delay_far_longer_than_what_is_trimmed_is_found_first_and_fitted(late):
     """A position 0.12 or 0.2 s late, or early; 0.024 s is what is trimmed."""
     model = pendulum(late=late)
@@ -110,12 +113,14 @@ def test_a_measured_pendulum_in_a_wrong_unit(real_data, unit, named):
     assert not any("delay = true" in one for one in found.warnings)
 
 
+@pytest.mark.usefixtures("unexplained")
 def test_a_share_is_told_before_a_fit_and_after():
     found = bf.check(pendulum(preset="motor-axis"))
     assert any("explains only" in one for one in found.warnings)
     has(doubt_text({"kind": "unexplained", "share": 0.4}), "explains only 40 % of the torque")
 
 
+@pytest.mark.usefixtures("unexplained")
 @pytest.mark.parametrize("measured", [False, True])
 def test_check_says_of_what_a_noise_is_and_in_which_unit(measured):
     q = np.sin(T)

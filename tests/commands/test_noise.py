@@ -10,6 +10,8 @@ from bayesfric.report.terminal import fit_text
 
 from .bench import SMALL, has
 
+pytestmark = pytest.mark.usefixtures("nothing_explained")
+
 CONFIG = f"""{SMALL}
 [processing]
 lowpass = "100 Hz"

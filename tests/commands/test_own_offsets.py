@@ -7,6 +7,8 @@ import pytest
 
 from .bench import JOINT, recorded
 
+pytestmark = pytest.mark.usefixtures("nothing_explained")
+
 SIMULATION = """
 [simulation]
 duration = 4.0

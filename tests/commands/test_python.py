@@ -9,6 +9,8 @@ from bayesfric.model import Model
 
 from .bench import SMALL
 
+pytestmark = pytest.mark.usefixtures("nothing_explained")
+
 CONFIG = f"""{SMALL}
 [sampling]
 min_ess = 200

@@ -28,6 +28,8 @@ from tests.conftest import REPOSITORY
 from .bench import has, simulated, without_figures
 from .test_fit import CONFIG, draws, without_seconds
 
+pytestmark = pytest.mark.usefixtures("nothing_explained")
+
 # Few steps: what is tested is the bytes, not what they say. The noise remembers, so that there is
 # a second sampling, with white noise.
 FEW = CONFIG.replace(

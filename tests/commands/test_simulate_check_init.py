@@ -22,6 +22,8 @@ from tests.conftest import REPOSITORY
 
 from .bench import CONFIG
 
+pytestmark = pytest.mark.usefixtures("nothing_explained")
+
 EXAMPLES = files("bayesfric") / "examples"
 # Table 3 of the 2005 IFAC paper; mu_1 = 1/alpha_1 - 1 and mu_2 = 1 - 1/alpha_2, eq. (6)
 TABLE_3 = {

@@ -11,6 +11,8 @@ from bayesfric.report.terminal import fit_text
 
 from .bench import JOINT, has, recorded, without_figures
 
+pytestmark = pytest.mark.usefixtures("nothing_explained")
+
 SIMULATION = """
 [simulation]
 duration = 3.0

@@ -6,6 +6,8 @@ import pytest
 
 from bayesfric.cli import main
 
+pytestmark = pytest.mark.usefixtures("nothing_explained")
+
 CONFIG = """
 [mechanism]
 preset = "servo-pendulum"

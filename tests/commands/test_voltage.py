@@ -12,6 +12,8 @@ from bayesfric.report.paper.methods_text import methods_text
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.words import listed
 
+pytestmark = pytest.mark.usefixtures("nothing_explained")
+
 T = 0.002 * np.arange(8000)
 KT, R, RATIO = 0.4, 4.0, 10.0
 INERTIA, COULOMB, VISCOUS = 0.002, 0.02, 0.03

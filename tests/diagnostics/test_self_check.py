@@ -17,6 +17,8 @@ from bayesfric.report.summary.self_check import self_check_part
 from bayesfric.report.terminal import fit_text
 from tests.diagnostics.bench import CENTRAL, TRUTH, model, table
 
+pytestmark = pytest.mark.usefixtures("nothing_explained")
+
 
 @pytest.fixture(scope="module")
 def exact():

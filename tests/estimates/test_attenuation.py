@@ -8,6 +8,8 @@ import bayesfric as bf
 from bayesfric.mechanism.forward import simulate
 from tests.axis import AXIS, VALUES
 
+pytestmark = pytest.mark.usefixtures("nothing_explained")
+
 RATE, FINE = 200.0, 20
 
 

@@ -10,6 +10,8 @@ import bayesfric as bf
 
 from ..commands.bench import SAMPLED, Bench, simulated, without_figures
 
+pytestmark = pytest.mark.usefixtures("nothing_explained")
+
 
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory):

@@ -9,6 +9,8 @@ from bayesfric.fleet.units import places_of, units_of
 from tests.report.made_fleet import WORN, write_fleet
 from tests.report.made_summaries import LEG
 
+pytestmark = pytest.mark.usefixtures("nothing_explained")
+
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):

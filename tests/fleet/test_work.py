@@ -19,6 +19,8 @@ from bayesfric.report.summary.record import Summary, read_summary_file
 
 from .made import write_fleet
 
+pytestmark = pytest.mark.usefixtures("nothing_explained")
+
 
 @pytest.fixture
 def tasks(tmp_path):

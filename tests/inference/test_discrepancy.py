@@ -1,6 +1,7 @@
 """What candidates that may be missing do to a posterior: closed forms, one term more."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -95,6 +96,7 @@ def recording(**extra):
     return bf.Recording.from_arrays(time, q, torque + noise)
 
 
+@cache
 def fitted(**extra):
     return bf.Model(AXIS, recording(**extra), **UNCHECKED).fit(seed=1)
 

@@ -8,6 +8,8 @@ from bayesfric.export.exported import export
 from bayesfric.report.alerts import alerts_of
 from tests.axis import AXIS, VALUES
 
+pytestmark = pytest.mark.usefixtures("nothing_explained")
+
 QUICK = {"min_ess": 400, "ensembles": 2, "walkers": 24}
 T = np.arange(0.0, 9.0, 2e-3)
 MOVES = 7.0  # s, then it rests

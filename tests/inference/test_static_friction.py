@@ -11,6 +11,8 @@ from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.rest import Rest
 from tests.axis import AXIS, VALUES
 
+pytestmark = pytest.mark.usefixtures("nothing_explained")
+
 QUICK = {"min_ess": 400, "ensembles": 2, "walkers": 24}
 
 

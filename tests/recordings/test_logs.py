@@ -13,6 +13,8 @@ from bayesfric.recordings.tables.reader import TableOptions
 from tests.recordings import logs
 from tests.recordings.samples import has
 
+pytestmark = pytest.mark.usefixtures("nothing_explained")
+
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):

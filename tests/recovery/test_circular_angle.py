@@ -14,6 +14,8 @@ from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.summary.record import Summary
 from tests.commands.bench import without_figures
 
+pytestmark = pytest.mark.usefixtures("nothing_explained")
+
 SERVO = PRESETS["servo-pendulum"]
 ANGLE = "load.gravity_angle"
 CONFIG = """

@@ -17,6 +17,8 @@ from bayesfric.inference.prior.priors import fixed
 from bayesfric.inference.sampling.start import climb
 from bayesfric.model import Model
 
+pytestmark = pytest.mark.usefixtures("nothing_explained")
+
 COLUMNS = """
 [[recordings]]
 file = "recording.csv"

@@ -11,6 +11,8 @@ from bayesfric.config import read_config
 from bayesfric.errors import BadInput
 from bayesfric.inference.archive import read_archive
 
+pytestmark = pytest.mark.usefixtures("nothing_explained")
+
 CONFIG = """\
 [mechanism]
 preset = "motor-axis"

@@ -26,6 +26,8 @@ from tests.diagnostics.bench import model
 from tests.report.made_summaries import concluded
 from tests.report.page_reader import read_page
 
+pytestmark = pytest.mark.usefixtures("nothing_explained")
+
 NAME = "motor.viscous"
 
 

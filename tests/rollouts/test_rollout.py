@@ -23,6 +23,8 @@ from bayesfric.rollouts.recordings import Recorded
 from bayesfric.rollouts.rollout import _over, _rolled, moving_share, rollout
 from tests.commands.bench import Bench, without_figures
 
+pytestmark = pytest.mark.usefixtures("nothing_explained")
+
 JOINT = '[mechanism]\npreset = "motor-axis"\n[mechanism.load]\nfirst_moment = true\n'
 TRUTH = {"motor.inertia": 0.01, "motor.viscous": 0.06, "motor.coulomb": 0.1,
          "load.first_moment": 0.05, "offset": 0.0}  # fmt: skip
